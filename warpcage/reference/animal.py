@@ -14,11 +14,7 @@ ANIMAL_CELLS = 110
 
 def animal_model() -> Model:
     """An antelope-like animal, one smooth surface about 2 units long, centred at the origin, z up, its head at +x.
-
-    Returns:
-        vertices (v, 3) float64, faces (f, 3) int32, counterclockwise seen from outside, and colours (f, 3) float32 in
-        [0, 1].
-    """
+    Faces are counterclockwise seen from outside."""
     from skimage.measure import marching_cubes
 
     limbs = np.array(list(_animal_limbs()))

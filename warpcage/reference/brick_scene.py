@@ -25,32 +25,14 @@ def write_brick_scene(
     *,
     train_views: int = 60,
     test_views: int = 8,
-    size: int = 100,
-    seed: int = 0,
-    samples: int = 3,
+    size: int = 100,  # pixels along each side of a picture
+    seed: int = 0,  # places the training cameras
+    samples: int = 3,  # rays along each side of a pixel
     device: wp.DeviceLike = None,
 ) -> pathlib.Path:
-    """Render the brick model to a NeRF-synthetic folder.
-
-    Writes transforms_<split>.json (camera_angle_x, Blender camera axes: +y up, -z forward) and <split>/r_<i>.png (RGBA,
-    straight alpha). The cameras lie on the upper hemisphere, 4 units from the origin. The folder appears complete or
-    not at all.
-
-    Args:
-        path: The folder, new or empty. An earlier brick scene there is replaced.
-        train_views: Number of training pictures.
-        test_views: Number of test pictures.
-        size: Pixels along each side of a picture.
-        seed: Places the training cameras.
-        samples: Rays along each side of a pixel.
-        device: Warp device. None is CUDA where there is one, else the CPU.
-
-    Returns:
-        The folder.
-
-    Raises:
-        ValueError: For counts below one, and where `path` holds anything else.
-    """
+    """Render the brick model to a NeRF-synthetic folder, new, empty or an earlier one, whole or not at all."""
+    # transforms_<split>.json has camera_angle_x and Blender's camera axes (+y up, -z forward), <split>/r_<i>.png is
+    # RGBA of straight alpha. The cameras lie on the upper hemisphere, 4 units from the origin.
     path = pathlib.Path(path)
     require_counts(train_views, test_views, size)
     if path.exists() and not _is_replaceable(path):

@@ -19,11 +19,7 @@ GREEN, GLASS, ORANGE = (0.12, 0.55, 0.25), (0.50, 0.76, 0.90), (0.98, 0.48, 0.06
 
 def brick_model() -> Model:
     """An excavator built of bricks, about 2 units long, centred at the origin, z up, its arm towards +x.
-
-    Returns:
-        vertices (v, 3) float64, faces (f, 3) int32, counterclockwise seen from outside, and colours (f, 3) float32 in
-        [0, 1]. Every part is a closed surface; parts touch and overlap.
-    """
+    Every part is a closed surface, counterclockwise seen from outside; parts touch and overlap."""
     vertices, faces, colours = joined([*_tracks(), *_house(), *_cabin(), *_arm()])
     return centred(vertices) * STUD, faces, colours
 

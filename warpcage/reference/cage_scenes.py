@@ -52,19 +52,7 @@ CAGE_SCENES = {"thin": _thin, "concave": _concave, "ring": _ring, "two parts": _
 
 
 def scene_field(name: str, resolution: int = 48, device: wp.DeviceLike = None) -> VoxelField:
-    """A grey field of one of the scenes over the cube [-1, 1]^3.
-
-    Args:
-        name: One of `CAGE_SCENES`.
-        resolution: Voxels along each side of the cube.
-        device: Warp device. None is CUDA where there is one, else the CPU.
-
-    Returns:
-        The field.
-
-    Raises:
-        ValueError: For another name, and for fewer than 8 voxels along a side.
-    """
+    """A grey field of one of `CAGE_SCENES` over the cube [-1, 1]^3; resolution: voxels along each side, 8 or more."""
     if name not in CAGE_SCENES:
         raise ValueError(f"scene must be one of {', '.join(CAGE_SCENES)}, got {name!r}")
     if resolution < 8:

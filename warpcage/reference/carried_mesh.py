@@ -17,38 +17,21 @@ from .raycast import HIGHLIGHT, SHININESS, checked_mesh, common_size, device_mes
 
 
 class CarriedMesh:
-    """A mesh with a colour on each face and a solid texture, lit from above at rest. Poses carry all of that along.
+    """A mesh with a colour on each face and a solid texture, lit from above at rest; poses carry all of that along."""
 
-    A posed radiance field shows just this: colour, shadows and highlights of the place at rest, seen along the
-    direction at rest. So renders of a posed CarriedMesh are the ground truth for renders of a deformed field.
-
-    Args:
-        vertices: (v, 3) float, world units.
-        faces: (f, 3) int, indices of vertices.
-        colours: (f, 3) float in [0, 1], one per face.
-        texture: Amplitude of the noise over the colours (0 leaves them plain), and its frequency per world unit.
-        highlight: Strength of the specular term.
-        shininess: Exponent of the specular term.
-        device: Warp device. None is CUDA where there is one, else the CPU.
-
-    Attributes:
-        vertices: (v, 3) float64, world units, at rest.
-        faces: (f, 3) int32.
-        device: The Warp device that renders.
-
-    Raises:
-        ValueError: For shapes that do not fit.
-    """
+    # A posed radiance field shows just this: colour, shadows and highlights of the place at rest, seen along the
+    # direction at rest. So renders of a posed CarriedMesh are the ground truth for renders of a deformed field.
 
     def __init__(
         self,
-        vertices: ArrayLike,
-        faces: ArrayLike,
-        colours: ArrayLike,
+        vertices: ArrayLike,  # (v, 3) world units
+        faces: ArrayLike,  # (f, 3) indices of vertices
+        colours: ArrayLike,  # (f, 3) in [0, 1]
         *,
+        # amplitude of the noise over the colours (0 leaves them plain), frequency per world unit
         texture: tuple[float, float] = (0.35, 9.0),
-        highlight: float = HIGHLIGHT,
-        shininess: float = SHININESS,
+        highlight: float = HIGHLIGHT,  # strength of the specular term
+        shininess: float = SHININESS,  # exponent of the specular term
         device: wp.DeviceLike = None,
     ):
         self.vertices, self.faces, colours = checked_mesh(vertices, faces, colours)
@@ -63,28 +46,14 @@ class CarriedMesh:
         self,
         cameras: Sequence[Camera],
         *,
-        posed: ArrayLike | None = None,
+        posed: ArrayLike | None = None,  # (v, 3) where the vertices are, world units
+        # (v, 3, 3) of any scale, directions from posed to rest space; None: as they are
         view_matrices: ArrayLike | None = None,
-        light_stays: bool = False,
-        samples: int = 3,
+        light_stays: bool = False,  # light the posed mesh by lights fixed to the world, as no captured field can
+        samples: int = 3,  # rays along each side of a pixel
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Pictures and depths of the mesh, at rest or posed.
-
-        Args:
-            cameras: n cameras of one image size.
-            posed: (v, 3) float, where the vertices are, world units. None is at rest.
-            view_matrices: (v, 3, 3) float of any scale, take directions from posed to rest space at each vertex. None
-                leaves directions as they are.
-            light_stays: Light the posed mesh by lights fixed to the world instead, as no captured field can.
-            samples: Rays along each side of a pixel.
-
-        Returns:
-            RGBA (n, h, w, 4) float32, straight alpha, and depth (n, h, w) float32, world units, inf where the mesh does
-            not cover the whole pixel.
-
-        Raises:
-            ValueError: For shapes that do not fit, no samples, no camera, or cameras of several sizes.
-        """
+        """RGBA (n, h, w, 4) float32, straight alpha, and depth (n, h, w) float32, world units, of the mesh, at rest or
+        posed. Depth is inf where the mesh does not cover the whole pixel; all cameras have one image size."""
         count = len(self.vertices)
         posed = self.vertices if posed is None else np.asarray(posed, np.float64)
         matrices = np.broadcast_to(np.eye(3), (count, 3, 3)) if view_matrices is None else np.asarray(view_matrices)
@@ -110,18 +79,10 @@ class CarriedMesh:
         return colours, distances
 
     def shade(self, faces: ArrayLike, corners: ArrayLike, directions: ArrayLike) -> np.ndarray:
-        """Colours of points of the mesh at rest, each seen from several sides, whether or not something is between.
-
-        Args:
-            faces: (n,) int, the face that each point lies on.
-            corners: (n, 2) float, its weights of the first two corners of the face.
-            directions: (n, m, 3) unit vectors from the eye to the point.
-
-        Returns:
-            (n, m, 3) float32.
-        """
+        """Colours (n, m, 3) float32 of points of the mesh at rest, from m sides each, as if nothing was between."""
+        # unit vectors (n, m, 3) from the eye to the point
         towards = wp.array(np.ascontiguousarray(directions, np.float32), dtype=wp.vec3, device=self.device)
-        numbers = np.asarray(faces, np.int32)
+        numbers = np.asarray(faces, np.int32)  # (n,) the face that each point lies on
         colours = empty_array(towards.shape, wp.vec3, self.device)
         inputs = [
             self._rest.id,
@@ -129,6 +90,7 @@ class CarriedMesh:
             self._texture,
             self._lighting,
             wp.array(numbers, dtype=wp.int32, device=self.device),
+            # (n, 2) weights of the first two corners of the face
             wp.array(np.asarray(corners), dtype=wp.vec2, device=self.device),
             towards,
         ]
@@ -137,14 +99,8 @@ class CarriedMesh:
         return colours.numpy()
 
     def signed_distances(self, points: ArrayLike) -> np.ndarray:
-        """How far points are from the mesh at rest.
-
-        Args:
-            points: (n, 3) float, world units.
-
-        Returns:
-            (n,) float32, world units: negative inside; the walls of one solid in another count as walls.
-        """
+        """How far points (n, 3) are from the mesh at rest: (n,) float32, world units, negative inside.
+        The walls of one solid in another count as walls."""
         points, middle = np.asarray(points, np.float64), self.vertices.mean(axis=0)
         mesh = device_mesh(self.vertices, self.faces, middle, self.device, winding=True)
         local = wp.array((points - middle).astype(np.float32), dtype=wp.vec3, device=self.device)

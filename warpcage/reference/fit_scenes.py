@@ -20,21 +20,13 @@ LIGHTS = {"specular": {"highlight": 1.2, "shininess": 60.0}}
 
 @dataclasses.dataclass(frozen=True)
 class SceneKind:
-    """A model and how it is seen.
+    """A model and how it is seen."""
 
-    Args:
-        model: Name of one of `MODELS`.
-        view_count: Number of training views. None is what the caller asks for.
-        scale: Factor on the model and on the distances of the cameras.
-        shift: (3,) moves the object and the cameras together, in units of the model.
-        aside: (3,) moves the object away from what the cameras look at, in units of the model.
-    """
-
-    model: str
-    view_count: int | None = None
-    scale: float = 1.0
-    shift: Vector = (0, 0, 0)
-    aside: Vector = (0, 0, 0)
+    model: str  # one of `MODELS`
+    view_count: int | None = None  # training views; None is what the caller asks for
+    scale: float = 1.0  # of the model and of the distances of the cameras
+    shift: Vector = (0, 0, 0)  # moves the object and the cameras together, in units of the model
+    aside: Vector = (0, 0, 0)  # moves the object away from what the cameras look at, in units of the model
 
 
 #: Kinds of scenes by name.
@@ -56,34 +48,16 @@ KINDS = {
 def synthetic_scene(
     kind: str = "bricks",
     *,
-    train_views: int = 60,
+    train_views: int = 60,  # for kinds that do not fix it
     test_views: int = 8,
-    size: int = 100,
-    seed: int = 0,
-    samples: int = 3,
-    alpha: bool = True,
+    size: int = 100,  # pixels along each side of a picture
+    seed: int = 0,  # places the training cameras
+    samples: int = 3,  # rays along each side of a pixel
+    alpha: bool = True,  # whether the scenes have alphas
     device: wp.DeviceLike = None,
 ) -> tuple[Scene, Scene]:
-    """Training and test views of one of `KINDS` on white.
-
-    The cameras lie on the upper hemisphere, 4 units of the model from what they look at.
-
-    Args:
-        kind: Name of the kind.
-        train_views: Number of training views, for kinds that do not fix it.
-        test_views: Number of test views.
-        size: Pixels along each side of a picture.
-        seed: Places the training cameras.
-        samples: Rays along each side of a pixel.
-        alpha: Whether the scenes have alphas.
-        device: Warp device. None is CUDA where there is one, else the CPU.
-
-    Returns:
-        The training scene and the test scene.
-
-    Raises:
-        ValueError: For a kind that is not known, and for counts below one.
-    """
+    """Training and test views of one of `KINDS` on white."""
+    # The cameras lie on the upper hemisphere, 4 units of the model from what they look at.
     if kind not in KINDS:
         raise ValueError(f"scene kind {kind!r} is not known: {', '.join(KINDS)}")
     require_counts(train_views, test_views, size)

@@ -22,52 +22,26 @@ TOLERANCE = 1e-11
 
 @dataclasses.dataclass(frozen=True)
 class InversePoints:
-    """Points of the posed cage that the map takes to given points of the rest cage.
+    """Points of the posed cage that the map takes to given points of the rest cage."""
 
-    Attributes:
-        points: (n, 3) float64 in the posed cage, world units.
-        residuals: (n,) float64, distance of the map of each point from the point that was asked for, world units.
-        jacobians: (n, 3, 3) float64 of the map there, from posed to rest space.
-    """
-
-    points: np.ndarray
-    residuals: np.ndarray
-    jacobians: np.ndarray
+    points: np.ndarray  # (n, 3) float64 in the posed cage, world units
+    residuals: np.ndarray  # (n,) float64, distance of the map of each from the point that was asked for, world units
+    jacobians: np.ndarray  # (n, 3, 3) float64 of the map there, from posed to rest space
 
 
 class InverseMap:
-    """The map of a Deformer, x -> sum_j w_j(x) v_j with coordinates of the deformed cage, and its inverse, in float64.
+    """The map of a Deformer, x -> sum_j w_j(x) v_j with coordinates of the posed cage, and its inverse, in float64."""
 
-    Serves as a reference, and for whatever must follow a rendered field exactly. For harmonic coordinates, boundary
-    elements of constant flux stand in for the missing closed form, smaller towards the edges of a face, where fluxes
-    are singular; points nearer to the cage than an element are rough.
-
-    Source: "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 3; see kernels/reference/inverse_map.py.
-
-    Args:
-        rest: Usable cage at rest.
-        deformed: Usable cage of the same faces, posed.
-        coordinates: "mean_value", "green" or "harmonic".
-        cuts: Each face is cut into (2 cuts)^2 boundary elements, for harmonic coordinates only.
-        device: Warp device. None is CUDA where there is one, else the CPU.
-
-    Attributes:
-        rest: The cage at rest.
-        deformed: The posed cage.
-        coordinates: The kind of coordinates.
-        device: The Warp device that evaluates the map.
-
-    Raises:
-        ValueError: For cages that are not usable or differ in faces, and for another kind of coordinates.
-    """
+    # "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 3; see kernels/reference/inverse_map.py. It serves as a
+    # reference, and for whatever must follow a rendered field exactly.
 
     def __init__(
         self,
-        rest: ClosedMesh,
+        rest: ClosedMesh,  # usable, as the other, of the same faces
         deformed: ClosedMesh,
-        coordinates: str = "mean_value",
+        coordinates: str = "mean_value",  # "mean_value", "green" or "harmonic"
         *,
-        cuts: int = 2,
+        cuts: int = 2,  # each face is cut into (2 cuts)^2 boundary elements, for harmonic coordinates only
         device: wp.DeviceLike = None,
     ):
         require_coordinates(coordinates)
@@ -84,6 +58,8 @@ class InverseMap:
         if coordinates == "green":
             density = stretched_normals(deformed, rest)
         elif coordinates == "harmonic":
+            # Boundary elements of constant flux stand in for the missing closed form, smaller towards the edges of a
+            # face, where fluxes are singular; points nearer to the cage than an element are rough.
             corners, data = _cut_towards_edges(corners, cuts), _cut_towards_edges(data, cuts)
             density = _boundary_fluxes(corners, data, self.device)
         self._map = ExactMap()
@@ -93,14 +69,7 @@ class InverseMap:
         self._map.size = wp.float64(deformed.size)
 
     def __call__(self, points: ArrayLike) -> np.ndarray:
-        """Positions in the rest cage of points in the deformed cage.
-
-        Args:
-            points: (n, 3) float, world units.
-
-        Returns:
-            (n, 3) float64, world units.
-        """
+        """Positions (n, 3) float64 in the rest cage of points (n, 3) in the deformed cage, world units."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         positions = wp.empty(len(points), dtype=wp.vec3d, device=self.device)  # pyright: ignore[reportArgumentType]
         inputs = [self._map, _vectors(points - self._origin, self.device)]
@@ -108,14 +77,7 @@ class InverseMap:
         return positions.numpy() + self._target_origin
 
     def invert(self, points: ArrayLike) -> InversePoints:
-        """Where points of the rest cage are in the deformed cage.
-
-        Args:
-            points: (n, 3) float in the rest cage, world units.
-
-        Returns:
-            The points found. One that the map reaches from nowhere keeps a residual.
-        """
+        """Where points (n, 3) of the rest cage are in the deformed one; those reached from nowhere keep a residual."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         guesses = deform_points(points, self.rest, self.deformed, coordinates="mean_value", device=self.device)
         found = wp.empty(len(points), dtype=wp.vec3d, device=self.device)  # pyright: ignore[reportArgumentType]
@@ -135,9 +97,7 @@ def _vectors(rows: np.ndarray, device: wp.DeviceLike) -> wp.array:
 
 def _boundary_fluxes(corners: np.ndarray, data: np.ndarray, device: wp.DeviceLike) -> np.ndarray:
     """(e, 3) flux of the harmonic function with linear data on each element, by collocation at centroids.
-
-    corners, data (e, 3, 3): corners of the elements and the values there.
-    """
+    corners, data: (e, 3, 3) corners of the elements and the values there."""
     count = len(corners)
     single_layer = wp.empty((count, count), dtype=wp.float64, device=device)  # pyright: ignore[reportArgumentType]
     double_layer = wp.empty(count, dtype=wp.vec3d, device=device)  # pyright: ignore[reportArgumentType]

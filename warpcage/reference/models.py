@@ -22,18 +22,7 @@ MODELS = {
 
 
 def subdivided_model(name: str, longest_edge: float) -> Model:
-    """A model whose triangles are halved until they are small, so that flat triangles follow a deformation.
-
-    Args:
-        name: One of `MODELS`.
-        longest_edge: No edge of the result is longer than this, world units.
-
-    Returns:
-        vertices (v, 3) float64, faces (f, 3) int32 and colours (f, 3) float32 in [0, 1].
-
-    Raises:
-        ValueError: For another name.
-    """
+    """A model whose triangles are halved until none is longer than `longest_edge`, to follow a deformation."""
     import trimesh
 
     if name not in MODELS:

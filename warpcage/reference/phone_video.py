@@ -27,31 +27,16 @@ TEXTURE = (0.55, 5.0)
 
 @dataclasses.dataclass(frozen=True)
 class PhonePath:
-    """How a hand carries a phone around the origin, +z up.
+    """How a hand carries a phone around the origin, +z up."""
 
-    Args:
-        degrees: How far around it walks.
-        distance: Distance from the origin, world units.
-        rise: Lowest and highest elevation, degrees.
-        shake: Trembling of the hand, world units, and of the view, radians.
-        seed: Of the trembling.
-    """
-
-    degrees: float = 250.0
-    distance: float = 4.2
-    rise: tuple[float, float] = (18.0, 42.0)
-    shake: tuple[float, float] = (0.02, 0.006)
-    seed: int = 0
+    degrees: float = 250.0  # how far around it walks
+    distance: float = 4.2  # from the origin, world units
+    rise: tuple[float, float] = (18.0, 42.0)  # lowest and highest elevation, degrees
+    shake: tuple[float, float] = (0.02, 0.006)  # trembling of the hand, world units, and of the view, radians
+    seed: int = 0  # of the trembling
 
     def pose(self, time: float) -> np.ndarray:
-        """Where the phone is.
-
-        Args:
-            time: 0 at the beginning, 1 at the end.
-
-        Returns:
-            (4, 4) camera to world, OpenCV axes.
-        """
+        """Where the phone is at a time from 0 at the beginning to 1 at the end: (4, 4) camera to world, OpenCV axes."""
         turn = np.radians(self.degrees * time - 90.0)
         low, high = self.rise
         rise = np.radians(low + (high - low) * (0.5 - 0.5 * np.cos(3 * np.pi * time)))
@@ -73,44 +58,22 @@ def write_phone_video(
     path: str | os.PathLike,
     *,
     frames: int = 40,
-    size: tuple[int, int] = (256, 192),
-    fov_degrees: float = 62.0,
+    size: tuple[int, int] = (256, 192),  # width and height, even, pixels
+    fov_degrees: float = 62.0,  # horizontal
     route: PhonePath | None = None,
-    exposure: float = 0.04,
-    readout: float = 0.04,
-    blurred: int = 6,
-    strips: int = 8,
-    exposures: int = 2,
-    samples: int = 1,
-    rate: float = 30.0,
+    exposure: float = 0.04,  # time that a row is exposed, in times from one frame to the next
+    readout: float = 0.04,  # time from the first row to the last one, in the same unit
+    blurred: int = 6,  # every so many-th frame is exposed LONG times as long; 0 for none
+    strips: int = 8,  # parts of a frame whose rows are taken at one time; they divide its height
+    exposures: int = 2,  # moments of which an exposure is the mean
+    samples: int = 1,  # rays along each side of a pixel
+    rate: float = 30.0,  # frames per second of the file
     device: wp.DeviceLike = None,
 ) -> list[Camera]:
     """Ray cast a walk around the table scene, as a phone records it.
-
-    Each row is taken a little later than the one above (rolling shutter), blurred by the motion during its exposure.
-    The film is H.264 of 8 bits.
-
-    Args:
-        path: The file (.mp4).
-        frames: Number of frames.
-        size: Width and height, even, pixels.
-        fov_degrees: Horizontal field of view.
-        route: The walk. None is `PhonePath()`.
-        exposure: Time that a row is exposed, in times from one frame to the next.
-        readout: Time from the first row to the last one, in the same unit.
-        blurred: Every so many-th frame is exposed LONG times as long. 0 for none.
-        strips: Parts of a frame whose rows are taken at one time; they divide its height.
-        exposures: Moments of which an exposure is the mean.
-        samples: Rays along each side of a pixel.
-        rate: Frames per second of the file.
-        device: Warp device. None is CUDA where there is one, else the CPU.
-
-    Returns:
-        The true cameras: where the phone was in the middle of each frame.
-
-    Raises:
-        ValueError: For sizes that strips do not divide.
-    """
+    Returns the true cameras: where the phone was in the middle of each frame."""
+    # Each row is taken a little later than the one above (rolling shutter), blurred by the motion during its exposure.
+    # The film is H.264 of 8 bits.
     width, height = size
     if height % strips or width % 2 or height % 2:
         raise ValueError(f"a video of {width}x{height} pixels is not cut into {strips} strips of whole, even sizes")
@@ -140,11 +103,7 @@ def write_phone_video(
 
 def table_scene() -> Model:
     """The excavator of bricks on a table with a patchwork cloth and things around it, in a room of coloured panels.
-
-    Returns:
-        vertices (v, 3) float64, faces (f, 3) int32 and colours (f, 3) float32 in [0, 1]. +z is up, the excavator around
-        the origin.
-    """
+    +z is up, the excavator around the origin."""
     rng = np.random.default_rng(5)
     vertices, faces, colours = brick_model()
     vertices = vertices * np.array([1.0, 1.0, 1.0]) + [0.0, 0.0, TOP - vertices[:, 2].min()]

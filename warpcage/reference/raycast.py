@@ -18,34 +18,18 @@ HIGHLIGHT, SHININESS = 0.22, 18.0
 
 
 def render_mesh_views(
-    vertices: ArrayLike,
-    faces: ArrayLike,
-    colours: ArrayLike,
-    cameras: Sequence[Camera],
+    vertices: ArrayLike,  # (v, 3) world units
+    faces: ArrayLike,  # (f, 3) indices of vertices
+    colours: ArrayLike,  # (f, 3) in [0, 1]
+    cameras: Sequence[Camera],  # of one image size
     *,
-    samples: int = 3,
-    highlight: float = HIGHLIGHT,
-    shininess: float = SHININESS,
+    samples: int = 3,  # rays along each side of a pixel
+    highlight: float = HIGHLIGHT,  # strength of the specular term
+    shininess: float = SHININESS,  # exponent of the specular term
     device: wp.DeviceLike = None,
 ) -> np.ndarray:
-    """Ray cast a mesh, lit from above (+z), from each camera.
-
-    Args:
-        vertices: (v, 3) float, world units.
-        faces: (f, 3) int, indices of vertices.
-        colours: (f, 3) float in [0, 1], one per face.
-        cameras: n cameras of one image size.
-        samples: Rays along each side of a pixel.
-        highlight: Strength of the specular term.
-        shininess: Exponent of the specular term.
-        device: Warp device. None is CUDA where there is one, else the CPU.
-
-    Returns:
-        (n, h, w, 4) float32, straight alpha; the colour is 0 where alpha is 0.
-
-    Raises:
-        ValueError: For shapes that do not fit, no samples, no camera, or cameras of several sizes.
-    """
+    """Ray cast a mesh, lit from above (+z), from each camera: (n, h, w, 4) float32, straight alpha.
+    The colour is 0 where alpha is 0."""
     vertices, faces, colours = checked_mesh(vertices, faces, colours)
     cameras = list(cameras)
     width, height = common_size(cameras)
@@ -65,16 +49,7 @@ def render_mesh_views(
 
 
 def mesh_lighting(size: float, highlight: float = HIGHLIGHT, shininess: float = SHININESS) -> Any:
-    """The light of all reference scenes.
-
-    Args:
-        size: Longest side of the mesh's bounding box, world units.
-        highlight: Strength of the specular term.
-        shininess: Exponent of the specular term.
-
-    Returns:
-        The struct MeshLighting of the kernels.
-    """
+    """The light of all reference scenes, a MeshLighting of the kernels; size: longest side of the mesh, world units."""
     lighting = MeshLighting()
     lighting.highlight, lighting.shininess = highlight, shininess
     lighting.key_direction = wp.normalize(wp.vec3(0.45, -0.6, 0.9))  # pyright: ignore[reportCallIssue, reportArgumentType]
@@ -90,18 +65,8 @@ def mesh_lighting(size: float, highlight: float = HIGHLIGHT, shininess: float = 
 def device_mesh(
     vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, device: wp.DeviceLike, *, winding: bool = False
 ) -> wp.Mesh:
-    """A mesh for ray queries, relative to `origin`, which is subtracted in float64 so that far scenes survive float32.
-
-    Args:
-        vertices: (v, 3) float64, world units.
-        faces: (f, 3) int32.
-        origin: (3,) float64, world units.
-        device: Warp device.
-        winding: Whether queries ask for winding numbers.
-
-    Returns:
-        The mesh on the device.
-    """
+    """A mesh for ray queries, relative to `origin` (3,), world units; winding: queries ask for winding numbers."""
+    # subtracted in float64, so that far scenes survive float32
     points = wp.array((vertices - origin).astype(np.float32), dtype=wp.vec3, device=device)
     indices = wp.array(faces.ravel(), dtype=wp.int32, device=device)
     return wp.Mesh(points=points, indices=indices, support_winding_number=winding)

@@ -11,11 +11,7 @@ from .solids import Model, Part, box, centred, cylinder, joined
 
 def chair_model() -> Model:
     """A chair of rods: legs of 0.05 units, a back of spindles half as thick, a slatted seat; 2 units high, z up.
-
-    Returns:
-        vertices (v, 3) float64, faces (f, 3) int32, counterclockwise seen from outside, and colours (f, 3) float32 in
-        [0, 1]. Every part is a closed surface; parts overlap.
-    """
+    Every part is a closed surface, counterclockwise seen from outside; parts overlap."""
     vertices, faces, colours = joined(_chair_parts())
     return centred(vertices), faces, colours
 

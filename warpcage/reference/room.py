@@ -35,18 +35,11 @@ DISTANCE, HEIGHTS, FOV_DEGREES = 3.3, (0.1, 1.9), 62.0
 
 @dataclasses.dataclass(frozen=True)
 class RoomViews:
-    """Views of the room.
+    """Views of the room."""
 
-    Args:
-        whole: Whole pictures: no opacity, the object's box as bounds.
-        object: The same views of what is in that box alone, on white, with opacity: what they would be if all that is
-            around it were known.
-        around: (n, h, w, 3) the views of all the rest, without it.
-    """
-
-    whole: Scene
-    object: Scene
-    around: np.ndarray
+    whole: Scene  # whole pictures: no opacity, the object's box as bounds
+    object: Scene  # what is in that box alone, on white, with opacity: as if all that is around it were known
+    around: np.ndarray  # (n, h, w, 3) the views of all the rest, without it
 
     @property
     def split(self) -> Scene:
@@ -59,30 +52,15 @@ class RoomViews:
 def room_views(
     train_views: int = 60,
     test_views: int = 8,
-    size: int = 100,
+    size: int = 100,  # pixels along each side of a picture
     *,
-    samples: int = 3,
-    seed: int = 0,
+    samples: int = 3,  # rays along each side of a pixel
+    seed: int = 0,  # places the training cameras
     device: wp.DeviceLike = None,
 ) -> tuple[RoomViews, RoomViews]:
-    """Training and test views of the room.
-
-    What is in the object's box and what is around it are lit each on its own, so that views of the two make the whole.
-
-    Args:
-        train_views: Number of training views.
-        test_views: Number of test views.
-        size: Pixels along each side of a picture.
-        samples: Rays along each side of a pixel.
-        seed: Places the training cameras.
-        device: Warp device. None is CUDA where there is one, else the CPU.
-
-    Returns:
-        The training views and the test views.
-
-    Raises:
-        ValueError: For counts below one.
-    """
+    """Training and test views of the room."""
+    # What is in the object's box and what is around it are lit each on its own, so that views of the two make the
+    # whole.
     require_counts(train_views, test_views, size)
     inside, outside = object_model(), room_model()
 
@@ -100,16 +78,7 @@ def room_views(
 
 
 def room_cameras(count: int, size: int, seed: int) -> list[Camera]:
-    """Cameras that walk around the table, up and down, and look about where it is.
-
-    Args:
-        count: Number of cameras.
-        size: Pixels along each side of a picture.
-        seed: Where they begin, and how unevenly they go.
-
-    Returns:
-        The cameras.
-    """
+    """Cameras that walk around the table, up and down, and look about where it is."""
     random = np.random.default_rng(seed)
     turn = 2 * np.pi * (np.arange(count) + random.uniform(0.2, 0.8, count)) / count
     height = random.uniform(*HEIGHTS, count)

@@ -1,8 +1,4 @@
-"""Closed solids of one colour, from which the reference models are built.
-
-A part is (vertices (v, 3) float64, faces (f, 3) int, colour), its faces counterclockwise seen from outside. The colour
-is red, green and blue in [0, 1].
-"""
+"""Closed solids of one colour, from which the reference models are built."""
 
 from __future__ import annotations
 
@@ -12,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 Colour = tuple[float, float, float]
+
+#: vertices (v, 3) float64, faces (f, 3) int, counterclockwise seen from outside, and a colour in [0, 1]
 Part = tuple[np.ndarray, np.ndarray, Colour]
 
 #: vertices (v, 3) float64, faces (f, 3) int32, colours (f, 3) float32

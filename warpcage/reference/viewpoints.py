@@ -12,15 +12,8 @@ CAMERA_RADIUS = 4.0
 
 
 def spread_eyes(count: int, seed: int) -> np.ndarray:
-    """Eyes (count, 3) spread evenly over the upper hemisphere, on a Fibonacci spiral.
-
-    Args:
-        count: Number of eyes.
-        seed: Turns the spiral and moves each eye a little along it.
-
-    Returns:
-        (count, 3) float64, CAMERA_RADIUS from the origin.
-    """
+    """Eyes (count, 3) spread evenly over the upper hemisphere, CAMERA_RADIUS from the origin, on a Fibonacci spiral.
+    seed: turns the spiral and moves each eye a little along it."""
     rng = np.random.default_rng(seed)
     height = 0.03 + 0.94 * (np.arange(count) + rng.random(count)) / count
     turn = 2 * np.pi * (rng.random() + np.arange(count) * (np.sqrt(5) - 1) / 2)
