@@ -18,27 +18,17 @@ NOWHERE = np.array([[np.inf] * 3, [-np.inf] * 3])
 
 @dataclasses.dataclass(frozen=True)
 class EditBoxes:
-    """Boxes around the places that edits of a scene have to do with, lower and upper corners.
+    """Boxes (n, 2, 3) float64, lower and upper corners, around the places that edits of a scene have to do with."""
 
-    Args:
-        changed: (n, 2, 3) float64, around the posed cage and the rest cage of each: beyond, it changes nothing.
-        sources: (n, 2, 3) float64, around where its map may lead.
-    """
-
+    # around the posed cage and the rest cage of each: beyond, it changes nothing
     changed: np.ndarray
+    # around where its map may lead
     sources: np.ndarray
 
     def are_apart(self, reach: float) -> bool:
-        """Whether no place has to do with two edits.
-
-        What an edit maps is then in its own rest cage alone, which no earlier edit has changed.
-
-        Args:
-            reach: How far from its place a sample may look, world units.
-
-        Returns:
-            Whether the boxes are more than twice as far apart, and no map leads into an earlier edit's.
-        """
+        """Whether no place has to do with two edits, where a sample looks as far as `reach`, world units, from its
+        place."""
+        # What an edit maps is then in its own rest cage alone, which no earlier edit has changed.
         between, beneath = self._least_gaps
         return between > 2.0 * reach and beneath > 0.0
 
@@ -58,21 +48,10 @@ def edit_boxes(
     tolerances: Sequence[float],
     slacks: Sequence[float],
 ) -> EditBoxes:
-    """The boxes of posed edits.
-
-    A trilinear signed distance is nowhere below the distance to a plane with the whole cage behind it, as that holds at
-    the nodes: what counts as inside a cage, up to some distance, is in the cage's box, up to that distance.
-
-    Args:
-        edits: The edits.
-        cages: The posed cages, None for an edit that removes.
-        origin: (3,) world point that the boxes are relative to.
-        tolerances: Of each edit: points so far out of a cage count as in it, world units.
-        slacks: Of each edit: its map may lead so far out of the rest cage.
-
-    Returns:
-        The boxes.
-    """
+    """The boxes of posed edits, relative to the world point `origin`; cages: None for an edit that removes.
+    tolerances: how far out of a cage points count as in it; slacks: how far out of the rest cage a map may lead."""
+    # A trilinear signed distance is nowhere below the distance to a plane with the whole cage behind it, as that holds
+    # at the nodes: what counts as inside a cage, up to some distance, is in the cage's box, up to that distance.
     changed, sources = [], []
     for edit, cage, tolerance, slack in zip(edits, cages, tolerances, slacks, strict=True):
         rest = edit.cage.bounds - np.asarray(origin)
@@ -84,50 +63,26 @@ def edit_boxes(
 
 
 def wider(boxes: np.ndarray, by: float) -> np.ndarray:
-    """Boxes that reach further on each side.
-
-    Args:
-        boxes: (..., 2, 3).
-        by: How far.
-
-    Returns:
-        (..., 2, 3).
-    """
+    """Boxes (..., 2, 3) that reach further on each side."""
     return boxes + by * np.array([[-1.0], [1.0]])
 
 
 def box_gaps(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """How far boxes are apart along the axis along which they are farthest; negative where they overlap.
-
-    Args:
-        boxes: (n, 2, 3).
-        others: (m, 2, 3).
-
-    Returns:
-        (n, m).
-    """
+    """How far boxes (n, 2, 3) and others (m, 2, 3) are apart, (n, m), along the axis along which they are farthest.
+    Negative where they overlap."""
     beyond = others[None, :, 0] - boxes[:, None, 1]
     before = boxes[:, None, 0] - others[None, :, 1]
     return np.maximum(beyond, before).max(axis=-1)
 
 
 def front_to_back(boxes: np.ndarray, centre: ArrayLike) -> list[int] | None:
-    """An order in which each ray from a point enters the boxes that it meets.
-
-    A ray goes one way along each axis. So it does not meet first the lower and then the upper of two boxes with a gap
-    between them if it starts above the lower one's top, and not the other way round if it starts under the upper one's
-    bottom.
-
-    Args:
-        boxes: (n, 2, 3), no two of which overlap.
-        centre: (3,) where the rays start, in a box or not.
-
-    Returns:
-        The n numbers of the boxes; None where there is no such order, as each of some boxes hides a part of the next in
-        a circle.
-    """
+    """An order in which each ray from `centre`, in a box or not, enters those of the boxes (n, 2, 3) that it meets.
+    No two boxes may overlap. None where there is no order, as boxes hide each other in a circle."""
     lower, upper, centre = boxes[:, 0], boxes[:, 1], np.asarray(centre)
     below = upper[:, None] < lower[None, :]  # (n, n, 3)
+    # A ray goes one way along each axis. So it does not meet first the lower and then the upper of two boxes with a gap
+    # between them if it starts above the lower one's top, and not the other way round if it starts under the upper
+    # one's bottom.
     never = below & (centre > upper)[:, None] | below.swapaxes(0, 1) & (centre < lower)[:, None]
     first = ~never.any(axis=-1)
     np.fill_diagonal(first, False)

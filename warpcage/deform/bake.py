@@ -113,18 +113,12 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
 
 
 def lattice_edits(deformer: Deformer) -> LatticeEdits:
-    """The posed edits of a Deformer on lattices.
-
-    Args:
-        deformer: The Deformer, posed at rest where it was not posed.
-
-    Returns:
-        Its own edits; those of another Deformer in the same pose where its own have no lattice.
-    """
+    """The edits of a Deformer, posed at rest where it was not posed, on lattices."""
     edits = deformer.posed_edits()
     if isinstance(edits, LatticeEdits):
         return edits
     assert deformer.deformed is not None
+    # its own edits have no lattice: those of another Deformer in the same pose stand in
     stand_in = Deformer(
         deformer.field,
         deformer.edits,
@@ -137,17 +131,8 @@ def lattice_edits(deformer: Deformer) -> LatticeEdits:
 
 
 def filled_range(filled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The box of filled nodes, in indices.
-
-    Args:
-        filled: (nx, ny, nz) bool or uint8.
-
-    Returns:
-        First and last (exclusive) index along each axis, (3,) int each, at least two apart.
-
-    Raises:
-        ValueError: If no node is filled.
-    """
+    """First and last (exclusive) index, (3,) int each, of the box of nodes filled in (nx, ny, nz) bool or uint8.
+    They are at least two apart along each axis."""
     begin, end = np.zeros(3, int), np.zeros(3, int)
     for axis in range(3):
         indices = np.flatnonzero(filled.any(axis=tuple(other for other in range(3) if other != axis)))

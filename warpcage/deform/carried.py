@@ -38,22 +38,14 @@ NODE_BYTES = 25
 
 class CarriedCrumbs:
     """The crumbs of one edit, and the lattices of its poses made as large as to hold them where they go.
-
-    Args:
-        edit: The edit.
-        field: The field, on the device.
-        index: Number of the edit, for messages.
-
-    Attributes:
-        voxels: (n, 3) the voxels of crumbs, none where there are no crumbs.
-        cells: CrumbCells of kernels/deform/crumbs.py.
-        bounds: (2, 3) float64 box of the lattice of the last pose, world units; None before, or where nothing moves.
-    """
+    `index` is the number of the edit, for messages."""
 
     def __init__(self, edit: CageEdit, field: VoxelField, index: int):
         self._edit, self._index, self._device, self._origin = edit, index, field.device, field.center
+        # (n, 3) the voxels of crumbs, none where there are no crumbs
         self.voxels = crumbs(field, edit.cage, edit.crumbs) if edit.crumbs > 0.0 else np.zeros((0, 3), int)
         self.cells = CrumbCells()
+        # (2, 3) float64 box of the lattice of the last pose, world units; None before, or where nothing moves
         self.bounds: np.ndarray | None = None
         if not len(self.voxels):
             return
@@ -87,17 +79,8 @@ class CarriedCrumbs:
         return wp.array((np.asarray(vertices) - self._origin).astype(np.float32), dtype=wp.vec3, device=self._device)
 
     def extended(self, cage: Cage, plain: Any, cage_map: Any, walls: Any = None) -> Any:
-        """The map of a pose on a lattice that reaches as far as its crumbs.
-
-        Args:
-            cage: The posed cage.
-            plain: Its CageMap, before it fades.
-            cage_map: The same once it is faded, or itself again.
-            walls: Walls towards which it fades, or None.
-
-        Returns:
-            A CageMap; the nodes of `cage_map` are `before` behind the lower corner of its own.
-        """
+        """The CageMap of a pose on a lattice that reaches as far as its crumbs. plain: the CageMap before it fades;
+        cage_map: once it is faded, or `plain` again; walls: the Walls towards which it fades, or None."""
         data = self._walls
         data.posed = self._local(cage.vertices)
         data.posed_size = cage.size
@@ -107,6 +90,7 @@ class CarriedCrumbs:
         low, high = np.zeros(3, int), np.array(cage_map.distance.shape) - 1
         if len(first):
             low, high = np.minimum(low, first.min(axis=0)), np.maximum(high, last.max(axis=0) + 1)
+        # how far the nodes of `cage_map` are behind the lower corner of the result
         self.before = -low
         padded = tuple(int(n) for n in high - low + 1)
         require_memory(
@@ -130,25 +114,14 @@ class CarriedCrumbs:
         return result
 
     def mark(self, edit: Any, cells: wp.array) -> None:
-        """Mark the cells of the last pose through which crumbs go.
-
-        Args:
-            edit: The LatticeEdit of the pose.
-            cells: (nx-1, ny-1, nz-1) uint8, CELL_... flags, those of `mark_edit_cases`.
-        """
+        """Mark the cells of the last pose, of which `edit` is the LatticeEdit, through which crumbs go.
+        cells: (nx-1, ny-1, nz-1) uint8, the CELL_... flags of `mark_edit_cases`."""
         if self._marks is not None:
             launch(carry_cells.mark_carrying_cells, cells.size, [edit, self._marks], [cells], device=self._device)
 
     def inner(self, cells: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        """The part of a table over the cells of the larger lattice that lies over the map's own.
-
-        Args:
-            cells: The table.
-            shape: (3,) counts of the map's own cells.
-
-        Returns:
-            A view of that shape.
-        """
+        """The part of a table over the cells of the larger lattice that lies over the map's own, a view of that
+        `shape`."""
         return cells[tuple(slice(b, b + n) for b, n in zip(self.before, shape, strict=True))]
 
     def _reached_boxes(self, cage_map: Any) -> tuple[np.ndarray, np.ndarray]:

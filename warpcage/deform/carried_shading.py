@@ -34,29 +34,14 @@ LAYERS = int(SHADE_LAYERS)
 
 
 def shade_texture_bytes(table: ColumnTable) -> float:
-    """Bytes on a GPU that shades of a field take.
-
-    Args:
-        table: Of its links.
-
-    Returns:
-        The bytes; infinite where a texture cannot hold them.
-    """
+    """Bytes on a GPU that shades of a field take, by the table of its links; infinite where no texture holds them."""
     nx, ny, nz = tuple(table.columns.node_counts)
     fits = max(LAYERS * nx, ny, nz) <= MOST_TEXELS
     return LAYERS * HALF_TEXEL_BYTES * table.node_count if fits else math.inf
 
 
 class CarriedShades:
-    """Where the poses of edits take the matter of their rest cages, and from where a camera sees it.
-
-    Args:
-        edit_count: Number of edits.
-        device: Warp device.
-
-    Attributes:
-        is_posed: Whether `pose` was called for the pose that is to be seen; whoever poses anew unsets it.
-    """
+    """Where the poses of edits take the matter of their rest cages, and from where a camera sees it."""
 
     def __init__(self, edit_count: int, device: wp.Device):
         self._device = device
@@ -74,16 +59,12 @@ class CarriedShades:
         self._launch = RepeatedLaunches(device)
         self._laid: Any = None
         self._texture: wp.Texture3D | None = None  # kept alive for kernels, which hold its handle alone
+        # whether `pose` was called for the pose that is to be seen; whoever poses anew unsets it
         self.is_posed = False
 
     def pose(self, edits: Sequence[Any], cells: Sequence[wp.array], grid: Any) -> None:
-        """Find where matter is; once per pose.
-
-        Args:
-            edits: The posed FlatEdits.
-            cells: (nx-1, ny-1, nz-1) uint8 CELL_... flags of each edit's cells.
-            grid: VoxelGrid of the field as it is marched.
-        """
+        """Find where matter is, once per pose, of the posed FlatEdits and the VoxelGrid as it is marched.
+        cells: (nx-1, ny-1, nz-1) uint8 CELL_... flags of each edit's cells."""
         self._posed, self.is_posed, self._is_folded, self._aimed = [], False, None, None  # an interrupt leaves none
         self._folds.clear()
         for number, (edit, flags) in enumerate(zip(edits, cells, strict=True)):
@@ -140,26 +121,14 @@ class CarriedShades:
 
     def aim(self, centre: wp.vec3) -> None:
         """Find from where a camera sees what the pose moves: what `shades` of that camera begins with.
-
-        Args:
-            centre: Of the camera, relative to the grid's origin.
-        """
+        `centre` is relative to the grid's origin; `shades` knows it as the same object."""
         if self._posed:
             self._launch(aim_nodes, sum(places.size for _, places, _ in self._posed), [self._cages, centre])
         self._aimed = centre
 
     def shades(self, grid: Any, table: ColumnTable, centre: wp.vec3, step: float) -> Any:
-        """The voxels of a field as a camera sees them in the pose.
-
-        Args:
-            grid: VoxelGrid.
-            table: Of its links.
-            centre: Of the camera, relative to the grid's origin.
-            step: March step, world units.
-
-        Returns:
-            A LaidShades of kernels/deform/laid_shades.py, of the values that the grid has now.
-        """
+        """The LaidShades of a field, of the values that its VoxelGrid has now, as a camera sees them in the pose.
+        table: of the grid's links; centre: relative to the grid's origin; step: of the march, world units."""
         device, rows, walls = self._device, table.nodes.shape[0], self.walls(grid, table)
         if self._aimed is not centre:
             self.aim(centre)
@@ -190,16 +159,8 @@ class CarriedShades:
         self._texture = None
 
     def walls(self, grid: Any, table: ColumnTable) -> wp.array:
-        """The rows of a field that poses may show on both sides of a rest cage: those near it, and all of a cage that
-        keeps its source. Found once, behind `pose`.
-
-        Args:
-            grid: VoxelGrid.
-            table: Of its links.
-
-        Returns:
-            (m,) int32, ascending.
-        """
+        """Rows (m,) int32, ascending, that poses may show on both sides of a rest cage; found once, behind `pose`."""
+        # They are those near it, and all of a cage that keeps its source.
         if self._walls is None or self._walls[0] is not table:
             device, rows = self._device, table.nodes.shape[0]
             marks = wp.zeros(rows, dtype=wp.int32, device=device)

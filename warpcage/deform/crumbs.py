@@ -10,20 +10,10 @@ from ..field.voxel_field import VoxelField
 
 
 def crumbs(field: VoxelField, cage: Cage, size: float) -> np.ndarray:
-    """The voxels of crumbs outside a cage.
-
-    A crumb is a connected piece (over faces, edges and corners of voxels) of the visible matter outside the cage that
-    touches visible matter inside it, and whose box has a diagonal of less than `size`. Faint voxels around it go with
-    it, where no other matter is next to them.
-
-    Args:
-        field: The field.
-        cage: The cage at rest.
-        size: World units.
-
-    Returns:
-        (n, 3) indices of voxels.
-    """
+    """Indices (n, 3) of the voxels of crumbs outside a cage at rest, whose boxes have diagonals below `size`, world
+    units."""
+    # A crumb is a connected piece (over faces, edges and corners of voxels) of the visible matter outside the cage that
+    # touches visible matter inside it, and whose box has a diagonal of less than `size`.
     from scipy.ndimage import binary_dilation
     from skimage.measure import label, regionprops
 
@@ -59,5 +49,6 @@ def crumbs(field: VoxelField, cage: Cage, size: float) -> np.ndarray:
         if piece.label in touching and not cut.any():
             if np.linalg.norm((end - begin) * field.voxel_size) < size:
                 chosen[tuple(piece.coords.T)] = True
+    # faint voxels around a crumb go with it, where no other matter is next to them
     faint = grown(chosen) & ~grown(outside & ~chosen) & held & np.logical_not(matter)
     return np.argwhere(chosen | (faint & ~in_cage(faint))) + low

@@ -355,37 +355,17 @@ class Deformer:
 
 
 class PosedDeformer:
-    """One pose of a Deformer that several callers share; see `Deformer.posed`.
-
-    Args:
-        deformer: The Deformer.
-        cages: The posed cages, one per edit, None for an edit that removes.
-
-    Attributes:
-        deformer: As given.
-        deformed: The posed cages.
-    """
+    """One pose of a Deformer that several callers share; see `Deformer.posed`."""
 
     def __init__(self, deformer: Deformer, cages: list[Cage | None]):
+        # the posed cages: one per edit, None for an edit that removes
         self.deformer, self.deformed = deformer, cages
 
     def to_canonical(
         self, points: Any, directions: Any, *, step: float | None = None, return_outside: bool = False
     ) -> tuple[Any, ...]:
-        """Where points of the deformed scene are in the canonical one; see `Deformer.to_canonical`.
-
-        Args:
-            points: (n, 3) float, world units.
-            directions: (n, 3) float, from the camera into the scene.
-            step: The dt of the finite difference, world units. None is the field's march step.
-            return_outside: Return a fourth array, which marks the points whose map leaves the rest cage.
-
-        Returns:
-            As `Deformer.to_canonical`.
-
-        Raises:
-            ValueError: As `Deformer.to_canonical`.
-        """
+        """Where points (n, 3) of the deformed scene, world units, are in the canonical one; see
+        `Deformer.to_canonical`."""
         shared = self.deformer
         with shared.lock:
             return shared._to_canonical(shared._hold(self.deformed), points, directions, step, return_outside)
@@ -399,57 +379,21 @@ class PosedDeformer:
         supersampling: int | None = None,
         antialias: bool = False,
     ) -> Frame:
-        """The view of a camera of the scene in this pose; see `Deformer.render`.
-
-        Args:
-            camera: The camera.
-            background: Colour behind the scene, a name or (3,) in [0, 1]. None is the field's own.
-            step: March step, world units. None is the field's.
-            supersampling: Rays along each side of a pixel. None is the field's.
-            antialias: Of splats only: weaken those that the blur of the picture makes larger; see `SplatField.render`.
-
-        Returns:
-            The frame, its arrays on the device.
-
-        Raises:
-            ValueError: As `Deformer.render`.
-        """
+        """The view of a camera of the scene in this pose; see `Deformer.render`."""
         shared, options = self.deformer, (background, step, supersampling, antialias)
         with shared.lock:
             return shared._render(lambda: shared._hold(self.deformed), camera, *options)
 
 
 def found_crumbs(edit: CageEdit, field: VoxelField, index: int) -> CarriedCrumbs | None:
-    """The crumbs that go with an edit.
-
-    Args:
-        edit: The edit.
-        field: The field, on the device.
-        index: Number of the edit, for messages.
-
-    Returns:
-        The crumbs, None where there are none.
-    """
+    """The crumbs that go with an edit, None where there are none; `index` is its number, for messages."""
     carried = CarriedCrumbs(edit, field, index) if edit.crumbs > 0.0 else None
     return carried if carried is not None and len(carried.voxels) else None
 
 
 def checked_pose(edit: CageEdit, cage: Any, index: int, band: FalloffBand | None = None) -> Cage | None:
-    """The posed cage of an edit.
-
-    Args:
-        edit: The edit.
-        cage: What the caller gave.
-        index: Number of the edit, for messages.
-        band: Where the edit fades to rest, or None.
-
-    Returns:
-        The cage, with the walls of the band at rest; None for an edit that removes.
-
-    Raises:
-        ValueError: For something else than a Cage, other faces than the rest cage's, or with a band a cage that cannot
-            be used.
-    """
+    """The posed cage of an edit, with the walls of its band at rest; None for an edit that removes.
+    `cage` is what the caller gave; `index` is the number of the edit, for messages."""
     if edit.remove:
         return None
     require_type(cage, Cage, f"the pose of edit {index} must be")
@@ -463,27 +407,12 @@ def checked_pose(edit: CageEdit, cage: Any, index: int, band: FalloffBand | None
 
 
 def cage_span(cage: Cage | None) -> float:
-    """The diagonal of the box around a posed cage.
-
-    Args:
-        cage: The cage, None for an edit that removes.
-
-    Returns:
-        The length, world units; 0 for None.
-    """
+    """The diagonal of the box around a posed cage, world units; 0 for None, an edit that removes."""
     return 0.0 if cage is None else float(np.linalg.norm(np.ptp(cage.bounds, axis=0)))
 
 
 def require_short_march(spans: Sequence[float], step: float) -> None:
-    """Refuse posed cages through which a march would take all day.
-
-    Args:
-        spans: Of the posed cages, world units.
-        step: March step, world units.
-
-    Raises:
-        ValueError: For a cage of more than MOST_SAMPLES steps, with what would be right.
-    """
+    """Refuse posed cages, of these spans, through which a march of this step, both world units, would take all day."""
     for index, size in enumerate(spans):
         if size > MOST_SAMPLES * step:
             raise ValueError(

@@ -36,26 +36,8 @@ LATTICE_SLACK = 0.5
 
 
 class EditLattices:
-    """The maps and signed distances of edits on lattices, and tables of what whole cells of them say.
-
-    Args:
-        edits: The edits in their order.
-        coordinates: Kind of coordinates.
-        resolution: Cells of each lattice along the longest side of its cage.
-        origin: (3,) world point that positions on the device are relative to.
-        device: Warp device.
-        store: "map" or "weights", as Deformer has it.
-        bands: The FalloffBand of each edit, None for one without a falloff; () is none at all.
-        carried: The CarriedCrumbs of each edit, None for one without crumbs; () is none at all.
-
-    Attributes:
-        rests: A CageLattice of each rest cage.
-        maps: A PositionMap of each edit, None for an edit that removes.
-        carried: The CarriedCrumbs of each edit, None for one without crumbs.
-        skips: For each edit (nx-1, ny-1, nz-1) uint8, how far a cell is from the nearest that may hold anything.
-        array: (edits,) LatticeEdit, once posed.
-        marked_step: Longest march step that `mark_empty` has looked for, world units; 0 before.
-    """
+    """The maps and signed distances of edits, in their order, on lattices, and tables of what whole cells of them say.
+    resolution: cells along the longest side of each cage; bands, carried: one or None for each edit, () for none."""
 
     def __init__(
         self,
@@ -68,6 +50,7 @@ class EditLattices:
         bands: Sequence[FalloffBand | None] = (),
         carried: Sequence[CarriedCrumbs | None] = (),
     ):
+        # positions on the device are relative to the origin, a world point
         self._edits, self._device, self._origin = edits, device, origin
         self._bands = list(bands) or [None] * len(edits)
         self.carried = list(carried) or [None] * len(edits)
@@ -76,6 +59,7 @@ class EditLattices:
         self._plain: list[Any] = [None] * len(edits)
         self._faded: list[Any] = [None] * len(edits)
         self._walls: list[Any] = [None] * len(edits)
+        # a measured lattice of each rest cage
         self.rests = [CageLattice(edit.cage, resolution, origin=origin, device=device).measure() for edit in edits]
         self._rest_maps = [distance_map(rest) for rest in self.rests]
         options: dict[str, Any] = {
@@ -85,8 +69,10 @@ class EditLattices:
             "device": device,
             "store": store,
         }
+        # None for an edit that removes
         self.maps = [None if edit.remove else PositionMap(edit.cage, **options).warm() for edit in edits]
         tell_of_squeezing(self.maps, self._bands)
+        # for each edit (nx-1, ny-1, nz-1) uint8, how far a cell is from the nearest that may hold anything
         self.skips: list[wp.array] = []
         pool = BufferPool(device)  # poses differ in shape, and an allocation takes as long as a launch
         self._cell_buffers, self._skip_buffers = ([pool.buffer(wp.uint8) for _ in edits] for _ in range(2))
@@ -95,34 +81,20 @@ class EditLattices:
         self._cages: list[Cage | None] = []
         self._structs: list[Any] = []
         self._laid: list[Any] | None = None  # the CageMap that each struct has, None where there are no structs
+        # (edits,) LatticeEdit, once posed
         self.array: wp.array | None = None
         self._array = empty_array(len(edits), LatticeEdit, device)
+        # longest march step that `mark_empty` has looked for, world units; 0 before
         self.marked_step, self._marked_skip = 0.0, None
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
-        """Compute the maps.
-
-        Args:
-            cages: The deformed cages in the order of the edits, None for an edit that removes.
-
-        Raises:
-            ValueError: For a cage that cannot be used, or as `PositionMap.pose`.
-        """
+        """Compute the maps to the deformed cages, None for an edit that removes."""
         self.begin(cages)
         self.finish()
 
     def begin(self, cages: Sequence[Cage | None]) -> bool:
-        """Start on the maps, so that the device is at work while the host goes on.
-
-        Args:
-            cages: As for `pose`.
-
-        Returns:
-            Whether `posed` tells of them already: of arrays still to be filled, without the sides of narrow gaps.
-
-        Raises:
-            ValueError: As `PositionMap.begin`.
-        """
+        """Start on the maps, so that the device is at work while the host goes on; `finish` comes after.
+        Returns whether `posed` tells of them already: of arrays yet to be filled, without the sides of narrow gaps."""
         self._cages, self._structs, self._laid, self.array = list(cages), [], None, None
         for cage in cages:
             if cage is not None and (cage.size == 0.0 or size_problem(cage)):  # no lattice at all
@@ -137,11 +109,7 @@ class EditLattices:
         return self._laid is not None
 
     def finish(self) -> None:
-        """Wait for the maps that were begun last, and settle what holds for their cells.
-
-        Raises:
-            ValueError: As `pose`.
-        """
+        """Wait for the maps that were begun last, and settle what holds for their cells."""
         for cage in self._cages:  # by the host, while the device is at work
             if cage is not None:
                 require_usable(cage, "the deformed cage")
@@ -232,15 +200,8 @@ class EditLattices:
         self.marked_step = 0.0
 
     def mark_empty(self, grid: Any, step: float) -> bool:
-        """Find the cells that a march through the deformed grid may skip.
-
-        Args:
-            grid: VoxelGrid of the field.
-            step: March step, world units.
-
-        Returns:
-            Whether they were looked for: not again for the same pose, the same matter and no longer step.
-        """
+        """Find the cells that a march by `step`, world units, through the deformed grid may skip, and tell whether they
+        were looked for: not again for the same pose, the same matter and no longer step."""
         if step <= self.marked_step and grid.skip is self._marked_skip:
             return False
         self.marked_step = 0.0  # an interrupt leaves tables that are half written
@@ -267,18 +228,8 @@ class EditLattices:
 def posed_struct(
     edit: CageEdit, rest: Any, deformed: Any, cage: Cage | None, carried: CarriedCrumbs | None = None
 ) -> Any:
-    """An edit for kernels, without its tables of cells.
-
-    Args:
-        edit: The edit.
-        rest: CageMap of its rest cage, which holds distances.
-        deformed: CageMap of its posed cage. None for an edit that removes.
-        cage: The posed cage. None for an edit that removes.
-        carried: Crumbs that go with it, or None.
-
-    Returns:
-        A LatticeEdit of kernels/deform/edits.py.
-    """
+    """The LatticeEdit of an edit, without its tables of cells. rest, deformed: the CageMaps of its rest cage, which
+    holds distances, and of its posed cage; deformed and cage are None for an edit that removes."""
     struct = LatticeEdit()
     struct.rest = rest
     struct.deformed = rest if deformed is None else deformed
@@ -291,14 +242,7 @@ def posed_struct(
 
 
 def distance_map(lattice: CageLattice) -> Any:
-    """A map that holds distances only.
-
-    Args:
-        lattice: Lattice of a cage.
-
-    Returns:
-        A CageMap of kernels/lattice/cage_map.py.
-    """
+    """A CageMap that holds the distances of a lattice only."""
     data = CageMap()
     data.lower = lattice.local_lower
     data.spacing = lattice.spacing
@@ -308,24 +252,10 @@ def distance_map(lattice: CageLattice) -> Any:
 
 
 def has_sides(cage_map: Any) -> bool:
-    """Whether a map has cells at narrow gaps of its cage.
-
-    Args:
-        cage_map: A CageMap.
-
-    Returns:
-        Whether it has.
-    """
+    """Whether a CageMap has cells at narrow gaps of its cage."""
     return cage_map.side_index is not None and cage_map.side_index.size > 0
 
 
 def cell_shape(cage_map: Any) -> tuple[int, ...]:
-    """Number of cells of a map along each axis.
-
-    Args:
-        cage_map: A CageMap.
-
-    Returns:
-        (3,) counts.
-    """
+    """Number of cells of a CageMap along each axis."""
     return tuple(side - 1 for side in cage_map.distance.shape)

@@ -69,18 +69,7 @@ class CageEdit:
 
 
 def checked_walls(held: Any, face_count: int) -> str | tuple[int, ...]:
-    """The walls that an edit holds.
-
-    Args:
-        held: "cut", "still", or numbers of faces.
-        face_count: Faces of the cage.
-
-    Returns:
-        The same, numbers as a tuple.
-
-    Raises:
-        ValueError: For other words, no numbers, and numbers that are no faces.
-    """
+    """The walls that an edit holds: "cut", "still", or numbers of faces as an ascending tuple."""
     if isinstance(held, str):
         if held not in HELD:
             raise ValueError(f"held must be {' or '.join(map(repr, HELD))} or numbers of faces, got {held!r}")
@@ -94,17 +83,7 @@ def checked_walls(held: Any, face_count: int) -> str | tuple[int, ...]:
 
 
 def checked_edits(rest: Cage | CageEdit | Sequence[Cage | CageEdit]) -> list[CageEdit]:
-    """The edits of a scene.
-
-    Args:
-        rest: One cage or edit, or several in the order in which they act.
-
-    Returns:
-        The edits in the same order.
-
-    Raises:
-        ValueError: For anything else, or more than MAX_EDITS.
-    """
+    """The edits of a scene, in the order in which they act."""
     given: list[Any] = list(rest) if isinstance(rest, list | tuple) else [rest]
     edits = [edit if isinstance(edit, CageEdit) else CageEdit(edit) for edit in given]
     if not 1 <= len(edits) <= MAX_EDITS:
@@ -114,83 +93,51 @@ def checked_edits(rest: Cage | CageEdit | Sequence[Cage | CageEdit]) -> list[Cag
 
 @dataclasses.dataclass(frozen=True)
 class MarchedView:
-    """A view that edits are to be marched for.
-
-    Args:
-        field: The field.
-        grid: Its VoxelGrid as it is marched now.
-        rows: What `PosedEdits.row_tables` gave.
-        pinhole: The PinholeCamera, relative to the field's origin.
-        background: Colour behind everything.
-        options: The MarchOptions.
-        picture: The Picture that is filled.
-        threads: Number of rays, in whole tiles.
-        work: Steps that a ray may take, as `core.devices.launch` has them.
-    """
+    """A view that edits are to be marched for."""
 
     field: VoxelField
+    # its VoxelGrid as it is marched now
     grid: Any
+    # what `PosedEdits.row_tables` gave
     rows: list[Any]
+    # the PinholeCamera, relative to the field's origin
     pinhole: Any
     background: wp.vec3
+    # the MarchOptions, and the Picture that is filled
     options: Any
     picture: Any
+    # rays, in whole tiles
     threads: int
+    # steps that a ray may take, as `core.devices.launch` has them
     work: float
 
 
 class PosedEdits(abc.ABC):
-    """Edits on a device, as kernels take them.
-
-    Args:
-        map_kernel: Traces points to canonical space; it takes `array`.
-        render_kernel: Renders views; it takes `scene`.
-
-    Attributes:
-        map_kernel: The kernel for points.
-        render_kernel: The kernel for views.
-        array: (edits,) structs, once the edits are posed.
-        scene: What the render kernel takes, once `prepare` has been called for the pose.
-        sample_work: Steps that one sample takes at most, as `core.devices.launch` has them.
-    """
+    """Edits on a device, as kernels take them."""
 
     def __init__(self, map_kernel: Any, render_kernel: Any):
+        # the first traces points to canonical space and takes `array`, the other renders views and takes `scene`
         self.map_kernel, self.render_kernel = map_kernel, render_kernel
+        # (edits,) structs, once the edits are posed
         self.array: wp.array | None = None
+        # what the render kernel takes, once `prepare` has been called for the pose
         self.scene: Any = None
+        # steps that one sample takes at most, as `core.devices.launch` has them
         self.sample_work = 1
         self._launches: RepeatedLaunches | None = None
 
     def begin_view(self, field: VoxelField, centre: wp.vec3, step: float) -> None:
         """Start on what a view takes of the pose alone, so that the device is at work as early as can be.
-
-        Args:
-            field: The field.
-            centre: Of the camera, relative to the field's origin.
-            step: March step, world units.
-        """
+        centre: of the camera, relative to the field's origin; step: of the march, world units."""
         return
 
     def row_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
-        """Start on what the render kernel reads of a field beside its VoxelGrid, before that is waited for; behind
-        `begin_view`.
-
-        Args:
-            field: The field.
-            centre: Of the camera, relative to the field's origin.
-            step: March step, world units.
-
-        Returns:
-            Arguments of the kernel; none where `render` is to find them.
-        """
+        """Start on what the render kernel takes of a field beside its VoxelGrid, before that is waited for; behind
+        `begin_view`. Returns arguments of the kernel; none where `render` is to find them."""
         return []
 
     def render(self, view: MarchedView) -> None:
-        """March a view, once `prepare` has been called for the pose.
-
-        Args:
-            view: The view.
-        """
+        """March a view, once `prepare` has been called for the pose."""
         self.march(view, self.render_kernel, [self.scene])
 
     def march(
@@ -203,17 +150,8 @@ class PosedEdits(abc.ABC):
         begins: wp.array | None = None,
         number: int = 0,
     ) -> None:
-        """Launch a kernel that marches a view.
-
-        Args:
-            view: The view.
-            kernel: The kernel.
-            scene: What it takes between the field's tables and the camera.
-            item_rays: Rays that one of its items follows.
-            order: The TileOrder in which it follows tiles. None is as they lie in the picture.
-            begins: (tiles,) float, distance before which the rays of a tile meet nothing. None is unknown.
-            number: Of the launch, among those of a view by the same kernel.
-        """
+        """Launch a kernel, of items of `item_rays` rays, that marches a view; `scene` goes between tables and camera.
+        order: TileOrder, None as tiles lie; begins: (tiles,) distances before which rays meet nothing, or None."""
         if order is not None:
             view.picture.order = order
         if begins is not None:
@@ -227,20 +165,8 @@ class PosedEdits(abc.ABC):
 
     @abc.abstractmethod
     def pose(self, cages: Sequence[Cage | None]) -> None:
-        """Compute what kernels need of a pose.
-
-        Args:
-            cages: The deformed cages in the order of the edits, None for an edit that removes.
-
-        Raises:
-            ValueError: For a cage that cannot be used.
-        """
+        """Compute what kernels need of a pose; cages: in the order of the edits, None for an edit that removes."""
 
     @abc.abstractmethod
     def prepare(self, grid: Any, step: float) -> None:
-        """Find the cells that a march may skip, once per pose.
-
-        Args:
-            grid: VoxelGrid of the field.
-            step: March step, world units.
-        """
+        """Find the cells of a VoxelGrid that a march by `step`, world units, may skip, once per pose."""

@@ -30,23 +30,14 @@ WALL_ANGLE = 30.0
 
 class FalloffBand:
     """The walls of a cage that an edit holds, and the band inside them in which its map fades to the identity.
+    `field` is where walls that cut matter are found."""
 
-    At a held wall the map is the identity, and so is its derivative: positions and directions go on without a jump into
-    the scene outside. Vertices of held walls stay at rest, and those within the band move by their share.
-
-    Args:
-        edit: The edit, with a falloff.
-        field: The field, in which walls that cut matter are found.
-
-    Attributes:
-        faces: (k,) the held faces. None where each pose decides: those that it leaves in place.
-
-    Raises:
-        ValueError: Where no wall is held, so that there is nothing to fade towards.
-    """
+    # At a held wall the map is the identity, and so is its derivative: positions and directions go on without a jump
+    # into the scene outside. Vertices of held walls stay at rest, and those within the band move by their share.
 
     def __init__(self, edit: CageEdit, field: VoxelField):
         self._cage, self._width, self._field = edit.cage, edit.falloff, field
+        # (k,) the held faces; None where each pose decides: those that it leaves in place
         self.faces: np.ndarray | None = None
         if edit.held == "cut":
             self.faces = cut_faces(edit.cage, field)
@@ -59,14 +50,7 @@ class FalloffBand:
             self.faces = np.asarray(edit.held, dtype=np.int64)
 
     def held(self, posed: Cage) -> Cage:
-        """A pose with the held walls at rest.
-
-        Args:
-            posed: The pose.
-
-        Returns:
-            The pose that is rendered.
-        """
+        """A pose with the held walls at rest: the one that is rendered."""
         faces = self.held_faces(posed)
         rest = self._cage.vertices
         share = walls_share(rest, wall_corners(self._cage, faces), self._width)
@@ -83,16 +67,7 @@ class FalloffBand:
         return bool(in_matter(self._field, points).any())
 
     def on_device(self, posed: Cage, origin: ArrayLike, device: wp.Device) -> Any:
-        """The walls as kernels take them.
-
-        Args:
-            posed: The pose, with its held walls at rest.
-            origin: (3,) world point that positions on the device are relative to.
-            device: Warp device.
-
-        Returns:
-            A Walls of kernels/mesh/walls.py.
-        """
+        """The Walls for kernels of a pose whose held walls are at rest, relative to the world point `origin`."""
         walls = wall_corners(self._cage, self.held_faces(posed))
         data = Walls()
         if not walls:
@@ -109,16 +84,8 @@ class FalloffBand:
 
 
 def faded_map(cage_map: Any, walls: Any, held: Any = None) -> Any:
-    """A map on a lattice, faded towards walls.
-
-    Args:
-        cage_map: The CageMap of a posed cage; it stays as it is.
-        walls: A Walls of kernels/mesh/walls.py.
-        held: The faded map of the last pose, whose arrays are used again where they fit, or None.
-
-    Returns:
-        A CageMap with positions of its own.
-    """
+    """A CageMap faded towards Walls, with positions of its own; `cage_map` stays as it is.
+    held: the faded map of the last pose, whose arrays are used again where they fit, or None."""
     if walls.width == 0.0:
         return cage_map
     positions, device = cage_map.positions, cage_map.positions.device
@@ -137,13 +104,8 @@ def faded_map(cage_map: Any, walls: Any, held: Any = None) -> Any:
 
 
 def tell_of_squeezing(maps: Sequence[PositionMap | None], bands: Sequence[FalloffBand | None]) -> None:
-    """Let the maps of edits with a band say what their narrow gaps come from: held walls stay, and the cage is squeezed
-    beside them.
-
-    Args:
-        maps: The map of each edit, None for one that removes.
-        bands: The band of each edit, None for one without a falloff.
-    """
+    """Let the map of each edit with a band say what its narrow gaps come from."""
+    # held walls stay, and the cage is squeezed beside them
     for index, (position_map, band) in enumerate(zip(maps, bands, strict=True)):
         if position_map is not None and band is not None:
             position_map.gap_remedy = (
@@ -153,28 +115,13 @@ def tell_of_squeezing(maps: Sequence[PositionMap | None], bands: Sequence[Fallof
 
 
 def folded_cells(flags: np.ndarray) -> np.ndarray:
-    """Which cells wholly inside a posed cage are turned over by its map.
-
-    Args:
-        flags: (nx-1, ny-1, nz-1) uint8, CELL_... flags.
-
-    Returns:
-        bool of the same shape.
-    """
+    """Which cells wholly inside a posed cage its map turns over, by their CELL_... flags (nx-1, ny-1, nz-1) uint8."""
     return (flags & (CELL_FOLDED | CELL_CARRIES)) == (CELL_FOLDED | CELL_INSIDE)
 
 
 def walls_share(points: np.ndarray, walls: Sequence[np.ndarray], width: float) -> np.ndarray:
-    """How much of an edit is left at points: the formula of kernels/mesh/walls.py, in float64.
-
-    Args:
-        points: (n, 3) world positions.
-        walls: (k, 3, 3) corners of the faces of each wall.
-        width: Width of the band, world units.
-
-    Returns:
-        (n,) shares, 0 to 1.
-    """
+    """How much of an edit is left at points (n, 3): (n,) shares, 0 to 1, by the formula of kernels/mesh/walls.py in
+    float64. walls: (k, 3, 3) corners of the faces of each; width: of the band, world units."""
     share = np.ones(len(points))
     for corners in walls:
         t = np.minimum(triangle_distance(points, corners) / width, 1.0)
@@ -194,15 +141,7 @@ def triangle_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def wall_corners(cage: Cage, faces: np.ndarray) -> list[np.ndarray]:
-    """Faces of a cage as walls: sets that meet at less than WALL_ANGLE.
-
-    Args:
-        cage: The cage.
-        faces: (k,) numbers of faces.
-
-    Returns:
-        (m, 3, 3) corners of the faces of each wall, world units.
-    """
+    """Faces (k,) of a cage as walls, sets that meet at less than WALL_ANGLE: (m, 3, 3) corners of each, world units."""
     return [cage.vertices[cage.faces[wall]] for wall in wall_groups(cage, faces, WALL_ANGLE)]
 
 

@@ -85,16 +85,8 @@ def background_picture(layers: LayeredBackground | OuterField, camera: Camera) -
 
 
 def membrane(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """The harmonic continuation of a picture, coarse to fine.
-
-    Args:
-        values: (h, w, c) float.
-        known: (h, w) bool, at least one: where the values hold.
-
-    Returns:
-        (h, w, c) float64: the values where they are known; elsewhere each pixel is about the mean of its neighbours.
-        The border of the picture lets nothing through.
-    """
+    """The harmonic continuation (h, w, c) float64, coarse to fine, of values (h, w, c) from where they are known.
+    known: (h, w), at least one. The border of the picture lets nothing through."""
     height, width = known.shape
     if known.all():
         return values.astype(np.float64)

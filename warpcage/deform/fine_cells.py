@@ -23,12 +23,7 @@ MOST_NODES = (1 << 31) // int(FINE_COUNT) - 64
 
 
 class FineCells:
-    """Which fine cells of posed lattices may be skipped.
-
-    Args:
-        edit_count: Number of edits.
-        side: The stream that they are found on.
-    """
+    """Which fine cells of posed lattices may be skipped, found on the stream `side`."""
 
     def __init__(self, edit_count: int, side: SideStream):
         device = side.device
@@ -39,14 +34,8 @@ class FineCells:
         self._side, self._launch = side, RepeatedLaunches(device)
 
     def begin(self, edits: Sequence[Any], grid: Any, step: float) -> None:
-        """Let the `fine_look` of posed edits tell their fine cells apart, beside what is launched until the side stream
-        joins.
-
-        Args:
-            edits: The FlatEdits, whose cells are marked.
-            grid: VoxelGrid of the field as it is marched.
-            step: Longest march step, world units.
-        """
+        """Let posed FlatEdits, whose cells are marked, tell their fine cells apart, beside what comes until the side
+        stream joins. step: the longest of a march, world units."""
         width = max(grid.voxel_size)
         told = [edit.spacing >= LEAST_VOXELS * width and edit.look.size <= MOST_NODES for edit in edits]
         held = [
@@ -74,13 +63,7 @@ class FineCells:
 
 
 def tell_fine_cells(edit: Any, bits: int, fine_look: wp.array) -> None:
-    """Let an edit tell fine cells apart.
-
-    Args:
-        edit: The FlatEdit.
-        bits: 2^bits along each side of a cell.
-        fine_look: (8^bits * nodes,) uint8.
-    """
+    """Let a FlatEdit tell fine cells apart, 2^bits along each side of a cell; fine_look: (8^bits * nodes,) uint8."""
     edit.fine_bits, edit.fine_look, side = bits, fine_look, 1 << bits
     edit.last_fine = wp.vec3i(*(side * (count - 1) - 1 for count in edit.node_counts))
     edit.fine_width, edit.fine_size = 1.0 / side, edit.spacing / side

@@ -17,16 +17,8 @@ from .fine_cells import tell_fine_cells
 
 
 def flat_edit(edit: Any, look: Buffer, nodes: Buffer) -> Any:
-    """A LatticeEdit with flat arrays, which are still to be filled.
-
-    Args:
-        edit: The posed LatticeEdit, perhaps without the sides of narrow gaps.
-        look: Of uint8, for the table of cells.
-        nodes: Of vec4, for the nodes.
-
-    Returns:
-        A FlatEdit of kernels/deform/flat_edits.py; see `tell_sides` and `join_tables`.
-    """
+    """The FlatEdit of a posed LatticeEdit, perhaps without the sides of narrow gaps, its arrays still to be filled.
+    look: of uint8, for the table of cells; nodes: of vec4. `tell_sides` and `join_tables` come after."""
     node_count = edit.deformed.distance.size
     flat = FlatEdit()
     flat.lower, flat.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
@@ -44,26 +36,15 @@ def flat_edit(edit: Any, look: Buffer, nodes: Buffer) -> Any:
 
 
 def tell_sides(flat: Any, edit: Any) -> None:
-    """Let an edit with flat arrays have the sides of narrow gaps.
-
-    Args:
-        flat: The FlatEdit.
-        edit: The posed LatticeEdit that it is of.
-    """
+    """Let a FlatEdit have the sides of narrow gaps of its posed LatticeEdit."""
     flat.has_sides = int(has_sides(edit.deformed))
     if flat.has_sides:
         flat.side_index, flat.sides = edit.deformed.side_index, edit.deformed.sides
 
 
 def join_tables(flat: Any, edit: Any, skip: wp.array, launch: Callable[..., None]) -> None:
-    """Launch what fills the flat arrays of an edit.
-
-    Args:
-        flat: The FlatEdit.
-        edit: The posed LatticeEdit that it is of.
-        skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything.
-        launch: A RepeatedLaunches.
-    """
+    """Launch what fills the arrays of a FlatEdit, of a posed LatticeEdit, by RepeatedLaunches.
+    skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything."""
     count = flat.nodes.size
     launch(join_cell_tables, count, [edit.cells, skip, flat.node_counts], [flat.look])
     positions = empty_array(0, wp.vec3, skip.device) if edit.removes else edit.deformed.positions.flatten()
@@ -71,13 +52,6 @@ def join_tables(flat: Any, edit: Any, skip: wp.array, launch: Callable[..., None
 
 
 def lattice_box(flat: Any) -> list[list[float]]:
-    """The box of the lattice over a posed cage.
-
-    Args:
-        flat: A FlatEdit.
-
-    Returns:
-        Its lower and its upper corner, (3,) each, relative to the edits' origin.
-    """
+    """Lower and upper corner, (3,) each, of a FlatEdit's lattice over its posed cage, relative to the edits' origin."""
     lower, counts, spacing = tuple(flat.lower), tuple(flat.node_counts), 1.0 / flat.inverse_spacing
     return [list(lower), [low + (count - 1) * spacing for low, count in zip(lower, counts, strict=True)]]

@@ -12,13 +12,6 @@ FEWEST_CELLS, MOST_CELLS, PIXELS_PER_CELL = 64, 128, 5
 
 
 def picture_cells(camera: Camera) -> int:
-    """Cells along the longest side of a cage that suit the picture of a camera.
-
-    Args:
-        camera: The camera.
-
-    Returns:
-        A cell for 5 pixels, in steps of 16, from 64 to 128.
-    """
+    """Cells along the longest side of a cage that suit a camera's picture, a multiple of 16."""
     cells = 16 * math.ceil(max(camera.width, camera.height) / (16 * PIXELS_PER_CELL))
     return min(max(cells, FEWEST_CELLS), MOST_CELLS)

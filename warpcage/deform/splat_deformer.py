@@ -286,14 +286,7 @@ def _baked(field: SplatField, posed: Any, edits: SplatEdits) -> SplatField:
 
 
 def quaternions_of(rotations: np.ndarray) -> np.ndarray:
-    """Unit quaternions of rotations.
-
-    Args:
-        rotations: (n, 3, 3).
-
-    Returns:
-        (n, 4) w x y z, float64.
-    """
+    """Unit quaternions (n, 4) w x y z of rotations (n, 3, 3)."""
     r = rotations
     trace = np.einsum("nii->n", r)
     # four ways, of which the one with the largest number is taken

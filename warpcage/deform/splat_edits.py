@@ -41,13 +41,7 @@ DEPTH, CLOSE = 1e-4, 1e-4
 
 
 class BoundEdit:
-    """One edit on the device: its members, and what binds them.
-
-    Args:
-        edit: The edit.
-        owner: The SplatEdits.
-        index: Number of the edit.
-    """
+    """One edit on the device: its members, and what binds them; `index` is its number."""
 
     def __init__(self, edit: CageEdit, owner: SplatEdits, index: int):
         device, origin = owner.device, owner.origin
@@ -65,6 +59,7 @@ class BoundEdit:
         anchors = owner.anchors[index][nodes[leaders]]
         if len(bound):
             kind, resolution = owner.coordinates, owner.resolution
+            # not there where nothing is bound
             self.binding = CageBinding(anchors, edit.cage, kind, origin, device, resolution or RESOLUTION)
         offsets = (centres[leaders] - anchors).astype(np.float32)
         #: what the binding carries: leaders, who goes their way, where the map is taken, and from there to them
@@ -103,13 +98,8 @@ class BoundEdit:
         return not np.array_equal(cage.vertices, self.edit.cage.vertices)
 
     def carry(self, cage: Cage | None, carried: Any, split: wp.array | None) -> None:
-        """Take the splats through a pose of this edit.
-
-        Args:
-            cage: The posed cage, None for an edit that removes.
-            carried: The CarriedSplats of the edits before.
-            split: (nodes,) uint8 that takes which splats are bent, or None where none can be.
-        """
+        """Take the splats through a pose of this edit, behind the edits before; cage: None for an edit that removes.
+        split: (nodes,) uint8 that takes which splats are bent, or None where none can be."""
         owner, edit = self.owner, self.edit
         if cage is None:
             self._launch_in(edit.cage, follow.clear_inside, CLEARED, [], carried)
@@ -174,23 +164,8 @@ class BoundEdit:
 
 
 class SplatEdits:
-    """Edits of splats on a device.
-
-    Args:
-        field: The splats, on the device.
-        edits: The edits in their order.
-        coordinates: "harmonic", "mean_value" or "green".
-        resolution: Cells of lattices along the longest side of a cage. None is RESOLUTION.
-        law: LAW_RAYS or LAW_DENSITY of kernels/splats/pose.py.
-        backward: Whether splats go where the voxels' map finds them.
-        bands: The FalloffBand of each edit, None for one without a falloff.
-
-    Attributes:
-        tree: The SplitTree of the splats and their pieces.
-        instances: The Instances that are drawn.
-        maps: A PositionMap of each edit where `backward`; None for one that removes, and where not.
-        posed: The Splats of the last pose.
-    """
+    """Edits of splats on a device, by a law of kernels/splats/pose.py; resolution: of lattices, None is RESOLUTION.
+    backward: whether splats go where the voxels' map finds them; bands: None for an edit without a falloff."""
 
     def __init__(
         self,
@@ -206,6 +181,7 @@ class SplatEdits:
         self.coordinates, self.resolution, self._law = coordinates, resolution, law
         self.bands = list(bands)
         self._edits = edits
+        # of each edit where `backward`; None for one that removes, and where not
         self.maps: list[PositionMap | None] = [None] * len(edits)
         if backward:
             options = {"coordinates": coordinates, "resolution": resolution or RESOLUTION, "origin": self.origin}
@@ -235,6 +211,7 @@ class SplatEdits:
         self._ready = False
         self._bound = [BoundEdit(edit, self, index) for index, edit in enumerate(edits)]
         self._posed = self._empty_splats(count)
+        # the Splats of the last pose
         self.posed: Any = None
 
     def _cut(self, edits: list[CageEdit]) -> None:
@@ -301,14 +278,8 @@ class SplatEdits:
         )
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
-        """Carry the splats to a pose; `posed` has them then.
-
-        Args:
-            cages: The posed cages in the order of the edits, None for an edit that removes.
-
-        Raises:
-            ValueError: For a cage that cannot be used; the splats stay where they are.
-        """
+        """Carry the splats to a pose, None for an edit that removes; `posed` has them then.
+        Where a cage cannot be used, the splats stay where they are."""
         for cage in cages:
             if cage is not None:
                 require_usable(cage, "the deformed cage")

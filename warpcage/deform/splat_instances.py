@@ -17,16 +17,13 @@ NOTHING, BOUND, LEFT, FOLLOWED, CLEARED = range(5)
 
 @dataclasses.dataclass
 class EditActions:
-    """What one edit does to each splat.
+    """What one edit does to each of n splats."""
 
-    Args:
-        kinds: (n,) uint8 NOTHING, BOUND, LEFT, FOLLOWED or CLEARED.
-        outside: (n,) float32, of LEFT splats the share that stays at most.
-        ways: (n,) uint8, of FOLLOWED splats the way of kernels/splats/follow.py.
-    """
-
+    # uint8: NOTHING, BOUND, LEFT, FOLLOWED or CLEARED
     kinds: np.ndarray
+    # float32, of LEFT splats the share that stays at most
     outside: np.ndarray
+    # uint8, of FOLLOWED splats the way of kernels/splats/follow.py
     ways: np.ndarray
 
     def of(self, kind: int) -> np.ndarray:
@@ -36,32 +33,21 @@ class EditActions:
 
 @dataclasses.dataclass
 class Instances:
-    """Splats as they are drawn: of one node of a SplitTree each, whole or in part, or a copy.
+    """Splats as they are drawn: of one node of a SplitTree each, whole or in part, or a copy."""
 
-    Args:
-        nodes: (n,) int32 node of each.
-        shares: (n,) float32 of the optical depth of the node.
-        actions: For each edit.
-    """
-
+    # (n,) int32
     nodes: np.ndarray
+    # (n,) float32, of the optical depth of the node
     shares: np.ndarray
+    # one for each edit
     actions: list[EditActions]
 
 
 def make_instances(edits: list[CageEdit], shares: np.ndarray) -> Instances:
-    """The splats that edits make of nodes.
-
-    A splat in the cage at rest goes with it. One at its wall does so by its share and stays by the rest. A copy stays
-    where an edit keeps its source. What an earlier edit moves is followed.
-
-    Args:
-        edits: The edits in their order.
-        shares: (edits, nodes) of each node inside the cage of each edit at rest, 0 to 1.
-
-    Returns:
-        The instances.
-    """
+    """The splats that edits, in their order, make of nodes.
+    shares: (edits, nodes) of each node inside the cage of each edit at rest, 0 to 1."""
+    # A splat in the cage at rest goes with it. One at its wall does so by its share and stays by the rest. A copy stays
+    # where an edit keeps its source. What an earlier edit moves is followed.
     count = shares.shape[1]
     nodes, held = np.arange(count, dtype=np.int32), np.ones(count, np.float32)
     moved = np.zeros(count, dtype=bool)
@@ -95,23 +81,11 @@ def make_instances(edits: list[CageEdit], shares: np.ndarray) -> Instances:
 def shared_ways(
     tree: SplitTree, nodes: np.ndarray, bound: np.ndarray, anchors: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which bound splats go exactly the same way, so that one of them is carried for all.
-
-    The middle piece of a splat lies where the splat does, and copies where their source does.
-
-    Args:
-        tree: The SplitTree.
-        nodes: (m,) node of each bound splat.
-        bound: (m,) the splats.
-        anchors: (nodes, 3) where the map is taken for each node.
-        count: Splats in all.
-
-    Returns:
-        Leaders (k,), rows of `bound` that are carried; others (count,) int32, for each splat the next one that goes its
-        way, or -1.
-    """
+    """Which of `bound` splats (m,), of `nodes` (m,), go the same way, as the map is taken at their anchors (nodes, 3):
+    rows of `bound` (k,) that are carried for all, and (count,) int32, the next splat of the same way, or -1."""
     source = np.arange(len(tree.rows))
     whole = np.flatnonzero(tree.pieces >= 0)
+    # the middle piece of a splat lies where the splat does, and copies where their source does
     middle = tree.pieces[whole]
     same = (anchors[middle] == anchors[whole]) & (tree.centres[middle] == tree.centres[whole])
     source[middle[same.all(axis=1)]] = whole[same.all(axis=1)]

@@ -22,10 +22,7 @@ DISTANCE_BYTES = wp.types.type_size_in_bytes(wp.float32)
 
 class TileBegins:
     """Looks once for each tile of a view how far its rays go through what is empty.
-
-    Args:
-        side: The stream on which it looks, beside what is launched until that joins.
-    """
+    It looks on the stream `side`, beside what is launched until that joins."""
 
     def __init__(self, side: SideStream):
         self._side, self._launch = side, RepeatedLaunches(side.device)
@@ -34,18 +31,8 @@ class TileBegins:
         self._ready: tuple[wp.array | None, wp.array | None] = None, None
 
     def find(self, edits: Sequence[Any], grid: Any, pinhole: Any, tiles: int) -> list[wp.array]:
-        """Of a view whose fine cells are told, or forked; after what came before the side stream's mark.
-
-        Args:
-            edits: The FlatEdits, each marched by itself.
-            grid: VoxelGrid of the field as it is marched.
-            pinhole: The PinholeCamera, relative to the field's origin.
-            tiles: Of the picture.
-
-        Returns:
-            (tiles,) float of each edit, distance before which the rays of a tile meet nothing; until the next view on
-            the same stream.
-        """
+        """(tiles,) float of each FlatEdit: distance before which a tile's rays meet nothing, until the stream's next
+        view. Fine cells are told by now, or forked; it looks after what came before the side stream's mark."""
         is_single = len(edits) == 1  # an argument takes the host less time than an array
         needed = self._buffer().take(len(edits) * tiles), None if is_single else self._array_of(edits)
         if any(array is not before for array, before in zip(needed, self._ready, strict=True)):

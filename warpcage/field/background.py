@@ -18,31 +18,10 @@ from .files.contents import LayerContents, surface_node_count
 
 
 class LayeredBackground:
-    """Colour and opacity on concentric cubes, even in inverse distance, the last one opaque at infinity (multi-sphere
-    images, Plenoxels 2022, section 3.3, in the max norm).
+    """Colour and opacity on concentric cubes, the last one opaque at infinity; values (layers, 6 side^2 + 2, 4)."""
 
-    A ray meets a layer where it leaves the cube. What lies between a camera outside the cubes and the field is taken to
-    be empty.
-
-    Args:
-        center: (3,) centre of all cubes, world units.
-        half: Half side of the innermost cube, world units.
-        side: Cells along an edge of a cube.
-        values: (layers, 6 side^2 + 2, 4) red, green, blue and optical depth at the lattice points of the surface, in
-            the order of kernels/field/background.py. Negative optical depths count as none; the last layer's is not
-            used. Or a Warp array (layers, nodes) of vec4.
-        unseen: (4,) what nodes hold that no picture showed. None is not known.
-        device: Warp device. None is the device of `values` if that is a Warp array, else CUDA where there is one.
-
-    Raises:
-        ValueError: For shapes that do not fit, or values that are not finite.
-
-    Attributes:
-        device: Warp device of the values.
-        center: (3,) float64, world units.
-        unseen: (4,) float32 or None.
-        layers: The BackgroundLayers that kernels take; positions in it are relative to `center`.
-    """
+    # Multi-sphere images (Plenoxels 2022, section 3.3) in the max norm, even in inverse distance. A ray meets a layer
+    # where it leaves the cube. What lies between a camera outside the cubes and the field is taken to be empty.
 
     def __init__(
         self,
@@ -58,8 +37,11 @@ class LayeredBackground:
         if int(side) != side or side < 2:
             raise ValueError(f"a background has 2 cells or more along an edge, got {side}")
         node_count = surface_node_count(side)
+        # (3,) float64, world units
         self.center = checked_vector(center, "a background's center").copy()
         half = checked_positive(half, "a background's half side")
+        # red, green, blue and optical depth at the surface's lattice points, in the order of kernels/field/background;
+        # negative depths count as none, the last layer's is not used
         if not isinstance(values, wp.array):
             values = np.asarray(values, np.float32)
             if not np.isfinite(values).all():
@@ -70,6 +52,7 @@ class LayeredBackground:
                 f"a background of {side} cells along an edge has values (2 layers or more, "
                 f"{node_count}, 4), got {shape}"
             )
+        # what nodes hold that no picture showed; None where that is not known
         self.unseen = None if unseen is None else np.array(unseen, np.float32)
         if self.unseen is not None and (self.unseen.shape != (4,) or not np.isfinite(self.unseen).all()):
             raise ValueError(f"a background's unseen must be (4,) and finite, got {self.unseen.tolist()}")
@@ -80,6 +63,7 @@ class LayeredBackground:
         else:
             with device_turn(self.device):
                 layers.values = wp.array(values, dtype=wp.vec4, device=self.device)
+        # positions in it are relative to the centre
         self.layers = layers
 
     @property
@@ -105,18 +89,7 @@ class LayeredBackground:
 
     @classmethod
     def from_contents(cls, contents: LayerContents, device: wp.DeviceLike = None) -> LayeredBackground:
-        """The background of a file.
-
-        Args:
-            contents: What the file holds.
-            device: Warp device. None is CUDA where there is one.
-
-        Returns:
-            The background.
-
-        Raises:
-            ValueError: For parts that do not fit.
-        """
+        """The background of a file."""
         return cls(
             contents.center, contents.half, contents.side, contents.values, unseen=contents.unseen, device=device
         )
@@ -135,44 +108,20 @@ class LayeredBackground:
 
     @in_turn
     def sample(self, origins: ArrayLike, directions: ArrayLike) -> np.ndarray:
-        """What rays see of the layers.
-
-        Args:
-            origins: (n, 3) float, world units.
-            directions: (n, 3) float, of any length but zero.
-
-        Returns:
-            (n, 3) float32 colours.
-
-        Raises:
-            ValueError: For shapes that differ or are not (n, 3).
-        """
+        """Colours (n, 3) float32 that rays see of the layers; origins (n, 3), world units.
+        directions: (n, 3), of any length but zero."""
         return seen_by_rays(sample_background, self.layers, self.center, origins, directions, self.device)
 
     def add_around(
         self, camera: Camera, rgb: wp.array, alpha: wp.array, depth: wp.array, masks: Sequence[wp.array] = ()
     ) -> None:
-        """Put the background behind a view.
-
-        Args:
-            camera: The camera of the view.
-            rgb: (h * w,) vec3, the view on black; the background is added to it.
-            alpha: (h * w,) float32 opacity of the view.
-            depth: Not used: all layers lie behind.
-            masks: Not used.
-        """
+        """Put the background behind a view on black: rgb (h * w,) vec3, changed, alpha (h * w,).
+        depth and masks are not used: all layers lie behind."""
         inputs = [self.layers, camera_struct(camera, self.center), alpha]
         launch(add_background, tile_threads(camera), inputs, [rgb], device=self.device)
 
     def to(self, device: wp.DeviceLike) -> LayeredBackground:
-        """The same background on another device.
-
-        Args:
-            device: Warp device. None is CUDA where there is one.
-
-        Returns:
-            The background; this one if it is there already.
-        """
+        """The same background on another device; this one if it is there already."""
         device = resolve_device(device)
         if device == self.device:
             return self

@@ -20,19 +20,8 @@ TINT, TINT_SHARE = (0.1, 0.9, 0.2), 0.55
 
 
 def cut_out(field: VoxelField, mask: np.ndarray) -> VoxelField:
-    """The chosen voxels of a field as a field of their own, before the field's colour.
-
-    Args:
-        field: The field.
-        mask: (nx, ny, nz) bool, the chosen voxels.
-
-    Returns:
-        A field of the same voxels. Its box ends a voxel beyond what was chosen, so that views show that large; density
-        falls to zero over this voxel.
-
-    Raises:
-        ValueError: If nothing is chosen.
-    """
+    """A field of the voxels of a mask (nx, ny, nz) bool alone, before the field's colour.
+    Its box ends a voxel beyond them, so that views show that large; density falls to zero over this voxel."""
     from scipy.ndimage import binary_dilation
 
     if not mask.any():
@@ -58,18 +47,8 @@ def cut_out(field: VoxelField, mask: np.ndarray) -> VoxelField:
 def tinted_view(
     field: VoxelField, mask: np.ndarray, camera: Camera, *, color: ArrayLike = TINT, strength: float = TINT_SHARE
 ) -> np.ndarray:
-    """A view of a field in which the chosen voxels are tinted, as far as they are seen.
-
-    Args:
-        field: The field.
-        mask: (nx, ny, nz) bool, the chosen voxels.
-        camera: The camera.
-        color: (3,) the tint, in [0, 1].
-        strength: How much of the tint there is where nothing else is seen, 0 to 1.
-
-    Returns:
-        (h, w, 3) float32 in [0, 1].
-    """
+    """A view (h, w, 3) float32 in [0, 1], the voxels of a mask (nx, ny, nz) bool tinted as far as they are seen.
+    strength: share of the tint where nothing else is seen, 0 to 1."""
     from scipy.ndimage import binary_dilation
 
     links = field.grid.links.numpy()

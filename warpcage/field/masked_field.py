@@ -13,18 +13,7 @@ from .voxel_field import VoxelField
 def field_from_mask(
     bounds: ArrayLike, mask: wp.array, density: float, *, background: str | ArrayLike, device: wp.DeviceLike
 ) -> tuple[VoxelField, wp.array]:
-    """A grey field of one density at the set nodes of a mask.
-
-    Args:
-        bounds: (2, 3) lower and upper corner, world units.
-        mask: (nx, ny, nz) uint8.
-        density: Density of the set nodes, per world unit.
-        background: Colour behind everything, a name or (3,) in [0, 1].
-        device: Warp device of the field.
-
-    Returns:
-        The field, and its nodes (rows,) vec3i.
-    """
+    """A grey field of one density at the set nodes of a mask (nx, ny, nz) uint8, and its nodes (rows,) vec3i."""
     links, nodes = link_mask(mask)
     rows = nodes.shape[0]
     field = VoxelField(

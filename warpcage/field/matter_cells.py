@@ -12,25 +12,16 @@ from ..kernels.field import matter_cells
 
 
 class DensityWatch:
-    """Tells whether densities on a CPU are those of the last time, whoever wrote to them; takes a copy for it.
-
-    Attributes:
-        version: Another number whenever any of them is another one.
-    """
+    """Tells whether densities on a CPU are those of the last time, whoever wrote to them; takes a copy for it."""
 
     def __init__(self) -> None:
         self._kept: wp.array | None = None
+        # another number whenever any density is another one
         self.version = 0
 
     def has_changed(self, density: wp.array) -> bool:
-        """Compare them, and keep them as they are now.
-
-        Args:
-            density: (rows,) float32 on a CPU.
-
-        Returns:
-            Whether any bit of them is another one; True the first time.
-        """
+        """Whether any bit of densities (rows,) float32 on a CPU is another one; True the first time.
+        Keeps them as they are now."""
         kept, self._kept = self._kept, None  # an interrupt leaves none
         if kept is None or kept.size != density.size:
             kept, changed = wp.clone(density), True
@@ -45,11 +36,7 @@ class DensityWatch:
 
 
 class MatterCellTable:
-    """The densities of a grid by cells, see kernels/field/matter_cells.
-
-    Args:
-        links: (nx, ny, nz) int32, row of each node or -1, on a CPU.
-    """
+    """The densities of a grid by cells, see kernels/field/matter_cells; links (nx, ny, nz) int32 on a CPU."""
 
     def __init__(self, links: wp.array):
         self._links = links
@@ -57,16 +44,8 @@ class MatterCellTable:
         self._cells: Any = None
 
     def cells(self, density: wp.array, skip: wp.array, version: int) -> Any:
-        """The table, made anew where it is of other densities.
-
-        Args:
-            density: (rows,) float32, before the ReLU.
-            skip: (nx-1, ny-1, nz-1) uint8 of MatterSkip, for these densities.
-            version: Of these densities, see DensityWatch.
-
-        Returns:
-            A MatterCells of kernels/field/matter_cells.py.
-        """
+        """The table, a MatterCells, of densities (rows,) float32, before the ReLU; made anew where it is of other ones.
+        skip: of MatterSkip for these densities; version: theirs, see DensityWatch."""
         if self._made is None or self._made[0] is not skip or self._made[1] != version:
             self._made = None  # an interrupt leaves none
             self._cells = gathered_cells(self._links, density, skip)
@@ -75,16 +54,7 @@ class MatterCellTable:
 
 
 def gathered_cells(links: wp.array, density: wp.array, skip: wp.array) -> Any:
-    """Densities by cells.
-
-    Args:
-        links: (nx, ny, nz) int32, row of each node or -1.
-        density: (rows,) float32.
-        skip: (nx-1, ny-1, nz-1) uint8, 0 in the cells that hold matter.
-
-    Returns:
-        A MatterCells of kernels/field/matter_cells.py.
-    """
+    """A MatterCells of densities (rows,) float32 at links (nx, ny, nz); skip: 0 in the cells that hold matter."""
     device, (nx, ny, nz) = links.device, skip.shape
     counts = empty_array(nx * ny, wp.int32, device)
     launch(matter_cells.count_cells, nx * ny, [skip], [counts], device=device, work=nz)

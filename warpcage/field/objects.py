@@ -137,11 +137,7 @@ def select_object(
 
 
 class _Matter:
-    """What can be seen of a region, and which of it is dense enough to be a surface.
-
-    Args:
-        region: The visible nodes of the region.
-    """
+    """What can be seen of a region, and which of it is dense enough to be a surface."""
 
     def __init__(self, region: NodeSelection):
         self.region, self.visible = region, region.mask

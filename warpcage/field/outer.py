@@ -24,32 +24,11 @@ from .sparse import measure_skip, values_on_device
 
 
 class OuterField:
-    """A sparse voxel grid of the space around a box, contracted into a cube (MeRF 2023, Eq. 8).
+    """A sparse voxel grid of the space around a box, contracted into a cube (MeRF 2023, Eq. 8)."""
 
-    Outside the box, which is [-1, 1]^3 in box units, space is pressed into [-2, 2]^3, so that voxels grow with their
-    distance and the last ones reach to infinity. Colours do not depend on direction; density is per unit of contracted
-    length. What the grid holds before the box hides the box, what it holds behind it shows where the box lets light
-    through.
-
-    Args:
-        center: (3,) middle of the box, world units.
-        half: (3,) half sides of the box, world units.
-        links: (n, n, n) int32, row of each voxel or -1. NumPy or a Warp array.
-        values: (rows, 4) red, green, blue, and density per unit of contracted length, those below zero counting as
-            none; or a Warp array (rows,) of vec4.
-        sky: (3,) colour behind everything, or (6 s^2 + 2, 3) colours of a cube of s cells along an edge, in the order
-            of kernels/field/background.py; or a Warp array (1, 6 s^2 + 2) of vec4.
-        device: Warp device. None is the device of `links` if that is a Warp array, else CUDA where there is one.
-
-    Raises:
-        ValueError: For shapes that do not fit, or values that are not finite.
-
-    Attributes:
-        device: Warp device of the values.
-        center: (3,) float64, world units.
-        half: (3,) float64, world units.
-        grid: The OuterGrid that kernels take; positions in it are relative to `center`.
-    """
+    # Outside the box, which is [-1, 1]^3 in box units, space is pressed into [-2, 2]^3, so that voxels grow with their
+    # distance and the last ones reach to infinity. Colours do not depend on direction. What the grid holds before the
+    # box hides the box, what it holds behind it shows where the box lets light through.
 
     def __init__(
         self,
@@ -62,13 +41,16 @@ class OuterField:
         device: wp.DeviceLike = None,
     ):
         self.device = resolve_device(links.device if device is None and isinstance(links, wp.array) else device)
+        # middle and half sides of the box: (3,) float64, world units
         self.center = checked_vector(center, "an outer field's center").copy()
         self.half = checked_vector(half, "an outer field's half sides").copy()
         if not (self.half > 0).all():
             raise ValueError(f"an outer field's half sides must be positive, got {self.half.tolist()}")
+        # links: row of each voxel or -1
         shape = tuple(links.shape)
         if len(shape) != 3 or len(set(shape)) != 1 or shape[0] < 4:
             raise ValueError(f"an outer field's links must be (n, n, n), n at least 4, got {shape}")
+        # values: red, green, blue, and density per unit of contracted length, those below zero counting as none
         rows = tuple(values.shape) + ((4,) if isinstance(values, wp.array) else ())
         if len(rows) != 2 or rows[1] != 4:
             raise ValueError(f"an outer field's values must be (rows, 4), got {rows}")
@@ -85,6 +67,7 @@ class OuterField:
                     raise ValueError("an outer field's values must be finite, one row for each that its links name")
                 grid.values = wp.array(host, dtype=wp.vec4, device=self.device)
             grid.skip = measure_skip(grid.links)
+        # positions in it are relative to the centre
         self.grid = grid
 
     @property
@@ -111,18 +94,7 @@ class OuterField:
 
     @classmethod
     def from_contents(cls, contents: OuterContents, device: wp.DeviceLike = None) -> OuterField:
-        """The outer field of a file.
-
-        Args:
-            contents: What the file holds.
-            device: Warp device. None is CUDA where there is one.
-
-        Returns:
-            The field.
-
-        Raises:
-            ValueError: For parts that do not fit.
-        """
+        """The outer field of a file."""
         return cls(
             contents.center,
             contents.half,
@@ -148,32 +120,15 @@ class OuterField:
 
     @in_turn
     def sample(self, origins: ArrayLike, directions: ArrayLike) -> np.ndarray:
-        """What rays see of it, with nothing in the box.
-
-        Args:
-            origins: (n, 3) float, world units.
-            directions: (n, 3) float, of any length but zero.
-
-        Returns:
-            (n, 3) float32 colours.
-
-        Raises:
-            ValueError: For shapes that differ or are not (n, 3).
-        """
+        """Colours (n, 3) float32 that rays see of it, with nothing in the box, from origins (n, 3), world units.
+        directions: (n, 3), of any length but zero."""
         return seen_by_rays(sample_outer, self.grid, self.center, origins, directions, self.device)
 
     def add_around(
         self, camera: Camera, rgb: wp.array, alpha: wp.array, depth: wp.array, masks: Sequence[wp.array] = ()
     ) -> None:
-        """Put what is around the box before and behind a view of what is in it.
-
-        Args:
-            camera: The camera of the view.
-            rgb: (h * w,) vec3, the view on black; becomes the whole view.
-            alpha: (h * w,) float32 opacity of the view; what is before it takes its share away.
-            depth: (h * w,) float32 distance of what the view shows, inf where that is nothing.
-            masks: (h * w,) float32 each, dimmed by what is before them as the view is.
-        """
+        """Put what is around the box before and behind a view on black: rgb, alpha and masks (h * w,), all changed.
+        depth: (h * w,) float32 distance of what the view shows, inf where that is nothing."""
         light = empty_array(alpha.shape[0], wp.float32, self.device)
         inputs = [self.grid, camera_struct(camera, self.center), depth]
         launch(compose_outer, tile_threads(camera), inputs, [rgb, alpha, light], device=self.device)
@@ -181,14 +136,7 @@ class OuterField:
             launch(dim_pixels, mask.shape[0], [light], [mask], device=self.device)
 
     def to(self, device: wp.DeviceLike) -> OuterField:
-        """The same on another device.
-
-        Args:
-            device: Warp device. None is CUDA where there is one.
-
-        Returns:
-            The field; this one if it is there already.
-        """
+        """The same on another device; this one if it is there already."""
         device = resolve_device(device)
         if device == self.device:
             return self
@@ -197,18 +145,8 @@ class OuterField:
 
 
 def sky_layers(sky: Any, device: wp.Device) -> Any:
-    """The sky as kernels take it.
-
-    Args:
-        sky: As OuterField takes it.
-        device: Warp device.
-
-    Returns:
-        BackgroundLayers of one layer, which begins at infinity.
-
-    Raises:
-        ValueError: For another shape, or colours that are not finite.
-    """
+    """BackgroundLayers of one layer, which begins at infinity, of a sky: one colour (3,), or (6 s^2 + 2, 3) of a cube.
+    These in the order of kernels/field/background; or a Warp array (1, 6 s^2 + 2) of vec4."""
     if not isinstance(sky, wp.array):
         colours = np.asarray(sky, np.float32)
         if colours.shape == (3,):

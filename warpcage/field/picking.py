@@ -18,19 +18,8 @@ PICKED_TRANSMITTANCE = 0.5
 
 
 def pick_point(field: VoxelField, camera: Camera, pixel: ArrayLike) -> np.ndarray:
-    """The place that a pixel of a view shows.
-
-    Args:
-        field: The field.
-        camera: The camera of the view.
-        pixel: (2,) column and row, whole numbers from 0 at the top left.
-
-    Returns:
-        (3,) float64, world units: where half of the light through the middle of the pixel is gone.
-
-    Raises:
-        ValueError: For a pixel outside the picture, or one in which the field is not half opaque.
-    """
+    """The place (3,) float64, world units, that a pixel shows: where half of the light through its middle is gone.
+    pixel: column and row, whole numbers from 0 at the top left."""
     require_type(camera, Camera, "a click needs")
     place = np.asarray(pixel)
     whole = place.shape == (2,) and np.issubdtype(place.dtype, np.number) and bool((place == np.floor(place)).all())

@@ -66,20 +66,17 @@ Grown = Callable[["Plane"], np.ndarray]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plane:
-    """A plane in a field, with a side that is above it.
+    """A plane in a field, with a side that is above it."""
 
-    Args:
-        normal: (3,) unit vector, out of the matter.
-        offset: Signed distance of the plane from the origin along the normal, world units.
-        spread: Standard deviation of the heights of its points, world units. 0 for a plane that was given.
-        share: Its share of the surface that it was found in. 1 for a plane that was given.
-        points: (n, 3) float64, its points on the surface, world units.
-    """
-
+    # (3,) unit vector, out of the matter
     normal: np.ndarray
+    # signed distance from the origin along the normal, world units
     offset: float
+    # standard deviation of the heights of its points, world units; 0 for a plane that was given
     spread: float = 0.0
+    # of the surface that it was found in; 1 for a plane that was given
     share: float = 1.0
+    # (n, 3) float64 on the surface, world units
     points: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)), repr=False)
 
     def __post_init__(self) -> None:
@@ -91,51 +88,19 @@ class Plane:
         object.__setattr__(self, "offset", checked_number(self.offset, "the offset of a plane"))
 
     def heights(self, points: ArrayLike) -> np.ndarray:
-        """Signed distances from the plane.
-
-        Args:
-            points: (..., 3) float, world units.
-
-        Returns:
-            (...) float64, world units, above 0 on the side that the normal points to.
-        """
+        """Signed distances (...) of points (..., 3) from the plane, world units, above 0 where the normal points to."""
         return np.asarray(points, np.float64) @ self.normal - self.offset
 
     def clearance(self, voxel_size: ArrayLike) -> float:
-        """How far above the plane its own matter ends.
-
-        Args:
-            voxel_size: (3,) world units.
-
-        Returns:
-            2.5 standard deviations of its points' heights and one voxel, world units.
-        """
+        """How far above the plane its own matter ends, world units; voxel_size (3,)."""
         return _CUT_DEVIATIONS * self.spread + _CUT_VOXELS * float(np.max(voxel_size))
 
 
 def find_planes(
     field: DensityField, kind: str = "ground", *, up: ArrayLike | None = None, count: int = 6, seed: int = 0
 ) -> list[Plane]:
-    """Planes in the surface of a field, such as the floor and the tables of a room.
-
-    RANSAC (Fischler and Bolles 1981) over points of the surface and their normals, the best guesses fitted to their
-    points (Chum, Matas and Kittler 2003); the points of a plane that was found are left out for the next. Where largest
-    rendering weights were recorded a point counts by its own, so that fog behind what was seen counts little. A field
-    of more than 96 voxels a side is averaged over blocks first, and planes are fitted to its own points at the end.
-
-    Args:
-        field: A VoxelField, a NodeSelection or the like.
-        kind: "ground": level within 25 degrees of `up`, its matter below; "wall": upright within 25 degrees; "any".
-        up: (3,) what is up in the world. None is the field's own, or +z where it has none.
-        count: How many planes at most.
-        seed: Seed of the guesses.
-
-    Returns:
-        The planes, largest first; none where no plane holds 3 % of the surface.
-
-    Raises:
-        ValueError: For an empty field, another kind, or a direction that is zero.
-    """
+    """Planes in the surface of a field, such as the floor and the tables of a room, largest first.
+    up: (3,); None is the field's own, or +z where it has none."""
     require_name(kind, PLANES, "plane")
     count = checked_whole(count, "count", 1)
     upward = checked_vector(getattr(field, "up", (0.0, 0.0, 1.0)) if up is None else up, "up")
@@ -144,9 +109,11 @@ def find_planes(
     upward = upward / np.linalg.norm(upward)
     nodes = np.ptp(np.asarray(field.bounds, np.float64), axis=0) / field.voxel_size
     block = max(1, math.ceil(round(float(nodes.max())) / MOST_SIDE))
+    # points count by their largest weights, where such were recorded, so that fog behind what was seen counts little
     points, normals, weights = surface_points(field, block)
     limit = np.sin(np.radians(TILT_DEGREES))
     allowed: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        # level, with its matter below
         "ground": lambda n: n @ upward >= np.cos(np.radians(TILT_DEGREES)),
         "wall": lambda n: np.abs(n @ upward) <= limit,
         "any": lambda n: np.ones(n.shape[:-1], bool),
@@ -155,6 +122,7 @@ def find_planes(
     planes = fit_planes(points, normals, slab, weights=weights, allowed=allowed[kind], count=count, seed=seed)
     if block == 1 or not planes:
         return planes
+    # fitted to the field's own points at the end
     finer = surface_points(field)
     return [_on_finer_points(plane, slab, *finer) for plane in planes]
 
@@ -169,20 +137,10 @@ def fit_planes(
     count: int = 6,
     seed: int = 0,
 ) -> list[Plane]:
-    """Planes through oriented points, largest first; see `find_planes`.
-
-    Args:
-        points: (n, 3) float64, world units.
-        normals: (n, 3) float64 unit vectors.
-        slab: Half the thickness of the slab of a plane's points, world units.
-        weights: (n,) how much each point counts. None counts all alike.
-        allowed: Which normals (k, 3) a plane may have, (k,) bool. None is any.
-        count: How many planes at most.
-        seed: Seed of the guesses.
-
-    Returns:
-        The planes.
-    """
+    """Planes through points (n, 3) with unit normals (n, 3), largest first; slab: half its thickness, world units.
+    weights: (n,), None counts all alike; allowed: which normals (k, 3) a plane may have, (k,) bool."""
+    # RANSAC (Fischler and Bolles 1981) over points and their normals, the best guesses fitted to their points (Chum,
+    # Matas and Kittler 2003). The points of a plane that was found are left out for the next.
     slab = checked_positive(slab, "slab")
     weights = np.ones(len(points)) if weights is None else np.asarray(weights, np.float64)
     random = np.random.default_rng(seed)
@@ -208,10 +166,8 @@ def fit_planes(
 
 
 def _on_finer_points(plane: Plane, slab: float, points: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> Plane:
-    """A plane fitted to those of finer points that lie in its slab, on its side of the matter.
-
-    Their normals follow the roughness of the surface, and say no more than that.
-    """
+    """A plane fitted to those of finer points that lie in its slab, on its side of the matter."""
+    # Their normals follow the roughness of the surface, and say no more than that.
     near = np.flatnonzero(_near(points, normals, plane.normal, plane.offset, slab, 90.0))
     if len(near) < LEAST_POINTS or not weights[near].sum() > 0.0:
         return plane
@@ -236,23 +192,13 @@ def _largest_patch(points: np.ndarray, weights: np.ndarray, slab: float) -> floa
 
 
 def surface_points(field: DensityField, block: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of a field's surface: visible nodes that are dense enough for it and have a neighbour that is not.
-
-    Args:
-        field: A VoxelField, a NodeSelection or the like.
-        block: Nodes along each side of a block that counts as one: its mean density, and its largest weight.
-
-    Returns:
-        Positions (n, 3) float64, world units; unit normals (n, 3) out of the matter, against the slope of the smoothed
-        opacity; and weights (n,): the largest rendering weights, or 1 where none were recorded.
-
-    Raises:
-        ValueError: For an empty field.
-    """
+    """Points (n, 3) of a field's surface, world units: visible nodes dense enough for it with a neighbour that is not.
+    Then their unit normals (n, 3) out of the matter, and largest rendering weights (n,), 1 where none were recorded."""
     from scipy.ndimage import binary_erosion, gaussian_filter
 
     densities, voxel_size = node_grid(field)
     seen = getattr(field, "node_weights", lambda: None)()
+    # a block of nodes counts as one: its mean density, and its largest weight
     if block > 1:
         densities, voxel_size = blocks(densities, block).mean(axis=(1, 3, 5)), block * voxel_size
         seen = None if seen is None else blocks(np.asarray(seen), block).max(axis=(1, 3, 5))
@@ -261,6 +207,7 @@ def surface_points(field: DensityField, block: int = 1) -> tuple[np.ndarray, np.
     # one half at the surface, whatever the field's density there
     opacity = gaussian_filter(1.0 - np.exp2(-densities / np.float32(level)), _SMOOTHING)
     cells = np.argwhere(solid & ~np.asarray(binary_erosion(solid, np.ones((3, 3, 3), bool), border_value=1), bool))
+    # normals are against the slope of the smoothed opacity
     slope = np.empty((len(cells), 3))
     for axis in range(3):
         ahead, behind = cells.copy(), cells.copy()
@@ -277,33 +224,16 @@ def surface_points(field: DensityField, block: int = 1) -> tuple[np.ndarray, np.
 
 
 def blocks(values: np.ndarray, side: int) -> np.ndarray:
-    """Values at nodes (nx, ny, nz), cut into blocks: (bx, side, by, side, bz, side), with 0 where the last ones reach
-    beyond.
-
-    Args:
-        values: The values.
-        side: Nodes along each side of a block.
-
-    Returns:
-        The blocks.
-    """
+    """Values (nx, ny, nz) cut into blocks (bx, side, by, side, bz, side), with 0 where the last ones reach beyond."""
     counts = [-(-n // side) for n in values.shape]
     whole = np.pad(values, [(0, side * count - n) for count, n in zip(counts, values.shape, strict=True)])
     return whole.reshape([n for count in counts for n in (count, side)])
 
 
 def surrounds(plane: Plane, points: np.ndarray, spacing: float) -> bool:
-    """Whether a plane goes on around what stands on it: a table does so around a cup, a seat not around its back.
-
-    Args:
-        plane: The plane, with its points.
-        points: (n, 3) float64, what stands on it, world units.
-        spacing: Distance of neighbouring points, world units.
-
-    Returns:
-        Whether the plane has twice the area of the shadow of the points on it, as the top of a foot has not; and, in
-        60 % of the directions around the foot of the points (their lowest quarter), points that lie farther out.
-    """
+    """Whether a plane goes on around points (n, 3) on it: a table does so around a cup, a seat not around its back.
+    spacing: distance of neighbouring points, world units."""
+    # the top of a foot has not twice the area of the shadow on it
     if not _is_wide(plane, points, spacing):
         return False
     sideways = np.linalg.svd(plane.normal[None])[2][1:]
@@ -317,6 +247,7 @@ def surrounds(plane: Plane, points: np.ndarray, spacing: float) -> bool:
         farthest = np.zeros(_SECTORS)
         np.maximum.at(farthest, sector, np.hypot(x, y))
         reach.append(farthest)
+    # points of the plane lie farther out than the foot's in most directions
     return float(np.mean(reach[1] > reach[0])) >= _SURROUNDED
 
 
@@ -386,20 +317,11 @@ def _fitted(p, n, w, normal, offset, slab, *, first: float = _FIRST_SLAB) -> tup
 
 
 def plane_below(planes: Sequence[Plane], clicks: np.ndarray, voxel_size: ArrayLike, grown: Grown) -> Plane | None:
-    """The plane that something which was clicked stands on.
-
-    Args:
-        planes: Planes that may be it.
-        clicks: (n, 3) float64 places of the thing, world units.
-        voxel_size: (3,) world units.
-        grown: Takes a plane and returns what of the thing is above it, (m, 3) world units.
-
-    Returns:
-        Of the planes that the clicks are clear of, the nearest that goes on around what stands on it; the largest where
-        none does; None where the clicks are above none.
-    """
+    """The plane that something clicked at places (n, 3) stands on; None where the clicks are above none.
+    grown: takes a plane and returns what of the thing is above it, (m, 3) world units."""
     heights = [(float(np.min(plane.heights(clicks))), plane) for plane in planes]
     below = [(height, plane) for height, plane in heights if height > plane.clearance(voxel_size)]
+    # the nearest that the clicks are clear of and that goes on around what stands on it; the largest where none does
     for _, plane in sorted(below, key=lambda each: each[0]):
         left = grown(plane)
         if len(left) and surrounds(plane, left, float(np.max(voxel_size))):
@@ -410,25 +332,16 @@ def plane_below(planes: Sequence[Plane], clicks: np.ndarray, voxel_size: ArrayLi
 def plane_through(
     planes: Sequence[Plane], places: np.ndarray, voxel_size: ArrayLike, is_inside: Callable[[np.ndarray], np.ndarray]
 ) -> Plane | None:
-    """The plane that what is in a region stands on.
-
-    Args:
-        planes: Planes that may be it.
-        places: (n, 3) float64, the matter in the region, world units.
-        voxel_size: (3,) world units.
-        is_inside: Which of the points (m, 3) of a plane are in the region, (m,) bool.
-
-    Returns:
-        Of the planes with a tenth of the matter above them, the highest that is twice as wide as what is above it and
-        goes on outside the region, as a table does that is larger than a box around a cup; the largest where none does;
-        None where there are none.
-    """
+    """The plane that the matter in a region, places (n, 3), stands on; None where none has enough of it above it.
+    is_inside: which of the points (m, 3) of a plane are in the region, (m,) bool."""
     held = []
     for plane in planes:
         heights = plane.heights(places)
         above = heights > plane.clearance(voxel_size)
         if np.mean(above) >= _LEAST_ABOVE:
             held.append((float(np.median(heights)), plane, places[above]))
+    # the highest that is wide enough and goes on outside the region, as a table does that is larger than a box around a
+    # cup; the largest where none does
     for _, plane, standing in sorted(held, key=lambda each: each[0]):
         wide = _is_wide(plane, standing, float(np.max(voxel_size)))
         if wide and np.mean(is_inside(plane.points)) <= _MOST_INSIDE:

@@ -43,22 +43,8 @@ def render_frame(
     spare: SpareMemory,
     masks: Sequence[str] = (),
 ) -> Frame:
-    """The view of a camera, by any march.
-
-    Args:
-        march: Fills the arrays of the picture.
-        camera: The camera.
-        origin: (3,) world point that the kernel's positions are relative to.
-        colour: (3,) float32 colour behind everything.
-        layers: What is put around the picture, which then must be on black. None is nothing.
-        supersampling: Rays along each side of a pixel.
-        device: Warp device of the arrays.
-        spare: What keeps memory for them.
-        masks: Names of the masks that the march fills beside colour, opacity and depth.
-
-    Returns:
-        The frame, its arrays on the device.
-    """
+    """The view of a camera, by any march, its arrays on the device; colour: behind it, black where there are layers.
+    origin: (3,) world point that the kernel's positions are relative to."""
     fine = finer_camera(camera, supersampling)
     count = fine.width * fine.height
     arrays: dict[str, wp.array] = {}
@@ -75,18 +61,9 @@ def render_frame(
 
 
 def picture_arrays(count: int, names: Sequence[str], device: wp.Device, spare: SpareMemory) -> dict[str, wp.array]:
-    """The arrays of a picture, in one allocation: on a GPU it takes as long as a launch.
-
-    Args:
-        count: Pixels.
-        names: "rgb" and other parts and masks of a Frame.
-        device: Warp device.
-        spare: What keeps memory for the next picture.
-
-    Returns:
-        Arrays (count,) by name, vec3 for "rgb" and float32 for others.
-    """
+    """Arrays (count,) of a picture by names of a Frame's parts and masks, vec3 for "rgb" and float32 for others."""
     widths = [3 if name == "rgb" else 1 for name in names]
+    # one allocation: on a GPU it takes as long as a launch
     block = empty_array((sum(widths), count), wp.float32, device)
     spare.keep(block.capacity)
     arrays, begin = {}, 0

@@ -21,19 +21,8 @@ DEPTH_VOXELS = 2.0
 
 
 def in_masks(points: np.ndarray, cameras: list[Camera], masks: list[ArrayLike]) -> np.ndarray:
-    """Which points are inside the mask of every picture that they fall into, and fall into one.
-
-    Args:
-        points: (n, 3) float64, world units.
-        cameras: Cameras of the masks.
-        masks: One (h, w) mask per camera, the object where it is above half its largest value.
-
-    Returns:
-        (n,) bool.
-
-    Raises:
-        ValueError: For masks that do not fit their cameras.
-    """
+    """Which points (n, 3), world units, are inside the mask of every picture that they fall into, and fall into one.
+    masks: one (h, w) per camera, the object where it is above half its largest value."""
     if len(cameras) != len(masks) or not cameras:
         raise ValueError(f"one mask per camera is needed, got {len(masks)} masks and {len(cameras)} cameras")
     inside, seen = np.ones(len(points), dtype=bool), np.zeros(len(points), dtype=bool)
@@ -51,24 +40,8 @@ def in_masks(points: np.ndarray, cameras: list[Camera], masks: list[ArrayLike]) 
 
 
 def in_depths(points: np.ndarray, field: VoxelField, cameras: list[Camera], depth: ArrayLike) -> np.ndarray:
-    """Which points of a field's matter the views show at distances in a range, and what is hidden behind those.
-
-    A view shows a point that lies within two voxels of the distance that it renders there, where it is half opaque. In
-    front of that it looks through haze, behind it there is what it cannot see: that goes with the nearest shown point.
-
-    Args:
-        points: (n, 3) float64, world units.
-        field: The field, which is rendered.
-        cameras: Cameras of the views; their pictures are taken at most 200 pixels long.
-        depth: (2,) least and largest distance from the camera along the ray, world units.
-
-    Returns:
-        (n,) bool: points that are shown by more views in the range than out of it, and points that none shows, that
-        more views have behind something than look through, and that are nearest to such a point.
-
-    Raises:
-        ValueError: For no cameras, or a range that is none.
-    """
+    """Which points (n, 3) of a field's matter the views show at distances in a range, and what is hidden behind those.
+    depth: (2,) least and largest distance from the camera along the ray, world units."""
     values = np.asarray(depth, np.float64) if np.shape(depth) == (2,) else np.full(2, np.nan)
     near, far = (checked_number(each, "depth") if np.isfinite(each) else np.nan for each in values)
     if not 0.0 <= near < far:
@@ -85,12 +58,14 @@ def in_depths(points: np.ndarray, field: VoxelField, cameras: list[Camera], dept
         distance = np.linalg.norm(points[ahead] - small.centre, axis=1)
         opaque = frame.alpha[row, column] >= 0.5
         behind = distance - np.where(opaque, frame.depth[row, column], np.inf)
+        # in front of what it shows a view looks through haze, behind it there is what it cannot see
         shown, fits = np.abs(behind) <= room, (distance >= near) & (distance <= far)
         within[ahead[shown & fits]] += 1
         without[ahead[shown & ~fits]] += 1
         hidden[ahead[behind > room]] += 1
         through[ahead[behind < -room]] += 1
     kept, seen = within > without, within + without > 0
+    # what no view shows, and more have behind something than look through, goes with the nearest shown point
     rest = np.flatnonzero(~seen & (hidden > through))
     if len(rest) and kept.any():
         from scipy.spatial import KDTree

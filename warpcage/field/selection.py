@@ -1,8 +1,4 @@
-"""Choose the object inside a larger field: by box, 2-D masks, seed point or connected part; leave floaters out.
-
-A NodeSelection stands in for its field wherever densities are read: `Cage.from_field(selection)`,
-`cage.check(field=selection)`, `extract_mesh(selection)`. `warpcage.field.objects` chooses what stands on something.
-"""
+"""Choose the object inside a larger field: by box, 2-D masks, seed point or connected part; leave floaters out."""
 
 from __future__ import annotations
 
@@ -45,34 +41,13 @@ SEED_VOXELS = 4
 
 
 def visible_nodes(field: DensityField, threshold: float | None = None) -> np.ndarray:
-    """Positions of the nodes of a field that can be seen.
-
-    Args:
-        field: A VoxelField, a NodeSelection or the like.
-        threshold: As for `visible_mask`.
-
-    Returns:
-        (n, 3) float64, world units.
-
-    Raises:
-        ValueError: For densities that are not finite, or a threshold that is not positive.
-    """
+    """Positions (n, 3) float64, world units, of the nodes of a field that can be seen, as `visible_mask` tells."""
     return _centres(field, np.argwhere(visible_mask(field, threshold)))
 
 
 def some_visible_nodes(field: DensityField, count: int = 20_000) -> np.ndarray:
-    """About so many of the nodes of a field that can be seen, evenly over it, without a look at all of them.
-
-    Args:
-        field: A VoxelField, a NodeSelection or the like.
-        count: About how many nodes there are at most.
-
-    Returns:
-        (n, 3) float64, world units; the same for the same field.
-
-    Raises:
-        ValueError: For densities that are not finite.
-    """
+    """About so many of the nodes of a field that can be seen, evenly over it, (n, 3) float64, world units.
+    The same for the same field, without a look at all of its nodes."""
     grid = getattr(field, "grid", None)
     if grid is None:
         points = visible_nodes(field)
@@ -96,20 +71,8 @@ def some_visible_nodes(field: DensityField, count: int = 20_000) -> np.ndarray:
 
 
 def visible_mask(field: DensityField, threshold: float | None = None) -> np.ndarray:
-    """The nodes of a field that can be seen.
-
-    Args:
-        field: A VoxelField, a NodeSelection or the like.
-        threshold: Density from which a node counts, per world unit. None counts nodes whose largest recorded weight in
-            an image (`field.node_weights()`) is at least 0.01; or, where no weights were recorded, whose opacity across
-            one voxel is: density >= -ln(0.99) / voxel side.
-
-    Returns:
-        (nx, ny, nz) bool.
-
-    Raises:
-        ValueError: For densities that are not finite, or a threshold that is not positive.
-    """
+    """The nodes of a field that can be seen, (nx, ny, nz) bool, from a density per world unit on.
+    threshold: None goes by the largest recorded weight, or by opacity across one voxel where none were recorded."""
     densities, voxel_size = node_grid(field)
     weights = getattr(field, "node_weights", lambda: None)() if threshold is None else None
     if threshold is not None:
@@ -136,20 +99,14 @@ def root_field(field: DensityField) -> DensityField:
 
 
 def visible_rows(field: VoxelField) -> np.ndarray:
-    """The voxels of a VoxelField that can be seen, as `visible_mask` tells them, row by row.
-
-    Args:
-        field: The field.
-
-    Returns:
-        (rows,) bool.
-    """
+    """The voxels of a VoxelField that can be seen, as `visible_mask` tells them, row by row: (rows,) bool."""
     density = field.grid.density.numpy()
     if field.weights is not None:
         return np.logical_and(field.weights.numpy() >= VISIBLE_OPACITY, density > 0.0)
     return density >= -np.log1p(-VISIBLE_OPACITY) / np.prod(field.voxel_size) ** (1.0 / 3.0)
 
 
+# Stands in for its field wherever densities are read: `Cage.from_field(selection)`, `extract_mesh(selection)`.
 @dataclasses.dataclass(frozen=True)
 class NodeSelection:
     """Nodes of a field.

@@ -26,17 +26,7 @@ WARP_LANES = 32
 
 
 class ColumnTable:
-    """The rows of a grid told by bits, see kernels/field/columns.
-
-    Args:
-        links: (nx, ny, nz) int32, row of each node or -1.
-
-    Attributes:
-        columns: The Columns that kernels take.
-        nodes: (rows,) int32 flat index of each row's node.
-        node_count: Nodes of the grid.
-        shade_rows: Launches the kernel of that name.
-    """
+    """The rows of a grid told by bits, see kernels/field/columns; links (nx, ny, nz) int32, row of each node or -1."""
 
     def __init__(self, links: wp.array):
         device = links.device
@@ -45,6 +35,7 @@ class ColumnTable:
         launch(columns.count_rows, column_count, [links], [counts], device=device, work=links.shape[2])
         wp.utils.array_scan(counts, counts, inclusive=True)
         row_count = int(counts[-1:].numpy()[0])
+        # flat index of each row's node
         self.nodes = empty_array(row_count, wp.int32, device)
         order = empty_array(row_count, wp.int32, device)
         block_count = -(-(links.shape[2] - 1) // int(columns.BLOCK_NODES))
@@ -63,10 +54,12 @@ class ColumnTable:
         launch(columns.find_unsorted, row_count, [order], [unsorted], device=device)
         if unsorted.numpy()[0]:
             self.columns.order = order
+        # nodes of the grid
         self.node_count, self._laid, self._packed = math.prod(links.shape), None, None
         self._device = wp.get_device(device)
         self._kept: dict[str, tuple[int, Any]] = {}
         self._shaded: Any = None
+        # launches the kernel of that name
         self.shade_rows = RepeatedLaunch(shade_rows, device)
 
     def laid_densities(self) -> wp.array:
@@ -77,27 +70,18 @@ class ColumnTable:
         return self._laid
 
     def row_shades(self) -> wp.array:
-        """(rows, words) uint32 for shades of rows, not set yet.
-
-        That of the frame before on a CUDA stream, whose frames follow each other, as CUDA takes longer to hand out as
-        much memory than to fill it. A new one for frames of other streams, and on a CPU, whose threads may render at a
-        time.
-        """
+        """(rows, words) uint32 for shades of rows, not set yet."""
+        # That of the frame before on a CUDA stream, whose frames follow each other, as CUDA takes longer to hand out as
+        # much memory than to fill it. A new one for frames of other streams, and on a CPU, whose threads may render at
+        # a time.
         return self._of_stream("rows", self._new_row_shades)
 
     def _new_row_shades(self) -> wp.array:
         return empty_array((self.nodes.shape[0], shade_words(self._device)), wp.uint32, self._device)
 
     def shaded(self, centre: wp.vec3, step: float) -> Any:
-        """A ShadedGrid of kernels/field/shades.py that is to be filled for a camera; see `row_shades`.
-
-        Args:
-            centre: Of the camera, relative to the grid's origin.
-            step: March step, world units.
-
-        Returns:
-            The struct: on CUDA the same for all cameras, whose frames take turns.
-        """
+        """A ShadedGrid of kernels/field/shades that is to be filled for a camera, centre relative to the grid's origin.
+        On CUDA the same for all cameras, whose frames take turns."""
         shaded = self._shaded
         if shaded is None:
             shaded = ShadedGrid()
@@ -108,14 +92,8 @@ class ColumnTable:
         return shaded
 
     def shade_texture(self, layers: int) -> wp.Texture3D:
-        """A texture on CUDA for shades at the nodes of rows; 0 at others. Kept as `row_shades` is.
-
-        Args:
-            layers: That follow each other along its first axis.
-
-        Returns:
-            The texture of four halves, (layers * nx, ny, nz).
-        """
+        """A texture of four halves, (layers * nx, ny, nz), on CUDA for shades at the nodes of rows; 0 at others.
+        Kept as `row_shades` is."""
         return self._of_stream(f"{layers} layers", lambda: self._new_texture(layers))
 
     def _new_texture(self, layers: int) -> wp.Texture3D:
@@ -137,51 +115,26 @@ class ColumnTable:
         return kept if owner == stream else make()
 
     def packed_rows(self) -> wp.array:
-        """(rows, PACKED_WORDS) uint32, made when it is first asked for.
-
-        It is kept, as CUDA takes longer to hand out as much memory than to fill it. Frames that pack rows on several
-        streams at a time write the same into it.
-        """
+        """(rows, PACKED_WORDS) uint32, made when it is first asked for."""
+        # Kept, as CUDA takes longer to hand out as much memory than to fill it. Frames that pack rows on several
+        # streams at a time write the same into it.
         if self._packed is None:
             self._packed = empty_array((self.nodes.shape[0], PACKED_WORDS), wp.uint32, self.nodes.device)
         return self._packed
 
 
 def shade_words(device: wp.Device) -> int:
-    """32-bit words of a shade (kernels/field/shades).
-
-    Args:
-        device: Warp device.
-
-    Returns:
-        The number.
-    """
+    """32-bit words of a shade (kernels/field/shades)."""
     return CPU_SHADE_WORDS if device.is_cpu else CUDA_SHADE_WORDS
 
 
 def whole_warps(rows: int, device: wp.Device) -> int:
-    """Threads of a kernel whose rows work together: rounded up on CUDA.
-
-    Args:
-        rows: Number of rows.
-        device: Warp device.
-
-    Returns:
-        The number.
-    """
+    """Threads of a kernel whose rows work together: rounded up on CUDA."""
     return rows if device.is_cpu else -(-rows // WARP_LANES) * WARP_LANES
 
 
 def row_table(grid: Any, table: ColumnTable) -> Any:
-    """The rows of a grid as a march reads them.
-
-    Args:
-        grid: VoxelGrid.
-        table: Of its links.
-
-    Returns:
-        A RowTable of kernels/field/rows.py, of the values that the grid has now.
-    """
+    """The rows of a grid as a march reads them: a RowTable of the values that the grid has now."""
     device, rows = grid.links.device, table.nodes.shape[0]
     result = RowTable()
     result.columns, result.unit = table.columns, 1.0 / min(grid.voxel_size)
@@ -195,17 +148,8 @@ def row_table(grid: Any, table: ColumnTable) -> Any:
 
 
 def shaded_grid(grid: Any, table: ColumnTable, centre: wp.vec3, step: float) -> Any:
-    """The rows of a grid as a camera sees them.
-
-    Args:
-        grid: VoxelGrid.
-        table: Of its links.
-        centre: Of the camera, relative to the grid's origin.
-        step: March step, world units.
-
-    Returns:
-        A ShadedGrid of kernels/field/shades.py, of the values that the grid has now.
-    """
+    """The rows of a grid as a camera sees them: a ShadedGrid of the values that the grid has now.
+    centre: of the camera, relative to the grid's origin; step: world units."""
     shaded = table.shaded(centre, step)
     shades = table.row_shades()
     if shaded.shades is not shades:

@@ -24,17 +24,7 @@ PADDING = 3
 
 
 def checked_resolution(links: Any) -> tuple[int, ...]:
-    """Nodes of a grid along each axis.
-
-    Args:
-        links: (nx, ny, nz) int32, row of each node or -1; NumPy or Warp.
-
-    Returns:
-        (nx, ny, nz).
-
-    Raises:
-        ValueError: For anything else than an array, and for less than two nodes along an axis.
-    """
+    """Nodes (nx, ny, nz) of a grid by its links, NumPy or Warp; at least two along each axis."""
     if not hasattr(links, "shape"):
         raise ValueError(f"links must be an array (nx, ny, nz), got {type(links).__name__}")
     if len(links.shape) != 3 or min(links.shape) < 2:
@@ -43,14 +33,8 @@ def checked_resolution(links: Any) -> tuple[int, ...]:
 
 
 def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
-    """Number the set nodes of a mask in memory order.
-
-    Args:
-        mask: (nx, ny, nz) uint8.
-
-    Returns:
-        Links (nx, ny, nz) int32, the row of each node or -1, and nodes (rows,) vec3i.
-    """
+    """Number the set nodes of a mask (nx, ny, nz) uint8 in memory order.
+    Returns links (nx, ny, nz) int32, the row of each node or -1, and nodes (rows,) vec3i."""
     device = mask.device
     counts = _line_counts(mask)
     wp.utils.array_scan(counts, counts, inclusive=True)
@@ -61,14 +45,7 @@ def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
 
 
 def mask_count(mask: wp.array) -> int:
-    """Number of set nodes of a mask.
-
-    Args:
-        mask: (nx, ny, nz) uint8.
-
-    Returns:
-        The number.
-    """
+    """Number of set nodes of a mask (nx, ny, nz) uint8."""
     return int(_line_counts(mask).numpy().sum(dtype="int64"))
 
 
@@ -80,29 +57,18 @@ def _line_counts(mask: wp.array) -> wp.array:
 
 
 def measure_skip(links: wp.array) -> wp.array:
-    """How far each cell is from the nearest cell with a linked node.
-
-    Args:
-        links: (nx, ny, nz) int32, row of each node or -1.
-
-    Returns:
-        (nx-1, ny-1, nz-1) uint8 Chebyshev distance in cells, 0 in cells with such a node.
-    """
+    """Chebyshev distance (nx-1, ny-1, nz-1) uint8 of each cell from the nearest cell with a linked node, in cells."""
     distance, spread = (empty_array(tuple(n - 1 for n in links.shape), wp.uint8, links.device) for _ in range(2))
     launch(grid_skip.mark_cells, distance.size, [links], [distance], device=links.device)
     return _spread(distance, spread)
 
 
 class MatterSkip:
-    """How far each cell is from the nearest in which there is any matter, for the densities as they are.
+    """How far each cell is from the nearest in which there is any matter, for the densities as they are."""
 
-    Rows reach further than matter does, so that marches that know this look at half as many samples. The densities may
-    change at any time, in a fit or under a caller's hand: what this holds depends on their signs alone, which are
-    compared at each call.
-
-    Args:
-        links: (nx, ny, nz) int32, row of each node or -1.
-    """
+    # Rows reach further than matter does, so that marches that know this look at half as many samples. The densities
+    # may change at any time, in a fit or under a caller's hand: what this holds depends on their signs alone, which are
+    # compared at each call.
 
     def __init__(self, links: wp.array):
         self._links = links
@@ -116,12 +82,8 @@ class MatterSkip:
         self._noted = 0
 
     def compare(self, density: wp.array) -> None:
-        """Launch the comparison that `distance` asks for; what is launched in between has the device at work while the
-        host waits.
-
-        Args:
-            density: (rows,) float32, before the ReLU.
-        """
+        """Launch the comparison of densities (rows,) float32, before the ReLU, that `distance` asks for.
+        What is launched in between has the device at work while the host waits."""
         self._settle()  # what was found, and nobody has asked for
         device = self._links.device
         if self._positive is None or self._positive.size != density.size:
@@ -141,15 +103,8 @@ class MatterSkip:
         return 0 if self._watch is None else self._watch.version
 
     def distance(self, density: wp.array) -> wp.array:
-        """The distances.
-
-        Args:
-            density: (rows,) float32, before the ReLU; those of the last `compare`, if nobody has asked since.
-
-        Returns:
-            (nx-1, ny-1, nz-1) uint8 Chebyshev distance in cells, 0 in cells with a density above zero at a corner;
-            another array whenever any of it changes.
-        """
+        """(nx-1, ny-1, nz-1) uint8 Chebyshev distance in cells, 0 in cells with a density above zero at a corner.
+        Another array whenever any of it changes. density: that of the last `compare`, if nobody has asked since."""
         if not self._is_compared:
             self.compare(density)
         self._settle()
@@ -177,14 +132,8 @@ def _spread(distance: wp.array, spread: wp.array) -> wp.array:
 
 
 def spread_along(axis: int, source: wp.array, target: wp.array, repeated: Callable[..., None] | None = None) -> None:
-    """One pass of the transform that spreads distances between cells; one along each axis makes them Chebyshev's.
-
-    Args:
-        axis: The axis.
-        source: (nx, ny, nz) uint8, what the passes before left.
-        target: The same, what this one leaves.
-        repeated: A RepeatedLaunches, for what is spread again and again.
-    """
+    """One pass of the transform that spreads distances (nx, ny, nz) uint8; one along each axis makes them Chebyshev's.
+    repeated: a RepeatedLaunches, for what is spread again and again."""
     device = wp.get_device(source.device)
     run = repeated or functools.partial(launch, device=device)
     if device.is_cpu:  # a line at a time, many cells of it at once
@@ -195,16 +144,7 @@ def spread_along(axis: int, source: wp.array, target: wp.array, repeated: Callab
 
 
 def values_on_device(array: np.ndarray | wp.array, dtype: Any, device: wp.Device) -> Any:
-    """An array of a Warp data type on a device.
-
-    Args:
-        array: On any device, or NumPy.
-        dtype: wp.int32 or wp.float32, or the type of a Warp array.
-        device: Warp device.
-
-    Returns:
-        The Warp array; the same one if it is there already.
-    """
+    """A Warp array of a data type on a device; the same one if it is there already."""
     if isinstance(array, wp.array):
         return array if array.device == device else array.to(device)
     host = np.ascontiguousarray(array, dtype=np.int32 if dtype == wp.int32 else np.float32)
@@ -212,19 +152,8 @@ def values_on_device(array: np.ndarray | wp.array, dtype: Any, device: wp.Device
 
 
 def harmonics_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
-    """Harmonics on a device, as kernels take them.
-
-    Args:
-        sh: NumPy (rows, 9, 3) of red, green and blue, or (rows, 24) of luminance and differences of colour, halves or
-            others; or numbers that kernels take already.
-        device: Warp device.
-
-    Returns:
-        (rows, 27) or (rows, 24) float32 without gaps, as rows are read as runs of memory.
-
-    Raises:
-        ValueError: For another shape.
-    """
+    """Harmonics as kernels take them, (rows, 27) or (rows, 24) float32; NumPy ones are (rows, 9, 3) or (rows, 24)."""
+    # Without gaps, as rows are read as runs of memory.
     if isinstance(sh, wp.array):
         array = values_on_device(sh, wp.float32, device)
         if array.ndim != 2 or array.shape[1] not in (LUMINANCE_NUMBERS, RGB_NUMBERS):
@@ -250,13 +179,6 @@ def _widened(halves: wp.array) -> wp.array:
 
 
 def harmonics_on_host(sh: wp.array) -> np.ndarray:
-    """Harmonics as files and callers have them.
-
-    Args:
-        sh: (rows, 27) or (rows, 24) float32.
-
-    Returns:
-        NumPy (rows, 9, 3) or (rows, 24) float32.
-    """
+    """Harmonics (rows, 27) or (rows, 24) as files and callers have them: NumPy (rows, 9, 3) or (rows, 24)."""
     host: np.ndarray = sh.numpy()
     return host if sh.shape[1] == LUMINANCE_NUMBERS else host.reshape(-1, 3, BASIS_COUNT).transpose(0, 2, 1)

@@ -38,23 +38,8 @@ class DensityField(Protocol):
 def extract_mesh(
     field: DensityField, *, threshold: float | None = None, components: str = "largest"
 ) -> trimesh.Trimesh:
-    """The surface where a field's density crosses a threshold, closed and looking outward.
-
-    Marching cubes is Lewiner et al. 2003 (scikit-image), with empty space around the grid so that the mesh is closed.
-
-    Args:
-        field: A VoxelField, a NodeSelection or the like.
-        threshold: Density, per world unit. None is `surface_density`.
-        components: "largest" keeps the part of the largest volume, which drops floaters and cavities, "all" keeps
-            everything.
-
-    Returns:
-        The mesh, world units.
-
-    Raises:
-        ValueError: For an empty field, densities that are not finite, a threshold that no density crosses, or another
-            name of components.
-    """
+    """The surface where a field's density crosses a threshold, per world unit, closed and looking outward; world units.
+    threshold: None is `surface_density`."""
     import skimage.measure
     import trimesh
 
@@ -75,6 +60,7 @@ def extract_mesh(
     spans = [np.flatnonzero(solid.any(axis=tuple(k for k in range(3) if k != axis))) for axis in range(3)]
     low = np.array([max(span[0] - 1, 0) for span in spans])
     high = [span[-1] + 2 for span in spans]
+    # Lewiner et al. 2003; the empty nodes around close the mesh
     block = np.pad(densities[tuple(slice(a, b) for a, b in zip(low, high, strict=True))], 1)
     nodes, faces, _, _ = skimage.measure.marching_cubes(block, level=threshold, gradient_direction="descent")
     vertices = np.asarray(field.bounds, dtype=np.float64)[0] + (nodes.astype(np.float64) + low - 0.5) * voxel_size
@@ -82,27 +68,16 @@ def extract_mesh(
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     if mesh.volume < 0.0:
         mesh.invert()
+    # the largest part leaves floaters and cavities out
     return mesh if components == "all" else _largest_part(mesh)
 
 
 def surface_density(densities: np.ndarray, voxel_size: ArrayLike) -> float:
-    """The density that is taken as the surface.
-
-    It is the density at which a ray across two voxels becomes half opaque, ln 2 / (2 voxel sides): thin shells of a
-    fitted field are about that thick, and hold together. Where fewer than one in twenty of the occupied nodes are that
-    dense (a foggy field) it is Otsu's threshold between the occupied densities (Otsu 1979), or half the largest where
-    all are the same. Both scale as one over length, so the same object at another size has the same surface.
-
-    Args:
-        densities: (nx, ny, nz) float, per world unit.
-        voxel_size: (3,) world units.
-
-    Returns:
-        The density, per world unit.
-
-    Raises:
-        ValueError: If no density is above 0.
-    """
+    """The density, per world unit, that is taken as the surface, of densities (nx, ny, nz) and voxel size (3,)."""
+    # Thin shells of a fitted field are about two voxels thick, and hold together at the half-opaque density. Where few
+    # of the occupied nodes are that dense (a foggy field) it is Otsu's threshold between the occupied densities (Otsu
+    # 1979), or half the largest where all are the same. Both scale as one over length, so the same object at another
+    # size has the same surface.
     import skimage.filters
 
     occupied = densities[densities > 0.0]
@@ -119,42 +94,18 @@ def surface_density(densities: np.ndarray, voxel_size: ArrayLike) -> float:
 
 
 def half_opaque_density(voxel_size: ArrayLike) -> float:
-    """The density at which a ray across two voxels becomes half opaque.
-
-    Args:
-        voxel_size: (3,) world units.
-
-    Returns:
-        The density, per world unit.
-    """
+    """The density, per world unit, at which a ray across two voxels becomes half opaque; voxel size (3,)."""
     return float(0.5 * np.log(2.0) / np.prod(np.asarray(voxel_size, dtype=np.float64)) ** (1.0 / 3.0))
 
 
 def require_field(field: object) -> None:
-    """Refuse what is no field.
-
-    Args:
-        field: What was given.
-
-    Raises:
-        ValueError: If it has no densities at nodes.
-    """
+    """Refuse what has no densities at nodes."""
     if not hasattr(field, "node_densities"):
         raise ValueError(f"a field is needed, or a selection of one, got {type(field).__name__}")
 
 
 def node_grid(field: DensityField) -> tuple[np.ndarray, np.ndarray]:
-    """The node densities and voxel size of a field, checked.
-
-    Args:
-        field: A VoxelField, a NodeSelection or the like.
-
-    Returns:
-        Densities (nx, ny, nz), per world unit, and voxel size (3,) float64, world units.
-
-    Raises:
-        ValueError: For another shape, or values that are not finite.
-    """
+    """Node densities (nx, ny, nz), per world unit, and voxel size (3,) float64, world units, of a field, checked."""
     require_field(field)
     densities = np.asarray(field.node_densities())
     voxel_size = np.broadcast_to(np.asarray(field.voxel_size, dtype=np.float64), 3)

@@ -14,18 +14,9 @@ FIRST, LAST, SPACING = -1.5, 3.0, 0.5
 
 
 def surface_colors(field: VoxelField, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Colours at points of a surface: of a ray along the inward normal, through the few voxels around the point.
-
-    Colours that depend on the direction are those seen along the normal: highlights of other directions are left out.
-
-    Args:
-        field: The field.
-        points: (n, 3) on the surface, world units.
-        normals: (n, 3) unit vectors outward.
-
-    Returns:
-        (n, 3) float32 in [0, 1], as pictures have them (sRGB). Where no sample has matter, the field's background.
-    """
+    """Colours (n, 3) float32 in [0, 1], sRGB, at surface points (n, 3) with outward unit normals (n, 3).
+    The field's background where no sample has matter."""
+    # Colours that depend on the direction are those seen along the normal: highlights of other directions are left out.
     voxel = float(np.prod(field.voxel_size) ** (1.0 / 3.0))
     colors, weights = np.zeros((len(points), 3)), np.zeros(len(points))
     through = np.ones(len(points))

@@ -1,9 +1,4 @@
-"""Compact field files: what plain ones hold, quantised and deflated.
-
-SH coefficients are rounded to 1/128 (trilinear weights and the samples of a ray average that error), densities to 7
-bits of mantissa of their opacity per voxel, rendering weights to 1/255 of their square root. Fitted fields lose some
-0.01 dB. Bytes of one kind stand together, so that deflate finds those that are alike.
-"""
+"""Compact field files: what plain ones hold, quantised and deflated. Fitted fields lose some 0.01 dB."""
 
 from __future__ import annotations
 
@@ -19,7 +14,7 @@ from .contents import BASIS_COUNT, LUMINANCE_NUMBERS, MAX_HALF, RGB_NUMBERS
 #: The arrays that a compact file has in place of those of a plain one.
 COMPACT_NAMES = ("sh_step", "sh_low", "sh_high", "opacity", "weight_roots")
 
-#: Harmonics are kept in multiples of this.
+#: Harmonics are kept in multiples of this: trilinear weights and the samples of a ray average the error.
 SH_STEP = 1 / 128
 
 #: Bits of mantissa of an opacity, and those of a float16.
@@ -27,21 +22,15 @@ DENSITY_BITS, HALF_BITS = 7, 10
 
 
 def pack(contents: dict[str, Any], voxel_side: float) -> dict[str, Any]:
-    """The arrays of a compact file from those of the plain one.
-
-    Args:
-        contents: Arrays of the plain file by name.
-        voxel_side: Smallest side of a voxel, world units.
-
-    Returns:
-        Arrays by name.
-    """
+    """The arrays of a compact file from those of the plain one, by name; voxel_side: the smallest, world units."""
     packed = {name: value for name, value in contents.items() if name not in ("sh", "density", "weights")}
     levels = np.rint(np.asarray(contents["sh"], np.float32) / SH_STEP)
     levels = np.clip(levels, -(2**15), 2**15 - 1).astype(np.int16).reshape(len(levels), -1).T
     packed["sh_step"] = np.array(SH_STEP)
+    # bytes of one kind stand together, so that deflate finds those that are alike
     packed["sh_low"] = (levels & 255).astype(np.uint8)
     packed["sh_high"] = (levels >> 8).astype(np.int8)
+    # 7 bits of mantissa of the opacity per voxel
     opacity = np.clip(contents["density"] * voxel_side, -MAX_HALF, MAX_HALF).astype(np.float16).view(np.uint16)
     spare = HALF_BITS - DENSITY_BITS
     packed["opacity"] = (opacity >> spare << spare).view(np.float16)
@@ -51,32 +40,13 @@ def pack(contents: dict[str, Any], voxel_side: float) -> dict[str, Any]:
 
 
 def is_packed(contents: dict[str, Any]) -> bool:
-    """Whether a file is compact.
-
-    Args:
-        contents: Its arrays by name.
-
-    Returns:
-        Whether it is.
-    """
+    """Whether a file is compact."""
     return "sh_low" in contents
 
 
 def unpack(contents: dict[str, np.ndarray], rows: int, voxel_side: float, path: pathlib.Path) -> dict[str, np.ndarray]:
     """The arrays of the plain file again: harmonics (rows, 3, 9) or (rows, 24), densities, weights.
-
-    Args:
-        contents: Arrays of the compact file by name.
-        rows: Number of voxels that hold values.
-        voxel_side: Smallest side of a voxel, world units.
-        path: The file, for messages.
-
-    Returns:
-        Arrays by name.
-
-    Raises:
-        ValueError: For arrays that are missing or do not fit.
-    """
+    voxel_side: the smallest, world units; path: for messages."""
     numbers = LUMINANCE_NUMBERS if contents["sh_low"].shape[:1] == (LUMINANCE_NUMBERS,) else RGB_NUMBERS
     planes: list[tuple[str, tuple[int, ...]]] = [
         ("sh_low", (numbers, rows)),
@@ -100,12 +70,7 @@ def unpack(contents: dict[str, np.ndarray], rows: int, voxel_side: float, path: 
 
 
 def write(path: pathlib.Path, arrays: dict[str, Any]) -> None:
-    """Write an .npz deflated at the quickest level: half the time of savez_compressed's, a tenth larger.
-
-    Args:
-        path: The file.
-        arrays: Arrays by name.
-    """
+    """Write an .npz deflated at the quickest level: half the time of savez_compressed's, a tenth larger."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:

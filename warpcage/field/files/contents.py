@@ -33,91 +33,64 @@ MAX_HALF = 65504.0
 
 @dataclasses.dataclass(frozen=True)
 class LayerContents:
-    """Background layers on the host.
+    """Background layers on the host."""
 
-    Attributes:
-        center: (3,) float64 centre of all cubes, world units.
-        half: Half side of the innermost cube, world units.
-        side: Cells along an edge of a cube.
-        values: (layers, nodes, 4) float32 red, green, blue and optical depth.
-        unseen: (4,) float32 what nodes hold that no picture showed, or None.
-    """
-
+    # (3,) float64 centre of all cubes, world units
     center: np.ndarray
+    # half side of the innermost cube, world units
     half: float
+    # cells along an edge of a cube
     side: int
+    # (layers, nodes, 4) float32 red, green, blue and optical depth
     values: np.ndarray
+    # (4,) float32 what nodes hold that no picture showed
     unseen: np.ndarray | None
 
     def shrunk(self, divisor: float) -> LayerContents:
-        """The layers of a smaller world.
-
-        Args:
-            divisor: Old lengths over new ones.
-
-        Returns:
-            The layers.
-        """
+        """The layers of a smaller world; divisor: old lengths over new ones."""
         return dataclasses.replace(self, center=self.center / divisor, half=self.half / divisor)
 
 
 @dataclasses.dataclass(frozen=True)
 class OuterContents:
-    """An outer field on the host.
+    """An outer field on the host."""
 
-    Attributes:
-        center: (3,) float64 middle of the box that it surrounds, world units.
-        half: (3,) float64 half sides of that box, world units.
-        links: (n, n, n) int32, row of each voxel of contracted space or -1.
-        values: (rows, 4) float32 red, green, blue and density per unit of contracted length.
-        sky: (nodes, 3) float32 colours of a cube at infinity.
-    """
-
+    # (3,) float64 middle and half sides of the box that it surrounds, world units
     center: np.ndarray
     half: np.ndarray
+    # (n, n, n) int32, row of each voxel of contracted space or -1
     links: np.ndarray
+    # (rows, 4) float32 red, green, blue and density per unit of contracted length
     values: np.ndarray
+    # (nodes, 3) float32 colours of a cube at infinity
     sky: np.ndarray
 
     def shrunk(self, divisor: float) -> OuterContents:
-        """The outer field of a smaller world.
-
-        Args:
-            divisor: Old lengths over new ones.
-
-        Returns:
-            The outer field.
-        """
+        """The outer field of a smaller world; divisor: old lengths over new ones."""
         return dataclasses.replace(self, center=self.center / divisor, half=self.half / divisor)
 
 
 @dataclasses.dataclass(frozen=True)
 class FieldContents:
-    """A voxel field on the host, as field files read and write it.
+    """A voxel field on the host, as field files read and write it; None is what the file does not say."""
 
-    Attributes:
-        bounds: (2, 3) float64, world units.
-        links: (nx, ny, nz) int32, row of each voxel or -1.
-        density: (rows,) float32 per world unit.
-        sh: (rows, 9, 3) coefficients of red, green and blue, or (rows, 24) of luminance and differences of colour;
-            float32, or float16 as files have them.
-        weights: (rows,) float32 largest rendering weights, or None.
-        background: (3,) colour, or None where the file does not say.
-        up: (3,) direction, or None where the file does not say.
-        straightening: (4, 4) rigid motion from the coordinates of the scene's files, or None where they are the same.
-        supersampling: Rays along each side of a pixel, or None where the file does not say.
-        layers: Background layers, or None.
-        outer: An outer field, or None.
-    """
-
+    # (2, 3) float64, world units
     bounds: np.ndarray
+    # (nx, ny, nz) int32, row of each voxel or -1
     links: np.ndarray
+    # (rows,) float32 per world unit
     density: np.ndarray
+    # (rows, 9, 3) coefficients of red, green and blue, or (rows, 24) of luminance and differences of colour; float32,
+    # or float16 as files have them
     sh: np.ndarray
+    # (rows,) float32 largest rendering weights
     weights: np.ndarray | None = None
+    # (3,) colour and (3,) direction
     background: np.ndarray | None = None
     up: np.ndarray | None = None
+    # (4, 4) rigid motion from the coordinates of the scene's files; None where they are the same
     straightening: np.ndarray | None = None
+    # rays along each side of a pixel
     supersampling: int | None = None
     layers: LayerContents | None = None
     outer: OuterContents | None = None
@@ -129,14 +102,8 @@ class FieldContents:
 
 
 def rgb_harmonics(sh: np.ndarray) -> np.ndarray:
-    """Harmonics of red, green and blue up to degree 2, for formats that know no others.
-
-    Args:
-        sh: (rows, 9, 3), or (rows, 24) of luminance and differences of colour.
-
-    Returns:
-        (rows, 9, 3) float32: the same function, but for its part of degree 3.
-    """
+    """Harmonics (rows, 9, 3) of red, green and blue up to degree 2, for formats that know no others.
+    The same function, but for its part of degree 3; (rows, 24) are of luminance and differences of colour."""
     if sh.ndim == 3:
         return sh
     differences = np.zeros((2, len(sh), BASIS_COUNT), np.float32)
@@ -148,51 +115,22 @@ def rgb_harmonics(sh: np.ndarray) -> np.ndarray:
 
 
 def surface_node_count(side: int) -> int:
-    """Number of lattice points on the surface of a cube.
-
-    Args:
-        side: Cells along an edge.
-
-    Returns:
-        6 side^2 + 2.
-    """
+    """Number of lattice points on the surface of a cube of `side` cells along an edge."""
     return 6 * int(side) ** 2 + 2
 
 
 def voxel_side(bounds: np.ndarray, shape: tuple[int, ...]) -> float:
-    """The smallest side of a voxel.
-
-    Args:
-        bounds: (2, 3) lower and upper corner, world units.
-        shape: Voxels along each axis.
-
-    Returns:
-        The side, world units.
-    """
+    """The smallest side of a voxel, world units, of (nx, ny, nz) voxels in bounds (2, 3)."""
     return float(((bounds[1] - bounds[0]) / shape).min())
 
 
 def as_half(values: np.ndarray) -> np.ndarray:
-    """Numbers in half precision, those beyond its range cut to the largest.
-
-    Args:
-        values: float32 of any shape.
-
-    Returns:
-        float16 of the same shape.
-    """
+    """Numbers as float16, those beyond its range cut to the largest."""
     return np.clip(values, -MAX_HALF, MAX_HALF).astype(np.float16)
 
 
 def as_single(values: np.ndarray) -> np.ndarray:
-    """Numbers in single precision, converted by all threads.
-
-    Args:
-        values: Of any shape, rows along the first axis.
-
-    Returns:
-        float32 of the same shape, a copy.
-    """
+    """A float32 copy of numbers in rows along the first axis, converted by all threads."""
     singles = np.empty(values.shape, np.float32)
 
     def convert(rows: slice) -> None:
@@ -208,14 +146,7 @@ def are_finite(values: np.ndarray) -> bool:
 
 
 def numbered(occupied: np.ndarray) -> np.ndarray:
-    """Number the set voxels in memory order, by all threads.
-
-    Args:
-        occupied: (nx, ny, nz) bool.
-
-    Returns:
-        (nx, ny, nz) int32, the number of each or -1.
-    """
+    """Number the set voxels of (nx, ny, nz) bool in memory order, by all threads; int32, -1 for others."""
     links = np.empty(occupied.shape, np.int32)
     begins = np.zeros(len(occupied) + 1, np.int64)
 

@@ -41,43 +41,21 @@ WRITERS = {"warpcage": _write_own, "compact": _write_compact, "svox2": _write_sv
 
 
 def save_field(field: FieldContents, path: str | os.PathLike, *, format: str = "warpcage") -> None:
-    """Write a field to a file, whole or not at all.
-
-    Args:
-        field: The field.
-        path: The file; it must end in .npz.
-        format: "warpcage" is packed occupancy bits, float32 densities, float16 harmonics and rendering weights,
-            background layers and outer fields as RGBA bytes. "compact" is the same quantised and deflated, a third of
-            the size (see `warpcage.field.files.compact`). "svox2" has the keys of Plenoxels' SparseGrid.save (float16
-            harmonics), which leaves backgrounds and harmonics of degree 3 out and warns.
-
-    Raises:
-        ValueError: For another format or ending.
-    """
+    """Write a field to a file (.npz), whole or not at all."""
     if not str(path).endswith(".npz"):
         raise ValueError(f"a field file ends in .npz, got {str(path)!r}")
     if format not in WRITERS:
         raise ValueError(f"field format {format!r} is not known: {', '.join(WRITERS)}")
     with atomic_path(path) as temporary:
+        # "warpcage": packed occupancy bits, float32 densities, float16 harmonics and rendering weights, layers and
+        # outer fields as RGBA bytes. "compact": the same quantised and deflated, a third of the size. "svox2": the keys
+        # of Plenoxels' SparseGrid.save; leaves backgrounds and harmonics of degree 3 out and warns.
         WRITERS[format](temporary, field)
 
 
 def load_field(path: str | os.PathLike, *, scene_scale: float = 1.0) -> FieldContents:
-    """Read a field.
-
-    Args:
-        path: The file.
-        scene_scale: The factor by which the scene's positions were multiplied before the field was optimised; bounds
-            are divided and densities multiplied by it. svox2 scales NeRF-synthetic scenes by 2/3. Background layers of
-            a svox2 file are left out, with a warning.
-
-    Returns:
-        The field.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: For a file of neither format, or whose parts do not fit.
-    """
+    """Read a field; scene_scale: factor on the scene's positions before the field was optimised, undone here."""
+    # svox2 scales NeRF-synthetic scenes by 2/3.
     scene_scale = checked_positive(scene_scale, "scene_scale")
     path = checked_path(path, "the field file")
     field = _read(read_npz(path, "field file", KNOWN_NAMES.__contains__, room=ROOM), path)

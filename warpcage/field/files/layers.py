@@ -27,21 +27,13 @@ NODE_BYTES = 40
 
 
 def layer_arrays(layers: LayerContents) -> dict[str, np.ndarray]:
-    """The arrays of background layers.
-
-    Colours are kept to 1/255 of [0, 1], optical depths as opacity to 1/255, below full opacity.
-
-    Args:
-        layers: The layers.
-
-    Returns:
-        Arrays by name.
-    """
+    """The arrays of background layers, by name."""
     values, rest = layers.values, layers.unseen
     seen = np.ones(values.shape[:2], bool)
     if rest is not None:
         seen = (np.abs(values - rest) > SEEN_DIFFERENCE).any(axis=-1)
     rows = values[seen]
+    # colours to 1/255 of [0, 1], optical depths as opacity to 1/255, below full opacity
     rgba = np.empty(rows.shape, np.uint8)
     rgba[:, :3] = np.rint(255 * np.clip(rows[:, :3], 0, 1))
     rgba[:, 3] = np.rint(255 * -np.expm1(-np.maximum(rows[:, 3], 0)))
@@ -59,18 +51,7 @@ def layer_arrays(layers: LayerContents) -> dict[str, np.ndarray]:
 
 
 def read_layers(contents: dict[str, np.ndarray], path: pathlib.Path) -> LayerContents | None:
-    """The background layers of a file.
-
-    Args:
-        contents: The file's arrays by name.
-        path: The file, for messages.
-
-    Returns:
-        The layers, or None where it has none.
-
-    Raises:
-        ValueError: For an array that does not fit; the message names the file and the array.
-    """
+    """The background layers of a file's arrays, or None where it has none; path: for messages."""
     if PREFIX + "side" not in contents:
         return None
 

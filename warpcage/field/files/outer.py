@@ -27,19 +27,11 @@ MOST_OPACITY = 254.5
 
 
 def outer_arrays(outer: OuterContents) -> dict[str, np.ndarray]:
-    """The arrays of an outer field.
-
-    Colours are kept to 1/255 of [0, 1], densities as the opacity of a voxel to 1/255, below full opacity.
-
-    Args:
-        outer: The outer field.
-
-    Returns:
-        Arrays by name.
-    """
+    """The arrays of an outer field, by name."""
     occupied = outer.links >= 0
     values = outer.values[outer.links[occupied]]  # the file's rows are in memory order
     side = len(outer.links)
+    # colours to 1/255 of [0, 1], densities as the opacity of a voxel to 1/255, below full opacity
     rgba = np.empty(values.shape, np.uint8)
     rgba[:, :3] = np.rint(255 * np.clip(values[:, :3], 0, 1))
     rgba[:, 3] = np.rint(255 * -np.expm1(-np.maximum(values[:, 3], 0) * (4.0 / side)))
@@ -55,18 +47,7 @@ def outer_arrays(outer: OuterContents) -> dict[str, np.ndarray]:
 
 
 def read_outer(contents: dict[str, np.ndarray], path: pathlib.Path) -> OuterContents | None:
-    """The outer field of a file.
-
-    Args:
-        contents: The file's arrays by name.
-        path: The file, for messages.
-
-    Returns:
-        The outer field, or None where it has none.
-
-    Raises:
-        ValueError: For an array that does not fit; the message names the file and the array.
-    """
+    """The outer field of a file's arrays, or None where it has none; path: for messages."""
     if PREFIX + "side" not in contents:
         return None
 

@@ -36,14 +36,7 @@ OWN_NAMES = (
 
 
 def own_arrays(field: FieldContents) -> dict[str, Any]:
-    """The arrays of a plain file.
-
-    Args:
-        field: The field, with background, up and supersampling.
-
-    Returns:
-        Arrays by name.
-    """
+    """The arrays of a plain file, by name, of a field with background, up and supersampling."""
     occupied = field.links >= 0
     order = field.links[occupied]  # the file's rows are in memory order
     contents = {
@@ -94,18 +87,7 @@ def _read_harmonics(contents: dict[str, np.ndarray], rows: int, path: pathlib.Pa
 
 
 def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldContents:
-    """The field of a plain or compact file.
-
-    Args:
-        contents: The file's arrays by name.
-        path: The file, for messages.
-
-    Returns:
-        The field.
-
-    Raises:
-        ValueError: For arrays that are missing or do not fit.
-    """
+    """The field of a plain or compact file's arrays; path: for messages."""
     version = int(require_numbers(contents, "version", (), path))
     if version > FORMAT_VERSION:
         raise ValueError(f"{path} has format version {version}, this warpcage reads up to {FORMAT_VERSION}: upgrade")

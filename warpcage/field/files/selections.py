@@ -28,45 +28,27 @@ _SAME_PLACE = 1e-3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SelectionContents:
-    """What a selection file holds.
+    """What a selection file holds."""
 
-    Args:
-        bounds: (2, 3) float64 box of the field, world units.
-        occupied: Digest of which voxels of the field hold values.
-        mask: (nx, ny, nz) bool, the chosen voxels.
-        notes: A line for each thing that was left out.
-        floor: Normal (3,) and offset of the plane that they were cut off at, world units. None where they were not.
-    """
-
+    # (2, 3) float64 box of the field, world units
     bounds: np.ndarray
+    # digest of which voxels of the field hold values
     occupied: str
+    # (nx, ny, nz) bool, the chosen voxels
     mask: np.ndarray
+    # a line for each thing that was left out
     notes: tuple[str, ...]
+    # normal (3,) and offset of the plane that they were cut off at, world units
     floor: tuple[np.ndarray, float] | None
 
 
 def occupancy_digest(occupied: np.ndarray) -> str:
-    """What tells the voxels of one field from those of another.
-
-    Args:
-        occupied: (nx, ny, nz) bool, voxels that hold values.
-
-    Returns:
-        32 hexadecimal digits.
-    """
+    """32 hexadecimal digits that tell a field's voxels with values, (nx, ny, nz) bool, from those of another."""
     return hashlib.blake2b(np.packbits(occupied.ravel()).tobytes(), digest_size=16).hexdigest()
 
 
 def save_selection(contents: SelectionContents, path: PathLike) -> None:
-    """Write a selection file, whole or not at all: packed bits in .npz, runs of voxels in .json.
-
-    Args:
-        contents: What it holds.
-        path: The file; it must end in .npz or .json.
-
-    Raises:
-        ValueError: For another ending.
-    """
+    """Write a selection file, whole or not at all: packed bits in .npz, runs of voxels in .json."""
     ending = checked_path(path, "the selection file").suffix.lower()
     if ending not in SELECTION_ENDINGS:
         raise ValueError(f"selection file {str(path)!r} must end in {' or '.join(SELECTION_ENDINGS)}")
@@ -98,18 +80,7 @@ def save_selection(contents: SelectionContents, path: PathLike) -> None:
 
 
 def load_selection(path: PathLike) -> SelectionContents:
-    """Read a selection file.
-
-    Args:
-        path: The file.
-
-    Returns:
-        What it holds.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: What is wrong in which file.
-    """
+    """Read a selection file."""
     path = require_file(path, _WHAT)
     try:
         if path.suffix.lower() == ".json":

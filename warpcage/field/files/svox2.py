@@ -22,14 +22,7 @@ SVOX2_BASIS_SH = 1
 
 
 def svox2_arrays(field: FieldContents) -> dict[str, Any]:
-    """The arrays of a svox2 file. Background layers and harmonics of degree 3 are left out, with a warning.
-
-    Args:
-        field: The field.
-
-    Returns:
-        Arrays by name.
-    """
+    """The arrays of a svox2 file; layers, outer fields and harmonics of degree 3 are left out, with a warning."""
     if field.layers is not None:
         warn_caller("a svox2 file holds the field without its background layers")
     if field.outer is not None:
@@ -51,19 +44,7 @@ def svox2_arrays(field: FieldContents) -> dict[str, Any]:
 
 
 def read_svox2(contents: dict[str, np.ndarray], path: pathlib.Path, layered: bool) -> FieldContents:
-    """The field of a svox2 file. Background layers are left out, with a warning.
-
-    Args:
-        contents: The file's arrays by name.
-        path: The file, for messages.
-        layered: Whether it has background layers.
-
-    Returns:
-        The field.
-
-    Raises:
-        ValueError: For arrays that are missing or do not fit.
-    """
+    """The field of a svox2 file's arrays; layered: whether it has background layers, left out with a warning."""
     basis = int(require_numbers(contents, "basis_type", (), path))
     if basis != SVOX2_BASIS_SH:
         raise ValueError(f"{path} has basis_type {basis}, only spherical harmonics (1) are read")
