@@ -1,0 +1,93 @@
+"""The public names with their parameters, and the help of every command, as data that tests compare."""
+
+import contextlib
+import inspect
+import io
+import os
+import re
+from unittest import mock
+
+import warpcage
+from warpcage.cli import main
+
+#: How parameters are given: by place or name, by name, by place, and any number of them.
+KINDS = {
+    "POSITIONAL_OR_KEYWORD": "",
+    "KEYWORD_ONLY": "*",
+    "POSITIONAL_ONLY": "/",
+    "VAR_POSITIONAL": "args",
+    "VAR_KEYWORD": "kwargs",
+}
+
+#: Of words of help that are not commands.
+PROGRAM = "warpcage"
+
+
+def callable_of(thing):
+    """The function that callers give arguments to, and whether its first one is `self` or `cls`."""
+    if inspect.isclass(thing):
+        return thing.__init__, True
+    function = getattr(thing, "__func__", thing)
+    first = next(iter(inspect.signature(function).parameters), "")
+    return function, first in ("self", "cls")
+
+
+def public_things():
+    """(name, thing) of all public names, and of the members of classes among them."""
+    for name in warpcage.__all__:
+        thing = getattr(warpcage, name)
+        yield name, thing
+        if inspect.isclass(thing):
+            members = {}
+            for base in reversed(thing.__mro__):
+                if base.__module__.startswith("warpcage"):
+                    members |= {member: value for member, value in vars(base).items() if not member.startswith("_")}
+            yield from ((f"{name}.{member}", value) for member, value in members.items())
+
+
+def documented(thing):
+    """The names that the docstring of a class gives to its attributes."""
+    text = inspect.cleandoc(thing.__doc__ or "")
+    block = re.search(r"^Attributes:\n((?:    .*\n|\n)+)", text + "\n", re.MULTILINE)
+    return re.findall(r"^    (\w+): ", block[1], re.MULTILINE) if block else []
+
+
+def described(thing):
+    """Parameters of what can be called, with kinds and defaults; and attributes that a class promises."""
+    if not (inspect.isclass(thing) or inspect.isfunction(getattr(thing, "__func__", thing))):
+        return {}
+    function, bound = callable_of(thing)
+    parameters = list(inspect.signature(function).parameters.values())[1 if bound else 0 :]
+    rows = [
+        [each.name, KINDS[each.kind.name], *([] if each.default is each.empty else [repr(each.default)])]
+        for each in parameters
+    ]
+    if not inspect.isclass(thing):
+        return {"parameters": rows}
+    return {"parameters": rows, "attributes": documented(thing)}
+
+
+def public_names():
+    return {name: described(thing) for name, thing in public_things()}
+
+
+def help_text(command=""):
+    """What --help of a command says, in 240 columns."""
+    said = io.StringIO()
+    with mock.patch.dict(os.environ, {"COLUMNS": "240", "NO_COLOR": "1"}), contextlib.redirect_stdout(said):
+        with contextlib.suppress(SystemExit):
+            main([*([command] if command else []), "--help"])
+    return said.getvalue()
+
+
+def commands():
+    """The commands, in the order of the help."""
+    listed = re.search(r"^  command\n((?:    .*\n)+)", help_text(), re.MULTILINE)
+    return re.findall(r"^    (\w+)", listed[1], re.MULTILINE)
+
+
+def plain_help(text):
+    """Help without what differs between versions of Python: line breaks, the heading of options, repeated metavars."""
+    text = text.replace("optional arguments:", "options:")
+    text = " ".join(text.split())
+    return re.sub(r"(?<!\S)(-\w) ([^,\]]+?), (--[\w-]+) \2(?![\w-])", r"\1, \3 \2", text)
