@@ -115,7 +115,9 @@ class Window:
 
     def posed(self, number: int = 1) -> np.ndarray:
         """(v, 3) what this page draws as the posed cage of an edit."""
-        script = 'return import("/" + arguments[1] + "/cages.js").then(({cages}) => [...cages.get(arguments[0]).posed])'
+        script = """
+        return import("/" + arguments[1] + "/view/cages.js").then(({cages}) => [...cages.get(arguments[0]).posed]);
+        """
         token = self.address.split("/")[3]
         return np.reshape(self.driver.execute_script(script, number, token), (-1, 3))
 

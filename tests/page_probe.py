@@ -209,7 +209,7 @@ def projected(view: dict[str, Any], points: np.ndarray, width: float = WIDTH, he
 
 
 def camera(page: Modules, view: dict[str, Any] = VIEW, width: float = WIDTH, height: float = HEIGHT) -> Any:
-    return page.call("camera", "makeCamera", view, width, height)
+    return page.call("geometry/camera", "makeCamera", view, width, height)
 
 
 def hull(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

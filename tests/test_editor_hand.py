@@ -25,7 +25,7 @@ def test_frames_are_taken_apart(page: Modules, padded: bool) -> None:
     message = struct.pack("<4I", *sizes) + whole_header + jpeg + b"\0" * 3 + depth.tobytes()
     script = """
     const [bytes, done] = arguments;
-    import("/connection.js").then(({ parseFrame }) => {
+    import("/core/connection.js").then(({ parseFrame }) => {
       const { header, jpeg, depth } = parseFrame(Uint8Array.from(bytes).buffer);
       done([header, [...jpeg], [...depth]]);
     });
@@ -49,13 +49,14 @@ def test_frames_are_taken_apart(page: Modules, padded: bool) -> None:
     ],
 )
 def test_keys_have_the_names_of_actions(page: Modules, event: dict[str, Any], name: str) -> None:
-    assert page.call("actions", "keyName", event) == name
+    assert page.call("panels/actions", "keyName", event) == name
 
 
 def test_no_key_has_two_actions(page: Modules) -> None:
     script = """
     const [done] = arguments;
-    Promise.all([import("/actions.js"), import("/selecting.js")]).then(([{ actions }]) =>
+    const names = ["core/store", "panels/actions", "view/selecting"];
+    Promise.all(names.map((name) => import(`/${name}.js`))).then(([{ actions }]) =>
       done([...actions].map(([name, { label, keys, group }]) => ({ name, label, keys, group }))));
     """
     found = page.driver.execute_async_script(script)
@@ -82,7 +83,7 @@ const hello = (posed) => ({ type: "hello", client: sockets.length, session: {}, 
   selection: { edit: 4, mode: "vertex", vertices: [0] }, settings: { mode: "pose" } } });
 const until = async (test) => { while (!test()) await new Promise((next) => setTimeout(next, 10)); };
 (async () => {
-  const names = ["connection", "drag", "cages"];
+  const names = ["core/connection", "view/drag", "view/cages"];
   const [connection, drag, { cages }] = await Promise.all(names.map((name) => import(`/${name}.js`)));
   connection.connect();
   sockets[0].hear(hello(rest));
@@ -150,15 +151,16 @@ window.WebSocket = Socket;
 const canvas = document.getElementById("view");
 Object.assign(canvas.style, { position: "fixed", left: "0", top: "0", width: "640px", height: "400px" });
 (async () => {
-  const names = ["actions", "selecting", "viewport", "pointer", "connection", "store"];
-  const [actions, , viewport, pointer, connection, { store }] = await Promise.all(names.map((n) => import(`/${n}.js`)));
+  const names = ["panels/actions", "view/selecting", "view/viewport", "view/pointer", "core/connection", "core/store"];
+  const modules = await Promise.all(names.map((n) => import(`/${n}.js`)));
+  const [actions, , viewport, pointer, connection, { store, run }] = modules;
   viewport.start(canvas);
   pointer.start(canvas);
   actions.listenToKeys();
   connection.connect();
   socket.hear({ type: "hello", client: 9, session: {}, sections: { edits, view, settings: { mode: "pose" },
     selection: { edit: 1, mode: "vertex", vertices: [] }, session: { field: { up: [0, 0, 1] } } } });
-  window.warpcage = { store, viewport: viewport.viewport, run: actions.run };
+  window.warpcage = { store, viewport: viewport.viewport, run };
   canvas.focus();
   requestAnimationFrame(() => requestAnimationFrame(() => done(true)));
 })().catch((error) => done(String(error.stack)));

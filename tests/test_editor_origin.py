@@ -57,9 +57,9 @@ TRY_ALL = """
     await fetch(address + "upload", { method: "POST", body: form(), mode: "no-cors" }).catch(() => no);
     found[name + " socket"] = await socket(address);
     found[name + " image"] = await element("img", { src: address + "icons.svg" });
-    found[name + " script"] = await element("script", { src: address + "vectors.js" });
-    found[name + " module"] = await import(address + "vectors.js").then(() => "imported", () => no);
-    found[name + " style"] = await element("link", { rel: "stylesheet", href: address + "style.css" });
+    found[name + " script"] = await element("script", { src: address + "geometry/vectors.js" });
+    found[name + " module"] = await import(address + "geometry/vectors.js").then(() => "imported", () => no);
+    found[name + " style"] = await element("link", { rel: "stylesheet", href: address + "style/base.css" });
     found[name + " frame"] = await framed(address);
     found[name + " null origin"] = await sandboxed(address);
   }

@@ -25,7 +25,7 @@ def points() -> np.ndarray:
 
 
 def test_points_are_projected_as_by_matrices(page: Modules, points: np.ndarray) -> None:
-    found = page.call("camera", "projectAll", camera(page), flat(points))
+    found = page.call("geometry/camera", "projectAll", camera(page), flat(points))
     np.testing.assert_allclose(np.reshape(found, (-1, 3)), projected(VIEW, points), rtol=1e-9, atol=1e-7)
 
 
@@ -33,14 +33,14 @@ def test_rays_go_through_what_they_show(page: Modules, points: np.ndarray) -> No
     made = camera(page)
     for point in points[:5]:
         x, y, _ = projected(VIEW, point)
-        ray = page.call("camera", "rayThrough", made, x, y)
+        ray = page.call("geometry/camera", "rayThrough", made, x, y)
         along = (point - VIEW["eye"]) / np.linalg.norm(point - VIEW["eye"])
         np.testing.assert_allclose(ray, along, atol=1e-12)
 
 
 @pytest.mark.parametrize(("across", "upward"), [(0.4, 0.0), (0.0, 0.3), (-0.7, -0.2)])
 def test_orbits_turn_about_the_worlds_up_and_the_views_right(page: Modules, across: float, upward: float) -> None:
-    found = page.call("camera", "orbit", VIEW, across, upward, [0, 0, 1])
+    found = page.call("geometry/camera", "orbit", VIEW, across, upward, [0, 0, 1])
     first = Rotation.from_rotvec([0, 0, -across])
     right = first.apply(looked(VIEW)[0])
     turn = Rotation.from_rotvec(-upward * right) * first
@@ -50,24 +50,24 @@ def test_orbits_turn_about_the_worlds_up_and_the_views_right(page: Modules, acro
 
 
 def test_orbits_stop_at_the_poles(page: Modules) -> None:
-    found = page.call("camera", "orbit", VIEW | {"up": [0, 0, 1]}, 0.0, 9.0, [0, 0, 1])
+    found = page.call("geometry/camera", "orbit", VIEW | {"up": [0, 0, 1]}, 0.0, 9.0, [0, 0, 1])
     back = np.subtract(found["eye"], found["target"])
     np.testing.assert_allclose(back / np.linalg.norm(back), [0, 0, 1], atol=1e-7)
-    again = page.call("camera", "orbit", found, 0.0, -0.5, [0, 0, 1])
+    again = page.call("geometry/camera", "orbit", found, 0.0, -0.5, [0, 0, 1])
     assert np.isclose(np.subtract(again["eye"], again["target"])[2], np.linalg.norm(back) * np.cos(0.5), atol=1e-6)
 
 
 def test_pans_keep_the_target_under_the_hand_and_zooms_its_pixel(page: Modules) -> None:
     target = np.array(VIEW["target"])
-    panned = page.call("camera", "pan", VIEW, 30, -20, HEIGHT)
+    panned = page.call("geometry/camera", "pan", VIEW, 30, -20, HEIGHT)
     np.testing.assert_allclose(projected(panned, target)[:2], [WIDTH / 2 + 30, HEIGHT / 2 - 20], atol=1e-8)
-    zoomed = page.call("camera", "zoom", VIEW, 0.25)
+    zoomed = page.call("geometry/camera", "zoom", VIEW, 0.25)
     np.testing.assert_allclose(np.subtract(zoomed["eye"], target) * 4, np.subtract(VIEW["eye"], target))
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 1, 0), (0.0, -1.0, 0.0), (0.1, 0.2, -0.9)])
 def test_named_views_are_upright_and_at_right_angles(page: Modules, up: tuple[float, float, float]) -> None:
-    named = page.call("camera", "namedDirections", list(up))
+    named = page.call("geometry/camera", "namedDirections", list(up))
     unit = np.array(up) / np.linalg.norm(up)
     np.testing.assert_allclose(named["top"][0], unit)
     np.testing.assert_allclose(np.cross(named["right"][0], unit), named["front"][0], atol=1e-12)
@@ -76,13 +76,13 @@ def test_named_views_are_upright_and_at_right_angles(page: Modules, up: tuple[fl
         assert np.isclose(np.dot(direction, unit), 0)
         np.testing.assert_allclose(upwards, unit)
     # In the view from the front, what lies to the right of the scene is on the right of the picture
-    view = page.call("camera", "lookFrom", VIEW, *named["front"])
+    view = page.call("geometry/camera", "lookFrom", VIEW, *named["front"])
     np.testing.assert_allclose(looked(view)[0], named["right"][0], atol=1e-9)
 
 
 @pytest.mark.parametrize("aspect", [0.4, 1.0, 2.5])
 def test_a_framed_view_shows_all_points(page: Modules, points: np.ndarray, aspect: float) -> None:
-    view = page.call("camera", "frameAll", VIEW, flat(points), aspect)
+    view = page.call("geometry/camera", "frameAll", VIEW, flat(points), aspect)
     pixels = projected(view, points, HEIGHT * aspect, HEIGHT)
     assert (pixels[:, 2] > 0).all()
     assert (pixels[:, 0] >= 0).all() and (pixels[:, 0] <= HEIGHT * aspect).all()
@@ -99,7 +99,7 @@ def two_parts(page: Modules) -> tuple[np.ndarray, np.ndarray, Any]:
     first, faces = hull(30, 1)
     second, more = hull(12, 2)
     points, faces = np.concatenate([first, second + 5]), np.concatenate([faces, more + 30])
-    made = page.call("topology", "makeTopology", whole(faces), len(points))
+    made = page.call("geometry/topology", "makeTopology", whole(faces), len(points))
     made["faces"], made["edges"] = whole(faces), whole(made["edges"])
     return points, faces, made
 
@@ -116,7 +116,7 @@ def test_edges_neighbours_and_parts(two_parts: tuple[np.ndarray, np.ndarray, Any
     adjacent = matrix(faces, len(points))
     edges = np.reshape(made["edges"]["int32"], (-1, 2))
     assert sorted(map(tuple, edges.tolist())) == list(zip(*np.nonzero(np.triu(adjacent)), strict=True))
-    for i, near in enumerate(made["neighbours"]):
+    for i, near in enumerate(made["neighbors"]):
         assert sorted(near) == np.flatnonzero(adjacent[i]).tolist()
     for face, numbers in zip(faces, np.reshape(made["faceEdges"], (-1, 3)), strict=True):
         for k in range(3):
@@ -132,13 +132,13 @@ def test_linked_grow_shrink_and_invert(page: Modules, two_parts: tuple[np.ndarra
     chosen[[0, 3, *np.flatnonzero(adjacent[0])]] = True
 
     def after(name: str, mask: np.ndarray) -> list[int]:
-        return sorted(page.call("topology", name, made, {"set": np.flatnonzero(mask).tolist()}))
+        return sorted(page.call("geometry/topology", name, made, {"set": np.flatnonzero(mask).tolist()}))
 
     assert after("linked", chosen) == list(range(30))
     assert after("grow", chosen) == np.flatnonzero(chosen | adjacent[chosen].any(axis=0)).tolist()
     assert after("shrink", chosen) == np.flatnonzero(chosen & ~adjacent[~chosen].any(axis=0)).tolist()
     assert after("invert", chosen) == np.flatnonzero(~chosen).tolist()
-    within = page.call("topology", "facesWithin", whole(faces), {"set": np.flatnonzero(chosen).tolist()})
+    within = page.call("geometry/topology", "facesWithin", whole(faces), {"set": np.flatnonzero(chosen).tolist()})
     assert within == np.flatnonzero(chosen[faces].all(axis=1)).tolist()
 
 
@@ -149,14 +149,14 @@ def test_normals_and_the_side_that_looks_at_the_eye(page: Modules) -> None:
     flipped = (normals * corners.mean(axis=1)).sum(axis=1) < 0
     faces[flipped] = faces[flipped][:, ::-1]
     normals[flipped] *= -1
-    volume = page.call("topology", "signedVolume", whole(faces), flat(points))
+    volume = page.call("geometry/topology", "signedVolume", whole(faces), flat(points))
     assert np.isclose(volume, 6 * ConvexHull(points).volume)
-    made = page.call("topology", "makeTopology", whole(faces), len(points))
+    made = page.call("geometry/topology", "makeTopology", whole(faces), len(points))
     eye = np.array([3.0, 1.0, -2.0])
     front = ((eye - points[faces[:, 0]]) * normals).sum(axis=1) > 0
-    seen = page.call("topology", "facing", {**made, "faces": whole(faces)}, flat(points), eye.tolist(), 1)
+    seen = page.call("geometry/topology", "facing", {**made, "faces": whole(faces)}, flat(points), eye.tolist(), 1)
     assert np.flatnonzero(seen["vertices"]).tolist() == sorted(set(faces[front].ravel().tolist()))
-    around = page.call("topology", "normalAround", whole(faces), flat(points), {"set": [4]})
+    around = page.call("geometry/topology", "normalAround", whole(faces), flat(points), {"set": [4]})
     np.testing.assert_allclose(around, normals[(faces == 4).any(axis=1)].sum(axis=0), atol=1e-12)
 
 
@@ -166,14 +166,14 @@ def test_normals_and_the_side_that_looks_at_the_eye(page: Modules) -> None:
 def test_rectangle_and_lasso(page: Modules) -> None:
     rng = np.random.default_rng(9)
     screen = np.column_stack([rng.uniform(0, 100, (200, 2)), rng.choice([-1.0, 2.0], 200, p=[0.1, 0.9])])
-    found = page.call("pick", "inRectangle", flat(screen), 70, 20, 30, 60)
+    found = page.call("geometry/pick", "inRectangle", flat(screen), 70, 20, 30, 60)
     x, y, z = screen.T
     assert np.array_equal(found, (x >= 30) & (x <= 70) & (y >= 20) & (y <= 60) & (z > 0))
 
     angles = np.linspace(0, 2 * np.pi, 25)[:-1]
     reach = 30 + 15 * np.sin(3 * angles)  # a star: simple, not convex
     path = np.column_stack([50 + reach * np.cos(angles), 50 + reach * np.sin(angles)])
-    inside = page.call("pick", "inLasso", flat(screen), path.ravel().tolist())
+    inside = page.call("geometry/pick", "inLasso", flat(screen), path.ravel().tolist())
     away = path[None] - screen[:, None, :2]
     turn = np.arctan2(away[..., 1], away[..., 0])
     steps = (np.diff(np.concatenate([turn, turn[:, :1]], axis=1), axis=1) + np.pi) % (2 * np.pi) - np.pi
@@ -183,21 +183,21 @@ def test_rectangle_and_lasso(page: Modules) -> None:
 
 def test_what_is_under_the_pointer(page: Modules) -> None:
     screen = np.array([[10, 10, 5.0], [12, 10, 2.0], [60, 10, 1.0], [10, 60, 1.0], [10, 12, -1.0]])
-    assert page.call("pick", "vertexAt", flat(screen), 11, 10, 8) == 1  # of two alike, the nearer to the eye
-    assert page.call("pick", "vertexAt", flat(screen), 90, 90, 8) == -1
+    assert page.call("geometry/pick", "vertexAt", flat(screen), 11, 10, 8) == 1  # of two alike, the nearer to the eye
+    assert page.call("geometry/pick", "vertexAt", flat(screen), 90, 90, 8) == -1
     edges = whole([[0, 2], [0, 3], [2, 4]])
-    assert page.call("pick", "edgeAt", flat(screen), edges, 30, 13, 8) == 0
-    assert page.call("pick", "edgeAt", flat(screen), edges, 14, 40, 8) == 1
-    assert page.call("pick", "edgeAt", flat(screen), edges, 40, 40, 8) == -1
+    assert page.call("geometry/pick", "edgeAt", flat(screen), edges, 30, 13, 8) == 0
+    assert page.call("geometry/pick", "edgeAt", flat(screen), edges, 14, 40, 8) == 1
+    assert page.call("geometry/pick", "edgeAt", flat(screen), edges, 40, 40, 8) == -1
     faces = whole([[0, 2, 3], [1, 2, 3]])
-    assert page.call("pick", "faceAt", flat(screen), faces, 20, 20) == 1  # the foremost
-    assert page.call("pick", "faceAt", flat(screen), faces, 90, 20) == -1
+    assert page.call("geometry/pick", "faceAt", flat(screen), faces, 20, 20) == 1  # the foremost
+    assert page.call("geometry/pick", "faceAt", flat(screen), faces, 90, 20) == -1
 
 
 def test_regions_take_whole_edges_and_faces_by_their_middle(page: Modules) -> None:
     script = """
     const [screen, faces, done] = arguments;
-    Promise.all([import("/pick.js"), import("/topology.js")]).then(([pick, topology]) => {
+    Promise.all([import("/geometry/pick.js"), import("/geometry/topology.js")]).then(([pick, topology]) => {
       const made = topology.makeTopology(Int32Array.from(faces), screen.length / 3);
       const points = Float64Array.from(screen);
       const inside = pick.region(points, (s) => pick.inRectangle(s, 0, 0, 10, 10));
@@ -232,18 +232,18 @@ def test_hidden_is_what_lies_behind_matter(page: Modules) -> None:
     value[seen] = np.round(1 + 65534 * np.log(depth[seen] / near) / np.log(far / near)).astype(int)
     data = {"uint16": value.ravel().tolist()}
     map_ = {"width": width, "height": height, "near": near, "far": far, "data": data}
-    read = page.call("pick", "depthAt", map_, 80.4, 60.9)
+    read = page.call("geometry/pick", "depthAt", map_, 80.4, 60.9)
     assert np.isclose(read, depth[60, 80], rtol=2e-4)
-    assert page.call("pick", "depthAt", map_, 0.5, 0.5) is None  # JSON's way of saying infinity
+    assert page.call("geometry/pick", "depthAt", map_, 0.5, 0.5) is None  # JSON's way of saying infinity
 
     points = np.random.default_rng(4).uniform(-2, 2, (300, 3))
     rays = (points - eye) / np.linalg.norm(points - eye, axis=1)[:, None]
     beyond = np.linalg.norm(points - eye, axis=1) - to_ball(rays) - 0.05
     gap = np.arccos(rays @ (-eye / np.linalg.norm(eye))) - np.arcsin(1 / np.linalg.norm(eye))
     sure = (np.abs(gap) > 0.02) & ~(np.abs(beyond) < 0.02)  # not at the ball's rim, nor at the limit
-    found = page.call("pick", "hiddenPoints", map_, camera(page, view, width, height), flat(points), 0.05)
+    found = page.call("geometry/pick", "hiddenPoints", map_, camera(page, view, width, height), flat(points), 0.05)
     assert np.array_equal(np.array(found)[sure] == 1, (beyond > 0)[sure]) and 20 < sum(found) < 280
-    assert not any(page.call("pick", "hiddenPoints", None, None, flat(points), 0.05))
+    assert not any(page.call("geometry/pick", "hiddenPoints", None, None, flat(points), 0.05))
 
 
 # transforms --------------------------------------------------------------------------------------------------------
@@ -262,15 +262,15 @@ def test_weights_fall_off_with_the_distance_to_the_selection(page: Modules, poin
     chosen = [2, 7, 31]
     distance = np.linalg.norm(points[:, None] - points[chosen][None], axis=2).min(axis=1)
     expected = np.where(distance < 1.1, SHAPES[shape](np.minimum(distance / 1.1, 1)), 0)
-    found = page.call("transform", "weightsOf", flat(points), {"set": chosen}, 1.1, shape)
+    found = page.call("geometry/transform", "weightsOf", flat(points), {"set": chosen}, 1.1, shape)
     np.testing.assert_allclose(found, expected, atol=1e-12)
-    alone = page.call("transform", "weightsOf", flat(points), {"set": chosen}, 0, shape)
+    alone = page.call("geometry/transform", "weightsOf", flat(points), {"set": chosen}, 0, shape)
     assert np.flatnonzero(alone).tolist() == chosen and max(alone) == 1
 
 
 def test_moves_are_those_of_the_library(page: Modules, points: np.ndarray) -> None:
-    weights = page.call("transform", "weightsOf", flat(points), {"set": [1, 5]}, 0.9, "smooth")
-    found = page.call("transform", "moved", flat(points), flat(weights), [0.3, -0.2, 0.5])
+    weights = page.call("geometry/transform", "weightsOf", flat(points), {"set": [1, 5]}, 0.9, "smooth")
+    found = page.call("geometry/transform", "moved", flat(points), flat(weights), [0.3, -0.2, 0.5])
     expected = move(points, [0.3, -0.2, 0.5], group=[1, 5], radius=0.9)
     np.testing.assert_allclose(np.reshape(found, (-1, 3)), expected, atol=1e-14)
 
@@ -278,13 +278,13 @@ def test_moves_are_those_of_the_library(page: Modules, points: np.ndarray) -> No
 def test_rotations_and_scalings_by_weight(page: Modules, points: np.ndarray) -> None:
     weights = np.random.default_rng(1).uniform(0, 1, len(points)) * (np.arange(len(points)) % 3 > 0)
     pivot, axis = np.array([0.2, -0.4, 0.1]), np.array([1.0, 2.0, -2.0]) / 3
-    found = page.call("transform", "rotated", flat(points), flat(weights), pivot.tolist(), axis.tolist(), 2.5)
+    found = page.call("geometry/transform", "rotated", flat(points), flat(weights), pivot.tolist(), axis.tolist(), 2.5)
     turns = Rotation.from_rotvec(weights[:, None] * 2.5 * axis)
     np.testing.assert_allclose(np.reshape(found, (-1, 3)), pivot + turns.apply(points - pivot), atol=1e-12)
 
     basis, factors = Rotation.random(random_state=2).as_matrix(), np.array([2.0, 0.5, -1.0])
     args = (pivot.tolist(), basis.tolist(), factors.tolist())
-    found = page.call("transform", "scaled", flat(points), flat(weights), *args)
+    found = page.call("geometry/transform", "scaled", flat(points), flat(weights), *args)
     local = (points - pivot) @ basis.T * (1 + weights[:, None] * (factors - 1))
     np.testing.assert_allclose(np.reshape(found, (-1, 3)), pivot + local @ basis, atol=1e-12)
 
@@ -303,20 +303,20 @@ def mirror_case() -> tuple[np.ndarray, np.ndarray]:
 
 def test_partners_in_mirror_image(page: Modules) -> None:
     rest, partners = mirror_case()
-    found = page.call("transform", "mirrorOf", flat(rest), 0)
+    found = page.call("geometry/transform", "mirrorOf", flat(rest), 0)
     assert found["partners"] == partners.tolist() and np.isclose(found["plane"], 0.7)
 
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_symmetric_edits_stay_symmetric(page: Modules, side: int) -> None:
     rest, partners = mirror_case()
-    mirror = page.call("transform", "mirrorOf", flat(rest), 0)
+    mirror = page.call("geometry/transform", "mirrorOf", flat(rest), 0)
     chosen = [3, 24] if side > 0 else [15, 24]
-    assert page.call("transform", "leadingSide", flat(rest), mirror, {"set": chosen}, -1) == side
-    assert page.call("transform", "leadingSide", flat(rest), mirror, {"set": chosen}, 20) == -1
-    assert sorted(page.call("transform", "withPartners", mirror, {"set": chosen})) == [3, 15, 24]
+    assert page.call("geometry/transform", "leadingSide", flat(rest), mirror, {"set": chosen}, -1) == side
+    assert page.call("geometry/transform", "leadingSide", flat(rest), mirror, {"set": chosen}, 20) == -1
+    assert sorted(page.call("geometry/transform", "withPartners", mirror, {"set": chosen})) == [3, 15, 24]
     result = rest + np.random.default_rng(0).normal(size=rest.shape)
-    found = page.call("transform", "mirrored", flat(rest), flat(rest), flat(result), mirror, side)
+    found = page.call("geometry/transform", "mirrored", flat(rest), flat(rest), flat(result), mirror, side)
     step = np.reshape(found, (-1, 3)) - rest
     paired = partners >= 0
     np.testing.assert_allclose(step[paired], step[partners[paired]] * [-1, 1, 1], atol=1e-14)
@@ -328,7 +328,7 @@ def test_symmetric_edits_stay_symmetric(page: Modules, side: int) -> None:
 @pytest.mark.parametrize("axes", ["world", "view", "local"])
 def test_axes_are_right_handed(page: Modules, axes: str) -> None:
     normal = [0.1, 2.0, -0.4]
-    basis = np.array(page.call("transform", "basisOf", axes, camera(page), normal))
+    basis = np.array(page.call("geometry/transform", "basisOf", axes, camera(page), normal))
     np.testing.assert_allclose(basis @ basis.T, np.eye(3), atol=1e-12)
     assert np.isclose(np.linalg.det(basis), 1)
     expected = {"world": [0, 0, 1], "view": looked(VIEW)[2], "local": np.array(normal) / np.linalg.norm(normal)}
@@ -352,7 +352,7 @@ def test_axes_are_right_handed(page: Modules, axes: str) -> None:
 def test_typed_numbers(page: Modules, keys: str, value: float) -> None:
     script = """
     const [keys, done] = arguments;
-    import("/transform.js").then(({ Typed }) => {
+    import("/geometry/transform.js").then(({ Typed }) => {
       const typed = new Typed(2);
       for (const key of keys) typed.take(key === "<" ? "Backspace" : key);
       const first = typed.value(0, 7);
@@ -365,9 +365,9 @@ def test_typed_numbers(page: Modules, keys: str, value: float) -> None:
 
 
 def test_steps(page: Modules) -> None:
-    assert page.call("transform", "snapped", 0.37, 0) == 0.37
-    assert np.isclose(page.call("transform", "snapped", 0.37, 0.05), 0.35)
-    assert np.isclose(page.call("transform", "snapped", -0.38, 0.05), -0.4)
+    assert page.call("geometry/transform", "snapped", 0.37, 0) == 0.37
+    assert np.isclose(page.call("geometry/transform", "snapped", 0.37, 0.05), 0.35)
+    assert np.isclose(page.call("geometry/transform", "snapped", -0.38, 0.05), -0.4)
 
 
 # the hand ----------------------------------------------------------------------------------------------------------
@@ -384,7 +384,7 @@ def test_what_is_under_the_pointer_stays_under_it(page: Modules, allowed: tuple[
     start, end = at(PIVOT), at(PIVOT) + [70, -45]
     basis = np.eye(3)
     args = (PIVOT.tolist(), start.tolist(), end.tolist(), basis.tolist(), list(allowed))
-    offset = np.array(page.call("hand", "offsetOf", camera(page), *args))
+    offset = np.array(page.call("geometry/transform", "offsetOf", camera(page), *args))
     np.testing.assert_allclose(at(PIVOT + offset), end, atol=1e-8)
     held = looked(VIEW)[2:] if all(allowed) else basis[~np.array(allowed)]
     np.testing.assert_allclose(held @ offset, 0, atol=1e-12)
@@ -395,8 +395,8 @@ def test_along_an_axis_the_nearest_place_is_taken(page: Modules, k: int) -> None
     start, end = at(PIVOT), at(PIVOT) + [40, -60]
     axis = np.eye(3)[k]
     args = (PIVOT.tolist(), start.tolist(), end.tolist(), np.eye(3).tolist(), [i == k for i in range(3)])
-    offset = np.array(page.call("hand", "offsetOf", camera(page), *args))
-    ray = np.array(page.call("camera", "rayThrough", camera(page), *end.tolist()))
+    offset = np.array(page.call("geometry/transform", "offsetOf", camera(page), *args))
+    ray = np.array(page.call("geometry/camera", "rayThrough", camera(page), *end.tolist()))
 
     def gap(t: float) -> float:
         away = PIVOT + t * axis - VIEW["eye"]
@@ -413,7 +413,7 @@ def test_an_axis_that_points_at_the_eye_does_not_run_away(page: Modules) -> None
     basis = np.stack([x, y / np.linalg.norm(y), np.cross(x, y / np.linalg.norm(y))])
     for allowed in ([True, False, False], [True, True, False]):
         args = (PIVOT.tolist(), at(PIVOT).tolist(), (at(PIVOT) + [40, 30]).tolist(), basis.tolist(), allowed)
-        offset = page.call("hand", "offsetOf", camera(page), *args)
+        offset = page.call("geometry/transform", "offsetOf", camera(page), *args)
         assert np.linalg.norm(offset) < 60 * np.linalg.norm(axis) / HEIGHT
 
 
@@ -425,7 +425,7 @@ def test_a_rotation_follows_the_pointer(page: Modules, sense: int) -> None:
     start = at(PIVOT + 0.5 * arm)
     end = at(PIVOT + Rotation.from_rotvec(0.8 * axis).apply(0.5 * arm))
     args = (PIVOT.tolist(), start.tolist(), end.tolist(), axis.tolist())
-    assert np.isclose(page.call("hand", "angleOf", camera(page), *args), 0.8, atol=0.02)
+    assert np.isclose(page.call("geometry/transform", "angleOf", camera(page), *args), 0.8, atol=0.02)
 
 
 def test_a_scaling_follows_the_pointer(page: Modules) -> None:
@@ -433,4 +433,4 @@ def test_a_scaling_follows_the_pointer(page: Modules) -> None:
     for factor in (2.5, 0.0, -1.0):
         end = at(PIVOT) + np.multiply([30, 40], factor)
         args = (PIVOT.tolist(), start.tolist(), end.tolist())
-        assert np.isclose(page.call("hand", "factorOf", camera(page), *args), factor)
+        assert np.isclose(page.call("geometry/transform", "factorOf", camera(page), *args), factor)

@@ -35,7 +35,7 @@ class Files:
         app.router.add_get("/{token}/", self._page)
         app.router.add_get("/{token}/download/{name}", self._download)
         app.router.add_post("/{token}/upload", self._upload)
-        app.router.add_get("/{token}/{name}", self._page)
+        app.router.add_get("/{token}/{name:.+}", self._page)
 
     async def _to_page(self, request: web.Request) -> web.StreamResponse:
         raise web.HTTPFound(f"/{request.match_info['token']}/")
@@ -43,7 +43,7 @@ class Files:
     async def _page(self, request: web.Request) -> web.StreamResponse:
         """A file of the page. Only names that are there are looked up: no path is made of what is asked for."""
         name = request.match_info.get("name", "index.html")
-        path = {file.name: file for file in PAGE.iterdir() if file.suffix in KINDS}.get(name)
+        path = {file.relative_to(PAGE).as_posix(): file for file in PAGE.rglob("*.*") if file.suffix in KINDS}.get(name)
         if path is None:
             raise web.HTTPNotFound
         return web.Response(body=path.read_bytes(), content_type=KINDS[path.suffix], charset="utf-8")

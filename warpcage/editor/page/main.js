@@ -1,19 +1,32 @@
-// Starts the page.
+// Starts the page: the view, keys, header, side panel and timeline, and then the connection.
 
-import { actions, listenToKeys, run } from "./actions.js";
-import { connect } from "./connection.js";
-import * as pointer from "./pointer.js";
-import "./selecting.js";
-import { store } from "./store.js";
-import { start, viewport } from "./viewport.js";
-import * as panels from "./panels.js";
-import * as timeline from "./timeline.js";
+import { actions, run, store } from "./core/store.js";
+import { connect } from "./core/connection.js";
+import { listenToKeys } from "./panels/actions.js";
+import * as pointer from "./view/pointer.js";
+import "./view/selecting.js";
+import { start, viewport } from "./view/viewport.js";
+import { cageGroup } from "./panels/cage.js";
+import { editsGroup } from "./panels/edits.js";
+import { filmGroup, jobsGroup, keysGroup } from "./panels/film.js";
+import { viewGroup } from "./panels/picture.js";
+import { poseGroup } from "./panels/pose.js";
+import * as timeline from "./panels/timeline.js";
+import * as toolbar from "./panels/toolbar.js";
+
+/** Builds the side panel: its groups from top to bottom. */
+function startPanel() {
+  const groups = [editsGroup(), cageGroup(), poseGroup(), viewGroup(), keysGroup(), filmGroup(), jobsGroup()];
+  document.getElementById("panel").append(...groups.map(({ root }) => root));
+  for (const group of groups) group.start();
+}
 
 const canvas = document.getElementById("view");
 start(canvas);
 pointer.start(canvas);
 listenToKeys();
-panels.start();
+toolbar.start();
+startPanel();
 timeline.start();
 window.warpcage = { store, actions, viewport, run };
 connect();

@@ -1,9 +1,8 @@
 // How the scene is computed and shown.
 
-import { store } from "./store.js";
-import { ask, attempt } from "./connection.js";
-import { actions, run } from "./actions.js";
-import { button, check, choice, el, group, percent, perPicture, segments, setText, titleOf } from "./controls.js";
+import { actions, run, store } from "../core/store.js";
+import { request } from "../core/connection.js";
+import { button, check, choice, el, group, percent, perPicture, segments, setText, titleOf } from "../core/controls.js";
 
 const RESOLUTIONS = [16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512];
 const VIEWS = [
@@ -13,7 +12,7 @@ const VIEWS = [
   ["view.all", "All"],
 ];
 
-const change = (changes) => attempt(ask({ do: "settings", ...changes }));
+const change = (changes) => request({ do: "settings", ...changes });
 
 /** A background as "#rrggbb", for the colour field; null where it is the field's own. */
 function hexOf(background) {
@@ -24,7 +23,7 @@ function hexOf(background) {
 }
 
 function backgroundField() {
-  const colour = el("input", { id: "background-colour", type: "color", title: "Colour behind the scene", "aria-label": "Colour of the background" });
+  const color = el("input", { id: "background-color", type: "color", title: "Colour behind the scene", "aria-label": "Colour of the background" });
   const kind = choice({
     id: "background",
     label: "Background",
@@ -34,18 +33,18 @@ function backgroundField() {
       ["white", "White"],
       ["grey", "Grey"],
       ["black", "Black"],
-      ["colour", "Colour"],
+      ["color", "Colour"],
     ],
-    onChange: (value) => change({ background: value === "colour" ? colour.value : value || null }),
+    onChange: (value) => change({ background: value === "color" ? color.value : value || null }),
   });
-  kind.input.after(colour);
-  colour.addEventListener("change", () => change({ background: colour.value }));
+  kind.input.after(color);
+  color.addEventListener("change", () => change({ background: color.value }));
   const set = (background) => {
     const hex = hexOf(background);
-    if (hex && document.activeElement !== colour) colour.value = hex;
+    if (hex && document.activeElement !== color) color.value = hex;
     const isName = ["white", "grey", "black"].includes(background);
-    kind.set(background === null || background === undefined ? "" : isName ? background : "colour");
-    colour.hidden = kind.input.value !== "colour";
+    kind.set(background === null || background === undefined ? "" : isName ? background : "color");
+    color.hidden = kind.input.value !== "color";
   };
   return { root: kind.root, set };
 }
@@ -140,7 +139,9 @@ export function viewGroup() {
     title: "Background that the edits uncover and no picture showed goes on from what is around it, in pictures that rest",
     onChange: (on) => change({ fill: on }),
   });
-  const views = el("div", { class: "grid quarters", role: "group", "aria-label": "Look from" });
+  const viewButton = ([name, label]) =>
+    button({ id: name.replace(".", "-"), label, title: titleOf(actions.get(name).label, name), onClick: () => run(name) });
+  const views = el("div", { class: "grid quarters", role: "group", "aria-label": "Look from" }, ...VIEWS.map(viewButton));
   const made = group("view", "Picture", false, shown.root, masks.root, overlay.root, coordinates.root, resolution.root, density.root, background.root, fill.root, supersampling.root, views);
   const show = () => {
     const { settings } = store.sections;
@@ -160,11 +161,6 @@ export function viewGroup() {
     masks.show();
   };
   const start = () => {
-    for (const [name, label] of VIEWS) {
-      const action = actions.get(name);
-      if (action) views.append(button({ id: name.replace(".", "-"), label, title: titleOf(action.label, name), onClick: () => run(name) }));
-    }
-    views.hidden = !views.children.length;
     store.on("settings", show);
     store.on("session", show); // of its field: whether there is something to fill
     store.on("status", masks.show);

@@ -1,14 +1,14 @@
 // Draws cages over the picture: what is behind matter faint and dashed, the selection, the check's faults.
 
-import { project, projectAll } from "./camera.js";
-import { hiddenPoints } from "./pick.js";
-import { facesWithin, facing } from "./topology.js";
-import { add, bounds, point, times } from "./vectors.js";
+import { project, projectAll } from "../geometry/camera.js";
+import { hiddenPoints } from "../geometry/pick.js";
+import { facesWithin, facing } from "../geometry/topology.js";
+import { add, bounds, point, times } from "../geometry/vectors.js";
 
 const PIECES = 12; // of an edge, each seen or hidden
-const MOST_PIECES = 40000;
+const MAX_PIECES = 40000;
 const TOLERANCE = 0.015; // share of the cage's size: the cage lies outside the object, hidden means behind matter
-const LARGE = 4000; // edges: cages with more are drawn plainer, so that they follow the hand
+const MAX_RICH = 4000; // edges: cages with more are drawn plain, so that they follow the hand
 const LEVELS = 5; // of weights of proportional editing that are told apart by colour
 
 const INK = {
@@ -32,7 +32,7 @@ const INK = {
 /** Which vertices and pieces of edges of a cage lie behind the picture's matter. */
 export function findHidden(cage, points, picture) {
   const { edges } = cage.topology;
-  const pieces = Math.max(1, Math.min(PIECES, Math.floor(MOST_PIECES / Math.max(1, edges.length / 2))));
+  const pieces = Math.max(1, Math.min(PIECES, Math.floor(MAX_PIECES / Math.max(1, edges.length / 2))));
   const middles = new Float64Array((edges.length / 2) * pieces * 3);
   for (let e = 0; e < edges.length / 2; e += 1) {
     const [a, b] = [3 * edges[2 * e], 3 * edges[2 * e + 1]];
@@ -87,16 +87,16 @@ function edgePaths(camera, cage, points, screen, hidden, front, isSelected) {
   return paths;
 }
 
-function stroke(context, path, colour, width, dash = []) {
+function stroke(context, path, color, width, dash = []) {
   context.setLineDash(dash);
-  context.strokeStyle = colour;
+  context.strokeStyle = color;
   context.lineWidth = width;
   context.stroke(path);
   context.setLineDash([]);
 }
 
-function fillFaces(context, cage, screen, numbers, colour) {
-  context.fillStyle = colour;
+function fillFaces(context, cage, screen, numbers, color) {
+  context.fillStyle = color;
   context.beginPath();
   for (const f of numbers) {
     const corners = cage.faces.subarray(3 * f, 3 * f + 3);
@@ -107,9 +107,9 @@ function fillFaces(context, cage, screen, numbers, colour) {
   context.fill();
 }
 
-function dots(context, screen, numbers, radius, colour, rim) {
+function dots(context, screen, numbers, radius, color, rim) {
   context.beginPath();
-  context.fillStyle = colour;
+  context.fillStyle = color;
   if (radius < 2) {
     for (const i of numbers) context.rect(screen[3 * i] - radius, screen[3 * i + 1] - radius, 2 * radius, 2 * radius);
     context.fill();
@@ -171,7 +171,7 @@ export function drawCage(context, camera, cage, points, look) {
   if (mode === "face") fillFaces(context, cage, screen, facesWithin(cage.faces, selected), INK.selectedFace);
   const front = facing(cage.topology, points, camera.eye, cage.sense);
   const paths = edgePaths(camera, cage, points, screen, hidden, front, isSelected);
-  if (cage.topology.edges.length / 2 > LARGE) drawPlain(context, paths);
+  if (cage.topology.edges.length / 2 > MAX_RICH) drawPlain(context, paths);
   else drawRich(context, paths);
   if (hover?.mode === "face") fillFaces(context, cage, screen, [hover.number], "rgba(255, 233, 168, 0.32)");
   if (hover?.mode === "edge") {
@@ -186,7 +186,7 @@ export function drawCage(context, camera, cage, points, look) {
     const [near, far] = selected.has(i) ? ["chosen", "chosenBehind"] : [front.vertices[i] ? "seen" : "back", "behind"];
     groups[hidden.vertices[i] ? far : near].push(i);
   }
-  const isLarge = cage.topology.edges.length / 2 > LARGE;
+  const isLarge = cage.topology.edges.length / 2 > MAX_RICH;
   const size = isLarge ? 0.5 : mode === "vertex" ? 1 : 0.7;
   const rim = isLarge ? null : INK.rim;
   if (isLarge) groups.behind = groups.back = [];

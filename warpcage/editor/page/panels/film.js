@@ -1,10 +1,10 @@
 // Keys, the film and its exports, and the work that takes a while.
 
-import { store } from "./store.js";
-import { ask, attempt } from "./connection.js";
-import { askFor, showText } from "./dialogs.js";
-import { titleOf, button, choice, el, group, icon, number, row, rows, setText, text } from "./controls.js";
-import { loadFrom, uploadField } from "./panel_cage.js";
+import { store } from "../core/store.js";
+import { request } from "../core/connection.js";
+import { askFor, showText } from "../core/dialogs.js";
+import { button, choice, el, followKey, group, icon, listBox, number, row, rows, setText, text, titleOf } from "../core/controls.js";
+import { loadFrom, uploadField } from "./cage.js";
 import { EASINGS, LOOPS, add, change, choose, chosenKey, film, goTo, holds, jump, onChosen, remove, seconds } from "./keys.js";
 
 function makeKeyRow({ id }) {
@@ -36,21 +36,16 @@ function makeKeyRow({ id }) {
 export function keysGroup() {
   const onKey = (event) => {
     const ways = { ArrowUp: () => jump(-1), ArrowDown: () => jump(1), Delete: remove, Enter: () => document.getElementById("key-name").select() };
-    if (!ways[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
-    event.preventDefault();
-    event.stopPropagation();
-    ways[event.key]();
+    if (!(event.ctrlKey || event.metaKey || event.altKey)) followKey(ways, event);
   };
-  const list = el("ul", {
+  const list = listBox({
     id: "key-list",
-    class: "list",
-    role: "listbox",
-    tabindex: "0",
-    "aria-label": "Keys",
+    label: "Keys",
     title: "Up and Down go from key to key, Enter renames, Delete deletes",
-    on: { keydown: onKey },
+    empty: "No keys yet. Pose the cage, choose a time on the timeline, and add a key.",
+    onKey,
+    make: makeKeyRow,
   });
-  const empty = el("p", { class: "note" }, "No keys yet. Pose the cage, choose a time on the timeline, and add a key.");
   const name = text({ id: "key-name", label: "Name", title: "Name of the chosen key (Enter keeps it)", maxlength: 100, onChange: (to) => change({ name: to }) });
   const time = number({ id: "key-time", label: "Time", title: "Time of the chosen key", min: 0, max: 3600, unit: "s", onChange: (to) => change({ time: to }) });
   const easing = choice({ id: "key-easing", label: "Easing", title: "How the way to the next key goes", options: EASINGS, onChange: (to) => change({ easing: to }) });
@@ -71,18 +66,14 @@ export function keysGroup() {
     button({ id: "key-add-pose", label: "Pose", title: "Key of the pose alone at the present time", onClick: () => add(true, false) }),
     button({ id: "key-add-camera", label: "Camera", title: "Key of the camera alone at the present time", onClick: () => add(false, true) }),
   );
-  const made = group("keys", "Keys", false, list, empty, adds, details);
-  const showRows = rows(list, makeKeyRow);
+  const made = group("keys", "Keys", false, ...list.parts, adds, details);
   const show = () => {
     const { keys } = film();
-    showRows(keys);
-    list.hidden = !keys.length;
-    empty.hidden = keys.length > 0;
-    setText(made.note, keys.length ? String(keys.length) : "");
     const key = chosenKey();
+    list.show(keys, key && `key-${key.id}`);
+    setText(made.note, keys.length ? String(keys.length) : "");
     details.hidden = !key;
-    if (!key) return list.removeAttribute("aria-activedescendant");
-    list.setAttribute("aria-activedescendant", `key-${key.id}`);
+    if (!key) return;
     document.getElementById(`key-${key.id}`)?.scrollIntoView({ block: "nearest" });
     name.set(key.name);
     time.set(key.time);
@@ -148,7 +139,7 @@ async function exportAs([what, label, , usual, fields]) {
   const { ending } = given;
   if (ending && !given.file.endsWith(ending)) given.file += ending;
   document.getElementById("group-jobs").open = true;
-  await attempt(ask({ do: "export", what, ...given }));
+  await request({ do: "export", what, ...given });
 }
 
 async function showCommand() {
@@ -157,19 +148,19 @@ async function showCommand() {
     fields: [{ name: "file", label: "File", type: "text", value: "film.mp4", help: "What the command writes." }, ...sizes(), overlay],
     confirm: "Show",
   });
-  const result = given && (await attempt(ask({ do: "export.command", ...given })));
+  const result = given && (await request({ do: "export.command", ...given }));
   if (result) showText("Command line", "This makes the same film without the editor:", result.command);
 }
 
 /** The group of the film: {root, start()}. */
 export function filmGroup() {
-  const length = number({ id: "film-length", label: "Length", title: "Length of the film, not before its last key", min: 0.1, max: 3600, step: 0.5, unit: "s", onChange: (value) => attempt(ask({ do: "timeline", length: value })) });
-  const fps = number({ id: "film-fps", label: "Rate", title: "Pictures a second", min: 1, max: 240, step: 1, unit: "fps", onChange: (value) => attempt(ask({ do: "timeline", fps: value })) });
-  const loop = choice({ id: "film-loop", label: "At the end", title: "What the film does at its end", options: LOOPS, onChange: (value) => attempt(ask({ do: "timeline", loop: value })) });
+  const length = number({ id: "film-length", label: "Length", title: "Length of the film, not before its last key", min: 0.1, max: 3600, step: 0.5, unit: "s", onChange: (value) => request({ do: "timeline", length: value }) });
+  const fps = number({ id: "film-fps", label: "Rate", title: "Pictures a second", min: 1, max: 240, step: 1, unit: "fps", onChange: (value) => request({ do: "timeline", fps: value }) });
+  const loop = choice({ id: "film-loop", label: "At the end", title: "What the film does at its end", options: LOOPS, onChange: (value) => request({ do: "timeline", loop: value }) });
   const grid = el("div", { class: "grid" });
   for (const one of EXPORTS) grid.append(button({ id: `export-${one[0]}`, label: `${one[1]}…`, title: one[2], onClick: () => exportAs(one) }));
   const command = button({ id: "export-command", label: "Command line…", title: "The warpcage command that makes the same film without the editor", onClick: showCommand });
-  const upload = uploadField("poses-upload-file", "Pose file", ".json", (file) => attempt(ask({ do: "poses.load", file })));
+  const upload = uploadField("poses-upload-file", "Pose file", ".json", (file) => request({ do: "poses.load", file }));
   const poses = row(
     button({ id: "poses-load", label: "Load…", title: "Load a pose file of the session's folder into the timeline", onClick: () => loadFrom("poses", "Load poses", "poses.load") }),
     button({ id: "poses-upload", label: "Upload…", title: "Send a pose file from this computer", onClick: () => upload.click() }),
@@ -192,8 +183,8 @@ function makeJobRow({ id }) {
   const name = el("span", { class: "row-name" });
   const note = el("span", { class: "job-text", role: "status" });
   const bar = el("progress", { max: 1, "aria-label": "Progress" });
-  const cancel = button({ label: "Cancel", title: "Stop this work", kind: "flat", onClick: () => attempt(ask({ do: "job.cancel", id })) });
-  const clear = button({ label: "Take off the list", icon: "close", kind: "flat", onClick: () => attempt(ask({ do: "job.clear", id })) });
+  const cancel = button({ label: "Cancel", title: "Stop this work", kind: "flat", onClick: () => request({ do: "job.cancel", id }) });
+  const clear = button({ label: "Take off the list", icon: "close", kind: "flat", onClick: () => request({ do: "job.clear", id }) });
   const download = el("a", { class: "button primary", download: true }, icon("download"), el("span", {}, "Download"));
   const root = el("li", { id: `job-${id}`, class: "job" }, el("div", { class: "row" }, name, cancel, clear), bar, note, download);
   const update = (job) => {

@@ -1,9 +1,8 @@
 // The timeline: a ruler in seconds, the keys of poses and cameras, the head that shows and sets the time, and playing.
 
-import { store } from "./store.js";
-import { ask, attempt } from "./connection.js";
-import { register, run } from "./actions.js";
-import { button, choice, el, number, rows, setIcon, setText, short, titleOf } from "./controls.js";
+import { run, store } from "../core/store.js";
+import { request } from "../core/connection.js";
+import { button, choice, el, followKey, number, rows, setIcon, setText, short, titleOf } from "../core/controls.js";
 import { EASINGS, LOOPS, add, change, choose, chosenKey, film, goTo, holds, jump, keyAt, now, onChosen, onFrame, remove, seconds, step } from "./keys.js";
 
 const NEAR = 4; // pixels that a press may slip before it is a drag
@@ -78,7 +77,7 @@ function listen(track, show) {
       goTo(key.time);
       choose(id);
     }
-    if (key && moved && isKept && moved.time !== key.time) attempt(ask({ do: "key.change", id, time: moved.time })).then(show);
+    if (key && moved && isKept && moved.time !== key.time) request({ do: "key.change", id, time: moved.time }).then(show);
     else show();
   };
   track.addEventListener("pointerup", (event) => stop(event, true));
@@ -119,17 +118,14 @@ function onTrackKey(event) {
     Enter: () => add(true, true),
     " ": () => run("play"),
   };
-  if (!ways[event.key]) return;
-  event.preventDefault();
-  event.stopPropagation();
-  ways[event.key]();
+  followKey(ways, event);
 }
 
 function bar() {
   const play = button({ id: "play", label: "Play", icon: "play", title: titleOf("Play", "play"), onClick: () => run("play") });
   const time = number({ id: "time", label: "Present time in seconds", title: "Present time: type seconds and press Enter", min: 0, max: 3600, bare: true, onChange: goTo });
   const length = el("span", { class: "unit", id: "time-length" });
-  const loop = choice({ id: "time-loop", label: "At the end", title: "What the film does at its end", options: LOOPS, bare: true, onChange: (value) => attempt(ask({ do: "timeline", loop: value })) });
+  const loop = choice({ id: "time-loop", label: "At the end", title: "What the film does at its end", options: LOOPS, bare: true, onChange: (value) => request({ do: "timeline", loop: value }) });
   const easing = choice({ id: "time-easing", label: "Easing of the chosen key", title: "How the way from the chosen key to the next goes", options: EASINGS, bare: true, onChange: (value) => change({ easing: value }) });
   const gone = button({ id: "time-delete", label: "Delete key", icon: "delete", title: "Delete the chosen key (Delete on the timeline)", onClick: remove });
   const name = el("span", { id: "time-key", class: "note" });
@@ -167,7 +163,6 @@ function bar() {
 
 /** Builds the timeline. Call it once. */
 export function start() {
-  register("key.insert", { label: "Key of pose and camera at the present time", keys: ["K"], group: "Timeline", run: () => add(true, true) });
   const { root: top, show: showBar } = bar();
   const ruler = el("div", { class: "ruler" });
   const poses = el("div", { class: "lane" });

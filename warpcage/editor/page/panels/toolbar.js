@@ -1,45 +1,25 @@
 // The header, the tools at the left of the view and the options of those that are on.
 
-import { store } from "./store.js";
-import { ask, attempt } from "./connection.js";
-import { actions, register, run } from "./actions.js";
-import { choice, el, icon, number, perPicture, segments, setText, titleOf } from "./controls.js";
+import { actions, choices, keep, kept, register, run, store } from "../core/store.js";
+import { request } from "../core/connection.js";
+import { choice, el, icon, number, perPicture, segments, setText, titleOf } from "../core/controls.js";
 
 const THEME = "warpcage.theme";
 const PANEL = "warpcage.panel";
 const THEMES = ["auto", "light", "dark"];
-const FALLOFFS = [
-  ["smooth", "Smooth"],
-  ["sphere", "Sphere"],
-  ["linear", "Linear"],
-  ["sharp", "Sharp"],
-  ["constant", "Constant"],
-];
-
-const kept = (name) => {
-  try {
-    return localStorage.getItem(name);
-  } catch {
-    return null; // a browser that keeps nothing
-  }
-};
-const keep = (name, value) => {
-  try {
-    localStorage.setItem(name, value);
-  } catch {
-    // a browser that keeps nothing: the choice lasts as long as the page
-  }
-};
 
 let theme = THEMES.includes(kept(THEME)) ? kept(THEME) : "auto";
+
+function setTitle(element, title) {
+  element.title = title;
+  element.setAttribute("aria-label", title);
+}
 
 function showTheme() {
   if (theme === "auto") delete document.documentElement.dataset.theme;
   else document.documentElement.dataset.theme = theme;
   const name = { auto: "as the system has it", light: "light", dark: "dark" }[theme];
-  const element = document.getElementById("theme");
-  element.title = `Theme: ${name}. Press for the next.`;
-  element.setAttribute("aria-label", element.title);
+  setTitle(document.getElementById("theme"), `Theme: ${name}. Press for the next.`);
 }
 
 function nextTheme() {
@@ -70,10 +50,8 @@ function badge(action) {
 function dress() {
   for (const element of document.querySelectorAll("button[data-icon]")) {
     const { icon: name, label, action } = element.dataset;
-    const title = titleOf(label, action);
     element.replaceChildren(icon(name));
-    element.title = title;
-    element.setAttribute("aria-label", title);
+    setTitle(element, titleOf(label, action));
     const text = element.closest("#tools") ? badge(action) : "";
     if (text) element.append(el("span", { class: "badge", "aria-hidden": "true" }, text));
   }
@@ -91,11 +69,7 @@ function buildOptions() {
     id: "axes",
     label: "Axes",
     title: titleOf("Axes that move, rotate and scale follow", "axes"),
-    options: [
-      ["world", "World axes"],
-      ["view", "View axes"],
-      ["local", "Local axes"],
-    ],
+    options: choices.axes,
     bare: true,
     onChange: (value) => store.setTool("axes", value),
   });
@@ -103,12 +77,7 @@ function buildOptions() {
     id: "symmetry",
     label: "Symmetry",
     title: titleOf("Symmetry about a plane through the middle of the cage", "symmetry"),
-    options: [
-      ["", "No mirror"],
-      ["x", "Mirror x"],
-      ["y", "Mirror y"],
-      ["z", "Mirror z"],
-    ],
+    options: choices.symmetry,
     bare: true,
     onChange: (value) => store.setTool("symmetry", value),
   });
@@ -128,7 +97,7 @@ function buildOptions() {
     id: "falloff",
     label: "Falloff",
     title: titleOf("How the pull fades with distance", "falloff"),
-    options: FALLOFFS,
+    options: choices.falloff,
     onChange: (value) => store.setTool("falloff", value),
   });
   const step = number({
@@ -165,7 +134,7 @@ function buildMode() {
       ["rest", "Rest", "Fit the rest cage to the scene as it was captured (Q)"],
     ],
     value: "pose",
-    onChange: (value) => attempt(ask({ do: "settings", mode: value })),
+    onChange: (value) => request({ do: "settings", mode: value }),
   });
   document.getElementById("mode-place").append(mode.root);
   return mode.set;
@@ -179,8 +148,7 @@ function showHistory() {
   ]) {
     const element = document.getElementById(id);
     element.disabled = !count;
-    element.title = titleOf(count && what ? `${label}: ${what}` : label, id);
-    element.setAttribute("aria-label", element.title);
+    setTitle(element, titleOf(count && what ? `${label}: ${what}` : label, id));
   }
 }
 
@@ -279,7 +247,7 @@ export function start() {
     label: "Pose or rest cage",
     keys: ["Q"],
     group: "Edit",
-    run: () => attempt(ask({ do: "settings", mode: store.sections.settings?.mode === "rest" ? "pose" : "rest" })),
+    run: () => request({ do: "settings", mode: store.sections.settings?.mode === "rest" ? "pose" : "rest" }),
   });
   dress();
   showTheme();

@@ -1,6 +1,9 @@
 // Vectors of three numbers, [x, y, z], and rotations. Points of a cage are flat: x0, y0, z0, x1, ...
 
+/** The axes of the world. */
 export const AXES = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
+/** Their names, in order. */
+export const AXIS_NAMES = Object.keys(AXES);
 
 export const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
 export const subtract = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];

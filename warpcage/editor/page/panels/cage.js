@@ -1,10 +1,10 @@
 // The cage of the active edit: where it comes from, its fineness, and what the live check finds.
 
-import { store } from "./store.js";
-import { ask, attempt } from "./connection.js";
-import { askFor, toast } from "./dialogs.js";
-import { nextPlace } from "./pointer.js";
-import { activeEdit, button, el, group, setText } from "./controls.js";
+import { activeEdit, selectedVertices, store, withActiveEdit } from "../core/store.js";
+import { attempt, request } from "../core/connection.js";
+import { askFor, toast } from "../core/dialogs.js";
+import { nextPlace } from "../view/pointer.js";
+import { button, el, group, setText } from "../core/controls.js";
 
 const METHODS = [
   ["auto", "Whichever fits better"],
@@ -56,7 +56,7 @@ async function generate() {
     if (!place) return;
     click = { ...place, plane: around };
   }
-  await attempt(ask({ do: "cage.generate", ...options, click, edit: given.edit === "new" ? null : given.edit, count: Math.round(given.count) }));
+  await request({ do: "cage.generate", ...options, click, edit: given.edit === "new" ? null : given.edit, count: Math.round(given.count) });
 }
 
 async function simplify(edit) {
@@ -67,11 +67,11 @@ async function simplify(edit) {
     fields: [{ name: "count", label: "Vertices", type: "number", value: Math.max(8, Math.round(has / 2)), min: 8, max: Math.max(8, has - 1), step: 1 }],
     confirm: "Simplify",
   });
-  if (given) attempt(ask({ do: "cage.simplify", edit: edit.id, count: Math.round(given.count) }));
+  if (given) request({ do: "cage.simplify", edit: edit.id, count: Math.round(given.count) });
 }
 
 async function box(edit) {
-  const { vertices = [] } = store.sections.selection ?? {};
+  const vertices = selectedVertices();
   if (!vertices.length) return toast("Nothing is selected: select the vertices to put a box around.", "warning");
   const given = await askFor({
     title: "Box around the selection",
@@ -79,7 +79,7 @@ async function box(edit) {
     fields: [{ name: "margin", label: "Margin", type: "number", value: 2, min: 0, max: 100, step: 1, unit: "% of the cage" }],
     confirm: "Add",
   });
-  if (given) attempt(ask({ do: "cage.box", edit: edit.id, vertices, margin: given.margin / 100 }));
+  if (given) request({ do: "cage.box", edit: edit.id, vertices, margin: given.margin / 100 });
 }
 
 /** For which edit a file is: nothing to ask where there is none. */
@@ -89,20 +89,20 @@ const KINDS = { cage: "cages", poses: "pose files" };
 
 /** Lets one of the files of a kind in the session's folder be chosen, and loads it. */
 export async function loadFrom(kind, title, command, fields = []) {
-  const result = await attempt(ask({ do: "files" }));
+  const result = await request({ do: "files" });
   if (!result) return;
   const names = result.files.filter((file) => file.kind === kind).map(({ name }) => name);
   if (!names.length) return toast(`The session's folder has no ${KINDS[kind]}; upload one.`, "warning");
   const file = { name: "file", label: "File", type: "choice", value: names[0], choices: names };
   const given = await askFor({ title, fields: [file, ...fields], confirm: "Load" });
-  if (given) await attempt(ask({ do: command, ...given, ...(given.edit === "new" ? { edit: null } : {}) }));
+  if (given) await request({ do: command, ...given, ...(given.edit === "new" ? { edit: null } : {}) });
 }
 
 /** Loads a cage that was uploaded, for an edit or a new one. */
 async function loadCage(file) {
   const edit = activeEdit();
   const given = edit ? await askFor({ title: `Load ${file}`, fields: editField(edit), confirm: "Load" }) : { edit: "new" };
-  if (given) await attempt(ask({ do: "cage.load", file, edit: given.edit === "new" ? null : given.edit }));
+  if (given) await request({ do: "cage.load", file, edit: given.edit === "new" ? null : given.edit });
 }
 
 /** Sends a file into the session's folder; its name there, or throws Error(one line). */
@@ -138,18 +138,14 @@ const VERDICTS = { pending: "Checking…", good: "Check: all well", warn: "Check
 
 /** The group of the cage: {root, start()}. */
 export function cageGroup() {
-  const act = (work) => () => {
-    const edit = activeEdit();
-    if (edit) work(edit);
-  };
   const upload = uploadField("cage-upload-file", "Cage file", ".obj,.ply,.off,.glb,.gltf", loadCage);
   const size = el("p", { id: "cage-size", class: "note" });
   const refine = el(
     "div",
     { class: "grid thirds" },
-    button({ id: "cage-subdivide", label: "Subdivide", title: "Cut each face of the cage into four; the shape and the pose stay", onClick: act((edit) => attempt(ask({ do: "cage.subdivide", edit: edit.id }))) }),
-    button({ id: "cage-simplify", label: "Simplify…", title: "Fewer vertices, about the same shape", onClick: act(simplify) }),
-    button({ id: "cage-box", label: "Box…", title: "A new edit: a box around the selected vertices", onClick: act(box) }),
+    button({ id: "cage-subdivide", label: "Subdivide", title: "Cut each face of the cage into four; the shape and the pose stay", onClick: withActiveEdit((edit) => request({ do: "cage.subdivide", edit: edit.id })) }),
+    button({ id: "cage-simplify", label: "Simplify…", title: "Fewer vertices, about the same shape", onClick: withActiveEdit(simplify) }),
+    button({ id: "cage-box", label: "Box…", title: "A new edit: a box around the selected vertices", onClick: withActiveEdit(box) }),
   );
   const verdict = el("p", { id: "check-verdict", class: "verdict" });
   const found = el("ul", { id: "check-lines", class: "check-lines", "aria-label": "What the check found" });
@@ -174,8 +170,7 @@ export function cageGroup() {
     const edit = activeEdit();
     for (const element of refine.children) element.disabled = !edit;
     setText(size, edit ? `${edit.rest.length} vertices, ${edit.faces.length} faces` : "No cage is chosen.");
-    const chosen = store.sections.selection?.vertices?.length ?? 0;
-    document.getElementById("cage-box").disabled = !edit || !chosen;
+    document.getElementById("cage-box").disabled = !edit || !selectedVertices().length;
   };
   const showCheck = () => {
     const { check: content } = store.sections;

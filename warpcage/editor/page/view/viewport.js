@@ -1,16 +1,17 @@
 // The canvas: the server's picture, the cages over it, the gizmo; drawn when something has changed, at display rate.
 
-import { makeCamera, pixelAt, project, projectAll } from "./camera.js";
+import { store } from "../core/store.js";
+import { ask, nextSequence, send, when } from "../core/connection.js";
+import { makeCamera, pixelAt, project, projectAll } from "../geometry/camera.js";
+import { mean, point } from "../geometry/vectors.js";
 import * as C from "./cages.js";
-import { send, nextSequence, ask, when } from "./connection.js";
 import * as D from "./draw.js";
 import * as drag from "./drag.js";
 import { drawCompass, drawGizmo, drawGuides, makeCompass, makeGizmo } from "./gizmo.js";
 import * as operation from "./operation.js";
-import { store } from "./store.js";
-import { mean, point } from "./vectors.js";
 
-const KEPT_LATENCIES = 1000;
+const MAX_LATENCIES = 1000;
+const MAX_SIDE = 4096; // of a picture, pixels
 const CALM = 250; // ms between changes of the status' figures
 const FIRST_PICTURE = ["The first picture is being made …", "The first time on a machine its kernels are built, which takes a minute at most."];
 const REST = 180; // ms after the last step of the view until it counts as resting
@@ -171,7 +172,7 @@ function drawCages(now) {
   const current = C.activeCage();
   for (const cage of C.visibleCages()) if (cage !== current) D.drawOther(context, now, cage, C.places(cage));
   if (!current?.visible) return;
-  const axis = "xyz".indexOf(store.tools.symmetry || "-");
+  const axis = operation.mirrorAxis();
   if (axis >= 0) D.drawMirror(context, now, current, axis);
   D.drawCage(context, now, current, C.places(current), {
     screen: screenOf(current),
@@ -211,7 +212,7 @@ function onShown() {
     (seq === applied ? viewport.latencies : viewport.latenciesOrNewer).push(last);
   }
   for (const kept of [viewport.latencies, viewport.latenciesOrNewer]) {
-    if (kept.length > KEPT_LATENCIES) kept.splice(0, kept.length - KEPT_LATENCIES);
+    if (kept.length > MAX_LATENCIES) kept.splice(0, kept.length - MAX_LATENCIES);
   }
   shownTimes.push(time);
   while (shownTimes[0] < time - 1000) shownTimes.shift();
@@ -240,7 +241,7 @@ function resize() {
 
 /** Tells the server how large the picture should be. */
 export function tellSize() {
-  const shrink = Math.min(1, 4096 / Math.max(canvas.width, canvas.height));
+  const shrink = Math.min(1, MAX_SIDE / Math.max(canvas.width, canvas.height));
   send({ do: "size", width: Math.round(canvas.width * shrink), height: Math.round(canvas.height * shrink) });
 }
 

@@ -1,10 +1,10 @@
 // The cages and the selection as the page has them now, which may be ahead of the server while the hand moves them.
 
-import { store } from "./store.js";
-import { ask, guard, when } from "./connection.js";
-import { toast } from "./dialogs.js";
-import { makeTopology, signedVolume } from "./topology.js";
-import { bounds, distance } from "./vectors.js";
+import { store } from "../core/store.js";
+import { ask, guard, when } from "../core/connection.js";
+import { toast } from "../core/dialogs.js";
+import { makeTopology, signedVolume } from "../geometry/topology.js";
+import { bounds, distance } from "../geometry/vectors.js";
 
 /** id -> {id, name, kind, visible, faces, topology, rest, posed, size, sense}; faces and points are flat. */
 export const cages = new Map();
@@ -108,13 +108,6 @@ export function expectAnswer() {
   if (held) held.heard = null;
 }
 
-export const isHeld = (id) => held?.id === id;
-
-/** Whether two lists of points are equal but for rounding. */
-export function areEqual(a, b, scale) {
-  return a.length === b.length && a.every((value, i) => Math.abs(value - b[i]) <= 1e-9 * scale);
-}
-
 function sameFaces(cage, faces) {
   return cage.faces.length === 3 * faces.length && faces.every((face, f) => face.every((v, k) => v === cage.faces[3 * f + k]));
 }
@@ -161,10 +154,10 @@ function takePlaces(id, name, points) {
   else setPlaces(cage, name, points);
 }
 
-when("vertices", (kind, id, points) => {
+when("vertices", (name, id, points) => {
   // While the film plays, cages go with its pictures; each comes after its vertices
-  if (kind === 2 && store.sections.playback?.playing) coming.set(id, points);
-  else takePlaces(id, kind === 3 ? "rest" : "posed", points);
+  if (name === "posed" && store.sections.playback?.playing) coming.set(id, points);
+  else takePlaces(id, name, points);
 });
 
 function takeComing() {

@@ -1,19 +1,19 @@
 // The handles of move, rotate and scale at the selection, of constant size on the screen; and the axes of the view.
 
-import { pixelAt, project } from "./camera.js";
-import { isInside, toSegment } from "./pick.js";
-import { add, cross, dot, perpendicular, subtract, times, unit } from "./vectors.js";
+import { pixelAt, project } from "../geometry/camera.js";
+import { isInside, toSegment } from "../geometry/pick.js";
+import { AXES, AXIS_NAMES, add, cross, dot, perpendicular, subtract, times, unit } from "../geometry/vectors.js";
 
 const SIZE = 84; // CSS pixels from the pivot to the end of an axis
 const STEPS = 64; // of a ring
-const COLOURS = ["#f2495c", "#6cc644", "#4a90f2"];
+const COLORS = ["#f2495c", "#6cc644", "#4a90f2"];
 const BRIGHT = "#ffd84d";
-const NAMES = ["x", "y", "z"];
+const RIM = "rgba(0, 0, 0, 0.55)";
 
 const only = (k) => [0, 1, 2].map((i) => i === k);
 const except = (k) => [0, 1, 2].map((i) => i !== k);
 
-/** A tool's handles: {kind, name, allowed, colour, line | area | ring | disc (screen points), strength 0..1}. */
+/** A tool's handles: {kind, name, allowed, color, line | area | ring | disc (screen points), strength 0..1}. */
 export function makeGizmo(tool, camera, pivot, basis) {
   const [x, y, z] = project(camera, pivot);
   if (z <= 0 || !["move", "rotate", "scale"].includes(tool)) return [];
@@ -24,23 +24,23 @@ export function makeGizmo(tool, camera, pivot, basis) {
   if (tool === "rotate") {
     basis.forEach((axis, k) => handles.push(ring(axis, k, at, toEye)));
     const disc = { x, y, radius: SIZE * 1.12, open: true };
-    handles.push({ kind: tool, name: "view", allowed: [true, true, true], colour: "#e8e8e8", disc, strength: 0.8 });
+    handles.push({ kind: tool, name: "view", allowed: [true, true, true], color: "#e8e8e8", disc, strength: 0.8 });
     return handles;
   }
   basis.forEach((axis, k) => {
     const slant = 1 - Math.abs(dot(axis, toEye));
     const strength = Math.min(1, slant / 0.08); // an axis that points at the eye fades
     const line = [at(times(axis, 0.18)), at(axis)];
-    handles.push({ kind: tool, name: NAMES[k], allowed: only(k), colour: COLOURS[k], line, strength });
+    handles.push({ kind: tool, name: AXIS_NAMES[k], allowed: only(k), color: COLORS[k], line, strength });
     const [u, v] = [basis[(k + 1) % 3], basis[(k + 2) % 3]];
     const corner = (a, b) => at(add(times(u, a), times(v, b)));
     const area = [corner(0.38, 0.38), corner(0.6, 0.38), corner(0.6, 0.6), corner(0.38, 0.6)];
     const facing = Math.min(1, Math.max(0, Math.abs(dot(axis, toEye)) - 0.12) / 0.1);
-    const name = `plane-${NAMES[k]}`;
-    handles.push({ kind: tool, name, allowed: except(k), colour: COLOURS[k], area, strength: facing });
+    const name = `plane-${AXIS_NAMES[k]}`;
+    handles.push({ kind: tool, name, allowed: except(k), color: COLORS[k], area, strength: facing });
   });
   const disc = { x, y, radius: 10, open: false };
-  handles.push({ kind: tool, name: "view", allowed: [true, true, true], colour: "#f4f4f4", disc, strength: 1 });
+  handles.push({ kind: tool, name: "view", allowed: [true, true, true], color: "#f4f4f4", disc, strength: 1 });
   return handles;
 }
 
@@ -53,7 +53,7 @@ function ring(axis, k, at, toEye) {
     const p = add(times(u, Math.cos(angle)), times(v, Math.sin(angle)));
     points.push({ at: at(p), front: dot(p, toEye) > -0.05 });
   }
-  return { kind: "rotate", name: NAMES[k], allowed: only(k), colour: COLOURS[k], ring: points, strength: 1 };
+  return { kind: "rotate", name: AXIS_NAMES[k], allowed: only(k), color: COLORS[k], ring: points, strength: 1 };
 }
 
 /** How far a pixel is from a handle; Infinity where it is not meant. */
@@ -91,16 +91,16 @@ function tracePath(context, points, close = false) {
 }
 
 /** A line with a dark rim, so that it shows on any picture. */
-function rimmed(context, colour, width) {
-  context.strokeStyle = "rgba(0, 0, 0, 0.55)";
+function rimmed(context, color, width) {
+  context.strokeStyle = RIM;
   context.lineWidth = width + 2;
   context.stroke();
-  context.strokeStyle = colour;
+  context.strokeStyle = color;
   context.lineWidth = width;
   context.stroke();
 }
 
-function drawRing(context, handle, colour, width) {
+function drawRing(context, handle, color, width) {
   for (const front of [false, true]) {
     context.beginPath();
     for (let i = 1; i < handle.ring.length; i += 1) {
@@ -110,18 +110,18 @@ function drawRing(context, handle, colour, width) {
       context.lineTo(...b.at);
     }
     context.globalAlpha = front ? 1 : 0.25;
-    if (front) rimmed(context, colour, width);
+    if (front) rimmed(context, color, width);
     else {
-      context.strokeStyle = colour;
+      context.strokeStyle = color;
       context.lineWidth = 1;
       context.stroke();
     }
   }
 }
 
-function drawEnd(context, [[x0, y0], [x1, y1]], kind, colour) {
-  context.fillStyle = colour;
-  context.strokeStyle = "rgba(0, 0, 0, 0.55)";
+function drawEnd(context, [[x0, y0], [x1, y1]], kind, color) {
+  context.fillStyle = color;
+  context.strokeStyle = RIM;
   context.lineWidth = 1;
   if (kind === "scale") {
     context.beginPath();
@@ -145,26 +145,26 @@ export function drawGizmo(context, handles, hovered) {
   context.lineCap = "round";
   for (const handle of handles) {
     const isHovered = hovered?.name === handle.name;
-    const colour = isHovered ? BRIGHT : handle.colour;
+    const color = isHovered ? BRIGHT : handle.color;
     context.globalAlpha = handle.strength;
     if (handle.strength <= 0.02) continue;
-    if (handle.ring) drawRing(context, handle, colour, isHovered ? 4 : 3);
+    if (handle.ring) drawRing(context, handle, color, isHovered ? 4 : 3);
     else if (handle.disc) {
       context.beginPath();
       context.arc(handle.disc.x, handle.disc.y, handle.disc.radius, 0, 2 * Math.PI);
-      rimmed(context, colour, isHovered ? 2.5 : 1.5);
+      rimmed(context, color, isHovered ? 2.5 : 1.5);
     } else if (handle.area) {
       tracePath(context, handle.area, true);
-      context.fillStyle = colour;
+      context.fillStyle = color;
       context.globalAlpha = handle.strength * (isHovered ? 0.85 : 0.5);
       context.fill();
-      context.strokeStyle = colour;
+      context.strokeStyle = color;
       context.lineWidth = 1;
       context.stroke();
     } else {
       tracePath(context, handle.line);
-      rimmed(context, colour, isHovered ? 4 : 3);
-      drawEnd(context, handle.line, handle.kind, colour);
+      rimmed(context, color, isHovered ? 4 : 3);
+      drawEnd(context, handle.line, handle.kind, color);
     }
   }
   context.restore();
@@ -185,7 +185,7 @@ export function drawGuides(context, camera, pivot, basis, allowed) {
       return project(camera, add(pivot, times(axis, sense * reach))).slice(0, 2);
     });
     tracePath(context, ends);
-    context.strokeStyle = COLOURS[k];
+    context.strokeStyle = COLORS[k];
     context.lineWidth = 1.2;
     context.stroke();
   });
@@ -197,13 +197,12 @@ export function makeCompass(camera, width) {
   const [cx, cy, far] = [width - 46, 46, 30];
   const balls = [];
   for (const sense of [1, -1]) {
-    NAMES.forEach((name, k) => {
-      const direction = [0, 0, 0];
-      direction[k] = sense;
+    AXIS_NAMES.forEach((name, k) => {
+      const direction = times(AXES[name], sense);
       const x = cx + far * dot(direction, camera.right);
       const y = cy - far * dot(direction, camera.up);
       const label = sense > 0 ? name.toUpperCase() : "";
-      balls.push({ direction, x, y, near: -dot(direction, camera.forward), label, colour: COLOURS[k] });
+      balls.push({ direction, x, y, near: -dot(direction, camera.forward), label, color: COLORS[k] });
     });
   }
   return { cx, cy, balls: balls.sort((a, b) => a.near - b.near) };
@@ -227,7 +226,7 @@ export function drawCompass(context, compass, hovered) {
   for (const ball of compass.balls) {
     const isHovered = hovered && String(hovered.direction) === String(ball.direction);
     context.globalAlpha = 0.7 + 0.3 * ball.near;
-    context.strokeStyle = isHovered ? BRIGHT : ball.colour;
+    context.strokeStyle = isHovered ? BRIGHT : ball.color;
     context.fillStyle = context.strokeStyle;
     context.lineWidth = 2;
     if (ball.label) {

@@ -1,19 +1,21 @@
 // Selecting: what is under the pointer, regions, steps by keys; and the actions of selection, view and transforms.
 
-import { register } from "./actions.js";
-import { frameAll, lookFrom, namedDirections, orbit, pan, zoom } from "./camera.js";
+import { register, store } from "../core/store.js";
+import { request } from "../core/connection.js";
+import { toast } from "../core/dialogs.js";
+import { frameAll, lookFrom, namedDirections, orbit, pan, zoom } from "../geometry/camera.js";
+import * as P from "../geometry/pick.js";
+import * as topology from "../geometry/topology.js";
+import { point } from "../geometry/vectors.js";
 import * as C from "./cages.js";
-import { ask, attempt } from "./connection.js";
-import { toast } from "./dialogs.js";
 import * as operation from "./operation.js";
-import * as P from "./pick.js";
-import { store } from "./store.js";
-import * as topology from "./topology.js";
-import { point } from "./vectors.js";
 import { camera, getSize, getView, hiddenOf, requestDraw, screenOf, setView } from "./viewport.js";
 
 /** Where the pointer is over the canvas (CSS pixels), or null. */
 export const pointer = { at: null };
+
+/** The cage that keys and regions act on: the active one, else the first that is seen. */
+const cageNow = () => C.activeCage() ?? C.visibleCages()[0];
 
 /** What of a cage may be picked: everything, or what is not hidden. */
 function allowedOf(cage) {
@@ -74,7 +76,7 @@ export function clicked(element, way) {
 
 /** The selection that a rectangle or lasso would make of the active cage. */
 export function regionSelection({ shape, path, way }) {
-  const cage = C.activeCage() ?? C.visibleCages()[0];
+  const cage = cageNow();
   if (!cage?.visible || !store.tools.cage) return null;
   const screen = screenOf(cage);
   const corners = [path[0], path[1], ...path.slice(-2)];
@@ -90,7 +92,6 @@ export function regionSelection({ shape, path, way }) {
   return { cage, vertices: chosen };
 }
 
-const cageNow = () => C.activeCage() ?? C.visibleCages()[0];
 const hasCage = () => Boolean(cageNow()?.visible);
 const hasSelection = () => hasCage() && C.selected().size > 0;
 
@@ -254,7 +255,7 @@ for (const [kind, key, label] of [["move", "G", "Move"], ["rotate", "R", "Rotate
   register(`transform.${kind}`, { label: `${label} the selection`, keys: [key], group: "Transform", run: () => begin(kind) });
 }
 
-const reset = (vertices) => attempt(ask({ do: "pose.reset", edit: C.activeCage().id, vertices }));
+const reset = (vertices) => request({ do: "pose.reset", edit: C.activeCage().id, vertices });
 register("pose.reset", {
   label: "Bring the selection back to rest",
   keys: ["Alt+G"],

@@ -1,15 +1,14 @@
 // Posing with sliders and typed numbers: bend, twist, taper and stretch of all or of the selection. A slider poses live
 // while it is dragged, makes one undo step when it is let go, and goes back to the middle for the next one.
 
-import { store } from "./store.js";
-import { ask, attempt, sendVertices } from "./connection.js";
-import { toast } from "./dialogs.js";
-import { actions, run } from "./actions.js";
-import { activeEdit, button, choice, el, group, number, perPicture, row, segments, setText, short, titleOf } from "./controls.js";
-import { loadFrom } from "./panel_cage.js";
-import { activeCage, places, placesName, whenChanged } from "./cages.js";
+import { activeEdit, run, selectedVertices, store } from "../core/store.js";
+import { ask, request, sendVertices } from "../core/connection.js";
+import { toast } from "../core/dialogs.js";
+import { button, choice, el, group, number, perPicture, row, segments, setText, short, titleOf } from "../core/controls.js";
+import { AXIS_NAMES, mean } from "../geometry/vectors.js";
+import { activeCage, places, placesName, whenChanged } from "../view/cages.js";
+import { loadFrom } from "./cage.js";
 
-const AXES = ["x", "y", "z"];
 const degrees = { neutral: 0, read: (place) => Math.round(place), place: (amount) => amount, tell: (amount) => `${short(amount, 1)}°` };
 const factor = { neutral: 1, read: (place) => 4 ** place, place: (amount) => Math.log(amount) / Math.log(4), tell: (amount) => `× ${short(amount, 2)}` };
 const PRESETS = [
@@ -30,21 +29,21 @@ const message = ({ name }, amount) => ({ do: "preset.set", preset: name, amount,
 function isFlat(vertices) {
   const cage = activeCage();
   const chosen = ways.on === "selection" ? vertices : [...Array(places(cage).length / 3).keys()];
-  const along = chosen.map((vertex) => places(cage)[3 * vertex + AXES.indexOf(ways.axis)]);
+  const along = chosen.map((vertex) => places(cage)[3 * vertex + AXIS_NAMES.indexOf(ways.axis)]);
   return Math.max(...along) - Math.min(...along) <= 1e-9 * cage.size;
 }
 
 /** Begins a preset; false, and a word about it, where it has nothing to act on. */
 function begin(preset) {
   const edit = activeEdit();
-  const { vertices = [] } = store.sections.selection ?? {};
+  const vertices = selectedVertices();
   if (!edit) toast("There is no cage to pose: generate one first.", "warning");
   else if (store.sections.settings?.mode === "rest") toast("Sliders pose the cage: change to Pose first (Q).", "warning");
   else if (ways.on === "selection" && !vertices.length) toast("Nothing is selected: select vertices, or let the slider act on all.", "warning");
   else if (isFlat(vertices)) toast(`What is selected is flat along ${ways.axis}: select more vertices, or choose another axis.`, "warning");
   else {
     opened = preset;
-    attempt(ask({ do: "preset.begin", edit: edit.id, vertices: ways.on === "selection" ? vertices : null }));
+    request({ do: "preset.begin", edit: edit.id, vertices: ways.on === "selection" ? vertices : null });
     return true;
   }
   return false;
@@ -68,8 +67,8 @@ async function end(amount, cancel) {
   const preset = opened;
   if (!preset) return;
   opened = null;
-  if (!cancel) await attempt(ask(message(preset, amount)));
-  await attempt(ask({ do: "preset.end", cancel }));
+  if (!cancel) await request(message(preset, amount));
+  await request({ do: "preset.end", cancel });
 }
 
 /** One preset: a slider to drag and a number to type. */
@@ -135,16 +134,9 @@ function presetRow(preset) {
   return el("div", { class: "preset" }, name_, slider, el("span", { class: "value" }, typed.input, shown, el("span", { class: "unit" }, unit)));
 }
 
-/** The middle of chosen vertices in a flat list of points. */
-function middleOf(points, chosen) {
-  const sum = [0, 0, 0];
-  for (const vertex of chosen) sum.forEach((_, i) => (sum[i] += points[3 * vertex + i]));
-  return sum.map((value) => value / chosen.length);
-}
-
 /** Where the middle of the selection is: three numbers that can be typed. */
 function placeFields() {
-  const fields = AXES.map((axis, i) =>
+  const fields = AXIS_NAMES.map((axis, i) =>
     number({
       id: `place-${axis}`,
       label: `Middle of the selection, ${axis}`,
@@ -152,41 +144,31 @@ function placeFields() {
       bare: true,
       onChange: (value) => {
         const edit = activeEdit();
-        const { vertices = [] } = store.sections.selection ?? {};
+        const vertices = selectedVertices();
         if (!edit || !vertices.length) return;
-        const isRest = placesName() === "rest";
+        const name = placesName();
         const moved = Float64Array.from(places(activeCage()));
-        const by = value - middleOf(moved, vertices)[i];
+        const by = value - mean(moved, vertices)[i];
         for (const vertex of vertices) moved[3 * vertex + i] += by;
-        attempt(ask({ do: "drag.begin", edit: edit.id, label: `move to ${axis} ${short(value)}`, rest: isRest }));
-        sendVertices(isRest ? 3 : 2, edit.id, moved);
-        attempt(ask({ do: "drag.end", edit: edit.id, cancel: false }));
+        request({ do: "drag.begin", edit: edit.id, label: `move to ${axis} ${short(value)}`, rest: name === "rest" });
+        sendVertices(name, edit.id, moved);
+        request({ do: "drag.end", edit: edit.id, cancel: false });
       },
     }),
   );
   const count = el("span", { id: "selection-count", class: "note" });
   const root = el("div", { class: "place", role: "group", "aria-label": "Middle of the selection" });
-  AXES.forEach((axis, i) => root.append(el("label", { for: `place-${axis}` }, axis), fields[i].input));
+  AXIS_NAMES.forEach((axis, i) => root.append(el("label", { for: `place-${axis}` }, axis), fields[i].input));
   const show = perPicture(() => {
     const edit = activeEdit();
-    const { vertices = [] } = store.sections.selection ?? {};
+    const vertices = selectedVertices();
     setText(count, vertices.length ? `${vertices.length} of ${edit?.rest.length ?? 0} selected; their middle:` : "Nothing is selected.");
     root.hidden = !edit || !vertices.length;
     if (root.hidden) return;
-    const middle = middleOf(places(activeCage()), vertices);
+    const middle = mean(places(activeCage()), vertices);
     fields.forEach((field, i) => field.set(Number(short(middle[i], 4))));
   });
   return { nodes: [count, root], show };
-}
-
-/** Brings the selection, or all, back to the rest cage. */
-function reset(all) {
-  const name = all ? "pose.reset.all" : "pose.reset";
-  if (actions.has(name)) return run(name);
-  const edit = activeEdit();
-  const { vertices = [] } = store.sections.selection ?? {};
-  if (!edit) return undefined;
-  return attempt(ask({ do: "pose.reset", edit: edit.id, vertices: all ? null : vertices }));
 }
 
 /** The group of the pose: {root, start()}. */
@@ -201,7 +183,7 @@ export function poseGroup() {
     value: ways.on,
     onChange: (value) => (ways.on = value),
   });
-  const others = () => AXES.filter((axis) => axis !== ways.axis).flatMap((axis) => [[axis, axis], [`-${axis}`, `−${axis}`]]);
+  const others = () => AXIS_NAMES.filter((axis) => axis !== ways.axis).flatMap((axis) => [[axis, axis], [`-${axis}`, `−${axis}`]]);
   const towards = choice({
     id: "preset-towards",
     label: "Towards",
@@ -213,14 +195,14 @@ export function poseGroup() {
   const setAxis = (value) => {
     ways.axis = value;
     towards.fill(others());
-    if (ways.towards.endsWith(value)) ways.towards = AXES.find((axis) => axis !== value);
+    if (ways.towards.endsWith(value)) ways.towards = AXIS_NAMES.find((axis) => axis !== value);
     towards.set(ways.towards);
   };
   const axis = choice({
     id: "preset-axis",
     label: "Axis",
     title: "The axis along which the sliders act",
-    options: AXES.map((name) => [name, name]),
+    options: AXIS_NAMES.map((name) => [name, name]),
     value: ways.axis,
     onChange: (value) => {
       ways.isAxisChosen = true;
@@ -248,22 +230,22 @@ export function poseGroup() {
   between.append(el("div", { class: "value" }, limits[0].input, el("span", { class: "unit" }, "to"), limits[1].input, el("span", { class: "unit" }, "%")));
   const place = placeFields();
   const resets = row(
-    button({ id: "reset-selection", label: "Reset selection", title: titleOf("Bring the selected vertices back to the rest cage", "pose.reset"), onClick: () => reset(false) }),
-    button({ id: "reset-all", label: "Reset all", title: titleOf("Bring the whole cage back to rest", "pose.reset.all"), onClick: () => reset(true) }),
+    button({ id: "reset-selection", label: "Reset selection", title: titleOf("Bring the selected vertices back to the rest cage", "pose.reset"), onClick: () => run("pose.reset") }),
+    button({ id: "reset-all", label: "Reset all", title: titleOf("Bring the whole cage back to rest", "pose.reset.all"), onClick: () => run("pose.reset.all") }),
     button({ id: "pose-load", label: "Load…", title: "Load a posed cage, with the faces of this one, from the session's folder", onClick: () => loadFrom("cage", "Load a pose", "pose.load") }),
   );
   const made = group("pose", "Pose", true, el("div", { class: "field" }, el("span", { class: "label" }, "Acts on"), on.root), ...PRESETS.map(presetRow), axis.root, towards.root, between, ...place.nodes, resets);
   const show = () => {
     place.show();
     document.getElementById("reset-all").disabled = !activeEdit();
-    document.getElementById("reset-selection").disabled = !store.sections.selection?.vertices?.length;
+    document.getElementById("reset-selection").disabled = !selectedVertices().length;
   };
   const start = () => {
     whenChanged(show);
     store.on("session", ({ field }) => {
       if (ways.isAxisChosen || !field?.up) return;
       const sizes = field.up.map(Math.abs);
-      axis.set(AXES[sizes.indexOf(Math.max(...sizes))]);
+      axis.set(AXIS_NAMES[sizes.indexOf(Math.max(...sizes))]);
       setAxis(axis.input.value);
     });
     // a lost connection has ended the preset

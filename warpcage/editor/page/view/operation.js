@@ -1,24 +1,26 @@
 // A move, rotation or scaling under way: begun by a key or by a handle, led by the pointer or by typed numbers.
 
+import { store } from "../core/store.js";
+import { project } from "../geometry/camera.js";
+import { normalAround } from "../geometry/topology.js";
+import * as T from "../geometry/transform.js";
+import { AXIS_NAMES, add, dot, mean, subtract, times, unit } from "../geometry/vectors.js";
 import { activeCage, activeVertex, places, selected } from "./cages.js";
 import * as drag from "./drag.js";
-import { angleOf, factorOf, offsetOf } from "./hand.js";
-import { store } from "./store.js";
-import * as T from "./transform.js";
-import { normalAround } from "./topology.js";
-import { add, dot, mean, times, unit } from "./vectors.js";
-import { project } from "./camera.js";
 
 const LABELS = { move: "Move", rotate: "Rotate", scale: "Scale" };
-const NAMES = ["X", "Y", "Z"];
+const NAMES = AXIS_NAMES.map((name) => name.toUpperCase());
 let operation = null;
 let mirrors = { rest: null, axis: -1, mirror: null };
 
 export const current = () => operation;
 
+/** The axis across the plane of this page's symmetry (0, 1, 2), or -1. */
+export const mirrorAxis = () => AXIS_NAMES.indexOf(store.tools.symmetry);
+
 /** The mirror of a cage by this page's symmetry, or null. */
 function mirrorNow(cage) {
-  const axis = "xyz".indexOf(store.tools.symmetry || "-");
+  const axis = mirrorAxis();
   if (axis < 0) return null;
   if (mirrors.rest !== cage.rest || mirrors.axis !== axis) {
     mirrors = { rest: cage.rest, axis, mirror: T.mirrorOf(cage.rest, axis) };
@@ -76,7 +78,7 @@ export function follow(at, { slow = false, flip = false, time = performance.now(
   }
   const share = slow ? 0.1 : 1;
   const next = [pointer[0] + (at[0] - seen[0]) * share, pointer[1] + (at[1] - seen[1]) * share];
-  if (kind === "rotate") operation.angle += angleOf(camera, pivot, seen, at, turningAxis()) * share;
+  if (kind === "rotate") operation.angle += T.angleOf(camera, pivot, seen, at, turningAxis()) * share;
   Object.assign(operation, { pointer: next, seen: at, flip, time, dirty: true });
 }
 
@@ -109,7 +111,7 @@ const isStepped = () => store.tools.snap !== Boolean(operation.flip) && !operati
 function moved(start, weights, pivot) {
   const { camera, from, pointer, allowed, typed, cage } = operation;
   const basis = axesNow();
-  const wanted = offsetOf(camera, pivot, from, pointer, basis, allowed);
+  const wanted = T.offsetOf(camera, pivot, from, pointer, basis, allowed);
   const step = isStepped() ? store.tools.step * cage.size : 0;
   let field = 0;
   let offset = [0, 0, 0];
@@ -136,7 +138,7 @@ function turned(start, weights, pivot) {
 
 function grown(start, weights, pivot) {
   const { camera, from, pointer, allowed, typed } = operation;
-  const factor = typed.value(0, T.snapped(factorOf(camera, pivot, from, pointer), isStepped() ? store.tools.step : 0));
+  const factor = typed.value(0, T.snapped(T.factorOf(camera, pivot, from, pointer), isStepped() ? store.tools.step : 0));
   operation.text = `× ${shown(factor)}${typed.any ? "▏" : ""}`;
   return T.scaled(start, weights, pivot, axesNow(), allowed.map((may) => (may ? factor : 1)));
 }
@@ -172,7 +174,7 @@ function constrain(k, isPlane) {
 /** Counts the pointer's turn anew, about the axis that is wanted now. */
 function resetAngle() {
   const { camera, pivot, from, pointer, typed } = operation;
-  operation.angle = operation.kind === "rotate" ? angleOf(camera, pivot, from, pointer, turningAxis()) : 0;
+  operation.angle = operation.kind === "rotate" ? T.angleOf(camera, pivot, from, pointer, turningAxis()) : 0;
   const first = typed.fields[0];
   operation.typed = new T.Typed(fieldCount());
   operation.typed.fields[0] = first;
@@ -188,7 +190,7 @@ export function widen(factor) {
 function nudge([x, y], far) {
   const { pointer, camera, pivot } = operation;
   operation.pointer = [pointer[0] + x * far, pointer[1] + y * far];
-  const sense = dot(turningAxis(), camera.eye.map((value, k) => value - pivot[k])) < 0 ? 1 : -1;
+  const sense = dot(turningAxis(), subtract(camera.eye, pivot)) < 0 ? 1 : -1;
   operation.angle += (sense * (x + y) * far * Math.PI) / 180;
   Object.assign(operation, { dirty: true, time: performance.now() });
 }
@@ -207,7 +209,7 @@ export function takeKey(event) {
   if (key === "Enter" || key === " ") finish();
   else if (key === "Escape") finish(true);
   else if (event.ctrlKey || event.metaKey || event.altKey) return;
-  else if ("XYZ".includes(letter)) constrain("XYZ".indexOf(letter), event.shiftKey);
+  else if (NAMES.includes(letter)) constrain(NAMES.indexOf(letter), event.shiftKey);
   else if (letter === "O") store.setTool("proportional", !store.tools.proportional);
   else if (key === "PageUp") widen(1.1);
   else if (key === "PageDown") widen(1 / 1.1);

@@ -1,10 +1,9 @@
 // A drag of vertices: sent at display rate at most, one step of undo, kept while the connection is broken.
 
-import { ask, isCongested, send, sendVertices, when } from "./connection.js";
-import { areEqual, cages, expectAnswer, giveUp, hold, places, placesName, release, setPlaces } from "./cages.js";
-import { toast } from "./dialogs.js";
+import { ask, isCongested, send, sendVertices, when } from "../core/connection.js";
+import { toast } from "../core/dialogs.js";
+import { cages, expectAnswer, giveUp, hold, places, placesName, release, setPlaces } from "./cages.js";
 
-const KINDS = { posed: 2, rest: 3 };
 const REMEMBERED = 64; // sent poses that are kept, to know the server's state again after the connection broke
 
 let drag = null; // the drag under way: {cage, name, label, start, now, unsent, sent, broken}
@@ -17,13 +16,15 @@ export const whenSent = (listener) => (latest = listener);
 /** Whether vertices wait to be sent although there is a connection. */
 export const isWaiting = () => Boolean(drag?.unsent && !drag.broken);
 
+const beginning = ({ cage, name, label }) => ({ do: "drag.begin", edit: cage, label, rest: name === "rest" });
+
 /** Begins a drag of the active places of a cage. */
 export function begin(cage, label) {
   const name = placesName();
   const start = places(cage);
   drag = { cage: cage.id, name, label, start, now: start, unsent: false, time: 0, sent: [start], broken: false };
   hold(cage.id, name);
-  drag.broken = !send({ do: "drag.begin", edit: cage.id, label, rest: name === "rest" });
+  drag.broken = !send(beginning(drag));
 }
 
 /** Takes the vertices that the hand wants now; they go to the server with the next `flush`. */
@@ -37,7 +38,7 @@ export function update(points, time) {
 /** Sends the newest vertices, once per animation frame, unless older ones still wait in the socket. */
 export function flush(force = false) {
   if (!drag?.unsent || drag.broken || (isCongested() && !force)) return;
-  const seq = sendVertices(KINDS[drag.name], drag.cage, drag.now);
+  const seq = sendVertices(drag.name, drag.cage, drag.now);
   if (!seq) return;
   drag.unsent = false;
   drag.sent.push(drag.now);
@@ -74,7 +75,8 @@ function settle(promise, done) {
 
 /** Whether the server has what the drag began with or a pose that it was sent: nobody else has changed it. */
 function isOurs(old, points, scale) {
-  return old.sent.some((sent) => areEqual(sent, points, scale));
+  const isNear = (value, i) => Math.abs(value - points[i]) <= 1e-9 * scale; // equal but for rounding
+  return old.sent.some((sent) => sent.length === points.length && sent.every(isNear));
 }
 
 when("lost", () => {
@@ -97,11 +99,10 @@ when("hello", (message) => {
     toast("This cage was changed elsewhere while there was no connection; your last drag was left out.", "warning");
     return;
   }
-  const begun = { do: "drag.begin", edit: old.cage, label: old.label, rest: old.name === "rest" };
   if (drag) {
     drag.broken = false;
     drag.unsent = true;
-    send(begun);
+    send(beginning(old));
     return;
   }
   orphan = null;
@@ -110,8 +111,8 @@ when("hello", (message) => {
     const vertices = Array.from({ length: old.now.length / 3 }, (_, i) => [...old.now.subarray(3 * i, 3 * i + 3)]);
     settle(ask({ do: "pose.set", edit: old.cage, vertices, label: old.label }), old);
   } else {
-    send(begun);
-    sendVertices(KINDS.rest, old.cage, old.now);
+    send(beginning(old));
+    sendVertices(old.name, old.cage, old.now);
     settle(ask({ do: "drag.end", edit: old.cage, cancel: false }), old);
   }
 });

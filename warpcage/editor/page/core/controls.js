@@ -1,8 +1,7 @@
 // The pieces that panels are made of: elements, fields and foldable groups. A field that someone types or drags in
 // keeps what is in it: `set` waits until it is let go.
 
-import { store } from "./store.js";
-import { actions } from "./actions.js";
+import { actions, keep, keptValues } from "./store.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const FOLDED = "warpcage.folded";
@@ -74,32 +73,35 @@ function labelled(label, id, title, ...controls) {
   return el("div", { class: "field", title }, el("label", { for: id }, label), el("div", { class: "value" }, ...controls));
 }
 
-/** Keeps a field from changes while someone is at it, and from being told what it has. */
-function guarded(input, read, write) {
+/** Keeps a field from changes while someone is at it, and from being told what it has; `isTyped`: Escape takes back. */
+function guarded(input, read, write, isTyped) {
   let held = false;
   let waiting; // what came meanwhile
-  const release = () => {
+  /** Lets the field go; what came meanwhile, if anything. */
+  const letGo = () => {
+    const came = waiting;
     held = false;
-    if (waiting !== undefined) write(waiting);
     waiting = undefined;
+    return came;
+  };
+  const release = () => {
+    const came = letGo();
+    if (came !== undefined) write(came);
   };
   input.addEventListener("input", () => (held = true));
   input.addEventListener("pointerdown", () => (held = input.type === "range"));
   // what was typed and is the same as before makes no "change"
   for (const event of ["blur", "pointercancel"]) input.addEventListener(event, release);
-  return {
-    set(value) {
-      if (held) waiting = value;
-      else if (read() !== value) write(value);
-    },
-    /** The field is let go; returns what came meanwhile, if anything. */
-    release() {
-      const came = waiting;
-      held = false;
-      waiting = undefined;
-      return came;
-    },
+  const onKey = (event) => {
+    if (event.key === "Escape") write(letGo() ?? read());
+    if (event.key === "Enter" || event.key === "Escape") input.blur(); // what was typed counts, and keys are the page's again
   };
+  if (isTyped) input.addEventListener("keydown", onKey);
+  const set = (value) => {
+    if (held) waiting = value;
+    else if (read() !== value) write(value);
+  };
+  return { set, letGo };
 }
 
 /** A number to type. {id, label, title, min, max, step, unit, value, onChange(value)?} */
@@ -113,9 +115,9 @@ export function number({ id, label, title, min, max, step = 0.1, unit = "", valu
     input.value = content === null || content === "" ? "" : short(content, 4);
   };
   write(value);
-  const guard = guarded(input, () => last, write);
+  const { set, letGo } = guarded(input, () => last, write, Boolean(onChange));
   const take = (typed) => {
-    guard.release();
+    letGo();
     if (!Number.isFinite(typed)) return write(last);
     const kept = Math.min(max ?? Infinity, Math.max(min ?? -Infinity, typed));
     write(kept);
@@ -124,44 +126,31 @@ export function number({ id, label, title, min, max, step = 0.1, unit = "", valu
   if (onChange) input.addEventListener("change", () => take(input.valueAsNumber));
   input.addEventListener("keydown", (event) => {
     const way = { ArrowUp: 1, ArrowDown: -1 }[event.key];
-    if (way) {
-      event.preventDefault();
-      take((input.valueAsNumber || 0) + way * step * (event.shiftKey ? 10 : 1));
-    }
-    if (!onChange) return;
-    if (event.key === "Enter") input.blur(); // what was typed counts, and keys are the page's again
-    if (event.key !== "Escape") return;
-    write(guard.release() ?? last);
-    input.blur();
+    if (!way) return;
+    event.preventDefault();
+    take((input.valueAsNumber || 0) + way * step * (event.shiftKey ? 10 : 1));
   });
   const unitText = unit ? el("span", { class: "unit" }, unit) : null;
   const root = bare ? input : labelled(label, id, title, input, unitText);
-  return { root, input, set: guard.set, get: () => last };
+  return { root, input, set };
 }
 
 /** A line of text. {id, label, title, value, onChange(text)} */
-export function text({ id, label, title, value = "", maxlength = 80, bare = false, onChange }) {
+export function text({ id, label, title, value = "", maxlength = 80, onChange }) {
   const input = el("input", { id, type: "text", title, maxlength, autocomplete: "off", spellcheck: "false" });
   input.value = value;
-  if (bare) input.setAttribute("aria-label", label);
   let last = value;
   const write = (content) => (last = input.value = content);
-  const guard = guarded(input, () => last, write);
-  if (!onChange) return { root: bare ? input : labelled(label, id, title, input), input };
-  input.addEventListener("change", () => {
+  const { set, letGo } = guarded(input, () => last, write, Boolean(onChange));
+  const take = () => {
     const typed = input.value.trim();
-    guard.release();
+    letGo();
     if (!typed) return write(last);
     last = typed;
     return onChange(typed);
-  });
-  input.addEventListener("keydown", (event) => {
-    if (event.key === "Enter") input.blur();
-    if (event.key !== "Escape") return;
-    write(guard.release() ?? last);
-    input.blur();
-  });
-  return { root: bare ? input : labelled(label, id, title, input), input, set: guard.set };
+  };
+  if (onChange) input.addEventListener("change", take);
+  return { root: labelled(label, id, title, input), input, set };
 }
 
 /** A list to choose from. {id, label, title, options: [[value, text]], onChange(value)} */
@@ -203,28 +192,15 @@ export function segments({ id, label, options, value, onChange }) {
   return { root, set };
 }
 
-function folded() {
-  try {
-    return JSON.parse(localStorage.getItem(FOLDED) ?? "{}") ?? {};
-  } catch {
-    return {}; // nothing kept, or something that is not ours
-  }
-}
-
 /** A foldable group of the panel; whether it is open is kept in the browser. */
 export function group(id, label, open, ...children) {
   const root = el("details", { id: `group-${id}`, class: "group" });
-  root.open = folded()[id] === undefined ? open : !folded()[id];
+  const folded = keptValues(FOLDED)[id];
+  root.open = folded === undefined ? open : !folded;
   const note = el("span", { class: "group-note", id: `group-${id}-note` });
   root.append(el("summary", { id: `group-${id}-fold`, title: `${label}: fold or unfold (Enter)` }, el("span", {}, label), note));
   root.append(el("div", { class: "group-body" }, ...children));
-  root.addEventListener("toggle", () => {
-    try {
-      localStorage.setItem(FOLDED, JSON.stringify({ ...folded(), [id]: !root.open }));
-    } catch {
-      // a browser that keeps nothing: groups open as they are made
-    }
-  });
+  root.addEventListener("toggle", () => keep(FOLDED, JSON.stringify({ ...keptValues(FOLDED), [id]: !root.open })));
   return { root, note };
 }
 
@@ -247,6 +223,29 @@ export function rows(list, make) {
   };
 }
 
+/** A list to choose a row from, and the text where there is none: {parts, show(items, id of the chosen row's element)}. */
+export function listBox({ id, label, title, empty, onKey, make }) {
+  const list = el("ul", { id, class: "list", role: "listbox", tabindex: "0", "aria-label": label, title, on: { keydown: onKey } });
+  const none = el("p", { class: "note" }, empty);
+  const showRows = rows(list, make);
+  const show = (items, chosen) => {
+    showRows(items);
+    list.hidden = !items.length;
+    none.hidden = items.length > 0;
+    if (chosen) list.setAttribute("aria-activedescendant", chosen);
+    else list.removeAttribute("aria-activedescendant");
+  };
+  return { parts: [list, none], show };
+}
+
+/** Does what a table of ways has for a pressed key, and keeps that key from the page's actions. */
+export function followKey(ways, event) {
+  if (!ways[event.key]) return;
+  event.preventDefault();
+  event.stopPropagation();
+  ways[event.key]();
+}
+
 /** Calls a function at most once per drawn picture, with the last arguments. */
 export function perPicture(work) {
   let last = null;
@@ -260,10 +259,4 @@ export function perPicture(work) {
       work(...content);
     });
   };
-}
-
-/** The active edit, or null. */
-export function activeEdit() {
-  const { edits = [], selection } = store.sections;
-  return edits.find(({ id }) => id === selection?.edit) ?? null;
 }

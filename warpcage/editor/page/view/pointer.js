@@ -1,10 +1,10 @@
 // The pointer over the canvas: mouse, pen and fingers. One gesture at a time.
 
+import { store } from "../core/store.js";
 import * as C from "./cages.js";
 import { ballAt, handleAt } from "./gizmo.js";
 import * as operation from "./operation.js";
 import * as S from "./selecting.js";
-import { store } from "./store.js";
 import { camera, compass, gizmo, overlay, requestDraw } from "./viewport.js";
 
 const MOUSE = { reach: 11, slack: 4 }; // pixels: how near counts as on it, how far counts as a drag

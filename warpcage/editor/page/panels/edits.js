@@ -1,9 +1,9 @@
 // The list of edits: what each cage does to the scene, whether it does so now, and in which order.
 
-import { store } from "./store.js";
-import { ask, attempt } from "./connection.js";
-import { askFor, confirmThat } from "./dialogs.js";
-import { activeEdit, button, choice, el, group, icon, number, rows, setIcon, setText, text } from "./controls.js";
+import { activeEdit, store, withActiveEdit } from "../core/store.js";
+import { request } from "../core/connection.js";
+import { askFor, confirmThat } from "../core/dialogs.js";
+import { button, choice, el, followKey, group, icon, listBox, number, setIcon, setText, text } from "../core/controls.js";
 
 const KINDS = [
   ["move", "Move"],
@@ -21,18 +21,15 @@ const HELD = [
   ["still", "Those left in place"],
 ];
 
-const change = (id, changes) => attempt(ask({ do: "edit.change", id, ...changes }));
+const change = (id, changes) => request({ do: "edit.change", id, ...changes });
 
-/** A listener for a field of the active edit. */
-const ofActive = (work) => (to) => {
-  const edit = activeEdit();
-  if (edit) work(edit, to);
-};
+/** A listener for a field of the active edit: what was typed or chosen becomes that part of it. */
+const changeTo = (part) => withActiveEdit((edit, to) => edit[part] !== to && change(edit.id, { [part]: to }));
 
 function activate(id) {
   const { selection } = store.sections;
   if (selection?.edit === id) return;
-  attempt(ask({ do: "select", edit: id, mode: selection?.mode ?? "vertex", vertices: [] }));
+  request({ do: "select", edit: id, mode: selection?.mode ?? "vertex", vertices: [] });
 }
 
 /** Moves an edit up (-1) or down (1) in the list. */
@@ -41,12 +38,12 @@ function shift(id, by) {
   const at = ids.indexOf(id);
   if (at < 0 || at + by < 0 || at + by >= ids.length) return;
   ids.splice(at + by, 0, ...ids.splice(at, 1));
-  attempt(ask({ do: "edit.order", ids }));
+  request({ do: "edit.order", ids });
 }
 
 async function remove(edit) {
   const isSure = await confirmThat("Delete the edit?", `"${edit.name}" and its keys go; undo brings them back.`, "Delete");
-  if (isSure) attempt(ask({ do: "edit.delete", id: edit.id }));
+  if (isSure) request({ do: "edit.delete", id: edit.id });
 }
 
 /** Asks for the first cage of a new edit: a shape around the middle of the field. */
@@ -76,7 +73,7 @@ async function add() {
   if (!given) return;
   const [low, high] = bounds;
   const corner = (sign) => low.map((value, i) => (value + high[i]) / 2 + (sign * (high[i] - value) * given.share) / 200);
-  attempt(ask({ do: "edit.add", kind: given.kind, shape: given.shape, lower: corner(-1), upper: corner(1) }));
+  request({ do: "edit.add", kind: given.kind, shape: given.shape, lower: corner(-1), upper: corner(1) });
 }
 
 function makeRow({ id }) {
@@ -122,79 +119,59 @@ function onListKey(event) {
     F2: () => document.getElementById("edit-name").select(),
     Delete: () => remove(edit),
   };
-  if (!ways[event.key]) return;
-  event.preventDefault();
-  event.stopPropagation();
-  ways[event.key]();
+  followKey(ways, event);
 }
 
 /** The group of the edits: {root, start()}. */
 export function editsGroup() {
-  const list = el("ul", {
+  const list = listBox({
     id: "edit-list",
-    class: "list",
-    role: "listbox",
-    tabindex: "0",
-    "aria-label": "Edits",
+    label: "Edits",
     title: "Up and Down choose, Alt+Up and Alt+Down change the order, Space shows or hides, Enter renames, Delete deletes",
-    on: { keydown: onListKey },
+    empty: "No cage yet. Generate one in the group Cage, or add a simple one.",
+    onKey: onListKey,
+    make: makeRow,
   });
-  const empty = el("p", { class: "note" }, "No cage yet. Generate one in the group Cage, or add a simple one.");
-  const act = (work) => () => {
-    const edit = activeEdit();
-    if (edit) work(edit);
-  };
-  const name = text({ id: "edit-name", label: "Name", title: "Name of the active edit (Enter keeps it)", maxlength: 100, onChange: (to) => {
-    const edit = activeEdit();
-    if (edit && edit.name !== to) change(edit.id, { name: to });
-  } });
-  const kind = choice({ id: "edit-kind", label: "Does", title: "What the active edit does", options: KINDS, onChange: (to) => {
-    const edit = activeEdit();
-    if (edit) change(edit.id, { kind: to });
-  } });
+  const name = text({ id: "edit-name", label: "Name", title: "Name of the active edit (Enter keeps it)", maxlength: 100, onChange: changeTo("name") });
+  const kind = choice({ id: "edit-kind", label: "Does", title: "What the active edit does", options: KINDS, onChange: changeTo("kind") });
   const meaning = el("p", { class: "note", id: "edit-meaning" });
   const length = (options) => number({ min: 0, step: 0.05, unit: "units", ...options });
   const falloff = length({
     id: "edit-falloff",
     label: "Fade",
     title: "Width of the band inside held walls in which the part fades to rest, so that it does not tear off. 0: no wall is held",
-    onChange: ofActive((edit, to) => edit.falloff !== to && change(edit.id, { falloff: to })),
+    onChange: changeTo("falloff"),
   });
   const held = choice({
     id: "edit-held",
     label: "Held walls",
     title: "The walls of the cage at which the part stays as it is at rest",
     options: HELD,
-    onChange: ofActive((edit, to) => change(edit.id, { held: to })),
+    onChange: changeTo("held"),
   });
   const crumbs = length({
     id: "edit-crumbs",
     label: "Crumbs",
     title: "Pieces outside the cage that hang on the part alone and are smaller than this go with it. 0: they stay",
-    onChange: ofActive((edit, to) => edit.crumbs !== to && change(edit.id, { crumbs: to })),
+    onChange: changeTo("crumbs"),
   });
-  const shown = button({ id: "edit-visible", label: "Shown", icon: "eye", title: "Whether the active edit acts on the picture", onClick: act((edit) => change(edit.id, { visible: !edit.visible })) });
+  const shown = button({ id: "edit-visible", label: "Shown", icon: "eye", title: "Whether the active edit acts on the picture", onClick: withActiveEdit((edit) => change(edit.id, { visible: !edit.visible })) });
   const tools = el(
     "div",
     { class: "row tight" },
     button({ id: "edit-add", label: "Add", icon: "plus", keep: true, title: "Add an edit with a simple cage", onClick: add }),
     el("span", { class: "spring" }),
     shown,
-    button({ id: "edit-up", label: "Earlier", icon: "up", title: "Move the active edit up (Alt+Up in the list)", onClick: act((edit) => shift(edit.id, -1)) }),
-    button({ id: "edit-down", label: "Later", icon: "down", title: "Move the active edit down (Alt+Down in the list)", onClick: act((edit) => shift(edit.id, 1)) }),
-    button({ id: "edit-delete", label: "Delete", icon: "delete", title: "Delete the active edit (Delete in the list)", onClick: act(remove) }),
+    button({ id: "edit-up", label: "Earlier", icon: "up", title: "Move the active edit up (Alt+Up in the list)", onClick: withActiveEdit((edit) => shift(edit.id, -1)) }),
+    button({ id: "edit-down", label: "Later", icon: "down", title: "Move the active edit down (Alt+Down in the list)", onClick: withActiveEdit((edit) => shift(edit.id, 1)) }),
+    button({ id: "edit-delete", label: "Delete", icon: "delete", title: "Delete the active edit (Delete in the list)", onClick: withActiveEdit(remove) }),
   );
   const details = el("div", { class: "stack" }, name.root, kind.root, meaning, falloff.root, held.root, crumbs.root);
-  const made = group("edits", "Edits", true, list, empty, tools, details);
-  const showRows = rows(list, makeRow);
+  const made = group("edits", "Edits", true, ...list.parts, tools, details);
   const show = () => {
     const { edits = [] } = store.sections;
     const edit = activeEdit();
-    showRows(edits);
-    list.hidden = !edits.length;
-    empty.hidden = edits.length > 0;
-    if (edit) list.setAttribute("aria-activedescendant", `edit-${edit.id}`);
-    else list.removeAttribute("aria-activedescendant");
+    list.show(edits, edit && `edit-${edit.id}`);
     setText(made.note, edits.length ? String(edits.length) : "");
     details.hidden = !edit;
     for (const element of tools.querySelectorAll("button:not(#edit-add)")) element.disabled = !edit;

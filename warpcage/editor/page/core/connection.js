@@ -4,6 +4,7 @@ import { store } from "./store.js";
 import { toast } from "./dialogs.js";
 
 const FRAME = 10;
+const KINDS = { posed: 2, rest: 3 }; // of messages with vertices
 const FIRST_WAIT = 250; // ms before the first new attempt; doubles up to LONGEST_WAIT
 const LONGEST_WAIT = 5000;
 
@@ -18,7 +19,7 @@ let lastText = 0; // time of the last notice about a lost connection
 const replies = new Map(); // number -> {resolve, reject}
 const handlers = { hello: [], frame: [], vertices: [], lost: [] };
 
-/** Calls handler at "hello" (message), "frame" ({header, bitmap, depth}), "vertices" (kind, edit, array) or "lost". */
+/** Calls handler at "hello" (message), "frame" ({header, bitmap, depth}), "vertices" ("posed" or "rest", edit, array) or "lost". */
 export function when(event, handler) {
   handlers[event].push(handler);
 }
@@ -62,18 +63,21 @@ export async function attempt(promise) {
   }
 }
 
+/** Sends a command and waits for its reply's result; undefined where it fails, with the error as a toast. */
+export const request = (command) => attempt(ask(command));
+
 /** The number of the next pose or view message. */
 export function nextSequence() {
   sequence += 1;
   return sequence;
 }
 
-/** Sends all vertices of an edit (kind 2: posed, 3: rest); returns the message's number, or 0 where it was not sent. */
-export function sendVertices(kind, edit, vertices) {
+/** Sends all vertices of an edit ("posed" or "rest"); returns the message's number, or 0 where it was not sent. */
+export function sendVertices(name, edit, vertices) {
   if (!isConnected()) return 0;
   const message = new ArrayBuffer(16 + vertices.length * 8);
   const seq = nextSequence();
-  new Uint32Array(message, 0, 4).set([kind, seq, edit, vertices.length / 3]);
+  new Uint32Array(message, 0, 4).set([KINDS[name], seq, edit, vertices.length / 3]);
   new Float64Array(message, 16).set(vertices);
   socket.send(message);
   return seq;
@@ -122,7 +126,7 @@ function onBinary(buffer) {
     decode();
   } else {
     const [, , edit, count] = new Uint32Array(buffer, 0, 4);
-    emit("vertices", kind, edit, new Float64Array(buffer, 16, count * 3));
+    emit("vertices", kind === KINDS.rest ? "rest" : "posed", edit, new Float64Array(buffer, 16, count * 3));
   }
 }
 

@@ -1,8 +1,8 @@
 // Keys of the film: which one is chosen in this page, and what timeline and panel do with them.
 
-import { store } from "./store.js";
-import { ask, attempt, send } from "./connection.js";
-import { perPicture, short } from "./controls.js";
+import { store } from "../core/store.js";
+import { request, send } from "../core/connection.js";
+import { perPicture, short } from "../core/controls.js";
 
 export const EASINGS = [
   ["smooth", "Smooth"],
@@ -90,20 +90,20 @@ export function jump(by) {
 /** Keeps the pose, the camera or both at the present time, and chooses the key. */
 export async function add(pose, camera) {
   const time = now();
-  await attempt(ask({ do: "key.add", time, pose, camera }));
+  await request({ do: "key.add", time, pose, camera });
   choose(keyAt(time)?.id ?? chosen);
 }
 
 /** Changes the chosen key. */
 export function change(changes) {
   const key = chosenKey();
-  if (key) attempt(ask({ do: "key.change", id: key.id, ...changes }));
+  if (key) request({ do: "key.change", id: key.id, ...changes });
 }
 
 /** Deletes the chosen key; undo brings it back. */
 export function remove() {
   const key = chosenKey();
-  if (key) attempt(ask({ do: "key.delete", id: key.id }));
+  if (key) request({ do: "key.delete", id: key.id });
 }
 
 /** Seconds as text: "1.25 s". */

@@ -1,31 +1,10 @@
-// Named actions and their keys. Panels run them by name; the help lists them by group.
-//
-// Registered here: undo, redo, play, key.insert, help, and the switches of the tools.
-// Registered by viewport.js: select.*, view.*, transform.move, transform.rotate, transform.scale, pose.reset, pose.reset.all.
+// The page's own actions, and the keys that run them and all others. view/selecting.js has those of selection, view and
+// transforms, toolbar.js those of its buttons.
 
-import { store } from "./store.js";
-import { ask, attempt } from "./connection.js";
-import { showHelp } from "./dialogs.js";
-
-/** name -> {label, keys: ["Ctrl+Z"], group, run(event), enabled?(), repeat?: true where a held key runs it again} */
-export const actions = new Map();
-const byKey = new Map(); // key -> name
-
-/** Adds an action, or replaces the one of that name. */
-export function register(name, action) {
-  for (const key of actions.get(name)?.keys ?? []) byKey.delete(key);
-  actions.set(name, { keys: [], group: "Other", ...action });
-  for (const key of action.keys ?? []) byKey.set(key, name);
-}
-
-/** Runs an action by its name unless it is not enabled now; returns whether it ran. */
-export function run(name, event) {
-  const action = actions.get(name);
-  if (!action) throw new Error(`no action "${name}"`);
-  if (action.enabled && !action.enabled()) return false;
-  action.run(event);
-  return true;
-}
+import { actionOf, actions, choices, register, run, store } from "../core/store.js";
+import { request } from "../core/connection.js";
+import { showHelp } from "../core/dialogs.js";
+import { add } from "./keys.js";
 
 const NAMED = { " ": "Space", Esc: "Escape", Del: "Delete", Left: "ArrowLeft", Right: "ArrowRight" };
 
@@ -65,7 +44,7 @@ export function listenToKeys() {
   window.addEventListener("keydown", (event) => {
     if (event.defaultPrevented || event.isComposing || document.querySelector("dialog[open]")) return;
     if (isTakenBy(event.target, event)) return;
-    const name = byKey.get(keyName(event));
+    const name = actionOf(keyName(event));
     if (!name) return;
     event.preventDefault();
     if (event.repeat && !actions.get(name).repeat) return;
@@ -73,41 +52,30 @@ export function listenToKeys() {
   });
 }
 
-const FALLOFFS = ["smooth", "sphere", "linear", "sharp", "constant"];
 const next = (values, value) => values[(values.indexOf(value) + 1) % values.length];
-const command = (content) => () => attempt(ask(typeof content === "function" ? content() : content));
 const choose = (name, value) => () => store.setTool(name, value);
 const toggle = (name) => () => store.setTool(name, !store.tools[name]);
-const cycle = (name, values) => () => store.setTool(name, next(values, store.tools[name]));
+const cycle = (name) => () => store.setTool(name, next(choices[name].map(([value]) => value), store.tools[name]));
 
-register("undo", {
-  label: "Undo",
-  keys: ["Ctrl+Z"],
-  group: "Edit",
-  repeat: true,
-  enabled: () => (store.sections.history?.undo ?? 0) > 0,
-  run: command({ do: "undo" }),
-});
-register("redo", {
-  label: "Redo",
-  keys: ["Ctrl+Shift+Z", "Ctrl+Y"],
-  group: "Edit",
-  repeat: true,
-  enabled: () => (store.sections.history?.redo ?? 0) > 0,
-  run: command({ do: "redo" }),
-});
+for (const [name, label, keys] of [["undo", "Undo", ["Ctrl+Z"]], ["redo", "Redo", ["Ctrl+Shift+Z", "Ctrl+Y"]]]) {
+  const enabled = () => (store.sections.history?.[name] ?? 0) > 0;
+  register(name, { label, keys, group: "Edit", repeat: true, enabled, run: () => request({ do: name }) });
+}
 register("key.insert", {
-  label: "Insert a key of pose and camera at the present time",
+  label: "Key of pose and camera at the present time",
   keys: ["K"],
   group: "Timeline",
-  run: command(() => ({ do: "key.add", time: store.sections.playback?.time ?? 0, pose: true, camera: true })),
+  run: () => add(true, true),
 });
 register("play", {
   label: "Play or pause",
   keys: ["Space"],
   group: "Timeline",
   // with the next picture, as a time that the head was just put to: sent after this one it would stop the film
-  run: () => requestAnimationFrame(command({ do: "play", on: !store.sections.playback?.playing })),
+  run() {
+    const on = !store.sections.playback?.playing;
+    requestAnimationFrame(() => request({ do: "play", on }));
+  },
 });
 register("help", { label: "Help: all keys", keys: ["?", "F1", "H"], group: "Page", run: () => showHelp() });
 
@@ -119,8 +87,8 @@ register("pick.rectangle", { label: "Drags draw a rectangle", keys: ["B"], group
 register("pick.lasso", { label: "Drags draw a lasso", keys: ["C"], group: "Select", run: choose("pick", "lasso") });
 register("pick.through", { label: "Select what is hidden too", keys: ["Alt+Z"], group: "Select", run: toggle("through") });
 register("proportional", { label: "Proportional editing", keys: ["O"], group: "Tools", run: toggle("proportional") });
-register("falloff", { label: "Next falloff", keys: ["Shift+O"], group: "Tools", run: cycle("falloff", FALLOFFS) });
-register("axes", { label: "Next axes: world, view, local", keys: [","], group: "Tools", run: cycle("axes", ["world", "view", "local"]) });
-register("symmetry", { label: "Next plane of symmetry: none, x, y, z", keys: ["M"], group: "Tools", run: cycle("symmetry", ["", "x", "y", "z"]) });
+register("falloff", { label: "Next falloff", keys: ["Shift+O"], group: "Tools", run: cycle("falloff") });
+register("axes", { label: "Next axes: world, view, local", keys: [","], group: "Tools", run: cycle("axes") });
+register("symmetry", { label: "Next plane of symmetry: none, x, y, z", keys: ["M"], group: "Tools", run: cycle("symmetry") });
 register("snap", { label: "Snap to steps", keys: ["N"], group: "Tools", run: toggle("snap") });
 register("cage", { label: "Show the cage", keys: ["Alt+Shift+Z"], group: "View", run: toggle("cage") });

@@ -1,10 +1,10 @@
 // Toasts, questions and help. Dialogs are the browser's own: they keep the focus inside, Escape closes them.
 
-import { el, button, number, text, choice, check } from "./controls.js";
-import { actions } from "./actions.js";
+import { actions } from "./store.js";
+import { button, check, choice, el, number, text } from "./controls.js";
 
 const STAYS = { info: 4000, warning: 7000, error: 10000 }; // milliseconds
-const MOST = 4; // toasts at once
+const MAX_TOASTS = 4; // at once
 
 /** A short message in the corner, read out by screen readers; it goes by itself. */
 export function toast(message, level = "info") {
@@ -21,7 +21,7 @@ export function toast(message, level = "info") {
   item.addEventListener("pointerenter", () => clearTimeout(timer));
   item.addEventListener("pointerleave", leave);
   list.append(item);
-  while (list.children.length > MOST) list.firstChild.remove();
+  while (list.children.length > MAX_TOASTS) list.firstChild.remove();
   list.hidePopover();
   list.showPopover(); // above a dialog that is open
   leave();

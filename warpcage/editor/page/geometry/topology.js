@@ -1,8 +1,10 @@
-// Edges, neighbours and parts of a cage. Faces are flat (a0, b0, c0, a1, ...), selections are sets of vertex numbers.
+// Edges, neighbors and parts of a cage. Faces are flat (a0, b0, c0, a1, ...), selections are sets of vertex numbers.
 
-/** Edges (flat pairs, smaller number first), three edges of each face, neighbours and part of each vertex. */
+import { add, cross, dot, point, subtract } from "./vectors.js";
+
+/** Edges (flat pairs, smaller number first), three edges of each face, neighbors and part of each vertex. */
 export function makeTopology(faces, count) {
-  const neighbours = Array.from({ length: count }, () => []);
+  const neighbors = Array.from({ length: count }, () => []);
   const seen = new Map(); // edge by its two vertices -> its number
   const edges = [];
   const faceEdges = new Int32Array(faces.length).fill(-1);
@@ -16,8 +18,8 @@ export function makeTopology(faces, count) {
       if (seen.has(name)) continue;
       seen.set(name, edges.length / 2);
       edges.push(a, b);
-      neighbours[a].push(b);
-      neighbours[b].push(a);
+      neighbors[a].push(b);
+      neighbors[b].push(a);
     }
   }
   const parts = new Int32Array(count).fill(-1);
@@ -26,7 +28,7 @@ export function makeTopology(faces, count) {
     if (parts[start] >= 0) continue;
     parts[start] = part;
     for (const stack = [start]; stack.length; ) {
-      for (const n of neighbours[stack.pop()]) {
+      for (const n of neighbors[stack.pop()]) {
         if (parts[n] >= 0) continue;
         parts[n] = part;
         stack.push(n);
@@ -34,7 +36,7 @@ export function makeTopology(faces, count) {
     }
     part += 1;
   }
-  return { count, faces, edges: Int32Array.from(edges), faceEdges, neighbours, parts };
+  return { count, faces, edges: Int32Array.from(edges), faceEdges, neighbors, parts };
 }
 
 /** All vertices that hang together with any of these. */
@@ -43,16 +45,16 @@ export function linked(topology, selected) {
   return new Set(Array.from({ length: topology.count }, (_, i) => i).filter((i) => wanted.has(topology.parts[i])));
 }
 
-/** The selection and its neighbours. */
+/** The selection and its neighbors. */
 export function grow(topology, selected) {
   const out = new Set(selected);
-  for (const i of selected) for (const n of topology.neighbours[i]) out.add(n);
+  for (const i of selected) for (const n of topology.neighbors[i]) out.add(n);
   return out;
 }
 
-/** The selection without its rim: vertices whose neighbours are all selected. */
+/** The selection without its rim: vertices whose neighbors are all selected. */
 export function shrink(topology, selected) {
-  return new Set([...selected].filter((i) => topology.neighbours[i].every((n) => selected.has(n))));
+  return new Set([...selected].filter((i) => topology.neighbors[i].every((n) => selected.has(n))));
 }
 
 /** All that is not selected. */
@@ -73,11 +75,8 @@ export function facesWithin(faces, selected) {
 export function signedVolume(faces, points) {
   let sum = 0;
   for (let f = 0; f < faces.length; f += 3) {
-    const [a, b, c] = [3 * faces[f], 3 * faces[f + 1], 3 * faces[f + 2]];
-    sum +=
-      points[a] * (points[b + 1] * points[c + 2] - points[b + 2] * points[c + 1]) +
-      points[a + 1] * (points[b + 2] * points[c] - points[b] * points[c + 2]) +
-      points[a + 2] * (points[b] * points[c + 1] - points[b + 1] * points[c]);
+    const [a, b, c] = [0, 1, 2].map((k) => point(points, faces[f + k]));
+    sum += dot(a, cross(b, c));
   }
   return sum;
 }
@@ -88,11 +87,8 @@ export function facing(topology, points, eye, sense) {
   const edges = new Uint8Array(topology.edges.length / 2);
   const vertices = new Uint8Array(topology.count);
   for (let f = 0; f < faces.length; f += 3) {
-    const corner = [0, 1, 2].map((k) => [0, 1, 2].map((i) => points[3 * faces[f + k] + i] - eye[i]));
-    const [a, b, c] = corner;
-    const side =
-      a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0]);
-    if (side * sense > 0) continue;
+    const [a, b, c] = [0, 1, 2].map((k) => subtract(point(points, faces[f + k]), eye));
+    if (dot(a, cross(b, c)) * sense > 0) continue;
     for (let k = 0; k < 3; k += 1) {
       if (faceEdges[f + k] >= 0) edges[faceEdges[f + k]] = 1;
       vertices[faces[f + k]] = 1;
@@ -103,15 +99,12 @@ export function facing(topology, points, eye, sense) {
 
 /** The sum of the faces' normals times twice their area, over the faces that touch a selection. */
 export function normalAround(faces, points, selected) {
-  const normal = [0, 0, 0];
+  let normal = [0, 0, 0];
   for (let f = 0; f < faces.length; f += 3) {
     const [a, b, c] = [faces[f], faces[f + 1], faces[f + 2]];
     if (!selected.has(a) && !selected.has(b) && !selected.has(c)) continue;
-    const u = [0, 1, 2].map((k) => points[3 * b + k] - points[3 * a + k]);
-    const v = [0, 1, 2].map((k) => points[3 * c + k] - points[3 * a + k]);
-    normal[0] += u[1] * v[2] - u[2] * v[1];
-    normal[1] += u[2] * v[0] - u[0] * v[2];
-    normal[2] += u[0] * v[1] - u[1] * v[0];
+    const start = point(points, a);
+    normal = add(normal, cross(subtract(point(points, b), start), subtract(point(points, c), start)));
   }
   return normal;
 }
