@@ -371,7 +371,7 @@ def test_lines_take_few_bytes_each(tmp_path):
 
 
 def test_rows_of_a_long_array_are_read_alone(tmp_path):
-    from warpcage.core.npy_files import NpyFile
+    from warpcage.core.files import NpyFile
 
     values = np.arange(24, dtype=np.float32).reshape(4, 3, 2)
     np.save(tmp_path / "a.npy", values)

@@ -9,7 +9,7 @@ import textwrap
 import pytest
 
 from warpcage.cli import main
-from warpcage.core import compiling
+from warpcage.core import stderr
 
 PROGRAM = """
     import warp as wp
@@ -49,9 +49,9 @@ class Terminal(io.StringIO):
     (Terminal, (), True), (Terminal, ("--quiet",), False), (io.StringIO, (), False),
 ])  # fmt: skip
 def test_a_command_says_it_before_a_terminal(monkeypatch, stream, words, watched):
-    monkeypatch.setattr(compiling, "say", None)
+    monkeypatch.setattr(stderr, "say", None)
     monkeypatch.setattr(sys, "stderr", stream())
     assert main(["render", "nothing.npz", "-o", "a.png", *words]) == 2  # there is no such file
-    assert (compiling.say is not None) == watched
-    compiling.told()
-    assert ("compiling kernels" in sys.stderr.getvalue()) == watched and compiling.say is None
+    assert (stderr.say is not None) == watched
+    stderr.told()
+    assert ("compiling kernels" in sys.stderr.getvalue()) == watched and stderr.say is None

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from warpcage.core import files
-from warpcage.core.crc import joined_crc
-from warpcage.core.files import atomic_path, read_npz
+from warpcage.core.files import atomic_path, joined_crc, read_npz
 from warpcage.field.files import contents
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpcage.core import host_copies
+from warpcage.core import arrays
 from warpcage.view.frame import Frame
 from warpcage.view.pictures import to_uint8
 
@@ -66,10 +66,10 @@ def test_copies_hold_what_was_there_when_they_were_begun(device):
     np.testing.assert_array_equal(frame.depth, np.full((SIDE, SIDE), 0.75, np.float32))
 
 
-@pytest.mark.parametrize("room", [1 << 28, 5 * host_copies.PIECE, 0])
+@pytest.mark.parametrize("room", [1 << 28, 5 * arrays.PIECE, 0])
 def test_memory_of_copies_is_used_again_and_what_somebody_holds_is_not(device, room, monkeypatch):
-    monkeypatch.setattr(host_copies, "MOST_STAGED", room)
-    host_copies._staging.cache_clear()
+    monkeypatch.setattr(arrays, "MOST_STAGED", room)
+    arrays._staging.cache_clear()
     held = []
     for seed in range(12):
         frame = frame_of(colours(seed), device)
@@ -84,8 +84,8 @@ def test_memory_of_copies_is_used_again_and_what_somebody_holds_is_not(device, r
         np.testing.assert_array_equal(rgb, colours(seed))
         np.testing.assert_array_equal(packed, to_uint8(colours(seed)))
     if wp.get_device(device).is_cuda:
-        assert host_copies._staging(0)._made <= room
-    host_copies._staging.cache_clear()
+        assert arrays._staging(0)._made <= room
+    arrays._staging.cache_clear()
 
 
 def test_a_frame_of_other_arrays_has_bytes_too():

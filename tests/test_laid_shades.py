@@ -6,7 +6,7 @@ import pytest
 import warp as wp
 from deformed_scenes import BOX, shiny_field, view
 
-from warpcage.core.textures import half_texture
+from warpcage.core.devices import half_texture
 from warpcage.deform.deformer import Deformer
 from warpcage.field.shading import ColumnTable
 from warpcage.kernels.deform.laid_shades import SHADE_LAYERS, LaidShades, laid_shade, write_laid_shade

@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 
 from warpcage.core.arrays import array_bytes
-from warpcage.core.recent import MEASURED_EVERY, Recent
+from warpcage.core.memory import MEASURED_EVERY, Recent
 
 
 def test_those_that_were_used_last_are_kept():

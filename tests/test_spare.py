@@ -1,4 +1,4 @@
-"""Memory of frames that a GPU's pool keeps (warpcage/core/spare.py)."""
+"""Memory of frames that a GPU's pool keeps (warpcage/core/devices.py)."""
 
 import gc
 import types
@@ -8,8 +8,8 @@ import pytest
 import warp as wp
 from deformed_scenes import shiny_field, view
 
-from warpcage.core import spare
-from warpcage.core.spare import LEAST_SPARE, SPARE_FRAMES, SpareMemory
+from warpcage.core import devices
+from warpcage.core.devices import LEAST_SPARE, SPARE_FRAMES, SpareMemory
 
 MIB = 1 << 20
 
@@ -27,7 +27,7 @@ class Pool:
 @pytest.fixture
 def pool(monkeypatch):
     made = Pool()
-    monkeypatch.setattr(spare, "_set", {})
+    monkeypatch.setattr(devices, "_set", {})
     monkeypatch.setattr(wp, "get_mempool_used_mem_current", lambda device: made.used)
     monkeypatch.setattr(wp, "get_mempool_release_threshold", lambda device: made.threshold)
     monkeypatch.setattr(wp, "set_mempool_release_threshold", made.set)
@@ -95,7 +95,7 @@ def test_devices_are_kept_apart(pool):
     one.keep(100 * MIB)
     pool.threshold = 0  # that of the other device
     other.keep(200 * MIB)
-    assert sorted(spare._set.values()) == [200 * MIB, 400 * MIB]
+    assert sorted(devices._set.values()) == [200 * MIB, 400 * MIB]
 
 
 def test_frames_of_a_field(device):

@@ -6,7 +6,7 @@ import pytest
 from warpcage.cage.cage import Cage
 from warpcage.cli import main
 from warpcage.coordinates.weights import harmonic_coordinates
-from warpcage.core.words import agreed, counted
+from warpcage.core.names import agreed, counted
 from warpcage.mesh.topology import MeshTopology
 from warpcage.splats.splat_field import SplatField
 

@@ -6,7 +6,7 @@ import collections
 import dataclasses
 from collections.abc import Sequence
 
-from ..core.words import counted
+from ..core.names import counted
 from .lots import Lot, Lots
 
 #: Deaths of a worker in a row, none of which made an item, after which its place is given up.

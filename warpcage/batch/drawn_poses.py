@@ -9,7 +9,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..cage.pose_limits import PoseProbe
 from ..cage.random_poses import RandomPoses
-from ..core.recent import Recent
+from ..core.memory import Recent
 from .item import canonical
 from .pose_words import RANDOM
 

@@ -8,8 +8,7 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import array_bytes
-from ..core.memory import free_bytes
-from ..core.recent import Recent
+from ..core.memory import Recent, free_bytes
 from ..splats.load import AnyField, read_field
 from .expected_field import ExpectedField
 from .references import References

@@ -12,9 +12,8 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from ..core.files import PathLike, file_stamp
-from ..core.npy_files import NpyFile
-from ..core.recent import Recent
+from ..core.files import NpyFile, PathLike, file_stamp
+from ..core.memory import Recent
 from .items import EvaluateItem, FitItem, FrameItem, Item, canonical
 from .words import split_reference
 

@@ -6,7 +6,7 @@ import pathlib
 
 import warp as wp
 
-from ..core.recent import Recent
+from ..core.memory import Recent
 from ..fitting.fit import fit
 from ..scene.load import load_scene
 from ..scene.scene import Scene

@@ -13,8 +13,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..core.arrays import array_bytes
-from ..core.memory import free_bytes
-from ..core.recent import Recent
+from ..core.memory import Recent, free_bytes
 from ..deform.deformer import Deformer
 from ..deform.edits import CageEdit
 from ..deform.fill import fill_unseen

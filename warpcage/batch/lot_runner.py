@@ -15,7 +15,7 @@ from concurrent.futures import Future
 from typing import Any, Protocol
 
 from .. import __version__
-from ..core.words import system_error_line
+from ..core.names import system_error_line
 from .dispatcher import LotReport
 from .items import Item
 from .manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes

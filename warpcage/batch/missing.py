@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 
 from ..cage.presets import is_preset
-from ..core.files import PathLike, require_file
-from ..core.npy_files import NpyFile
-from ..core.recent import Recent
+from ..core.files import NpyFile, PathLike, require_file
+from ..core.memory import Recent
 from .fingerprints import references_of
 from .items import Item
 from .words import split_reference

@@ -20,10 +20,8 @@ from ..cage.pose_file import PoseFile, cage_hash
 from ..cage.presets import Preset, is_preset
 from ..cage.upright import load_standing
 from ..core.checks import shown
-from ..core.files import file_stamp, require_file
-from ..core.json_files import DAMAGED
-from ..core.npy_files import NpyFile
-from ..core.recent import Recent
+from ..core.files import DAMAGED, NpyFile, file_stamp, require_file
+from ..core.memory import Recent
 from ..scene.transforms_camera import TransformsCameras
 from ..splats.load import AnyField
 from ..view.camera import Camera

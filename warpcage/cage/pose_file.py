@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_number, checked_positive, listed, shown
-from ..core.files import PathLike, atomic_path, require_file
-from ..core.json_files import DAMAGED, damage, read_json
+from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..core.names import require_name
 from ..mesh.closed_mesh import require_mesh
 from ..view.camera import Camera

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.checks import axis_index, checked_number, checked_whole
-from ..core.words import agreed, counted
+from ..core.names import agreed, counted
 from ..mesh.closed_mesh import ClosedMesh
 
 

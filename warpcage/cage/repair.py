@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.checks import checked_whole
-from ..core.words import agreed, counted
+from ..core.names import agreed, counted
 from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.topology import MeshTopology
 from ..mesh.usable import coincident_vertices, inward_parts

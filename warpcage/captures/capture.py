@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core.checks import checked_path, checked_whole, listed
 from ..core.files import atomic_path
-from ..core.words import agreed, counted
+from ..core.names import agreed, counted
 from ..view.pictures import write_png
 from .found import Found, found_of
 from .placing import placed

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..core.checks import listed
-from ..core.words import agreed, counted
+from ..core.names import agreed, counted
 from ..view.pictures import contact_sheet
 from .found import Found
 

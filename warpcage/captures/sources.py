@@ -10,7 +10,7 @@ import warnings
 import numpy as np
 
 from ..core.checks import listed
-from ..core.words import agreed
+from ..core.names import agreed
 from ..view.pictures import MAX_PIXELS
 
 #: Endings of pictures that are read, and of those that are not but are often there.

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.words import agreed, counted
+from ..core.names import agreed, counted
 from .progress import bar
 from .sharpness import COMPARED_SIZE, MOTION_SIZE, motion, sharpness, shrunk_grey
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..cage.pose_file import PoseFile
 from ..core.files import require_file
-from ..core.words import counted
+from ..core.names import counted
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
 from ..editor.scene import camera
 from ..editor.session_file import read_session

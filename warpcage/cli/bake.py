@@ -7,7 +7,7 @@ import argparse
 import numpy as np
 
 from ..core.files import require_file
-from ..core.words import counted
+from ..core.names import counted
 from ..deform.bake import bake
 from ..deform.splat_deformer import SplatDeformer
 from ..field.selection import NodeSelection

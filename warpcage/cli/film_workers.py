@@ -17,7 +17,7 @@ import numpy as np
 from .. import __version__
 from ..batch.report import RunProgress, RunReport
 from ..batch.run import run_jobs
-from ..core.words import counted
+from ..core.names import counted
 from ..view.camera import Camera
 from ..view.film import CLEAR_ENDINGS, read_film_frame, write_film
 from .film_jobs import FilmFrame, FilmJob

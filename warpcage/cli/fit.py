@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..core.names import FIT_BACKGROUNDS
-from ..core.words import counted
+from ..core.names import FIT_BACKGROUNDS, counted
 from ..fitting.fit import fit
 from ..fitting.memory import memory_size
 from . import inputs, options

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from ..core.names import counted
 from ..core.overlap import Beside
-from ..core.words import counted
 from ..view.camera import Camera
 from ..view.camera_path import path_cameras
 from ..view.film import FILM_ENDINGS, write_film

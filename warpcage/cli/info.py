@@ -11,10 +11,10 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
-from ..core.json_files import read_json
+from ..core.files import read_json
 from ..core.modules import start_warp
+from ..core.names import counted
 from ..core.threads import cpu_threads
-from ..core.words import counted
 from ..field.background import LayeredBackground
 from ..field.outer import OuterField
 from ..scene.load import detect_format, load_scene

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import pathlib
 
+from ..core.names import counted
 from ..core.overlap import Beside
-from ..core.words import counted
 from . import inputs, options, outputs, view
 from .deformation import read_deformation
 

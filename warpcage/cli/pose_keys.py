@@ -9,7 +9,7 @@ from ..cage.axis_words import with_up
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..cage.presets import is_preset
-from ..core.words import counted
+from ..core.names import counted
 from ..view.camera_path import CameraKey
 from . import inputs, pose, view
 from .film_keys import note_jumps, pose_file, read_film

@@ -8,8 +8,8 @@ import sys
 import types
 import warnings
 
-from ..core import compiling
-from ..core.words import system_error_line
+from ..core import stderr
+from ..core.names import system_error_line
 from . import verbosity
 from .parser import build_parser
 from .signals import Ended, ended_by_signals
@@ -58,7 +58,7 @@ def _run_command(argv: list[str] | None) -> int:
         return 2
     verbosity.verbose = arguments.verbose
     watched = sys.stderr.isatty() and not getattr(arguments, "quiet", False)
-    compiling.say = _tell_of_compiling if watched else None
+    stderr.say = _tell_of_compiling if watched else None
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         return _command(arguments.command).run(arguments) or 0

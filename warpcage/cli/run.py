@@ -10,7 +10,7 @@ from ..batch.forecast import Forecast, foresee
 from ..batch.part import Part
 from ..batch.report import RunProgress, RunReport
 from ..batch.run import Options, run_jobs
-from ..core.words import counted
+from ..core.names import counted
 from . import inputs
 
 #: Lines about items that failed; the manifest has all.

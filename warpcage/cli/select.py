@@ -6,7 +6,7 @@ import argparse
 
 import numpy as np
 
-from ..core.words import counted
+from ..core.names import counted
 from ..field.objects import select_object
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera

@@ -13,10 +13,9 @@ import numpy as np
 from ..batch.sweeps import GivenSource, PoseSource, RandomSource, RandomViews, write_sweep
 from ..cage.cage import Cage
 from ..cage.random_poses import RandomPoses
-from ..core.names import BACKGROUNDS
-from ..core.npy_files import NpyFile
+from ..core.files import NpyFile
+from ..core.names import BACKGROUNDS, counted
 from ..core.threads import cpu_threads
-from ..core.words import counted
 from ..scene.transforms_camera import TransformsCameras
 from ..view.camera import Camera, framing_orbit
 from ..view.camera_file import CameraFile

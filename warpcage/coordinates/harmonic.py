@@ -17,7 +17,7 @@ from ..core.arrays import (
 from ..core.checks import warn_caller
 from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
-from ..core.words import agreed
+from ..core.names import agreed
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.lattice.weights import sample_weights
 from ..lattice.gaps import MapTarget, lattice_side_bytes

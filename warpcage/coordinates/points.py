@@ -10,7 +10,7 @@ import warp as wp
 from ..core.arrays import PointsLike, as_host_points, as_points, empty_array, is_device_array
 from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
-from ..core.words import agreed
+from ..core.names import agreed
 from ..kernels.coordinates import local_points
 from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.containment import SURFACE_TOLERANCE, inside_mesh

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -162,3 +163,98 @@ def module_block_dim(kernel: Kernel) -> int:
     """Threads per block that a kernel's module is meant for: its option block_dim, 256 where it names none."""
     assert isinstance(kernel, wp.Kernel)
     return kernel.module.options["block_dim"]
+
+
+class HostFlag:
+    """One number that kernels set and the host waits for."""
+
+    def __init__(self, device: wp.DeviceLike):
+        self._device = wp.get_device(device)
+        # (1,) int32, for kernels
+        self.array = wp.zeros(1, dtype=wp.int32, device=self._device)
+        self._host = wp.zeros(1, dtype=wp.int32, device="cpu", pinned=True) if self._device.is_cuda else self.array
+        self._sent = wp.Event(self._device) if self._device.is_cuda else None
+
+    def clear(self) -> None:
+        """Set it to 0, after all that was launched."""
+        self.array.zero_()
+
+    def send(self) -> None:
+        """Let the host have what the kernels launched up to now leave."""
+        if self._sent is not None:
+            wp.copy(self._host, self.array)
+            wp.record_event(self._sent)
+
+    def wait(self) -> int:
+        """Wait for what was sent last, and not for what was launched afterwards."""
+        if self._sent is not None:
+            wp.synchronize_event(self._sent)
+        return int(self._host.numpy()[0])
+
+
+#: Frames of one size that may be dropped and made again without the driver.
+SPARE_FRAMES = 2
+
+#: Bytes that are kept at least, as a pool reserves memory in large pieces.
+LEAST_SPARE = 64 << 20
+
+#: The release threshold that was set last for each CUDA device, by ordinal.
+_set: dict[int, int] = {}
+
+
+class SpareMemory:
+    """What one owner of frames lets the pool of its device keep."""
+
+    # Whenever the host waits for a GPU, its pool gives back to the driver what it holds beyond its release threshold,
+    # which is nothing by default. To get it anew takes the next frame longer than a launch. So the threshold follows
+    # the memory in use, and leaves room for a few frames beside that. It goes back to nothing with the owner. A
+    # threshold that a program has set itself stays as it is.
+
+    def __init__(self, device: wp.Device):
+        self._device = device if device.is_cuda and device.is_mempool_enabled else None
+        if self._device is not None:
+            weakref.finalize(self, _give_back, self._device).atexit = False
+
+    def keep(self, size: int) -> None:
+        """Keep memory for frames of so many bytes each, once they are dropped."""
+        device = self._device
+        if device is None:
+            return
+        room = max(SPARE_FRAMES * size, LEAST_SPARE)
+        wanted, last = wp.get_mempool_used_mem_current(device) + room, _set.get(device.ordinal, 0)
+        if abs(wanted - last) > room // 2 and wp.get_mempool_release_threshold(device) == last:
+            wp.set_mempool_release_threshold(device, wanted)
+            _set[device.ordinal] = wanted
+
+
+def _give_back(device: wp.Device) -> None:
+    """Let the pool of a device keep nothing, unless a program wants it to."""
+    last = _set.pop(device.ordinal, 0)
+    if last and wp.get_mempool_release_threshold(device) == last:
+        wp.set_mempool_release_threshold(device, 0)
+
+
+#: Numbers of a texel, and its bytes.
+CHANNELS = 4
+
+HALF_TEXEL_BYTES = 2 * CHANNELS
+
+#: Most texels that CUDA takes along an axis.
+MOST_TEXELS = 16384
+
+
+def half_texture(shape: tuple[int, int, int], device: wp.DeviceLike) -> wp.Texture3D:
+    """A texture of four halves a texel, (depth, height, width) texels, on a CUDA device; its values are not set yet.
+    It is asked by unnormalised coordinates, and blends texels."""
+    depth, height, width = shape
+    return wp.Texture3D(
+        width=width,
+        height=height,
+        depth=depth,
+        num_channels=CHANNELS,
+        dtype=wp.float16,
+        filter_mode=wp.TextureFilterMode.LINEAR,
+        normalized_coords=False,
+        surface_access=True,
+        device=device,
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
+import json
 import math
 import os
 import pathlib
@@ -13,14 +14,46 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
 from .checks import checked_path
-from .crc import joined_crc
 from .memory import MemoryShortage, free_host_bytes, require_host_memory
 from .threads import run_parallel
+
+#: The polynomial of zip files, and the polynomials 1 and x; the highest bit is the constant one.
+POLYNOMIAL, ONE, X = 0xEDB88320, 1 << 31, 1 << 30
+
+
+def joined_crc(first: int, second: int, length: int) -> int:
+    """The checksum of two parts one after the other, by that of each and the bytes of the second."""
+    # `crc32_combine` of zlib.
+    return _product(_shift(8 * length), first) ^ second
+
+
+def _product(a: int, b: int) -> int:
+    """The product of two polynomials, modulo POLYNOMIAL."""
+    product, bit = 0, ONE
+    while bit:
+        if a & bit:
+            product ^= b
+        b = b >> 1 ^ POLYNOMIAL if b & 1 else b >> 1
+        bit >>= 1
+    return product
+
+
+@functools.lru_cache(maxsize=16)
+def _shift(bits: int) -> int:
+    """x to the power of a number of bits."""
+    power, square = ONE, X
+    while bits:
+        if bits & 1:
+            power = _product(square, power)
+        square = _product(square, square)
+        bits >>= 1
+    return power
+
 
 #: A path as callers give it.
 PathLike = str | os.PathLike[str]
@@ -263,3 +296,106 @@ def file_stamp(path: PathLike) -> tuple[int, int]:
     """Bytes of a file and its time of change, nanoseconds, by which one that was replaced or written to is known."""
     status = os.stat(path)
     return status.st_size, status.st_mtime_ns
+
+
+#: What taking apart the contents of a file raises that is not as it should be.
+DAMAGED = (KeyError, TypeError, AttributeError, OverflowError, RecursionError)
+
+
+def read_json(path: PathLike, what: str) -> dict[str, Any]:
+    """The object that a JSON file holds; a ValueError says what is wrong without the path."""
+    data = read_limited(path, what, JSON_ROOM)
+    try:
+        content = json.loads(data.decode("utf-8"))
+    except UnicodeDecodeError:
+        raise ValueError(f"{not_a(what)}: it holds no text") from None
+    except RecursionError:
+        raise ValueError(f"{not_a(what)}: its JSON is nested too deeply") from None
+    except json.JSONDecodeError as error:
+        place = f"line {error.lineno}, column {error.colno}"
+        wrong = f"its JSON breaks off or is damaged at {place}" if data.strip() else "it is empty"
+        raise ValueError(f"{not_a(what)}: {wrong}") from None
+    if not isinstance(content, dict):
+        raise ValueError(f"{not_a(what)}: it holds no JSON object")
+    return content
+
+
+def damage(what: str, error: Exception) -> str:
+    """One line for an error of `DAMAGED`."""
+    if isinstance(error, KeyError):
+        return f"{not_a(what)}: it lacks {error.args[0]!r}"
+    return f"{not_a(what)}: something in it is of another kind than it should be ({error})"
+
+
+def not_a(what: str) -> str:
+    """The beginning of the message."""
+    return f"not {'an' if what[0] in 'aeiou' else 'a'} {what}"
+
+
+#: Kinds of numbers that are read: floats, and whole numbers with a sign or without.
+NUMBERS = "fiu"
+
+
+class NpyFile:
+    """An array in a .npy file, of which a row is read at a time by its place in the file."""
+
+    # Of millions of poses none but the one that is asked for is in memory. A mapped file would do the same, but a file
+    # that is cut off under it kills the process.
+
+    def __init__(self, path: PathLike):
+        self.path = require_file(path, "array file")
+        # size and time, by which a changed file is known
+        self.stamp = file_stamp(self.path)
+        with self.path.open("rb") as file:
+            try:
+                self.shape, columns_first, self.dtype = read_npy_header(file, self.path.name)
+            except Exception as error:
+                reason = " ".join(str(error).split()) or type(error).__name__
+                raise ValueError(f"{self.path} is not an .npy file of numbers: {reason}") from None
+            self._start = file.tell()
+        if self.dtype.kind not in NUMBERS or min(self.shape, default=0) < 0:
+            raise ValueError(f"{self.path} must hold numbers, got {self.dtype} of shape {self.shape}")
+        if columns_first and len(self.shape) > 1:
+            raise ValueError(f"{self.path} holds columns first: save it by np.save(path, np.ascontiguousarray(array))")
+        claimed = math.prod(self.shape) * self.dtype.itemsize
+        if claimed != self.stamp[0] - self._start:
+            raise ValueError(
+                f"{self.path} claims {claimed} bytes {self.shape}, it has {self.stamp[0] - self._start}: it is cut off "
+                "or damaged"
+            )
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of a row."""
+        return math.prod(self.shape[1:]) * self.dtype.itemsize
+
+    def row(self, index: int) -> np.ndarray:
+        """The array's part at a place of its first axis, from 0."""
+        return self._array(self.row_data(index), self.shape[1:])
+
+    def row_data(self, index: int) -> bytes:
+        """The bytes of a row; see `row`."""
+        if not self.shape or not 0 <= index < self.shape[0]:
+            rows = self.shape[0] if self.shape else 0
+            raise ValueError(
+                f"{self.path} has rows 0 to {rows - 1}, got {index}" if rows else f"{self.path} has no rows"
+            )
+        return self._read(self._start + index * self.row_bytes, self.row_bytes)
+
+    def read(self) -> np.ndarray:
+        """The whole array. Raises ValueError where there is no memory for it, or the file was cut off."""
+        size = math.prod(self.shape) * self.dtype.itemsize
+        require_host_memory(size, f"{self.path}: its array needs")
+        return self._array(self._read(self._start, size), self.shape)
+
+    def _read(self, start: int, size: int) -> bytes:
+        require_host_memory(size, f"{self.path}: a row needs")
+        with self.path.open("rb") as file:
+            file.seek(start)
+            data = file.read(size)
+        if len(data) != size:
+            raise ValueError(f"{self.path} was cut off while it was in use")
+        return data
+
+    def _array(self, data: bytes, shape: tuple[int, ...]) -> np.ndarray:
+        return np.frombuffer(data, self.dtype).reshape(shape)

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 import warp as wp
 
-from . import compiling
+from . import stderr
 from .locks import device_turn
 from .stderr import without_driver_note
 from .threads import cpu_threads
@@ -87,11 +87,11 @@ def _load(module: wp.Module, device: wp.Device, block_dim: int | None) -> None:
 
 def _tell(modules: Sequence[wp.Module], device: wp.Device, block_dim: int | None = None) -> None:
     """Say that modules are about to be compiled, if some of them are not in the cache; block_dim: None is their own."""
-    if compiling.say is None:
+    if stderr.say is None:
         return
     threads = [1 if device.is_cpu else block_dim or module.options["block_dim"] for module in modules]
     if not all(_cache_folder(module, count).exists() for module, count in zip(modules, threads, strict=True)):
-        compiling.told()
+        stderr.told()
 
 
 def _unwritable(error: OSError) -> RuntimeError:

@@ -8,7 +8,7 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 #: What Warp's native code writes where there is no driver of NVIDIA's, as on every machine without a GPU.
 NOTE = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver."
@@ -52,3 +52,15 @@ def _has_driver() -> bool:
             ctypes.CDLL(name)
             return True
     return False
+
+
+#: Called once, before the first module of kernels of this process is compiled. None says nothing.
+say: Callable[[], object] | None = None
+
+
+def told() -> None:
+    """Say it, if nobody has."""
+    global say
+    saying, say = say, None
+    if saying is not None:
+        saying()

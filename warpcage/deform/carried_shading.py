@@ -9,9 +9,7 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..core.devices import RepeatedLaunches, launch
-from ..core.flags import HostFlag
-from ..core.textures import HALF_TEXEL_BYTES, MOST_TEXELS
+from ..core.devices import HALF_TEXEL_BYTES, MOST_TEXELS, HostFlag, RepeatedLaunches, launch
 from ..field.shading import ColumnTable, whole_warps
 from ..kernels.deform.carried_shades import (
     AimedCage,

@@ -17,8 +17,7 @@ from ..cage.cage import Cage
 from ..core.checks import checked_flag, checked_path, checked_whole, listed, require_type
 from ..core.devices import resolve_device
 from ..core.locks import owner_lock
-from ..core.names import DENSITIES, SPLAT_MAPS, require_coordinates, require_name
-from ..core.words import counted
+from ..core.names import DENSITIES, SPLAT_MAPS, counted, require_coordinates, require_name
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..lattice.capture import StreamOrder
 from ..splats.density import SplatDensity

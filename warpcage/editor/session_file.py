@@ -8,8 +8,7 @@ import pathlib
 from typing import Any
 
 from ..core.checks import listed
-from ..core.files import PathLike, atomic_path, require_file
-from ..core.json_files import DAMAGED, damage, read_json
+from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..splats.load import AnyField
 from .document import Document
 

@@ -17,8 +17,7 @@ from typing import Any, TypeVar
 from ..cage.cage import Cage
 from ..cage.upright import Standing, load_standing
 from ..core.files import atomic_path
-from ..core.names import PLANES
-from ..core.words import counted
+from ..core.names import PLANES, counted
 from ..field.objects import select_object
 from ..field.selection import NodeSelection
 from ..field.voxel_field import VoxelField

@@ -14,7 +14,7 @@ from ..core.arrays import empty_array
 from ..core.checks import checked_vector
 from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
-from ..core.words import counted
+from ..core.names import counted
 from ..kernels.field.background import BackgroundLayers
 from ..kernels.field.outer import OuterGrid, compose_outer, dim_pixels, sample_outer
 from ..view.camera import Camera, camera_struct, tile_threads

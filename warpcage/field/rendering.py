@@ -10,7 +10,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import array_view, empty_array
-from ..core.spare import SpareMemory
+from ..core.devices import SpareMemory
 from ..view.camera import Camera, camera_struct, tile_threads
 from ..view.frame import PART_NAMES, Frame, average_frame, finer_camera
 from .background import LayeredBackground

@@ -19,7 +19,7 @@ from ..core.checks import (
     shown,
 )
 from ..core.files import PathLike
-from ..core.words import counted
+from ..core.names import counted
 from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.containment import inside_mesh
 from ..view.camera import Camera

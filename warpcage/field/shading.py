@@ -9,8 +9,7 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..core.devices import RepeatedLaunch, launch
-from ..core.textures import half_texture
+from ..core.devices import RepeatedLaunch, half_texture, launch
 from ..kernels.core.texels import clear_half_texels
 from ..kernels.field import columns
 from ..kernels.field.densities import lay_densities

@@ -11,8 +11,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import array_view, empty_array
-from ..core.devices import RepeatedLaunch, launch
-from ..core.flags import HostFlag
+from ..core.devices import HostFlag, RepeatedLaunch, launch
 from ..kernels.field import halves as grid_halves
 from ..kernels.field import refine as grid_refine
 from ..kernels.field import skip as grid_skip

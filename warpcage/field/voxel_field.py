@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_points, as_points, empty_array, is_device_array
 from ..core.checks import checked_bounds, checked_direction, checked_march, require_ordinary_side, require_type
-from ..core.devices import launch, resolve_device
+from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.locks import device_turn, in_turn
-from ..core.spare import SpareMemory
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..view.backgrounds import parse_background
 from ..view.camera import Camera, rigid_motion

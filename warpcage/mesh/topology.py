@@ -7,7 +7,7 @@ import functools
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.words import agreed, counted
+from ..core.names import agreed, counted
 from .fans import FaceFans, face_fans
 
 

@@ -6,7 +6,7 @@ import weakref
 
 import numpy as np
 
-from ..core.words import counted
+from ..core.names import counted
 from .closed_mesh import ClosedMesh
 from .faces import column_cross, column_dot, face_edges
 

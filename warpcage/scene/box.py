@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..core.words import agreed
+from ..core.names import agreed
 from ..view.camera import Camera
 
 #: Where all cameras look the same way, the object is taken to be this many times their largest spread ahead.

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import warp as wp
 
 from ..core.files import PathLike
-from ..core.words import counted
+from ..core.names import counted
 from ..field.files.contents import FieldContents
 from ..field.files.files import load_field as load_voxels
 from ..field.voxel_field import VoxelField

@@ -10,9 +10,8 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import WarpStruct
-from ..core.devices import launch, resolve_device
+from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.locks import owner_lock
-from ..core.spare import SpareMemory
 from ..field.rendering import picture_arrays
 from ..kernels.splats import composite, composite_tiles, project, tiles
 from ..lattice.capture import BufferPool

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..core.checks import checked_path, checked_positive, listed, require_type
-from ..core.files import PathLike, atomic_path, require_file
-from ..core.json_files import DAMAGED, damage, read_json
+from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..core.names import require_name
 from .camera import Camera
 from .camera_path import CameraKey

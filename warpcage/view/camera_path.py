@@ -9,8 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..core.checks import checked_number, checked_vector, require_type
-from ..core.names import require_name
-from ..core.words import agreed
+from ..core.names import agreed, require_name
 from .camera import Camera, common_up
 from .keys import EASINGS, value_at
 

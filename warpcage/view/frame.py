@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.arrays import empty_array
+from ..core.arrays import HostCopy, empty_array
 from ..core.checks import checked_whole, shown
 from ..core.devices import launch
-from ..core.host_copies import HostCopy
 from ..core.locks import device_turn
 from ..kernels.view import colour_bytes, downsample
 from .camera import Camera

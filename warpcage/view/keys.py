@@ -9,8 +9,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..core.names import EASINGS as EASINGS
-from ..core.names import LOOPS as LOOPS
 from .film import MAX_DENOMINATOR
 
 #: Most frames that a film may have.

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...core.checks import checked_path
-from ...core.files import PathLike, atomic_path, read_npz, require_file
-from ...core.json_files import DAMAGED, damage, not_a, read_json
+from ...core.files import DAMAGED, PathLike, atomic_path, damage, not_a, read_json, read_npz, require_file
 
 #: How selection files end.
 SELECTION_ENDINGS = (".npz", ".json")

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.checks import shown
 from ...core.files import TEXT_ROOM, read_limited
-from ...core.words import counted
+from ...core.names import counted
 
 #: (line, indices of vertices) of each polygon of a file.
 Polygons = list[tuple[int, list[int]]]
