@@ -43,7 +43,7 @@ def main(argv=None) -> dict:
     from warpcage.core.devices import resolve_device
     from warpcage.editor.demo import demo_files
     from warpcage.fitting.evaluation import psnr
-    from warpcage.mesh.files.gltf import write_glb
+    from warpcage.mesh.io.gltf import write_glb
     from warpcage.reference.inverse_map import InverseMap
     from warpcage.view.pictures import contact_sheet, read_image, write_png
 

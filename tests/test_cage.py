@@ -6,9 +6,9 @@ import pytest
 import trimesh
 
 from warpcage.cage.cage import Cage
-from warpcage.mesh import intersections
-from warpcage.mesh.intersections import intersecting_faces
+from warpcage.mesh import queries
 from warpcage.mesh.match import require_same_faces
+from warpcage.mesh.queries import intersecting_faces
 
 
 def tetrahedron():
@@ -281,7 +281,7 @@ def test_intersections_are_found_and_neighbours_are_not():
 
 @pytest.mark.parametrize("candidates", [7, 1 << 20])
 def test_faces_that_meet_are_those_whose_boxes_do_in_all_pairs(monkeypatch, candidates):
-    monkeypatch.setattr(intersections, "CANDIDATES", candidates)
+    monkeypatch.setattr(queries, "CANDIDATES", candidates)
     rng = np.random.default_rng(0)
     for scale in (1.0, 0.02, 1e-9):  # faces of one size, of two, and smaller than any grid's cells
         corners = rng.random((300, 1, 3)) * 0.5 + rng.random((300, 3, 3)) * rng.choice([0.5, 0.5 * scale], (300, 1, 1))
@@ -289,16 +289,16 @@ def test_faces_that_meet_are_those_whose_boxes_do_in_all_pairs(monkeypatch, cand
         low, high = corners.min(axis=1), corners.max(axis=1)
         meet = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
         expected = np.argwhere(np.triu(meet, 1))
-        found = np.concatenate(list(intersections._overlapping_boxes(corners)))
+        found = np.concatenate(list(queries._overlapping_boxes(corners)))
         assert len(np.unique(found, axis=0)) == len(found)
         np.testing.assert_array_equal(found[np.lexsort((found[:, 1], found[:, 0]))], expected)
 
 
 def test_a_large_cage_is_checked_without_looking_at_all_pairs_of_faces(monkeypatch):
     looked = []
-    boxes = intersections._meeting
+    boxes = queries._meeting
     monkeypatch.setattr(
-        intersections,
+        queries,
         "_meeting",
         lambda asking, held, begin, end, *rest: (
             looked.append((end - begin).sum()) or boxes(asking, held, begin, end, *rest)

@@ -10,7 +10,7 @@ from test_cage_generation import shapes, winding
 from warpcage.cage.cage import Cage
 from warpcage.cage.generate.voxel import _manifold, outer_surface, principal_frame
 from warpcage.field.selection import visible_nodes
-from warpcage.mesh.topology import MeshTopology
+from warpcage.mesh.mesh import MeshTopology
 from warpcage.reference.cage_scenes import CAGE_SCENES, scene_field
 
 SCENES = list(CAGE_SCENES)

@@ -8,7 +8,7 @@ from test_cage_generation import winding
 from warpcage.cage.cage import Cage
 from warpcage.cage.generate import nested as nested_module
 from warpcage.cage.generate.nested import nested
-from warpcage.mesh.intersections import intersecting_faces
+from warpcage.mesh.queries import intersecting_faces
 
 
 def surfaces():

@@ -14,7 +14,7 @@ from test_cage_generation import winding
 
 from warpcage import Cage
 from warpcage.cage.generate import fitting, generate, nested, offset, shell, voxel
-from warpcage.mesh import intersections, usable
+from warpcage.mesh import queries, validity
 
 #: Sizes of the noise on vertices, as shares of the object's size; each goes with a new order and another turn.
 JITTERS = (1e-9, 1e-7, 1e-5)
@@ -203,7 +203,7 @@ def test_last_digits_of_products_cost_no_cage(shape, count, method, seed, monkey
     coarsen(monkeypatch)
     products = ("einsum", "cross", "matmul", "dot", "norm", "solve", "eigh", "svd", "det")
     numpy = Perturbed(np, products, np.random.default_rng(seed))
-    for module in (fitting, generate, intersections, nested, offset, shell, usable, voxel):
+    for module in (fitting, generate, queries, nested, offset, shell, validity, voxel):
         monkeypatch.setattr(module, "np", numpy)
     cage = Cage.from_mesh(SHAPES[shape], count, method=method)
     monkeypatch.undo()

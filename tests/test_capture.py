@@ -58,7 +58,7 @@ def test_a_captured_scene_stands_upright_around_its_object(walk):
 
 def test_points_of_a_capture_project_to_where_they_were_seen(walk):
     """Colours of points are those of the pixels that they fall on: cameras, points and pictures belong together."""
-    from warpcage.mesh.files.ply import read_ply
+    from warpcage.mesh.io.ply import read_ply
 
     scene = warpcage.load_scene(walk[0], split="all")
     points, _ = read_ply(walk[0] / "points.ply")

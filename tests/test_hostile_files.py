@@ -24,8 +24,7 @@ from warpcage.field.voxel_field import VoxelField
 from warpcage.fitting.checkpoint import load_progress, save_progress, scene_digest
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.mesh import polygons
-from warpcage.mesh.files import gltf
-from warpcage.mesh.files.files import read_mesh
+from warpcage.mesh.io import gltf, read_mesh
 
 
 def refused(action, *words, error=ValueError):

@@ -7,7 +7,7 @@ from warpcage.cage.cage import Cage
 from warpcage.cli import main
 from warpcage.coordinates.weights import harmonic_coordinates
 from warpcage.core.names import agreed, counted
-from warpcage.mesh.topology import MeshTopology
+from warpcage.mesh.mesh import MeshTopology
 from warpcage.splats.splat_field import SplatField
 
 BOX = Cage.box((-1, -1, -1), (1, 1, 1))

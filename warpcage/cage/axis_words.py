@@ -47,7 +47,7 @@ def axis_of(text: str) -> Axis:
 
 def default_towards(cage: Cage, axis: Axis) -> str:
     """Where a bend along an axis goes unless something else is said: "x", or "z" where the axis lies along x."""
-    from ..mesh.principal import own_axis
+    from ..mesh.mesh import own_axis
     from .directions import direction
 
     along = direction(own_axis(cage, axis) if isinstance(axis, str) else axis)

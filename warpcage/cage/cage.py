@@ -14,11 +14,11 @@ from ..core.checks import warn_caller
 from ..core.files import PathLike
 from ..field.selection import NodeSelection
 from ..field.voxel_field import VoxelField
-from ..mesh.closed_mesh import TriangleMesh, require_mesh
-from ..mesh.containment import inside_mesh
-from ..mesh.files.files import write_mesh
+from ..mesh.io import write_mesh
 from ..mesh.match import matched_vertices
-from ..mesh.usable import require_usable
+from ..mesh.mesh import TriangleMesh, require_mesh
+from ..mesh.queries import inside_mesh
+from ..mesh.validity import require_usable
 from ..splats.splat_field import SplatField
 from .check import check_cage
 from .generate.generate import cage_around_field, cage_around_mesh

@@ -7,11 +7,10 @@ import numpy as np
 from ..coordinates.deform import deform_points
 from ..field.selection import NodeSelection, visible_nodes
 from ..field.voxel_field import VoxelField
-from ..mesh.closed_mesh import ClosedMesh, TriangleMesh, require_mesh
-from ..mesh.containment import inside_mesh
-from ..mesh.intersections import intersecting_faces
 from ..mesh.match import matched_vertices
-from ..mesh.usable import coincident_vertices, degenerate_faces, first_problem, inward_parts
+from ..mesh.mesh import ClosedMesh, TriangleMesh, require_mesh
+from ..mesh.queries import inside_mesh, intersecting_faces
+from ..mesh.validity import coincident_vertices, degenerate_faces, first_problem, inward_parts
 from ..splats.splat_field import SplatField
 from .report import COST_RESOLUTION, CageReport, PoseReport
 from .upright import other_standing

@@ -10,8 +10,8 @@ import numpy as np
 
 from ..core.checks import checked_positive
 from ..core.files import PathLike, require_file
-from ..mesh.files.files import ENDINGS, turned_up
-from ..mesh.files.gltf_motion import read_gltf_motion
+from ..mesh.io import ENDINGS, turned_up
+from ..mesh.io.gltf_animation import read_gltf_motion
 from .cage import Cage
 from .pose_file import PoseFile
 from .upright import load_standing

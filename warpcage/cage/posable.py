@@ -8,8 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..mesh.closed_mesh import ClosedMesh
-from ..mesh.principal import own_axis, principal_axes
+from ..mesh.mesh import ClosedMesh, own_axis, principal_axes
 from . import poses, random_poses
 
 Posed = TypeVar("Posed", bound="PosableMesh")

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..core.checks import checked_number, checked_positive, listed, shown
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..core.names import require_name
-from ..mesh.closed_mesh import require_mesh
+from ..mesh.mesh import require_mesh
 from ..view.camera import Camera
 from ..view.camera_file import camera_from_json, camera_json
 from ..view.camera_path import CameraKey, camera_at, timed_keys

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..coordinates.host_mean_value import mean_value_gradients
-from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.faces import column_dot, face_edges
-from ..mesh.intersections import intersecting_faces
-from ..mesh.usable import first_problem, winding_numbers
+from ..mesh.mesh import ClosedMesh
+from ..mesh.queries import intersecting_faces
+from ..mesh.validity import first_problem, winding_numbers
 from .check import grid_points
 
 #: About how many places inside a cage are looked at.

@@ -8,8 +8,8 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from ..core.checks import checked_whole
-from ..mesh.closed_mesh import ClosedMesh
-from ..mesh.usable import require_usable
+from ..mesh.mesh import ClosedMesh
+from ..mesh.validity import require_usable
 from .pose_chance import USUAL_REACH, USUAL_STRETCH, PoseChance
 from .pose_limits import PoseProbe
 from .pose_modes import POSE_MODES, PoseWay, RandomNumbers

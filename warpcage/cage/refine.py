@@ -6,7 +6,7 @@ import numpy as np
 
 from ..core.checks import axis_index, checked_number, checked_whole
 from ..core.names import agreed, counted
-from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.mesh import ClosedMesh
 
 
 def subdivided(cage: ClosedMesh, times: int = 1) -> tuple[np.ndarray, np.ndarray]:

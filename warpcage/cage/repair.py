@@ -7,9 +7,8 @@ import numpy as np
 
 from ..core.checks import checked_whole
 from ..core.names import agreed, counted
-from ..mesh.closed_mesh import ClosedMesh
-from ..mesh.topology import MeshTopology
-from ..mesh.usable import coincident_vertices, inward_parts
+from ..mesh.mesh import ClosedMesh, MeshTopology
+from ..mesh.validity import coincident_vertices, inward_parts
 
 
 def repaired_faces(cage: ClosedMesh, largest_hole: int = 12) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -14,11 +14,11 @@ import numpy as np
 
 from ..core.files import PathLike
 from ..field.selection import some_visible_nodes
-from ..mesh.closed_mesh import ClosedMesh
-from ..mesh.containment import inside_mesh
-from ..mesh.files.files import UPS, file_up, read_mesh, turned_up
+from ..mesh.io import UPS, file_up, read_mesh, turned_up
 from ..mesh.match import matched_vertices
-from ..mesh.usable import first_problem
+from ..mesh.mesh import ClosedMesh
+from ..mesh.queries import inside_mesh
+from ..mesh.validity import first_problem
 
 Mesh = TypeVar("Mesh", bound=ClosedMesh)
 

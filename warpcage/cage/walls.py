@@ -6,7 +6,7 @@ import numpy as np
 
 from ..field.surface import half_opaque_density
 from ..field.voxel_field import VoxelField
-from ..mesh.topology import connected_parts
+from ..mesh.mesh import connected_parts
 from .cage import Cage
 
 #: Samples of a face, one a voxel, that must lie in matter for it to cut matter: less is a speck of a fit.

@@ -14,7 +14,7 @@ from ..cage.snap import cut_matter, snap_to_gaps
 from ..core.files import require_file
 from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
-from ..mesh.files.gltf import require_gltf_room
+from ..mesh.io.gltf import require_gltf_room
 from . import inputs, options
 from .mesh import TO_Y_UP
 

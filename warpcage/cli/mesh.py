@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.files import atomic_path
 from ..field.selection import NodeSelection
-from ..mesh.files.gltf import write_glb
+from ..mesh.io.gltf import write_glb
 from . import inputs, options
 
 #: Takes (x, y, z) to (x, z, -y): glTF has y up, while the other formats take coordinates as they are.

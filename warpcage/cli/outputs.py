@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.mesh import ClosedMesh
 from ..view.camera import Camera
 from ..view.exr import depth_along_view, require_openexr, write_exr
 from ..view.film import film_size, require_clear_film

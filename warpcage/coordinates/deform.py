@@ -12,10 +12,10 @@ from ..kernels.coordinates import green, mean_value
 from ..kernels.lattice import cage_map
 from ..lattice.position_map import PositionMap
 from ..mesh import faces as face_geometry
-from ..mesh.closed_mesh import ClosedMesh, require_mesh
 from ..mesh.fans import prepared_fans
 from ..mesh.match import require_same_faces
-from ..mesh.usable import require_usable, size_problem
+from ..mesh.mesh import ClosedMesh, require_mesh
+from ..mesh.validity import require_usable, size_problem
 from .harmonic import HARMONIC_RESOLUTION
 from .points import _cage_arrays, _Local, _localise, _require_finite, _require_inside, _require_near, _restore
 

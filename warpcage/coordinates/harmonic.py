@@ -24,9 +24,9 @@ from ..lattice.gaps import MapTarget, lattice_side_bytes
 from ..lattice.harmonic import HarmonicSolver
 from ..lattice.lattice import CageLattice, require_resolution
 from ..lattice.launches import PoseLaunches
-from ..mesh.closed_mesh import ClosedMesh
-from ..mesh.containment import inside_mesh
-from ..mesh.usable import require_usable
+from ..mesh.mesh import ClosedMesh
+from ..mesh.queries import inside_mesh
+from ..mesh.validity import require_usable
 
 #: Cells along the longest side of the lattice on which harmonic coordinates are solved.
 HARMONIC_RESOLUTION = 128

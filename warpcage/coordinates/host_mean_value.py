@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.mesh import ClosedMesh
 
 #: Numbers that are worked on at once: edges or faces times points. With more, in processes that have freed no large
 #: array before, the C library gives memory back after each chunk, and the page faults take as long as the work.

@@ -12,8 +12,8 @@ from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
 from ..core.names import agreed
 from ..kernels.coordinates import local_points
-from ..mesh.closed_mesh import ClosedMesh
-from ..mesh.containment import SURFACE_TOLERANCE, inside_mesh
+from ..mesh.mesh import ClosedMesh
+from ..mesh.queries import SURFACE_TOLERANCE, inside_mesh
 
 
 @dataclass

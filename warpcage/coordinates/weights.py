@@ -11,8 +11,8 @@ import warp as wp
 from ..core.arrays import PointsLike, empty_array, points_in_turn
 from ..core.devices import launch
 from ..kernels.coordinates import green, local_points, mean_value
-from ..mesh.closed_mesh import ClosedMesh, require_mesh
-from ..mesh.usable import require_usable
+from ..mesh.mesh import ClosedMesh, require_mesh
+from ..mesh.validity import require_usable
 from .harmonic import HARMONIC_RESOLUTION, harmonic_weights
 from .points import (
     _as_given,

@@ -22,7 +22,7 @@ from ..kernels.deform.march import MarchOptions
 from ..kernels.deform.pictures import Picture
 from ..lattice.capture import StreamOrder
 from ..mesh.match import require_same_faces
-from ..mesh.usable import is_usable, require_usable
+from ..mesh.validity import is_usable, require_usable
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame

@@ -24,8 +24,8 @@ from ..kernels.mesh import fans
 from ..lattice.capture import BufferPool
 from ..lattice.lattice import CageLattice
 from ..lattice.position_map import PositionMap
-from ..mesh.containment import SURFACE_TOLERANCE
-from ..mesh.usable import require_usable, size_problem
+from ..mesh.queries import SURFACE_TOLERANCE
+from ..mesh.validity import require_usable, size_problem
 from .carried import CarriedCrumbs
 from .edits import CageEdit
 from .falloff import FalloffBand, faded_map, folded_cells, tell_of_squeezing

@@ -14,7 +14,7 @@ from ..cage.cage import Cage
 from ..core.checks import checked_number
 from ..core.devices import RepeatedLaunches
 from ..field.voxel_field import VoxelField
-from ..mesh.usable import require_usable
+from ..mesh.validity import require_usable
 
 #: Walls that a falloff may hold: those that cut matter, and those that a pose leaves in place.
 HELD = ("cut", "still")

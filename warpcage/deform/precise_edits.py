@@ -14,8 +14,8 @@ from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..kernels.deform import points_precise, render_precise, settled_cells
 from ..kernels.deform.edits import CellTable, ClosedFormEdit
-from ..mesh.containment import SURFACE_TOLERANCE
 from ..mesh.fans import prepared_fans
+from ..mesh.queries import SURFACE_TOLERANCE
 from .carried import CarriedCrumbs
 from .edit_lattices import EditLattices, cell_shape
 from .edits import CageEdit, PosedEdits

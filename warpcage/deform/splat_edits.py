@@ -15,8 +15,8 @@ from ..kernels.splats import fade, follow, inside, invert, pose, splits
 from ..kernels.splats.pose import CarriedSplats
 from ..kernels.splats.splats import Splats
 from ..lattice.position_map import PositionMap
-from ..mesh.containment import SURFACE_TOLERANCE
-from ..mesh.usable import require_usable
+from ..mesh.queries import SURFACE_TOLERANCE
+from ..mesh.validity import require_usable
 from ..splats.binding import RESOLUTION, CageBinding
 from ..splats.splat_field import SplatField
 from ..splats.splitting import split_tree

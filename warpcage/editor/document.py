@@ -10,7 +10,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..deform.edits import HELD, MAX_EDITS, CageEdit
-from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.mesh import ClosedMesh
 from ..view.keys import EASINGS as EASINGS
 from ..view.keys import LOOPS as LOOPS
 from .checked import (

@@ -13,10 +13,9 @@ import numpy as np
 from ..cage.cage import Cage
 from ..cage.check import sample_pose
 from ..field.selection import visible_mask
-from ..mesh.containment import inside_mesh
 from ..mesh.faces import column_cross, column_dot, face_edges
-from ..mesh.intersections import intersecting_faces
-from ..mesh.usable import first_problem
+from ..mesh.queries import inside_mesh, intersecting_faces
+from ..mesh.validity import first_problem
 from ..splats.load import AnyField
 from .document import Document, Edit
 

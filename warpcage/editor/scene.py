@@ -16,7 +16,7 @@ from ..deform.deformer import Deformer
 from ..deform.edits import CageEdit
 from ..deform.fill import fill_unseen
 from ..field.voxel_field import VoxelField
-from ..mesh.usable import require_usable
+from ..mesh.validity import require_usable
 from ..splats.load import AnyField
 from ..view.camera import Camera
 from ..view.frame import Frame

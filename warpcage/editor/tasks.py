@@ -21,7 +21,7 @@ from ..core.names import PLANES, counted
 from ..field.objects import select_object
 from ..field.selection import NodeSelection
 from ..field.voxel_field import VoxelField
-from ..mesh.files.files import ENDINGS
+from ..mesh.io import ENDINGS
 from ..splats.files.files import SPLAT_ENDINGS
 from ..splats.load import AnyField, field_size
 from . import commands, exports, timeline

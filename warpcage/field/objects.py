@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_number, checked_vector
 from ..core.names import PLANES, require_name
-from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.mesh import ClosedMesh
 from ..view.camera import Camera
 from .outer import OuterField
 from .picking import pick_point

@@ -20,8 +20,8 @@ from ..core.checks import (
 )
 from ..core.files import PathLike
 from ..core.names import counted
-from ..mesh.closed_mesh import ClosedMesh
-from ..mesh.containment import inside_mesh
+from ..mesh.mesh import ClosedMesh
+from ..mesh.queries import inside_mesh
 from ..view.camera import Camera
 from .cutting import cut_out, tinted_view
 from .files.selections import SelectionContents, load_selection, occupancy_digest, same_box, save_selection

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_positive
-from ..mesh.topology import connected_parts
+from ..mesh.mesh import connected_parts
 
 if TYPE_CHECKING:
     import trimesh

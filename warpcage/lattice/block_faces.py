@@ -16,8 +16,8 @@ from ..kernels.lattice.distance import (
     find_candidates,
     list_block_faces,
 )
-from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.faces import face_area
+from ..mesh.mesh import ClosedMesh
 from .capture import BufferPool
 from .sizes import PoseSizes
 

@@ -21,9 +21,9 @@ from ..kernels.lattice.closed_form import (
 from ..kernels.lattice.corrections import correct_values, measure_corrections
 from ..kernels.lattice.nodes import RINGS
 from ..kernels.lattice.weights import place_nodes
-from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.faces import StretchTarget
 from ..mesh.fans import prepared_fans
+from ..mesh.mesh import ClosedMesh
 from .gaps import MapTarget, launch_linear_boundary
 from .lattice import CageLattice
 from .nodes import LatticeNodes

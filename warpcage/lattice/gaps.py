@@ -18,8 +18,8 @@ from ..kernels.lattice.side_values import (
     place_sides,
     set_boundary_values,
 )
-from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.faces import face_area
+from ..mesh.mesh import ClosedMesh
 from .capture import BufferPool, HostNumbers
 from .lattice import CageLattice
 from .rings import CutRowTable

@@ -16,7 +16,7 @@ from ..core.locks import in_turn
 from ..kernels.lattice.crossings import RUN, LineCrossings, cross_lines
 from ..kernels.lattice.distance import BLOCK, measure_band
 from ..kernels.lattice.nodes import RINGS
-from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.mesh import ClosedMesh
 from .block_faces import BlockFaces, block_count
 from .capture import BufferPool, PoseConstants, SideStream
 from .sizes import PoseSizes

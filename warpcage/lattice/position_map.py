@@ -15,10 +15,10 @@ from ..core.locks import owner_lock
 from ..core.memory import free_bytes, require_memory
 from ..core.names import require_coordinates, require_store
 from ..kernels.lattice.cage_map import CageMap
-from ..mesh.closed_mesh import ClosedMesh, require_mesh
 from ..mesh.faces import face_area
 from ..mesh.match import require_same_faces
-from ..mesh.usable import require_usable
+from ..mesh.mesh import ClosedMesh, require_mesh
+from ..mesh.validity import require_usable
 from .block_faces import more_list_bytes
 from .closed_form import GreenSolver, MeanValueSolver
 from .gaps import REPORTED_JUMP, MapTarget, lattice_side_bytes, side_bytes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..core.devices import launch
 from ..kernels.lattice.weights import apply_weights
-from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.mesh import ClosedMesh
 from .gaps import MapTarget
 from .sizes import PoseSizes
 from .solver import MapSolver

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .closed_mesh import ClosedMesh
+from .mesh import ClosedMesh
 
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 

@@ -6,8 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from .closed_mesh import ClosedMesh
-from .topology import connected_parts
+from .mesh import ClosedMesh, connected_parts
 
 
 def require_same_faces(rest: ClosedMesh, deformed: ClosedMesh) -> None:

@@ -12,9 +12,9 @@ from ..coordinates.deform import deform_points, stretched_normals
 from ..core.devices import launch, resolve_device
 from ..core.names import require_coordinates
 from ..kernels.reference.inverse_map import ExactMap, assemble_layers, invert_map, map_exactly
-from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.match import require_same_faces
-from ..mesh.usable import require_usable
+from ..mesh.mesh import ClosedMesh
+from ..mesh.validity import require_usable
 
 #: Newton's iteration ends at this distance, as a share of the cage's size.
 TOLERANCE = 1e-11

@@ -15,7 +15,7 @@ from ..kernels.splats import green_rows, lattice_rows, mean_value_rows, pose
 from ..kernels.splats.packed_rows import PackedRows, carry_packed, pack_rows
 from ..lattice.harmonic import HarmonicSolver
 from ..lattice.lattice import CageLattice
-from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.mesh import ClosedMesh
 from .pose_fit import PoseFit
 
 #: Points that are bound in one launch: their sums in float64 take 32 bytes a vertex.

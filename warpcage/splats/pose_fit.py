@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..mesh.closed_mesh import ClosedMesh
 from ..mesh.faces import StretchTarget, column_cross, column_dot, face_edges, stretched_normals
+from ..mesh.mesh import ClosedMesh
 
 #: Rows of x, y, z, x, y, of which cross products take slices.
 _AROUND = np.array([0, 1, 2, 0, 1])

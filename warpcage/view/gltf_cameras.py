@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..mesh.files.gltf_document import node_matrices, one_line, opened, read_buffers
-from ..mesh.files.gltf_motion import Channel, frames_of
+from ..mesh.io.gltf import node_matrices, one_line, opened, read_buffers
+from ..mesh.io.gltf_animation import Channel, frames_of
 from .camera import Camera
 from .camera_path import CameraKey
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..mesh.closed_mesh import ClosedMesh
+from ..mesh.mesh import ClosedMesh
 from .camera import Camera
 from .keys import value_at
 

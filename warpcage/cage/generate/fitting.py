@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 
-from ...mesh.closed_mesh import ClosedMesh
+from ...mesh.mesh import ClosedMesh
 
 #: Pieces that the sides of faces are cut in for samples, least and most; drawing needs fewer: a face is short in many.
 _LEAST_PIECES, _MOST_PIECES, _MOST_DRAWN_PIECES = 8, 40, 24

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...field.planes import Plane
-from ...mesh.closed_mesh import ClosedMesh
-from ...mesh.containment import inside_mesh
-from ...mesh.intersections import intersecting_faces
-from ...mesh.usable import first_problem
+from ...mesh.mesh import ClosedMesh
+from ...mesh.queries import inside_mesh, intersecting_faces
+from ...mesh.validity import first_problem
 from .fitting import row_sums
 
 #: Rounds in which the rim on the plane is widened until it holds the object, and how far in each, in voxels.

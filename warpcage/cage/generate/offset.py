@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...mesh.closed_mesh import ClosedMesh
-from ...mesh.containment import inside_mesh
-from ...mesh.intersections import intersecting_faces
-from ...mesh.usable import require_usable, winding_numbers
+from ...mesh.mesh import ClosedMesh
+from ...mesh.queries import inside_mesh, intersecting_faces
+from ...mesh.validity import require_usable, winding_numbers
 from ..shapes import box
 from .fitting import cleared, drawn_close, shortfall, spread
 from .nested import nested

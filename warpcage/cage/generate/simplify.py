@@ -6,9 +6,9 @@ import numpy as np
 
 from ...core.checks import checked_margin
 from ...field.selection import visible_nodes
-from ...mesh.closed_mesh import ClosedMesh
-from ...mesh.containment import inside_mesh
-from ...mesh.usable import require_usable
+from ...mesh.mesh import ClosedMesh
+from ...mesh.queries import inside_mesh
+from ...mesh.validity import require_usable
 from .fitting import cleared
 from .nested import nested
 from .offset import decimated, flaw

@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 
-from ...mesh.closed_mesh import ClosedMesh
+from ...mesh.mesh import ClosedMesh
 from .fitting import row_sums
 from .nested import nested
 from .offset import sound

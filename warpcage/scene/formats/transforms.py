@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.checks import shown
 from ...core.files import require_file
-from ...mesh.files.ply import read_ply
+from ...mesh.io.ply import read_ply
 from ..scene import Scene
 from .distortion import COEFFICIENTS
 from .parsing import (

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...core.checks import listed
 from ...core.files import read_limited
-from ...mesh.files.ply import Element, ply_header
+from ...mesh.io.ply import Element, ply_header
 from .contents import PlyLayout, SplatContents
 
 #: What a splat needs beside its harmonics.

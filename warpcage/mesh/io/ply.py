@@ -11,7 +11,7 @@ import numpy as np
 from ...core.checks import listed, shown
 from ...core.files import TEXT_ROOM, read_limited
 from ...core.memory import require_host_memory
-from .text import floats, text_lines, whole
+from .obj_off import floats, text_lines, whole
 
 _PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
               "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",

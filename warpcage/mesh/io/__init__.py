@@ -1,4 +1,4 @@
-"""Read and write OBJ, PLY, OFF and glTF so that every vertex keeps its place in the file."""
+"""Mesh files: OBJ, PLY, OFF and glTF."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from ...core.checks import checked_path
 from ...core.files import PathLike, atomic_path, require_file
 from ..polygons import cut_polygon
 from .gltf import read_gltf, write_glb, write_gltf
+from .obj_off import Polygons, read_obj, read_off, write_obj, write_off
 from .ply import read_ply, write_ply
-from .text import Polygons, read_obj, read_off, write_obj, write_off
 
 # our own parsers: mesh libraries merge, split and drop vertices, and a posed cage must match its rest cage one to one
 _READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, ".glb": read_gltf, ".gltf": read_gltf}
+
 _WRITERS = {".obj": write_obj, ".ply": write_ply, ".off": write_off, ".glb": write_glb, ".gltf": write_gltf}
 
 #: Endings of mesh files, lower case.

@@ -7,8 +7,8 @@ import weakref
 import numpy as np
 
 from ..core.names import counted
-from .closed_mesh import ClosedMesh
 from .faces import column_cross, column_dot, face_edges
+from .mesh import ClosedMesh
 
 #: A face lower than this share of the mesh's size has no normal in float32.
 DEGENERATE_HEIGHT = 1e-7

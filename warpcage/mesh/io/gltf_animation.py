@@ -10,8 +10,7 @@ import numpy as np
 
 from ...core.checks import listed
 from ...core.memory import require_host_memory
-from .gltf import joined_vertices, mesh_parts
-from .gltf_document import node_matrices, one_line, opened, read_buffers, values_of
+from .gltf import joined_vertices, mesh_parts, node_matrices, one_line, opened, read_buffers, values_of
 
 #: Rates at which programs write animations, in the order in which they are tried.
 RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 12.0, 15.0, 120.0, 30000 / 1001, 24000 / 1001)

@@ -1,1 +1,0 @@
-"""Mesh files: OBJ, PLY, OFF and glTF."""

@@ -1,0 +1,344 @@
+"""Principal axes of a mesh: the directions that it has of its own, however it stands in the world."""
+
+from __future__ import annotations
+
+import copy
+import functools
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..core.arrays import as_host_points, is_device_array
+from ..core.names import agreed, counted
+from .fans import FaceFans, face_fans
+
+
+class MeshTopology:
+    """Edges and connected parts of triangles (f, 3): they depend on faces alone, so all poses share them."""
+
+    # Where something is wrong the attributes hold what is wrong itself, so that an error can name the first one.
+
+    def __init__(self, vertex_count: int, faces: ArrayLike):
+        self._faces = faces = np.asarray(faces, dtype=np.int64)
+        face_count = len(faces)
+        starts = faces.reshape(-1)
+        ends = np.roll(faces, -1, axis=1).reshape(-1)
+        owner = np.repeat(np.arange(face_count), 3)
+        proper = starts != ends
+
+        # (k,) faces that name a vertex twice
+        self.repeated_faces = np.unique(owner[~proper])
+        # (k,) vertices of some face, and of none, ascending
+        self.used_vertices = np.unique(starts)
+        self.unused_vertices = np.setdiff1d(np.arange(vertex_count), self.used_vertices)
+
+        low, high = np.minimum(starts, ends)[proper], np.maximum(starts, ends)[proper]
+        keys, edge, uses = np.unique(low * vertex_count + high, return_inverse=True, return_counts=True)
+        # (e, 2): every edge once, lower index first; the loop of a face that repeats a vertex is no edge
+        self.edges = np.stack([keys // vertex_count, keys % vertex_count], axis=1).astype(np.int32)
+        forward = np.bincount(edge, weights=(starts < ends)[proper], minlength=len(keys))
+        # (k, 2) of one face only, of three or more, and of two that walk it in the same direction, so that one looks
+        # inward
+        self.open_edges = self.edges[uses == 1]
+        self.crowded_edges = self.edges[uses > 2]
+        self.clashing_edges = self.edges[(uses == 2) & (forward != 1)]
+
+        # corners next to each other around a vertex, and faces next to each other over an edge
+        order = np.argsort(edge, kind="stable")
+        same = np.flatnonzero(edge[order][1:] == edge[order][:-1])
+        one, two = np.flatnonzero(proper)[order[same]], np.flatnonzero(proper)[order[same + 1]]
+        # (f,) the part of each face, 0 to part_count - 1, connected over edges
+        self.parts, self.part_count = connected_parts(face_count, owner[one], owner[two])
+        # (k,) vertices whose faces form more than one fan
+        self.pinched_vertices = self._pinched_vertices(vertex_count, starts, one, two)
+
+    @staticmethod
+    def _pinched_vertices(vertex_count: int, starts: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+        """Vertices whose corners fall into several fans; one, two (k,): half-edges (corners) that share an edge."""
+        after_one, after_two = one // 3 * 3 + (one + 1) % 3, two // 3 * 3 + (two + 1) % 3
+        # the half-edge's start corner meets whichever corner of the other face lies at the same vertex
+        against = starts[one] == starts[after_two]
+        first = np.concatenate([one, after_one])
+        second = np.concatenate([np.where(against, after_two, two), np.where(against, two, after_two)])
+        fan, _ = connected_parts(len(starts), first, second)
+        fans = np.unique(starts * len(starts) + fan) // len(starts)  # the vertex of each fan
+        return np.flatnonzero(np.bincount(fans, minlength=vertex_count) > 1)
+
+    @functools.cached_property
+    def problem(self) -> str:
+        """What makes every mesh of these faces unusable: a line that follows its name, empty where nothing does."""
+        if len(self.open_edges):
+            a, b = self.open_edges[0]
+            return (
+                f"is open: {counted(len(self.open_edges), 'edge')} "
+                f"{agreed(len(self.open_edges), 'has', 'have')} one face only, the first from "
+                f"vertex {a} to {b}: close it"
+            )
+        if len(self.crowded_edges):
+            a, b = self.crowded_edges[0]
+            return (
+                f"is not manifold: {counted(len(self.crowded_edges), 'edge')} "
+                f"{agreed(len(self.crowded_edges), 'has', 'have')} more than two faces, the first from vertex "
+                f"{a} to {b}"
+            )
+        if len(self.repeated_faces):
+            return f"has degenerate faces: face {self.repeated_faces[0]} names a vertex twice"
+        if len(self.pinched_vertices):
+            return (
+                "is not manifold: parts of it only touch at "
+                f"{counted(len(self.pinched_vertices), 'vertex', 'vertices')}, the first "
+                f"{self.pinched_vertices[0]}: split them"
+            )
+        if len(self.clashing_edges):
+            a, b = self.clashing_edges[0]
+            return (
+                f"is wound inconsistently: the two faces at {counted(len(self.clashing_edges), 'edge')} "
+                "clash, the first from "
+                f"vertex {a} to {b}: flip faces until all are anticlockwise seen from outside"
+            )
+        return ""
+
+    @functools.cached_property
+    def fans(self) -> FaceFans:
+        """The faces in the order in which closed forms are quickest. For usable meshes."""
+        return face_fans(self._faces)
+
+    @property
+    def closed(self) -> bool:
+        """Whether no edge is open."""
+        return len(self.open_edges) == 0
+
+    @property
+    def manifold(self) -> bool:
+        """Whether no edge has more than two faces and no vertex more than one fan."""
+        return len(self.crowded_edges) == 0 and len(self.pinched_vertices) == 0
+
+    @property
+    def genus(self) -> int | None:
+        """Number of handles over all parts (0 for a ball, 1 for a torus); None unless closed and manifold."""
+        if not (self.closed and self.manifold) or len(self.repeated_faces):
+            return None
+        used = int(self.edges.max()) + 1 - np.count_nonzero(self.unused_vertices <= self.edges.max())
+        euler = used - len(self.edges) + len(self.parts)
+        return int(2 * self.part_count - euler) // 2
+
+
+def connected_parts(count: int, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, int]:
+    """Label the connected parts of a graph of `count` nodes and edges with ends first and second, (k,) each.
+    Returns (count,) int labels, in the order of each part's first node, and the number of parts."""
+    label = np.arange(count)
+    while True:
+        low = np.minimum(label[first], label[second])
+        # hook the roots of both ends below the lower one, then flatten
+        before = label.copy()
+        np.minimum.at(label, before[first], low)
+        np.minimum.at(label, before[second], low)
+        while not np.array_equal(label, label[label]):
+            label = label[label]
+        if np.array_equal(label, before):
+            break
+    roots, labels = np.unique(label, return_inverse=True)
+    return labels, len(roots)
+
+
+Mesh = TypeVar("Mesh", bound="ClosedMesh")
+
+
+class TriangleMesh(Protocol):
+    """Anything with vertices and triangles: a trimesh.Trimesh, a ClosedMesh, or the like."""
+
+    @property
+    def vertices(self) -> ArrayLike:
+        """(v, 3) world units."""
+        ...
+
+    @property
+    def faces(self) -> ArrayLike:
+        """(f, 3) indices of vertices."""
+        ...
+
+
+class ClosedMesh:
+    """A triangle mesh that is meant to be closed and to look outward; immutable.
+
+    The constructor refuses only what cannot be held. It holds an open, inverted or tangled mesh, so that the mesh can
+    be described and mended. What computes on it calls `warpcage.mesh.usable.require_usable` first.
+
+    Messages call it a cage: users make one as a `warpcage.Cage`.
+
+    Args:
+        vertices: (v, 3) finite floats, world units. They are kept as float64 in the order given.
+        faces: (f, 3) whole numbers, indices of vertices, anticlockwise seen from outside. They are kept as int32.
+
+    Raises:
+        ValueError: For other shapes, values that are not finite, or indices that point nowhere.
+    """
+
+    # __weakref__: mesh/usable.py remembers what it found for as long as the mesh lives
+    __slots__ = ("_vertices", "_faces", "_topology", "_bounds", "__weakref__")
+
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike):
+        self._vertices = _checked_vertices(vertices)
+        self._faces = _checked_faces(faces, len(self._vertices))
+        self._topology: MeshTopology | None = None
+        self._bounds: np.ndarray | None = None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self.vertices)} vertices, {len(self.faces)} faces, size {self.size:.4g})"
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """(v, 3) float64, world units, read-only."""
+        return self._vertices
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(f, 3) int32, read-only."""
+        return self._faces
+
+    @property
+    def topology(self) -> MeshTopology:
+        """Edges, holes and connected parts, worked out once for a mesh and all its poses."""
+        if self._topology is None:
+            self._topology = MeshTopology(len(self.vertices), self.faces)
+        return self._topology
+
+    @property
+    def edges(self) -> np.ndarray:
+        """(e, 2) int32: every edge once, lower index first."""
+        return self.topology.edges
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) float64: lowest and highest corner of the bounding box of the vertices that faces use; read-only."""
+        if self._bounds is None:
+            used = self.vertices
+            if len(self.topology.unused_vertices):
+                used = used[self.topology.used_vertices]
+            bounds = np.empty((2, 3))
+            used.min(axis=0, out=bounds[0])
+            used.max(axis=0, out=bounds[1])
+            bounds.setflags(write=False)
+            self._bounds = bounds
+        return self._bounds
+
+    @property
+    def size(self) -> float:
+        """Longest side of the bounding box, world units."""
+        lower, upper = self.bounds
+        return float((upper - lower).max())
+
+    @property
+    def volume(self) -> float:
+        """Enclosed volume, world units cubed: negative where the faces look inward, meaningless for an open mesh."""
+        return float(self.part_volumes().sum())
+
+    @property
+    def corners(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """First, second and third corner of each face, (f, 3) each, relative to the middle of the bounding box."""
+        local = self.vertices - self.bounds.mean(axis=0)
+        return local[self.faces[:, 0]], local[self.faces[:, 1]], local[self.faces[:, 2]]
+
+    def part_volumes(self) -> np.ndarray:
+        """The volume of each connected part.
+
+        Returns:
+            (part_count,) float64, world units cubed: negative where the faces of the part look inward.
+        """
+        a, b, c = self.corners
+        cones = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
+        return np.bincount(self.topology.parts, weights=cones, minlength=self.topology.part_count)
+
+    def with_vertices(self: Mesh, vertices: ArrayLike) -> Mesh:
+        """A mesh of the same class with the same faces and other vertices.
+
+        Args:
+            vertices: (v, 3) finite floats, world units, in the order of this mesh.
+
+        Returns:
+            The other mesh. It shares faces and topology with this one.
+
+        Raises:
+            ValueError: For another number of vertices, another shape or values that are not finite.
+        """
+        checked = _checked_vertices(vertices)
+        if len(checked) != len(self.vertices):
+            raise ValueError(f"with_vertices needs {len(self.vertices)} vertices as the cage has, got {len(checked)}")
+        self._topology = self.topology  # worked out before it is shared
+        posed = copy.copy(self)
+        posed._vertices, posed._bounds = checked, None
+        return posed
+
+
+def require_mesh(value: object, what: str) -> None:
+    """Refuse an object that is no mesh; the message begins with `what`: "`what` a Cage, got ..."."""
+    if not isinstance(value, ClosedMesh):
+        raise ValueError(f"{what} a Cage, got {type(value).__name__}")
+
+
+def _checked_vertices(vertices: ArrayLike) -> np.ndarray:
+    """(v, 3) float64, a read-only copy."""
+    checked = np.array(as_host_points(vertices, name="cage vertices"), dtype=np.float64, order="C", copy=True)
+    checked.setflags(write=False)
+    return checked
+
+
+def _checked_faces(given: Any, vertex_count: int) -> np.ndarray:
+    """(f, 3) int32, a read-only copy."""
+    faces = np.asarray(given.numpy() if is_device_array(given) and hasattr(given, "numpy") else given)
+    if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
+        raise ValueError(f"cage faces must be (f, 3) triangles, at least one, got {faces.shape}")
+    if faces.dtype.kind not in "iu":
+        raise ValueError(f"cage faces must be whole numbers, got {faces.dtype}")
+    wrong = (faces < 0) | (faces >= vertex_count)
+    if wrong.any():
+        row = int(np.flatnonzero(wrong.any(axis=1))[0])
+        raise ValueError(f"cage face {row} is {faces[row].tolist()}, indices must be 0 to {vertex_count - 1}")
+    faces = np.array(faces, dtype=np.int32, order="C", copy=True)
+    faces.setflags(write=False)
+    return faces
+
+
+#: The axes by name, the longest first.
+OWN_AXES = ("long", "middle", "short")
+
+#: Axes along which a mesh reaches nearly as far as along the next one are not told apart: least ratio of variances.
+_LEAST_RATIO = 1.05
+
+
+def principal_axes(mesh: ClosedMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Principal axes of a mesh's surface, whatever the size of its faces: (3, 3) unit vectors, one a row, right-handed,
+    and (3,) variances along them, world units squared, the longest first."""
+    corners = np.stack(mesh.corners, axis=1)
+    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    total = max(float(areas.sum()), 1e-300)
+    corners = corners - (areas[:, None] * corners.mean(axis=1)).sum(axis=0) / total
+    middles = corners.mean(axis=1)
+    # the covariance of the area: of a face of area A with corners a, b, c and middle m, about the middle of all, it is
+    # A / 12 (9 m m' + a a' + b b' + c c')
+    second = 9.0 * np.einsum("f,fi,fj->ij", areas, middles, middles)
+    second += np.einsum("f,fki,fkj->ij", areas, corners, corners)
+    variances, vectors = np.linalg.eigh(second / (12.0 * total))
+    axes = vectors.T[::-1].copy()
+    # towards the positive side of the world axis that each is nearest to
+    for axis in axes[:2]:
+        axis *= np.sign(axis[np.argmax(np.abs(axis))])
+    axes[2] = np.cross(axes[0], axes[1])
+    return axes, variances[::-1]
+
+
+def own_axis(mesh: ClosedMesh, name: str) -> str | np.ndarray:
+    """A mesh's own axis (3,) by its name: "long", "middle" or "short", "-long" against it; other names are left as they
+    are."""
+    plain = name[1:] if name[:1] in ("-", "+") else name
+    if plain not in OWN_AXES:
+        return name
+    axes, variances = principal_axes(mesh)
+    index = OWN_AXES.index(plain)
+    for one in (index - 1, index):
+        if 0 <= one < 2 and variances[one] < _LEAST_RATIO * variances[one + 1]:
+            raise ValueError(
+                f"the cage has no {plain!r} axis: it reaches as far in other directions; name x, y, z or a direction"
+            )
+    return -axes[index] if name[0] == "-" else axes[index]
