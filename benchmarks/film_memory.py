@@ -28,6 +28,7 @@ import numpy as np
 from results import write_results
 
 import warpcage.view.film as film
+from warpcage.core import overlap
 from warpcage.core.overlap import Beside, stream
 from warpcage.view.pictures import write_png
 
@@ -146,11 +147,11 @@ def seconds(kind: str, frames: Iterable[np.ndarray], folder: pathlib.Path, in_tu
                 task = functools.partial(write_png, folder / f"frame_{index % 64}.png", picture)
                 task() if beside is None else beside.run(task, picture.nbytes)
     else:
-        film.stream = one_after_the_other if in_turn else stream
+        overlap.stream = one_after_the_other if in_turn else stream
         try:
             film.write_film(folder / f"film.{kind}", frames)
         finally:
-            film.stream = stream
+            overlap.stream = stream
     return time.perf_counter() - begin
 
 

@@ -26,8 +26,7 @@ from warpcage.batch.worker import Worker
 from warpcage.cage.cage import Cage
 from warpcage.cage.random_poses import RandomPoses
 from warpcage.scene.load import load_scene
-from warpcage.view.camera import turntable
-from warpcage.view.camera_file import CameraFile
+from warpcage.view.camera import CameraFile, turntable
 from warpcage.view.pictures import read_image
 
 COMMON = {"field": "ball.npz", "cage": "cage.obj", "coordinates": "mean_value", "resolution": 24}

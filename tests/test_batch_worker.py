@@ -30,8 +30,7 @@ from warpcage.deform.edits import CageEdit
 from warpcage.field.voxel_field import VoxelField
 from warpcage.scene.load import load_scene
 from warpcage.splats.splat_field import SplatField
-from warpcage.view.camera import Camera
-from warpcage.view.camera_file import CameraFile
+from warpcage.view.camera import Camera, CameraFile
 from warpcage.view.frame import Frame
 from warpcage.view.pictures import read_image
 

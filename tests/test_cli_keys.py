@@ -13,7 +13,7 @@ from gltf_writer import GltfWriter
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
 from warpcage.scene.load import load_scene
-from warpcage.view.camera_path import CameraKey
+from warpcage.view.camera import CameraKey
 from warpcage.view.pictures import read_image
 
 LOOK = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, "--size", 24, "--coordinates", "mean_value", "--resolution", 16]

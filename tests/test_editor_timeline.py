@@ -22,8 +22,7 @@ from warpcage.editor.timeline import (
     state_at,
     with_pose_file,
 )
-from warpcage.view.camera import Camera
-from warpcage.view.camera_path import CameraKey
+from warpcage.view.camera import Camera, CameraKey
 
 CAGE = Cage.box([-1, -1, -1], [1, 1, 1])
 VIEW = View((3.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)

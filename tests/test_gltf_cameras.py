@@ -8,8 +8,7 @@ import pytest
 from cli_runs import SMALL, run, succeed, write_files
 from gltf_writer import GltfWriter
 
-from warpcage.view.camera import Camera
-from warpcage.view.camera_file import CameraFile
+from warpcage.view.camera import Camera, CameraFile
 from warpcage.view.camera_path import camera_at
 from warpcage.view.pictures import read_image
 

@@ -19,7 +19,7 @@ from warpcage.fitting.tuning import tuned_scene
 from warpcage.reference.brick_scene import write_brick_scene
 from warpcage.reference.fit_scenes import synthetic_scene
 from warpcage.view.alignment import picture_similarity
-from warpcage.view.camera_file import CameraFile
+from warpcage.view.camera import CameraFile
 
 #: Fits of a second or two.
 QUICK = {"resolution": 28, "batch_rays": 2048, "least_steps": 250, "epochs": 11.0}

@@ -20,8 +20,7 @@ from warpcage.cage.pose_modes import POSE_MODES
 from warpcage.cage.random_poses import RandomPoses
 from warpcage.field.voxel_field import VoxelField
 from warpcage.scene.load import load_scene
-from warpcage.view.camera import Camera, turntable
-from warpcage.view.camera_file import CameraFile
+from warpcage.view.camera import Camera, CameraFile, turntable
 
 SWEEP = ("sweep", "@ball.npz", "--cage", "@cage.obj", "--device", "cpu", "--quiet")
 

@@ -15,9 +15,9 @@ from warpcage.kernels.deform.render_part import render_edit_part
 from warpcage.kernels.deform.render_single import render_edit
 from warpcage.kernels.deform.shaded_part import render_shaded_part
 from warpcage.kernels.deform.shaded_single import render_shaded_edit
+from warpcage.kernels.view.rays import TILE_SIZE
 from warpcage.kernels.view.tile_order import MOST_TICKS, TileOrder, count_tiles, sort_tiles
 from warpcage.view import tile_order
-from warpcage.view.camera import TILE_SIZE
 from warpcage.view.tile_order import BalancedTiles
 
 MOST = int(MOST_TICKS)

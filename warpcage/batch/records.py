@@ -11,9 +11,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..core.checks import shown
 from ..scene.formats.parsing import TO_OPENCV
-from ..view.camera import Camera
-from ..view.camera_file import camera_json
-from ..view.camera_path import CameraKey
+from ..view.camera import Camera, CameraKey, camera_json
 from .items import ID, FrameItem, Item
 
 #: Kinds of records, as "records" of a job's header has them.

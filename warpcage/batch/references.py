@@ -24,9 +24,7 @@ from ..core.files import DAMAGED, NpyFile, file_stamp, require_file
 from ..core.memory import Recent
 from ..scene.transforms_camera import TransformsCameras
 from ..splats.load import AnyField
-from ..view.camera import Camera
-from ..view.camera_file import CameraFile, camera_from_json
-from ..view.fitted import fitted
+from ..view.camera import Camera, CameraFile, camera_from_json, fitted
 from .drawn_poses import DrawnPoses
 from .items import EditWords, FrameItem, canonical
 from .words import split_reference

@@ -19,9 +19,7 @@ from ..cage.random_poses import RandomPoses
 from ..core.checks import checked_whole
 from ..core.files import PathLike, atomic_path
 from ..core.names import require_coordinates
-from ..view.camera import Camera
-from ..view.camera_file import CameraFile
-from ..view.camera_path import CameraKey
+from ..view.camera import Camera, CameraFile, CameraKey
 from .job_file import write_jobs
 from .pose_processes import rows_by_processes
 from .pose_words import drawn_words

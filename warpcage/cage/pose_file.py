@@ -12,13 +12,11 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_number, checked_positive, listed, shown
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
-from ..core.names import require_name
+from ..core.names import EASINGS, LOOPS, require_name
 from ..mesh.mesh import require_mesh
-from ..view.camera import Camera
-from ..view.camera_file import camera_from_json, camera_json
-from ..view.camera_path import CameraKey, camera_at, timed_keys
-from ..view.keys import EASINGS, LOOPS, value_at
-from ..view.motion import value_along
+from ..view.camera import Camera, CameraKey, camera_from_json, camera_json
+from ..view.camera_path import camera_at, timed_keys
+from ..view.motion import value_along, value_at
 from .cage import Cage
 
 _FORMAT, _VERSION = "warpcage poses", 1
@@ -29,7 +27,7 @@ class PoseFile:
 
     The file is JSON: format, version, cage (sha256 over its faces and float64 vertices, and both in full) and
     keyframes (name and vertices, each number with all its digits; where it was given one, time and easing); where they
-    were given, fps, loop and cameras (as `warpcage.view.camera_file.CameraFile` has them, with times). Readers ignore
+    were given, fps, loop and cameras (as `warpcage.view.camera.CameraFile` has them, with times). Readers ignore
     keys that they do not know, so later versions may add some. A version that changes the meaning of these keys has a
     higher number.
 
@@ -154,7 +152,7 @@ class PoseFile:
             seconds: The time.
 
         Returns:
-            The pose; `warpcage.view.keys.value_at` says how it goes.
+            The pose; `warpcage.view.motion.value_at` says how it goes.
 
         Raises:
             ValueError: If no keyframe has a time, or one has an easing that is not known.

@@ -17,9 +17,7 @@ from ..batch.items import TRANSPARENT
 from ..batch.job_file import write_jobs
 from ..core.files import PathLike, atomic_path
 from ..deform.edits import CageEdit
-from ..view.camera import Camera
-from ..view.camera_file import camera_json
-from ..view.camera_path import CameraKey
+from ..view.camera import Camera, CameraKey, camera_json
 from . import inputs, options
 
 #: Endings of job files.

@@ -12,9 +12,9 @@ from fractions import Fraction
 from ..cage.cage import Cage
 from ..cage.motion import are_numbered, gltf_poses, numbered_files, sequence_poses
 from ..cage.pose_file import PoseFile
-from ..core.names import counted
+from ..core.names import EASINGS, counted
 from ..view.camera_path import timed_keys
-from ..view.keys import EASINGS, frame_rate, frame_times
+from ..view.motion import frame_rate, frame_times
 from .options import CAGE_ENDINGS
 from .standing import ending
 

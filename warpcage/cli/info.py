@@ -21,7 +21,7 @@ from ..scene.load import detect_format, load_scene
 from ..scene.scene import Scene
 from ..splats.files.files import is_splat_file
 from ..splats.splat_field import SplatField
-from ..view.camera_file import CameraFile
+from ..view.camera import CameraFile
 from ..view.pictures import contact_sheet, shrink, write_png
 from . import inputs, options
 from .arguments.info import SHEET_PICTURES, SHEET_SIDE

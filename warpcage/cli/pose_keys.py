@@ -10,7 +10,7 @@ from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..cage.presets import is_preset
 from ..core.names import counted
-from ..view.camera_path import CameraKey
+from ..view.camera import CameraKey
 from . import inputs, pose, view
 from .film_keys import note_jumps, pose_file, read_film
 from .keyframes import read_pose, read_poses

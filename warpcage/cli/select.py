@@ -9,8 +9,7 @@ import numpy as np
 from ..core.names import counted
 from ..field.objects import select_object
 from ..field.voxel_field import VoxelField
-from ..view.camera import Camera
-from ..view.camera_file import CameraFile
+from ..view.camera import Camera, CameraFile
 from ..view.pictures import write_png
 from . import inputs, options, view
 from .standing import read_rest

@@ -17,8 +17,7 @@ from ..core.files import NpyFile
 from ..core.names import BACKGROUNDS, counted
 from ..core.threads import cpu_threads
 from ..scene.transforms_camera import TransformsCameras
-from ..view.camera import Camera, framing_orbit
-from ..view.camera_file import CameraFile
+from ..view.camera import Camera, CameraFile, framing_orbit
 from . import inputs, options, view
 from .arguments.sweep import OWN, USUAL_BACKGROUNDS
 from .keyframes import expected_ups, read_poses

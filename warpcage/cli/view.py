@@ -13,10 +13,7 @@ from fractions import Fraction
 import numpy as np
 
 from ..scene.load import load_scene
-from ..view.camera import Camera, framing_orbit
-from ..view.camera_file import CameraFile
-from ..view.camera_path import CameraKey
-from ..view.fitted import fitted
+from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
 from . import options
 from .deformation import Deformation
 

@@ -11,8 +11,8 @@ import warp as wp
 from ..core.arrays import array_view
 from ..kernels.deform.ray_parts import ScenePart
 from ..kernels.deform.render_cpu import render_edit_tiles
+from ..kernels.view.rays import TILE_SIZE
 from ..lattice.capture import BufferPool
-from ..view.camera import TILE_SIZE
 from .edits import MarchedView, PosedEdits
 from .map_cells import takes_any
 

@@ -26,9 +26,8 @@ from ..splats.files.files import splat_ending
 from ..splats.files.ply import chosen_layout
 from ..splats.harmonics import turned_harmonics
 from ..splats.splat_field import SplatField, rotation_matrices
-from ..view.backgrounds import parse_background
 from ..view.camera import Camera
-from ..view.frame import Frame
+from ..view.frame import Frame, parse_background
 from .deformer import Deformer
 from .edits import CageEdit, checked_edits
 from .falloff import FalloffBand

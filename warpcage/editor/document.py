@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..cage.cage import Cage
+from ..core.names import EASINGS, LOOPS
 from ..deform.edits import HELD, MAX_EDITS, CageEdit
 from ..mesh.mesh import ClosedMesh
-from ..view.keys import EASINGS as EASINGS
-from ..view.keys import LOOPS as LOOPS
 from .checked import (
     MAX_ID,
     MAX_KEYS,

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..core.names import COORDINATES, DENSITIES
-from ..view.backgrounds import parse_background
-from ..view.frame import MAX_SUPERSAMPLING
+from ..view.frame import MAX_SUPERSAMPLING, parse_background
 from .checked import RESOLUTIONS, checked_between, checked_choice, checked_flag, checked_triple, checked_whole
 
 SHOWN = ("rgb", "disparity", "alpha", "masks")

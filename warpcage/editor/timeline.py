@@ -12,10 +12,12 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
-from ..view import keys as between
-from ..view.camera_path import CameraKey, timed_keys
+from ..core.names import EASINGS
+from ..view import motion as between
+from ..view.camera import CameraKey
+from ..view.camera_path import timed_keys
 from .checked import MAX_KEYS, MAX_NAME, MAX_SECONDS, frozen_vertices
-from .document import EASINGS, Document, Key, Timeline, View
+from .document import Document, Key, Timeline, View
 from .scene import camera
 
 #: Width and height of the pictures of cameras in pose files, pixels.
@@ -28,7 +30,7 @@ LEAST_FOV, LARGEST_FOV = 1.0, 150.0
 def state_at(document: Document, time: float) -> tuple[dict[int, np.ndarray], View | None]:
     """Posed vertices (v, 3), read-only, by the number of the edit, and the view of a film at a time, seconds.
     Edits that no key holds are left out; the view is None where there is no key of cameras."""
-    # The way from a key to the next goes as the easing of the earlier one says (see `warpcage.view.keys.value_at`). A
+    # The way from a key to the next goes as the easing of the earlier one says (see `warpcage.view.motion.value_at`). A
     # film that loops, from a key at its start to an equal one at its end, goes through them without stopping.
     moments = document.timeline.keys
     poses = {}

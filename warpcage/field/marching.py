@@ -16,7 +16,7 @@ from ..kernels.field.grid import VoxelGrid
 from ..kernels.field.render import render_image
 from ..kernels.field.render_cpu import render_tiles
 from ..kernels.field.render_shaded import render_shaded_image
-from ..view.camera import TILE_SIZE
+from ..kernels.view.rays import TILE_SIZE
 from ..view.frame import PART_NAMES
 from .matter_cells import MatterCellTable
 from .rendering import STOP_TRANSMITTANCE, MakeArrays, March

@@ -16,10 +16,9 @@ from ..core.checks import checked_bounds, checked_direction, checked_march, requ
 from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..kernels.field.grid import VoxelGrid, sample_field
-from ..view.backgrounds import parse_background
 from ..view.camera import Camera, rigid_motion
-from ..view.frame import Frame, checked_supersampling
-from ..view.refined_cameras import RefinedCameras
+from ..view.camera_path import RefinedCameras
+from ..view.frame import Frame, checked_supersampling, parse_background
 from .background import LayeredBackground
 from .files.contents import BASIS_COUNT, FieldContents
 from .files.files import load_field, save_field

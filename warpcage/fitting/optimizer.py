@@ -22,7 +22,7 @@ from ..kernels.fitting import active_tiles, loss, loss_warps, rmsprop, variation
 from ..scene.box import scene_box
 from ..scene.scene import Scene
 from ..view.camera import Camera
-from ..view.refined_cameras import RefinedCameras
+from ..view.camera_path import RefinedCameras
 from .background import BackgroundOptimizer, chosen_background, layers_that_fit, mean_colour
 from .batches import Batch, Batches
 from .cameras import CAMERA_RAYS, CameraRefinement, ray_bytes

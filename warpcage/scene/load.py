@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_path, listed
-from ..view.backgrounds import parse_background
-from ..view.camera import rigid_motion
-from ..view.camera_file import CameraFile
+from ..view.camera import CameraFile, rigid_motion
+from ..view.frame import parse_background
 from .formats import blender, colmap, dtu, nsvf, polycam, record3d, transforms
 from .scene import Scene, rotation_to
 

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds
-from ..view.backgrounds import parse_background
-from ..view.camera import Camera, common_up, rigid_motion
-from ..view.camera_file import CameraFile
+from ..view.camera import Camera, CameraFile, common_up, rigid_motion
+from ..view.frame import parse_background
 from ..view.motion import axis_rotation
 
 #: Images may leave [0, 1] by this much, as renders of a field do; values further out are in other units.

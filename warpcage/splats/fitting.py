@@ -15,9 +15,8 @@ from ..core.checks import checked_flag, checked_number, checked_positive, checke
 from ..core.devices import launch
 from ..core.locks import device_turn
 from ..kernels.splats import adam, picture_slopes
-from ..view.backgrounds import parse_background
 from ..view.camera import Camera
-from ..view.frame import checked_supersampling, finer_camera
+from ..view.frame import checked_supersampling, finer_camera, parse_background
 from .gradients import SplatGradients
 from .parameters import SplatParameters
 from .rendering import IMAGE_BLUR, splat_lens

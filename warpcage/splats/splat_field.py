@@ -15,9 +15,8 @@ from ..core.checks import checked_direction, checked_flag, real_array, require_t
 from ..core.devices import resolve_device
 from ..core.locks import in_turn
 from ..kernels.splats.splats import Splats
-from ..view.backgrounds import parse_background
 from ..view.camera import Camera
-from ..view.frame import Frame
+from ..view.frame import Frame, parse_background
 from .density import RESOLUTION, SplatDensity, whole_voxels
 from .files.contents import LEAST_OPACITY, SplatContents, checked_contents, opacities_of
 from .files.files import read_splats, write_splats

@@ -1,4 +1,4 @@
-"""Pinhole cameras: one camera, circles of cameras around an object, and cameras as kernels take them."""
+"""Pinhole cameras: one, circles of them around an object, keys and files of them, cameras as kernels take them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,19 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_points
-from ..core.checks import checked_number, checked_vector, checked_whole, real_array
-from ..core.files import PathLike
+from ..core.checks import (
+    checked_number,
+    checked_positive,
+    checked_vector,
+    checked_whole,
+    listed,
+    real_array,
+    require_type,
+)
+from ..core.files import DAMAGED, PathLike, damage, require_file
+from ..core.names import EASINGS, LOOPS, require_name
 from ..kernels.view.rays import TILE_HEIGHT, TILE_SIZE, TILE_WIDTH, PinholeCamera
+from .camera_file import CAMERA_NUMBERS, read_camera_document, write_camera_document
 
 #: Rotations of a pose may be off by this much: files hold few digits.
 POSE_TOLERANCE = 1e-3
@@ -112,7 +122,7 @@ class Camera:
         return cls(focal, focal, width / 2, height / 2, width, height, pose)
 
     def save(self, path: PathLike) -> None:
-        """Write the camera to a JSON file; see `warpcage.view.camera_file.CameraFile.save`.
+        """Write the camera to a JSON file; see `warpcage.view.camera.CameraFile.save`.
 
         Args:
             path: The file; it must end in .json.
@@ -120,7 +130,7 @@ class Camera:
         Raises:
             ValueError: For another ending.
         """
-        from .camera_file import CameraFile  # which needs cameras
+        # which needs cameras
 
         CameraFile([self]).save(path)
 
@@ -131,7 +141,7 @@ class Camera:
         Args:
             path: The file (.json, .glb, .gltf).
             name: Name or number of the camera; empty where the file holds one.
-            size: Width and height of a glTF camera's picture; see `warpcage.view.camera_file.CameraFile.load`.
+            size: Width and height of a glTF camera's picture; see `warpcage.view.camera.CameraFile.load`.
 
         Returns:
             The camera.
@@ -140,7 +150,6 @@ class Camera:
             FileNotFoundError: If there is no such file.
             ValueError: What is wrong in which file, and for a name of no camera or of several.
         """
-        from .camera_file import CameraFile
 
         cameras = CameraFile.load(path, size=size)
         try:
@@ -377,3 +386,190 @@ def camera_array(cameras: Sequence[Camera], origin: ArrayLike, device: wp.Device
 def tile_threads(camera: Camera) -> int:
     """Threads that walk a camera's picture in whole tiles, for a kernel that finds its pixel by `tile_pixel`."""
     return -(-camera.width // TILE_WIDTH) * -(-camera.height // TILE_HEIGHT) * TILE_SIZE
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraKey:
+    """A camera of a path.
+
+    Args:
+        camera: The camera.
+        time: When it is reached, seconds from the film's start. None leaves it open.
+        name: A name, empty for none.
+        easing: How the way to the next key goes: "smooth", "linear", "hold", "ease-in" or "ease-out".
+        target: (3,) the point ahead that the camera turns about, world units. None takes what all keys look at.
+
+    Raises:
+        ValueError: For a time that is not a finite number from 0 on, another easing, or a target that is none.
+    """
+
+    camera: Camera
+    time: float | None = None
+    name: str = ""
+    easing: str = "smooth"
+    target: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        require_type(self.camera, Camera, "a camera key needs")
+        if self.time is not None:
+            time = checked_number(self.time, "the time of a camera")
+            if time < 0.0:
+                raise ValueError(f"the time of a camera must be from 0 on, got {time:g}")
+            object.__setattr__(self, "time", time)
+        require_name(self.easing, EASINGS, "easing")
+        if self.target is not None:
+            object.__setattr__(self, "target", checked_vector(self.target, "the target of a camera"))
+
+
+class CameraFile(list[CameraKey]):
+    """The cameras of a file, in their order.
+
+    Args:
+        keys: Cameras, or keys with times, names and easings.
+        fps: Frames per second of the film. None leaves it open.
+        loop: What the film does at its end, "once", "loop" or "ping-pong". None leaves it open.
+
+    Raises:
+        ValueError: For a rate that is not positive, or another loop.
+    """
+
+    def __init__(self, keys: Sequence[Camera | CameraKey] = (), *, fps: float | None = None, loop: str | None = None):
+        require_type(keys, Sequence, "cameras of a file must be")
+        super().__init__(key if isinstance(key, CameraKey) else CameraKey(key) for key in keys)
+        self.fps = None if fps is None else checked_positive(fps, "the rate of a camera file")
+        if loop is not None:
+            require_name(loop, LOOPS, "loop")
+        self.loop = loop
+
+    def path(self, name: str = "") -> list[CameraKey]:
+        """The keys of a path.
+
+        Args:
+            name: Name of the camera that moves. Empty takes all cameras as the keys of one path.
+
+        Returns:
+            The keys.
+
+        Raises:
+            ValueError: For a name that no camera has, or several cameras that move each by itself and no name.
+        """
+        if name:
+            return [key for key in self if key.name == name] or [CameraKey(self.named(name))]
+        times = [key.time for key in self if key.time is not None]
+        if len(set(times)) < len(times):
+            names = listed(dict.fromkeys(key.name for key in self if key.name))
+            raise ValueError(f"several of its cameras are at one time: name the one that moves, of {names}")
+        return list(self)
+
+    def named(self, name: str) -> Camera:
+        """One of the cameras.
+
+        Args:
+            name: Its name, or its number from 0; empty where there is only one.
+
+        Returns:
+            The camera.
+
+        Raises:
+            ValueError: If there is no such camera, or several of that name.
+        """
+        require_type(name, str, "the name of a camera must be")
+        found = [key for key in self if key.name == name] if name else list(self)
+        if not found and name.isdigit() and int(name) < len(self):
+            found = [self[int(name)]]
+        if len(found) == 1:
+            return found[0].camera
+        names = listed(dict.fromkeys(key.name or str(index) for index, key in enumerate(self)))
+        if len({key.name for key in found}) == 1 and all(key.time is not None for key in found):
+            raise ValueError(
+                f"its camera {found[0].name!r} moves through {len(found)} keys: take one by its number, 0 to "
+                f"{len(self) - 1}, or all as a path"
+            )
+        if not name:
+            raise ValueError(f"it holds {len(self)} cameras: name one of {names}")
+        raise ValueError(f"it holds {f'{len(found)} cameras' if found else 'no camera'} {name!r}, only {names}")
+
+    def save(self, path: PathLike, *, extras: Sequence[dict[str, Any]] | None = None) -> None:
+        """Write the file as JSON, whole or not at all. All numbers keep their digits.
+
+        The file holds format, version and cameras: for each width, height, fx, fy, cx and cy in pixels, the (4, 4)
+        camera_to_world in OpenCV axes and world units, and what there is of name, time, easing and target; besides fps
+        and loop where they are given. Readers ignore keys that they do not know.
+
+        Args:
+            path: The file; it must end in .json.
+            extras: For each camera, more that stands beside its numbers. None is nothing.
+
+        Raises:
+            ValueError: For another ending, or no cameras.
+        """
+        entries = [camera_json(key) | extra for key, extra in zip(self, extras or [{}] * len(self), strict=True)]
+        write_camera_document(path, entries, fps=self.fps, loop=self.loop)
+
+    @classmethod
+    def load(cls, path: PathLike, *, size: tuple[int, int] | None = None) -> CameraFile:
+        """Read a file.
+
+        Args:
+            path: A file that `save` wrote, or a glTF file (.glb, .gltf) with perspective cameras, as Blender exports
+                them; those that are animated become keys at the times of the file.
+            size: Width and height of the pictures of glTF cameras, which have none. None is 400 pixels in width, and
+                the height that the file says. Cameras of JSON files have their own.
+
+        Returns:
+            The cameras.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: What is wrong in which file.
+        """
+        path = require_file(path, "camera file")
+        try:
+            document = read_camera_document(path, size)
+            keys = [camera_from_json(entry, index) for index, entry in enumerate(document["cameras"])]
+            return cls(keys, fps=document.get("fps"), loop=document.get("loop"))
+        except DAMAGED as error:
+            raise ValueError(f"{path}: {damage('camera file', error)}") from None
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+
+def camera_json(key: CameraKey) -> dict[str, Any]:
+    """A camera key as JSON takes it; see `CameraFile.save`."""
+    camera = key.camera
+    entry: dict[str, Any] = {"name": key.name} if key.name else {}
+    entry |= {} if key.time is None else {"time": key.time}
+    entry |= {} if key.easing == "smooth" else {"easing": key.easing}
+    entry |= {name: getattr(camera, name) for name in CAMERA_NUMBERS}
+    entry["camera_to_world"] = camera.camera_to_world.tolist()
+    return entry if key.target is None else entry | {"target": key.target.tolist()}
+
+
+def camera_from_json(entry: dict[str, Any], index: int) -> CameraKey:
+    """A camera key from JSON. Raises ValueError for numbers that cannot be; index: what it is called without a name."""
+    name = entry.get("name", "")
+    if not isinstance(name, str):
+        raise ValueError(f"the name of camera {index} must be a text, got {str(name)[:40]!r}")
+    try:
+        camera = Camera(
+            **{number: entry[number] for number in CAMERA_NUMBERS}, camera_to_world=entry["camera_to_world"]
+        )
+        return CameraKey(camera, entry.get("time"), name, entry.get("easing", "smooth"), entry.get("target"))
+    except ValueError as error:
+        raise ValueError(f"camera {name or index}: {error}") from None
+
+
+def fitted(camera: Camera, size: Sequence[int], name: str = "size") -> Camera:
+    """The same view at another size: a width, which keeps the shape, or width and height; none keeps the camera."""
+    if not size:
+        return camera
+    width = int(size[0])
+    usual = round(width * camera.height / camera.width)
+    if len(size) == 1:
+        return camera.resized(width, max(1, usual))
+    height = int(size[1])
+    if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
+        raise ValueError(
+            f"{name} {width} {height} would squeeze a {camera.width}x{camera.height} picture: give {width} {usual}"
+        )
+    return camera.resized(width, height)

@@ -1,56 +1,25 @@
-"""Camera keys, and the camera at a time between them."""
+"""Camera keys in time and the camera between them; the cameras that a fit refined."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import pathlib
 from collections.abc import Sequence
 
 import numpy as np
 
-from ..core.checks import checked_number, checked_vector, require_type
-from ..core.names import agreed, require_name
-from .camera import Camera, common_up
-from .keys import EASINGS, value_at
+from ..core.checks import checked_number, require_type
+from ..core.files import PathLike
+from ..core.names import agreed
+from .camera import Camera, CameraFile, CameraKey, common_up
+from .motion import value_at
 
 #: Directions in which the axes of cameras say this little, of what they say in others, are taken to say nothing.
 _LEAST_CONDITION = 1e-4
 
 #: A common point nearer to a camera than this share of its middle distance is not what the cameras look at.
 _LEAST_SHARE = 0.1
-
-
-@dataclasses.dataclass(frozen=True)
-class CameraKey:
-    """A camera of a path.
-
-    Args:
-        camera: The camera.
-        time: When it is reached, seconds from the film's start. None leaves it open.
-        name: A name, empty for none.
-        easing: How the way to the next key goes: "smooth", "linear", "hold", "ease-in" or "ease-out".
-        target: (3,) the point ahead that the camera turns about, world units. None takes what all keys look at.
-
-    Raises:
-        ValueError: For a time that is not a finite number from 0 on, another easing, or a target that is none.
-    """
-
-    camera: Camera
-    time: float | None = None
-    name: str = ""
-    easing: str = "smooth"
-    target: np.ndarray | None = None
-
-    def __post_init__(self) -> None:
-        require_type(self.camera, Camera, "a camera key needs")
-        if self.time is not None:
-            time = checked_number(self.time, "the time of a camera")
-            if time < 0.0:
-                raise ValueError(f"the time of a camera must be from 0 on, got {time:g}")
-            object.__setattr__(self, "time", time)
-        require_name(self.easing, EASINGS, "easing")
-        if self.target is not None:
-            object.__setattr__(self, "target", checked_vector(self.target, "the target of a camera"))
 
 
 def timed_keys(keys: Sequence[CameraKey], length: float | None = None) -> list[CameraKey]:
@@ -82,8 +51,8 @@ def camera_at(keys: Sequence[CameraKey], time: float, *, closed: bool = False) -
     """The camera of a path at a time. Before the first and after the last key it stands still.
 
     Where the cameras look at a point in common, or keys name targets, a camera goes around its target: the target, the
-    distance, the angles about what is up for all of them, and the roll go as `warpcage.view.keys.value_at` says. So it
-    keeps its distance where that of the keys is the same. Otherwise, as in a pan, the eye goes so, and the angles of
+    distance, the angles about what is up for all of them, and the roll go as `warpcage.view.motion.value_at` says. So
+    it keeps its distance where that of the keys is the same. Otherwise, as in a pan, the eye goes so, and the angles of
     what it looks along. At a key it is the key's own camera.
 
     Args:
@@ -187,3 +156,29 @@ def _frame(up: np.ndarray) -> np.ndarray:
     across = np.cross(up, side)
     across /= np.linalg.norm(across)
     return np.stack([across, np.cross(up, across), up], axis=1)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RefinedCameras:
+    """The cameras of a fit's pictures as it refined them."""
+
+    names: list[str]
+    # in the field's world
+    cameras: list[Camera]
+    # (n, 3) float64, what the field's red, green and blue are multiplied by in each picture
+    gains: np.ndarray
+    # (n, 3) float64, what is added to them then
+    offsets: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def save(self, path: PathLike) -> pathlib.Path:
+        """Write them as a camera file, whole or not at all, which `load_scene(path, cameras=...)` takes for its
+        pictures."""
+        keys = [CameraKey(camera, name=name) for name, camera in zip(self.names, self.cameras, strict=True)]
+        pairs = zip(self.gains, self.offsets, strict=True)
+        # an `exposure` with gain and offset for each, which readers of cameras pass over
+        extras = [{"exposure": {"gain": gain.tolist(), "offset": offset.tolist()}} for gain, offset in pairs]
+        CameraFile(keys).save(path, extras=extras)
+        return pathlib.Path(path)

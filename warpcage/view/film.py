@@ -18,6 +18,7 @@ from ..core.checks import checked_positive, checked_whole
 from ..core.files import atomic_path, read_npz, require_numbers
 from ..core.memory import require_host_memory
 from ..core.overlap import stream
+from .motion import MAX_DENOMINATOR
 from .opacity import with_spread_colours
 from .pictures import as_rgb, path_with_ending, read_image, to_uint8
 
@@ -30,9 +31,6 @@ VIDEO_RATES, GIF_RATES = (Fraction(1, 100), Fraction(1000)), (Fraction(1, 100), 
 
 #: Milliseconds that a GIF can show one picture. Equal frames that follow one another are one picture.
 MAX_STILL = 655350
-
-#: Largest denominator of a rate, that of the television rates such as 30000/1001.
-MAX_DENOMINATOR = 1001
 
 #: Colours of a GIF's palette.
 MIN_COLOURS, MAX_COLOURS = 2, 256

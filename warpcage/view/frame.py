@@ -1,4 +1,4 @@
-"""Rendered frames, and frames rendered with several rays per pixel."""
+"""Rendered frames, frames of several rays a pixel, and the color behind a picture."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from ..core.arrays import HostCopy, empty_array
-from ..core.checks import checked_whole, shown
+from ..core.checks import checked_whole, real_array, shown
 from ..core.devices import launch
 from ..core.locks import device_turn
+from ..core.names import BACKGROUNDS
 from ..kernels.view import colour_bytes, downsample
 from .camera import Camera
 from .pictures import NOT_FINITE, to_uint8
@@ -266,3 +268,22 @@ def average_frame(frame: Frame, side: int) -> Frame:
         joined[name] = wp.empty(width * height, dtype=parts.dtype, device=parts.device)
         launch(kernel, width * height, inputs, [joined[name]], device=parts.device)
     return Frame(width, height, **joined)
+
+
+def parse_background(background: str | ArrayLike) -> np.ndarray:
+    """The colour (3,) float32 in [0, 1] of a background: the name of one (see BACKGROUNDS), or three numbers."""
+    if isinstance(background, str):
+        if background == "random":
+            raise ValueError(
+                "random backgrounds are drawn anew for every ray of a fit, where pictures have opacity: "
+                "load with a colour and fit with background='random'"
+            )
+        if background not in BACKGROUNDS:
+            raise ValueError(
+                f"background {shown(background)} is not known: {', '.join(BACKGROUNDS)} or 3 numbers in [0, 1]"
+            )
+        background = BACKGROUNDS[background]
+    colour = real_array(background, "a background that is no colour name", np.float32)
+    if colour.shape != (3,) or not np.isfinite(colour).all() or colour.min() < 0 or colour.max() > 1:
+        raise ValueError(f"background must be a colour name or three numbers in [0, 1], got {shown(background)}")
+    return colour
