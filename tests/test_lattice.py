@@ -7,9 +7,8 @@ import trimesh
 from test_containment import reference_distance
 
 from warpcage.cage.cage import Cage
-from warpcage.lattice import block_faces
-from warpcage.lattice.block_faces import BLOCK_FACES
-from warpcage.lattice.lattice import LINE_CAPACITY, CageLattice
+from warpcage.lattice import lattice as block_faces
+from warpcage.lattice.lattice import BLOCK_FACES, LINE_CAPACITY, CageLattice
 
 
 def nodes_of(lattice):

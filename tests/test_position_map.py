@@ -13,7 +13,7 @@ from warpcage.coordinates.harmonic import harmonic_weights
 from warpcage.core import memory
 from warpcage.core.devices import launch
 from warpcage.kernels.lattice.cage_map import sample_map
-from warpcage.lattice import block_faces
+from warpcage.lattice import lattice as block_faces
 from warpcage.lattice import lattice as lattices
 from warpcage.lattice.closed_form import GreenSolver
 from warpcage.lattice.graph import PoseGraph

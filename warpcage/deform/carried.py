@@ -18,7 +18,7 @@ from ..kernels.deform import carry, carry_cells
 from ..kernels.deform.crumbs import CrumbCells
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh.walls import Walls
-from ..lattice.capture import BufferPool
+from ..lattice.buffers import BufferPool
 from ..mesh.fans import prepared_fans
 from .crumbs import crumbs
 from .edits import CageEdit

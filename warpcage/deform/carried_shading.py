@@ -22,7 +22,7 @@ from ..kernels.deform.carried_shades import (
 )
 from ..kernels.deform.laid_shades import SHADE_LAYERS, LaidShades
 from ..kernels.deform.posed_places import NO_CELL, claim_nodes, settle_nodes
-from ..lattice.capture import BufferPool
+from ..lattice.buffers import BufferPool
 
 #: A trilinear distance changes by at most the root of three per unit of length; rounded up.
 STEEPEST = 1.8

@@ -20,7 +20,7 @@ from ..field.voxel_field import VoxelField
 from ..kernels.deform.edits import MAPPED
 from ..kernels.deform.march import MarchOptions
 from ..kernels.deform.pictures import Picture
-from ..lattice.capture import StreamOrder
+from ..lattice.buffers import StreamOrder
 from ..mesh.match import require_same_faces
 from ..mesh.validity import is_usable, require_usable
 from ..splats.splat_field import SplatField

@@ -21,7 +21,7 @@ from ..kernels.deform import cells as cell_tables
 from ..kernels.deform.edits import LatticeEdit
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh import fans
-from ..lattice.capture import BufferPool
+from ..lattice.buffers import BufferPool
 from ..lattice.lattice import CageLattice
 from ..lattice.position_map import PositionMap
 from ..mesh.queries import SURFACE_TOLERANCE

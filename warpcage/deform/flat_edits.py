@@ -11,7 +11,7 @@ import warp as wp
 from ..core.arrays import empty_array
 from ..kernels.deform.edits import CELL_OUTSIDE
 from ..kernels.deform.flat_edits import FlatEdit, join_cell_tables, join_nodes
-from ..lattice.capture import Buffer
+from ..lattice.buffers import Buffer
 from .edit_lattices import has_sides
 from .fine_cells import tell_fine_cells
 

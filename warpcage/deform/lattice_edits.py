@@ -35,7 +35,7 @@ from ..kernels.deform import (
 )
 from ..kernels.deform.flat_edits import FlatEdit
 from ..kernels.view.rays import TILE_SIZE
-from ..lattice.capture import BufferPool, SideStream
+from ..lattice.buffers import BufferPool, SideStream
 from ..view.tile_order import BalancedTiles
 from .apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
 from .carried import CarriedCrumbs

@@ -10,7 +10,7 @@ import warp as wp
 
 from ..core.devices import RepeatedLaunches
 from ..kernels.deform.map_cells import CELL_WORDS, expand_map_cells
-from ..lattice.capture import BufferPool
+from ..lattice.buffers import BufferPool
 
 #: An array has fewer entries along an axis.
 MOST_ENTRIES = 1 << 31

@@ -12,7 +12,7 @@ from ..core.arrays import array_view
 from ..kernels.deform.ray_parts import ScenePart
 from ..kernels.deform.render_cpu import render_edit_tiles
 from ..kernels.view.rays import TILE_SIZE
-from ..lattice.capture import BufferPool
+from ..lattice.buffers import BufferPool
 from .edits import MarchedView, PosedEdits
 from .map_cells import takes_any
 

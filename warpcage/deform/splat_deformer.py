@@ -19,7 +19,7 @@ from ..core.devices import resolve_device
 from ..core.locks import owner_lock
 from ..core.names import DENSITIES, SPLAT_MAPS, counted, require_coordinates, require_name
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
-from ..lattice.capture import StreamOrder
+from ..lattice.buffers import StreamOrder
 from ..splats.density import SplatDensity
 from ..splats.files.contents import SplatContents, logits_of
 from ..splats.files.files import splat_ending

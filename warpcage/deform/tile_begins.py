@@ -11,7 +11,7 @@ from ..core.arrays import array_view, struct_array
 from ..core.devices import RepeatedLaunches
 from ..kernels.deform.flat_edits import FlatEdit
 from ..kernels.deform.tile_begins import find_tile_begins, find_tile_begins_of_edits
-from ..lattice.capture import Buffer, BufferPool, SideStream
+from ..lattice.buffers import Buffer, BufferPool, SideStream
 
 #: Streams whose buffers are kept.
 MOST_KEPT = 4

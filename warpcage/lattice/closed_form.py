@@ -26,8 +26,7 @@ from ..mesh.fans import prepared_fans
 from ..mesh.mesh import ClosedMesh
 from .gaps import MapTarget, launch_linear_boundary
 from .lattice import CageLattice
-from .nodes import LatticeNodes
-from .rings import CutRowTable, continue_outwards, continue_through_cage
+from .nodes import CutRowTable, LatticeNodes, continue_outwards, continue_through_cage
 from .sizes import NodeSections, PoseSizes
 from .solver import MapSolver, WeightBlock
 

@@ -20,9 +20,9 @@ from ..kernels.lattice.side_values import (
 )
 from ..mesh.faces import face_area
 from ..mesh.mesh import ClosedMesh
-from .capture import BufferPool, HostNumbers
+from .buffers import BufferPool, HostNumbers
 from .lattice import CageLattice
-from .rings import CutRowTable
+from .nodes import CutRowTable
 from .sizes import NodeSections, PoseSizes
 
 #: Bytes that the tables take for each node, at most for each square cell of the cage's surface, and in any case.

@@ -30,8 +30,7 @@ from ..kernels.lattice.harmonic_coarse import BLOCK_THREADS, cycle_coarse_levels
 from ..kernels.lattice.weights import select_vertices, store_weights
 from .gaps import MapTarget, launch_linear_boundary
 from .lattice import CageLattice
-from .nodes import LatticeNodes
-from .rings import CutRowTable, continue_to_rings
+from .nodes import CutRowTable, LatticeNodes, continue_to_rings
 from .sizes import NodeSections, PoseSizes
 from .solver import MapSolver, WeightBlock
 

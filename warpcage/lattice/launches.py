@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core.devices import launch
 from ..kernels.lattice.rings import add_affine, gather_status
-from .capture import HostNumbers
+from .buffers import HostNumbers
 from .gaps import MapNodes, MapSides, MapTarget
 from .sizes import NodeSections, PoseSizes
 from .solver import MapSolver

@@ -19,15 +19,13 @@ from ..mesh.faces import face_area
 from ..mesh.match import require_same_faces
 from ..mesh.mesh import ClosedMesh, require_mesh
 from ..mesh.validity import require_usable
-from .block_faces import more_list_bytes
 from .closed_form import GreenSolver, MeanValueSolver
 from .gaps import REPORTED_JUMP, MapTarget, lattice_side_bytes, side_bytes
 from .graph import PoseGraph
 from .harmonic import HarmonicSolver, require_tolerance
-from .lattice import CageLattice, lattice_frame, require_resolution
+from .lattice import CageLattice, lattice_frame, more_list_bytes, require_resolution
 from .launches import PoseLaunches
-from .solver import MapSolver
-from .weights import LatticeWeights
+from .solver import LatticeWeights, MapSolver
 
 #: Bytes that a node, a lattice line and a square cell of the cage surface take, and some in any case.
 NODE_BYTES, LEVELS_BYTES, LINE_BYTES, SURFACE_BYTES, FIXED_BYTES = 20, 4, 100, 350, 1 << 19

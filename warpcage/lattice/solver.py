@@ -8,12 +8,14 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import WarpStruct, empty_array
+from ..core.devices import launch
 from ..kernels.lattice.cut_rows import CutRows
-from .capture import Buffer
+from ..kernels.lattice.weights import apply_weights
+from ..mesh.mesh import ClosedMesh
+from .buffers import Buffer
 from .gaps import GapFlags, MapTarget
 from .lattice import CageLattice
-from .nodes import LatticeNodes
-from .rings import CutRowTable
+from .nodes import CutRowTable, LatticeNodes
 from .sizes import PoseSizes
 
 #: Rows of weights: the first node's place in the list, then (m, v) of vertices and (m, f) of faces where there are any.
@@ -110,3 +112,32 @@ class MapSolver(ABC):
     def take_status(self, status: np.ndarray) -> None:
         """Note how a solution ended: (2,) cycles and residual."""
         self.cycles, self.residual = int(status[0]), float(status[1])
+
+
+class LatticeWeights:
+    """Weights at the listed nodes of a solver's lattice, which has laid out a pose."""
+
+    # The paper's own way, at many times the memory of a map.
+
+    def __init__(self, solver: MapSolver):
+        self._solver = solver
+        # (begin, vertex_weights (m, v), face_weights (m, f) or None): rows of a block belong to the entries begin ..
+        # begin + m - 1 of the list of nodes (kernels/lattice/nodes.py)
+        self.blocks = solver.weigh()
+
+    @staticmethod
+    def row_bytes(coordinates: str, cage: ClosedMesh) -> int:
+        """Bytes on the device of the weights of one node."""
+        return 4 * (len(cage.vertices) + (len(cage.faces) if coordinates == "green" else 0))
+
+    def launch_solution(self, sizes: PoseSizes, target: MapTarget) -> None:
+        """Launch the solver's solution, from the weights: values at inside nodes and the rings around them."""
+        solver = self._solver
+        factors = solver.weighted_values(target)
+        solver.clear(sizes)
+        for begin, *parts in self.blocks:
+            for weights, values in zip(parts, factors, strict=False):
+                assert weights is not None
+                inputs = [begin, solver.nodes.levels, weights, values]
+                launch(apply_weights, weights.shape[0], inputs, [solver.values], device=solver.device)
+        solver.launch_continuation(sizes, target.vertex_values)

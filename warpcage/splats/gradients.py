@@ -10,7 +10,7 @@ import warp as wp
 from ..core.devices import launch
 from ..kernels.splats import composite_slopes, composite_slopes_tiles, project_slopes, tiles
 from ..kernels.splats.composite_slopes import SUMS
-from ..lattice.capture import BufferPool
+from ..lattice.buffers import BufferPool
 from ..view.camera import Camera
 from .parameters import SplatParameters
 from .rendering import DRAW_WORK, MOST_ENTRIES, PROJECT_WORK, STOP_TRANSMITTANCE, SplatRenderer, tile_grid

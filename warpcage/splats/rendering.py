@@ -14,7 +14,7 @@ from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.locks import owner_lock
 from ..field.rendering import picture_arrays
 from ..kernels.splats import composite, composite_tiles, project, tiles
-from ..lattice.capture import BufferPool
+from ..lattice.buffers import BufferPool
 from ..view.camera import Camera, camera_struct
 from ..view.frame import PART_NAMES, Frame, average_frame, checked_supersampling, finer_camera
 
