@@ -39,7 +39,7 @@ def main(argv=None) -> dict:
         return {}
     import warpcage
     from warpcage.cli.keyframes import read_pose
-    from warpcage.coordinates.deform import deform_points
+    from warpcage.coordinates.coordinates import deform_points
     from warpcage.core.devices import resolve_device
     from warpcage.editor.demo import demo_files
     from warpcage.fitting.evaluation import psnr

@@ -10,8 +10,12 @@ import trimesh
 import warp as wp
 
 from warpcage.cage.cage import Cage
-from warpcage.coordinates.deform import deform_points
-from warpcage.coordinates.weights import green_coordinates, harmonic_coordinates, mean_value_coordinates
+from warpcage.coordinates.coordinates import (
+    deform_points,
+    green_coordinates,
+    harmonic_coordinates,
+    mean_value_coordinates,
+)
 from warpcage.core import memory
 from warpcage.core.devices import launch
 from warpcage.kernels.lattice.cage_map import sample_map

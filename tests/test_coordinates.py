@@ -8,7 +8,7 @@ import warp as wp
 
 import warpcage as coordinates
 from warpcage.cage.cage import Cage
-from warpcage.coordinates.deform import stretched_normals
+from warpcage.coordinates.coordinates import stretched_normals
 from warpcage.core.names import COORDINATES
 
 CLOSED_FORMS = ["mean_value", "green"]
@@ -255,7 +255,7 @@ def test_harmonic_matches_boundary_elements(device):
 
 
 def test_harmonic_moves_points_and_refuses_those_outside(device, monkeypatch):
-    monkeypatch.setattr("warpcage.coordinates.deform.HARMONIC_RESOLUTION", 32)
+    monkeypatch.setattr("warpcage.coordinates.coordinates.HARMONIC_RESOLUTION", 32)
     rest, points = cage_and_points("concave", centre=(1e3, 0, 0), scale=2.0)
     matrix = rotation() @ np.diag([1.0, 2.0, 0.5])
     deformed = rest.with_vertices(rest.vertices @ matrix.T)
@@ -269,7 +269,7 @@ def test_harmonic_moves_points_and_refuses_those_outside(device, monkeypatch):
 
 @pytest.mark.parametrize("kind", COORDINATES)
 def test_points_follow_a_cage_that_goes_far(kind, device, monkeypatch):
-    monkeypatch.setattr("warpcage.coordinates.deform.HARMONIC_RESOLUTION", 24)
+    monkeypatch.setattr("warpcage.coordinates.coordinates.HARMONIC_RESOLUTION", 24)
     rest, points = cage_and_points("concave")
     deformed = rest.twist(30)
     offset = np.array([1e6, -1e6, 1e6])
@@ -279,7 +279,7 @@ def test_points_follow_a_cage_that_goes_far(kind, device, monkeypatch):
 
 
 def test_harmonic_names_the_cage_that_cannot_be_used(device, monkeypatch):
-    monkeypatch.setattr("warpcage.coordinates.deform.HARMONIC_RESOLUTION", 16)
+    monkeypatch.setattr("warpcage.coordinates.coordinates.HARMONIC_RESOLUTION", 16)
     rest, points = cage_and_points("box")
     mirrored = rest.with_vertices(rest.vertices * [-1, 1, 1])
     with pytest.raises(ValueError, match="^deformed cage looks inward"):

@@ -23,7 +23,7 @@ from deformed_scenes import (
 )
 
 from warpcage.cage.cage import Cage
-from warpcage.coordinates.deform import stretched_normals
+from warpcage.coordinates.coordinates import stretched_normals
 from warpcage.deform.deformer import Deformer
 from warpcage.view.camera import Camera
 

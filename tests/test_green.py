@@ -7,8 +7,7 @@ import trimesh
 import warp as wp
 
 from warpcage.cage.cage import Cage
-from warpcage.coordinates.deform import deform_points, stretched_normals
-from warpcage.coordinates.weights import green_coordinates
+from warpcage.coordinates.coordinates import deform_points, green_coordinates, stretched_normals
 from warpcage.core.devices import launch
 from warpcage.kernels.coordinates import green
 from warpcage.mesh.fans import prepared_fans

@@ -6,8 +6,7 @@ import pytest
 import warp as wp
 
 from warpcage.cage.cage import Cage
-from warpcage.coordinates.deform import deform_points
-from warpcage.coordinates.weights import green_coordinates, mean_value_coordinates
+from warpcage.coordinates.coordinates import deform_points, green_coordinates, mean_value_coordinates
 from warpcage.core.devices import launch
 from warpcage.kernels.coordinates import mean_value
 from warpcage.mesh.fans import prepared_fans

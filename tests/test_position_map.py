@@ -8,7 +8,7 @@ import warp as wp
 from deformed_scenes import slotted
 
 from warpcage.cage.cage import Cage
-from warpcage.coordinates.deform import stretched_normals
+from warpcage.coordinates.coordinates import stretched_normals
 from warpcage.coordinates.harmonic import harmonic_weights
 from warpcage.core import memory
 from warpcage.core.devices import launch

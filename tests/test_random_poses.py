@@ -12,7 +12,7 @@ from warpcage.cage import pose_modes, poses
 from warpcage.cage.check import check_pose
 from warpcage.cage.pose_limits import PoseProbe
 from warpcage.cage.pose_modes import POSE_MODES, PoseWay, RandomNumbers
-from warpcage.coordinates.host_mean_value import host_mean_value_weights, mean_value_gradients
+from warpcage.coordinates.reference_mvc import host_mean_value_weights, mean_value_gradients
 from warpcage.mesh.queries import intersecting_faces
 
 #: Cages with faces of several sizes, reflex edges, and more than one part.

@@ -7,7 +7,7 @@ from splat_scenes import splats_in_box
 from test_splat_pose import AFFINE, BOX, TURN, forward_map
 
 from warpcage import Cage, CageEdit, Deformer
-from warpcage.coordinates.deform import stretched_normals
+from warpcage.coordinates.coordinates import stretched_normals
 from warpcage.deform.splat_instances import shared_ways
 from warpcage.kernels.splats.pose import CarriedSplats
 from warpcage.lattice.position_map import fit_affine

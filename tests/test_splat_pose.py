@@ -10,7 +10,7 @@ from splat_scenes import covariances_of, drawn, one_splat, splats_in_box
 
 import warpcage
 from warpcage import Cage, CageEdit, Deformer
-from warpcage.coordinates.deform import stretched_normals
+from warpcage.coordinates.coordinates import stretched_normals
 from warpcage.core.devices import launch
 from warpcage.kernels.splats import pose
 from warpcage.splats.binding import CageBinding

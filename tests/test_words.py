@@ -5,7 +5,7 @@ import pytest
 
 from warpcage.cage.cage import Cage
 from warpcage.cli import main
-from warpcage.coordinates.weights import harmonic_coordinates
+from warpcage.coordinates.coordinates import harmonic_coordinates
 from warpcage.core.names import agreed, counted
 from warpcage.mesh.mesh import MeshTopology
 from warpcage.splats.splat_field import SplatField

@@ -8,10 +8,10 @@ from .cage.random_poses import RandomPoses as RandomPoses
 from .cage.report import CageReport as CageReport
 from .captures.capture import capture as capture
 from .captures.report import CaptureReport as CaptureReport
-from .coordinates.deform import deform_points as deform_points
-from .coordinates.weights import green_coordinates as green_coordinates
-from .coordinates.weights import harmonic_coordinates as harmonic_coordinates
-from .coordinates.weights import mean_value_coordinates as mean_value_coordinates
+from .coordinates.coordinates import deform_points as deform_points
+from .coordinates.coordinates import green_coordinates as green_coordinates
+from .coordinates.coordinates import harmonic_coordinates as harmonic_coordinates
+from .coordinates.coordinates import mean_value_coordinates as mean_value_coordinates
 from .deform.bake import bake as bake
 from .deform.deformer import Deformer as Deformer
 from .deform.edits import CageEdit as CageEdit

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..coordinates.deform import deform_points
+from ..coordinates.coordinates import deform_points
 from ..field.selection import NodeSelection, visible_nodes
 from ..field.voxel_field import VoxelField
 from ..mesh.match import matched_vertices

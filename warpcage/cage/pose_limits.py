@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..coordinates.host_mean_value import mean_value_gradients
+from ..coordinates.reference_mvc import mean_value_gradients
 from ..mesh.faces import column_dot, face_edges
 from ..mesh.mesh import ClosedMesh
 from ..mesh.queries import intersecting_faces

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from ..cage.cage import Cage
-from ..coordinates.deform import stretched_normals
+from ..coordinates.coordinates import stretched_normals
 from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..kernels.deform import points_precise, render_precise, settled_cells

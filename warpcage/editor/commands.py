@@ -10,7 +10,7 @@ import numpy as np
 
 from ..cage import poses
 from ..cage.cage import Cage
-from ..coordinates.deform import deform_points
+from ..coordinates.coordinates import deform_points
 from ..deform.edits import MAX_EDITS
 from .checked import (
     MAX_KEYS,

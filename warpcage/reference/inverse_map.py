@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..coordinates.deform import deform_points, stretched_normals
+from ..coordinates.coordinates import deform_points, stretched_normals
 from ..core.devices import launch, resolve_device
 from ..core.names import require_coordinates
 from ..kernels.reference.inverse_map import ExactMap, assemble_layers, invert_map, map_exactly

@@ -1,5 +1,4 @@
 """Mean value weights in float64 on the host, for a few points."""
-# What kernels compute in float32 has too few digits for small differences, and differs a little from device to device.
 
 from __future__ import annotations
 
