@@ -111,8 +111,8 @@ def test_no_such_split(folder):
 
 @EVERY
 def test_more_pictures_than_memory(folder, monkeypatch):
-    monkeypatch.setattr("warpcage.scene.formats.views._flight_bytes", lambda *view: 1000)
-    monkeypatch.setattr("warpcage.scene.formats.views.free_host_bytes", lambda: 14000)
+    monkeypatch.setattr("warpcage.scene.pictures._flight_bytes", lambda *view: 1000)
+    monkeypatch.setattr("warpcage.scene.pictures.free_host_bytes", lambda: 14000)
     refuse(folder, "pictures of 24x20 need | give downscale=2 or more")
     assert load_scene(folder, downscale=2).images.shape[1:] == (10, 12, 3)
 

@@ -12,8 +12,8 @@ from scene_writers import brick_pictures, write_blender, write_colmap, write_dtu
 from test_images import write_deep_png
 
 from warpcage import load_scene
-from warpcage.scene.formats import views
-from warpcage.scene.formats.distortion import undistort
+from warpcage.scene import pictures as views
+from warpcage.scene.pictures import undistort
 from warpcage.view.pictures import read_image, read_rows, shrink, write_png
 
 # Memory

@@ -17,7 +17,7 @@ from scene_writers import (
 )
 
 from warpcage import Camera, load_scene
-from warpcage.scene.formats.distortion import COEFFICIENTS, distort, undistort, undistorted_intrinsics
+from warpcage.scene.pictures import COEFFICIENTS, distort, undistort, undistorted_intrinsics
 
 BACKGROUND = (0.1, 0.5, 0.9)
 

@@ -22,7 +22,7 @@ from ..cage.upright import load_standing
 from ..core.checks import shown
 from ..core.files import DAMAGED, NpyFile, file_stamp, require_file
 from ..core.memory import Recent
-from ..scene.transforms_camera import TransformsCameras
+from ..scene.formats.transforms import TransformsCameras
 from ..splats.load import AnyField
 from ..view.camera import Camera, CameraFile, camera_from_json, fitted
 from .drawn_poses import DrawnPoses

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..scene.formats.distortion import COEFFICIENTS, distort
+from ..scene.pictures import COEFFICIENTS, distort
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..scene.formats.distortion import distort, undistorted_intrinsics
+from ..scene.pictures import distort, undistorted_intrinsics
 from ..view.camera import Camera
 from .found import Lens
 

@@ -16,7 +16,7 @@ from ..cage.random_poses import RandomPoses
 from ..core.files import NpyFile
 from ..core.names import BACKGROUNDS, counted
 from ..core.threads import cpu_threads
-from ..scene.transforms_camera import TransformsCameras
+from ..scene.formats.transforms import TransformsCameras
 from ..view.camera import Camera, CameraFile, framing_orbit
 from . import inputs, options, view
 from .arguments.sweep import OWN, USUAL_BACKGROUNDS

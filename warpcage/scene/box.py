@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import pathlib
 from collections.abc import Sequence
 
 import numpy as np
@@ -102,3 +104,25 @@ def are_inliers(points: np.ndarray, radius: float) -> np.ndarray:
         return np.zeros(len(points), bool)
     distances = np.asarray(KDTree(points).query(points, NEIGHBOURS + 1)[0])  # the first is the point itself
     return distances[:, -1] <= radius
+
+
+class Bounds:
+    """Where the files of a scene may lie, by real paths: in its folder, or where a link to a folder in it leads."""
+
+    # Such a link is `images -> /captures/fox/images`. Links deeper inside, and links to files, must not lead elsewhere.
+
+    def __init__(self, folder: pathlib.Path):
+        self.folder = folder
+        with os.scandir(folder) as entries:
+            linked = [entry.path for entry in entries if entry.is_symlink() and entry.is_dir()]
+        self.roots = [pathlib.Path(os.path.realpath(path)) for path in (folder, *linked)]
+
+    def require(self, path: pathlib.Path, where: str) -> pathlib.Path:
+        """The path of a file that a scene names; ValueError where it lies elsewhere."""
+        real = pathlib.Path(os.path.realpath(path))
+        if not any(real.is_relative_to(root) for root in self.roots):
+            raise ValueError(
+                f"{where}: {path.name[:60]!r} is a link that leads out of the data folder {str(self.folder)!r}: put "
+                "the file there, or a link to its whole folder"
+            )
+        return path

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import pathlib
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,40 +13,29 @@ from numpy.typing import ArrayLike
 from ..core.checks import checked_path, listed
 from ..view.camera import CameraFile, rigid_motion
 from ..view.frame import parse_background
-from .formats import blender, colmap, dtu, nsvf, polycam, record3d, transforms
+from .formats import colmap, dtu, nsvf, phone, transforms
 from .scene import Scene, rotation_to
 
 
-class SceneReader(Protocol):
-    """What a module of `formats` offers."""
+class SceneReader(NamedTuple):
+    """How scenes of a format are told and read."""
 
-    @property
-    def MARK(self) -> str:
-        """What a folder of the format holds, for messages."""
-        ...
-
-    def is_scene(self, folder: pathlib.Path) -> bool:
-        """Whether a folder looks like a scene of the format."""
-        ...
-
-    def read(
-        self, folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str
-    ) -> Scene:
-        """Read one split."""
-        ...
+    mark: str  # what a folder of the format holds, for messages
+    is_scene: Callable[[pathlib.Path], bool]
+    # folder, and by name split, downscale, background (3,) behind transparent pixels, masks as for `load_scene`
+    read: Callable[..., Scene]
 
 
 #: Readers by the name of their format, in the order in which they are tried.
-READERS: dict[str, SceneReader] = {
-    "blender": blender,
-    "nsvf": nsvf,
-    "dtu": dtu,
-    "transforms": transforms,
-    "colmap": colmap,
-    "polycam": polycam,
-    "record3d": record3d,
+READERS = {
+    "blender": SceneReader(transforms.BLENDER_MARK, transforms.is_blender, transforms.read_blender),
+    "nsvf": SceneReader(nsvf.MARK, nsvf.is_scene, nsvf.read),
+    "dtu": SceneReader(dtu.MARK, dtu.is_scene, dtu.read),
+    "transforms": SceneReader(transforms.TRANSFORMS_MARK, transforms.is_transforms, transforms.read_transforms),
+    "colmap": SceneReader(colmap.MARK, colmap.is_scene, colmap.read),
+    "polycam": SceneReader(phone.POLYCAM_MARK, phone.is_polycam, phone.read_polycam),
+    "record3d": SceneReader(phone.RECORD3D_MARK, phone.is_record3d, phone.read_record3d),
 }
-
 
 #: Formats whose bounds are those of a ball around the origin.
 ROUND = ("dtu",)
@@ -144,6 +133,6 @@ def detect_format(path: str | os.PathLike) -> str:
     for name, reader in READERS.items():
         if reader.is_scene(folder):
             return name
-    looked = "; ".join(f"{name}: {reader.MARK}" for name, reader in READERS.items())
+    looked = "; ".join(f"{name}: {reader.mark}" for name, reader in READERS.items())
     there = listed(sorted(entry.name + "/" * entry.is_dir() for entry in folder.iterdir()), none="nothing")
     raise ValueError(f"{str(folder)!r} is no scene of a known format ({looked}); it holds {there}")

@@ -1,17 +1,227 @@
-"""COLMAP models, text or binary: sparse/0/{cameras, images, points3D}.{bin, txt} beside images/."""
-# Schoenberger and Frahm 2016. The centre of the first pixel is (0.5, 0.5); poses are world to camera, OpenCV axes.
+"""COLMAP models (Schoenberger and Frahm 2016): sparse/0 in text or binary beside images."""
 
 from __future__ import annotations
 
+import dataclasses
 import pathlib
+import struct
 
 import numpy as np
 
+from ...core.files import read_limited
+from ..pictures import COEFFICIENTS, View, make_scene, views_there
 from ..scene import Scene
-from .colmap_model import Model, ModelImage, read_model
-from .distortion import COEFFICIENTS
-from .parsing import PICTURE_ENDINGS, held_out, inside, is_file
-from .views import View, make_scene, views_there
+from .parsing import PICTURE_ENDINGS, floats, held_out, inside, is_file, one_line, read_text
+
+#: Bytes of memory that a byte of a binary file takes at most: a picture of 73 bytes becomes a record of some 700.
+BINARY_ROOM = 12
+
+#: Names and parameter counts of the models, by the number that binary files use.
+MODELS = (
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+)
+
+
+@dataclasses.dataclass
+class ModelCamera:
+    """A camera of a model."""
+
+    model: str  # name of its kind
+    size: tuple[int, int]  # width and height, pixels
+    parameters: list[float]  # as many as MODELS says
+
+
+@dataclasses.dataclass
+class ModelImage:
+    """A picture of a model."""
+
+    name: str  # file, relative to the folder of pictures
+    quaternion: tuple[float, ...]  # rotation (w, x, y, z) from world to camera
+    translation: tuple[float, ...]  # (x, y, z) from world to camera
+    camera: int  # number of its camera
+
+    def camera_to_world(self, where: str) -> np.ndarray:
+        """The pose (4, 4) float64 from camera to world, OpenCV axes; where: file and picture, for messages."""
+        q = np.array(self.quaternion)
+        length = np.linalg.norm(q)
+        if not (np.isfinite(length) and length > 1e-12 and np.isfinite(self.translation).all()):
+            raise ValueError(f"{where} has no rotation or place: quaternion {q.tolist()}, {list(self.translation)}")
+        w, x, y, z = q / length
+        to_camera = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        pose = np.eye(4)
+        pose[:3, :3] = to_camera.T
+        pose[:3, 3] = -to_camera.T @ self.translation
+        return pose
+
+
+@dataclasses.dataclass
+class Model:
+    """A COLMAP model."""
+
+    cameras: dict[int, ModelCamera]  # by number
+    images: list[ModelImage]  # in the order of the file
+    points: np.ndarray | None  # (n, 3) float64, None where there is no such file
+    cameras_path: pathlib.Path  # for messages, as the next
+    images_path: pathlib.Path
+
+
+def read_model(folder: pathlib.Path) -> Model:
+    """Read a model, binary where cameras.bin is there."""
+    binary = (folder / "cameras.bin").is_file()
+    ending = ".bin" if binary else ".txt"
+    cameras, images, points = (folder / f"{name}{ending}" for name in ("cameras", "images", "points3D"))
+    return Model(
+        (_cameras_bin if binary else _cameras_txt)(cameras),
+        (_images_bin if binary else _images_txt)(images),
+        (_points_bin if binary else _points_txt)(points) if points.is_file() else None,
+        cameras,
+        images,
+    )
+
+
+# Text
+
+
+def _lines(path: pathlib.Path):
+    """(line number, text) of all lines that are not comments; empty ones too."""
+    for line, text in enumerate(read_text(path, "COLMAP file").split("\n"), 1):
+        if not text.lstrip().startswith("#"):
+            yield line, text.strip()
+
+
+def _whole(word: str, where: str) -> int:
+    try:
+        return int(word)
+    except ValueError as error:
+        raise ValueError(f"{where}: {one_line(error)}") from error
+
+
+def _cameras_txt(path: pathlib.Path) -> dict[int, ModelCamera]:
+    cameras = {}
+    for line, text in _lines(path):
+        where, words = f"{path}:{line}", text.split()
+        if not words:
+            continue
+        if len(words) < 5:
+            raise ValueError(f"{where}: CAMERA_ID MODEL WIDTH HEIGHT PARAMS expected, got {text[:60]!r}")
+        number, width, height = (_whole(words[index], where) for index in (0, 2, 3))
+        cameras[number] = ModelCamera(words[1], (width, height), floats(" ".join(words[4:]), where))
+    return cameras
+
+
+def _images_txt(path: pathlib.Path) -> list[ModelImage]:
+    images, lines = [], _lines(path)
+    for line, text in lines:
+        if not text:
+            continue
+        where, words = f"{path}:{line}", text.split(maxsplit=9)
+        if len(words) < 10:
+            raise ValueError(f"{where}: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME expected, got {text[:60]!r}")
+        values = floats(" ".join(words[1:8]), where)
+        images.append(ModelImage(words[9], tuple(values[:4]), tuple(values[4:]), _whole(words[8], where)))
+        next(lines, None)  # the line of its keypoints, empty where it has none
+    return images
+
+
+def _points_txt(path: pathlib.Path) -> np.ndarray:
+    points = []
+    for line, text in _lines(path):
+        words = text.split(maxsplit=4)
+        if not words:
+            continue
+        if len(words) < 4:
+            raise ValueError(f"{path}:{line}: POINT3D_ID X Y Z expected, got {text[:60]!r}")
+        points.append(floats(" ".join(words[1:4]), f"{path}:{line}"))
+    return np.array(points, np.float64).reshape(-1, 3)
+
+
+# Binary: little endian, a count and then records
+
+
+class _Bytes:
+    """A file's bytes from front to back; reading beyond the end is refused."""
+
+    def __init__(self, path: pathlib.Path):
+        self.path, self.data, self.position = path, read_limited(path, "COLMAP file", BINARY_ROOM), 0
+
+    def take(self, layout: str) -> tuple:
+        size = struct.calcsize(layout)
+        self.skip(size)
+        return struct.unpack_from(layout, self.data, self.position - size)
+
+    def skip(self, size: int) -> None:
+        if size > len(self.data) - self.position:
+            raise ValueError(f"{self.path} ends after {len(self.data)} bytes, {self.position + size} are announced")
+        self.position += size
+
+    def name(self) -> str:
+        end = self.data.find(b"\0", self.position)
+        if end < 0:
+            raise ValueError(f"{self.path} ends within a name")
+        text = self.data[self.position : end].decode("utf-8", errors="replace")
+        self.position = end + 1
+        return text
+
+    def count(self, smallest: int) -> int:
+        """The number of records to come, of at least `smallest` bytes each."""
+        (count,) = self.take("<Q")
+        if count * smallest > len(self.data) - self.position:
+            raise ValueError(f"{self.path} announces {count} records, more than {len(self.data)} bytes hold")
+        return count
+
+
+def _cameras_bin(path: pathlib.Path) -> dict[int, ModelCamera]:
+    file, cameras = _Bytes(path), {}
+    for _ in range(file.count(48)):
+        number, model, width, height = file.take("<iiQQ")
+        if not 0 <= model < len(MODELS):
+            raise ValueError(f"{path}: camera {number} has the unknown model {model}")
+        name, count = MODELS[model]
+        parameters = file.take(f"<{count}d")
+        if not np.isfinite(parameters).all():
+            raise ValueError(f"{path}: camera {number} has parameters that are not finite")
+        cameras[number] = ModelCamera(name, (width, height), list(parameters))
+    return cameras
+
+
+def _images_bin(path: pathlib.Path) -> list[ModelImage]:
+    file, images = _Bytes(path), []
+    for _ in range(file.count(73)):
+        _, *values, camera = file.take("<i7di")
+        images.append(ModelImage(file.name(), tuple(values[:4]), tuple(values[4:]), camera))
+        file.skip(24 * file.take("<Q")[0])
+    return images
+
+
+def _points_bin(path: pathlib.Path) -> np.ndarray:
+    file, points = _Bytes(path), []
+    for _ in range(file.count(51)):
+        _, x, y, z = file.take("<Q3d")
+        points.append((x, y, z))
+        file.skip(11)  # colour and error
+        file.skip(8 * file.take("<Q")[0])
+    points = np.array(points, np.float64).reshape(-1, 3)
+    if not np.isfinite(points).all():
+        raise ValueError(f"{path} holds points that are not finite")
+    return points
+
 
 MARK = "sparse/0/ with cameras and images, .bin or .txt"
 

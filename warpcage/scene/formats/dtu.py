@@ -10,9 +10,9 @@ import re
 import numpy as np
 
 from ...core.files import read_npz
+from ..pictures import View, make_scene
 from ..scene import Scene
 from .parsing import held_out, pictures_in
-from .views import View, make_scene
 
 MARK = "image/ and cameras_sphere.npz or cameras.npz"
 FILES = ("cameras_sphere.npz", "cameras.npz")

@@ -7,9 +7,10 @@ import pathlib
 
 import numpy as np
 
+from ..box import Bounds
+from ..pictures import View, make_scene
 from ..scene import Scene
-from .parsing import Bounds, floats, missing_split, pictures_in, read_text
-from .views import View, make_scene
+from .parsing import floats, missing_split, pictures_in, read_text
 
 MARK = "rgb/, pose/ and intrinsics.txt"
 PREFIXES = {"train": "0_", "val": "1_", "test": "2_"}

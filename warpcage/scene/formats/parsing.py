@@ -1,6 +1,4 @@
 """Read what scene folders say in text: numbers, matrices, JSON, and names of files that must stay in their folder."""
-# Every function takes `where`, the file and field that a message names, and raises ValueError (FileNotFoundError for
-# files that are not there) in one line.
 
 from __future__ import annotations
 
@@ -17,6 +15,7 @@ from ...core.files import JSON_ROOM, TEXT_ROOM, read_limited
 
 #: Endings of pictures, and what is tried where a name has none.
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+
 GUESSED_ENDINGS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".webp")
 
 #: Where a format has no splits of its own, every eighth picture is held out.
@@ -93,28 +92,6 @@ def inside(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:
     if relative.split(os.sep)[0] == os.pardir:
         raise ValueError(f"{where}: {shown(name)} leads out of the data folder {str(folder)!r}")
     return folder / relative
-
-
-class Bounds:
-    """Where the files of a scene may lie, by real paths: in its folder, or where a link to a folder in it leads."""
-
-    # Such a link is `images -> /captures/fox/images`. Links deeper inside, and links to files, must not lead elsewhere.
-
-    def __init__(self, folder: pathlib.Path):
-        self.folder = folder
-        with os.scandir(folder) as entries:
-            linked = [entry.path for entry in entries if entry.is_symlink() and entry.is_dir()]
-        self.roots = [pathlib.Path(os.path.realpath(path)) for path in (folder, *linked)]
-
-    def require(self, path: pathlib.Path, where: str) -> pathlib.Path:
-        """The path of a file that a scene names; ValueError where it lies elsewhere."""
-        real = pathlib.Path(os.path.realpath(path))
-        if not any(real.is_relative_to(root) for root in self.roots):
-            raise ValueError(
-                f"{where}: {path.name[:60]!r} is a link that leads out of the data folder {str(self.folder)!r}: put "
-                "the file there, or a link to its whole folder"
-            )
-        return path
 
 
 def find_picture(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:

@@ -1,22 +1,22 @@
-"""transforms.json of nerfstudio (Tancik et al. 2023) and instant-ngp (Mueller et al. 2022)."""
-# Intrinsics stand at the top or in a frame, which wins; camera axes are OpenGL's (+y up, -z forward); the centre of the
-# first pixel is (0.5, 0.5). Poses are taken as they stand, as both programs do; `applied_transform`, which nerfstudio
-# put on them, is undone by Scene.to_source.
+"""transforms.json of nerfstudio (Tancik et al. 2023), instant-ngp (Mueller et al. 2022) and NeRF-synthetic scenes."""
 
 from __future__ import annotations
 
 import pathlib
+from typing import Any
 
 import numpy as np
 
-from ...core.checks import shown
-from ...core.files import require_file
+from ...core.checks import listed, shown
+from ...core.files import PathLike, require_file
 from ...mesh.io.ply import read_ply
+from ...view.camera import Camera
+from ...view.pictures import image_size
+from ..box import Bounds
+from ..pictures import COEFFICIENTS, View, make_scene, views_there
 from ..scene import Scene
-from .distortion import COEFFICIENTS
 from .parsing import (
     TO_OPENCV,
-    Bounds,
     find_picture,
     frames_of,
     held_out,
@@ -27,15 +27,14 @@ from .parsing import (
     read_json,
     split_file,
 )
-from .views import View, make_scene, views_there
 
-MARK = "transforms.json, or transforms_train.json with fl_x"
+TRANSFORMS_MARK = "transforms.json, or transforms_train.json with fl_x"
 
 #: camera_model values that mean a pinhole with or without the distortion that is undone here.
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 
 
-def is_scene(folder: pathlib.Path) -> bool:
+def is_transforms(folder: pathlib.Path) -> bool:
     """Whether a folder holds transforms.json, or transforms_<split>.json with focal lengths."""
     if (folder / "transforms.json").is_file():
         return True
@@ -43,7 +42,9 @@ def is_scene(folder: pathlib.Path) -> bool:
     return bool(files) and "fl_x" in read_json(files[0])
 
 
-def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
+def read_transforms(
+    folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str
+) -> Scene:
     """Read a split: a file of its own, a list of file names in transforms.json, or every eighth frame, by name, as
     `test`. Options as for `load_scene`."""
     # mask_path becomes the alpha, ply_file_path the bounds.
@@ -172,3 +173,81 @@ def _to_source(transforms: dict, path: pathlib.Path) -> np.ndarray | None:
     if not np.linalg.cond(applied) < 1e12:
         raise ValueError(f"{where} is singular")
     return np.linalg.inv(applied)
+
+
+BLENDER_MARK = "transforms_train.json with camera_angle_x"
+
+
+def is_blender(folder: pathlib.Path) -> bool:
+    """Whether a folder holds transforms_<split>.json as NeRF-synthetic scenes have it."""
+    transforms = sorted(folder.glob("transforms_*.json"))
+    if not transforms:
+        return False
+    content = read_json(transforms[0])
+    return "camera_angle_x" in content and "fl_x" not in content
+
+
+def read_blender(
+    folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str
+) -> Scene:
+    """Read a split; camera axes are turned from Blender's (+y up, -z forward) to OpenCV's. Options as `load_scene`."""
+    path = split_file(folder, split)
+    transforms = read_json(path)
+    angle = number(transforms.get("camera_angle_x"), f"{path}: camera_angle_x")
+    if not 0 < angle < np.pi:
+        raise ValueError(f"{path}: camera_angle_x must lie between 0 and pi, got {angle}")
+
+    def intrinsics(size: tuple[int, int]) -> tuple[float, float, float, float]:
+        focal = 0.5 * size[0] / np.tan(0.5 * angle)
+        return focal, focal, size[0] / 2, size[1] / 2
+
+    views = []
+    for where, frame in frames_of(transforms, path):
+        file = find_picture(folder, frame.get("file_path"), f"{where}: file_path")
+        pose = matrix(frame.get("transform_matrix"), (4, 4), f"{where}: transform_matrix") @ TO_OPENCV
+        views.append(View(file, pose, where, intrinsics))
+    return make_scene(folder, views, downscale=downscale, background=background, masks=masks)
+
+
+class TransformsCameras:
+    """The cameras of a transforms.json, of NeRF-synthetic scenes, nerfstudio or instant-ngp."""
+
+    def __init__(self, path: PathLike):
+        self.path = require_file(path, "camera file")
+        self._content = read_json(self.path)
+        self._frames = frames_of(self._content, self.path)
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def camera(self, name: str, size: tuple[int, int] | None = None) -> Camera:
+        """The camera of a frame, in the world of the file: by number from 0, or by its picture, with or without folder
+        and ending. size: width and height where the file does not say them; None takes those of the picture."""
+        where, frame = self._found(name)
+        given = {**{key: value for key, value in self._content.items() if key != "frames"}, **frame}
+        if "w" in given and "h" in given:
+            width, height = (int(number(given[side], f"{where}: {side}")) for side in "wh")
+        elif size is not None:
+            width, height = size
+        else:
+            width, height = image_size(find_picture(self.path.parent, frame.get("file_path"), f"{where}: file_path"))
+        fx, fy, cx, cy = frame_intrinsics(given, (width, height), where)
+        rows = frame.get("transform_matrix")
+        if isinstance(rows, list) and len(rows) == 3:
+            rows = [*rows, [0.0, 0.0, 0.0, 1.0]]
+        pose = matrix(rows, (4, 4), f"{where}: transform_matrix") @ TO_OPENCV
+        try:
+            return Camera(fx, fy, cx, cy, width, height, np.asarray(pose))
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from None
+
+    def _found(self, name: str) -> tuple[str, dict[str, Any]]:
+        if name.isdigit() and int(name) < len(self._frames):
+            return self._frames[int(name)]
+        names = [str(frame.get("file_path")) for _, frame in self._frames]
+        short = [pathlib.PurePosixPath(each).stem for each in names]
+        chosen = [index for index, each in enumerate(names) if name in (each, short[index])]
+        if len(chosen) == 1:
+            return self._frames[chosen[0]]
+        wrong = f"{len(chosen)} frames" if chosen else "no frame"
+        raise ValueError(f"{self.path} has {wrong} {name!r}, only 0 to {len(names) - 1}: {listed(short)}")
