@@ -77,7 +77,7 @@ def worker_steps(laps: Laps, args: argparse.Namespace) -> None:
     from warpcage.batch.fingerprints import _file_hash
     from warpcage.core.devices import resolve_device
     from warpcage.deform.pose_modules import load_usual_modules
-    from warpcage.field.files.files import load_field
+    from warpcage.field.io import load_field
 
     device = resolve_device(args.device)
     wp.zeros(1, device=device).numpy()

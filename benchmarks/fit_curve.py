@@ -25,7 +25,7 @@ import warp as wp
 
 import warpcage
 from warpcage.core.devices import launch, resolve_device
-from warpcage.field.rendering import STOP_TRANSMITTANCE
+from warpcage.field.render import STOP_TRANSMITTANCE
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.kernels.reference.sample_count import count_samples

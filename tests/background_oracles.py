@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from warpcage.field.background import LayeredBackground, surface_node_count
+from warpcage.field.io.field_file import surface_node_count
+from warpcage.field.surroundings import LayeredBackground
 
 
 def surface_points(side):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from warpcage.cage.cage import Cage
-from warpcage.field import marching
+from warpcage.field import tables
 from warpcage.field.voxel_field import VoxelField
 from warpcage.kernels.deform.render import render_edits
 from warpcage.view.camera import Camera
@@ -181,8 +181,8 @@ def use_march(name, device, monkeypatch):
     """Views by one of MARCHES, on any device that has it."""
     if name == "tiles" and device != "cpu":
         pytest.skip("rays of a tile go side by side on a CPU alone")
-    monkeypatch.setattr(marching, "TILES_ON_CPU", name == "tiles")
-    monkeypatch.setattr(marching, "SHADES_ON_CPU", name == "shaded")
+    monkeypatch.setattr(tables, "TILES_ON_CPU", name == "tiles")
+    monkeypatch.setattr(tables, "SHADES_ON_CPU", name == "shaded")
     if name == "rows":
-        monkeypatch.setattr(marching, "NEAR_VOXELS", math.inf)
+        monkeypatch.setattr(tables, "NEAR_VOXELS", math.inf)
     return name

@@ -14,8 +14,8 @@ import pytest
 from warpcage.cage.cage import Cage
 from warpcage.editor.server import Server
 from warpcage.editor.session import Session, new_document
-from warpcage.field.background import LayeredBackground
 from warpcage.field.sparse import harmonics_on_host
+from warpcage.field.surroundings import LayeredBackground
 from warpcage.field.voxel_field import VoxelField
 
 WAIT = 30.0

@@ -13,7 +13,8 @@ from test_fit_gradients import photometric_gradient, training_rays
 
 import warpcage
 from warpcage.cli import main
-from warpcage.field.background import LayeredBackground, surface_node_count
+from warpcage.field.io.field_file import surface_node_count
+from warpcage.field.surroundings import LayeredBackground
 from warpcage.fitting.background import chosen_background
 from warpcage.fitting.checkpoint import load_progress, save_progress
 from warpcage.fitting.evaluation import mean_psnr

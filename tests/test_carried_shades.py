@@ -26,7 +26,7 @@ from warpcage.cage.cage import Cage
 from warpcage.core.devices import launch
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
-from warpcage.field import marching
+from warpcage.field import tables
 from warpcage.kernels.deform.laid_shades import SHADE_LAYERS, LaidShades, write_laid_shade
 from warpcage.kernels.deform.render_part import render_edit_part
 from warpcage.kernels.deform.render_part_sides import render_edit_part_with_sides
@@ -60,7 +60,7 @@ def shaded(deformer, camera):
 def of_rows(deformer, camera):
     """The same, whose colours are looked up at each sample."""
     with pytest.MonkeyPatch.context() as patch, kernels_of(deformer._edits) as kernels:
-        patch.setattr(marching, "NEAR_VOXELS", np.inf)
+        patch.setattr(tables, "NEAR_VOXELS", np.inf)
         frame = deformer.render(camera)
     assert kernels and set(kernels) <= OF_ROWS
     return frame

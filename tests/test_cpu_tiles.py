@@ -11,9 +11,8 @@ from warpcage.cage.cage import Cage
 from warpcage.core.devices import launch
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
-from warpcage.field import marching
-from warpcage.field.matter_cells import DensityWatch
-from warpcage.field.sparse import spread_along
+from warpcage.field import tables
+from warpcage.field.sparse import DensityWatch, spread_along
 from warpcage.kernels.field.skip import spread_distance
 from warpcage.view.camera import Camera
 
@@ -24,7 +23,7 @@ PARTS = ("rgb", "alpha", "reveal", "fold", "outside")
 def by_threads(monkeypatch, make):
     """What `make` returns where a CPU marches as CUDA does."""
     with monkeypatch.context() as patch:
-        patch.setattr(marching, "TILES_ON_CPU", False)
+        patch.setattr(tables, "TILES_ON_CPU", False)
         return make()
 
 

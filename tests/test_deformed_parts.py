@@ -28,7 +28,7 @@ from warpcage.cage.cage import Cage
 from warpcage.deform.apart import EditBoxes, box_gaps, edit_boxes, front_to_back
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit, MarchedView
-from warpcage.field import marching
+from warpcage.field import tables
 from warpcage.kernels.deform.march import MarchOptions
 from warpcage.kernels.deform.render import render_edits
 from warpcage.kernels.deform.render_cpu import render_edit_tiles
@@ -135,7 +135,7 @@ def test_edits_one_by_one_are_seen_as_all_at_once(scene, march, device):
         by_parts, at_once, kernels = both(deformer, camera_at(eye))
         assert_alike(by_parts, at_once, is_shaded(kernels))
         assert at_once.alpha.max() > 0.9
-        if deformer.device.is_cpu and marching.TILES_ON_CPU:
+        if deformer.device.is_cpu and tables.TILES_ON_CPU:
             assert kernels == len(rests) * [render_edit_tiles]
         else:
             gaps = sum(flat.has_sides for flat in deformer._edits._flat)
@@ -149,7 +149,7 @@ def test_edits_one_by_one_are_seen_as_all_at_once(scene, march, device):
             assert kernels.count(plain) == len(rests) - gaps > 0
             assert gaps > 0 or scene != "with a slot"
             orders.add(tuple(kernel in (slotted_part,) for kernel in kernels))
-    assert len(orders) > 1 or scene != "with a slot" or marching.TILES_ON_CPU  # the slot's is first, second or last
+    assert len(orders) > 1 or scene != "with a slot" or tables.TILES_ON_CPU  # the slot's is first, second or last
 
 
 def test_samples_sent_out_are_counted_in_each_part(march, device):

@@ -24,7 +24,7 @@ from deformed_scenes import (
 from warpcage.cage.cage import Cage
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
-from warpcage.field import marching
+from warpcage.field import tables
 from warpcage.kernels.deform.edits import CELL_ALONE
 from warpcage.kernels.deform.render import render_edits
 from warpcage.kernels.deform.render_cpu import render_edit_tiles
@@ -46,7 +46,7 @@ def both(deformer, camera, **options):
         expected = of_shades if edits._plan.is_shaded else of_rows
         with general_march(edits):
             general = deformer.render(camera, **options)
-    by_tiles = deformer.device.is_cpu and marching.TILES_ON_CPU
+    by_tiles = deformer.device.is_cpu and tables.TILES_ON_CPU
     assert kernels == [render_edit_tiles if by_tiles else expected, render_edits]
     return single, general
 

@@ -9,7 +9,7 @@ import pytest
 
 from warpcage.core import files
 from warpcage.core.files import atomic_path, joined_crc, read_npz
-from warpcage.field.files import contents
+from warpcage.field.io import field_file
 
 
 def write(path, text="new"):
@@ -121,15 +121,15 @@ def test_the_checksum_of_two_parts_is_that_of_both(length):
 
 
 def test_arrays_of_fields_are_converted_numbered_and_looked_through_in_parts(monkeypatch):
-    monkeypatch.setattr(contents, "PART_NUMBERS", 100)
+    monkeypatch.setattr(field_file, "PART_NUMBERS", 100)
     random = np.random.default_rng(0)
     halves = random.normal(size=(301, 7)).astype(np.float16)
-    assert np.array_equal(contents.as_single(halves), halves.astype(np.float32))
-    assert contents.as_single(halves[:0]).shape == (0, 7) and contents.are_finite(halves)
+    assert np.array_equal(field_file.as_single(halves), halves.astype(np.float32))
+    assert field_file.as_single(halves[:0]).shape == (0, 7) and field_file.are_finite(halves)
     halves[300, 6] = np.nan
-    assert not contents.are_finite(halves)
+    assert not field_file.are_finite(halves)
     occupied = random.random((13, 9, 5)) < 0.4
     expected = np.full(occupied.shape, -1)
     expected[occupied] = np.arange(occupied.sum())
-    links = contents.numbered(occupied)
+    links = field_file.numbered(occupied)
     assert np.array_equal(links, expected) and links.dtype == np.int32

@@ -13,9 +13,8 @@ from warpcage.cage.cage import Cage
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.deform.fill import fill_unseen, membrane
-from warpcage.field.background import LayeredBackground
-from warpcage.field.outer import OuterField
 from warpcage.field.sparse import harmonics_on_host
+from warpcage.field.surroundings import LayeredBackground, OuterField
 from warpcage.view.camera import Camera
 from warpcage.view.frame import Frame
 from warpcage.view.frame_parts import mask_picture, mask_shares

@@ -8,9 +8,9 @@ from deformed_scenes import BOX, make_field, psnr, shiny_field, view
 
 import warpcage
 from warpcage.core.devices import launch
-from warpcage.field import marching
-from warpcage.field.shading import PACKED_WORDS, ColumnTable, row_table, shaded_grid
+from warpcage.field import tables
 from warpcage.field.sparse import harmonics_on_host
+from warpcage.field.tables import PACKED_WORDS, ColumnTable, row_table, shaded_grid
 from warpcage.kernels.field.densities import lay_densities
 from warpcage.reference.fit_scenes import synthetic_scene
 
@@ -22,9 +22,9 @@ EYES = {"within": (0.3, 0.2, 0.4), "beside": (1.6, 0.5, 0.3), "away": (3.0, 1.6,
 def path(request, monkeypatch):
     """All ways to a frame of the field itself, whatever its size; the third on a CPU alone."""
     shaded = request.param == "shaded"
-    monkeypatch.setattr(marching, "NEAR_VOXELS", -1.0 if shaded else 1e9)
-    monkeypatch.setattr(marching, "SHADES_ON_CPU", shaded)
-    monkeypatch.setattr(marching, "TILES_ON_CPU", request.param == "tiles")
+    monkeypatch.setattr(tables, "NEAR_VOXELS", -1.0 if shaded else 1e9)
+    monkeypatch.setattr(tables, "SHADES_ON_CPU", shaded)
+    monkeypatch.setattr(tables, "TILES_ON_CPU", request.param == "tiles")
     return request.param
 
 

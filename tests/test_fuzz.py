@@ -17,8 +17,7 @@ from scene_writers import brick_pictures, write_blender, write_colmap, write_dtu
 from warpcage import VoxelField, load_scene  # noqa: E402
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
-from warpcage.field.background import LayeredBackground
-from warpcage.field.outer import OuterField
+from warpcage.field.surroundings import LayeredBackground, OuterField
 from warpcage.fitting.checkpoint import load_progress, save_progress
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.view.pictures import read_image

@@ -19,7 +19,7 @@ from warpcage.cli.cage import read_mesh as read_object
 from warpcage.core.checks import listed
 from warpcage.core.files import npz_names, read_limited, read_npz
 from warpcage.core.memory import UNKNOWN, MemoryShortage, free_host_bytes
-from warpcage.field.files import files as field_files
+from warpcage.field import io as field_files
 from warpcage.field.voxel_field import VoxelField
 from warpcage.fitting.checkpoint import load_progress, save_progress, scene_digest
 from warpcage.fitting.optimizer import FieldOptimizer

@@ -7,8 +7,7 @@ from table_scene import BALL, CRUMB, LAMP, TABLE, TableScene
 from test_surface import GridField
 
 from warpcage.cage.cage import Cage
-from warpcage.field.objects import select_object
-from warpcage.field.picking import pick_point
+from warpcage.field.objects import pick_point, select_object
 from warpcage.field.planes import Plane
 from warpcage.field.selection import NodeSelection, select_nodes
 from warpcage.field.voxel_field import VoxelField

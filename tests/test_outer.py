@@ -11,7 +11,7 @@ from background_scenes import room_cameras
 from test_fit_gradients import photometric_gradient, training_rays
 
 import warpcage
-from warpcage.field.outer import OuterField
+from warpcage.field.surroundings import OuterField
 from warpcage.kernels.field.outer import mark_outer_nodes
 from warpcage.kernels.fitting import outer_loss
 from warpcage.reference.room import FLOOR, OBJECT_BOX, ROOM_HALF, object_model, room_views

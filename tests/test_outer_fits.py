@@ -6,7 +6,7 @@ from background_scenes import room_cameras, room_scene, write_room
 
 import warpcage
 from warpcage.cli import main
-from warpcage.field.outer import OuterField
+from warpcage.field.surroundings import OuterField
 from warpcage.fitting import optimizer as optimizer_module
 from warpcage.fitting.checkpoint import load_progress, save_progress
 from warpcage.fitting.evaluation import mean_psnr

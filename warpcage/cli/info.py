@@ -15,8 +15,7 @@ from ..core.files import read_json
 from ..core.modules import start_warp
 from ..core.names import counted
 from ..core.threads import cpu_threads
-from ..field.background import LayeredBackground
-from ..field.outer import OuterField
+from ..field.surroundings import LayeredBackground, OuterField
 from ..scene.load import detect_format, load_scene
 from ..scene.scene import Scene
 from ..splats.files.files import is_splat_file

@@ -10,7 +10,7 @@ import warp as wp
 
 from ..core.arrays import empty_array
 from ..core.devices import HALF_TEXEL_BYTES, MOST_TEXELS, HostFlag, RepeatedLaunches, launch
-from ..field.shading import ColumnTable, whole_warps
+from ..field.tables import ColumnTable, whole_warps
 from ..kernels.deform.carried_shades import (
     AimedCage,
     aim_nodes,

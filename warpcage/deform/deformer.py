@@ -15,7 +15,7 @@ from ..core.checks import MOST_SAMPLES, checked_flag, checked_step, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import owner_lock
 from ..core.names import COORDINATES, DENSITIES, STORES
-from ..field.rendering import STOP_TRANSMITTANCE, MakeArrays, March
+from ..field.render import STOP_TRANSMITTANCE, MakeArrays, March
 from ..field.voxel_field import VoxelField
 from ..kernels.deform.edits import MAPPED
 from ..kernels.deform.march import MarchOptions

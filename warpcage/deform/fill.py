@@ -8,8 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..core.checks import require_type
-from ..field.background import LayeredBackground
-from ..field.outer import OuterField
+from ..field.surroundings import LayeredBackground, OuterField
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
 from ..view.frame import Frame

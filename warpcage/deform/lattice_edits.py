@@ -16,7 +16,7 @@ from ..cage.cage import Cage
 from ..core.arrays import struct_array
 from ..core.devices import RepeatedLaunches
 from ..core.memory import free_bytes
-from ..field import marching
+from ..field import tables
 from ..field.voxel_field import VoxelField
 from ..kernels.deform import (
     points,
@@ -135,7 +135,7 @@ class LatticeEdits(PosedEdits):
         # the marches for one edit alone know no crumbs
         self._edits, self._device, self._origin = edits, device, np.asarray(origin)
         self._is_single, self._has_crumbs = len(edits) == 1 and not any(carried), any(carried)
-        self._by_tiles = device.is_cpu and marching.TILES_ON_CPU
+        self._by_tiles = device.is_cpu and tables.TILES_ON_CPU
         self._looks_ahead = device.is_cuda or LOOKS_AHEAD_ON_CPU
         super().__init__(points.map_points, render_single.render_edit if self._is_single else render.render_edits)
         load_pose_modules(coordinates, render_modules(device, len(edits), self._has_crumbs), device)

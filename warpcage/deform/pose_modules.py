@@ -8,7 +8,7 @@ from types import ModuleType
 import warp as wp
 
 from ..core.modules import load_modules
-from ..field import marching
+from ..field import tables
 from ..kernels.core import texels
 from ..kernels.deform import (
     carried_shades,
@@ -96,11 +96,11 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = Fa
     if has_crumbs:
         return [render]
     several = [render_plain, render] if edit_count > 1 else []
-    if device.is_cpu and marching.TILES_ON_CPU:
+    if device.is_cpu and tables.TILES_ON_CPU:
         return [render_cpu, *several]
     march_modules = [fine_cells, map_cells, tile_begins, *several]
     by_rows = [render_part, render_part_sides] if several else [render_single, render_sides]
-    if device.is_cpu and not marching.SHADES_ON_CPU:
+    if device.is_cpu and not tables.SHADES_ON_CPU:
         return [*march_modules, *by_rows]
     shaded = [shaded_part, shaded_part_sides] if several else [shaded_single, shaded_large, shaded_sides]
     # poses that turn matter over are marched by rows, and no hand that moves a cage is to wait for a compiler

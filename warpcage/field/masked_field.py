@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 from numpy.typing import ArrayLike
 
-from .files.contents import LUMINANCE_NUMBERS
+from .io.field_file import LUMINANCE_NUMBERS
 from .sparse import link_mask
 from .voxel_field import VoxelField
 

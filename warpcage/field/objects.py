@@ -1,4 +1,4 @@
-"""Choose an object that stands on something: by a click, or by a region, without what it stands on."""
+"""Objects of a scene chosen by a click, a point or pixels."""
 
 from __future__ import annotations
 
@@ -9,18 +9,54 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_number, checked_vector
+from ..core.checks import checked_number, checked_vector, require_type, shown
 from ..core.names import PLANES, require_name
 from ..mesh.mesh import ClosedMesh
 from ..view.camera import Camera
-from .outer import OuterField
-from .picking import pick_point
 from .planes import Plane, find_planes, plane_below, plane_through
 from .selection import SEED_VOXELS, NodeSelection, _centres, root_field, select_nodes
 from .surface import DensityField, node_grid, surface_density
+from .surroundings import OuterField
 
 if TYPE_CHECKING:
     from .voxel_field import VoxelField
+
+#: A pixel shows the place where the light that is left falls to this share; faint floaters before it are passed.
+PICKED_TRANSMITTANCE = 0.5
+
+
+def pick_point(field: VoxelField, camera: Camera, pixel: ArrayLike) -> np.ndarray:
+    """The place (3,) float64, world units, that a pixel shows: where half of the light through its middle is gone.
+    pixel: column and row, whole numbers from 0 at the top left."""
+    require_type(camera, Camera, "a click needs")
+    place = np.asarray(pixel)
+    whole = place.shape == (2,) and np.issubdtype(place.dtype, np.number) and bool((place == np.floor(place)).all())
+    if not whole:
+        raise ValueError(f"a pixel is a column and a row, two whole numbers, got {shown(pixel)}")
+    column, row = (int(each) for each in place)
+    if not (0 <= column < camera.width and 0 <= row < camera.height):
+        raise ValueError(
+            f"pixel {column} {row} is outside the picture of {camera.width}x{camera.height}: columns go from 0 to "
+            f"{camera.width - 1}, rows from 0 to {camera.height - 1}"
+        )
+    in_camera = np.array([(column + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy, 1.0])
+    direction = camera.rotation @ (in_camera / np.linalg.norm(in_camera))
+    nothing = f"the click at pixel {column} {row} is on nothing: the field is not half opaque there"
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = (field.bounds - camera.centre) / direction
+    along = np.where(np.isnan(ends), [[-np.inf], [np.inf]], np.sort(ends, axis=0))
+    near, far = max(float(along[0].max()), 0.0), float(along[1].min())
+    if not near < far:
+        raise ValueError(nothing)
+    distance = near + field.step * (np.arange(int(np.ceil((far - near) / field.step))) + 0.5)
+    points = camera.centre + distance[:, None] * direction
+    _, density = field.sample(points, np.broadcast_to(direction, points.shape))
+    depth = np.cumsum(np.asarray(density, np.float64)) * field.step
+    there = int(np.searchsorted(depth, -np.log(PICKED_TRANSMITTANCE)))
+    if there == len(depth):
+        raise ValueError(nothing)
+    return points[there]
+
 
 #: What can be seen of an object reaches so many voxels beyond what is dense enough to be its surface, and such a share
 #: of its longest side: fur and dark cloth of a fine field are many voxels deep.

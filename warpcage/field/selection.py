@@ -1,4 +1,4 @@
-"""Choose the object inside a larger field: by box, 2-D masks, seed point or connected part; leave floaters out."""
+"""Selections of voxels: by box, ball, cage or what pictures showed, cut to connected parts."""
 
 from __future__ import annotations
 
@@ -23,12 +23,142 @@ from ..core.names import counted
 from ..mesh.mesh import ClosedMesh
 from ..mesh.queries import inside_mesh
 from ..view.camera import Camera
-from .cutting import cut_out, tinted_view
-from .files.selections import SelectionContents, load_selection, occupancy_digest, same_box, save_selection
+from .io.selection_file import SelectionContents, load_selection, occupancy_digest, same_box, save_selection
 from .planes import Plane
-from .seen import in_depths, in_masks
+from .sparse import harmonics_on_host
 from .surface import DensityField, node_grid
 from .voxel_field import VoxelField
+
+#: The harmonic of degree 0, the same in all directions.
+SH_MEAN = 0.28209479177387814
+
+#: Optical depth of a voxel that counts as empty.
+RIM_DEPTH = 0.01
+
+#: The tint of what is chosen: its colour and how much of it.
+TINT, TINT_SHARE = (0.1, 0.9, 0.2), 0.55
+
+
+def cut_out(field: VoxelField, mask: np.ndarray) -> VoxelField:
+    """A field of the voxels of a mask (nx, ny, nz) bool alone, before the field's colour.
+    Its box ends a voxel beyond them, so that views show that large; density falls to zero over this voxel."""
+    from scipy.ndimage import binary_dilation
+
+    if not mask.any():
+        raise ValueError("nothing is chosen that could be cut out")
+    links = field.grid.links.numpy()
+    grown = np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool)))
+    ends = [np.flatnonzero(grown.any(axis=others))[[0, -1]] + (0, 1) for others in ((1, 2), (0, 2), (0, 1))]
+    block = tuple(slice(*each) for each in ends)
+    links, mask = links[block], mask[block]
+    kept = grown[block] & (links >= 0)
+    rows, inside = links[kept], mask[kept]
+    bounds = field.bounds[0] + np.transpose(ends) * field.voxel_size
+    density = field.grid.density.numpy()[rows]
+    density = np.where(inside, density, np.minimum(density, 0.0)).astype(np.float32)
+    new = np.full(links.shape, -1, np.int32)
+    new[kept] = np.arange(len(rows), dtype=np.int32)
+    weights = None if field.weights is None else np.where(inside, field.weights.numpy()[rows], np.float32(0.0))
+    options = {**field.view_options(), "background_model": None}
+    sh = harmonics_on_host(field.grid.sh)[rows]
+    return VoxelField(bounds, new, density, sh, weights=weights, device=field.device, **options)
+
+
+def tinted_view(
+    field: VoxelField, mask: np.ndarray, camera: Camera, *, color: ArrayLike = TINT, strength: float = TINT_SHARE
+) -> np.ndarray:
+    """A view (h, w, 3) float32 in [0, 1], the voxels of a mask (nx, ny, nz) bool tinted as far as they are seen.
+    strength: share of the tint where nothing else is seen, 0 to 1."""
+    from scipy.ndimage import binary_dilation
+
+    links = field.grid.links.numpy()
+    rows = np.zeros(field.voxel_count, bool)
+    # a surface lies between voxels that are chosen and empty ones, which are the chosen matter's rim
+    rim = links[np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool))) & (links >= 0)]
+    rows[rim] = field.grid.density.numpy()[rim] * field.voxel_size.max() < RIM_DEPTH
+    rows[links[mask & (links >= 0)]] = True
+    shown = np.zeros((field.voxel_count, 9, 3), np.float32)
+    shown[:, 0] = np.where(rows, 0.5, -0.5)[:, None] / SH_MEAN
+    # the same matter, white where it is chosen: what a pixel shows of it is the chosen share of its light
+    white = VoxelField(
+        field.bounds, links, field.grid.density, shown, background="black", up=field.up, device=field.device
+    )
+    supersampling = field.supersampling
+    share = strength * white.render(camera, supersampling=supersampling).rgb[..., :1].clip(0.0, 1.0)
+    picture = np.clip(field.render(camera).rgb, 0.0, 1.0)
+    return (picture * (1.0 - share) + share * np.asarray(color, np.float32)).astype(np.float32)
+
+
+#: Pixels along the longer side of the views that depths are taken from.
+DEPTH_PIXELS = 200
+
+#: A view shows a node that lies within so many voxels of the depth that it has there, where it is half opaque.
+DEPTH_VOXELS = 2.0
+
+
+def in_masks(points: np.ndarray, cameras: list[Camera], masks: list[ArrayLike]) -> np.ndarray:
+    """Which points (n, 3), world units, are inside the mask of every picture that they fall into, and fall into one.
+    masks: one (h, w) per camera, the object where it is above half its largest value."""
+    if len(cameras) != len(masks) or not cameras:
+        raise ValueError(f"one mask per camera is needed, got {len(masks)} masks and {len(cameras)} cameras")
+    inside, seen = np.ones(len(points), dtype=bool), np.zeros(len(points), dtype=bool)
+    for number, (camera, given) in enumerate(zip(cameras, masks, strict=True)):
+        picture = np.asarray(given)
+        if picture.shape != (camera.height, camera.width):
+            raise ValueError(
+                f"mask {number} must be ({camera.height}, {camera.width}) as its camera, got {picture.shape}"
+            )
+        ahead, row, column = _fallen(points, camera)
+        seen[ahead] = True
+        top = picture.max()
+        inside[ahead] &= picture[row, column] > 0.5 * top if top > 0 else False
+    return inside & seen
+
+
+def in_depths(points: np.ndarray, field: VoxelField, cameras: list[Camera], depth: ArrayLike) -> np.ndarray:
+    """Which points (n, 3) of a field's matter the views show at distances in a range, and what is hidden behind those.
+    depth: (2,) least and largest distance from the camera along the ray, world units."""
+    values = np.asarray(depth, np.float64) if np.shape(depth) == (2,) else np.full(2, np.nan)
+    near, far = (checked_number(each, "depth") if np.isfinite(each) else np.nan for each in values)
+    if not 0.0 <= near < far:
+        raise ValueError(f"depth must be two distances from the cameras, the nearer one first, got {depth!r}")
+    if not cameras:
+        raise ValueError("depth needs the cameras of the views")
+    within, without, hidden, through = (np.zeros(len(points), int) for _ in range(4))
+    room = DEPTH_VOXELS * float(np.max(field.voxel_size))
+    for camera in cameras:
+        shrink = min(1.0, DEPTH_PIXELS / max(camera.width, camera.height))
+        small = camera.resized(*(max(1, round(shrink * side)) for side in (camera.width, camera.height)))
+        frame = field.render(small, background="black", supersampling=1)
+        ahead, row, column = _fallen(points, small)
+        distance = np.linalg.norm(points[ahead] - small.centre, axis=1)
+        opaque = frame.alpha[row, column] >= 0.5
+        behind = distance - np.where(opaque, frame.depth[row, column], np.inf)
+        # in front of what it shows a view looks through haze, behind it there is what it cannot see
+        shown, fits = np.abs(behind) <= room, (distance >= near) & (distance <= far)
+        within[ahead[shown & fits]] += 1
+        without[ahead[shown & ~fits]] += 1
+        hidden[ahead[behind > room]] += 1
+        through[ahead[behind < -room]] += 1
+    kept, seen = within > without, within + without > 0
+    # what no view shows, and more have behind something than look through, goes with the nearest shown point
+    rest = np.flatnonzero(~seen & (hidden > through))
+    if len(rest) and kept.any():
+        from scipy.spatial import KDTree
+
+        shown = np.flatnonzero(seen)
+        kept[rest] = kept[shown[KDTree(points[shown]).query(points[rest])[1]]]
+    return kept
+
+
+def _fallen(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers of the points that fall into a picture, and their rows and columns in it."""
+    pixels, depth = camera.project(points)
+    ahead = np.flatnonzero(depth > 0.0)
+    column, row = np.floor(pixels[ahead]).astype(np.int64).T
+    falls = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    return ahead[falls], row[falls], column[falls]
+
 
 #: A node whose opacity across one voxel, or whose largest weight in any image, reaches this can be seen.
 VISIBLE_OPACITY = 0.01

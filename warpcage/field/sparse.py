@@ -13,10 +13,35 @@ import warp as wp
 from ..core.arrays import array_view, empty_array
 from ..core.devices import HostFlag, RepeatedLaunch, launch
 from ..kernels.field import halves as grid_halves
+from ..kernels.field import matter_cells
 from ..kernels.field import refine as grid_refine
 from ..kernels.field import skip as grid_skip
-from .files.contents import BASIS_COUNT, LUMINANCE_NUMBERS, RGB_NUMBERS, as_single
-from .matter_cells import DensityWatch
+from .io.field_file import BASIS_COUNT, LUMINANCE_NUMBERS, RGB_NUMBERS, as_single
+
+
+class DensityWatch:
+    """Tells whether densities on a CPU are those of the last time, whoever wrote to them; takes a copy for it."""
+
+    def __init__(self) -> None:
+        self._kept: wp.array | None = None
+        # another number whenever any density is another one
+        self.version = 0
+
+    def has_changed(self, density: wp.array) -> bool:
+        """Whether any bit of densities (rows,) float32 on a CPU is another one; True the first time.
+        Keeps them as they are now."""
+        kept, self._kept = self._kept, None  # an interrupt leaves none
+        if kept is None or kept.size != density.size:
+            kept, changed = wp.clone(density), True
+        else:
+            news, run = wp.zeros(1, dtype=wp.int32, device=density.device), int(matter_cells.COMPARED_VALUES)
+            inputs = [density, kept, news]
+            launch(matter_cells.note_densities, -(-density.size // run), inputs, device=density.device, work=run)
+            changed = bool(news.numpy()[0])
+        self.version += changed
+        self._kept = kept
+        return changed
+
 
 #: Bytes behind those that marches read, as a GPU reads whole words of them (kernels/core/entries.row_has_zero).
 PADDING = 3

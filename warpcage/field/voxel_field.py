@@ -19,15 +19,13 @@ from ..kernels.field.grid import VoxelGrid, sample_field
 from ..view.camera import Camera, rigid_motion
 from ..view.camera_path import RefinedCameras
 from ..view.frame import Frame, checked_supersampling, parse_background
-from .background import LayeredBackground
-from .files.contents import BASIS_COUNT, FieldContents
-from .files.files import load_field, save_field
-from .marching import MarchTables
-from .outer import OuterField
-from .rendering import BeginMarch, March, render_frame
+from .io import load_field, save_field
+from .io.field_file import BASIS_COUNT, FieldContents
+from .render import BeginMarch, March, render_frame
 from .sparse import checked_resolution, harmonics_on_device, harmonics_on_host, measure_skip, values_on_device
-from .surface import DensityField, extract_mesh
-from .surface_colors import surface_colors
+from .surface import DensityField, extract_mesh, surface_colors
+from .surroundings import LayeredBackground, OuterField
+from .tables import MarchTables
 
 if TYPE_CHECKING:
     import trimesh
@@ -298,7 +296,7 @@ class VoxelField:
 
         Args:
             begin: Called once the rest is checked; what it returns fills the arrays of the picture. See
-                `warpcage.field.rendering`.
+                `warpcage.field.render`.
             camera: The camera.
             background: As for `render`.
             supersampling: As for `render`.

@@ -13,7 +13,8 @@ from ..core.arrays import array_view
 from ..core.devices import launch
 from ..core.files import require_numbers
 from ..core.names import FIT_BACKGROUNDS
-from ..field.background import LayeredBackground, surface_node_count
+from ..field.io.field_file import surface_node_count
+from ..field.surroundings import LayeredBackground
 from ..field.voxel_field import VoxelField
 from ..kernels.field.background import BackgroundLayers, refine_layers
 from ..kernels.fitting import background_loss

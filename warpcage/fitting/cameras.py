@@ -13,7 +13,7 @@ import warp as wp
 from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..core.files import require_numbers
-from ..field.rendering import STOP_TRANSMITTANCE
+from ..field.render import STOP_TRANSMITTANCE
 from ..field.voxel_field import VoxelField
 from ..kernels.fitting import cameras as kernels
 from ..kernels.fitting.loss import TrainingRays

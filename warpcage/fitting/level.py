@@ -11,7 +11,7 @@ import warp as wp
 from ..core.arrays import array_view, empty_array
 from ..core.devices import lane_count, launch
 from ..field.masked_field import field_from_mask
-from ..field.rendering import STOP_TRANSMITTANCE
+from ..field.render import STOP_TRANSMITTANCE
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
 from ..kernels.field.render import record_weights

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..core.names import QUALITIES
-from ..field.files.layers import MAX_LAYERS, MAX_SIDE
-from ..field.files.outer import MAX_SIDE as MAX_OUTER_SIDE
+from ..field.io.field_file import MAX_LAYER_SIDE, MAX_LAYERS, MAX_OUTER_SIDE
 from .memory import memory_size
 
 MAX_LEVELS = 6
@@ -185,10 +184,10 @@ class FitOptions:
     )
     background_layers: int = _whole(16, 2, MAX_LAYERS, "Layers behind the field.")
     background_side: int | None = _whole(
-        None, 2, MAX_SIDE, "Cells along the edge of a layer. None follows the pixels of the images."
+        None, 2, MAX_LAYER_SIDE, "Cells along the edge of a layer. None follows the pixels of the images."
     )
     max_background_side: int = _whole(
-        512, 2, MAX_SIDE, "Most cells along the edge of a layer where `background_side` is None."
+        512, 2, MAX_LAYER_SIDE, "Most cells along the edge of a layer where `background_side` is None."
     )
     background_detail: float = _positive(0.25, "Cells per pixel where `background_side` is None.")
     rate_background: float = _positive(0.2, "First learning rate of the layers' colours and optical depths.")

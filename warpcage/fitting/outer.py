@@ -12,9 +12,9 @@ import warp as wp
 from ..core.arrays import array_view, empty_array
 from ..core.devices import launch
 from ..core.files import require_numbers
-from ..field.files.contents import surface_node_count
-from ..field.outer import OuterField, sky_layers
+from ..field.io.field_file import surface_node_count
 from ..field.sparse import link_mask, mask_count
+from ..field.surroundings import OuterField, sky_layers
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
 from ..kernels.field.background import refine_layers

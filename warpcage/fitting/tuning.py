@@ -11,7 +11,7 @@ import warp as wp
 from ..core.checks import require_type
 from ..core.devices import launch
 from ..core.locks import device_turn
-from ..field.outer import OuterField
+from ..field.surroundings import OuterField
 from ..field.voxel_field import VoxelField
 from ..kernels.fitting.background_loss import gather_background
 from ..kernels.fitting.outer_loss import gather_outer

@@ -10,8 +10,8 @@ import warp as wp
 
 from ..core.files import PathLike
 from ..core.names import counted
-from ..field.files.contents import FieldContents
-from ..field.files.files import load_field as load_voxels
+from ..field.io import load_field as load_voxels
+from ..field.io.field_file import FieldContents
 from ..field.voxel_field import VoxelField
 from .files.files import is_splat_file, read_splats
 from .splat_field import SplatField

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..core.arrays import WarpStruct
 from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.locks import owner_lock
-from ..field.rendering import picture_arrays
+from ..field.render import picture_arrays
 from ..kernels.splats import composite, composite_tiles, project, tiles
 from ..lattice.buffers import BufferPool
 from ..view.camera import Camera, camera_struct

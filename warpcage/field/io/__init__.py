@@ -1,4 +1,4 @@
-"""Field files: our own .npz, plain or compact, and the .npz of Plenoxels (svox2)."""
+"""Field files: our own, compact ones, and checkpoints of svox2."""
 
 from __future__ import annotations
 
@@ -10,15 +10,12 @@ import numpy as np
 
 from ...core.checks import checked_path, checked_positive, listed
 from ...core.files import atomic_path, npz_names, read_npz
-from . import compact
-from .contents import FieldContents, are_finite, voxel_side
-from .layers import LAYER_NAMES
-from .outer import OUTER_NAMES
-from .own import OWN_NAMES, own_arrays, read_own
+from . import field_file
+from .field_file import LAYER_NAMES, OUTER_NAMES, OWN_NAMES, FieldContents, are_finite, own_arrays, read_own, voxel_side
 from .svox2 import SVOX2_KEYS, SVOX2_LAYERS, read_svox2, svox2_arrays
 
 #: The arrays that are read of a file; others may be there.
-KNOWN_NAMES = frozenset((*OWN_NAMES, *compact.COMPACT_NAMES, *LAYER_NAMES, *OUTER_NAMES, *SVOX2_KEYS))
+KNOWN_NAMES = frozenset((*OWN_NAMES, *field_file.COMPACT_NAMES, *LAYER_NAMES, *OUTER_NAMES, *SVOX2_KEYS))
 
 #: Bytes of memory that a byte of these arrays takes: float16 becomes float32, which is turned and handed to a device.
 ROOM = 6
@@ -29,7 +26,7 @@ def _write_own(path: pathlib.Path, field: FieldContents) -> None:
 
 
 def _write_compact(path: pathlib.Path, field: FieldContents) -> None:
-    compact.write(path, compact.pack(own_arrays(field), voxel_side(field.bounds, field.links.shape)))
+    field_file.write(path, field_file.pack(own_arrays(field), voxel_side(field.bounds, field.links.shape)))
 
 
 def _write_svox2(path: pathlib.Path, field: FieldContents) -> None:

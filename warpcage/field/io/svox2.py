@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.checks import warn_caller
 from ...core.files import require_numbers
-from .contents import BASIS_COUNT, MAX_VOXELS, FieldContents, as_half, rgb_harmonics
+from .field_file import BASIS_COUNT, MAX_VOXELS, FieldContents, as_half, rgb_harmonics
 
 #: Arrays that every svox2 file has.
 SVOX2_KEYS = ("radius", "center", "links", "density_data", "sh_data", "basis_type")

@@ -13,8 +13,7 @@ from ..core.arrays import array_view, empty_array
 from ..core.devices import SpareMemory
 from ..view.camera import Camera, camera_struct, tile_threads
 from ..view.frame import PART_NAMES, Frame, average_frame, finer_camera
-from .background import LayeredBackground
-from .outer import OuterField
+from .surroundings import LayeredBackground, OuterField
 
 #: A march ends where less than this share of the light is left.
 STOP_TRANSMITTANCE = 1e-3

@@ -1,1 +1,0 @@
-"""Field files: the project's own, compact, svox2 and background layers."""

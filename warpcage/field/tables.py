@@ -1,0 +1,357 @@
+"""What marches read of a field: tables of rows, shades and matter cells, kept from frame to frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..core.arrays import empty_array
+from ..core.devices import RepeatedLaunch, half_texture, launch
+from ..core.locks import owner_lock
+from ..core.modules import Kernel
+from ..kernels.core.texels import clear_half_texels
+from ..kernels.field import columns, matter_cells
+from ..kernels.field.densities import lay_densities
+from ..kernels.field.grid import VoxelGrid
+from ..kernels.field.render import render_image
+from ..kernels.field.render_cpu import render_tiles
+from ..kernels.field.render_shaded import render_shaded_image
+from ..kernels.field.rows import RowTable, pack_rows
+from ..kernels.field.shades import ShadedGrid, shade_rows
+from ..kernels.view.rays import TILE_SIZE
+from ..view.frame import PART_NAMES
+from .render import STOP_TRANSMITTANCE, MakeArrays, March
+from .sparse import MatterSkip
+
+
+class MatterCellTable:
+    """The densities of a grid by cells, see kernels/field/matter_cells; links (nx, ny, nz) int32 on a CPU."""
+
+    def __init__(self, links: wp.array):
+        self._links = links
+        self._made: tuple[wp.array, int] | None = None  # from which skip, and which version of the densities
+        self._cells: Any = None
+
+    def cells(self, density: wp.array, skip: wp.array, version: int) -> Any:
+        """The table, a MatterCells, of densities (rows,) float32, before the ReLU; made anew where it is of other ones.
+        skip: of MatterSkip for these densities; version: theirs, see DensityWatch."""
+        if self._made is None or self._made[0] is not skip or self._made[1] != version:
+            self._made = None  # an interrupt leaves none
+            self._cells = gathered_cells(self._links, density, skip)
+            self._made = skip, version
+        return self._cells
+
+
+def gathered_cells(links: wp.array, density: wp.array, skip: wp.array) -> Any:
+    """A MatterCells of densities (rows,) float32 at links (nx, ny, nz); skip: 0 in the cells that hold matter."""
+    device, (nx, ny, nz) = links.device, skip.shape
+    counts = empty_array(nx * ny, wp.int32, device)
+    launch(matter_cells.count_cells, nx * ny, [skip], [counts], device=device, work=nz)
+    wp.utils.array_scan(counts, counts, inclusive=True)
+    cells = matter_cells.MatterCells()
+    cells.blocks = empty_array((nx * ny, -(-nz // int(matter_cells.BLOCK_CELLS))), wp.vec2i, device)
+    cells.densities = empty_array((int(counts.numpy()[-1]), 8), wp.float32, device)
+    inputs = [links, density, skip, counts]
+    launch(matter_cells.gather_densities, nx * ny, inputs, [cells.blocks, cells.densities], device=device, work=8 * nz)
+    return cells
+
+
+#: 32-bit words of a packed row (kernels/field/rows), and of a shade (kernels/field/shades) on CUDA and on a CPU.
+PACKED_WORDS = 8
+
+CUDA_SHADE_WORDS, CPU_SHADE_WORDS = 2, 4
+
+#: Rows that work together on CUDA.
+WARP_LANES = 32
+
+
+class ColumnTable:
+    """The rows of a grid told by bits, see kernels/field/columns; links (nx, ny, nz) int32, row of each node or -1."""
+
+    def __init__(self, links: wp.array):
+        device = links.device
+        column_count = links.shape[0] * links.shape[1]
+        counts = empty_array(column_count, wp.int32, device)
+        launch(columns.count_rows, column_count, [links], [counts], device=device, work=links.shape[2])
+        wp.utils.array_scan(counts, counts, inclusive=True)
+        row_count = int(counts[-1:].numpy()[0])
+        # flat index of each row's node
+        self.nodes = empty_array(row_count, wp.int32, device)
+        order = empty_array(row_count, wp.int32, device)
+        block_count = -(-(links.shape[2] - 1) // int(columns.BLOCK_NODES))
+        self.columns = columns.Columns()
+        self.columns.node_counts = wp.vec3i(*links.shape)
+        self.columns.blocks = empty_array((column_count, block_count), wp.vec2i, device)
+        launch(
+            columns.mark_blocks,
+            column_count,
+            [links, counts],
+            [self.columns.blocks, self.nodes, order],
+            device=device,
+            work=links.shape[2],
+        )
+        unsorted = wp.zeros(1, dtype=wp.int32, device=device)
+        launch(columns.find_unsorted, row_count, [order], [unsorted], device=device)
+        if unsorted.numpy()[0]:
+            self.columns.order = order
+        # nodes of the grid
+        self.node_count, self._laid, self._packed = math.prod(links.shape), None, None
+        self._device = wp.get_device(device)
+        self._kept: dict[str, tuple[int, Any]] = {}
+        self._shaded: Any = None
+        # launches the kernel of that name
+        self.shade_rows = RepeatedLaunch(shade_rows, device)
+
+    def laid_densities(self) -> wp.array:
+        """(nodes,) float16, one for each node of the grid, made when it is first asked for; 0 without a row."""
+        if self._laid is None:
+            self._laid = empty_array(self.node_count, wp.float16, self.nodes.device)
+            self._laid.zero_()
+        return self._laid
+
+    def row_shades(self) -> wp.array:
+        """(rows, words) uint32 for shades of rows, not set yet."""
+        # That of the frame before on a CUDA stream, whose frames follow each other, as CUDA takes longer to hand out as
+        # much memory than to fill it. A new one for frames of other streams, and on a CPU, whose threads may render at
+        # a time.
+        return self._of_stream("rows", self._new_row_shades)
+
+    def _new_row_shades(self) -> wp.array:
+        return empty_array((self.nodes.shape[0], shade_words(self._device)), wp.uint32, self._device)
+
+    def shaded(self, centre: wp.vec3, step: float) -> Any:
+        """A ShadedGrid of kernels/field/shades that is to be filled for a camera, centre relative to the grid's origin.
+        On CUDA the same for all cameras, whose frames take turns."""
+        shaded = self._shaded
+        if shaded is None:
+            shaded = ShadedGrid()
+            shaded.columns = self.columns
+            if self._device.is_cuda:
+                self._shaded = shaded
+        shaded.centre, shaded.step = centre, step
+        return shaded
+
+    def shade_texture(self, layers: int) -> wp.Texture3D:
+        """A texture of four halves, (layers * nx, ny, nz), on CUDA for shades at the nodes of rows; 0 at others.
+        Kept as `row_shades` is."""
+        return self._of_stream(f"{layers} layers", lambda: self._new_texture(layers))
+
+    def _new_texture(self, layers: int) -> wp.Texture3D:
+        nx, ny, nz = tuple(self.columns.node_counts)
+        texture = half_texture((layers * nx, ny, nz), self._device)
+        for layer in range(layers):  # one by one, as all together may be more than an index counts
+            inputs = [wp.uint64(texture.cuda_surface), nz, ny, layer * nx]
+            launch(clear_half_texels, self.node_count, inputs, device=self._device)
+        return texture
+
+    def _of_stream(self, name: str, make: Callable[[], Any]) -> Any:
+        """What the frames of the stream that asked first keep; made anew for others."""
+        if self._device.is_cpu:
+            return make()
+        stream = int(self._device.stream.cuda_stream or 0)
+        if name not in self._kept:
+            self._kept[name] = stream, make()
+        owner, kept = self._kept[name]
+        return kept if owner == stream else make()
+
+    def packed_rows(self) -> wp.array:
+        """(rows, PACKED_WORDS) uint32, made when it is first asked for."""
+        # Kept, as CUDA takes longer to hand out as much memory than to fill it. Frames that pack rows on several
+        # streams at a time write the same into it.
+        if self._packed is None:
+            self._packed = empty_array((self.nodes.shape[0], PACKED_WORDS), wp.uint32, self.nodes.device)
+        return self._packed
+
+
+def shade_words(device: wp.Device) -> int:
+    """32-bit words of a shade (kernels/field/shades)."""
+    return CPU_SHADE_WORDS if device.is_cpu else CUDA_SHADE_WORDS
+
+
+def whole_warps(rows: int, device: wp.Device) -> int:
+    """Threads of a kernel whose rows work together: rounded up on CUDA."""
+    return rows if device.is_cpu else -(-rows // WARP_LANES) * WARP_LANES
+
+
+def row_table(grid: Any, table: ColumnTable) -> Any:
+    """The rows of a grid as a march reads them: a RowTable of the values that the grid has now."""
+    device, rows = grid.links.device, table.nodes.shape[0]
+    result = RowTable()
+    result.columns, result.unit = table.columns, 1.0 / min(grid.voxel_size)
+    if not device.is_cpu:
+        result.laid = table.laid_densities()
+        inputs = [grid.density, table.columns.order, table.nodes, 1.0 / result.unit]
+        launch(lay_densities, rows, inputs, [result.laid], device=device)
+        result.packed = table.packed_rows()
+        launch(pack_rows, whole_warps(rows, device), [grid, table.columns], [result.packed], device=device)
+    return result
+
+
+def shaded_grid(grid: Any, table: ColumnTable, centre: wp.vec3, step: float) -> Any:
+    """The rows of a grid as a camera sees them: a ShadedGrid of the values that the grid has now.
+    centre: of the camera, relative to the grid's origin; step: world units."""
+    shaded = table.shaded(centre, step)
+    shades = table.row_shades()
+    if shaded.shades is not shades:
+        shaded.shades = shades
+    table.shade_rows(whole_warps(table.nodes.shape[0], grid.links.device), [grid, table.nodes, shaded])
+    return shaded
+
+
+#: Voxels are shaded for a camera at least this many voxels away: nearer ones are seen under too many directions.
+NEAR_VOXELS = 16.0
+
+#: Whether that is done on a CPU too, where rays are few, and bands of a picture would each shade all voxels.
+SHADES_ON_CPU = False
+
+#: Whether a CPU marches the rays of a tile side by side, and not one by one as CUDA does.
+TILES_ON_CPU = True
+
+
+class MarchTables:
+    """What marches read of a grid instead of its own arrays.
+
+    Values are read anew for each frame, so that none is shown that is no longer there. What is kept depends on the
+    links, which do not change, and on which densities are above zero, which is compared at each frame.
+
+    Args:
+        grid: The VoxelGrid.
+    """
+
+    def __init__(self, grid: Any):
+        self._grid = grid
+        self._columns: ColumnTable | None = None
+        self._marched: Any = None
+        self._launches: dict[Kernel, RepeatedLaunch] = {}
+        self._matter = MatterSkip(grid.links)
+        self._cells = MatterCellTable(grid.links)
+        size, lower = np.array(grid.voxel_size), np.array(grid.lower)
+        self._box = lower.tolist(), (lower + size * (np.array(grid.links.shape) - 1)).tolist()
+        self._longest = float(size.max())
+        self._lock = owner_lock(grid.links.device)  # threads may share a field
+
+    @property
+    def columns(self) -> ColumnTable:
+        """The rows told by bits, made when they are first asked for."""
+        with self._lock:
+            if self._columns is None:
+                self._columns = ColumnTable(self._grid.links)
+            return self._columns
+
+    def begin(self) -> None:
+        """Start on what `grid` waits for; launch what does not need it in between."""
+        with self._lock:
+            self._matter.compare(self._grid.density)
+
+    def grid(self) -> Any:
+        """The VoxelGrid, with a `skip` that leaves out what holds no matter now."""
+        own = self._grid
+        with self._lock:
+            skip, grid = self._matter.distance(own.density), self._marched
+            if grid is None or grid.skip is not skip or grid.density is not own.density or grid.sh is not own.sh:
+                self._marched = grid = VoxelGrid()
+                grid.lower, grid.voxel_size, grid.inverse_voxel_size = own.lower, own.voxel_size, own.inverse_voxel_size
+                grid.links, grid.density, grid.sh, grid.skip = own.links, own.density, own.sh, skip
+        return grid
+
+    def rows(self) -> Any:
+        """The rows as they are now: a RowTable of kernels/field/rows.py."""
+        return row_table(self._grid, self.columns)
+
+    def begin_image(self, centre: wp.vec3, step: float, work: float) -> March:
+        """Start on a view of the grid.
+
+        Args:
+            centre: Of the camera, relative to the grid's origin.
+            step: March step, world units.
+            work: Steps that a ray may take, as `core.devices.launch` has them.
+
+        Returns:
+            What launches the rest.
+        """
+        kernel, inputs, rays = self._image_kernel(centre, step)
+
+        def march(threads: int, pinhole: Any, colour: wp.vec3, make_arrays: MakeArrays) -> None:
+            arrays = make_arrays()
+            outputs = [arrays[name] for name in PART_NAMES]
+            view = [pinhole, colour, step, STOP_TRANSMITTANCE]
+            passing = len(view) + len(outputs)
+            self._launch_of(kernel)(threads // rays, [*inputs, *view], outputs, passing=passing, work=rays * work)
+
+        return march
+
+    def _launch_of(self, kernel: Kernel) -> RepeatedLaunch:
+        """The launch of a kernel that renders views."""
+        if kernel not in self._launches:
+            self._launches[kernel] = RepeatedLaunch(kernel, self._grid.links.device)
+        return self._launches[kernel]
+
+    def _image_kernel(self, centre: wp.vec3, step: float) -> tuple[Kernel, list[Any], int]:
+        """What renders a view of the grid.
+
+        Args:
+            centre: Of the camera, relative to the grid's origin.
+            step: March step, world units.
+
+        Returns:
+            A kernel, its first inputs, and the rays that one of its items follows.
+        """
+        self.begin()
+        if self.is_shaded(centre):
+            shaded = shaded_grid(self._grid, self.columns, centre, step)
+            return render_shaded_image, [self.grid(), shaded], 1
+        rows = self.rows()
+        if self.by_tiles:
+            grid = self.grid()
+            return render_tiles, [grid, rows, self.cells(grid)], TILE_SIZE
+        return render_image, [self.grid(), rows], 1
+
+    @property
+    def by_tiles(self) -> bool:
+        """Whether kernels for the rays of a tile render views."""
+        return self._grid.links.device.is_cpu and TILES_ON_CPU
+
+    def cells(self, grid: Any) -> Any:
+        """The densities by cells, on a CPU.
+
+        Args:
+            grid: What `grid` returned.
+
+        Returns:
+            A MatterCells of kernels/field/matter_cells.py.
+        """
+        with self._lock:
+            return self._cells.cells(grid.density, grid.skip, self._matter.version)
+
+    def is_shaded(self, centre: wp.vec3, others: Sequence[Sequence[Sequence[float]]] = ()) -> bool:
+        """Whether voxels are shaded for a camera: where none is near it.
+
+        Args:
+            centre: Of the camera, relative to the grid's origin.
+            others: (2, 3) boxes that voxels are moved into.
+
+        Returns:
+            Whether they are.
+        """
+        if self._grid.links.device.is_cpu and not SHADES_ON_CPU:
+            return False
+        near, place = NEAR_VOXELS * self._longest, (centre[0], centre[1], centre[2])
+        return all(box_distance(lower, upper, place) > near for lower, upper in (self._box, *others))
+
+
+def box_distance(lower: Sequence[float], upper: Sequence[float], point: Any) -> float:
+    """How far a point is from a box; 0 within.
+
+    Args:
+        lower: (3,) corner of the box.
+        upper: (3,) corner.
+        point: (3,).
+
+    Returns:
+        The distance.
+    """
+    return math.hypot(*(max(low - x, x - high, 0.0) for low, x, high in zip(lower, point, upper, strict=True)))
