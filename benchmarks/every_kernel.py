@@ -39,7 +39,7 @@ from warpcage.mesh.fans import prepared_fans
 from warpcage.reference.carried_mesh import CarriedMesh
 from warpcage.reference.fit_scenes import synthetic_scene
 from warpcage.reference.inverse_map import InverseMap
-from warpcage.splats.density import SplatDensity
+from warpcage.splats.splat_field import SplatDensity
 from warpcage.view.camera import camera_array
 from warpcage.view.frame import RGB_BYTES
 

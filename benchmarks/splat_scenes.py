@@ -108,7 +108,7 @@ def even_points(shape: trimesh.Trimesh, count: int, seed: int) -> tuple[np.ndarr
 
 def fitted_harmonics(mesh: CarriedMesh, faces, corners, normals, count: int, seed: int) -> np.ndarray:
     """(n, 16, 3) least squares over directions of the half space that sees each point."""
-    from warpcage.splats.harmonics import sh_basis
+    from warpcage.splats.binding import sh_basis
 
     rng = np.random.default_rng(seed)
     fitted = np.empty((len(faces), 16, 3), np.float32)

@@ -20,7 +20,7 @@ import warpcage
 from warpcage.deform import splat_edits
 from warpcage.deform.splat_deformer import quaternions_of
 from warpcage.kernels.splats.splats import Splats
-from warpcage.splats import splitting
+from warpcage.splats import binding
 from warpcage.splats.splat_field import SplatField
 
 #: Two halves of an axis that turn against each other by more than this are cut apart, degrees.
@@ -43,9 +43,9 @@ def without_splits():
 
 def with_opaque_pieces():
     """A context in which the pieces of a splat are as opaque as the whole."""
-    table = splitting._TABLE.copy()
+    table = binding._TABLE.copy()
     table[:, 1] = table[:, 2] = table[:, 0]
-    return _constants(splitting, _TABLE=table)
+    return _constants(binding, _TABLE=table)
 
 
 @contextlib.contextmanager

@@ -39,7 +39,7 @@ from warpcage.deform import splat_edits
 from warpcage.reference.carried_mesh import CarriedMesh
 from warpcage.reference.inverse_map import InverseMap
 from warpcage.reference.models import subdivided_model
-from warpcage.splats.rendering import IMAGE_BLUR
+from warpcage.splats.render import IMAGE_BLUR
 from warpcage.view.frame import average_frame, finer_camera
 from warpcage.view.pictures import contact_sheet
 

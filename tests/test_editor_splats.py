@@ -16,7 +16,7 @@ from warpcage.editor.exports import export_baked  # noqa: E402
 from warpcage.editor.inspection import inspect  # noqa: E402
 from warpcage.editor.scene import PosedScene, camera  # noqa: E402
 from warpcage.editor.session import Session, new_document  # noqa: E402
-from warpcage.splats.load import field_size, load_field  # noqa: E402
+from warpcage.splats.splat_field import field_size, load_field  # noqa: E402
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,7 @@ from warpcage.deform.splat_instances import shared_ways
 from warpcage.kernels.splats.pose import CarriedSplats
 from warpcage.lattice.position_map import fit_affine
 from warpcage.splats import binding
-from warpcage.splats.binding import CageBinding
-from warpcage.splats.pose_fit import PoseFit, fit_similarity
-from warpcage.splats.splitting import split_tree
+from warpcage.splats.binding import CageBinding, PoseFit, fit_similarity, split_tree
 
 KINDS = ("harmonic", "mean_value", "green")
 ORIGIN = np.array([0.3, -0.2, 0.1])

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import warpcage
-from warpcage.splats.files.contents import SplatContents
-from warpcage.splats.files.files import WRITERS, is_splat_file
-from warpcage.splats.files.spz import turned_over
+from warpcage.splats.io import WRITERS, is_splat_file
+from warpcage.splats.io.contents import SplatContents
+from warpcage.splats.io.spz import turned_over
 
 DATA = pathlib.Path(os.environ.get("WARPCAGE_DATA", "../shared/data")) / "splats"
 DEGREE3, COMPRESSED = DATA / "small_degree3.ply", DATA / "biker.compressed.ply"

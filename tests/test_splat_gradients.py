@@ -6,9 +6,8 @@ import warp as wp
 from splat_oracles import reference_view
 
 from warpcage import Camera, SplatField
-from warpcage.splats.gradients import SplatGradients
-from warpcage.splats.parameters import SplatParameters
-from warpcage.splats.rendering import splat_lens
+from warpcage.splats.fit import SplatGradients, SplatParameters
+from warpcage.splats.render import splat_lens
 from warpcage.splats.splat_field import rotation_matrices
 
 BACKGROUND = (0.9, 0.5, 0.2)

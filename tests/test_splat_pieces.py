@@ -8,8 +8,7 @@ from splat_scenes import drawn, one_splat, splats_in_box
 
 import warpcage
 from warpcage import Cage, Deformer
-from warpcage.splats.harmonics import sh_basis, turned_harmonics
-from warpcage.splats.splitting import PIECE, pieces_of, split_tree
+from warpcage.splats.binding import PIECE, pieces_of, sh_basis, split_tree, turned_harmonics
 
 BOX = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)
 

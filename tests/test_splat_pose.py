@@ -13,8 +13,7 @@ from warpcage import Cage, CageEdit, Deformer
 from warpcage.coordinates.coordinates import stretched_normals
 from warpcage.core.devices import launch
 from warpcage.kernels.splats import pose
-from warpcage.splats.binding import CageBinding
-from warpcage.splats.pose_fit import fit_similarity
+from warpcage.splats.binding import CageBinding, fit_similarity
 
 KINDS = ("harmonic", "mean_value", "green")
 BOX = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)

@@ -31,8 +31,8 @@ from .fitting.options import FitOptions as FitOptions
 from .lattice.position_map import PositionMap as PositionMap
 from .scene.load import load_scene as load_scene
 from .scene.scene import Scene as Scene
-from .splats.fitting import SplatRates as SplatRates
-from .splats.fitting import fit_splats as fit_splats
+from .splats.fit import SplatRates as SplatRates
+from .splats.fit import fit_splats as fit_splats
 from .splats.splat_field import SplatField as SplatField
 from .view.camera import Camera, CameraFile, CameraKey, turntable
 from .view.camera_path import camera_at

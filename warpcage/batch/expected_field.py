@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import warp as wp
 
 from ..core.files import file_stamp
-from ..splats.load import AnyField, read_field
+from ..splats.splat_field import AnyField, read_field
 
 #: Makes a field on a device, of what was read.
 OnDevice = Callable[[wp.DeviceLike], AnyField]

@@ -9,7 +9,7 @@ import warp as wp
 
 from ..core.arrays import array_bytes
 from ..core.memory import Recent, free_bytes
-from ..splats.load import AnyField, read_field
+from ..splats.splat_field import AnyField, read_field
 from .expected_field import ExpectedField
 from .references import References
 

@@ -20,8 +20,8 @@ from ..deform.fill import fill_unseen
 from ..deform.picture_cells import picture_cells
 from ..deform.pose_modules import load_usual_modules
 from ..field.voxel_field import VoxelField
-from ..splats.files.files import is_splat_file
-from ..splats.load import AnyField
+from ..splats.io import is_splat_file
+from ..splats.splat_field import AnyField
 from ..view.camera import Camera
 from ..view.exr import depth_along_view, write_exr
 from ..view.film import write_film_frame

@@ -23,7 +23,7 @@ from ..core.checks import shown
 from ..core.files import DAMAGED, NpyFile, file_stamp, require_file
 from ..core.memory import Recent
 from ..scene.formats.transforms import TransformsCameras
-from ..splats.load import AnyField
+from ..splats.splat_field import AnyField
 from ..view.camera import Camera, CameraFile, camera_from_json, fitted
 from .drawn_poses import DrawnPoses
 from .items import EditWords, FrameItem, canonical

@@ -11,7 +11,7 @@ from ..core.names import counted
 from ..deform.bake import bake
 from ..deform.splat_deformer import SplatDeformer
 from ..field.selection import NodeSelection
-from ..splats.files.files import is_splat_file
+from ..splats.io import is_splat_file
 from . import inputs, options
 from .deformation import Deformation, is_deformed, read_deformation
 

@@ -17,7 +17,7 @@ from ..editor.demo import demo_files
 from ..editor.edit import edit, require_libraries
 from ..editor.session_file import free_session_path, session_path
 from ..field.selection import NodeSelection
-from ..splats.load import load_field
+from ..splats.splat_field import load_field
 from . import inputs
 from .standing import read_rest
 

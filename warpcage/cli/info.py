@@ -18,7 +18,7 @@ from ..core.threads import cpu_threads
 from ..field.surroundings import LayeredBackground, OuterField
 from ..scene.load import detect_format, load_scene
 from ..scene.scene import Scene
-from ..splats.files.files import is_splat_file
+from ..splats.io import is_splat_file
 from ..splats.splat_field import SplatField
 from ..view.camera import CameraFile
 from ..view.pictures import contact_sheet, shrink, write_png

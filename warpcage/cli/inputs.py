@@ -18,9 +18,8 @@ from ..deform.picture_cells import MOST_CELLS, picture_cells
 from ..field.voxel_field import VoxelField
 from ..scene.load import load_scene
 from ..scene.scene import Scene
-from ..splats.files.files import is_splat_file
-from ..splats.load import AnyField, load_field
-from ..splats.splat_field import SplatField
+from ..splats.io import is_splat_file
+from ..splats.splat_field import AnyField, SplatField, load_field
 from ..view.camera import Camera
 from ..view.frame import Frame
 from . import options, verbosity

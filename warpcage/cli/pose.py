@@ -9,7 +9,7 @@ from typing import Any
 from ..cage.axis_words import axis_of, default_towards, with_up
 from ..cage.cage import Cage
 from ..core.files import require_file
-from ..splats.load import load_field
+from ..splats.splat_field import load_field
 from . import inputs, options, pose_keys
 from .standing import ending, read_rest
 

@@ -20,12 +20,11 @@ from ..core.locks import owner_lock
 from ..core.names import DENSITIES, SPLAT_MAPS, counted, require_coordinates, require_name
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..lattice.buffers import StreamOrder
-from ..splats.density import SplatDensity
-from ..splats.files.contents import SplatContents, logits_of
-from ..splats.files.files import splat_ending
-from ..splats.files.ply import chosen_layout
-from ..splats.harmonics import turned_harmonics
-from ..splats.splat_field import SplatField, rotation_matrices
+from ..splats.binding import turned_harmonics
+from ..splats.io import splat_ending
+from ..splats.io.contents import SplatContents, logits_of
+from ..splats.io.ply import chosen_layout
+from ..splats.splat_field import SplatDensity, SplatField, rotation_matrices
 from ..view.camera import Camera
 from ..view.frame import Frame, parse_background
 from .deformer import Deformer

@@ -17,9 +17,8 @@ from ..kernels.splats.splats import Splats
 from ..lattice.position_map import PositionMap
 from ..mesh.queries import SURFACE_TOLERANCE
 from ..mesh.validity import require_usable
-from ..splats.binding import RESOLUTION, CageBinding
+from ..splats.binding import RESOLUTION, CageBinding, split_tree
 from ..splats.splat_field import SplatField
-from ..splats.splitting import split_tree
 from .edits import CageEdit
 from .falloff import FalloffBand, tell_of_squeezing
 from .splat_instances import BOUND, CLEARED, FOLLOWED, LEFT, make_instances, shared_ways

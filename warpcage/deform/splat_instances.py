@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from ..kernels.splats.follow import GOES, GOES_OR_STAYS, STAYS
-from ..splats.splitting import SplitTree
+from ..splats.binding import SplitTree
 from .edits import CageEdit
 
 #: What an edit does to a splat: nothing; it goes along with the cage, bound to it at rest; it stays, and gives way; it

@@ -15,8 +15,7 @@ from ..cage.cage import Cage
 from ..core.checks import checked_whole, require_type
 from ..core.files import PathLike
 from ..field.voxel_field import VoxelField
-from ..splats.load import AnyField, load_field
-from ..splats.splat_field import SplatField
+from ..splats.splat_field import AnyField, SplatField, load_field
 from .document import Document
 from .session import Session, new_document
 from .session_file import file_stamp, read_session, session_path

@@ -18,9 +18,8 @@ from ..core.checks import checked_whole
 from ..core.files import PathLike
 from ..core.overlap import Beside
 from ..deform.bake import bake
-from ..splats.files.files import splat_ending
-from ..splats.load import AnyField, field_size
-from ..splats.splat_field import SplatField
+from ..splats.io import splat_ending
+from ..splats.splat_field import AnyField, SplatField, field_size
 from ..view.film import FILM_ENDINGS, checked_rate, require_clear_film, write_film
 from ..view.opacity import rgba_picture
 from ..view.overlay import draw_cage

@@ -16,7 +16,7 @@ from ..field.selection import visible_mask
 from ..mesh.faces import column_cross, column_dot, face_edges
 from ..mesh.queries import inside_mesh, intersecting_faces
 from ..mesh.validity import first_problem
-from ..splats.load import AnyField
+from ..splats.splat_field import AnyField
 from .document import Document, Edit
 
 #: About how many samples of the map are taken in a posed cage, and of the visible nodes for the share inside: fewer

@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from ..field.voxel_field import VoxelField
-from ..splats.load import AnyField
+from ..splats.splat_field import AnyField
 from ..view.frame import Frame
 from ..view.frame_parts import mask_shares
 from .document import Document

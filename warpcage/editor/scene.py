@@ -17,7 +17,7 @@ from ..deform.edits import CageEdit
 from ..deform.fill import fill_unseen
 from ..field.voxel_field import VoxelField
 from ..mesh.validity import require_usable
-from ..splats.load import AnyField
+from ..splats.splat_field import AnyField
 from ..view.camera import Camera
 from ..view.frame import Frame
 from .document import Document, Edit, View

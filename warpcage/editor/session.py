@@ -14,7 +14,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..core.files import PathLike
-from ..splats.load import AnyField
+from ..splats.splat_field import AnyField
 from ..view.camera import framing_orbit
 from . import commands, timeline
 from .checked import error_line, frozen_vertices

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..core.checks import listed
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
-from ..splats.load import AnyField
+from ..splats.splat_field import AnyField
 from .document import Document
 
 FORMAT, VERSION = "warpcage session", 1

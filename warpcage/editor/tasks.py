@@ -22,8 +22,8 @@ from ..field.objects import select_object
 from ..field.selection import NodeSelection
 from ..field.voxel_field import VoxelField
 from ..mesh.io import ENDINGS
-from ..splats.files.files import SPLAT_ENDINGS
-from ..splats.load import AnyField, field_size
+from ..splats.io import SPLAT_ENDINGS
+from ..splats.splat_field import AnyField, field_size
 from . import commands, exports, timeline
 from .checked import checked_between, checked_choice, checked_flag, checked_id, checked_whole
 from .commands import Step

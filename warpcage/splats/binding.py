@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from typing import Any
 
 import numpy as np
@@ -15,8 +17,92 @@ from ..kernels.splats import green_rows, lattice_rows, mean_value_rows, pose
 from ..kernels.splats.packed_rows import PackedRows, carry_packed, pack_rows
 from ..lattice.harmonic import HarmonicSolver
 from ..lattice.lattice import CageLattice
+from ..mesh.faces import StretchTarget, column_cross, column_dot, face_edges, stretched_normals
 from ..mesh.mesh import ClosedMesh
-from .pose_fit import PoseFit
+
+#: Rows of x, y, z, x, y, of which cross products take slices.
+_AROUND = np.array([0, 1, 2, 0, 1])
+
+
+class PoseFit:
+    """Fits poses of a cage, for which every pose waits on the host: what the cage at rest says is worked out once.
+    origin: (3,) world point that everything is relative to."""
+
+    def __init__(self, rest: ClosedMesh, coordinates: str, origin: np.ndarray):
+        self._origin, self._size = origin, rest.size
+        self._local = rest.vertices - origin
+        self._green = coordinates == "green"
+        # Numbers r_j of a pose: a vertex each, for Green coordinates then a face each.
+        self.row_count = len(rest.vertices) + (len(rest.faces) if self._green else 0)
+        used = np.ones(len(rest.vertices), dtype=bool)
+        if not self._green:
+            used[rest.topology.unused_vertices] = False  # they may lie anywhere
+        self._mean = used / used.sum()
+        self._centre = self._mean @ self._local
+        spread = np.where(used[:, None], self._local - self._centre, 0.0)
+        self._spread, self._square_sum = spread, (spread**2).sum()
+        # directions that the vertices of an almost flat cage do not span are left out
+        self._inverse = np.linalg.pinv(spread / self._size, rcond=1e-9) / self._size
+        if self._green:
+            self._normals = rest.size * stretched_normals(rest, StretchTarget.of(rest))
+            self._first, self._second, self._third = rest.faces.T.astype(np.intp)
+            u, v = face_edges(rest)
+            cross = column_cross(u, v)
+            scale = 0.5 * rest.size**2 / column_dot(cross, cross)
+            self._ss, self._tt = scale * column_dot(v, v), scale * column_dot(u, u)
+            self._st = -2.0 * scale * column_dot(u, v)
+
+    def targets(self, deformed: ClosedMesh, out: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Fit a pose: A - 1 (3, 3) and t (3,) float64, relative to the origin, and in `out` (v + row_count, 3) float32
+        the posed vertices, relative to the origin, and then r_j."""
+        count = len(self._local)
+        posed = deformed.vertices - self._origin
+        middle = self._mean @ posed
+        around = posed - middle
+        if self._green:
+            matrix = nearest_similarity(self._spread, around, self._square_sum)
+            # r_j of stretched normals are times the size.
+            out[2 * count :] = (self._tilts(around) - matrix @ self._normals).T
+        else:
+            matrix = (self._inverse @ around).T
+        out[:count] = posed
+        # relative to the centres, so that nothing is lost far from the origin
+        out[count : 2 * count] = around - (self._local - self._centre) @ matrix.T
+        return matrix - np.eye(3), middle - matrix @ self._centre
+
+    def _tilts(self, vertices: np.ndarray) -> np.ndarray:
+        """(3, f) stretched normals of posed faces times the size; as `stretched_normals`, in few array calls."""
+        columns = vertices.T.take(_AROUND, axis=0)
+        first = columns.take(self._first, axis=1)
+        s = columns.take(self._second, axis=1) - first  # (5, f)
+        t = columns.take(self._third, axis=1) - first
+        normals = s[1:4] * t[2:5] - s[2:5] * t[1:4]
+        ss, st, tt = (np.einsum("if,if->f", a[:3], b[:3]) for a, b in ((s, s), (s, t), (t, t)))
+        energy = np.maximum(self._ss * ss + self._st * st + self._tt * tt, 0.0)
+        squared = np.einsum("if,if->f", normals, normals)
+        normals *= np.sqrt(np.divide(energy, squared, out=np.zeros_like(squared), where=squared > 0.0))
+        return normals
+
+
+def nearest_similarity(a: np.ndarray, b: np.ndarray, square_sum: float) -> np.ndarray:
+    """The rotation times a scale (3, 3) that takes points a (v, 3) around 0 nearest to b; square_sum: of a."""
+    # Umeyama 1991.
+    u, s, vt = np.linalg.svd(b.T @ a)
+    matrix = u @ vt
+    if np.linalg.det(matrix) < 0.0:  # it would turn over
+        u[:, 2] *= -1.0
+        s[2] *= -1.0
+        matrix = u @ vt
+    return (s.sum() / square_sum) * matrix
+
+
+def fit_similarity(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The similarity that takes points (v, 3) nearest to others: rotation times scale (3, 3) and offset (3,)."""
+    centre, middle = source.mean(axis=0), target.mean(axis=0)
+    a = source - centre
+    matrix = nearest_similarity(a, target - middle, (a**2).sum())
+    return matrix, middle - matrix @ centre
+
 
 #: Points that are bound in one launch: their sums in float64 take 32 bytes a vertex.
 CHUNK = 1 << 15
@@ -136,3 +222,158 @@ def _columns(height: int, count: int, dtype: Any, device: wp.Device) -> wp.array
     if device.is_cpu:
         return empty_array((count, height), dtype, device).transpose([1, 0])
     return empty_array((height, count), dtype, device)
+
+
+def sh_basis(directions: np.ndarray) -> np.ndarray:
+    """The real harmonics of kernels/field/harmonics.py, degree 0 to 3: (..., 16) float64 at unit vectors (..., 3)."""
+    x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
+    xx, yy, zz = x * x, y * y, z * z
+    return np.stack(
+        [
+            np.full_like(x, 0.28209479177387814),
+            -0.4886025119029199 * y,
+            0.4886025119029199 * z,
+            -0.4886025119029199 * x,
+            1.0925484305920792 * x * y,
+            -1.0925484305920792 * y * z,
+            0.31539156525252005 * (2.0 * zz - xx - yy),
+            -1.0925484305920792 * x * z,
+            0.5462742152960396 * (xx - yy),
+            -0.5900435899266435 * y * (3.0 * xx - yy),
+            2.890611442640554 * x * y * z,
+            -0.4570457994644658 * y * (4.0 * zz - xx - yy),
+            0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+            -0.4570457994644658 * x * (4.0 * zz - xx - yy),
+            1.445305721320277 * z * (xx - yy),
+            -0.5900435899266435 * x * (xx - 3.0 * yy),
+        ],
+        axis=-1,
+    )
+
+
+def turned_harmonics(harmonics: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    """Coefficients (n, b, 3) float32 of d -> f(R^-1 d) from those of f, b = 1, 4, 9 or 16; rotations: R (n, 3, 3).
+    That is a splat and its highlights, turned by R."""
+    turned = harmonics.astype(np.float32, copy=True)
+    degree = int(round(np.sqrt(harmonics.shape[1]))) - 1
+    if degree == 0:
+        return turned
+    directions, parts = _probes()
+    for begin in range(0, len(harmonics), CHUNK):
+        chunk = slice(begin, begin + CHUNK)
+        seen = sh_basis(directions @ rotations[chunk])  # rows d^T R are R^-1 d
+        # A turned harmonic is a sum of those of its own degree: it is evaluated in some directions, and taken apart
+        # again.
+        for band in range(1, degree + 1):
+            own = slice(band**2, (band + 1) ** 2)
+            values = seen[..., own] @ harmonics[chunk, own].astype(np.float64)
+            turned[chunk, own] = parts[band] @ values
+    return turned
+
+
+@functools.cache
+def _probes() -> tuple[np.ndarray, list[np.ndarray]]:
+    """Directions (k, 3) evenly over the sphere, and for each degree what takes values there apart, (2 l + 1, k)."""
+    count = 24
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
+    ring = np.sqrt(1.0 - z * z)
+    directions = np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+    basis = sh_basis(directions)
+    return directions, [np.linalg.pinv(basis[:, band**2 : (band + 1) ** 2]) for band in range(4)]
+
+
+#: Standard deviation of a piece along the axis that is cut, in those of the whole.
+PIECE = 0.65
+
+#: Least squares over the picture of a splat seen from the side, alphas composited: opacity of the whole; of the piece
+#: in the middle; of the two at the sides; their distance from it, in standard deviations of the whole; and how much
+#: narrower the pieces are across. Worst errors of alpha: 0.0015 at 0.1, 0.011 at 0.5, 0.046 at 0.99.
+_TABLE = np.array(
+    [
+        (0.0, 0.0, 0.0, 1.0493, 1.0),
+        (0.1, 0.0827, 0.0359, 1.0400, 0.9953),
+        (0.2, 0.1675, 0.0730, 1.0306, 0.9904),
+        (0.3, 0.2551, 0.1114, 1.0210, 0.9851),
+        (0.4, 0.3459, 0.1511, 1.0114, 0.9793),
+        (0.5, 0.4406, 0.1923, 1.0017, 0.9732),
+        (0.6, 0.5401, 0.2350, 0.9921, 0.9666),
+        (0.7, 0.6455, 0.2791, 0.9826, 0.9596),
+        (0.8, 0.7580, 0.3248, 0.9735, 0.9520),
+        (0.9, 0.8792, 0.3720, 0.9649, 0.9438),
+        (0.95, 0.9437, 0.3960, 0.9609, 0.9396),
+        (1.0, 1.0, 0.4215, 0.9570, 0.9352),
+    ]
+)
+
+#: Pieces of pieces are cut no more often than this.
+MOST_CUTS = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class SplitTree:
+    """Splats and their pieces. A node is a splat or a piece."""
+
+    rows: np.ndarray  # (nodes,) the splat that each node is, or is a piece of
+    parents: np.ndarray  # (nodes,) the node that each is a piece of, -1 for splats
+    pieces: np.ndarray  # (nodes,) the first of the three pieces of each node, -1 for those that are not cut
+    centres: np.ndarray  # (nodes, 3) world units
+    factors: np.ndarray  # (nodes, 3, 3) axes times standard deviations, one per column
+    opacities: np.ndarray  # (nodes,) 0 to 1
+
+    @property
+    def covariances(self) -> np.ndarray:
+        """(nodes, 3, 3) world units squared."""
+        return self.factors @ self.factors.transpose(0, 2, 1)
+
+
+def pieces_of(
+    centres: np.ndarray, factors: np.ndarray, opacities: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Three pieces of each splat along its longest axis, the middle one first, which together look like it.
+    Arrays as in `SplitTree`, (n, ...); those returned are centres (n, 3, 3), factors (n, 3, 3, 3), opacities (n, 3)."""
+    middle, side, distance, across = (np.interp(opacities, _TABLE[:, 0], column) for column in _TABLE[:, 1:].T)
+    longest = np.argmax((factors**2).sum(axis=1), axis=1)
+    rows = np.arange(len(centres))
+    axis = factors[rows, :, longest] * distance[:, None]
+    cut = factors * across[:, None, None]
+    cut[rows, :, longest] = PIECE * factors[rows, :, longest]
+    return (
+        np.stack([centres, centres - axis, centres + axis], axis=1),
+        np.repeat(cut[:, None], 3, axis=1),
+        np.stack([middle, side, side], axis=1),
+    )
+
+
+def split_tree(
+    centres: np.ndarray,
+    factors: np.ndarray,
+    opacities: np.ndarray,
+    largest: np.ndarray,
+    cuts: int = MOST_CUTS,
+    most: int | None = None,  # None is no limit
+) -> SplitTree:
+    """Splats, the first n nodes, and pieces of those, or of pieces, of a standard deviation above `largest` (n,).
+    Arrays as in `SplitTree`; cuts: how often at most; most: nodes at most, the largest are cut first."""
+    count = len(centres)
+    nodes = [(np.arange(count), np.full(count, -1), centres, factors, opacities)]
+    pieces = [np.full(count, -1)]
+    begin, total = 0, count
+    for _ in range(cuts):
+        rows, _, places, axes, alphas = nodes[-1]
+        excess = np.sqrt((axes**2).sum(axis=1).max(axis=1, initial=0.0)) / largest[rows]
+        cut = np.flatnonzero(excess > 1.0)
+        if most is not None:
+            room = max(0, (most - total) // 3)
+            cut = np.sort(cut[np.argsort(-excess[cut], kind="stable")[:room]])
+        if not len(cut):
+            break
+        pieces[-1][cut] = total + 3 * np.arange(len(cut))
+        new_places, new_axes, new_alphas = pieces_of(places[cut], axes[cut], alphas[cut])
+        parents = np.repeat(begin + cut, 3)
+        flat = (new_places.reshape(-1, 3), new_axes.reshape(-1, 3, 3), new_alphas.reshape(-1))
+        nodes.append((np.repeat(rows[cut], 3), parents, *flat))
+        pieces.append(np.full(3 * len(cut), -1))
+        begin, total = total, total + 3 * len(cut)
+    rows, parents, places, axes, alphas = (np.concatenate(parts) for parts in zip(*nodes, strict=True))
+    return SplitTree(rows, parents, np.concatenate(pieces), places, axes, alphas)

@@ -1,6 +1,4 @@
 """The .splat files of web viewers: 32 bytes a splat."""
-# As antimatter15/splat writes them: position and scale in float32 (little-endian), colour and opacity in bytes,
-# rotation w x y z in bytes about 128. There are no further harmonics and no header.
 
 from __future__ import annotations
 
@@ -12,7 +10,9 @@ from ...core.files import read_limited
 from .contents import Y0, SplatContents, logits_of, opacities_of
 
 _ROW = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)])
+
 _ROOM = 8
+
 _ALPHA_EDGE = 0.25 / 255.0
 
 

@@ -1,7 +1,4 @@
 """The .ply files of 3D Gaussian Splatting: any order of properties, foreign ones and other elements kept."""
-# x y z, f_dc_0..2, f_rest_0.. (channel-major: all red, then green, then blue), opacity (logit), scale_0..2
-# (logarithms), rot_0..3 (w x y z, not normalised), after Kerbl et al. 2023. The order of properties is free, nx ny nz
-# are foreign.
 
 from __future__ import annotations
 
@@ -26,6 +23,7 @@ _NEEDED = (
 _ROOM = 4
 
 _REST = re.compile(r"f_rest_(\d+)")
+
 _FLOATS = ("f4", "f8")
 
 

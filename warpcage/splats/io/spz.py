@@ -1,8 +1,4 @@
 """Niantic's .spz files: splats of 20 bytes and a byte for each further harmonic, packed by gzip."""
-# Versions 2 (rotations of three bytes) and 3 (of four) are read, version 3 is written. After 16 bytes of header come
-# the positions (24 bits, fixed point), opacities, colours, logarithms of scales, rotations and harmonics of all splats.
-# Such a file has x to the right, y up and z backward where PLY files of splats have y down and z forward: so that one
-# object is in one place whichever file it comes from, y and z change their signs on the way in and out.
 
 from __future__ import annotations
 
@@ -18,7 +14,9 @@ from .compressed import with_largest, without_largest
 from .contents import DEGREES, SplatContents, logits_of, opacities_of
 
 _HEADER = struct.Struct("<IIIBBBB")
+
 _MAGIC = 0x5053474E
+
 _ALPHA_EDGE = 0.25 / 255.0
 
 #: What the colours of a file are scaled by, and bits after the point of the positions that are written.

@@ -1,4 +1,4 @@
-"""Files of splats by their endings, read and written."""
+"""Files of Gaussian splats, one format a module."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from .spz import read_spz, write_spz
 
 #: Endings of the files, and what writes them. The first that fits counts.
 WRITERS = {".compressed.ply": write_compressed_ply, ".ply": write_splat_ply, ".splat": write_splat, ".spz": write_spz}
+
 SPLAT_ENDINGS = tuple(WRITERS)
 
 

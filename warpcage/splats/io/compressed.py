@@ -1,8 +1,4 @@
 """SuperSplat's .compressed.ply: splats in chunks of 256, 16 bytes each, and a byte for each further harmonic."""
-# As PlayCanvas' readers and writers have it: element `chunk` with the range of positions, logarithms of scales and, in
-# newer files, of colours; element `vertex` of four words: positions and scales of 11, 10 and 11 bits within the range,
-# rotations of 2 + 3 x 10 bits (which of w x y z is the largest, and the others), colour and opacity of 8 bits each;
-# element `sh` with the f_rest of 3DGS in bytes, -4 to 4.
 
 from __future__ import annotations
 
@@ -21,6 +17,7 @@ CHUNK = 256
 MOST_LOG_SCALE = 20.0
 
 _WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+
 _ALPHA_EDGE = 0.25 / 255.0
 
 

@@ -5,22 +5,178 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import empty_array
+from ..core.arrays import array_view, empty_array
 from ..core.checks import checked_flag, checked_number, checked_positive, checked_whole, require_type
 from ..core.devices import launch
 from ..core.locks import device_turn
-from ..kernels.splats import adam, picture_slopes
+from ..kernels.splats import (
+    adam,
+    composite_slopes,
+    composite_slopes_tiles,
+    parameters,
+    picture_slopes,
+    project_slopes,
+    tiles,
+)
+from ..kernels.splats.composite_slopes import SUMS
+from ..kernels.splats.project_slopes import ValueSlopes
+from ..kernels.splats.splats import Splats
+from ..lattice.buffers import BufferPool
 from ..view.camera import Camera
 from ..view.frame import checked_supersampling, finer_camera, parse_background
-from .gradients import SplatGradients
-from .parameters import SplatParameters
-from .rendering import IMAGE_BLUR, splat_lens
+from .render import (
+    DRAW_WORK,
+    IMAGE_BLUR,
+    MOST_ENTRIES,
+    PROJECT_WORK,
+    STOP_TRANSMITTANCE,
+    SplatRenderer,
+    splat_lens,
+    tile_grid,
+)
 from .splat_field import SplatField
+
+#: Names of the values, and the types of those that kernels read by rows.
+VALUE_TYPES = {
+    "centres": wp.vec3,
+    "log_scales": wp.vec3,
+    "quaternions": wp.vec4,
+    "logits": wp.float32,
+    "harmonics": wp.float32,
+}
+
+
+class SplatParameters:
+    """Values of a field's splats that change, on its device; the field itself is left as it is."""
+
+    def __init__(self, field: SplatField):
+        self.field, held, count = field, field.contents, len(field)
+        host = {name: np.asarray(getattr(held, name), np.float64) for name in VALUE_TYPES}
+        host["centres"] = host["centres"] - field.center
+        self._first_centres = host["centres"].astype(np.float32)
+        # By name (VALUE_TYPES), (n, width) float32 each, centres relative to the field's `center`; and derivatives of a
+        # loss by each of them.
+        self.values: dict[str, wp.array] = {}
+        self.slopes: dict[str, wp.array] = {}
+        for name, values in host.items():
+            rows = np.ascontiguousarray(values.reshape(count, values.size // max(count, 1)), np.float32)
+            self.values[name] = wp.array(rows, dtype=wp.float32, device=field.device)
+            self.slopes[name] = wp.zeros(rows.shape, dtype=wp.float32, device=field.device)
+        # What `refresh` makes of the values.
+        self.splats: Any = Splats()
+        self.splats.centres = self.by_rows("centres", self.values)
+        self.splats.covariances = empty_array((count, 6), wp.float32, field.device)
+        self.splats.opacities = empty_array(count, wp.float32, field.device)
+        self.splats.harmonics, self.splats.degree = self.values["harmonics"], field.degree
+        self.splats.turns = empty_array(0, wp.quat, field.device)
+        self.splats.rows = empty_array(0, wp.int32, field.device)
+        # The slopes as kernels/splats/project_slopes.py writes them.
+        self.value_slopes: Any = ValueSlopes()
+        for name in VALUE_TYPES:
+            setattr(self.value_slopes, name, self.by_rows(name, self.slopes))
+
+    def by_rows(self, name: str, arrays: dict[str, wp.array]) -> wp.array:
+        """An array of `values` or `slopes` as kernels read it: (n,) of VALUE_TYPES' type, for harmonics (n, width)."""
+        array = arrays[name]
+        return array if name == "harmonics" else array_view(array, VALUE_TYPES[name], array.shape[0])
+
+    def refresh(self) -> None:
+        """Make the covariances and opacities of `splats` from the values as they are now."""
+        names = ("log_scales", "quaternions", "logits")
+        inputs = [self.by_rows(name, self.values) for name in names]
+        outputs = [self.splats.covariances, self.splats.opacities]
+        launch(parameters.make_splats, len(self.field), inputs, outputs, device=self.field.device)
+
+    def to_field(self) -> SplatField:
+        """A field of the values as they are now, with what else the file of the first one says."""
+        held, count = self.field.contents, len(self.field)
+        host = {name: array.numpy() for name, array in self.values.items()}
+        moved = host["centres"].astype(np.float64) - self._first_centres  # from where the file has them, to the bit
+        centres = (held.centres + moved).astype(held.centres.dtype)
+        return SplatField(
+            centres,
+            host["log_scales"],
+            host["quaternions"],
+            host["logits"].reshape(count),
+            host["harmonics"].reshape(held.harmonics.shape),
+            layout=held.layout,
+            device=self.field.device,
+            **self.field.view_options(),
+        )
+
+
+#: Sums of a splat on the host.
+SUM_COUNT = int(SUMS)
+
+
+class SplatGradients(SplatRenderer):
+    """Draws splats, and takes the slopes of a loss by the picture back to their values."""
+
+    # Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023), appendix A.
+
+    def __init__(self, device: wp.DeviceLike = None):
+        super().__init__(device)
+        pool = BufferPool(self.device)
+        self._sums, self._entry_sums = pool.buffer(wp.float32), pool.buffer(wp.float32)
+        self._tiles, self._sources = pool.buffer(wp.int32), pool.buffer(wp.int32)
+        self._rgb, self._parts = pool.buffer(wp.vec3), pool.buffer(wp.float32)
+        self._drawn: tuple[Any, ...] = ()
+
+    def draw(self, parameters: SplatParameters, camera: Camera, lens: Any, colour: wp.vec3) -> wp.array:
+        """The picture (h * w,) vec3, one ray a pixel, valid until the next one; `parameters` are refreshed before.
+        lens: of `splat_lens`, of the same camera; colour: behind the splats."""
+        grid, pixels = tile_grid(camera), camera.width * camera.height
+        seen = self._project(parameters.splats, lens)
+        total = self.entry_count = self._count(grid, *seen)
+        if total > MOST_ENTRIES:
+            raise ValueError(f"splats touch {total} tiles of a picture, at most {MOST_ENTRIES}: fit smaller pictures")
+        keys, members = self._write(grid, total, seen)
+        sources = self._write_sources(grid, total, keys) if self.device.is_cpu else None
+        starts = self._sort(grid, total, keys, members)
+        rgb, parts = self._rgb.take(pixels), self._parts.take((2, pixels))
+        inputs = [seen[1], members, starts, grid]
+        self._composite(grid, [*inputs, colour, STOP_TRANSMITTANCE], [rgb, parts[0], parts[1]])
+        self._drawn = parameters, lens, grid, seen, inputs, sources, total, rgb
+        return rgb
+
+    def take_back(self, slopes: wp.array) -> None:
+        """Set the slopes of the parameters drawn last, from those (h * w,) vec3 of a loss by the picture's colours."""
+        parameters, lens, grid, seen, inputs, sources, total, rgb = self._drawn
+        count, view, _, order = seen
+        sums = self._sums.take(SUM_COUNT * count)
+        inputs = [*inputs, STOP_TRANSMITTANCE, rgb, slopes]
+        tile_count = grid.columns * grid.rows
+        if self.device.is_cpu:
+            rows = self._entry_sums.take(SUM_COUNT * total)
+            inputs.insert(2, sources)
+            kernel = composite_slopes_tiles.sum_slopes_of_tiles
+            launch(kernel, tile_count, inputs, [rows], device=self.device, work=DRAW_WORK)
+            kernel, inputs = composite_slopes_tiles.sum_slopes_of_splats, [order, self._ends.take(count), rows]
+            launch(kernel, count, inputs, [sums], device=self.device)
+        else:
+            sums.zero_()
+            items = tile_count * tiles.TILE_SIDE**2
+            launch(composite_slopes.add_slopes, items, inputs, [sums], device=self.device)
+        held = [parameters.by_rows(name, parameters.values) for name in ("log_scales", "quaternions")]
+        inputs = [parameters.splats, lens, *held, view, sums]
+        outputs = [parameters.value_slopes]
+        kernel = project_slopes.find_value_slopes
+        launch(kernel, count, inputs, outputs, device=self.device, work=2 * PROJECT_WORK)
+
+    def _write_sources(self, grid: Any, total: int, keys: wp.array) -> wp.array:
+        """The place before they were sorted of entries that are sorted by tile."""
+        held, sources = self._tiles.take(2 * total), self._sources.take(2 * total)
+        wp.copy(held, keys, count=total)
+        wp.copy(sources, wp.array(np.arange(total, dtype=np.int32), device=self.device), count=total)
+        wp.utils.radix_sort_pairs(held, sources, total, 0, (grid.columns * grid.rows).bit_length())
+        return sources
+
 
 #: What differences of colours may count by.
 LOSSES = ("l1", "l2")
