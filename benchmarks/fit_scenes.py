@@ -43,8 +43,8 @@ from results import write_results
 
 import warpcage
 from warpcage.core.devices import resolve_device
+from warpcage.fitting.cameras import tuned_scene
 from warpcage.fitting.evaluation import evaluate, mean_psnr
-from warpcage.fitting.tuning import tuned_scene
 from warpcage.reference.fit_scenes import KINDS, synthetic_scene
 from warpcage.reference.room import room_views
 from warpcage.view.alignment import picture_similarity, pose_errors

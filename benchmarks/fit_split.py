@@ -21,9 +21,9 @@ from results import write_results
 
 import warpcage
 from warpcage.core.devices import launch
+from warpcage.fitting.batches import sum_shards
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.fitting.shards import sum_shards
 from warpcage.kernels.fitting.rmsprop import add_gradients
 
 #: Exchanges that are timed.

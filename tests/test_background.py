@@ -15,11 +15,11 @@ import warpcage
 from warpcage.cli import main
 from warpcage.field.io.field_file import surface_node_count
 from warpcage.field.surroundings import LayeredBackground
-from warpcage.fitting.background import chosen_background
 from warpcage.fitting.checkpoint import load_progress, save_progress
 from warpcage.fitting.evaluation import mean_psnr
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.fitting.silhouettes import Silhouettes, keep_seen
+from warpcage.fitting.surroundings import chosen_background
 from warpcage.kernels.fitting import background_loss
 from warpcage.view.pictures import read_image
 

@@ -122,7 +122,7 @@ def test_camera_slopes_match_finite_differences(device, numbers, around):
 
 def test_sums_are_the_gradient_of_the_fits_own_loss(device):
     """2 J^T e of each camera against finite differences of the photometric loss that the field is fitted by."""
-    from warpcage.fitting.camera_steps import CameraSums
+    from warpcage.fitting.cameras import CameraSums
 
     # nothing at the faces of its box, and no empty place within: its pictures change without jumps
     links = np.full((7, 7, 7), -1, np.int32)
@@ -177,7 +177,7 @@ def test_tiles_are_drawn_from_their_view(device):
 
 def test_steps_solve_for_cameras_and_their_lenses_together(monkeypatch):
     """Against one large system in which two of three cameras share a lens."""
-    from warpcage.fitting import camera_steps as steps
+    from warpcage.fitting import cameras as steps
 
     monkeypatch.setattr(steps, "DAMPING", 0.0)
     monkeypatch.setattr(steps, "LEAST_DAMPING", 0.0)
@@ -198,7 +198,7 @@ def test_steps_solve_for_cameras_and_their_lenses_together(monkeypatch):
 
 
 def test_exposures_are_found_and_even(monkeypatch):
-    from warpcage.fitting import camera_steps as steps
+    from warpcage.fitting import cameras as steps
 
     monkeypatch.setattr(steps, "EXPOSURE_PRIOR", 0.0)
     monkeypatch.setattr(steps, "OFFSET_PRIOR", 0.0)

@@ -12,12 +12,12 @@ from test_fit_edges import around, seen
 
 from warpcage import Scene, fit
 from warpcage.fitting import memory
+from warpcage.fitting.batches import PRECISIONS, TrainingPictures, picture_bytes
 from warpcage.fitting.checkpoint import load_progress, save_progress
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.fitting.level import Level, node_bytes, row_bytes
 from warpcage.fitting.memory import memory_size, scaled_shape
 from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.fitting.pictures import PRECISIONS, TrainingPictures, picture_bytes
 from warpcage.fitting.silhouettes import Silhouettes
 from warpcage.reference.fit_scenes import synthetic_scene
 
@@ -279,7 +279,7 @@ def test_8_bits_a_channel_are_enough(device, monkeypatch, kind):
     train, test = synthetic_scene(kind, train_views=32, test_views=16, size=32, samples=2, device=device)
     found = []
     for precisions in (PRECISIONS, PRECISIONS[1:]):
-        monkeypatch.setattr("warpcage.fitting.pictures.PRECISIONS", precisions)
+        monkeypatch.setattr("warpcage.fitting.batches.PRECISIONS", precisions)
         optimizer = FieldOptimizer(train, device=device, resolution=32, levels=2, least_steps=100, batch_rays=2048)
         assert optimizer.pictures.bits == precisions[0]
         while optimizer.step_count < optimizer.total_steps:
@@ -296,7 +296,7 @@ def test_8_bits_are_chosen_where_they_buy_resolution(request, large_pictures, de
         request.getfixturevalue("two_threads")  # a level takes more memory with more of them
     shapes, chosen = [], []
     for precisions in (PRECISIONS, PRECISIONS[:1], PRECISIONS[1:]):
-        monkeypatch.setattr("warpcage.fitting.pictures.PRECISIONS", precisions)
+        monkeypatch.setattr("warpcage.fitting.batches.PRECISIONS", precisions)
         try:
             optimizer = FieldOptimizer(large_pictures, device=device, max_memory=limit, least_steps=9, epochs=0.01)
         except ValueError as error:

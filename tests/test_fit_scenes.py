@@ -10,7 +10,7 @@ from warpcage import Camera, Scene, fit
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.fitting.options import checked_options
-from warpcage.fitting.plan import MOST_SCARCE, PLENTY, plan_batches, scarcity
+from warpcage.fitting.schedule import MOST_SCARCE, PLENTY, plan_batches, scarcity
 from warpcage.kernels.fitting.rmsprop import shrink_view_dependence
 from warpcage.reference.fit_scenes import KINDS, synthetic_scene
 from warpcage.reference.models import MODELS

@@ -11,11 +11,10 @@ from test_optimize import blob_scene
 import warpcage
 from warpcage.cli import main
 from warpcage.fitting import cameras as cameras_module
-from warpcage.fitting.cameras import CameraRefinement
+from warpcage.fitting.cameras import CameraRefinement, tuned_scene
 from warpcage.fitting.checkpoint import load_progress, save_progress
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.fitting.tuning import tuned_scene
 from warpcage.reference.brick_scene import write_brick_scene
 from warpcage.reference.fit_scenes import synthetic_scene
 from warpcage.view.alignment import picture_similarity

@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 
 from ..field.voxel_field import VoxelField
-from ..fitting.evaluation import in_world_of
-from ..fitting.report import evaluation_report
-from ..fitting.tuning import tuned_scene
+from ..fitting.cameras import tuned_scene
+from ..fitting.evaluation import evaluation_report, in_world_of
 from ..scene.load import load_scene
 from .fields import LoadedFields
 from .outputs import Made

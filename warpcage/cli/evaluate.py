@@ -6,9 +6,8 @@ import argparse
 import json
 
 from ..core.files import atomic_path
-from ..fitting.evaluation import comparison, error_image, in_world_of
-from ..fitting.report import evaluation_report
-from ..fitting.tuning import tuned_scene
+from ..fitting.cameras import tuned_scene
+from ..fitting.evaluation import comparison, error_image, evaluation_report, in_world_of
 from ..view.pictures import side_by_side, write_png
 from . import inputs, options
 

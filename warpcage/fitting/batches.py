@@ -4,19 +4,95 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import threading
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ..core.devices import launch
+from ..core.devices import launch, module_block_dim
+from ..core.locks import device_turn
+from ..core.modules import Kernel, require_loaded
+from ..core.threads import cpu_threads, run_parallel
 from ..field.voxel_field import VoxelField
 from ..kernels.fitting.active_tiles import mark_active_tiles
 from ..kernels.fitting.loss import TrainingRays
 from ..kernels.fitting.pictures import Pictures
+from ..kernels.fitting.rmsprop import add_gradients
 from ..scene.scene import Scene
 from ..view.camera import camera_array
-from .pictures import TrainingPictures, chosen_bits
+from ..view.pictures import to_uint8
+from .memory import require_image_memory
+
+#: Bits per channel that pictures may be kept at, the better first. Files have 8; opacity and averaging need more.
+PRECISIONS = (16, 8)
+
+
+def picture_bytes(scene: Scene, bits: int) -> int:
+    """Device memory of a scene's pictures, and what masks split off them, at so many bits for each of four channels."""
+    kinds = 1 if scene.surroundings is None else 2
+    return kinds * scene.images.size // 3 * 4 * bits // 8
+
+
+def chosen_bits(scene: Scene, held: int, limit: int) -> int:
+    """The best of PRECISIONS for a scene's pictures that fits, beside `held` bytes, into `limit` bytes."""
+    needed = {bits: held + picture_bytes(scene, bits) for bits in PRECISIONS}
+    require_image_memory(needed[PRECISIONS[-1]], limit)
+    return next(bits for bits in PRECISIONS if needed[bits] <= limit)
+
+
+class TrainingPictures:
+    """The pictures of a scene on a device, and what masks split off them; bits: per channel, one of PRECISIONS."""
+
+    # At 8 bits numbers are rounded to the nearest of 0 to 1 in 255 steps.
+
+    def __init__(self, scene: Scene, bits: int, device: wp.Device):
+        self.scene, self.device, self.bits = scene, device, bits
+        # premultiplied colours and opacity
+        self.seen: Any = None
+        # colours that masks split off times their share, and the share; None for a scene that is not split
+        self.surroundings: Any = None
+        self.keep(bits)
+
+    def keep(self, bits: int) -> None:
+        """Upload them at another precision, bits per channel."""
+        # frees the arrays before first, where nothing else holds them
+        self.seen = self.surroundings = None
+        self.bits = bits
+        scene = self.scene
+        opacity = np.ones(scene.images.shape[:3], np.float32) if scene.alphas is None else scene.alphas
+        self.seen = _uploaded(scene.images, opacity, -scene.background, bits, self.device)
+        if scene.surroundings is not None:
+            self.surroundings = _uploaded(scene.surroundings, 1.0 - opacity, np.zeros(3, np.float32), bits, self.device)
+
+    @property
+    def held_bytes(self) -> int:
+        """Device memory of the pictures."""
+        return picture_bytes(self.scene, self.bits)
+
+    @property
+    def spare_bytes(self) -> int:
+        """Device memory that the lowest precision would give back."""
+        return self.held_bytes - picture_bytes(self.scene, PRECISIONS[-1])
+
+
+def _uploaded(images: np.ndarray, shares: np.ndarray, behind: np.ndarray, bits: int, device: wp.Device) -> Any:
+    """Pictures of each pixel's colour + (1 - share) * behind, and of its share."""
+    pixels = np.empty((*images.shape[:3], 4), np.float16 if bits == 16 else np.uint8)
+
+    def pack(target: np.ndarray, image: np.ndarray, share: np.ndarray) -> None:
+        values = np.concatenate([image + (1.0 - share[..., None]) * behind, share[..., None]], axis=-1)
+        target[...] = values if bits == 16 else to_uint8(values)
+
+    run_parallel([lambda view=view: pack(pixels[view], images[view], shares[view]) for view in range(len(pixels))])
+    pictures: Any = Pictures()
+    if bits == 16:
+        pictures.halves = wp.array(pixels, dtype=wp.vec4h, device=device)
+    else:
+        pictures.bytes = wp.array(pixels, dtype=wp.vec4ub, device=device)
+    return pictures
+
 
 #: Bytes of a tile's index, and of the squared error of a ray of a batch.
 TILE_BYTES, ERROR_BYTES = 4, 4
@@ -165,3 +241,68 @@ class Batches:
         """PSNR in dB of the last batch over all pixels of the pictures: those that see no voxel count as right."""
         error = float(self.squared_error.numpy().mean()) / 3.0 * self.active_tiles / self.tile_total
         return -10.0 * math.log10(max(error, LEAST_ERROR))
+
+
+#: Outputs of their own are worth their memory for up to this many CPU threads.
+MAX_SHARDS = 8
+
+#: Parts of a shard's work that one launch takes: an interrupt waits for it.
+MOST_PARTS = 8192
+
+
+def shard_count(device: wp.Device) -> int:
+    """Shards of a fit on a device."""
+    # CPU atomics are plain reads and writes, so threads must not share an output. A GPU needs one shard.
+    return min(cpu_threads(), MAX_SHARDS) if device.is_cpu else 1
+
+
+@dataclasses.dataclass(frozen=True)
+class ShardedWork:
+    """A kernel to launch in shards."""
+
+    # its first parameter is `first`, the index of a shard's first item
+    kernel: Kernel
+    # parts of the work that stay together in one shard
+    count: int
+    # what the kernel takes after `first`, the same for all shards
+    inputs: list
+    # what it then takes, for each shard
+    outputs: Sequence[Sequence]
+    # items of the kernel per part
+    items: int = 1
+
+
+def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) -> None:
+    """Launch kernels one after another in each of several threads, which take one run of the parts of each work."""
+    for work in works:  # before the threads, so that each module is compiled once
+        require_loaded(work.kernel, device, module_block_dim(work.kernel))
+
+    stopped = threading.Event()
+
+    def run(shard: int) -> None:
+        for work in works:
+            first, last = (work.count * edge // shards for edge in (shard, shard + 1))
+            most = MOST_PARTS if device.is_cpu else max(1, last - first)
+            for part in range(first, last, most):
+                if stopped.is_set():
+                    return
+                begin, end = (work.items * edge for edge in (part, min(part + most, last)))
+                wp.launch(
+                    work.kernel,
+                    dim=end - begin,
+                    inputs=[begin, *work.inputs],
+                    outputs=list(work.outputs[shard]),
+                    device=device,
+                    block_dim=module_block_dim(work.kernel),
+                )
+
+    with device_turn(device):
+        run_parallel([lambda shard=shard: run(shard) for shard in range(shards)], shards, stopped.set)
+
+
+def sum_shards(gradients: Sequence[wp.array]) -> wp.array:
+    """Move the gradients of all shards, (numbers,) float32 each, into the first, and return it."""
+    total, *others = gradients
+    for other in others:
+        launch(add_gradients, total.size, [other], [total], device=total.device)
+    return total

@@ -11,17 +11,115 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import empty_array
+from ..core.checks import require_type
 from ..core.devices import launch
 from ..core.files import require_numbers
+from ..core.locks import device_turn
 from ..field.render import STOP_TRANSMITTANCE
+from ..field.surroundings import OuterField
 from ..field.voxel_field import VoxelField
 from ..kernels.fitting import cameras as kernels
+from ..kernels.fitting.background_loss import gather_background
 from ..kernels.fitting.loss import TrainingRays
+from ..kernels.fitting.outer_loss import gather_outer
 from ..kernels.view.rays import PinholeCamera
+from ..scene.scene import Scene
 from ..view.alignment import picture_shifts, picture_similarity
 from ..view.camera import Camera
-from .camera_steps import NUMBERS, SUMS, CameraSums, camera_steps, even_exposures, fitted_exposures
+from .batches import Batches
+from .evaluation import comparison, in_world_of
+from .memory import memory_limit
 from .schedule import CameraRates
+
+NUMBERS, SUMS = int(kernels.CAMERA_NUMBERS), int(kernels.CAMERA_SUMS)
+
+_NORMAL, _EXPOSURE = int(kernels.NORMAL_SUMS), int(kernels.EXPOSURE_SUMS)
+
+#: What Gauss-Newton's diagonal is raised by, as a share of itself and of the camera's largest: steps are short along
+#: what the pictures tell badly, as a turn and a shift across it that show the object the same way.
+DAMPING, LEAST_DAMPING = 0.05, 1e-5
+
+#: How firmly the given cameras hold theirs at least, relative to what the pictures tell best: turns, shifts and focal
+#: length.
+HOLD = np.array([1e-3, 1e-3, 1e-3, 4e-3, 4e-3, 4e-3, 1e-3])
+
+#: Strength of the exposures' prior, as a share of the pixels' number: that gains are 1 and offsets 0.
+EXPOSURE_PRIOR, OFFSET_PRIOR = 0.005, 0.3
+
+#: Gains of an exposure beyond these are not believed.
+GAINS = (0.2, 5.0)
+
+#: Keeps quotients finite where no ray tells anything.
+TINY = 1e-30
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CameraSums:
+    """What a sample of rays says of their cameras."""
+
+    # (n, 7, 7) float64, J^T J by turns, shifts and logarithm of the focal length
+    normal: np.ndarray
+    # (n, 7) J^T e
+    slope: np.ndarray
+    # (n, 3, 5) sums of x x, x a, a a, x y and a y for each channel; see kernels/fitting/cameras
+    exposure: np.ndarray
+    # (n,) e^T e
+    error: np.ndarray
+
+    @classmethod
+    def unpacked(cls, sums: np.ndarray) -> CameraSums:
+        """From (n, 51) as the kernel packs them."""
+        normal = np.zeros((len(sums), NUMBERS, NUMBERS))
+        rows, columns = np.triu_indices(NUMBERS)
+        normal[:, rows, columns] = normal[:, columns, rows] = sums[:, :_NORMAL]
+        slope, exposure, error = np.split(sums[:, _NORMAL:], [NUMBERS, NUMBERS + _EXPOSURE], axis=1)
+        return cls(normal, slope, exposure.reshape(-1, 3, 5), error[:, 0])
+
+
+def camera_steps(
+    normal: np.ndarray,
+    slope: np.ndarray,
+    lenses: np.ndarray,
+    changes: np.ndarray | None = None,
+    firmness: np.ndarray | float = 0.0,
+) -> np.ndarray:
+    """A damped step of Gauss-Newton (n, 7) for cameras of which some share a lens; J^T J (n, 7, 7) and J^T e (n, 7).
+    changes: (n, 7) from the given cameras, None holds nothing; firmness: (n, 7) how firmly those hold beyond HOLD."""
+    diagonal = np.einsum("nii->ni", normal)
+    largest = diagonal.max(axis=1, keepdims=True)
+    added = DAMPING * diagonal + LEAST_DAMPING * largest + TINY
+    if changes is not None:
+        hold = (HOLD + firmness) * largest
+        slope, added = slope + hold * changes, added + hold
+    raised = normal.copy()
+    raised[:, np.arange(NUMBERS), np.arange(NUMBERS)] += added
+    # The matrix is an arrow: six numbers of each camera by themselves, and those of the lenses with all. The cameras
+    # are eliminated first (Schur's complement; Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section 6).
+    crossing = raised[:, :6, 6:]
+    solved = np.linalg.solve(raised[:, :6, :6], np.concatenate([slope[:, :6, None], crossing], axis=2))
+    complement = raised[:, 6, 6] - (crossing[..., 0] * solved[..., 1]).sum(axis=1)
+    remainder = slope[:, 6] - (crossing[..., 0] * solved[..., 0]).sum(axis=1)
+    lens_steps = -np.bincount(lenses, remainder) / np.maximum(np.bincount(lenses, complement), TINY)
+    along = lens_steps[lenses][:, None]
+    return np.concatenate([-solved[..., 0] - solved[..., 1] * along, along], axis=1)
+
+
+def fitted_exposures(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gains and offsets (n, 3) that make a field's colours those of its pictures, by exposure sums (n, 3, 5)."""
+    # y = gain x + offset a, by least squares
+    xx, xa, aa, xy, ay = np.moveaxis(sums, -1, 0)
+    prior = EXPOSURE_PRIOR * aa + TINY
+    xx, xy, aa = xx + prior, xy + prior, (1.0 + OFFSET_PRIOR) * aa + TINY
+    determinant = np.maximum(xx * aa - xa * xa, TINY)
+    gains = np.clip((aa * xy - xa * ay) / determinant, *GAINS)
+    return gains, (xx * ay - xa * xy) / determinant
+
+
+def even_exposures(gains: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Exposures relative to their mean: what undoes them has the geometric mean 1 and the mean offset 0."""
+    gains = gains / np.exp(np.log(gains).mean(axis=0))
+    return gains, offsets - gains * (offsets / gains).mean(axis=0)
+
 
 RECORD = int(kernels.RECORD)
 
@@ -257,6 +355,7 @@ class CameraRefinement:
 
 #: The attributes of a CameraRefinement that change, and largest logarithm of a focal length over the given one.
 STATE = ("poses", "zooms", "gains", "offsets", "normal")
+
 MOST_ZOOM = 3.0
 
 
@@ -276,3 +375,55 @@ def turned(rotations: np.ndarray, turns: np.ndarray) -> np.ndarray:
 def ray_bytes(rays: int) -> int:
     """Device memory of a look at cameras with so many rays."""
     return (RAY_BYTES + AROUND_BYTES) * rays
+
+
+#: Steps, and pixels of each view that one looks at.
+STEPS, PIXELS = 24, 4096
+
+#: Side of the tiles that pixels are drawn in.
+TILE = 2
+
+
+def tuned_scene(field: VoxelField, scene: Scene) -> Scene:
+    """A scene whose cameras are turned and shifted so that its pictures match a field best, in the field's world."""
+    # A field that was fitted with refined cameras lies where those see it, and a held-out view has a camera that was
+    # not refined. Its pose is found with the field fixed (Gauss-Newton on the photometric error, damped), as NeRF--
+    # (Wang et al. 2021, section 4) and BARF (Lin et al. 2021, section 4) do for their figures. What is measured then is
+    # the field, and no longer where the views are: say so beside the figure.
+    require_type(scene, Scene, "views are tuned in")
+    scene = in_world_of(field, scene)
+    behind, images = comparison(field, scene)
+    compared = scene
+    if behind is None:
+        compared = dataclasses.replace(scene, images=images, alphas=None, surroundings=None)
+    device = field.device
+    with device_turn(device):
+        random = np.random.default_rng(0)
+        limit = memory_limit(None, device)
+        batches = Batches(compared, field.center, TILE, random, device, held=0, limit=limit)
+        batches.take(np.arange(batches.tile_total, dtype=np.int32))
+        refinement = CameraRefinement(compared.cameras, field.bounds, device, held=False)
+        around = field.background_model if behind is None else None
+        has_front = isinstance(around, OuterField)
+
+        def gather(rays: Any, colours: wp.array, front: wp.array | None) -> None:
+            if isinstance(around, OuterField):
+                launch(gather_outer, colours.size, [around.grid, rays], [front, colours], device=device)
+            elif around is not None:
+                launch(gather_background, colours.size, [around.layers, rays], [colours], device=device)
+
+        for step in range(STEPS):
+            batches.rays.cameras = refinement.uploaded()
+            sums = refinement.measure(
+                field,
+                batches.rays,
+                batches.view_tiles,
+                max(1, PIXELS // TILE**2),
+                seed=step,
+                random_background=False,
+                gather=None if around is None else gather,
+                has_front=has_front,
+            )
+            share = 1.0 if 2 * step < STEPS else 0.3
+            refinement.step(sums, CameraRates(share, 0.0, 0.0), float(field.voxel_size.max()))
+    return dataclasses.replace(scene, cameras=refinement.cameras)

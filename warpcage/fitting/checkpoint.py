@@ -18,13 +18,11 @@ from ..core.checks import checked_path
 from ..core.files import atomic_path, read_npz, require_numbers
 from ..core.threads import run_parallel
 from ..scene.scene import Scene
-from .background import BackgroundOptimizer
-from .batches import ORDERS, Batches
+from .batches import ORDERS, PRECISIONS, Batches
 from .cameras import STATE, CameraRefinement
 from .level import COEFFICIENTS, ROW_NUMBERS, Level
-from .outer import OuterOptimizer
-from .pictures import PRECISIONS
 from .schedule import Schedule
+from .surroundings import BackgroundOptimizer, OuterOptimizer
 
 #: Version 5: rows of luminance and differences of colour. 6: refined cameras.
 KIND, VERSION = "warpcage fit", 6

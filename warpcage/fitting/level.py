@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from ..core.arrays import array_view, empty_array
 from ..core.devices import lane_count, launch
-from ..field.masked_field import field_from_mask
+from ..field.io.field_file import LUMINANCE_NUMBERS
 from ..field.render import STOP_TRANSMITTANCE
+from ..field.sparse import link_mask
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
 from ..kernels.field.render import record_weights
@@ -19,11 +21,28 @@ from ..kernels.fitting import rmsprop
 from ..kernels.fitting.loss import accumulate_photometric_gradient
 from ..kernels.fitting.loss_warps import accumulate_photometric_gradient_by_warps
 from ..kernels.fitting.variation import accumulate_variation_gradient
-from .batches import Batch
+from .batches import Batch, ShardedWork, launch_shards, sum_shards
 from .memory import FitMemory
 from .schedule import Rates
-from .shards import ShardedWork, launch_shards, sum_shards
 from .silhouettes import dilated
+
+
+def field_from_mask(
+    bounds: ArrayLike, mask: wp.array, density: float, *, background: str | ArrayLike, device: wp.DeviceLike
+) -> tuple[VoxelField, wp.array]:
+    """A grey field of one density at the set nodes of a mask (nx, ny, nz) uint8, and its nodes (rows,) vec3i."""
+    links, nodes = link_mask(mask)
+    rows = nodes.shape[0]
+    field = VoxelField(
+        bounds,
+        links,
+        wp.full(rows, density, dtype=wp.float32, device=device),
+        wp.zeros((rows, LUMINANCE_NUMBERS), dtype=wp.float32, device=device),
+        background=background,
+        device=device,
+    )
+    return field, nodes
+
 
 COEFFICIENTS = int(rmsprop.COEFFICIENTS)
 

@@ -23,18 +23,21 @@ from ..scene.box import scene_box
 from ..scene.scene import Scene
 from ..view.camera import Camera
 from ..view.camera_path import RefinedCameras
-from .background import BackgroundOptimizer, chosen_background, layers_that_fit, mean_colour
-from .batches import Batch, Batches
+from .batches import PRECISIONS, Batch, Batches, TrainingPictures, shard_count
 from .cameras import CAMERA_RAYS, CameraRefinement, ray_bytes
 from .level import Level, level_memory
 from .memory import FitMemory, finest, memory_limit, memory_text
 from .options import checked_options, checked_seed
-from .outer import MEMORY_SHARE, OuterOptimizer
-from .pictures import PRECISIONS, TrainingPictures
-from .plan import plan_batches, plan_grid
-from .schedule import Schedule
-from .shards import shard_count
+from .schedule import Schedule, plan_batches, plan_grid
 from .silhouettes import Silhouettes, possible_voxels
+from .surroundings import (
+    MEMORY_SHARE,
+    BackgroundOptimizer,
+    OuterOptimizer,
+    chosen_background,
+    layers_that_fit,
+    mean_colour,
+)
 
 #: The cells per node of the first level are those of this grid: its own resolution follows from the memory.
 SMALLEST_GRID = (2, 2, 2)
