@@ -12,7 +12,7 @@ import numpy as np
 from ..core.checks import listed
 from ..core.names import agreed, counted
 from ..view.pictures import contact_sheet
-from .found import Found
+from .colmap import Found
 
 #: A picture is blurred where its sharpness is below this share of the median.
 BLURRED = 0.6

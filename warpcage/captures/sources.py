@@ -6,6 +6,7 @@ import dataclasses
 import os
 import pathlib
 import warnings
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from ..view.pictures import MAX_PIXELS
 
 #: Endings of pictures that are read, and of those that are not but are often there.
 ENDINGS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
+
 FOREIGN_ENDINGS = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf")
 
 #: Formats of these endings that Pillow is asked for. Phones write MPO too, which it opens as JPEG.
@@ -134,3 +136,11 @@ def _has_pictures(folder: pathlib.Path) -> bool:
         return any(os.path.splitext(name)[1].lower() in ENDINGS for name in os.listdir(folder))
     except OSError:
         return False
+
+
+def bar(total: int | None, step: str, shown: bool, *, done: int = 0) -> Any:
+    """A bar for one step, as a context; its `update(count)` moves it on.
+    total: None is not known; done: items that an earlier run did."""
+    from tqdm import tqdm
+
+    return tqdm(total=total, initial=done, desc=step, disable=not shown)

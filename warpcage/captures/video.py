@@ -5,14 +5,71 @@ from __future__ import annotations
 import dataclasses
 import pathlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
+from ..core.files import atomic_path
 from ..core.names import agreed, counted
-from .progress import bar
-from .sharpness import COMPARED_SIZE, MOTION_SIZE, motion, sharpness, shrunk_grey
+from ..core.threads import cpu_threads
+from .sources import Source, bar, load_upright, shrink_factor
+
+#: Pictures are compared at this width or height, whichever is longer, pixels.
+COMPARED_SIZE = 640
+
+#: Motion is measured at this size: shifts of a few of its pixels stay where brightness is linear in them.
+MOTION_SIZE = 96
+
+#: Details below this have no edges to judge: a wall, the sky, a lens that is covered. In steps of 8 bits.
+LEAST_DETAIL = 0.3
+
+
+def sharpness(grey: np.ndarray) -> float:
+    """How much fine detail a picture (h, w), 0 to 255, some COMPARED_SIZE pixels long, has for the coarse detail that
+    it has: some 0.2 for blurred to 1 for sharp pictures; 0 where there is nothing to see."""
+    # The root mean square of what a binomial blur takes away, over that of what a second, twice as wide one does. Blur
+    # takes fine detail first, so that the ratio falls with it, while the content, which both see, hardly matters.
+    if min(grey.shape) < 16:
+        return 0.0
+    picture = np.asarray(grey, np.float32)
+    once = _blurred(picture)
+    thin = once[::2, ::2]
+    coarse = float(np.sqrt(np.mean((thin - _blurred(thin)) ** 2)))
+    fine = float(np.sqrt(np.mean((picture - once) ** 2)))
+    return fine / coarse if coarse > LEAST_DETAIL else 0.0
+
+
+def motion(before: np.ndarray, after: np.ndarray) -> float:
+    """How far the view moves between two pictures (h, w), MOTION_SIZE pixels long: mean shift along the gradients of
+    brightness, as a share of the longer side; 0 where there is nothing to see."""
+    # Normal flow (Horn and Schunck 1981). It grows slower than the true shift beyond two of the pixels.
+    first, second = (_blurred(np.asarray(picture, np.float32)) for picture in (before, after))
+    down, across = np.gradient(0.5 * (first + second))
+    slope = np.hypot(down, across)
+    weight = float((slope * slope).sum())
+    if weight < slope.size:
+        return 0.0
+    return float((np.abs(second - first) * slope).sum()) / weight / max(first.shape)
+
+
+def shrunk_grey(grey: np.ndarray, size: int) -> np.ndarray:
+    """A picture (h, w) uint8 as float32, its longer side at most `size`, by averages of whole squares."""
+    factor = -(-max(grey.shape) // size)
+    height, width = (side // factor * factor for side in grey.shape)
+    if factor <= 1 or not height or not width:
+        return grey.astype(np.float32)
+    blocks = grey[:height, :width].reshape(height // factor, factor, width // factor, factor)
+    return blocks.mean(axis=(1, 3), dtype=np.float32)
+
+
+def _blurred(picture: np.ndarray) -> np.ndarray:
+    """The binomial blur (1 2 1) / 4 along both axes, with edges repeated."""
+    padded = np.pad(picture, 1, mode="edge")
+    rows = 0.25 * (padded[:-2] + padded[2:]) + 0.5 * padded[1:-1]
+    return 0.25 * (rows[:, :-2] + rows[:, 2:]) + 0.5 * rows[:, 1:-1]
+
 
 #: A frame is taken where the view has moved at least this far since the last one, as a share of the longer side: closer
 #: ones show nothing new.
@@ -148,3 +205,43 @@ def _brightness(frame: Any) -> np.ndarray:
 def _quarters(frame: Any) -> int:
     """Quarter turns against the clock that bring a frame upright."""
     return round(frame.rotation / 90) % 4
+
+
+def shrink_all(
+    sources: Sequence[Source], folder: pathlib.Path, size: int, progress: bool
+) -> tuple[list[str], np.ndarray]:
+    """Write pictures, but those that are there, with longer sides of at most `size` pixels, at which features are
+    looked for. Returns their file names, and (n,) how sharp each is."""
+    folder.mkdir(exist_ok=True)
+    names = [
+        f"{source.name.replace(' ', '_')}.png" for source in sources
+    ]  # COLMAP's lists of pairs end names at spaces
+    if len(set(names)) < len(names):
+        names = [f"{index:05d}.png" for index in range(len(sources))]
+    sharp = np.zeros(len(sources))
+
+    def shrink(index: int) -> None:
+        sharp[index] = _shrink(sources[index], folder / names[index], size)
+        shown.update()
+
+    with bar(len(sources), "shrink", progress) as shown, ThreadPoolExecutor(cpu_threads()) as pool:
+        list(pool.map(shrink, range(len(sources))))
+    return names, sharp
+
+
+def _shrink(source: Source, file: pathlib.Path, size: int) -> float:
+    """Write a picture no larger than `size`, unless it is there, and measure how sharp it is."""
+    from PIL import Image
+
+    if file.is_file():
+        small = Image.open(file)
+    else:
+        picture = Image.fromarray(load_upright(source.file)).convert("RGB")
+        factor = shrink_factor(source.size, size)
+        goal = (max(1, int(picture.width * factor)), max(1, int(picture.height * factor)))
+        part = (0.0, 0.0, min(goal[0] / factor, picture.width), min(goal[1] / factor, picture.height))
+        # the same factor along both sides, so that pixels stay square: a lens with one focal length needs it
+        small = picture if factor == 1.0 else picture.resize(goal, Image.Resampling.LANCZOS, part, reducing_gap=2.0)
+        with atomic_path(file) as temporary:
+            small.save(temporary, compress_level=1)
+    return sharpness(shrunk_grey(np.asarray(small.convert("L")), COMPARED_SIZE))

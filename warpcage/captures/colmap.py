@@ -1,11 +1,9 @@
 """Cameras of pictures by COLMAP (Schoenberger and Frahm 2016), through pycolmap: features, matches, mapping."""
-# Everything is seeded, and pictures enter in the order of their names, so that the same pictures give the same cameras
-# on the same machine, up to MOST_ON_ONE_THREAD of them. COLMAP works in a thread of its own, so that an interrupt ends
-# it at once; what it has found so far stays in its database, and the next run continues there.
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import pathlib
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -14,8 +12,166 @@ from typing import Any
 import numpy as np
 
 from ..core.threads import cpu_threads
-from .pairs import chosen_pairs, largest_features
-from .progress import bar
+from ..scene.pictures import COEFFICIENTS, distort
+from .sources import bar
+
+
+@dataclasses.dataclass(frozen=True)
+class Lens:
+    """A camera of a reconstruction."""
+
+    size: tuple[int, int]  # width and height of its pictures, pixels
+    intrinsics: tuple[float, float, float, float]  # (fx, fy, cx, cy), pixels; the centre of the first one is (0.5, 0.5)
+    distortion: tuple[float, ...]  # in the order of COEFFICIENTS
+
+    def enlarged(self, factor: float, size: tuple[int, int]) -> Lens:
+        """The same lens for pictures `factor` times as large, of `size` pixels, which begin at the same corner."""
+        fx, fy, cx, cy = self.intrinsics
+        return Lens(size, (fx * factor, fy * factor, cx * factor, cy * factor), self.distortion)
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """Cameras and points of a reconstruction, of k pictures of n."""
+
+    pictures: np.ndarray  # (k,) int64, which of the pictures have a camera, ascending
+    poses: np.ndarray  # (k, 4, 4) float64, camera to world, OpenCV axes
+    lenses: list[Lens]  # k; pictures of one camera share theirs
+    points: np.ndarray  # (m, 3) float64, world units
+    colours: np.ndarray  # (m, 3) uint8
+    views: np.ndarray  # (m,) int64, pictures that each point was found in
+    counts: np.ndarray  # (k,) int64, points that each picture shows
+    # (k,) float64, mean distance between where a picture shows its points and where they project to, pixels
+    errors: np.ndarray
+    error: float  # the same over all pictures
+
+    def moved(self, rotation: np.ndarray, centre: np.ndarray, scale: float) -> Found:
+        """The same in other coordinates, x -> scale * rotation @ (x - centre): rotation (3, 3), centre (3,)."""
+        poses = self.poses.copy()
+        poses[:, :3, :3] = rotation @ self.poses[:, :3, :3]
+        poses[:, :3, 3] = scale * (self.poses[:, :3, 3] - centre) @ rotation.T
+        return dataclasses.replace(self, poses=poses, points=scale * (self.points - centre) @ rotation.T)
+
+
+def found_of(model: Any, names: Sequence[str]) -> Found:
+    """The cameras of a pycolmap Reconstruction in the order of `names`, those of all pictures, and its points."""
+    images = {image.name: image for image in model.images.values() if image.has_pose}
+    pictures = np.array([k for k, name in enumerate(names) if name in images], np.int64)
+    chosen = [images[names[k]] for k in pictures]
+    lenses = {number: _lens(camera) for number, camera in model.cameras.items()}
+    poses = np.tile(np.eye(4), (len(chosen), 1, 1))
+    for pose, image in zip(poses, chosen, strict=True):
+        pose[:3] = image.cam_from_world().inverse().matrix()
+    points = [model.points3D[number] for number in sorted(model.points3D)]
+    place = np.array([point.xyz for point in points]).reshape(-1, 3)
+    rows = {image.image_id: row for row, image in enumerate(chosen)}
+    seen = np.array(
+        [(k, rows[e.image_id], e.point2D_idx) for k, point in enumerate(points) for e in point.track.elements], np.int64
+    ).reshape(-1, 3)
+    counts, errors, total = np.zeros(len(chosen), np.int64), np.zeros(len(chosen)), 0.0
+    for row, image in enumerate(chosen):
+        mine = seen[seen[:, 1] == row]
+        keypoints = image.points2D
+        there = np.array([keypoints[index].xy for index in mine[:, 2]]).reshape(-1, 2)
+        distance = np.linalg.norm(_project(lenses[image.camera_id], poses[row], place[mine[:, 0]]) - there, axis=1)
+        counts[row], errors[row] = len(mine), distance.mean() if len(mine) else np.inf
+        total += float(distance.sum())
+    return Found(
+        pictures,
+        poses,
+        [lenses[image.camera_id] for image in chosen],
+        place,
+        np.array([point.color for point in points], np.uint8).reshape(-1, 3),
+        np.bincount(seen[:, 0], minlength=len(points)),
+        counts,
+        errors,
+        total / max(len(seen), 1),
+    )
+
+
+def _lens(camera: Any) -> Lens:
+    """A camera of SIMPLE_RADIAL or RADIAL, the models that are asked for."""
+    focal, cx, cy, *radial = (float(value) for value in camera.params)
+    distortion = (*radial, *[0.0] * (len(COEFFICIENTS) - len(radial)))
+    return Lens((int(camera.width), int(camera.height)), (focal, focal, cx, cy), distortion)
+
+
+def _project(lens: Lens, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(n, 2) pixels of points (n, 3) in the picture of a lens."""
+    local = (points - pose[:3, 3]) @ pose[:3, :3]
+    x, y = distort(local[:, 0] / local[:, 2], local[:, 1] / local[:, 2], lens.distortion)
+    fx, fy, cx, cy = lens.intrinsics
+    return np.stack([fx * x + cx, fy * y + cy], axis=1)
+
+
+#: Features of a picture by which likeness is judged: the largest ones, which other views show too (Wu 2013).
+LARGEST = 300
+
+#: A descriptor is the same as its nearest one where the second is farther by this ratio (Lowe 2004).
+RATIO = 0.85
+
+#: Fewer of these than this is chance.
+LEAST_ALIKE = 5
+
+#: Frames of a video are compared with this many after them, and besides with those at powers of two.
+NEIGHBOURS = 10
+
+#: Other pictures that each one is compared with, where not all are.
+MOST_ALIKE = 20
+
+#: Folders of so many pictures are compared whole.
+SMALL_FOLDER = 32
+
+
+def largest_features(scales: np.ndarray, descriptors: np.ndarray) -> np.ndarray:
+    """Descriptors (n, 128) uint8 of the largest features of a picture, by their sizes (n,), as unit vectors.
+    Returns (k, 128) float32, k at most LARGEST."""
+    chosen = np.argsort(-scales, kind="stable")[:LARGEST]
+    vectors = descriptors[chosen].astype(np.float32)
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-6)
+
+
+def likeness(first: np.ndarray, second: np.ndarray) -> int:
+    """How many features of two pictures agree, each the other's nearest and clearly nearer than the next.
+    They are unit vectors (k, 128) and (m, 128)."""
+    if min(len(first), len(second)) < 2:
+        return 0
+    cosines = first @ second.T
+    nearest, back = cosines.argmax(axis=1), cosines.argmax(axis=0)
+    mutual = np.flatnonzero(back[nearest] == np.arange(len(first)))
+    rows = cosines[mutual]
+    two = np.partition(rows, -2, axis=1)[:, -2:]
+    near, next_one = (np.sqrt(np.maximum(2.0 - 2.0 * two[:, k], 0.0)) for k in (1, 0))
+    return int((near < RATIO * next_one).sum())
+
+
+def neighbour_pairs(count: int) -> list[tuple[int, int]]:
+    """Pairs of indices of frames, the smaller first: each with those that follow, and with some farther on."""
+    steps = [*range(1, NEIGHBOURS + 1)]
+    while steps[-1] * 2 < count:
+        steps.append(steps[-1] * 2)
+    return [(k, k + step) for k in range(count) for step in steps if k + step < count]
+
+
+def chosen_pairs(features: list[np.ndarray], *, video: bool) -> list[tuple[int, int]]:
+    """The pairs of indices of pictures, the smaller first, in order, that are worth comparing in full.
+    features: of each picture (k, 128) unit vectors from `largest_features`; video: pictures follow one another."""
+    # All of a small folder. Otherwise the pairs that look most alike, and neighbours in a video: so views are tied
+    # together where the camera comes back to a place.
+    count = len(features)
+    every = [(a, b) for a in range(count) for b in range(a + 1, count)]
+    if count <= SMALL_FOLDER and not video:
+        return every
+    alike = np.zeros((count, count), np.int32)
+    for a, b in every:
+        alike[a, b] = alike[b, a] = likeness(features[a], features[b])
+    pairs = set(neighbour_pairs(count)) if video else set()
+    most = MOST_ALIKE // 2 if video else MOST_ALIKE
+    for a in range(count):
+        best = np.argsort(-alike[a], kind="stable")[:most]
+        pairs |= {(min(a, int(b)), max(a, int(b))) for b in best if alike[a, b] >= LEAST_ALIKE}
+    return sorted(pairs)
+
 
 #: Features that a picture has at most.
 MOST_FEATURES = 6000
