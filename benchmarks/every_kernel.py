@@ -36,9 +36,9 @@ from warpcage.lattice.graph import PoseGraph
 from warpcage.lattice.harmonic import HarmonicSolver
 from warpcage.lattice.position_map import PositionMap
 from warpcage.mesh.fans import prepared_fans
-from warpcage.reference.carried_mesh import CarriedMesh
-from warpcage.reference.fit_scenes import synthetic_scene
 from warpcage.reference.inverse_map import InverseMap
+from warpcage.reference.raycast import CarriedMesh
+from warpcage.reference.scenes import synthetic_scene
 from warpcage.splats.splat_field import SplatDensity
 from warpcage.view.camera import camera_array
 from warpcage.view.frame import RGB_BYTES

@@ -45,8 +45,7 @@ import warpcage
 from warpcage.core.devices import resolve_device
 from warpcage.fitting.cameras import tuned_scene
 from warpcage.fitting.evaluation import evaluate, mean_psnr
-from warpcage.reference.fit_scenes import KINDS, synthetic_scene
-from warpcage.reference.room import room_views
+from warpcage.reference.scenes import KINDS, room_views, synthetic_scene
 from warpcage.view.alignment import picture_similarity, pose_errors
 from warpcage.view.pictures import side_by_side, write_png
 

@@ -12,7 +12,7 @@ import trimesh
 
 import warpcage
 from warpcage.deform.splat_deformer import quaternions_of
-from warpcage.reference.carried_mesh import CarriedMesh
+from warpcage.reference.raycast import CarriedMesh
 
 #: Standard deviations of a disc: within the surface, as a share of the distance to its neighbours, and across it, as a
 #: share of that.

@@ -36,9 +36,9 @@ from truth_scenes import CAGES, POSES, Place, View, cameras, on_white, pose_cage
 import warpcage
 from warpcage.core.devices import resolve_device
 from warpcage.deform import splat_edits
-from warpcage.reference.carried_mesh import CarriedMesh
 from warpcage.reference.inverse_map import InverseMap
 from warpcage.reference.models import subdivided_model
+from warpcage.reference.raycast import CarriedMesh
 from warpcage.splats.render import IMAGE_BLUR
 from warpcage.view.frame import average_frame, finer_camera
 from warpcage.view.pictures import contact_sheet

@@ -19,9 +19,9 @@ import pathlib
 import numpy as np
 
 import warpcage
-from warpcage.reference.carried_mesh import CarriedMesh
 from warpcage.reference.inverse_map import InverseMap
 from warpcage.reference.models import subdivided_model
+from warpcage.reference.raycast import CarriedMesh
 from warpcage.scene.scene import Scene
 
 SCENES = ("bricks", "animal", "chair")

@@ -7,8 +7,8 @@ import pathlib
 import numpy as np
 
 from warpcage import Camera
-from warpcage.reference.carried_mesh import CarriedMesh
 from warpcage.reference.phone_video import TEXTURE, PhonePath, table_scene
+from warpcage.reference.raycast import CarriedMesh
 
 OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 

@@ -8,7 +8,7 @@ from order_oracle import shuffled
 from warpcage import fit
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.kernels.fitting.shuffle import shuffled_place
-from warpcage.reference.fit_scenes import synthetic_scene
+from warpcage.reference.scenes import synthetic_scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

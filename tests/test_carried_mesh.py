@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from warpcage.reference.carried_mesh import CarriedMesh
-from warpcage.reference.models import subdivided_model
-from warpcage.reference.raycast import render_mesh_views
-from warpcage.reference.rods import chair_model
+from warpcage.reference.models import chair_model, subdivided_model
+from warpcage.reference.raycast import CarriedMesh, render_mesh_views
 from warpcage.view.camera import Camera
 
 EYE = np.array([1.8, -1.6, 1.1])

@@ -19,7 +19,7 @@ from warpcage.fitting.level import Level, node_bytes, row_bytes
 from warpcage.fitting.memory import memory_size, scaled_shape
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.fitting.silhouettes import Silhouettes
-from warpcage.reference.fit_scenes import synthetic_scene
+from warpcage.reference.scenes import synthetic_scene
 
 
 @pytest.fixture(scope="module")

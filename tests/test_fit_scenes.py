@@ -12,8 +12,8 @@ from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.fitting.options import checked_options
 from warpcage.fitting.schedule import MOST_SCARCE, PLENTY, plan_batches, scarcity
 from warpcage.kernels.fitting.rmsprop import shrink_view_dependence
-from warpcage.reference.fit_scenes import KINDS, synthetic_scene
 from warpcage.reference.models import MODELS
+from warpcage.reference.scenes import KINDS, synthetic_scene
 from warpcage.view.camera import turntable
 
 SMALL = {"progress": False, "least_steps": 120, "batch_rays": 1024}

@@ -12,7 +12,7 @@ from warpcage.field import tables
 from warpcage.field.sparse import harmonics_on_host
 from warpcage.field.tables import PACKED_WORDS, ColumnTable, row_table, shaded_grid
 from warpcage.kernels.field.densities import lay_densities
-from warpcage.reference.fit_scenes import synthetic_scene
+from warpcage.reference.scenes import synthetic_scene
 
 #: A camera among the voxels, one beside the field, one that looks at all of it.
 EYES = {"within": (0.3, 0.2, 0.4), "beside": (1.6, 0.5, 0.3), "away": (3.0, 1.6, 1.8)}

@@ -14,7 +14,7 @@ import warpcage
 from warpcage.field.surroundings import OuterField
 from warpcage.kernels.field.outer import mark_outer_nodes
 from warpcage.kernels.fitting import outer_loss
-from warpcage.reference.room import FLOOR, OBJECT_BOX, ROOM_HALF, object_model, room_views
+from warpcage.reference.scenes import FLOOR, OBJECT_BOX, ROOM_HALF, object_model, room_views
 from warpcage.view.camera import camera_array
 
 HALF = np.array([1.0, 0.7, 1.3])

@@ -16,7 +16,7 @@ from warpcage.fitting.checkpoint import load_progress, save_progress
 from warpcage.fitting.evaluation import evaluate, mean_psnr
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.reference.brick_scene import write_brick_scene
-from warpcage.reference.fit_scenes import synthetic_scene
+from warpcage.reference.scenes import synthetic_scene
 from warpcage.view.alignment import picture_similarity
 from warpcage.view.camera import CameraFile
 

@@ -12,7 +12,7 @@ import warp as wp
 from ..view.camera import Camera
 from ..view.film import write_video
 from .bricks import brick_model
-from .carried_mesh import CarriedMesh
+from .raycast import CarriedMesh
 from .solids import Model, Part, ball, box, joined
 
 #: Half side of the table, height of its top, and half side of the room around it, world units.

@@ -9,7 +9,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ..core.arrays import empty_array
 from ..core.devices import launch, resolve_device
+from ..kernels.reference.carried_raycast import SolidTexture, cast_carried_rays, shade_surface_points
+from ..kernels.reference.mesh_distance import measure_mesh_distance
 from ..kernels.reference.mesh_raycast import MeshLighting, cast_mesh_rays
 from ..view.camera import Camera, camera_struct
 
@@ -101,3 +104,96 @@ def require_samples(samples: int) -> None:
     """Raises ValueError for fewer than one ray along each side of a pixel."""
     if samples < 1:
         raise ValueError(f"samples must be at least 1, got {samples}")
+
+
+class CarriedMesh:
+    """A mesh with a colour on each face and a solid texture, lit from above at rest; poses carry all of that along."""
+
+    # A posed radiance field shows just this: colour, shadows and highlights of the place at rest, seen along the
+    # direction at rest. So renders of a posed CarriedMesh are the ground truth for renders of a deformed field.
+
+    def __init__(
+        self,
+        vertices: ArrayLike,  # (v, 3) world units
+        faces: ArrayLike,  # (f, 3) indices of vertices
+        colours: ArrayLike,  # (f, 3) in [0, 1]
+        *,
+        # amplitude of the noise over the colours (0 leaves them plain), frequency per world unit
+        texture: tuple[float, float] = (0.35, 9.0),
+        highlight: float = HIGHLIGHT,  # strength of the specular term
+        shininess: float = SHININESS,  # exponent of the specular term
+        device: wp.DeviceLike = None,
+    ):
+        self.vertices, self.faces, colours = checked_mesh(vertices, faces, colours)
+        self.device = resolve_device(device)
+        self._colours = wp.array(colours, dtype=wp.vec3, device=self.device)
+        self._texture = SolidTexture()
+        self._texture.amplitude, self._texture.frequency = map(float, texture)
+        self._lighting = mesh_lighting(float(np.ptp(self.vertices, axis=0).max()), highlight, shininess)
+        self._rest = device_mesh(self.vertices, self.faces, self.vertices.mean(axis=0), self.device)
+
+    def render(
+        self,
+        cameras: Sequence[Camera],
+        *,
+        posed: ArrayLike | None = None,  # (v, 3) where the vertices are, world units
+        # (v, 3, 3) of any scale, directions from posed to rest space; None: as they are
+        view_matrices: ArrayLike | None = None,
+        light_stays: bool = False,  # light the posed mesh by lights fixed to the world, as no captured field can
+        samples: int = 3,  # rays along each side of a pixel
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """RGBA (n, h, w, 4) float32, straight alpha, and depth (n, h, w) float32, world units, of the mesh, at rest or
+        posed. Depth is inf where the mesh does not cover the whole pixel; all cameras have one image size."""
+        count = len(self.vertices)
+        posed = self.vertices if posed is None else np.asarray(posed, np.float64)
+        matrices = np.broadcast_to(np.eye(3), (count, 3, 3)) if view_matrices is None else np.asarray(view_matrices)
+        if posed.shape != (count, 3) or matrices.shape != (count, 3, 3):
+            raise ValueError(
+                f"posed must be ({count}, 3) and view_matrices ({count}, 3, 3), got {posed.shape} and {matrices.shape}"
+            )
+        require_samples(samples)
+        width, height = common_size(cameras)
+        origin = posed.mean(axis=0)
+        mesh = device_mesh(posed, self.faces, origin, self.device)
+        directions = wp.array(np.ascontiguousarray(matrices, np.float32), dtype=wp.mat33, device=self.device)
+        rgba = wp.empty(height * width, dtype=wp.vec4, device=self.device)  # pyright: ignore[reportArgumentType]
+        depth = wp.empty(height * width, dtype=wp.float32, device=self.device)  # pyright: ignore[reportArgumentType]
+        colours = np.empty((len(cameras), height, width, 4), np.float32)
+        distances = np.empty((len(cameras), height, width), np.float32)
+        scene = [mesh.id, self._rest.id, self._colours, directions, self._texture, self._lighting, int(light_stays)]
+        for view, camera in enumerate(cameras):
+            inputs = [*scene, camera_struct(camera, origin), samples]
+            launch(cast_carried_rays, len(rgba), inputs, [rgba, depth], device=self.device)
+            colours[view] = rgba.numpy().reshape(height, width, 4)
+            distances[view] = depth.numpy().reshape(height, width)
+        return colours, distances
+
+    def shade(self, faces: ArrayLike, corners: ArrayLike, directions: ArrayLike) -> np.ndarray:
+        """Colours (n, m, 3) float32 of points of the mesh at rest, from m sides each, as if nothing was between."""
+        # unit vectors (n, m, 3) from the eye to the point
+        towards = wp.array(np.ascontiguousarray(directions, np.float32), dtype=wp.vec3, device=self.device)
+        numbers = np.asarray(faces, np.int32)  # (n,) the face that each point lies on
+        colours = empty_array(towards.shape, wp.vec3, self.device)
+        inputs = [
+            self._rest.id,
+            self._colours,
+            self._texture,
+            self._lighting,
+            wp.array(numbers, dtype=wp.int32, device=self.device),
+            # (n, 2) weights of the first two corners of the face
+            wp.array(np.asarray(corners), dtype=wp.vec2, device=self.device),
+            towards,
+        ]
+        work = 100 * towards.shape[1]
+        launch(shade_surface_points, len(numbers), inputs, [colours], device=self.device, work=work)
+        return colours.numpy()
+
+    def signed_distances(self, points: ArrayLike) -> np.ndarray:
+        """How far points (n, 3) are from the mesh at rest: (n,) float32, world units, negative inside.
+        The walls of one solid in another count as walls."""
+        points, middle = np.asarray(points, np.float64), self.vertices.mean(axis=0)
+        mesh = device_mesh(self.vertices, self.faces, middle, self.device, winding=True)
+        local = wp.array((points - middle).astype(np.float32), dtype=wp.vec3, device=self.device)
+        distances = empty_array(len(points), wp.float32, self.device)
+        launch(measure_mesh_distance, len(points), [mesh.id, 1e6, local], [distances], device=self.device, work=1000)
+        return distances.numpy()
