@@ -25,7 +25,7 @@ import time
 import numpy as np
 
 import warpcage
-from warpcage.cage.generate.fitting import face_samples
+from warpcage.cage.generate.fit import face_samples
 from warpcage.core.files import atomic_path
 from warpcage.field.selection import visible_nodes
 from warpcage.reference.cage_scenes import CAGE_SCENES, scene_field

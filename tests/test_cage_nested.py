@@ -6,8 +6,8 @@ import trimesh
 from test_cage_generation import winding
 
 from warpcage.cage.cage import Cage
-from warpcage.cage.generate import nested as nested_module
-from warpcage.cage.generate.nested import nested
+from warpcage.cage.generate import decimate as nested_module
+from warpcage.cage.generate.decimate import nested
 from warpcage.mesh.queries import intersecting_faces
 
 

@@ -13,7 +13,8 @@ import trimesh
 from test_cage_generation import winding
 
 from warpcage import Cage
-from warpcage.cage.generate import fitting, generate, nested, offset, shell, voxel
+from warpcage.cage import generate
+from warpcage.cage.generate import decimate, fit, shell, voxel
 from warpcage.mesh import queries, validity
 
 #: Sizes of the noise on vertices, as shares of the object's size; each goes with a new order and another turn.
@@ -71,7 +72,7 @@ def knot(p=2, q=3):
 
 
 def moved(mesh, *offset):
-    return mesh.copy().apply_translation(offset)
+    return mesh.copy().apply_translation(shell)
 
 
 def shapes():
@@ -203,7 +204,7 @@ def test_last_digits_of_products_cost_no_cage(shape, count, method, seed, monkey
     coarsen(monkeypatch)
     products = ("einsum", "cross", "matmul", "dot", "norm", "solve", "eigh", "svd", "det")
     numpy = Perturbed(np, products, np.random.default_rng(seed))
-    for module in (fitting, generate, queries, nested, offset, shell, validity, voxel):
+    for module in (fit, generate, queries, decimate, shell, shell, validity, voxel):
         monkeypatch.setattr(module, "np", numpy)
     cage = Cage.from_mesh(SHAPES[shape], count, method=method)
     monkeypatch.undo()
@@ -225,7 +226,7 @@ def test_equal_spreads_take_the_axes_of_the_world():
 @pytest.mark.parametrize("count", [8, 9, 31, 200])
 def test_the_last_resort_is_a_box_of_the_count(count):
     points = np.random.default_rng(0).normal(size=(50, 3)) * [1.0, 0.2, 0.01]
-    cage = Cage(*offset.split_box(points, 0.1, count))
+    cage = Cage(*shell.split_box(points, 0.1, count))
     report = cage.check()
     assert report.usable and report.vertex_count == count and report.intersecting_faces == ()
     assert cage.volume == pytest.approx(np.prod(np.ptp(points, axis=0) + 0.2))
@@ -234,8 +235,8 @@ def test_the_last_resort_is_a_box_of_the_count(count):
 
 def test_where_all_attempts_fail_the_box_is_drawn_close(monkeypatch):
     coarsen(monkeypatch)
-    monkeypatch.setattr(offset, "nested", lambda vertices, faces, count: (vertices, faces))
-    monkeypatch.setattr(offset, "_CLOSINGS", (5.0,))
+    monkeypatch.setattr(shell, "nested", lambda vertices, faces, count: (vertices, faces))
+    monkeypatch.setattr(shell, "_CLOSINGS", (5.0,))
     assert_holds(Cage.from_mesh(SHAPES["U"], 16, method="shell"), SHAPES["U"], 16)
 
 

@@ -8,7 +8,7 @@ import scipy.ndimage
 import scipy.spatial
 import trimesh
 
-from warpcage.cage.generate.fitting import face_samples, points_on, sample_weights
+from warpcage.cage.generate.fit import face_samples, points_on, sample_weights
 from warpcage.cage.generate.shell import NearestInTree, NearestInVoxels, ObjectShell
 from warpcage.core.threads import limit_threads
 

@@ -5,7 +5,7 @@ import pytest
 
 from warpcage.cage import poses
 from warpcage.cage.cage import Cage
-from warpcage.cage.directions import direction
+from warpcage.cage.poses import direction
 from warpcage.view.motion import axis_rotation
 
 TURN = axis_rotation(np.array([0.6, 0.0, 0.8]), 0.7) @ axis_rotation(np.array([0.0, 1.0, 0.0]), -1.1)

@@ -16,7 +16,7 @@ from editor_pages import nothing_logged as _nothing_logged  # noqa: E402, F401 (
 from table_scene import LAMP, TableScene  # noqa: E402
 
 from warpcage.cage.cage import Cage  # noqa: E402
-from warpcage.cage.upright import Standing  # noqa: E402
+from warpcage.cage.up_axis import Standing  # noqa: E402
 from warpcage.editor import checker, clients, server, tasks  # noqa: E402
 from warpcage.editor.document import Document  # noqa: E402
 from warpcage.editor.scene import camera  # noqa: E402

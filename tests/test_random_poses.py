@@ -8,10 +8,9 @@ import oracles
 import pytest
 
 from warpcage import Cage, RandomPoses
-from warpcage.cage import pose_modes, poses
+from warpcage.cage import poses, random_poses
 from warpcage.cage.check import check_pose
-from warpcage.cage.pose_limits import PoseProbe
-from warpcage.cage.pose_modes import POSE_MODES, PoseWay, RandomNumbers
+from warpcage.cage.random_poses import POSE_MODES, PoseProbe, PoseWay, RandomNumbers
 from warpcage.coordinates.reference_mvc import host_mean_value_weights, mean_value_gradients
 from warpcage.mesh.queries import intersecting_faces
 
@@ -189,7 +188,7 @@ def test_a_bend_and_a_twist_are_those_of_the_poses():
         length = np.abs((vertices - centre) @ axis).max()
         ends = centre + np.outer([-length, length], axis)
         # that turns nothing at its lower limit, this one nothing in the middle
-        degrees = math.degrees(t * math.copysign(pose_modes._TWIST, amount))  # a mode alone gets to its end
+        degrees = math.degrees(t * math.copysign(random_poses._TWIST, amount))  # a mode alone gets to its end
         turned = poses.rotate(vertices, -0.5 * degrees, axis=axis, centre=centre)
         expected = poses.twist(turned, degrees, axis=axis, centre=centre, bounds=np.repeat(ends, 2, 0))
         assert_same_but_for_a_shift(way.at(t), expected)
@@ -197,7 +196,7 @@ def test_a_bend_and_a_twist_are_those_of_the_poses():
         axis, towards, amount = way._bend
         length = np.abs((vertices - centre) @ axis).max()
         ends = centre + np.outer([-length, length], axis)
-        degrees = math.degrees(t * math.copysign(pose_modes._BEND, amount))
+        degrees = math.degrees(t * math.copysign(random_poses._BEND, amount))
         expected = poses.bend(
             vertices, degrees, axis=axis, towards=towards, centre=centre, bounds=np.repeat(ends, 2, 0)
         )

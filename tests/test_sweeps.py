@@ -16,8 +16,7 @@ from warpcage.batch.webdataset import read_shard, staged_shards
 from warpcage.batch.worker import Worker
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
-from warpcage.cage.pose_modes import POSE_MODES
-from warpcage.cage.random_poses import RandomPoses
+from warpcage.cage.random_poses import POSE_MODES, RandomPoses
 from warpcage.field.voxel_field import VoxelField
 from warpcage.scene.load import load_scene
 from warpcage.view.camera import Camera, CameraFile, turntable

@@ -10,7 +10,7 @@ import trimesh
 from cli_runs import run, succeed
 
 from warpcage.cage.cage import Cage
-from warpcage.cage.upright import restood, standing_of_rest
+from warpcage.cage.up_axis import restood, standing_of_rest
 from warpcage.field.selection import select_nodes, some_visible_nodes, visible_nodes
 from warpcage.field.voxel_field import VoxelField
 from warpcage.view.pictures import read_image

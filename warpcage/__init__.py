@@ -22,7 +22,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Cage": "cage.cage",
     "CageEdit": "deform.edits",
-    "CageReport": "cage.report",
+    "CageReport": "cage.check",
     "Camera": "view.camera",
     "CameraFile": "view.camera",
     "CameraKey": "view.camera",

@@ -3,9 +3,9 @@
 from .batch.report import RunReport as RunReport
 from .batch.run import run_jobs as run_jobs
 from .cage.cage import Cage as Cage
+from .cage.check import CageReport as CageReport
 from .cage.pose_file import PoseFile as PoseFile
 from .cage.random_poses import RandomPoses as RandomPoses
-from .cage.report import CageReport as CageReport
 from .captures.capture import capture as capture
 from .captures.report import CaptureReport as CaptureReport
 from .coordinates.coordinates import deform_points as deform_points

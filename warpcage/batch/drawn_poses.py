@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..cage.cage import Cage
-from ..cage.pose_limits import PoseProbe
-from ..cage.random_poses import RandomPoses
+from ..cage.random_poses import PoseProbe, RandomPoses
 from ..core.memory import Recent
 from .item import canonical
 from .pose_words import RANDOM

@@ -5,8 +5,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from ..cage.pose_chance import PoseChance
-from ..cage.pose_modes import POSE_MODES
+from ..cage.random_poses import POSE_MODES, PoseChance
 from ..core.checks import shown
 from . import words
 from .words import Checker, checked_words

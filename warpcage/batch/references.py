@@ -13,12 +13,12 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from ..cage.axis_words import with_up
+from ..cage.axes import with_up
 from ..cage.cage import Cage
 from ..cage.motion import gltf_poses, gltf_shown
 from ..cage.pose_file import PoseFile, cage_hash
 from ..cage.presets import Preset, is_preset
-from ..cage.upright import load_standing
+from ..cage.up_axis import load_standing
 from ..core.checks import shown
 from ..core.files import DAMAGED, NpyFile, file_stamp, require_file
 from ..core.memory import Recent

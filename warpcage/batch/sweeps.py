@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..cage.pose_modes import RandomNumbers
-from ..cage.random_poses import RandomPoses
+from ..cage.random_poses import RandomNumbers, RandomPoses
 from ..core.checks import checked_whole
 from ..core.files import PathLike, atomic_path
 from ..core.names import require_coordinates

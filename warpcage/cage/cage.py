@@ -20,15 +20,12 @@ from ..mesh.mesh import TriangleMesh, require_mesh
 from ..mesh.queries import inside_mesh
 from ..mesh.validity import require_usable
 from ..splats.splat_field import SplatField
-from .check import check_cage
-from .generate.generate import cage_around_field, cage_around_mesh
-from .generate.simplify import simplified
-from .posable import PosableMesh
-from .refine import subdivided, symmetrised
-from .repair import repaired_faces
-from .report import CageReport
+from .check import CageReport, check_cage
+from .generate import cage_around_field, cage_around_mesh, simplified
+from .poses import PosableMesh
+from .repair import repaired_faces, subdivided, symmetrised
 from .shapes import box, cylinder, icosphere
-from .upright import load_standing
+from .up_axis import load_standing
 
 
 class Cage(PosableMesh):

@@ -14,7 +14,7 @@ from ..mesh.io import ENDINGS, turned_up
 from ..mesh.io.gltf_animation import read_gltf_motion
 from .cage import Cage
 from .pose_file import PoseFile
-from .upright import load_standing
+from .up_axis import load_standing
 
 #: Most files of a sequence.
 MAX_FILES = 20_000

@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 
 from ..core.files import PathLike
-from .axis_words import AXIS_WORDS, axis_of, default_towards, is_axis
+from .axes import AXIS_WORDS, axis_of, default_towards, is_axis
 from .cage import Cage
 
 #: Preset -> the amount that changes nothing, and how many axes it may name.

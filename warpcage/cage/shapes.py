@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import axis_index, checked_positive, checked_vector, checked_whole
-from .refine import cut_in_four
+from .repair import cut_in_four
 
 #: Faces of an icosahedron over the corners of three golden rectangles.
 _ICOSAHEDRON = [

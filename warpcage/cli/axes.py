@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..cage.axis_words import AXIS_WORDS, is_axis
+from ..cage.axes import AXIS_WORDS, is_axis
 
 
 def axis_word(text: str) -> str:

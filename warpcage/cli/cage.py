@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..cage.cage import Cage
-from ..cage.generate.points import checked_count
+from ..cage.generate import checked_count
 from ..cage.snap import cut_matter, snap_to_gaps
 from ..core.files import require_file
 from ..field.selection import NodeSelection, select_nodes

@@ -7,7 +7,7 @@ import json
 
 from ..cage.cage import Cage
 from ..cage.presets import is_preset
-from ..cage.upright import load_standing
+from ..cage.up_axis import load_standing
 from . import inputs, options
 from .cage import read_mesh
 from .keyframes import pose_file, read_pose

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..cage.axis_words import with_up
+from ..cage.axes import with_up
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile, cage_hash
 from ..cage.presets import is_preset

@@ -13,7 +13,7 @@ from ..cage.cage import Cage
 from ..cage.motion import gltf_poses, gltf_shown, numbered_files, sequence_poses
 from ..cage.pose_file import PoseFile
 from ..cage.presets import Preset, is_preset
-from ..cage.upright import load_standing
+from ..cage.up_axis import load_standing
 from ..core.checks import listed
 from ..view.motion import pose_along, value_along
 from .film_keys import gltf_file as gltf_file

@@ -6,7 +6,7 @@ import argparse
 import pathlib
 from typing import Any
 
-from ..cage.axis_words import axis_of, default_towards, with_up
+from ..cage.axes import axis_of, default_towards, with_up
 from ..cage.cage import Cage
 from ..core.files import require_file
 from ..splats.splat_field import load_field

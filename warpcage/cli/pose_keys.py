@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import pathlib
 
-from ..cage.axis_words import with_up
+from ..cage.axes import with_up
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..cage.presets import is_preset

@@ -7,7 +7,7 @@ import pathlib
 import sys
 
 from ..cage.cage import Cage
-from ..cage.upright import Standing, load_standing
+from ..cage.up_axis import Standing, load_standing
 
 
 def read_rest(path: str, up: str | None, thing: object = None, *, part: bool = False) -> tuple[Cage, dict[str, str]]:

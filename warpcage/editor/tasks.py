@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from ..cage.cage import Cage
-from ..cage.upright import Standing, load_standing
+from ..cage.up_axis import Standing, load_standing
 from ..core.files import atomic_path
 from ..core.names import PLANES, counted
 from ..field.objects import select_object

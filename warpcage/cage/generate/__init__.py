@@ -1,1 +1,280 @@
 """Cages made around an object."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+from ...core.checks import checked_margin
+from ...field.planes import Plane
+from ...field.selection import visible_nodes
+from ...field.surface import require_field
+from ...mesh.mesh import ClosedMesh
+from ...mesh.queries import inside_mesh, intersecting_faces
+from ...mesh.validity import first_problem, require_usable
+from .decimate import nested
+from .fit import cleared, face_samples, row_sums
+from .shell import ObjectShell, decimated, flaw, shell_cage
+from .voxel import voxel_cage
+
+#: Rounds in which the rim on the plane is widened until it holds the object, and how far in each, in voxels.
+_ROUNDS, _STEP = 24, 0.25
+
+#: Objects are looked at up to this height above the plane, in mean edges of the cage: there its faces have moved.
+_LOOKED_AT = 2.0
+
+
+def ended_at(floor: Plane, cage: ClosedMesh, points: np.ndarray, spacing: float) -> np.ndarray:
+    """Vertices (v, 3), world units, of a usable cage that ends at a plane; the object's points (n, 3), above it, stay
+    inside. `spacing`: side of a voxel of the cage's making, world units."""
+    # What lies below the plane moves up to it: at the rim to where the cage passed through the plane, so that its
+    # section there stays, and straight up within. Where faces near the plane then leave some of the object out, the rim
+    # is widened along the plane.
+    vertices, heights = cage.vertices, floor.heights(cage.vertices)
+    below = heights < 0.0
+    if not below.any():
+        return vertices
+    if below.all():
+        raise ValueError("all of it lies below the plane that the object stands on")
+    ends = cage.edges[below[cage.edges[:, 0]] != below[cage.edges[:, 1]]]
+    low, high = np.where(below[ends[:, 0], None], ends, ends[:, ::-1]).T
+    share = heights[high] / (heights[high] - heights[low])
+    passed = vertices[high] + share[:, None] * (vertices[low] - vertices[high])
+    count = np.bincount(low, minlength=len(vertices))
+    rim = count > 0
+    moved = vertices - np.where(below, heights, 0.0)[:, None] * floor.normal
+    moved[rim] = (row_sums([low], [passed], len(vertices)) / np.maximum(count, 1)[:, None])[rim]
+
+    # what is near the plane must stay inside: elsewhere no face has moved
+    edge = float(np.linalg.norm(np.diff(vertices[cage.edges], axis=1), axis=2).mean())
+    near = points[floor.heights(points) < _LOOKED_AT * edge]
+    outward = _sideways_normals(cage, floor.normal)
+    for _ in range(_ROUNDS):
+        now = ClosedMesh(moved, cage.faces)
+        trouble = first_problem(now)
+        if trouble or len(intersecting_faces(now.vertices, now.faces)):
+            raise ValueError(f"cut at the plane below the object it {trouble or 'passes through itself'}")
+        left = near[~inside_mesh(near, now, device="cpu")]
+        if not len(left):
+            return moved
+        # the vertices of the rim that are nearest to what is left out, and their neighbours a little
+        rows = np.flatnonzero(rim)
+        distance = np.linalg.norm(moved[rows][:, None] - left[None, :2000], axis=2)
+        pushed = np.exp(-0.5 * ((distance.min(axis=1) - distance.min()) / edge) ** 2)
+        moved = moved.copy()
+        moved[rows] += _STEP * spacing * pushed[:, None] * outward[rows]
+    raise ValueError("cut at the plane below the object it leaves some of the object out")
+
+
+def _sideways_normals(cage: ClosedMesh, normal: np.ndarray) -> np.ndarray:
+    """(v, 3) directions out of a cage along a plane, 0 where a vertex looks straight up or down."""
+    a, b, c = cage.corners
+    faces = np.cross(b - a, c - a)
+    total = row_sums(list(cage.faces.T), [faces] * 3, len(cage.vertices))
+    total = total - (total @ normal)[:, None] * normal
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return total / np.where(length > 0.0, length, 1.0)
+
+
+_LEAST_COUNT, _MOST_COUNT = 8, 2000
+
+# -- Voxels
+
+
+def _spacing(extent, vertex_count) -> float:
+    """Side of a voxel: about 64^3 of them in the box, more for cages of many vertices, at most 160 along a side."""
+    size = extent.max()
+    finer = np.clip(vertex_count / 200.0, 1.0, 4.0) ** (1.0 / 3.0)
+    filled = np.prod(np.maximum(extent, size / 160.0)) ** (1.0 / 3.0) / 64.0
+    return float(max(filled, size / 160.0) / finer)
+
+
+def surface_points(vertices, faces, spacing) -> np.ndarray:
+    """Points on faces no more than `spacing` from their neighbours: a regular grid on each, by number of pieces."""
+    corners = vertices[faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    pieces = np.maximum(np.ceil(longest / spacing).astype(np.int64), 1)
+    found = []
+    for count in np.unique(pieces[pieces > 1]):
+        samples, _ = face_samples(vertices, faces[pieces == count], int(count))
+        found.append(samples.reshape(-1, 3))
+    return np.concatenate(found) if found else np.zeros((0, 3))
+
+
+def checked_count(vertex_count, name: str = "vertex_count") -> int:
+    whole = isinstance(vertex_count, int | np.integer) and not isinstance(vertex_count, bool)
+    if not whole or not _LEAST_COUNT <= vertex_count <= _MOST_COUNT:
+        raise ValueError(f"{name} must be a whole number, {_LEAST_COUNT} to {_MOST_COUNT}, got {vertex_count!r}")
+    return int(vertex_count)
+
+
+#: Points of a mesh that are all looked at; of more, one in each cell of a tenth of a voxel.
+_MOST_POINTS = 1_000_000
+
+
+def cage_around_mesh(
+    mesh,
+    vertex_count: int = 100,
+    *,
+    margin: float | None = None,
+    method: str = "auto",
+    symmetry: str | None = None,
+    progress: bool = False,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (v, 3) and faces (f, 3) of a cage of about `vertex_count` vertices around a mesh; see `Cage.from_mesh`.
+    `margin`: least distance between cage and mesh, world units; None takes 1 % of the mesh's size."""
+    vertex_count = checked_count(vertex_count)
+    if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        raise ValueError(f"a mesh must have vertices and faces, as a trimesh.Trimesh, got {type(mesh).__name__}")
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    faces = np.asarray(mesh.faces, dtype=np.int64)
+    if not len(vertices) or not len(faces):
+        raise ValueError(f"the mesh is empty: it has {len(vertices)} vertices and {len(faces)} faces")
+    if not np.isfinite(vertices).all():
+        row = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
+        raise ValueError(f"the mesh is not finite: vertex {row} is {vertices[row].tolist()}")
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError(f"the mesh's faces must be (f, 3) indices from 0 to {len(vertices) - 1}")
+    size = np.ptp(vertices, axis=0).max()
+    if size == 0.0:
+        raise ValueError("the mesh has no extent: all its vertices are in one place")
+    margin = checked_margin(0.01 * size if margin is None else margin)
+    spacing = _spacing(np.ptp(vertices, axis=0), vertex_count)
+    points = np.concatenate([vertices, surface_points(vertices, faces, 0.5 * spacing)])
+    # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
+    slack = 0.29 * spacing
+    if len(points) > _MOST_POINTS:  # long, narrow faces: a point stands for those less than a diagonal away
+        cell = np.floor((points - points.min(axis=0)) / (0.1 * spacing)).astype(np.int64)
+        # numbered row by row: sorted in a fraction of the time of rows of three
+        _, one = np.unique(np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1)), return_index=True)
+        points, slack = points[one], slack + np.sqrt(3.0) * 0.1 * spacing
+    return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry, progress)
+
+
+def cage_around_field(
+    field,
+    vertex_count: int = 100,
+    *,
+    margin: float | None = None,
+    threshold: float | None = None,
+    method: str = "auto",
+    symmetry: str | None = None,
+    progress: bool = False,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (v, 3) and faces (f, 3) of a cage of `vertex_count` vertices (within 10 %) around what a field shows.
+    `margin`: least distance to the visible voxels (boxes of a voxel's size around nodes), in voxels; None takes 1."""
+    vertex_count = checked_count(vertex_count)
+    require_field(field)
+    voxel_size = np.broadcast_to(np.asarray(field.voxel_size, dtype=np.float64), 3)
+    # by default a voxel, so that the cage holds all that trilinear interpolation spreads around visible nodes
+    margin = checked_margin(1.0 if margin is None else margin) * voxel_size.max()
+    points = visible_nodes(field, threshold)
+    if not len(points):
+        raise ValueError("the field shows nothing to put a cage around: lower the threshold")
+    extent = np.maximum(np.ptp(points, axis=0), voxel_size)
+    # a grid no finer than the field's, or its empty lines between nodes would count as gaps
+    spacing = max(_spacing(extent, vertex_count), voxel_size.max())
+    corner = 0.5 * float(np.linalg.norm(voxel_size))
+    # a plane above which the nodes lie: the cage ends there, and leaves what the object stands on outside
+    floor = getattr(field, "floor", None)
+    return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, progress, floor)
+
+
+def _cage_around_points(
+    points, spacing, slack, margin, vertex_count, method, symmetry, progress, floor: Plane | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The tightest cage of the methods asked for; slack: how far the object may lie off its points; floor: where it
+    ends."""
+    makers = {"shell": shell_cage, "voxel": voxel_cage}
+    if method not in ("auto", *makers):
+        raise ValueError(f"method must be 'auto', 'shell' or 'voxel', got {method!r}")
+    if symmetry not in (None, "x", "y", "z"):
+        raise ValueError(f"symmetry must be 'x', 'y' or 'z', the normal of the mirror plane, or None, got {symmetry!r}")
+    if symmetry is not None and method == "shell":
+        raise ValueError("symmetry needs method 'voxel' (or 'auto', which takes it then), not 'shell'")
+    if method == "auto":
+        makers = {"voxel": voxel_cage} if symmetry is not None else makers
+    else:
+        makers = {method: makers[method]}
+    # in units of the object, about its middle, without the last digits: neither scale nor place may decide a tie
+    middle, size = 0.5 * (points.min(axis=0) + points.max(axis=0)), float(np.ptp(points, axis=0).max()) or spacing
+    points = np.round((points - middle) / size, 9)
+    spacing, slack, margin = (float(np.round(length / size, 9)) for length in (spacing, slack + 2e-9 * size, margin))
+    found, reasons = [], []
+    for name, make in makers.items():
+        _tell(progress, f"{name}: {len(points)} points, to be enclosed by {vertex_count} vertices")
+        try:
+            cage = make(points, spacing, slack, margin, vertex_count, symmetry)
+        except ValueError as error:
+            reasons.append(f"{name}: {error}")
+            _tell(progress, f"{name}: none ({error})")
+            continue
+        cage = cage.with_vertices(middle + size * cage.vertices)
+        if floor is not None:
+            try:
+                cage = cage.with_vertices(ended_at(floor, cage, middle + size * points, size * spacing))
+            except ValueError as error:
+                reasons.append(f"{name}: {error}")
+                _tell(progress, f"{name}: none ({error})")
+                continue
+        _tell(progress, f"{name}: {len(cage.vertices)} vertices, volume {cage.volume:.4g}")
+        found.append(cage)
+    if not found:
+        raise ValueError(
+            f"no cage of {vertex_count} vertices could be made ({'; '.join(reasons)}): ask for more "
+            "vertices, a smaller margin, or begin with Cage.box"
+        )
+    best = min(found, key=lambda cage: cage.volume)
+    return best.vertices, best.faces
+
+
+def _tell(progress, line: str) -> None:
+    if progress:
+        print(f"cage {line}", file=sys.stderr, flush=True)
+
+
+def simplified_cage(vertices, faces, points, spacing, need, vertex_count) -> tuple[np.ndarray, np.ndarray]:
+    """A cage decimated outward, or else plainly, then moved off points (p, 3) where faces come nearer than `need`."""
+    reasons = []
+    for decimate, closing in ((nested, 0.0), (decimated, 0.05), (decimated, 0.1), (decimated, 0.2), (decimated, 0.4)):
+        reach = need + max(2.0 * spacing, closing * np.ptp(points, axis=0).max())
+        shell = ObjectShell(points, spacing, reach, need)
+        found, triangles = decimate(vertices, faces, vertex_count)
+        if abs(len(found) - vertex_count) > 0.1 * vertex_count:
+            reasons.append(f"decimation left {len(found)} vertices")
+            continue
+        found = cleared(shell, found, triangles, need)
+        reason = flaw(shell, found, triangles, need)
+        if not reason:
+            return found, triangles
+        reasons.append(reason)
+    raise ValueError(f"no cage of {vertex_count} vertices encloses the same ({reasons[-1]}): ask for more vertices")
+
+
+def simplified(
+    cage: ClosedMesh, vertex_count: int, *, field=None, mesh=None, margin: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (v, 3), about `vertex_count` (within a tenth), and faces (f, 3) that enclose a field's visible voxels
+    and a mesh, or else the cage itself, from `margin` world units off."""
+    require_usable(cage, "the cage")
+    vertex_count = checked_count(vertex_count)
+    if vertex_count >= len(cage.vertices):
+        raise ValueError(f"the cage has {len(cage.vertices)} vertices already: ask for fewer, got {vertex_count}")
+    margin = checked_margin(margin)
+    thing = cage if mesh is None and field is None else mesh
+    spacing, slack, points = cage.size / 96.0, 0.0, []
+    if thing is not None:
+        vertices, faces = np.asarray(thing.vertices, dtype=np.float64), np.asarray(thing.faces, dtype=np.int64)
+        points += [vertices, surface_points(vertices, faces, 0.5 * spacing)]
+        slack = 0.29 * spacing  # how far a face may lie off the points on it
+    if field is not None:
+        points.append(visible_nodes(field))
+        spacing = max(spacing, float(np.max(field.voxel_size)))
+        slack = max(slack, 0.5 * float(np.linalg.norm(np.broadcast_to(field.voxel_size, 3))))
+    if not any(map(len, points)):
+        raise ValueError("there is nothing to enclose: the object is empty")
+    # part by part: few vertices tell most objects that are not enclosed from those that are
+    if thing is not cage and not all(inside_mesh(part, cage).all() for part in points):
+        raise ValueError("the cage does not enclose the object even before: check(field=...) says where")
+    return simplified_cage(cage.vertices, cage.faces, np.concatenate(points), spacing, slack + margin, vertex_count)

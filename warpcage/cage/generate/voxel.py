@@ -10,10 +10,9 @@ import itertools
 import numpy as np
 
 from ...mesh.mesh import ClosedMesh
-from .fitting import row_sums
-from .nested import nested
-from .offset import sound
-from .shell import ObjectShell
+from .decimate import nested
+from .fit import row_sums
+from .shell import ObjectShell, sound
 
 #: Sizes of voxels tried, as shares of the longest side; and closing radii, in voxels.
 _SIZES = np.geomspace(0.9, 0.012, 140)

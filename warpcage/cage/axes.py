@@ -48,7 +48,7 @@ def axis_of(text: str) -> Axis:
 def default_towards(cage: Cage, axis: Axis) -> str:
     """Where a bend along an axis goes unless something else is said: "x", or "z" where the axis lies along x."""
     from ..mesh.mesh import own_axis
-    from .directions import direction
+    from .poses import direction
 
     along = direction(own_axis(cage, axis) if isinstance(axis, str) else axis)
     return "z" if abs(along[0]) > 0.9 else "x"

@@ -1,6 +1,4 @@
 """Decimation that only moves outward, as progressive hulls do (Sander et al. 2000, "Silhouette clipping")."""
-# Each collapse of an edge puts the new vertex on the outer side of the planes of all faces that it takes away or bends,
-# so that every surface on the way holds the one before.
 
 from __future__ import annotations
 
@@ -9,7 +7,12 @@ import warp as wp
 
 from ...core.devices import launch
 from ...kernels.mesh.collapses import measure_collapses
-from .shell import on_cpu
+
+
+def on_cpu(values: np.ndarray, dtype) -> wp.array:
+    """A Warp array of the same memory, where values are C-contiguous."""
+    return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu", copy=False)
+
 
 #: Share of the vertices that one round takes away at most, where they do not touch each other's faces.
 _ROUND = 0.08

@@ -1,8 +1,4 @@
 """Which axis points up in a cage file: found from the object that the cage stands around, or from its rest cage."""
-# Formats do not say it (OBJ, PLY, OFF), or programs write another one than they say. Two ways of standing are compared,
-# z up and y up. A cage that holds a whole object in one of them and misses much of it in the other was written with the
-# first; a cage that holds a part in both tells nothing. A posed cage was written with the axis in which it comes near
-# its rest cage, unless a turn by 90 degrees of everything explains the same.
 
 from __future__ import annotations
 
