@@ -1,4 +1,4 @@
-"""All that is wrong with a cage, what it encloses, and what a pose does, as a CageReport."""
+"""All that is wrong with a cage, what it encloses and what a pose does: a CageReport, as JSON and a table."""
 
 from __future__ import annotations
 

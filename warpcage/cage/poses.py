@@ -1,4 +1,4 @@
-"""Poses: functions that move vertices to where an artist would drag them."""
+"""Poses: functions that move vertices to where an artist would drag them, and the same as methods of a mesh."""
 
 from __future__ import annotations
 

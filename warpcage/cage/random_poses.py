@@ -1,4 +1,4 @@
-"""Random plausible poses of a cage, for data augmentation: smooth, without folds, and within bounds of stretch."""
+"""Smooth random ways from rest (bends, twists, tapers, waves, bumps), to the bit the same everywhere."""
 
 from __future__ import annotations
 

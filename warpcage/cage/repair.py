@@ -1,4 +1,4 @@
-"""Mend a cage where it is safe to do so: repeated vertices and faces, small holes, faces that look the wrong way."""
+"""Mend a cage where it is safe to do so, and finer and symmetric versions of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`warpcage.capture`: from a video or a folder of pictures to a scene with cameras."""
+"""`warpcage.capture`: from a video or a folder of pictures to a scene with cameras; a killed one goes on."""
 
 from __future__ import annotations
 

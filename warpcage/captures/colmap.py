@@ -1,4 +1,4 @@
-"""Cameras of pictures by COLMAP (Schoenberger and Frahm 2016), through pycolmap: features, matches, mapping."""
+"""Cameras of pictures by COLMAP (Schoenberger and Frahm 2016): pairs, matching, mapping, what was found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folder of a captured scene: pinhole pictures, transforms.json, points, report."""
+"""The folder of a captured scene: pinhole pictures, transforms.json, points, report; where the object is."""
 
 from __future__ import annotations
 

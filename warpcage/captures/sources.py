@@ -1,4 +1,4 @@
-"""The pictures that cameras are found of: those of a folder, upright, with what their cameras wrote into them."""
+"""Pictures that cameras are found of: upright, with what their cameras wrote into them; progress of the steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cage coordinates of points: mean value, green and harmonic ones."""
+"""Cage coordinates of points (mean value, green, harmonic), and points and normals moved by a cage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arrays in and out: NumPy, DLPack and `__cuda_array_interface__` in; NumPy or Warp out, as the caller's are."""
+"""Arrays in and out: NumPy, DLPack, `__cuda_array_interface__`; copies to the host that nobody waits for yet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Choose a Warp device, and launch kernels on all cores of the CPU."""
+"""Warp devices: which one, launches on all cores of the CPU, flags, textures, memory kept for the next frame."""
 
 from __future__ import annotations
 

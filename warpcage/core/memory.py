@@ -1,4 +1,4 @@
-"""The one budget of memory: what can still be allocated, and work that needs more refused before it begins."""
+"""The one budget of memory: what can be allocated, work refused before it begins, what was used last kept."""
 
 from __future__ import annotations
 

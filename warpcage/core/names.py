@@ -1,4 +1,4 @@
-"""Names that options take, each in one place."""
+"""Names that options take, each in one place, and words that depend on a number or on an error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What native code prints: a line that tells nothing new on a machine without a GPU is left out."""
+"""What goes to stderr beside results: no notes of native code that tell nothing; a word while kernels compile."""
 
 from __future__ import annotations
 

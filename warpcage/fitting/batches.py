@@ -1,4 +1,4 @@
-"""The pixels of a scene's pictures, in batches of square tiles."""
+"""The pixels of a scene on a device, in batches of square tiles, and sums of gradients over CPU threads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Refine the cameras of a scene, and the exposure of its pictures, while a field is fitted to them."""
+"""Refine the cameras of a scene and the exposure of its pictures while a field is fitted; poses of test views."""
 
 from __future__ import annotations
 

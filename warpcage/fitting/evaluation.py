@@ -1,4 +1,4 @@
-"""How well renders match held-out views."""
+"""How well renders match held-out views, and how files keep that."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One level of a fit: a field, and what optimises the values of its voxels."""
+"""One level of a fit: a field, what optimises the values of its voxels, and the plain field that a fit starts from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The steps of a fit: how many each level takes, and how far each goes."""
+"""What a fit plans before it starts (grid, levels, batches, rates) and how many steps each level takes."""
 
 from __future__ import annotations
 

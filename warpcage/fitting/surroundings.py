@@ -1,4 +1,4 @@
-"""Fit what is around the box of a field, together with the field."""
+"""Fit what is around the box of a field together with the field: an outer field, or background layers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""CageLattice: isotropic nodes over a cage, which of them are inside, and the signed distance near its surface."""
+"""CageLattice: isotropic nodes over a cage, which are inside, distances, and the faces near each block of nodes."""
 
 from __future__ import annotations
 

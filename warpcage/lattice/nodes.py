@@ -1,4 +1,4 @@
-"""Build the lists of inside, cut and ring nodes of a lattice, for one level or for a multigrid hierarchy."""
+"""Lists of inside, cut and ring nodes of a lattice, for a level or a hierarchy, and launches that fill the rings."""
 
 from __future__ import annotations
 

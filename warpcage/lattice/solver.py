@@ -1,4 +1,4 @@
-"""MapSolver: what PositionMap asks of the three ways to work out a map on the nodes of a lattice."""
+"""MapSolver: what PositionMap asks of the three ways to work out a map; the weights of all cage vertices."""
 
 from __future__ import annotations
 

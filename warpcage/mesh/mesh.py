@@ -1,4 +1,4 @@
-"""Principal axes of a mesh: the directions that it has of its own, however it stands in the world."""
+"""ClosedMesh: vertices, faces and topology of a triangle mesh, its principal axes. All maps take one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which faces of a triangle mesh pass through each other."""
+"""Which points lie inside a mesh, and which faces of a mesh pass through each other."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The reference models by name."""
+"""Models for scenes: an animal of blended cones, thin rods, and surfaces that are hard to fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ray cast pictures of triangle meshes, and the light that all reference scenes share."""
+"""Ray cast pictures of triangle meshes, at rest and in poses that carry color and light along."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A room with an object on a table, seen by cameras that stand in it: real surroundings, known to the last pixel."""
+"""Small scenes of several kinds, and a room with an object on a table, known to the last voxel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Points bound to a cage at rest: coordinates and their gradients once, then a weighted sum for each pose."""
+"""Points bound to a cage at rest: coordinates and their gradients once, then a weighted sum a pose."""
 
 from __future__ import annotations
 

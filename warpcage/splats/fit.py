@@ -1,4 +1,4 @@
-"""Fit splats to pictures."""
+"""Fit splats to pictures: values on a device, pictures that give slopes by them, and the steps."""
 
 from __future__ import annotations
 

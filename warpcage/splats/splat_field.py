@@ -1,4 +1,4 @@
-"""The field of Gaussian splats."""
+"""SplatField: Gaussian splats; their matter as densities on a grid; fields of either kind from their files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cages made around an object."""
+"""Cages made around an object: counts and margins, simplification, the plane that the object stands on."""
 
 from __future__ import annotations
 

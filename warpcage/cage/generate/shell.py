@@ -1,4 +1,4 @@
-"""The room around an object on a voxel grid: distance to it, with gaps closed, as cage generation needs it."""
+"""A tight cage: the object closed and offset on a grid, decimated outward, drawn close while it stays around."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mesh files: OBJ, PLY, OFF and glTF."""
+"""Read and write OBJ, PLY, OFF and glTF so that every vertex keeps its place in the file."""
 
 from __future__ import annotations
 

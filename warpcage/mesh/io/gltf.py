@@ -1,4 +1,4 @@
-"""glTF 2.0 (.glb, .gltf): the triangles of all meshes of the scene, at the places of their nodes."""
+"""glTF 2.0 (.glb, .gltf): documents, buffers and nodes; the triangles of all meshes of the scene, at their places."""
 
 from __future__ import annotations
 

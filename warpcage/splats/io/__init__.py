@@ -1,4 +1,4 @@
-"""Files of Gaussian splats, one format a module."""
+"""Files of splats by their endings, read and written."""
 
 from __future__ import annotations
 
