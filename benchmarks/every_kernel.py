@@ -27,7 +27,7 @@ from warpcage.core.devices import launch
 from warpcage.core.kernel_files import kernel_names
 from warpcage.core.threads import limit_threads
 from warpcage.deform.lattice_edits import LARGE_PICTURE
-from warpcage.editor.picture import frame_pixels
+from warpcage.editor.renderer import frame_pixels
 from warpcage.field.sparse import harmonics_on_device
 from warpcage.fitting.optimizer import FieldOptimizer
 from warpcage.kernels.coordinates.green import map_green

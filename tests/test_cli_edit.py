@@ -18,7 +18,7 @@ from editor_pages import BOX, WAIT, pages, tiny_field  # noqa: E402
 
 from warpcage.cage.cage import Cage  # noqa: E402
 from warpcage.editor.edit import Editor  # noqa: E402
-from warpcage.editor.session_file import read_session  # noqa: E402
+from warpcage.editor.session import read_session  # noqa: E402
 
 
 @pytest.fixture

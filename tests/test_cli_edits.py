@@ -14,7 +14,7 @@ from warpcage.cli.edit_words import EditWords, parse_edit, read_edits_file, writ
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.editor.document import Document, Selection, Settings, Timeline, View, new_edit
-from warpcage.editor.session_file import write_session
+from warpcage.editor.session import write_session
 from warpcage.field.voxel_field import VoxelField
 from warpcage.view.camera import Camera
 from warpcage.view.pictures import read_image

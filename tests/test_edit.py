@@ -18,8 +18,11 @@ from warpcage.cage.cage import Cage  # noqa: E402
 from warpcage.editor import edit as edit_module  # noqa: E402
 from warpcage.editor.document import Document  # noqa: E402
 from warpcage.editor.edit import edit  # noqa: E402
-from warpcage.editor.session import Session, new_document  # noqa: E402
-from warpcage.editor.session_file import read_session  # noqa: E402
+from warpcage.editor.session import (  # noqa: E402
+    Session,
+    new_document,
+    read_session,  # noqa: E402
+)
 
 REST = BOX.vertices
 

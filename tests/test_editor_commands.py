@@ -11,10 +11,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warpcage.cage.cage import Cage
-from warpcage.editor.checked import MAX_ID, MAX_PLACE, error_line, frozen_vertices, parsed_json
 from warpcage.editor.commands import COMMANDS, moved_keys, moved_rest, preset_pose, replace_cage, run_command
-from warpcage.editor.document import Document, Key, Timeline, View, checked_view, new_edit
-from warpcage.editor.history import DEPTH, History
+from warpcage.editor.document import (
+    MAX_ID,
+    MAX_PLACE,
+    Document,
+    Key,
+    Timeline,
+    View,
+    checked_view,
+    error_line,
+    frozen_vertices,
+    new_edit,
+    parsed_json,
+)
+from warpcage.editor.session import DEPTH, History
 
 REST = BOX.vertices
 AFFINE, OFFSET = np.array([[1.2, 0.3, 0.0], [-0.1, 0.9, 0.2], [0.0, 0.1, 1.1]]), np.array([0.1, -0.2, 0.3])

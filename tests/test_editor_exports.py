@@ -17,9 +17,8 @@ from warpcage.cage.pose_file import PoseFile
 from warpcage.cli import main
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
-from warpcage.editor import scene as scene_module
-from warpcage.editor.checked import frozen_vertices
-from warpcage.editor.document import Document, Key, Selection, Settings, Timeline, View, new_edit
+from warpcage.editor import renderer as scene_module
+from warpcage.editor.document import Document, Key, Selection, Settings, Timeline, View, frozen_vertices, new_edit
 from warpcage.editor.exports import (
     Film,
     atomic_folder,
@@ -30,9 +29,9 @@ from warpcage.editor.exports import (
     export_poses,
     film_pictures,
 )
-from warpcage.editor.jobs import Cancelled, Jobs, Outcome
-from warpcage.editor.scene import PosedScene, camera
-from warpcage.editor.session_file import write_session
+from warpcage.editor.renderer import PosedScene, camera
+from warpcage.editor.session import write_session
+from warpcage.editor.tasks import Cancelled, Jobs, Outcome
 from warpcage.editor.timeline import frame_times, state_at
 from warpcage.field.voxel_field import VoxelField
 from warpcage.view.camera import Camera

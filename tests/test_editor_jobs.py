@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from warpcage.core.files import atomic_path
-from warpcage.editor.jobs import MAX_JOBS, MAX_UNFINISHED, Jobs, Outcome
+from warpcage.editor.tasks import MAX_JOBS, MAX_UNFINISHED, Jobs, Outcome
 
 WAIT = 20.0
 

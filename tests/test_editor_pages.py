@@ -17,11 +17,14 @@ from table_scene import LAMP, TableScene  # noqa: E402
 
 from warpcage.cage.cage import Cage  # noqa: E402
 from warpcage.cage.up_axis import Standing  # noqa: E402
-from warpcage.editor import checker, clients, server, tasks  # noqa: E402
+from warpcage.editor import clients, inspection, server, tasks  # noqa: E402
 from warpcage.editor.document import Document  # noqa: E402
-from warpcage.editor.scene import camera  # noqa: E402
-from warpcage.editor.session import Session, new_document  # noqa: E402
-from warpcage.editor.session_file import read_session  # noqa: E402
+from warpcage.editor.renderer import camera  # noqa: E402
+from warpcage.editor.session import (  # noqa: E402
+    Session,
+    new_document,
+    read_session,  # noqa: E402
+)
 
 REST = BOX.vertices
 
@@ -315,7 +318,7 @@ def test_the_check_follows_the_active_cage_and_says_why_it_cannot(tmp_path, monk
         def fail(*_):
             raise MemoryError
 
-        monkeypatch.setattr(checker, "inspect", fail)
+        monkeypatch.setattr(inspection, "inspect", fail)
         await page.drag(REST * 1.1)
         await page.until(lambda: "not enough memory" in page.sections["check"]["problem"])
         assert page.sections["check"]["pending"] is False
@@ -457,7 +460,7 @@ def held():
 @pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="counts files in /proc")
 def test_a_thousand_drags_leave_threads_files_and_memory_flat(tmp_path, monkeypatch):
     monkeypatch.setattr(clients, "MESSAGE_BURST", 1e9)
-    monkeypatch.setattr("warpcage.editor.history.DEPTH", 200)
+    monkeypatch.setattr("warpcage.editor.session.DEPTH", 200)
 
     async def test(host, page, other):
         for count in range(1000):

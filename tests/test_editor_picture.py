@@ -15,10 +15,21 @@ from test_fill import BOX, ball
 import warpcage
 from warpcage.editor import renderer as renderer_module
 from warpcage.editor.document import View
-from warpcage.editor.effort import COARSE_CELLS, LEAST_SIDE, Pace
-from warpcage.editor.picture import FRAME, band_camera, depth_size, frame_pixels, joined_pixels, packed_frame
-from warpcage.editor.renderer import Renderer, Request, same_pose
-from warpcage.editor.scene import camera
+from warpcage.editor.renderer import (
+    COARSE_CELLS,
+    FRAME,
+    LEAST_SIDE,
+    Pace,
+    Renderer,
+    Request,
+    band_camera,
+    camera,
+    depth_size,
+    frame_pixels,
+    joined_pixels,
+    packed_frame,
+    same_pose,
+)
 from warpcage.editor.session import new_document
 from warpcage.view.frame import Frame
 

@@ -14,7 +14,7 @@ import warpcage  # noqa: E402
 from warpcage import Deformer, SplatField  # noqa: E402
 from warpcage.editor.exports import export_baked  # noqa: E402
 from warpcage.editor.inspection import inspect  # noqa: E402
-from warpcage.editor.scene import PosedScene, camera  # noqa: E402
+from warpcage.editor.renderer import PosedScene, camera  # noqa: E402
 from warpcage.editor.session import Session, new_document  # noqa: E402
 from warpcage.splats.splat_field import field_size, load_field  # noqa: E402
 

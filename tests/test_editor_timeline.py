@@ -9,9 +9,8 @@ import pytest
 
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
-from warpcage.editor.checked import frozen_vertices
-from warpcage.editor.document import Document, Key, Selection, Settings, Timeline, View, new_edit
-from warpcage.editor.scene import camera
+from warpcage.editor.document import Document, Key, Selection, Settings, Timeline, View, frozen_vertices, new_edit
+from warpcage.editor.renderer import camera
 from warpcage.editor.timeline import (
     document_at,
     frame_rate,

@@ -15,8 +15,8 @@ from ..cage.pose_file import PoseFile
 from ..core.files import require_file
 from ..core.names import counted
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
-from ..editor.scene import camera
-from ..editor.session_file import read_session
+from ..editor.renderer import camera
+from ..editor.session import read_session
 from ..editor.timeline import frame_times
 from ..view.camera import Camera
 from ..view.camera_path import camera_at, path_cameras

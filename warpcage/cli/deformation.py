@@ -16,8 +16,8 @@ from ..cage.pose_file import PoseFile, cage_hash
 from ..cage.presets import is_preset
 from ..core.files import require_file
 from ..deform.edits import MAX_EDITS, CageEdit
-from ..editor.session_file import FORMAT as SESSION_FORMAT
-from ..editor.session_file import read_session
+from ..editor.session import FORMAT as SESSION_FORMAT
+from ..editor.session import read_session
 from ..field.voxel_field import VoxelField
 from ..splats.splat_field import SplatField
 from .edit_words import EditWords, parse_edit, read_edits_file, read_edits_json

@@ -15,7 +15,7 @@ from ..cage.cage import Cage
 from ..core.files import require_file
 from ..editor.demo import demo_files
 from ..editor.edit import edit, require_libraries
-from ..editor.session_file import free_session_path, session_path
+from ..editor.session import free_session_path, session_path
 from ..field.selection import NodeSelection
 from ..splats.splat_field import load_field
 from . import inputs

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from ..batch.items import ID, TRANSPARENT
 from ..editor.document import Document
 from ..editor.exports import Film
-from ..editor.scene import camera
+from ..editor.renderer import camera
 from ..editor.timeline import document_at, frame_rate, frame_times
 from ..field.voxel_field import VoxelField
 from .film_jobs import FilmFrame, FilmJob

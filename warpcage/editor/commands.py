@@ -11,31 +11,28 @@ import numpy as np
 from ..cage import poses
 from ..cage.cage import Cage
 from ..coordinates.coordinates import deform_points
+from ..core.names import EASINGS, LOOPS
 from ..deform.edits import MAX_EDITS
-from .checked import (
+from .document import (
+    KINDS,
     MAX_KEYS,
     MAX_RATE,
     MAX_SECONDS,
     MAX_VERTICES,
+    Document,
+    Edit,
+    Key,
+    Selection,
     checked_between,
     checked_choice,
     checked_flag,
     checked_items,
     checked_name,
-    checked_vertices,
-    frozen_vertices,
-)
-from .document import (
-    EASINGS,
-    KINDS,
-    LOOPS,
-    Document,
-    Edit,
-    Key,
-    Selection,
     checked_selection,
     checked_settings,
+    checked_vertices,
     checked_walls,
+    frozen_vertices,
     new_edit,
 )
 

@@ -1,41 +1,261 @@
-"""Document: all that an editor session edits. It is immutable; a change makes a new one that shares what stays."""
+"""What is edited: edits, poses, keys, view and settings; a command makes a new document from the old one."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any
+import json
+import os
+import pathlib
+import unicodedata
+from collections.abc import Mapping, Sequence
+from typing import Any, NoReturn
 
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.names import EASINGS, LOOPS
+from ..core.checks import checked_number
+from ..core.names import COORDINATES, DENSITIES, EASINGS, LOOPS
 from ..deform.edits import HELD, MAX_EDITS, CageEdit
 from ..mesh.mesh import ClosedMesh
-from .checked import (
-    MAX_ID,
-    MAX_KEYS,
-    MAX_RATE,
-    MAX_SECONDS,
-    MAX_VERTICES,
-    checked_between,
-    checked_choice,
-    checked_flag,
-    checked_id,
-    checked_items,
-    checked_name,
-    checked_vertices,
-    checked_whole,
-    frozen_vertices,
-)
-from .looks import MODES as MODES
-from .looks import SHOWN as SHOWN
-from .looks import Settings as Settings
-from .looks import View as View
-from .looks import checked_settings as checked_settings
-from .looks import checked_view as checked_view
+from ..view.frame import MAX_SUPERSAMPLING, parse_background
+
+#: Most vertices of a cage, letters of a name, keys of a timeline and seconds of a film: more is not a person's work.
+MAX_VERTICES, MAX_NAME, MAX_KEYS, MAX_SECONDS = 20_000, 100, 5_000, 3_600.0
+
+#: Frames per second that a film may have.
+MAX_RATE = 240.0
+
+#: Cells of a lattice along the longest side.
+RESOLUTIONS = (8, 512)
+
+#: Largest number of a place, world units, either way from zero: its squares and cubes can be held in float32 too.
+MAX_PLACE = 1e12
+
+#: Largest number of an edit or a key: a message holds it in 32 bits. New ones are given up to half of it.
+MAX_ID = 2**32 - 1
+
+#: Letters of an error's line.
+MAX_LINE = 500
+
+
+def frozen_vertices(vertices: Any, count: int | None = None) -> np.ndarray:
+    """Vertices (v, 3), an array or lists of numbers, as a document holds them: float64, read-only, an array of its own.
+    `count`: how many there must be; None takes any number."""
+    if not isinstance(vertices, np.ndarray):
+        if not isinstance(vertices, list | tuple) or not all(map(_is_row, vertices)):
+            raise ValueError("vertices must be a list of three numbers each")
+    try:
+        array = np.array(vertices, dtype=np.float64)
+    except OverflowError:
+        raise ValueError("vertices must be finite") from None
+    if array.ndim != 2 or array.shape[1:] != (3,) or (count is not None and len(array) != count):
+        wanted = "(v, 3)" if count is None else f"({count}, 3)"
+        raise ValueError(f"vertices must be {wanted} numbers, got shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError("vertices must be finite")
+    if array.size and np.abs(array).max() > MAX_PLACE:
+        raise ValueError(f"vertices must be within {MAX_PLACE:g} of zero")
+    array.setflags(write=False)
+    return array
+
+
+def checked_name(name: Any) -> str:
+    """A name in one line. Raises ValueError for another type, an empty one, a long one, or what cannot be printed."""
+    if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME:
+        raise ValueError(f"a name must be 1 to {MAX_NAME} letters")
+    name = " ".join(name.split())
+    if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
+        raise ValueError("a name must be letters that can be printed")
+    return name
+
+
+def checked_choice(value: Any, choices: Sequence[str], what: str) -> str:
+    """A value that is one of some words. Raises ValueError for another one."""
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"{what} must be one of {', '.join(choices)}, got {shown(value)}")
+    return value
+
+
+def checked_whole(value: Any, low: int, high: int, what: str) -> int:
+    """A whole number in a range. Raises ValueError for another one."""
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ValueError(f"{what} must be a whole number from {low} to {high}, got {shown(value)}")
+    return value
+
+
+def checked_id(value: Any, what: str) -> int:
+    """The number of an edit, a key or a job. Raises ValueError for anything else; True is no number."""
+    return checked_whole(value, 1, MAX_ID, what)
+
+
+def checked_flag(value: Any, what: str) -> bool:
+    """True or False. Raises ValueError for anything else."""
+    if type(value) is not bool:
+        raise ValueError(f"{what} must be true or false, got {shown(value)}")
+    return value
+
+
+def checked_between(value: Any, low: float, high: float, what: str) -> float:
+    """A number in a range. Raises ValueError for another one; True is no number."""
+    if isinstance(value, bool | list | dict | str | None):
+        raise ValueError(f"{what} must be a number, got {shown(value)}")
+    number = checked_number(value, what)
+    if not low <= number <= high:
+        raise ValueError(f"{what} must be {low:g} to {high:g}, got {number:g}")
+    return number
+
+
+def checked_vertices(numbers: Any, count: int) -> tuple[int, ...]:
+    """Numbers of vertices of a cage that has `count`, ascending, each once."""
+    given = checked_items(numbers, MAX_VERTICES, "vertices")
+    if not all(type(number) is int and 0 <= number < count for number in given):
+        raise ValueError(f"vertices must be whole numbers from 0 to {count - 1}")
+    return tuple(sorted(set(given)))
+
+
+def checked_triple(values: Any, what: str) -> tuple[float, float, float]:
+    """Three numbers. Raises ValueError for anything else."""
+    if not isinstance(values, list | tuple) or len(values) != 3:
+        raise ValueError(f"{what} must be three numbers")
+    x, y, z = (checked_between(value, -MAX_PLACE, MAX_PLACE, what) for value in values)
+    return x, y, z
+
+
+def checked_items(values: Any, most: int, what: str) -> list[Any]:
+    """A list of at most so many items. Raises ValueError for anything else."""
+    if not isinstance(values, list | tuple) or len(values) > most:
+        raise ValueError(f"{what} must be a list of at most {most}")
+    return list(values)
+
+
+def parsed_json(text: str) -> Any:
+    """What a text in JSON says; NaN and Infinity, which Python writes, are no JSON."""
+    try:
+        return json.loads(text, parse_constant=_refuse_constant)
+    except RecursionError:
+        raise ValueError("lists within lists within lists go too deep") from None
+
+
+def error_line(error: BaseException) -> str:
+    """What an error says, in one line for a person, without folders of this machine."""
+    text = " ".join(str(error).split())
+    if isinstance(error, OSError) and error.strerror:
+        name = f": {pathlib.PurePath(os.fsdecode(error.filename)).name!r}" if error.filename else ""
+        text = f"{error.strerror}{name}"
+    elif isinstance(error, KeyError):
+        text = f"{shown(error.args[0] if error.args else '')} is missing"
+    elif isinstance(error, MemoryError):
+        text = f"not enough memory{': ' if text else ''}{text}"
+    return text[:MAX_LINE] or type(error).__name__
+
+
+def shown(value: Any) -> str:
+    """A value as messages show it, however large it is."""
+    if isinstance(value, dict | list | tuple):
+        return f"a {'dictionary' if isinstance(value, dict) else 'list'}"
+    if isinstance(value, int) and abs(value) >= 10**20:
+        return "a huge number"
+    return repr(value[:40] if isinstance(value, str) else value)[:60]
+
+
+def _is_row(row: Any) -> bool:
+    return isinstance(row, list | tuple | np.ndarray) and not any(
+        isinstance(x, bool | str | list | dict | None) for x in row
+    )
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number in JSON")
+
+
+SHOWN = ("rgb", "disparity", "alpha", "masks")
+
+MODES = ("pose", "rest")
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """Where the person looks from; (3,) world units."""
+
+    eye: tuple[float, float, float]  # centre of projection
+    target: tuple[float, float, float]  # in the middle of the picture
+    up: tuple[float, float, float]  # unit vector
+    fov: float = 40.0  # vertical, degrees
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """How the scene is deformed and shown."""
+
+    coordinates: str = "harmonic"
+    resolution: int = 64  # cells of the map's lattice along the longest side of a cage, in pictures that rest
+    density: str = "opacity"  # see `Deformer`
+    # a name, three numbers in [0, 1], or None for the field's own
+    background: str | tuple[float, float, float] | None = None
+    supersampling: int = 1  # rays along each side of a pixel, in pictures that rest
+    show: str = "rgb"  # one of SHOWN
+    # "pose": the posed cage and the deformed scene; "rest": the cage at rest and the scene as captured
+    mode: str = "pose"
+    fill: bool = False  # background that no picture showed, in pictures that rest; see `fill_unseen`
+
+
+def checked_view(content: Any) -> View:
+    """A view from eye, target, up and fov of a dictionary, others ignored; its `up` gets the length 1."""
+    eye, target, up = (checked_triple(content[name], name) for name in ("eye", "target", "up"))
+    length = float(np.linalg.norm(up))
+    if not 1e-12 < length < 1e12:
+        raise ValueError("a view needs a direction `up` that is not zero")
+    if not 1e-12 < np.linalg.norm(np.subtract(eye, target)) < 1e12:
+        raise ValueError("a view needs an eye some way from its target")
+    forward = np.subtract(target, eye)
+    if np.linalg.norm(np.cross(forward, up)) < 1e-6 * np.linalg.norm(forward) * length:
+        raise ValueError("a view cannot look along its own `up`")
+    x, y, z = (float(value / length) for value in up)
+    return View(eye, target, (x, y, z), checked_between(content["fov"], 1.0, 150.0, "fov"))
+
+
+def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings:
+    """Settings with new values by name, checked."""
+    known = {field.name for field in dataclasses.fields(Settings)}
+    unknown = sorted(set(changes) - known)
+    if unknown:
+        raise ValueError(f"there is no setting {unknown[0][:40]!r}, only {', '.join(sorted(known))}")
+    good: dict[str, Any] = {}
+    for name, value in changes.items():
+        if name == "background":
+            good[name] = _background(value)
+        elif name == "fill":
+            good[name] = checked_flag(value, name)
+        elif name == "resolution":
+            good[name] = checked_whole(value, *RESOLUTIONS, name)
+        elif name == "supersampling":
+            good[name] = checked_whole(value, 1, min(4, MAX_SUPERSAMPLING), name)
+        else:
+            choices = {"coordinates": COORDINATES, "density": DENSITIES, "show": SHOWN, "mode": MODES}[name]
+            good[name] = checked_choice(value, choices, name)
+    return dataclasses.replace(settings, **good)
+
+
+def _background(value: Any) -> str | tuple[float, float, float] | None:
+    if value is None:
+        return None
+    if isinstance(value, str):
+        if len(value) == 7 and value[0] == "#":
+            try:
+                r, g, b = bytes.fromhex(value[1:])
+            except ValueError:
+                raise ValueError(f"background {value!r} is no colour: #rrggbb") from None
+            return r / 255, g / 255, b / 255
+        parse_background(value)  # raises ValueError where there is no such name
+        return value
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        raise ValueError("background must be a name, #rrggbb, or three numbers in [0, 1]")
+    r, g, b = (checked_between(part, 0.0, 1.0, "background") for part in value)
+    return r, g, b
+
 
 KINDS = ("move", "copy", "remove")
+
 PICKS = ("vertex", "edge", "face")
 
 #: Largest width of a falloff and size of crumbs, world units.

@@ -17,8 +17,7 @@ from ..core.files import PathLike
 from ..field.voxel_field import VoxelField
 from ..splats.splat_field import AnyField, SplatField, load_field
 from .document import Document
-from .session import Session, new_document
-from .session_file import file_stamp, read_session, session_path
+from .session import Session, file_stamp, new_document, read_session, session_path
 
 #: Cells of a new session's lattices along the longest side of a cage, on a CPU and on CUDA.
 RESOLUTION_CPU, RESOLUTION_CUDA = 64, 128

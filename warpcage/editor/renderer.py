@@ -1,36 +1,333 @@
-"""Renderer: a thread that shows the newest document, quickly while the hand moves and sharply when it rests."""
+"""Pictures of a document, from a thread of their own: only the newest request counts."""
 
 from __future__ import annotations
 
 import concurrent.futures
 import dataclasses
+import json
 import logging
 import math
+import struct
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from ..cage.cage import Cage
+from ..cage.walls import cut_faces
+from ..core.arrays import empty_array
+from ..core.devices import launch
+from ..core.locks import device_turn
+from ..deform.deformer import Deformer
+from ..deform.edits import CageEdit
+from ..deform.fill import fill_unseen
 from ..field.voxel_field import VoxelField
+from ..kernels.view import preview
+from ..mesh.validity import require_usable
 from ..splats.splat_field import AnyField
+from ..view.camera import Camera
 from ..view.frame import Frame
-from ..view.frame_parts import mask_shares
-from .document import Document
-from .effort import COARSE_CELLS, Effort, Pace
-from .picture import (
-    DEPTHS_MOVING,
-    DEPTHS_SHARP,
-    Pixels,
-    band_camera,
-    depth_size,
-    frame_pixels,
-    joined_pixels,
-    packed_frame,
-)
-from .scene import PosedScene, camera
+from ..view.frame_parts import mask_shares, picture
+from .document import Document, Edit, View
+
+#: Seconds that a picture may take while the hand moves, on a CPU and on CUDA.
+MOVING_SECONDS = {"cpu": 0.05, "cuda": 0.022}
+
+#: Cells of lattices that are tried on a CPU while the hand moves, and the least side of a picture, pixels.
+COARSE_CELLS = (16, 20, 24, 32, 48, 64, 96, 128)
+
+LEAST_SIDE = 200
+
+#: March steps that are taken as one on a CPU while the hand moves.
+MOVING_STEP = {"cpu": 3.0, "cuda": 1.0}
+
+#: Quality of JPEGs while the hand moves, of pictures with few pixels then, which the page enlarges, and at rest.
+MOVING_QUALITY, SMALL_QUALITY, SHARP_QUALITY = 75, 90, 92
+
+SMALL_PIXELS = 100_000
+
+#: How much a new measurement counts, and how far pictures may be off before their size changes.
+LEARNING, SLACK = 0.35, 1.25
+
+#: What a first guess says, on a CPU: seconds per cell of a lattice to the power of 2.5, and per pixel.
+FIRST_POSE, FIRST_PIXEL = 3e-6, 2e-6
+
+
+@dataclasses.dataclass(frozen=True)
+class Effort:
+    """What goes into one picture."""
+
+    width: int  # of the picture, pixels; so is the height
+    height: int
+    cells: int  # of the lattices along the longest side of a cage
+    step: float  # march steps of the field that are taken as one
+    supersampling: int  # rays along each side of a pixel
+    quality: int  # of the JPEG
+    sharp: bool  # whether it is as good as the settings ask for
+
+
+class Pace:
+    """What poses and pixels cost on this machine, measured as pictures are made."""
+
+    def __init__(self, cuda: bool):
+        self.kind = "cuda" if cuda else "cpu"
+        self._pose: dict[tuple[str, int], float] = {}  # (coordinates, cells) -> seconds
+        self._pixel = {True: FIRST_PIXEL, False: 3.0 * FIRST_PIXEL}  # sharp -> seconds, supersampling left out
+        self._scale = 0.0  # of the last picture while the hand moved
+
+    def learn(self, effort: Effort, coordinates: str, pose: float | None, render: float) -> None:
+        """Take in what a picture took, seconds for the pose (None: it was there already) and for the pixels."""
+        if pose is not None:
+            key = (coordinates, effort.cells)
+            self._pose[key] = _mixed(self._pose.get(key), pose)
+        pixels = effort.width * effort.height * effort.supersampling**2
+        self._pixel[effort.sharp] = _mixed(self._pixel[effort.sharp], render / pixels)
+
+    def pose_seconds(self, coordinates: str, cells: int) -> float:
+        """What a pose is thought to take, by the nearest lattice that was measured."""
+        known = [(abs(math.log(cells / c)), c, t) for (kind, c), t in self._pose.items() if kind == coordinates]
+        if not known:
+            return FIRST_POSE * cells**2.5 * (1.0 if coordinates == "harmonic" else 2.0)
+        _, near, seconds = min(known)
+        return seconds * (cells / near) ** 2.5
+
+    def sharp(self, width: int, height: int, cells: int, supersampling: int) -> Effort:
+        """The picture that the settings ask for."""
+        return Effort(width, height, cells, 1.0, supersampling, SHARP_QUALITY, True)
+
+    def sharp_seconds(self, effort: Effort, coordinates: str) -> float:
+        """What a sharp picture is thought to take."""
+        pixels = effort.width * effort.height * effort.supersampling**2
+        return self.pose_seconds(coordinates, effort.cells) + pixels * self._pixel[True]
+
+    def moving(self, width: int, height: int, cells: int, coordinates: str, posing: bool) -> Effort:
+        """A picture that is there in time while the hand moves, of at most so many pixels (but LEAST_SIDE) and cells.
+        `posing`: whether the pose changes, not the view alone."""
+        budget = MOVING_SECONDS[self.kind]
+        if self.kind == "cpu":
+            good = [c for c in COARSE_CELLS if c <= cells and self.pose_seconds(coordinates, c) < 0.4 * budget]
+            cells = min(cells, good[-1] if good else COARSE_CELLS[0])
+        left = budget - (self.pose_seconds(coordinates, cells) if posing and self._pose else 0.0)
+        scale = math.sqrt(max(left, 0.2 * budget) / self._pixel[False] / (width * height))
+        least = min(1.0, LEAST_SIDE / max(width, height))
+        scale = min(1.0, max(scale, least))
+        if self._scale and max(scale / self._scale, self._scale / scale) < SLACK and scale < 1.0:
+            scale = max(self._scale, least)  # a size that flickers disturbs more than a few pixels
+        self._scale = min(1.0, scale)
+        size = max(1, round(width * self._scale)), max(1, round(height * self._scale))
+        quality = SMALL_QUALITY if size[0] * size[1] < SMALL_PIXELS else MOVING_QUALITY
+        return Effort(*size, cells, MOVING_STEP[self.kind], 1, quality, False)
+
+
+def _mixed(known: float | None, seen: float) -> float:
+    return seen if known is None else (1.0 - LEARNING) * known + LEARNING * seen
+
+
+#: The first number of a frame's message; see `packed_frame`.
+FRAME = 10
+
+#: Depths along the longest side of a picture, while the hand moves and when it rests.
+DEPTHS_MOVING, DEPTHS_SHARP = 64, 128
+
+#: Pixels of less opacity hide nothing.
+HIDING_ALPHA = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Pixels:
+    """A frame on the host, as it is sent."""
+
+    colours: np.ndarray  # (h, w, 3) uint8
+    depths: np.ndarray  # (rows, columns) uint16, see kernels/view/preview.py
+    near: float  # distances that the depths 1 and 65535 stand for, world units
+    far: float
+
+
+def depth_size(width: int, height: int, depths: int) -> tuple[int, int]:
+    """Columns and rows of depths for a picture, of which the longest side has at most `depths`."""
+    share = min(1.0, depths / max(width, height))
+    return max(1, round(width * share)), max(1, round(height * share))
+
+
+def frame_pixels(frame: Frame, show: str, near: float, far: float, columns: int, rows: int) -> Pixels:
+    """What is sent of a frame, whose arrays are on a device: `show` is one of SHOWN.
+    `near` and `far`: distances that the depths 1 and 65535 stand for, world units."""
+    rgb = frame.arrays["rgb"]
+    width, height = frame.width, frame.height
+    with device_turn(rgb.device):
+        sampled = empty_array(rows * columns, wp.uint16, rgb.device)
+        inputs = [width, height, columns, rows, HIDING_ALPHA, near, far, frame.arrays["alpha"], frame.arrays["depth"]]
+        launch(preview.sample_depths, rows * columns, inputs, [sampled], device=rgb.device)
+        if show == "rgb":
+            packed = empty_array((width * height, 3), wp.uint8, rgb.device)
+            launch(preview.pack_colours, width * height, [rgb], [packed], device=rgb.device)
+            colours = packed.numpy().reshape(height, width, 3)
+        else:
+            shown = picture(frame, "rgb" if show == "masks" and frame.reveal is None else show)
+            shown = np.repeat(shown[..., None], 3, axis=-1) if shown.ndim == 2 else shown
+            colours = (np.clip(shown, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+        return Pixels(np.ascontiguousarray(colours), sampled.numpy().reshape(rows, columns), near, far)
+
+
+def joined_pixels(bands: list[Pixels]) -> Pixels:
+    """Bands of one picture, from the top, as one."""
+    colours, depths = (np.concatenate([getattr(band, name) for band in bands]) for name in ("colours", "depths"))
+    return Pixels(colours, depths, bands[0].near, bands[0].far)
+
+
+def band_camera(camera: Camera, first: int, last: int) -> Camera:
+    """The camera of some rows of a picture, of which `last` is the first that is left out."""
+    return dataclasses.replace(camera, cy=camera.cy - first, height=last - first)
+
+
+def packed_frame(header: dict[str, Any], pixels: Pixels | None, quality: int) -> bytes:
+    """A frame's message: four little-endian uint32 (FRAME, bytes of the header, of the JPEG, of the depths), then those
+    three. Each but the last is padded to a multiple of 8. pixels None: there is only something to say."""
+    import simplejpeg
+
+    jpeg, depths = b"", b""
+    if pixels is not None:
+        sampling = "444" if quality >= 90 else "420"  # from 90 on colours keep their full resolution
+        jpeg = simplejpeg.encode_jpeg(pixels.colours, quality=quality, colorspace="RGB", colorsubsampling=sampling)
+        depths = pixels.depths.astype("<u2").tobytes()
+    words = json.dumps(header, allow_nan=False).encode()
+    parts = [struct.pack("<4I", FRAME, len(words), len(jpeg), len(depths))]
+    parts += [words, b" " * (-len(words) % 8), jpeg, b"\0" * (-len(jpeg) % 8), depths]
+    return b"".join(parts)
+
+
+#: Deformers that are kept for one set of edits, one per resolution: a moving hand and a resting one may have two.
+KEPT_DEFORMERS = 2
+
+#: The colour behind a scene: a name, three numbers in [0, 1], or None for the field's own.
+Background = str | Sequence[float] | None
+
+
+def camera(view: View, width: int, height: int) -> Camera:
+    """The camera of a view, with square pixels, for a picture of so many pixels."""
+    focal = 0.5 * height / math.tan(math.radians(view.fov) / 2)
+    looking = Camera.look_at(view.eye, view.target, up=view.up, width=width, height=height)
+    return dataclasses.replace(looking, fx=focal, fy=focal)
+
+
+class PosedScene:
+    """The scene of a document, posed and ready to be rendered. One thread at a time may use it."""
+
+    # A Deformer is made only when what it is made of changes: faces, rest cages, kinds, walls, crumbs, visibility,
+    # order, coordinates, resolution or density. A changed pose is posed, and an unchanged one is left as it is.
+
+    def __init__(self, field: AnyField):
+        self.field = field
+        self.deformer: Deformer | None = None  # of the last `prepare`; None where the field is shown as it is
+        self._edits: tuple[Edit, ...] = ()  # what the kept Deformers and cages are made of
+        self._options: tuple[str, str] = ("", "")
+        self._rest: list[Cage] = []
+        self._kept: dict[int, Deformer] = {}  # by resolution, the last used one at the end
+        self._posed: dict[int, list[np.ndarray]] = {}  # the vertices that each of them is posed with
+
+    def prepare(self, document: Document, resolution: int | None = None) -> None:
+        """Make the scene of a document's edits and settings; where that fails, the scene before stays.
+        `resolution`: cells of the lattices along the longest side of a cage, None is that of the settings."""
+        edits = tuple(edit for edit in document.edits if edit.visible)
+        if not edits or document.settings.mode == "rest":
+            self.deformer = None
+            return
+        cells = document.settings.resolution if resolution is None else resolution
+        options = (document.settings.coordinates, document.settings.density)
+        same = options == self._options and _same_rest(edits, self._edits)
+        rest = self._rest if same else [Cage(edit.rest, edit.faces) for edit in edits]
+        posed = [
+            None if edit.kind == "remove" else cage.with_vertices(edit.posed)
+            for edit, cage in zip(edits, rest, strict=True)
+        ]
+        kept = self._kept if same else {}
+        deformer = kept.get(cells)
+        vertices = [edit.posed for edit in edits]
+        if deformer is None:
+            coordinates, density = options
+            deformer = Deformer(
+                self.field, self._cage_edits(edits, rest), coordinates=coordinates, resolution=cells, density=density
+            )
+            _pose(deformer, edits, posed)
+        elif not _same_arrays(vertices, self._posed.get(cells, [])):
+            self._posed.pop(cells, None)
+            _pose(deformer, edits, posed)
+        if not same:
+            self._kept, self._posed = {}, {}
+        self._edits, self._options, self._rest, self.deformer = edits, options, rest, deformer
+        self._kept.pop(cells, None)
+        self._kept[cells], self._posed[cells] = deformer, vertices
+        while len(self._kept) > KEPT_DEFORMERS:
+            oldest = next(iter(self._kept))
+            del self._kept[oldest], self._posed[oldest]
+
+    def render(
+        self,
+        camera: Camera,
+        background: Background = None,
+        step: float | None = None,
+        supersampling: int | None = None,
+        fill: bool = False,
+    ) -> Frame:
+        """The view of a camera of the scene that was prepared last, or of the field itself, which has no masks.
+        None is the field's own; `step` is world units (splats have none); for `fill` see `fill_unseen`."""
+        options: dict[str, Any] = {"background": background, "supersampling": supersampling}
+        if isinstance(self.field, VoxelField):
+            options["step"] = step
+        frame = (self.field if self.deformer is None else self.deformer).render(camera, **options)
+        if not fill or self.deformer is None or not isinstance(self.field, VoxelField):
+            return frame
+        filled = fill_unseen(frame, self.field, camera)
+        device = frame.arrays["rgb"].device
+        rgb = wp.array(filled.rgb.reshape(-1, 3), dtype=wp.vec3, device=device)
+        filled.arrays["rgb"] = rgb  # where the others are
+        return filled
+
+    def _cage_edits(self, edits: Sequence[Edit], rest: Sequence[Cage]) -> list[CageEdit]:
+        """The edits as a Deformer takes them."""
+        for edit, cage in zip(edits, rest, strict=True):
+            require_usable(cage, f"the rest cage of {edit.name!r}")
+        made = [edit.edit_of(cage) for edit, cage in zip(edits, rest, strict=True)]
+        if not isinstance(self.field, VoxelField):
+            return made
+        for edit, one in zip(edits, made, strict=True):
+            if one.falloff > 0.0 and one.held == "cut" and not len(cut_faces(one.cage, self.field)):
+                raise ValueError(
+                    f"{edit.name!r} fades to rest, but no wall of its cage cuts matter: nothing tears there. Set the "
+                    "width to 0, or let the walls be held that the pose leaves in place"
+                )
+        return made
+
+
+def _pose(deformer: Deformer, edits: Sequence[Edit], posed: list[Cage | None]) -> None:
+    """Pose a Deformer, or say which edit cannot be posed."""
+    for edit, cage in zip(edits, posed, strict=True):
+        if cage is not None:
+            require_usable(cage, f"the posed cage of {edit.name!r}")
+    deformer.pose(posed)
+
+
+def _same_rest(edits: Sequence[Edit], others: Sequence[Edit]) -> bool:
+    """Whether a Deformer of some edits is a Deformer of others too."""
+
+    def kinds(of: Sequence[Edit]) -> list[tuple]:
+        return [(edit.kind, edit.falloff, edit.held, edit.crumbs) for edit in of]
+
+    return kinds(edits) == kinds(others) and _same_arrays(
+        [array for edit in edits for array in (edit.faces, edit.rest)],
+        [array for edit in others for array in (edit.faces, edit.rest)],
+    )
+
+
+def _same_arrays(arrays: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> bool:
+    """Whether arrays hold the same. Documents share most of them, and those need no look."""
+    return len(arrays) == len(others) and all(
+        one is two or np.array_equal(one, two) for one, two in zip(arrays, others, strict=True)
+    )
+
 
 _log = logging.getLogger(__name__)
 

@@ -1,10 +1,14 @@
-"""Session: the newest document, its history, who is told of changes, and its file."""
+"""A session of the editor: the newest document, its history, its file, and a film that plays."""
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import dataclasses
 import datetime
+import json
 import logging
+import os
 import pathlib
 import threading
 from collections.abc import Callable, Iterable
@@ -13,14 +17,141 @@ from typing import Any
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.files import PathLike
+from ..core.checks import listed
+from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..splats.splat_field import AnyField
 from ..view.camera import framing_orbit
 from . import commands, timeline
-from .checked import error_line, frozen_vertices
-from .document import Document, Edit, Selection, Settings, Timeline, View, edit_json, new_edit
-from .history import History, seen_as
-from .session_file import Stamp, file_stamp, free_session_path, write_session
+from .document import (
+    Document,
+    Edit,
+    Selection,
+    Settings,
+    Timeline,
+    View,
+    edit_json,
+    error_line,
+    frozen_vertices,
+    new_edit,
+)
+
+#: Steps that can be undone.
+DEPTH = 500
+
+
+class History:
+    """Documents before and after the present one, each with the name of the step between."""
+
+    # Documents share what did not change, so a step costs what it moved: 2.4 kB for a cage of 100 vertices.
+
+    def __init__(self) -> None:
+        self.undo_steps: list[tuple[str, Document]] = []  # (name, document before it), the newest last
+        self.redo_steps: list[tuple[str, Document]] = []  # (name, document after it), the next one last
+
+    def push(self, label: str, before: Document) -> None:
+        """Remember the document before a step. What was undone before is forgotten."""
+        self.undo_steps.append((label, before))
+        del self.undo_steps[:-DEPTH]
+        self.redo_steps.clear()
+
+    def undo(self, present: Document) -> tuple[str, Document]:
+        """The step that is undone and the document before it. Raises ValueError where there is none."""
+        if not self.undo_steps:
+            raise ValueError("there is nothing to undo")
+        label, before = self.undo_steps.pop()
+        self.redo_steps.append((label, present))
+        return label, seen_as(before, present)
+
+    def redo(self, present: Document) -> tuple[str, Document]:
+        """The step that is done again and the document after it. Raises ValueError where there is none."""
+        if not self.redo_steps:
+            raise ValueError("there is nothing to redo")
+        label, after = self.redo_steps.pop()
+        self.undo_steps.append((label, present))
+        return label, seen_as(after, present)
+
+    def summary(self) -> dict[str, object]:
+        """How many steps there are each way, and the names of the next ones."""
+        return {
+            "undo": len(self.undo_steps),
+            "redo": len(self.redo_steps),
+            "undo_label": self.undo_steps[-1][0] if self.undo_steps else None,
+            "redo_label": self.redo_steps[-1][0] if self.redo_steps else None,
+        }
+
+
+def seen_as(document: Document, present: Document) -> Document:
+    """A document of the history, seen from where the person looks now. Numbers that were given out stay so."""
+    number = max(document.next_id, present.next_id)
+    return dataclasses.replace(document, view=present.view, time=present.time, next_id=number)
+
+
+FORMAT, VERSION = "warpcage session", 1
+
+#: How the name of a field's session ends: `lego.npz` has `lego.session.json`.
+ENDING = ".session.json"
+
+#: What tells versions of a file apart: its time in nanoseconds, its bytes and its number.
+Stamp = tuple[int, int, int]
+
+
+def session_path(field: PathLike) -> pathlib.Path:
+    """Where the session of a field's file is kept: beside it."""
+    path = pathlib.Path(field)
+    return path.with_name(path.stem + ENDING)
+
+
+def free_session_path(path: pathlib.Path) -> pathlib.Path:
+    """The first name of NAME.1.session.json, NAME.2.session.json, ... that no file beside a session's file has."""
+    stem = path.name.removesuffix(ENDING) if path.name.endswith(ENDING) else path.stem
+    number = 1
+    while os.path.lexists(other := path.with_name(f"{stem}.{number}{ENDING}")):
+        number += 1
+    return other
+
+
+def file_stamp(path: pathlib.Path) -> Stamp | None:
+    """What tells versions of a file apart. None where there is no file."""
+    try:
+        status = os.stat(path)
+    except FileNotFoundError:
+        return None
+    return status.st_mtime_ns, status.st_size, status.st_ino
+
+
+def write_session(path: PathLike, document: Document, field: AnyField, field_name: str | None) -> None:
+    """Write a session's file, whole or not at all; the name of a field without a file is None."""
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "field": {"name": field_name, "bounds": field.bounds.tolist()},
+        "document": document.to_json(),
+    }
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_session(path: PathLike, field: AnyField | None = None) -> Document:
+    """Read a session's file, which should belong to the field; None takes any."""
+    path = require_file(path, "session file")
+    try:
+        content: Any = read_json(path, "session file")
+        if content.get("format") != FORMAT:
+            raise ValueError(f"it is no {FORMAT}")
+        version = content.get("version")
+        if type(version) is not int or version < 1:
+            raise ValueError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
+        if version > VERSION:
+            raise ValueError(f"its version is {version}, this warpcage reads up to {VERSION}: upgrade")
+        if field is not None and content["field"]["bounds"] != field.bounds.tolist():
+            name = listed([str(content["field"].get("name"))])
+            raise ValueError(f"it belongs to another field, {name}, with other bounds")
+        return Document.from_json(content["document"])
+    except DAMAGED as error:
+        raise ValueError(f"{path}: {damage('session file', error)}") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
 
 #: Parts of the document that pages are told of.
 PARTS = ("edits", "selection", "settings", "view", "timeline")
@@ -327,3 +458,65 @@ def _same_edit(one: Edit, two: Edit) -> bool:
         all(getattr(one, name) == getattr(two, name) for name in _PLAIN)
         and all(np.array_equal(getattr(one, part), getattr(two, part)) for part in ("faces", "rest", "posed"))
     )
+
+
+#: The shortest time between two pictures of a film that plays, and the longest that one is waited for, seconds.
+LEAST_SECONDS, MOST_SECONDS = 1.0 / 240.0, 1.0
+
+
+class Player:
+    """Moves a session along its film in real time, leaving out moments that no picture can be made of in time.
+    All in the thread of the server's loop. `tell`: called when it begins or ends to play."""
+
+    def __init__(self, session: Session, tell: Callable[[], None]):
+        self._session, self._tell = session, tell
+        self._task: asyncio.Task | None = None
+        self._shown = asyncio.Event()
+
+    @property
+    def playing(self) -> bool:
+        """Whether the film plays."""
+        return self._task is not None
+
+    def play(self) -> None:
+        """Play from where the timeline stands, or from the start where it stands at the end."""
+        self.stop()
+        self._task = asyncio.create_task(self._play())
+        self._tell()
+
+    def stop(self) -> None:
+        """Stand still."""
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
+            self._tell()
+
+    def picture_shown(self) -> None:
+        """A picture is there: the next moment may come."""
+        self._shown.set()
+
+    async def _play(self) -> None:
+        try:
+            await self._go_on()
+        except ValueError as error:
+            _log.warning("the film stops: %s", error)
+        except Exception:
+            _log.exception("the film stops")
+        self._task = None
+        self._tell()
+
+    async def _go_on(self) -> None:
+        loop, session = asyncio.get_running_loop(), self._session
+        film, begin = session.document.timeline, session.document.time
+        if begin >= film.length:
+            begin = 0.0
+        started = loop.time()
+        while True:
+            elapsed, film = begin + loop.time() - started, session.document.timeline
+            self._shown.clear()
+            session.scrub(timeline.looped_time(film, elapsed))
+            if film.length <= 0.0 or (film.loop == "once" and elapsed >= film.length):
+                return
+            with contextlib.suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._shown.wait(), MOST_SECONDS)
+            await asyncio.sleep(LEAST_SECONDS)

@@ -16,9 +16,8 @@ from ..core.names import EASINGS
 from ..view import motion as between
 from ..view.camera import CameraKey
 from ..view.camera_path import timed_keys
-from .checked import MAX_KEYS, MAX_NAME, MAX_SECONDS, frozen_vertices
-from .document import Document, Key, Timeline, View
-from .scene import camera
+from .document import MAX_KEYS, MAX_NAME, MAX_SECONDS, Document, Key, Timeline, View, frozen_vertices
+from .renderer import camera
 
 #: Width and height of the pictures of cameras in pose files, pixels.
 PICTURE = (800, 600)
