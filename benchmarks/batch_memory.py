@@ -19,7 +19,7 @@ from results import write_results
 from soak import GROWTH, ball_field
 
 import warpcage
-from warpcage.batch import run
+from warpcage.batch import ray_engine
 from warpcage.batch.job_file import write_jobs
 from warpcage.batch.ray_engine import RayEngine
 
@@ -58,7 +58,7 @@ def main() -> int:
             for name in ("0", "1"):
                 curves[f"worker {name}"].append(resident(Seen.newest.places[name]["pid"]))
 
-    run.RayEngine = Seen
+    ray_engine.RayEngine = Seen
     with tempfile.TemporaryDirectory() as temporary:
         path = write_job(pathlib.Path(temporary), args.items)
         report = warpcage.run_jobs(path, pathlib.Path(temporary, "out"), workers=2, device="cpu", progress=look)

@@ -23,14 +23,12 @@ import numpy as np
 from results import write_results
 
 import warpcage
-from warpcage.batch import lots
-from warpcage.batch.dispatcher import Dispatcher
+from warpcage.batch import scheduler
 from warpcage.batch.job_file import JobFile, write_jobs
 from warpcage.batch.loop import drive
-from warpcage.batch.lots import AIM, LARGEST, Lots
-from warpcage.batch.manifest import merge_notes
-from warpcage.batch.output_folder import OutputFolder
+from warpcage.batch.manifest import OutputFolder, merge_notes
 from warpcage.batch.run import Options, _run, planned
+from warpcage.batch.scheduler import AIM, LARGEST, Dispatcher, Lots
 from warpcage.batch.simulated_engine import Conditions, SimulatedEngine
 
 #: Mean seconds of an item: a small frame on an H200, a large one, a film's frame on a CPU.
@@ -133,7 +131,7 @@ def message_costs(folder: pathlib.Path, count: int) -> dict[str, float]:
 
     ray.init(address="local", num_cpus=2, include_dashboard=False, log_to_driver=False, object_store_memory=10**8)
     ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    rows, largest = [], lots.LARGEST
+    rows, largest = [], scheduler.LARGEST
     try:
         for size, share in ((1, 0.05), (16, 0.5), (256, 1.0)):
             used = max(40, int(share * count))
@@ -154,7 +152,7 @@ def message_costs(folder: pathlib.Path, count: int) -> dict[str, float]:
             rows.append((len(made) - 1, end[0] - begin[0], end[1] - begin[1]))
             print(f"lots of {size}: {rows[-1][0]} lots, {rows[-1][1]} items, {rows[-1][2]:.2f} s of the driver")
     finally:
-        lots.LARGEST = largest
+        scheduler.LARGEST = largest
         ray.shutdown()
     table = np.array(rows)
     # least squares in relative error, as the runs differ in length

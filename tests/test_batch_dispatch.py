@@ -5,9 +5,8 @@ import collections
 import numpy as np
 import pytest
 
-from warpcage.batch.dispatcher import Dispatcher, LotReport
 from warpcage.batch.loop import drive
-from warpcage.batch.lots import Lots
+from warpcage.batch.scheduler import Dispatcher, LotReport, Lots
 from warpcage.batch.simulated_engine import Conditions, SimulatedEngine
 
 

@@ -14,9 +14,9 @@ from batch_runs import Making, write_frames
 import warpcage
 from warpcage.batch.fingerprints import Begun
 from warpcage.batch.job_file import JobFile
-from warpcage.batch.late_items import LateItems
+from warpcage.batch.loop import LateItems
 from warpcage.batch.lot_runner import LotOrder, LotRunner, Place
-from warpcage.batch.output_folder import OutputFolder
+from warpcage.batch.manifest import OutputFolder
 
 
 @pytest.fixture(scope="module")

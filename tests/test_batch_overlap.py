@@ -13,18 +13,17 @@ import numpy as np
 import pytest
 from batch_runs import Making, number_of, records, run_with, write_frames
 
-from warpcage.batch import expected_field, fields, fingerprints, runners
-from warpcage.batch.dispatcher import Dispatcher, LotReport
-from warpcage.batch.expected_field import ExpectedField
+from warpcage.batch import fields, fingerprints, runners
+from warpcage.batch.fields import ExpectedField
 from warpcage.batch.fingerprints import Begun, Fingerprints
 from warpcage.batch.job_file import JobFile
 from warpcage.batch.loop import Begun as LotBegun
 from warpcage.batch.loop import Finished
 from warpcage.batch.lot_runner import LotOrder, LotRunner, Place
-from warpcage.batch.lots import Lot, Lots
-from warpcage.batch.output_folder import OutputFolder
+from warpcage.batch.manifest import OutputFolder
 from warpcage.batch.ray_engine import RayEngine, Share
 from warpcage.batch.runners import RunnerSettings
+from warpcage.batch.scheduler import Dispatcher, Lot, LotReport, Lots
 from warpcage.core.files import file_stamp
 from warpcage.field.voxel_field import VoxelField
 
@@ -266,8 +265,8 @@ def test_one_worker_alone_makes_the_next_lot_meanwhile(tmp_path, monkeypatch, sl
 
 
 def test_a_worker_reads_its_first_field_once_and_early(files, tmp_path, monkeypatch):
-    read, real = [], expected_field.read_field
-    monkeypatch.setattr(expected_field, "read_field", lambda path, **words: read.append(path) or real(path, **words))
+    read, real = [], fields.read_field
+    monkeypatch.setattr(fields, "read_field", lambda path, **words: read.append(path) or real(path, **words))
     monkeypatch.setattr(fields, "read_field", lambda *given, **words: pytest.fail("it was read once more"))
     hashed, hash_file = [], fingerprints._file_hash
     monkeypatch.setattr(fingerprints, "_file_hash", lambda path: hashed.append(path.name) or hash_file(path))
@@ -296,14 +295,14 @@ def test_a_field_that_was_replaced_since_is_read_anew(files, tmp_path):
 def test_a_field_that_changes_while_it_is_read_is_not_taken(files, tmp_path, monkeypatch):
     path = tmp_path / "ball.npz"
     path.write_bytes((files / "ball.npz").read_bytes())
-    before, real = file_stamp(path), expected_field.read_field
+    before, real = file_stamp(path), fields.read_field
 
     def changing(*given, **words):
         found = real(*given, **words)
         os.utime(path, ns=(1, 1))
         return found
 
-    monkeypatch.setattr(expected_field, "read_field", changing)
+    monkeypatch.setattr(fields, "read_field", changing)
     expected = ExpectedField(str(path), 1.0)
     assert expected.take(str(path), before, 1.0) is None and expected.take(str(path), file_stamp(path), 1.0) is None
 

@@ -5,8 +5,7 @@ import json
 import pytest
 from batch_runs import RECORDS, Making, left_over, pictures, records, write_frames, write_records
 
-from warpcage.batch.output_folder import OutputFolder
-from warpcage.batch.part import Part
+from warpcage.batch.manifest import OutputFolder, Part
 from warpcage.batch.run import Options, _run, run_jobs
 from warpcage.cli import main
 

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from cli_runs import write_files
 
-from warpcage.batch.items import Item
+from warpcage.batch.items import Item, record_outputs
 from warpcage.batch.job_file import JobFile, write_jobs
-from warpcage.batch.records import record_outputs
-from warpcage.batch.transforms import finish_folder
+from warpcage.batch.records import finish_folder
 from warpcage.batch.webdataset import (
     pack_shard,
     read_shard,

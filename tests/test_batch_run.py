@@ -25,7 +25,7 @@ from batch_runs import (
 )
 
 import warpcage
-from warpcage.batch.output_folder import OutputFolder
+from warpcage.batch.manifest import OutputFolder
 from warpcage.batch.webdataset import pack_shard, read_shard
 from warpcage.cli import main
 
@@ -159,7 +159,7 @@ def test_a_second_driver_is_refused_and_the_first_one_killed_frees_the_folder(fi
     out = tmp_path / "out"
     OutputFolder(out).prepare()
     program = (
-        "import sys, time\nfrom warpcage.batch.output_folder import OutputFolder\n"
+        "import sys, time\nfrom warpcage.batch.manifest import OutputFolder\n"
         "with OutputFolder(sys.argv[1]).driven():\n    print('here', flush=True)\n    time.sleep(60)"
     )
     other = subprocess.Popen([sys.executable, "-c", program, str(out)], stdout=subprocess.PIPE)
@@ -173,7 +173,7 @@ def test_a_second_driver_is_refused_and_the_first_one_killed_frees_the_folder(fi
 
 
 def test_workers_of_a_driver_that_was_killed_are_waited_for(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcage.batch.output_folder.PATIENCE", 0.2)
+    monkeypatch.setattr("warpcage.batch.manifest.PATIENCE", 0.2)
     folder = OutputFolder(tmp_path / "out")
     folder.prepare()
     with folder.worked_in():
@@ -449,7 +449,7 @@ KILLS = {
     "        Torn.count += 1\n"
     '        if Torn.count == 12: os.write(self._file.fileno(), b\'{"id": "shot\'); kill()\n'
     "        super().append(record)\n"
-    "place.Notes = Torn\nimport warpcage.batch.output_folder\nwarpcage.batch.output_folder.Notes = Torn\n",
+    "place.Notes = Torn\nimport warpcage.batch.manifest\nwarpcage.batch.output_folder.Notes = Torn\n",
     "before the manifest is replaced": "place.atomic_path = kill\n",
     "before notes are removed": "unlink = pathlib.Path.unlink\n"
     "pathlib.Path.unlink = lambda path, **words: (kill if path.parent.name == 'notes' else unlink)(path, **words)\n",

@@ -16,11 +16,11 @@ from splat_scenes import splats_in_box
 
 from warpcage.batch import fingerprints, frames
 from warpcage.batch.fingerprints import Fingerprints
+from warpcage.batch.forecast import Missing
 from warpcage.batch.frames import MOST_DEFORMERS
 from warpcage.batch.items import Item
 from warpcage.batch.job_file import JobFile
-from warpcage.batch.missing import Missing
-from warpcage.batch.outputs import write_array
+from warpcage.batch.manifest import write_array
 from warpcage.batch.worker import PARTS, Worker
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile

@@ -9,9 +9,9 @@ from cli_runs import run, succeed, write_files
 
 from warpcage.batch.forecast import foresee
 from warpcage.batch.job_file import JobFile
+from warpcage.batch.records import finish_folder
 from warpcage.batch.run import run_jobs
 from warpcage.batch.sweeps import GivenSource, RandomSource, RandomViews, write_sweep
-from warpcage.batch.transforms import finish_folder
 from warpcage.batch.webdataset import read_shard, staged_shards
 from warpcage.batch.worker import Worker
 from warpcage.cage.cage import Cage

@@ -35,7 +35,7 @@ _HOMES = {
     "PoseFile": "cage.pose_file",
     "PositionMap": "lattice.position_map",
     "RandomPoses": "cage.random_poses",
-    "RunReport": "batch.report",
+    "RunReport": "batch.run",
     "Scene": "scene.scene",
     "SplatDeformer": "deform.splat_deformer",
     "SplatField": "splats.splat_field",

@@ -1,6 +1,6 @@
 """The public names, for type checkers and editors: `__init__.py` loads each when it is first used."""
 
-from .batch.report import RunReport as RunReport
+from .batch.run import RunReport as RunReport
 from .batch.run import run_jobs as run_jobs
 from .cage.cage import Cage as Cage
 from .cage.check import CageReport as CageReport

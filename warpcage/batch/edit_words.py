@@ -8,9 +8,7 @@ from typing import Any
 
 from ..core.checks import shown
 from . import words
-from .item import plain
-from .pose_words import drawn_pose
-from .words import Checker, checked_words, one_of, text
+from .words import Checker, checked_words, drawn_pose, one_of, plain, text
 
 
 def _cage(value: Any, word: str) -> Any:

@@ -1,17 +1,48 @@
-"""Fields that stay loaded."""
+"""Fields that a worker keeps loaded, and the one that is loaded ahead."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import warp as wp
 
 from ..core.arrays import array_bytes
+from ..core.files import file_stamp
 from ..core.memory import Recent, free_bytes
 from ..splats.splat_field import AnyField, read_field
-from .expected_field import ExpectedField
 from .references import References
+
+#: Makes a field on a device, of what was read.
+OnDevice = Callable[[wp.DeviceLike], AnyField]
+
+
+class ExpectedField:
+    """A field whose file a thread reads before anybody asks for it, beside whatever else a worker begins with."""
+
+    def __init__(self, path: str, scene_scale: float):
+        self._path, self._scene_scale = path, scene_scale
+        thread = ThreadPoolExecutor(1, "warpcage-field")
+        self._reading = thread.submit(self._read)
+        thread.shutdown(wait=False)  # it ends with its task
+
+    def _read(self) -> tuple[tuple[int, int], OnDevice]:
+        stamp = file_stamp(self._path)
+        found = read_field(self._path, scene_scale=self._scene_scale)
+        if file_stamp(self._path) != stamp:
+            raise ValueError(f"{self._path} was changed while it was read")
+        return stamp, found
+
+    def take(self, path: str, stamp: tuple[int, int], scene_scale: float) -> OnDevice | None:
+        """What makes the field on a device, once it is read; stamp: the `file_stamp` of `path` as it is now.
+        None for another field, a file that has changed since, and where reading failed."""
+        # Where reading failed, whoever asked reads it then, and learns what is wrong.
+        if (path, scene_scale) != (self._path, self._scene_scale) or self._reading.exception() is not None:
+            return None
+        read, found = self._reading.result()
+        return found if read == stamp else None
+
 
 #: Most fields that stay loaded, and the share of the memory that is free at first for them and what is bound to them.
 MOST_FIELDS, MEMORY_SHARE = 8, 0.5

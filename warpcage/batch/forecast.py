@@ -1,26 +1,67 @@
-"""What a run would do and how long it would take, from items that are made once into a folder that is thrown away."""
+"""What a run would take: what is missing, and seconds by kind from earlier runs."""
 
 from __future__ import annotations
 
 import collections
 import contextlib
 import dataclasses
+import os
 import pathlib
 import tempfile
 import time
 
 import numpy as np
 
+from ..cage.presets import is_preset
 from ..core.devices import resolve_device
-from ..core.files import PathLike
+from ..core.files import NpyFile, PathLike, require_file
+from ..core.memory import Recent
 from ..core.threads import cpu_threads, limit_threads
-from .fingerprints import Fingerprints
+from .fingerprints import Fingerprints, references_of
+from .items import Item
 from .job_file import JobFile
-from .manifest import Manifest, merge_notes, newest_seconds
-from .missing import Missing
-from .output_folder import OutputFolder
+from .manifest import Manifest, OutputFolder, merge_notes, newest_seconds
 from .plan import KIND_NUMBERS, Plan, make_plan
+from .words import split_reference
 from .worker import Worker
+
+#: Files that are remembered: each is looked at once, however many items name it.
+MOST_FILES = 100_000
+
+
+class Missing:
+    """Looks for files and rows that items name; base: folder that their paths are relative to."""
+
+    def __init__(self, base: PathLike):
+        self.base = base
+        self._files: Recent[NpyFile | str | None] = Recent(MOST_FILES)
+
+    def of(self, item: Item) -> str | None:
+        """One line on the first that an item names and is not there; None where all is there."""
+        # Whether it can be used shows when the item is made.
+        found = (self._wrong(reference) for reference in references_of(item))
+        return next((line for line in found if line), None)
+
+    def _wrong(self, reference: str) -> str | None:
+        name, place = split_reference(reference)
+        file = self._files.get(name, lambda: self._looked_at(name))
+        if isinstance(file, str) or file is None or not place:
+            return file if isinstance(file, str) else None
+        rows = file.shape[0] if file.shape else 0
+        if place.isdigit() and int(place) >= rows:
+            return f"{file.path} has rows 0 to {rows - 1}, got {place}" if rows else f"{file.path} has no rows"
+        return None
+
+    def _looked_at(self, name: str) -> NpyFile | str | None:
+        """The array in a .npy file, None for another that is there, or a line on what is wrong."""
+        path = os.path.join(self.base, name)
+        try:
+            if os.path.isdir(path) or is_preset(name, self.base):
+                return None
+            return NpyFile(path) if name.lower().endswith(".npy") else require_file(path, "file") and None
+        except (OSError, ValueError) as error:
+            return str(error)
+
 
 #: Items that name what is not there, of which a forecast keeps a line.
 MOST_MISSING = 10

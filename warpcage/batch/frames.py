@@ -30,10 +30,11 @@ from ..view.frame_parts import picture
 from ..view.opacity import rgba_picture
 from ..view.pictures import write_jpeg, write_png
 from .fields import MEMORY_SHARE, LoadedFields
-from .items import TRANSPARENT, FrameItem, canonical
-from .outputs import Made, Writer, array_data, write_array
+from .items import FrameItem, canonical
+from .manifest import Made, Writer, array_data, write_array
 from .records import frame_record, pose_array
 from .references import References, RestCage
+from .words import TRANSPARENT
 
 #: Most deformers that stay bound to a field.
 MOST_DEFORMERS = 4

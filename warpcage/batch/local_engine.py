@@ -7,10 +7,9 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from .dispatcher import MOST_LOTS, LotReport
 from .loop import Begun, Event, Finished, Ready, Returned
 from .lot_runner import LotOrder, LotRunner
-from .lots import Lot
+from .scheduler import MOST_LOTS, Lot, LotReport
 
 #: Seconds of an item from which on a lot is settled before the next one: this thread tells of it only after that one.
 SLOW = 0.5

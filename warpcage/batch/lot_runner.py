@@ -16,9 +16,9 @@ from typing import Any, Protocol
 
 from .. import __version__
 from ..core.names import system_error_line
-from .dispatcher import LotReport
 from .items import Item
 from .manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes
+from .scheduler import LotReport
 from .webdataset import pack_shard, shard_stage
 
 #: What the same input brings again: there is no use in trying it once more.

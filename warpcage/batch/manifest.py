@@ -1,20 +1,27 @@
-"""The manifest of a run: what became of each item, one line each; and the notes that workers write meanwhile."""
+"""The folder of a run: its manifest, notes of workers, parts of a run, and how outputs are written."""
 
 from __future__ import annotations
 
 import collections
 import contextlib
+import dataclasses
 import errno
 import hashlib
+import io
 import json
 import os
 import pathlib
+import re
+import shutil
 import threading
-from collections.abc import Iterable, Iterator
+import time
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import IO, Any
 
 import numpy as np
 
+from ..core.checks import shown, warn_caller
 from ..core.files import PathLike, atomic_path
 
 #: States of an item in notes: it was begun; it is done; it failed and is not tried again; it failed and may be.
@@ -216,3 +223,260 @@ def newest_seconds(manifest: Manifest, most: int = 1000) -> dict[str, float]:
             if len(table) < most:
                 table.append(float(record["seconds"]))
     return {kind: float(np.median(seconds)) for kind, seconds in found.items()}
+
+
+#: Folders of a run: files stand in the first until they are whole, and what is left there belongs to nobody once no
+#: worker runs; the second holds the progress of fits, from which they go on.
+PARTS, CHECKPOINTS = ".warpcage/parts", ".warpcage/checkpoints"
+
+#: Writes an output to a file that is not yet in its place. Any thread may call it: it uses main memory alone, or takes
+#: the turn of its device.
+Writer = Callable[[pathlib.Path], object]
+
+
+@dataclasses.dataclass(frozen=True)
+class Made:
+    """An item that is made, and not yet written."""
+
+    # by the paths of its outputs
+    writers: Mapping[str, Writer]
+    # of main memory, that the writers hold
+    held_bytes: int = 0
+
+
+def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathlib.Path) -> dict[str, int]:
+    """Write files below `out`, all of them or none; returns their bytes by path.
+    parts: folder for files that are not whole yet, on the same file system."""
+    sizes: dict[str, int] = {}
+    placed: list[pathlib.Path] = []
+    # they are written in a folder of their own, and put into their places when all are whole
+    with _part_names(writers, parts) as names:
+        for path, write in writers.items():
+            write(names[path])
+            sizes[path] = names[path].stat().st_size
+        try:
+            for path in writers:
+                _put(names[path], out / path)
+                placed.append(out / path)
+                del names[path]
+        except BaseException:
+            for each in placed:
+                each.unlink(missing_ok=True)
+            raise
+    return sizes
+
+
+def _put(part: pathlib.Path, path: pathlib.Path) -> None:
+    """Put a whole file into its place, also where that is on another disk, to which a link in the folder leads."""
+    try:
+        try:
+            os.replace(part, path)
+        except FileNotFoundError:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(part, path)
+    except OSError as error:
+        if error.errno != errno.EXDEV:
+            raise
+        with atomic_path(path) as temporary:
+            shutil.copyfile(part, temporary)
+        part.unlink()
+
+
+@contextlib.contextmanager
+def _part_names(paths: Mapping[str, Writer], parts: pathlib.Path) -> Iterator[dict[str, pathlib.Path]]:
+    """A file's name in `parts` for each path, with its ending; those that nobody took out are removed at the end."""
+    parts.mkdir(parents=True, exist_ok=True)
+    stem = uuid.uuid4().hex
+    names = {path: parts / f"{stem}-{number}{pathlib.PurePosixPath(path).suffix}" for number, path in enumerate(paths)}
+    try:
+        yield names
+    finally:
+        for name in names.values():
+            with contextlib.suppress(OSError):
+                name.unlink()
+
+
+def write_array(path: pathlib.Path, array: np.ndarray) -> None:
+    """Write a .npy file that is not yet in its place."""
+    numbers = np.ascontiguousarray(array)
+    if not numbers.size:
+        path.write_bytes(array_data(numbers))
+        return
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(numbers))
+    with path.open("wb") as file:  # np.save's own way tells of a full disk without its error number
+        file.write(head.getbuffer())
+        file.write(numbers.data.cast("B"))
+
+
+def array_data(array: np.ndarray) -> memoryview:
+    """The bytes of a .npy file."""
+    data = io.BytesIO()
+    np.save(data, np.ascontiguousarray(array), allow_pickle=False)
+    return data.getbuffer()
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """One of the parts of a job: `number`, from 1, of `count`."""
+
+    number: int
+    count: int
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.number <= self.count:
+            raise ValueError(f"there is no part {self.number} of {self.count}: they are numbered from 1")
+
+    @classmethod
+    def named(cls, text: str) -> Part:
+        """The part of a text such as "3/16". Raises ValueError for others."""
+        found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
+        if found is None:
+            raise ValueError(f"a part must be a number of how many, such as 3/16, got {shown(text)}")
+        return cls(int(found[1]), int(found[2]))
+
+    @property
+    def name(self) -> str:
+        """Names its files."""
+        return f"part-{self.number}-of-{self.count}"
+
+    def range(self, total: int, unit: int = 1) -> range:
+        """Numbers of its items, of `total`; unit: items that stay together, those of a shard."""
+        # All parts together have each item once, and as equal numbers of units as can be.
+        units = -(-total // unit)
+        begin, end = (min(total, unit * (units * part // self.count)) for part in (self.number - 1, self.number))
+        return range(begin, end)
+
+
+#: The run's own folder in the output folder, and its manifest.
+OWN_FOLDER, MANIFEST = ".warpcage", "manifest.jsonl"
+
+#: What files of the run itself are called before they are whole.
+_TEMPORARY = re.compile(r"\.(manifest|transforms|shard-\d+)-[0-9a-f]{16}\.(jsonl|json|tar)")
+
+#: Seconds that the workers of a driver that was killed are waited for.
+PATIENCE = 30.0
+
+#: What a file system without locks says.
+_NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
+
+
+class OutputFolder:
+    """Where a run writes; `prepare` makes the folder. part: None is the whole job."""
+
+    # A part is made beside runs of other parts: it leaves its notes for a run of the whole job to merge.
+
+    def __init__(self, path: PathLike, part: Part | None = None):
+        self.path, self.part = pathlib.Path(path).absolute(), part
+        self.own = self.path / OWN_FOLDER
+        self.notes = self.own / "notes"
+        self._made: list[pathlib.Path] = []  # folders that were not there, the innermost first
+
+    @property
+    def manifest(self) -> pathlib.Path:
+        """The manifest."""
+        return self.path / MANIFEST
+
+    def prepare(self) -> None:
+        """Make the folder."""
+        if self.path.exists() and not self.path.is_dir():
+            raise ValueError(f"{str(self.path)!r} is a file: -o takes a folder")
+        inner_first = (self.notes, self.own, self.path, *self.path.parents)
+        self._made = [each for each in inner_first if not each.exists()]
+        self.notes.mkdir(parents=True, exist_ok=True)
+
+    def new_notes(self, name: str) -> Notes:
+        """A file of notes of its own; name: which no other file of this run has."""
+        return Notes(self.notes / f"{name}.jsonl")
+
+    @contextlib.contextmanager
+    def driven(self) -> Iterator[None]:
+        """Be the only driver of the folder, or of a part. The lock frees itself where the driver is killed."""
+        with contextlib.ExitStack() as held:
+            driver = held.enter_context(open(self.own / "driver.lock", "a+b"))
+            free = _lock(driver, exclusive=self.part is None)
+            if free and self.part is not None:
+                free = _lock(held.enter_context(open(self.own / f"{self.part.name}.lock", "a+b")), exclusive=True)
+            if not free:
+                raise ValueError(f"another run writes to {str(self.path)!r}: wait for its end, or give another folder")
+            if self.part is not None:
+                yield
+                return
+            workers = held.enter_context(open(self.own / "workers.lock", "a+b"))
+            end = time.monotonic() + PATIENCE
+            while not _lock(workers, exclusive=True):
+                if time.monotonic() > end:
+                    raise ValueError(
+                        f"workers of an earlier run still write to {str(self.path)!r}: end them, or give another folder"
+                    )
+                time.sleep(0.05)
+            workers.close()  # for the workers of this run
+            yield
+
+    @contextlib.contextmanager
+    def nothing_left(self) -> Iterator[None]:
+        """Where the block fails before anything was made, take the folders away that `prepare` made.
+        To be entered in `driven`: nobody else writes here then."""
+        try:
+            yield
+        except BaseException:
+            if self.own in self._made and not any(self.notes.iterdir()) and not self.manifest.exists():
+                with contextlib.suppress(OSError):  # what others put there stays
+                    for path in self.own.glob("*.lock"):
+                        path.unlink(missing_ok=True)
+                    for each in self._made:
+                        each.rmdir()
+            raise
+
+    def worked_in(self) -> IO[bytes]:
+        """What a worker holds open as long as it may write here."""
+        file = open(self.own / "workers.lock", "a+b")
+        _lock(file, exclusive=False)
+        return file
+
+    def merge(self) -> None:
+        """Merge all notes into the manifest, and remove what workers that were killed left half-written.
+        No worker may be at work. A part does not merge: others may be."""
+        if self.part is not None:
+            return
+        shutil.rmtree(self.path / PARTS, ignore_errors=True)
+        for path in self.path.glob(".*-*"):
+            if _TEMPORARY.fullmatch(path.name):
+                path.unlink(missing_ok=True)
+        merge_notes(self.manifest, self.notes.glob("*.jsonl"))
+        for path in self.own.glob("part-*"):
+            path.unlink(missing_ok=True)
+
+    def read_manifest(self) -> Manifest:
+        """The records of earlier runs; for a part, with the notes that nobody has merged."""
+        if self.part is None:
+            return Manifest(self.manifest)
+        merged = self.own / f"{self.part.name}.jsonl"
+        merge_notes(self.manifest, self.notes.glob("*.jsonl"), into=merged)
+        return Manifest(merged)
+
+    def holds(self, outputs: Any) -> bool:
+        """Whether all files of a record are there in the size that it says; outputs: bytes by name."""
+        if not isinstance(outputs, dict) or not outputs:
+            return False
+        try:
+            return all(os.stat(self.path / name).st_size == size for name, size in outputs.items())
+        except (OSError, ValueError):
+            return False
+
+
+def _lock(file: IO[bytes], *, exclusive: bool) -> bool:
+    """Lock an open file until it is closed; returns False where another process has it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return True
+    try:
+        fcntl.flock(file, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        warn_caller(f"the file system of {str(file.name)!r} has no locks: nothing keeps a second run away")
+    return True

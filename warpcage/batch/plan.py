@@ -7,12 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .items import KINDS, Item
+from .items import ITEMS_PER_SHARD, KINDS, WEBDATASET, Item
 from .job_file import JobFile
-from .lots import Lots
-from .manifest import DONE, FAILED, Manifest, id_key
-from .output_folder import OutputFolder
-from .records import ITEMS_PER_SHARD, WEBDATASET
+from .manifest import DONE, FAILED, Manifest, OutputFolder, id_key
+from .scheduler import Lots
 from .webdataset import shard_holds, staged_shards
 
 #: Numbers of the kinds of items, for `Lots`.

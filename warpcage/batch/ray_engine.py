@@ -1,4 +1,4 @@
-"""Workers in processes of Ray: on this machine, one a GPU or some a CPU, or on a cluster by its address."""
+"""Workers on clusters by Ray: actors, their deaths, and what they report."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import dataclasses
 import functools
 import logging
 import os
+import platform
 import queue
 import signal
 import socket
@@ -16,16 +17,48 @@ import types
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from ..core.threads import cpu_threads
-from .dispatcher import MOST_LOTS, LotReport
-from .late_items import ANSWER, LateItems
-from .loop import Begun, Died, Event, Finished, Ready, Returned
-from .lot_runner import LotOrder, one_line
-from .lots import Lot
-from .manifest import DONE, ERROR, FAILED, notes_of_lot
-from .output_folder import OutputFolder
-from .ray_actor import LotActor
-from .runners import RunnerSettings
+from ..core.threads import cpu_threads, limit_threads
+from .loop import ANSWER, Begun, Died, Event, Finished, LateItems, Ready, Returned
+from .lot_runner import LotOrder, LotRunner, one_line
+from .manifest import DONE, ERROR, FAILED, OutputFolder, notes_of_lot
+from .runners import RunnerSettings, make_runner
+from .scheduler import MOST_LOTS, Lot, LotReport
+
+
+class LotActor:
+    """What runs in the process of a worker."""
+
+    def __init__(self, settings: RunnerSettings):
+        self._settings = settings
+        self._limits = contextlib.ExitStack()
+        if settings.threads:
+            self._limits.enter_context(limit_threads(settings.threads))
+        self._runner: LotRunner = make_runner(settings)
+
+    def facts(self) -> dict[str, Any]:
+        """Where it works, once it can."""
+        return {"pid": os.getpid(), "host": platform.node()}
+
+    def run(self, order: LotOrder) -> LotReport:
+        """Make a lot."""
+        return self._runner.run(order)
+
+    def begun(self, number: int) -> None:
+        """Wait until all items of a lot are begun."""
+        self._runner.wait_until_begun(number)
+
+    def recall(self, number: int, share: float) -> list[int]:
+        """Give items back."""
+        return self._runner.recall(number, share)
+
+    def oldest(self, number: int) -> tuple[int, float] | None:
+        """The item that has been under way for longest, and for how long."""
+        return self._runner.oldest(number)
+
+    def stop(self) -> None:
+        """Begin no more items."""
+        self._runner.stop()
+
 
 #: Seconds that workers get to end the items that they have begun, when a run is interrupted.
 GRACE = 5.0

@@ -1,60 +1,22 @@
-"""Records: what a data set keeps of each frame: picture, depth, opacity, pose of the cage, camera, and its origin."""
+"""Records of a data set: what is kept of a frame beside its picture, and transforms.json over them."""
 
 from __future__ import annotations
 
+import array
+import json
 import pathlib
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.checks import shown
+from ..core.files import PathLike, atomic_path
 from ..scene.formats.parsing import TO_OPENCV
 from ..view.camera import Camera, CameraKey, camera_json
-from .items import ID, FrameItem, Item
-
-#: Kinds of records, as "records" of a job's header has them.
-FOLDER, WEBDATASET = "folder", "webdataset"
-
-#: What lists the frames of a folder.
-TRANSFORMS = "transforms.json"
-
-#: Items of a shard where the header does not say.
-ITEMS_PER_SHARD = 1000
-
-#: Endings of the parts of a record after an item's id.
-POSE_ENDING, DEPTH_ENDING, ALPHA_ENDING, RECORD_ENDING = ".pose.npy", ".depth.npy", ".alpha.png", ".json"
-
-
-def record_outputs(records: Mapping[str, Any]) -> dict[str, str]:
-    """The files of each item of a job with records: names by part, with `{id}` where the item's id goes."""
-    outputs = {"rgb": f"{ID}.{records.get('image', 'png')}"}
-    if records.get("depth", True):
-        outputs["depth"] = ID + DEPTH_ENDING
-    if records.get("alpha", True):
-        outputs["alpha"] = ID + ALPHA_ENDING
-    return outputs | {"pose": ID + POSE_ENDING, "record": ID + RECORD_ENDING}
-
-
-def require_frame(entry: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:
-    """Refuse a line of a job with records that is no frame: a ValueError. defaults: "defaults" of the header."""
-    kind = entry.get("kind") or defaults.get("kind") or FrameItem.kind
-    if kind != FrameItem.kind:
-        raise ValueError(f"'records' are of frames: an item of kind {shown(kind)} belongs into another job")
-
-
-def require_recordable(entry: Mapping[str, Any], item: Item, records: Mapping[str, Any]) -> None:
-    """Refuse a frame that cannot be a record: with outputs of its own, or an id that a data set would cut or has
-    itself."""
-    expected = {part: path.replace(ID, item.id) for part, path in record_outputs(records).items()}
-    if entry.get("outputs") is not None and item.outputs != expected:
-        raise ValueError("'records' of the header say what is written: leave 'outputs' out")
-    name = item.id.rpartition("/")[2]
-    if records["kind"] == FOLDER and name + RECORD_ENDING == TRANSFORMS:
-        raise ValueError(f"a folder of records has a {TRANSFORMS} of its own: call it something else")
-    if records["kind"] == WEBDATASET and "." in name:
-        raise ValueError(f"a WebDataset cuts names at their first dot: call it {name.replace('.', '_')!r}")
+from .items import TRANSFORMS, FrameItem
+from .job_file import JobFile
+from .manifest import DONE
 
 
 def pose_array(posed: Sequence[Cage | None]) -> np.ndarray:
@@ -97,3 +59,74 @@ def camera_words(camera: Mapping[str, Any]) -> dict[str, Any]:
 def beside(path: str, folder: str) -> str:
     """A path below the folder of a run as one below a folder in it."""
     return pathlib.PurePosixPath(path).relative_to(folder).as_posix()
+
+
+#: What frames call the parts of a record.
+_WORDS = {"depth": "depth_path", "alpha": "alpha_path", "pose": "pose_path", "record": "record_path"}
+
+
+class Manifested(Protocol):
+    """What knows which items of a run are done: `batch.manifest.Manifest`."""
+
+    def find(self, item_id: str) -> Mapping[str, Any] | None:
+        """The record of an item; None where there is none."""
+        ...
+
+
+def finish_folder(out: PathLike, job: JobFile, manifest: Manifested) -> list[pathlib.Path]:
+    """Write transforms.json for the pictures of a run: one for all, and one in each folder of pictures for those in it.
+    manifest: which items are done, others are left out. Returns the files; none where no item is done."""
+    # Ids as those of `warpcage sweep`, pose_000012/camera_003, put the pictures of one pose into a folder, which is a
+    # scene of its own. Intrinsics stand at the top, as the first frame has them; a frame with others has its own.
+    # Frames are read one after another from what stands beside the pictures.
+    out = pathlib.Path(out)
+    folders: dict[str, array.array[int]] = {}
+    everything = array.array("q")
+    for index, item in enumerate(job.items()):
+        found = manifest.find(item.id) if isinstance(item, FrameItem) and "record" in item.outputs else None
+        if found is not None and found["state"] == DONE:
+            everything.append(index)
+            folders.setdefault(_folder(item.outputs["rgb"]), array.array("q")).append(index)
+    if not everything:
+        return []
+    parts = {folder: indices for folder, indices in folders.items() if folder != "."}
+    written = [_write(out, ".", _frames(out, ".", job, everything))]
+    return written + [_write(out, folder, _frames(out, folder, job, indices)) for folder, indices in parts.items()]
+
+
+def _folder(path: str) -> str:
+    return pathlib.PurePosixPath(path).parent.as_posix()
+
+
+def _frames(
+    out: pathlib.Path, folder: str, job: JobFile, indices: Iterable[int]
+) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Intrinsics and frame of each item, its paths below a folder."""
+    for index in indices:
+        item = job.item(index)
+        record = json.loads((out / item.outputs["record"]).read_text(encoding="utf-8"))
+        frame = {
+            "file_path": f"./{beside(item.outputs['rgb'], folder)}",
+            # camera to world, +y up, -z forward
+            "transform_matrix": record["transform_matrix"],
+        }
+        frame |= {_WORDS[part]: f"./{beside(item.outputs[part], folder)}" for part in _WORDS if part in item.outputs}
+        posed = [edit["posed"] for edit in record.get("edits", ()) if "posed" in edit]
+        frame |= {"id": item.id, "posed": posed}
+        yield camera_words(record["camera"]), frame if item.extra is None else frame | {"extra": item.extra}
+
+
+def _write(out: pathlib.Path, folder: str, frames: Iterator[tuple[dict[str, Any], dict[str, Any]]]) -> pathlib.Path:
+    path = out / folder / TRANSFORMS
+    usual: dict[str, Any] | None = None
+    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        for intrinsics, frame in frames:
+            if usual is None:
+                usual = intrinsics
+                file.write(json.dumps(usual)[:-1] + ', "frames": [\n')
+            else:
+                file.write(",\n")
+            own = {} if intrinsics == usual else intrinsics
+            file.write(json.dumps(frame | own, ensure_ascii=False))
+        file.write("\n]}\n")
+    return path

@@ -1,4 +1,4 @@
-"""What words of items refer to: arrays, cages, poses and cameras, in files or in the words themselves."""
+"""What the words of items name: cages, poses, cameras, fields, and poses drawn at random."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from ..cage.cage import Cage
 from ..cage.motion import gltf_poses, gltf_shown
 from ..cage.pose_file import PoseFile, cage_hash
 from ..cage.presets import Preset, is_preset
+from ..cage.random_poses import PoseProbe, RandomPoses
 from ..cage.up_axis import load_standing
 from ..core.checks import shown
 from ..core.files import DAMAGED, NpyFile, file_stamp, require_file
@@ -25,9 +26,33 @@ from ..core.memory import Recent
 from ..scene.formats.transforms import TransformsCameras
 from ..splats.splat_field import AnyField
 from ..view.camera import Camera, CameraFile, camera_from_json, fitted
-from .drawn_poses import DrawnPoses
-from .items import EditWords, FrameItem, canonical
-from .words import split_reference
+from .edit_words import EditWords
+from .items import FrameItem, canonical
+from .words import RANDOM, split_reference
+
+#: Cages whose poses can be measured at once, and poses, that are kept: items of one pose follow each other.
+MOST_PROBES, MOST_POSES = 8, 16
+
+
+class DrawnPoses:
+    """Draws poses, and keeps the last ones: several cameras show each."""
+
+    def __init__(self) -> None:
+        self._probes: Recent[PoseProbe] = Recent(MOST_PROBES)
+        self._poses: Recent[np.ndarray] = Recent(MOST_POSES)
+
+    def vertices(self, posed: dict[str, Any], rest: Cage, rest_hash: str) -> np.ndarray:
+        """The vertices (v, 3) float64, world units, of a pose: those of `RandomPoses`, to the bit.
+        posed: its words, as `pose_words.drawn_pose` returns them; rest_hash: the `cage_hash` of `rest`."""
+        probe = self._probes.get(rest_hash, lambda: PoseProbe(rest))
+        words = dict(posed[RANDOM])
+        number = words.pop("number")
+
+        def draw() -> np.ndarray:
+            return RandomPoses(probe.rest, **words, probe=probe).vertices(number)
+
+        return self._poses.get((rest_hash, canonical(posed)), draw)
+
 
 Thing = TypeVar("Thing")
 

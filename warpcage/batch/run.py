@@ -1,4 +1,4 @@
-"""`warpcage.batch.run_jobs`: make all that a job file describes, over workers, and only what is missing."""
+"""`warpcage.run_jobs`: make what a job file names, on several workers, and report how it went."""
 
 from __future__ import annotations
 
@@ -12,22 +12,67 @@ from typing import Any
 
 from ..core.checks import checked_positive, checked_whole
 from ..core.files import PathLike
-from .dispatcher import Dispatcher
 from .fingerprints import Fingerprints
+from .items import FOLDER
 from .job_file import JobFile
 from .local_engine import LocalEngine
 from .loop import Engine, drive
 from .lot_runner import LotOrder, Maker, leaves_no_room, one_line
-from .lots import AIM, Lot
-from .output_folder import OutputFolder
-from .part import Part
+from .manifest import OutputFolder, Part
 from .plan import Plan, make_plan, open_shards, shard_size, span_of
 from .ray_engine import GRACE, RayEngine, ray_session, shares
-from .records import FOLDER
-from .report import RunProgress, RunReport
+from .records import finish_folder
 from .runners import RunnerSettings, make_runner, run_name
-from .transforms import finish_folder
+from .scheduler import AIM, Dispatcher, Lot
 from .webdataset import shard_path
+
+
+@dataclasses.dataclass(frozen=True)
+class RunProgress:
+    """How far a run is."""
+
+    # "check" while items are compared with what is there, "make" after that
+    stage: str
+    total: int
+    checked: int = 0
+    # items that were there already
+    kept: int = 0
+    # items that were made
+    done: int = 0
+    failed: int = 0
+    # places where work is done
+    workers: int = 0
+    # since the first worker was asked for
+    seconds: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class RunReport:
+    """What came of a run.
+
+    Attributes:
+        total: Items of the job.
+        kept: Items that were there already.
+        made: Items that were made.
+        failed: Ids of items that failed, with one line each; the manifest has them too.
+        left: Items that were neither made nor failed, as the run ended before.
+        halt: Why it ended before its end, one line; None where it did not.
+        seconds: How long it took.
+    """
+
+    total: int
+    kept: int
+    made: int
+    failed: dict[str, str]
+    left: int
+    halt: str | None
+    seconds: float
+
+    @property
+    def complete(self) -> bool:
+        """Whether all items are there."""
+        return not self.failed and not self.left and self.halt is None
+
 
 #: Seconds of a lot where there are few workers, so that progress is seen.
 LEAST_AIM = 2.0

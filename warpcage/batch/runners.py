@@ -15,10 +15,10 @@ import warp as wp
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
 from .fingerprints import Fingerprints
-from .item_reader import ItemReader
 from .items import EvaluateItem, FrameItem, Item
+from .job_file import ItemReader
 from .lot_runner import LotRunner, Maker, Place
-from .output_folder import OutputFolder
+from .manifest import OutputFolder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,7 +82,7 @@ def make_runner(settings: RunnerSettings) -> LotRunner:
 def _worker(settings: RunnerSettings, first: Item | None) -> tuple[Maker, wp.Device]:
     """What makes items, and its device; the first field is read meanwhile, and the device prepared."""
     # loaded here, as the driver of a cluster needs nothing of it
-    from .expected_field import ExpectedField
+    from .fields import ExpectedField
 
     expected = None
     if isinstance(first, FrameItem | EvaluateItem):

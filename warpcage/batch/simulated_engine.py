@@ -7,9 +7,8 @@ import heapq
 
 import numpy as np
 
-from .dispatcher import LotReport
 from .loop import Begun, Died, Event, Finished, Ready, Returned
-from .lots import Lot
+from .scheduler import Lot, LotReport
 
 
 @dataclasses.dataclass

@@ -1,13 +1,16 @@
-"""Sweeps: job files of all poses from all cameras, by all kinds of coordinates; for data sets of deformed scenes."""
+"""Sweeps: poses times cameras times coordinates as a job file."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
 import math
+import multiprocessing
 import os
 import pathlib
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,8 +23,34 @@ from ..core.files import PathLike, atomic_path
 from ..core.names import require_coordinates
 from ..view.camera import Camera, CameraFile, CameraKey
 from .job_file import write_jobs
-from .pose_processes import rows_by_processes
-from .pose_words import drawn_words
+from .words import drawn_words
+
+#: Poses that a process gets at once, and that each gets before the next ones are handed out.
+AT_ONCE, AHEAD = 4, 256
+
+#: What this process draws.
+_drawn: list[RandomPoses] = []
+
+
+def rows_by_processes(poses: RandomPoses, count: int, processes: int) -> Iterator[np.ndarray]:
+    """The vertices (v, 3) float64, world units, of the first poses in their order: those of this process, to the bit.
+    Processes are started anew, not copied: a program needs `if __name__ == "__main__":` around what it does."""
+    poses.probe  # noqa: B018  (made once, and sent with the poses)
+    fresh = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, fresh, initializer=_begin, initargs=(poses,)) as pool:
+        step = AHEAD * processes
+        for first in range(0, count, step):
+            yield from pool.map(_draw, range(first, min(first + step, count)), chunksize=AT_ONCE)
+
+
+def _begin(poses: RandomPoses) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started this ends it
+    _drawn.append(poses)
+
+
+def _draw(number: int) -> np.ndarray:
+    return _drawn[0].vertices(number)
+
 
 #: Highest camera of random views above the horizon, and how much farther than needed the farthest stands.
 MOST_ELEVATION, FARTHEST = 80.0, 1.3

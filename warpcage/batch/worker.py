@@ -14,14 +14,12 @@ from ..core.devices import resolve_device
 from ..core.memory import is_shortage
 from ..core.overlap import SPARE, TASK_THREADS, Gate
 from ..core.threads import cpu_threads
-from .evaluations import make_evaluation
-from .expected_field import ExpectedField
-from .fields import LoadedFields
+from .fields import ExpectedField, LoadedFields
 from .fingerprints import Fingerprints
-from .fits import FitMaker
+from .fits import FitMaker, make_evaluation
 from .frames import FrameMaker
 from .items import EvaluateItem, FitItem, FrameItem, Item, digest
-from .outputs import CHECKPOINTS, PARTS, Made, write_outputs
+from .manifest import CHECKPOINTS, PARTS, Made, write_outputs
 from .references import References
 
 

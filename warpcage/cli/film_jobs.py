@@ -13,8 +13,8 @@ from typing import IO, Any
 
 import numpy as np
 
-from ..batch.items import TRANSPARENT
 from ..batch.job_file import write_jobs
+from ..batch.words import TRANSPARENT
 from ..core.files import PathLike, atomic_path
 from ..deform.edits import CageEdit
 from ..view.camera import Camera, CameraKey, camera_json

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..batch.report import RunProgress, RunReport
-from ..batch.run import run_jobs
+from ..batch.run import RunProgress, RunReport, run_jobs
 from ..core.names import counted
 from ..view.camera import Camera
 from ..view.film import CLEAR_ENDINGS, read_film_frame, write_film

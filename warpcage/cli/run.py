@@ -7,9 +7,8 @@ import sys
 from typing import Any
 
 from ..batch.forecast import Forecast, foresee
-from ..batch.part import Part
-from ..batch.report import RunProgress, RunReport
-from ..batch.run import Options, run_jobs
+from ..batch.manifest import Part
+from ..batch.run import Options, RunProgress, RunReport, run_jobs
 from ..core.names import counted
 from . import inputs
 

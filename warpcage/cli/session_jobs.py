@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 
-from ..batch.items import ID, TRANSPARENT
+from ..batch.items import ID
+from ..batch.words import TRANSPARENT
 from ..editor.document import Document
 from ..editor.exports import Film
 from ..editor.renderer import camera
