@@ -29,7 +29,9 @@ from warpcage.batch.loop import drive
 from warpcage.batch.manifest import OutputFolder, merge_notes
 from warpcage.batch.run import Options, _run, planned
 from warpcage.batch.scheduler import AIM, LARGEST, Dispatcher, Lots
-from warpcage.batch.simulated_engine import Conditions, SimulatedEngine
+
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent / "tests"))
+from batch_simulation import Conditions, SimulatedEngine  # noqa: E402
 
 #: Mean seconds of an item: a small frame on an H200, a large one, a film's frame on a CPU.
 MEANS = (0.02, 0.2, 2.0)

@@ -38,7 +38,7 @@ def main(argv=None) -> dict:
         blender_part(pathlib.Path(args.blender_part))
         return {}
     import warpcage
-    from warpcage.cli.keyframes import read_pose
+    from warpcage.cli.pose_words import read_pose
     from warpcage.coordinates.coordinates import deform_points
     from warpcage.core.devices import resolve_device
     from warpcage.editor.demo import demo_files

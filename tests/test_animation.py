@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from warpcage.cage.cage import Cage
-from warpcage.cli.keyframes import Keyframes, Preset, is_preset, read_pose
+from warpcage.cage.presets import Preset, is_preset
+from warpcage.cli.pose_words import Keyframes, read_pose
 from warpcage.view.camera import Camera, turntable
 from warpcage.view.motion import cameras_along, frame_places, pose_along, pose_between, pose_weights, value_along
 

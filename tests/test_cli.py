@@ -11,7 +11,7 @@ import warp as wp
 from cli_runs import DEFORMED, run, succeed, write_files
 
 from warpcage.cli import main
-from warpcage.cli.parser import COMMANDS
+from warpcage.cli.program import COMMANDS
 from warpcage.core.checks import warn_caller
 from warpcage.field.voxel_field import VoxelField
 from warpcage.view.pictures import read_image
@@ -155,7 +155,7 @@ def test_interruption_leaves_nothing_and_status_130(files, capsys, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("warpcage.cli.fit.fit", interrupted)
+    monkeypatch.setattr("warpcage.cli.scenes.fit", interrupted)
     before = sorted(files.rglob("*"))
     assert run(files, "fit", "@scene", "-o", "@new.npz", "--quiet") == 130
     assert "Traceback" not in capsys.readouterr().err

@@ -29,7 +29,7 @@ from warpcage.editor.exports import (
     export_poses,
     film_pictures,
 )
-from warpcage.editor.renderer import PosedScene, camera
+from warpcage.editor.renderer import PosedScene, view_camera
 from warpcage.editor.session import write_session
 from warpcage.editor.tasks import Cancelled, Jobs, Outcome
 from warpcage.editor.timeline import frame_times, state_at
@@ -70,11 +70,11 @@ def pictures_of(folder):
 
 
 def test_a_view_is_a_camera_with_a_vertical_field_of_view():
-    looking = camera(VIEW, 60, 30)
+    looking = view_camera(VIEW, 60, 30)
     assert (looking.width, looking.height, looking.fx) == (60, 30, looking.fy)
     assert 2 * np.degrees(np.arctan(15 / looking.fy)) == pytest.approx(40.0)
     square = Camera.look_at(VIEW.eye, VIEW.target, fov_degrees=40.0, width=50, height=50)
-    np.testing.assert_allclose(camera(VIEW, 50, 50).fx, square.fx)
+    np.testing.assert_allclose(view_camera(VIEW, 50, 50).fx, square.fx)
     np.testing.assert_array_equal(looking.camera_to_world, square.camera_to_world)
 
 
@@ -87,7 +87,7 @@ def test_a_scene_renders_what_a_deformer_of_its_edits_does(field):
         new_edit(4, part, "twin", kind="copy", posed=part.translate([0, 0, 0.8]).vertices),
     )
     hidden = tuple(dataclasses.replace(edit, visible=edit.id != 2) for edit in edits)
-    scene, looking = PosedScene(field), camera(VIEW, 40, 30)
+    scene, looking = PosedScene(field), view_camera(VIEW, 40, 30)
     scene.prepare(document(*hidden))
     oracle = Deformer(
         field, [BOX, CageEdit(part, remove=True), CageEdit(part, keep_source=True)],
@@ -107,7 +107,7 @@ def test_a_scene_without_visible_edits_is_the_field(field, change):
         shown = shown.with_edit(dataclasses.replace(shown.edits[0], visible=False))
     else:
         shown = dataclasses.replace(shown, edits=())
-    scene, looking = PosedScene(field), camera(VIEW, 40, 30)
+    scene, looking = PosedScene(field), view_camera(VIEW, 40, 30)
     scene.prepare(document())
     scene.prepare(shown)
     np.testing.assert_array_equal(scene.render(looking).rgb, field.render(looking).rgb)
@@ -152,7 +152,7 @@ def test_a_deformer_is_made_anew_only_for_what_it_is_made_of(field, monkeypatch)
 
 @pytest.mark.parametrize("part", ["posed", "rest"])
 def test_a_cage_that_cannot_be_used_leaves_the_scene_before(field, part):
-    scene, looking, now = PosedScene(field), camera(VIEW, 40, 30), document()
+    scene, looking, now = PosedScene(field), view_camera(VIEW, 40, 30), document()
     scene.prepare(now)
     before = scene.render(looking).rgb
     flat = frozen_vertices(BOX.vertices * [1, 1, 0])
@@ -176,7 +176,7 @@ def test_frames_are_those_of_deformers_at_their_times(field, tmp_path):
     pictures = pictures_of(tmp_path / "frames")
     for time, picture in zip(frame_times(shown.timeline), pictures, strict=True):
         poses, view = state_at(shown, time)
-        frame = deformer.pose(BOX.with_vertices(poses[1])).render(camera(view, 40, 30), supersampling=1)
+        frame = deformer.pose(BOX.with_vertices(poses[1])).render(view_camera(view, 40, 30), supersampling=1)
         np.testing.assert_array_equal(picture, np.round(np.clip(frame.rgb, 0, 1) * 255).astype(np.uint8))
     assert told == [(k / 4, f"frame {k + 1} of 4") for k in range(4)] + [(1.0, "writes the end")]
     assert not np.array_equal(pictures[0], pictures[-1])
@@ -310,7 +310,7 @@ def test_a_baked_field_looks_like_the_posed_scene(field, tmp_path):
     told = []
     at_rest = dataclasses.replace(document(), settings=dataclasses.replace(SMALL, mode="rest"))
     export_baked(at_rest, field, tmp_path / "baked.npz", lambda share, text: told.append(share))
-    scene, looking = PosedScene(field), camera(VIEW, 40, 30)
+    scene, looking = PosedScene(field), view_camera(VIEW, 40, 30)
     scene.prepare(document())
     baked = VoxelField.load(tmp_path / "baked.npz", device=field.device)
     shown = scene.render(looking).rgb

@@ -19,7 +19,6 @@ from warpcage.cage.cage import Cage  # noqa: E402
 from warpcage.cage.up_axis import Standing  # noqa: E402
 from warpcage.editor import clients, inspection, server, tasks  # noqa: E402
 from warpcage.editor.document import Document  # noqa: E402
-from warpcage.editor.renderer import camera  # noqa: E402
 from warpcage.editor.session import (  # noqa: E402
     Session,
     new_document,
@@ -332,7 +331,7 @@ def test_a_cage_around_the_object_that_is_clicked(tmp_path):
     async def test(host, page):
         eye, target, up = (scene.world(each).tolist() for each in ((2.2, -2.4, 1.6), (0, 0, 0), (0, 0, 1)))
         await page.do(do="view", eye=eye, target=target, up=up, fov=40)
-        seen = camera(host.session.document.view, 300, 200)
+        seen = view_camera(host.session.document.view, 300, 200)
         across, down = (seen.project(scene.world((-0.05, 0.0, 0.4))[None])[0][0] / [300, 200]).tolist()
         click = {"across": across, "down": down, "aspect": 1.5, "plane": "ground"}
         await page.do(do="cage.generate", edit=None, count=40, click=click)

@@ -14,7 +14,7 @@ import warpcage  # noqa: E402
 from warpcage import Deformer, SplatField  # noqa: E402
 from warpcage.editor.exports import export_baked  # noqa: E402
 from warpcage.editor.inspection import inspect  # noqa: E402
-from warpcage.editor.renderer import PosedScene, camera  # noqa: E402
+from warpcage.editor.renderer import PosedScene, view_camera  # noqa: E402
 from warpcage.editor.session import Session, new_document  # noqa: E402
 from warpcage.splats.splat_field import field_size, load_field  # noqa: E402
 
@@ -39,7 +39,7 @@ def posed_document(field, cage):
 def test_a_pose_is_that_of_the_deformer(splats):
     posed = BOX.with_vertices(BOX.vertices + (0.0, 0.0, 0.4))
     document, scene = posed_document(splats, posed), PosedScene(splats)
-    view = camera(document.view, 60, 40)
+    view = view_camera(document.view, 60, 40)
     scene.prepare(new_document(splats, [], 16))
     assert (scene.render(view, step=3.0).rgb == splats.render(view).rgb).all()
     scene.prepare(document)

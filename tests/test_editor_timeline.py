@@ -10,7 +10,7 @@ import pytest
 from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
 from warpcage.editor.document import Document, Key, Selection, Settings, Timeline, View, frozen_vertices, new_edit
-from warpcage.editor.renderer import camera
+from warpcage.editor.renderer import view_camera
 from warpcage.editor.timeline import (
     document_at,
     frame_rate,
@@ -294,7 +294,7 @@ def test_cameras_of_pose_files_become_keys_of_the_film(tmp_path):
     ]  # the view that the film had is gone
     assert loaded.timeline.length == 2.0 and loaded.timeline.keys[2].easing == "linear"
     for key, wanted in ((loaded.timeline.keys[0], looking[0]), (loaded.timeline.keys[2], rolled)):
-        seen = camera(key.view, 640, 480)
+        seen = view_camera(key.view, 640, 480)
         np.testing.assert_allclose(seen.camera_to_world, wanted.camera_to_world, atol=1e-9)
         assert seen.fy == pytest.approx(wanted.fy)
     assert loaded.timeline.keys[0].view.up == before.view.up  # it stands upright by what is up

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 
-import warpcage.cli.film_workers as film_workers
+import warpcage.cli.films as films
 from warpcage.deform.deformer import Deformer
 from warpcage.view.film import deep_pixels, read_film_frame, write_film_frame
 from warpcage.view.pictures import write_png
@@ -97,7 +97,7 @@ def test_a_folder_goes_on_whoever_began_it(files, tmp_path, rendered, kind):
 
 @pytest.mark.parametrize(("error", "status"), [(KeyboardInterrupt(), 130), (RuntimeError("the device is lost"), 2)])
 def test_a_film_goes_on_after_its_end(files, tmp_path, capsys, monkeypatch, rendered, error, status):
-    run_jobs = film_workers.run_jobs
+    run_jobs = films.run_jobs
 
     def ends(*words, progress, **options):
         def show(state):
@@ -108,7 +108,7 @@ def test_a_film_goes_on_after_its_end(files, tmp_path, capsys, monkeypatch, rend
         return run_jobs(*words, progress=show, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(film_workers, "run_jobs", ends)
+        patch.setattr(films, "run_jobs", ends)
         assert run(files, *FILM, "-o", tmp_path / "film.mp4", "--workers", 1) == status
     said = capsys.readouterr().err
     made = len(list((tmp_path / ".film.mp4.frames").glob("frame_*.png")))
@@ -126,7 +126,7 @@ def test_a_film_goes_on_after_its_end(files, tmp_path, capsys, monkeypatch, rend
 def test_a_frame_that_comes_while_it_is_looked_for_is_read(tmp_path, monkeypatch):
     late, place = tmp_path / "late.png", tmp_path / "frame_0000.png"
     write_png(late, np.zeros((4, 4, 3)))
-    read = film_workers.read_film_frame
+    read = films.read_film_frame
 
     def comes_afterwards(path):
         """As if another process had put the frame there just after it was looked for."""
@@ -136,8 +136,8 @@ def test_a_frame_that_comes_while_it_is_looked_for_is_read(tmp_path, monkeypatch
             if late.exists():
                 late.rename(place)
 
-    monkeypatch.setattr(film_workers, "read_film_frame", comes_afterwards)
-    monkeypatch.setattr(film_workers, "LOOK_SECONDS", 0.01)
+    monkeypatch.setattr(films, "read_film_frame", comes_afterwards)
+    monkeypatch.setattr(films, "LOOK_SECONDS", 0.01)
     exists = pathlib.Path.exists
 
     def seen(path):
@@ -147,7 +147,7 @@ def test_a_frame_that_comes_while_it_is_looked_for_is_read(tmp_path, monkeypatch
         return found
 
     monkeypatch.setattr(pathlib.Path, "exists", seen)
-    encoder = film_workers._Encoder(tmp_path / "a.mp4", Fraction(24), False, [[place]])
+    encoder = films._Encoder(tmp_path / "a.mp4", Fraction(24), False, [[place]])
     assert encoder._frame([place]).shape[:2] == (4, 4)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from test_optimize import blob_scene
 
-from warpcage.cli.cage import read_mesh as read_object
+from warpcage.cli.cages import read_mesh as read_object
 from warpcage.core.checks import listed
 from warpcage.core.files import npz_names, read_limited, read_npz
 from warpcage.core.memory import UNKNOWN, MemoryShortage, free_host_bytes

@@ -56,7 +56,7 @@ def test_names_and_help_load_neither_numpy_nor_warp():
         """
         import contextlib, io, sys
         import warpcage, warpcage.cli
-        from warpcage.cli.parser import COMMANDS
+        from warpcage.cli.program import COMMANDS
         assert set(warpcage.__all__) < set(dir(warpcage)) and warpcage.__version__
         for words in [[], *([module.NAME] for module in COMMANDS)]:
             with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.suppress(SystemExit):
@@ -100,7 +100,7 @@ def test_names_behave_as_if_they_were_imported():
 # Interrupts and signals
 
 
-@pytest.mark.parametrize("module", ["warpcage.cli.parser", "warpcage.cli.arguments.fit", "numpy", "warp"])
+@pytest.mark.parametrize("module", ["warpcage.cli.program", "warpcage.cli.arguments.scenes", "numpy", "warp"])
 def test_an_interrupt_while_the_program_starts_leaves_no_traceback(module):
     done = child(
         """

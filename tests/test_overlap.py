@@ -12,6 +12,7 @@ from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 import warpcage.view.film as film
 from warpcage.core.overlap import SPARE, Beside, stream
 from warpcage.deform.deformer import Deformer
+from warpcage.view import pictures
 from warpcage.view.film import write_film
 
 #: Seconds until a test that hangs fails.
@@ -285,7 +286,7 @@ def test_a_picture_is_written_while_the_next_are_rendered(files, tmp_path, monke
     """The first picture's file waits until the third frame was rendered."""
     from warpcage.cli import outputs
 
-    render, write, count, third = Deformer.render, outputs.write_png, [], threading.Event()
+    render, write, count, third = Deformer.render, pictures.write_png, [], threading.Event()
 
     def counted(self, *words, **options):
         count.append(1)
@@ -306,7 +307,7 @@ def test_a_picture_is_written_while_the_next_are_rendered(files, tmp_path, monke
 def test_a_picture_that_cannot_be_written_costs_itself_alone(files, tmp_path, capsys, monkeypatch):
     from warpcage.cli import outputs
 
-    write = outputs.write_png
+    write = pictures.write_png
 
     def fails(path, image):
         if path.name == "frame_0002.png":

@@ -1,8 +1,8 @@
 """The command line: `warpcage fit | mesh | cage | check | pose | render | animate | ...`."""
-# A command has two modules of its name. `arguments/NAME.py` holds NAME, HELP (one line), EXAMPLE (shown by --help) and
-# add_arguments(parser); it needs the standard library alone, so that help comes at once. `NAME.py` holds run(args),
-# which returns the exit status where it is not 0. It is loaded when the command is chosen. Wrong arguments are refused
-# before any long work.
+# Commands stand in groups of two modules of one name. `arguments/GROUP.py` lists its commands (name, help, example,
+# arguments); it needs the standard library alone, so that help comes at once. `GROUP.py` holds run_NAME(args), which
+# returns the exit status where it is not 0, and is loaded when a command is chosen. Wrong arguments are refused before
+# any long work.
 
 from __future__ import annotations
 

@@ -18,11 +18,11 @@ from ..editor.edit import edit, require_libraries
 from ..editor.session import free_session_path, session_path
 from ..field.selection import NodeSelection
 from ..splats.splat_field import load_field
-from . import inputs
-from .standing import read_rest
+from . import shared
+from .pose_words import read_rest
 
 
-def run(args: argparse.Namespace) -> None:
+def run_edit(args: argparse.Namespace) -> None:
     # each pose would say so anew, with other numbers; the page shows what the cage does
     warnings.filterwarnings("ignore", message="a cage has gaps narrower")
     if (args.field is None) == (not args.demo):
@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> None:
         require_libraries()
     except ImportError as error:  # not for want of warpcage's own
         raise ValueError(str(error)) from None
-    device = inputs.chosen_device(args)
+    device = shared.chosen_device(args)
     if args.demo:
         if args.cage or args.selection:
             raise ValueError("--demo brings its own cage: leave --cage and --selection out")
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> None:
     field = load_field(args.field, scene_scale=args.scene_scale, device=device)
     cages = [read_rest(path, args.cage_up, field, part=True)[0] for path in args.cage or ()]
     if args.selection:
-        voxels = inputs.require_voxels(field, "--selection")
+        voxels = shared.require_voxels(field, "--selection")
         cages.append(Cage.from_field(NodeSelection.load(args.selection, voxels)))
     if args.demo and (args.new or not kept.exists()):
         cages = [Cage.load(demo_cage)]

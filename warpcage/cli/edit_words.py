@@ -13,7 +13,7 @@ from typing import Any
 from ..cage.presets import is_preset
 from ..core.checks import checked_number, listed
 from ..core.files import PathLike, atomic_path, read_json, require_file
-from .options import CAGE_ENDINGS, positive_float
+from .arguments.options import CAGE_ENDINGS, positive_float
 
 FORMAT, VERSION = "warpcage edits", 1
 

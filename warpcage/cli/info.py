@@ -1,4 +1,4 @@
-"""`warpcage info`: describe a file, or this machine."""
+"""`warpcage info` and `kernels`: what files are, and kernels to take home."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import warp as wp
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..core.files import read_json
+from ..core.kernel_files import copy_kernel, find_kernel, kernel_names, kernel_summary
 from ..core.modules import start_warp
 from ..core.names import counted
 from ..core.threads import cpu_threads
@@ -22,7 +23,8 @@ from ..splats.io import is_splat_file
 from ..splats.splat_field import SplatField
 from ..view.camera import CameraFile
 from ..view.pictures import contact_sheet, shrink, write_png
-from . import inputs, options
+from . import shared
+from .arguments import options
 from .arguments.info import SHEET_PICTURES, SHEET_SIDE
 from .edit_words import read_edits_file
 
@@ -30,8 +32,8 @@ from .edit_words import read_edits_file
 Rows = list[tuple[str, object]]
 
 
-def run(args: argparse.Namespace) -> None:
-    inputs.require_field_scale(args)
+def run_info(args: argparse.Namespace) -> None:
+    shared.require_field_scale(args)
     sheet = None if args.sheet is None else options.check_output(args.sheet, (".png",), "contact sheet")
     path = None if args.field is None else pathlib.Path(args.field)
     if sheet is not None and not (path is not None and path.is_dir()):
@@ -61,7 +63,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _machine() -> Rows:
-    inputs.quiet_warp()
+    shared.quiet_warp()
     start_warp()
     rows: Rows = [
         ("warpcage", options.package_version()),
@@ -80,7 +82,7 @@ def _device_line(device: wp.Device) -> str:
 
 
 def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
-    field = inputs.require_voxels(inputs.read_field(args), "info")
+    field = shared.require_voxels(shared.read_field(args), "info")
     share = field.voxel_count / (field.resolution[0] * field.resolution[1] * field.resolution[2])
     density = field.grid.density.numpy()
     weights = None if field.weights is None else field.weights.numpy()
@@ -101,7 +103,7 @@ def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
 
 
 def _splats(path: pathlib.Path) -> Rows:
-    inputs.quiet_warp()
+    shared.quiet_warp()
     field = SplatField.load(path)
     layout = field.contents.layout
     return [
@@ -138,7 +140,7 @@ def _around(background: LayeredBackground | OuterField | None) -> str:
 
 
 def _cage(path: pathlib.Path) -> Rows:
-    inputs.quiet_warp()
+    shared.quiet_warp()
     cage = Cage.load(path)
     try:
         cage.require_usable("the cage")
@@ -187,7 +189,7 @@ def _moment(time: float | None) -> str:
 
 
 def _poses(path: pathlib.Path) -> Rows:
-    inputs.quiet_warp()
+    shared.quiet_warp()
     poses = PoseFile.load(path)
     rest = poses.rest
     rows = [
@@ -266,3 +268,27 @@ def _range(values: np.ndarray, unit: str) -> str:
 def _file_size(path: pathlib.Path) -> str:
     size = path.stat().st_size
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
+
+
+def run_kernels(args: argparse.Namespace) -> None:
+    if args.action == "list":
+        _print_list()
+    else:
+        _copy(args.name, pathlib.Path(args.destination))
+
+
+def _print_list() -> None:
+    names = kernel_names()
+    width = max(map(len, names))
+    for name in names:
+        print(f"{name:{width}}  {kernel_summary(name)}")
+
+
+def _copy(text: str, destination: pathlib.Path) -> None:
+    name = find_kernel(text)
+    options.check_parent(destination)
+    paths = copy_kernel(name, destination)
+    module = f"{destination.resolve().name}.{name}".replace("/", ".")
+    print(f"{destination} holds {name} and all that it needs; use it as in: from {module} import ...")
+    for path in paths:
+        print(f"  {path}")

@@ -1,19 +1,180 @@
-"""What happens around a command: its arguments are read, and whatever ends it becomes one line and an exit status."""
+"""One command from its words to an exit status: parser, signals, streams, and one line for whatever ends it."""
 
 from __future__ import annotations
 
+import argparse
+import contextlib
+import errno
 import gc
 import importlib
+import os
+import signal
 import sys
-import types
+import threading
 import warnings
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Any, NoReturn, TextIO
 
 from ..core import stderr
 from ..core.names import system_error_line
-from . import verbosity
-from .parser import build_parser
-from .signals import Ended, ended_by_signals
-from .streams import steady_streams
+from .arguments import cages, edit, fields, info, options, poses, render, runs, scenes
+from .arguments.options import package_version
+
+_GROUPS = (scenes, fields, cages, edit, poses, render, runs, info)
+
+#: The order of commands in their help.
+_ORDER = (
+    "capture fit select mesh cage check edit pose edits render animate sweep run bake evaluate info kernels".split()
+)
+
+#: Commands by their names.
+COMMANDS = {command.name: command for group in _GROUPS for command in group.COMMANDS}
+
+EXAMPLE = """\
+example, from pictures to a bent object:
+  warpcage fit data/lego --downscale 2 -o lego.npz
+  warpcage cage lego.npz -o cage.obj
+  warpcage pose cage.obj -o posed.obj --bend 40 --axis x --towards z
+  warpcage render lego.npz --cage cage.obj --posed posed.obj -o bent.png
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4
+"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands. `command` of what it reads is the name of the chosen one, or None."""
+    parser = _Parser(
+        prog="warpcage",
+        description="Fit a radiance field to pictures, put a cage around it, pose the cage, render the deformed scene.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action=_Version, help="print the version and exit")
+    commands = parser.add_subparsers(dest="command", metavar="command", parser_class=_Parser)
+    for name in _ORDER:
+        command = COMMANDS[name]
+        words = commands.add_parser(
+            name,
+            help=command.help,
+            description=command.help[0].upper() + command.help[1:] + ".",
+            epilog="example:\n" + command.example,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        command.add_arguments(words)
+        words.add_argument("--verbose", action="store_true", help="also say what is loaded and tried")
+    return parser
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports wrong arguments in one line, as every other bad input is reported."""
+
+    def error(self, message: str) -> NoReturn:
+        raise ValueError(f"{message} (see {self.prog} --help)")
+
+
+class _Version(argparse.Action):
+    """Prints the version, which is looked up only then."""
+
+    def __init__(self, option_strings: list[str], dest: str, **options: Any):
+        super().__init__(option_strings, dest, nargs=0, **options)
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        print(f"warpcage {package_version()}")
+        parser.exit()
+
+
+class Ended(KeyboardInterrupt):
+    """A signal asks the program to end; whatever cleans up after an interrupt does so here too."""
+
+    def __init__(self, number: int):
+        super().__init__()
+        self.status = 128 + number  # what shells give to a program that the signal killed
+
+
+@contextlib.contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """Raise Ended where SIGTERM or SIGHUP would kill the process. A signal that is ignored stays so (nohup)."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # Python handles signals in the main thread alone
+        return
+
+    def end(number: int, frame: FrameType | None) -> None:
+        raise Ended(number)
+
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {}
+    try:
+        for number in numbers:
+            if signal.getsignal(number) not in (signal.SIG_IGN, None):
+                before[number] = signal.signal(number, end)
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+#: What a stream reports that nobody reads any more.
+_GONE = (errno.EPIPE, errno.EBADF)
+
+
+class SteadyStream:
+    """A text stream whose messages are always written; all other attributes are those of the stream it writes to."""
+
+    def __init__(self, stream: TextIO):
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write text, and return its length."""
+        encoding = self._stream.encoding or "utf-8"
+        try:
+            text.encode(encoding, self._stream.errors or "strict")
+        except UnicodeEncodeError:
+            # Characters that the encoding lacks become escapes.
+            text = text.encode(encoding, "backslashreplace").decode(encoding)
+        self._attempt(self._stream.write, text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Hand over what is buffered."""
+        self._attempt(self._stream.flush)
+
+    def _attempt(self, action: Callable[..., Any], *arguments: str) -> None:
+        try:
+            action(*arguments)
+        except OSError as error:
+            # what is still buffered goes nowhere, or the interpreter would fail at it again at its end
+            with contextlib.suppress(OSError), open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), self._stream.fileno())
+            # What nobody reads any more is dropped. Other errors, such as a full disk, are raised once.
+            if error.errno not in _GONE:
+                raise
+
+
+@contextlib.contextmanager
+def steady_streams() -> Iterator[None]:
+    """Make sys.stdout and sys.stderr steady for a while."""
+    # Those that are closed are opened on nothing. Otherwise the next file that is opened would get one of them, and
+    # what libraries print would end in it.
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    before = sys.stdout, sys.stderr
+    with open(os.devnull, "w", encoding="utf-8") as nowhere:
+        # a stream is None where its descriptor was closed when Python started
+        sys.stdout, sys.stderr = (SteadyStream(stream or nowhere) for stream in before)
+        try:
+            yield
+        finally:
+            for stream in (sys.stdout, sys.stderr):
+                with contextlib.suppress(OSError):
+                    stream.flush()
+            sys.stdout, sys.stderr = before
+
 
 #: What may go wrong with input, memory, numbers, modules that are not installed, and Warp. Anything else is a mistake
 #: in warpcage, whose traceback is needed.
@@ -56,20 +217,20 @@ def _run_command(argv: list[str] | None) -> int:
     if arguments.command is None:
         parser.print_help()
         return 2
-    verbosity.verbose = arguments.verbose
+    options.verbose = arguments.verbose
     watched = sys.stderr.isatty() and not getattr(arguments, "quiet", False)
     stderr.say = _tell_of_compiling if watched else None
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
-        return _command(arguments.command).run(arguments) or 0
+        return _command(arguments.command)(arguments) or 0
 
 
-def _command(name: str) -> types.ModuleType:
-    """The module of a command. What it imports stays: looking through it for garbage takes a fifth of the start."""
+def _command(name: str) -> Callable[[argparse.Namespace], int | None]:
+    """What runs a command. What it imports stays: looking through it for garbage takes a fifth of the start."""
     collecting = gc.isenabled()
     gc.disable()
     try:
-        return importlib.import_module(f".{name}", __package__)
+        return getattr(importlib.import_module(f".{COMMANDS[name].module}", __package__), f"run_{name}")
     finally:
         gc.freeze()
         if collecting:

@@ -25,7 +25,7 @@ from ..view.opacity import rgba_picture
 from ..view.overlay import draw_cage
 from ..view.pictures import write_png
 from .document import Document
-from .renderer import PosedScene, camera
+from .renderer import PosedScene, view_camera
 from .timeline import document_at, frame_rate, frame_times, pose_file
 
 #: Width and height of a film where none is given, and the largest, pixels.
@@ -195,7 +195,7 @@ def _look_alike(one: Document, other: Document) -> bool:
 def _picture(scene: PosedScene, document: Document, film: Film) -> np.ndarray:
     """What a film shows of a moment."""
     settings = document.settings
-    looking = camera(document.view, film.width, film.height)
+    looking = view_camera(document.view, film.width, film.height)
     scene.prepare(document)
     background = "black" if film.transparent else settings.background
     fill = settings.fill and background is None

@@ -206,7 +206,7 @@ KEPT_DEFORMERS = 2
 Background = str | Sequence[float] | None
 
 
-def camera(view: View, width: int, height: int) -> Camera:
+def view_camera(view: View, width: int, height: int) -> Camera:
     """The camera of a view, with square pixels, for a picture of so many pixels."""
     focal = 0.5 * height / math.tan(math.radians(view.fov) / 2)
     looking = Camera.look_at(view.eye, view.target, up=view.up, width=width, height=height)
@@ -484,14 +484,14 @@ class Renderer:
             return
         scene = PosedScene(self._field)
         scene.prepare(document, COARSE_CELLS[0])
-        frame = scene.render(camera(document.view, 16, 12), None, None, effort.supersampling)
+        frame = scene.render(view_camera(document.view, 16, 12), None, None, effort.supersampling)
         frame_pixels(frame, "rgb", *self._depth_range(document), 16, 12)
         self._warm.add(kind)
 
     def _pixels(self, request: Request, effort: Effort) -> tuple[Pixels, dict[str, float] | None]:
         """The pixels of a picture, and for a sharp one what its masks mark."""
         document = request.document
-        whole = camera(document.view, effort.width, effort.height)
+        whole = view_camera(document.view, effort.width, effort.height)
         near, far = self._depth_range(document)
         columns, depths = depth_size(effort.width, effort.height, DEPTHS_SHARP if effort.sharp else DEPTHS_MOVING)
         rows = effort.height

@@ -31,7 +31,7 @@ from ..splats.splat_field import AnyField, field_size
 from . import commands, exports, timeline
 from .commands import Step
 from .document import Document, checked_between, checked_choice, checked_flag, checked_id, checked_whole
-from .renderer import camera
+from .renderer import view_camera
 from .session import ENDING, Session, Stamp, file_stamp
 
 #: Jobs that are kept, finished ones included, and jobs that may wait or run at once.
@@ -413,7 +413,7 @@ class Tasks:
         aspect = checked_between(click.get("aspect"), 0.05, 20.0, "aspect")
         plane = checked_choice(click.get("plane"), (*PLANES, "none"), "plane")
         width, height = round(CLICK_ROWS * aspect), CLICK_ROWS
-        seen = camera(self.session.document.view, width, height)
+        seen = view_camera(self.session.document.view, width, height)
         pixel = min(int(across * width), width - 1), min(int(down * height), height - 1)
         return lambda: select_object(field, pixel=pixel, camera=seen, plane=None if plane == "none" else plane)
 

@@ -17,7 +17,7 @@ from ..view import motion as between
 from ..view.camera import CameraKey
 from ..view.camera_path import timed_keys
 from .document import MAX_KEYS, MAX_NAME, MAX_SECONDS, Document, Key, Timeline, View, frozen_vertices
-from .renderer import camera
+from .renderer import view_camera
 
 #: Width and height of the pictures of cameras in pose files, pixels.
 PICTURE = (800, 600)
@@ -87,7 +87,7 @@ def pose_file(document: Document, number: int) -> PoseFile:
     file.fps, file.loop = float(document.timeline.fps), document.timeline.loop
     for key in document.timeline.keys:
         if key.view is not None and not (file.cameras and file.cameras[-1].time == key.time):
-            looking, target = camera(key.view, *PICTURE), np.array(key.view.target)
+            looking, target = view_camera(key.view, *PICTURE), np.array(key.view.target)
             file.cameras.append(CameraKey(looking, key.time, key.name, key.easing, target))
     return file
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,8 +12,6 @@ from ..mesh.mesh import connected_parts
 
 if TYPE_CHECKING:
     import trimesh
-
-    from .voxel_field import VoxelField
 
 #: The half-opaque density is taken where at least this share of the occupied nodes reaches it.
 _LEAST_SHARE = 0.05
@@ -34,6 +32,16 @@ class DensityField(Protocol):
 
     def node_densities(self) -> np.ndarray:
         """(nx, ny, nz) densities, per world unit."""
+        ...
+
+
+class ColorField(DensityField, Protocol):
+    """A field with colors towards directions too."""
+
+    background: np.ndarray  # (3,) behind everything
+
+    def sample(self, points: Any, directions: Any) -> tuple[Any, Any]:
+        """Color (n, 3) and density (n,) at points (n, 3), seen along directions (n, 3)."""
         ...
 
 
@@ -139,7 +147,7 @@ def _largest_part(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 FIRST, LAST, SPACING = -1.5, 3.0, 0.5
 
 
-def surface_colors(field: VoxelField, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def surface_colors(field: ColorField, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Colours (n, 3) float32 in [0, 1], sRGB, at surface points (n, 3) with outward unit normals (n, 3).
     The field's background where no sample has matter."""
     # Colours that depend on the direction are those seen along the normal: highlights of other directions are left out.

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 
-from .. import options
+from . import options
+from .options import Command
 
-NAME = "edit"
-HELP = "pose cages by hand in the browser and see the scene follow"
-EXAMPLE = """\
+EDIT_HELP = "pose cages by hand in the browser and see the scene follow"
+
+EDIT_EXAMPLE = """\
   warpcage edit --demo
   warpcage edit lego.npz --cage cage.obj
   warpcage edit lego.npz --port 8700 --no-browser     (then, at home: ssh -L 8700:127.0.0.1:8700 HOST)
@@ -17,7 +18,7 @@ What is edited is kept beside the field, as NAME.session.json, and the next call
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_edit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("field", nargs="?", help="field file (.npz)")
     parser.add_argument("--demo", action="store_true", help="edit a brick excavator, which is fitted once and kept")
     parser.add_argument(
@@ -55,3 +56,7 @@ def port_number(text: str) -> int:
     if not (text.isascii() and text.isdigit()) or int(text) > 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is no port: 0 to 65535")
     return int(text)
+
+
+#: Commands of this group.
+COMMANDS = (Command("edit", EDIT_HELP, EDIT_EXAMPLE, add_edit_arguments, "edit"),)

@@ -1,14 +1,15 @@
-"""Arguments of `warpcage info`."""
+"""Arguments of `warpcage info` and `kernels`."""
 
 from __future__ import annotations
 
 import argparse
 
-from .. import options
+from . import options
+from .options import Command
 
-NAME = "info"
-HELP = "describe a field, a cage, poses, edits, cameras or a scene; without a file: versions and devices"
-EXAMPLE = """\
+INFO_HELP = "describe a field, a cage, poses, edits, cameras or a scene; without a file: versions and devices"
+
+INFO_EXAMPLE = """\
   warpcage info
   warpcage info lego.npz
   warpcage info cage.obj
@@ -19,7 +20,7 @@ EXAMPLE = """\
 SHEET_PICTURES, SHEET_SIDE = 100, 160
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_info_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field",
         metavar="file",
@@ -36,3 +37,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_scene_scale(parser)
     options.add_device(parser)
+
+
+KERNELS_HELP = "list the kernel files, or copy one with all that it needs into a program of your own"
+
+KERNELS_EXAMPLE = """\
+  warpcage kernels list
+  warpcage kernels copy mean_value my_kernels
+
+The copy needs Warp and nothing of warpcage: from my_kernels.coordinates.mean_value import mean_value_position
+"""
+
+
+def add_kernels_arguments(parser: argparse.ArgumentParser) -> None:
+    actions = parser.add_subparsers(dest="action", metavar="action", required=True)
+    actions.add_parser("list", help="print the name and the topic of every kernel file")
+    copy = actions.add_parser("copy", help="copy one kernel file and the files that it needs")
+    copy.add_argument("name", help="kernel file, such as mean_value or coordinates/mean_value")
+    copy.add_argument("destination", metavar="DEST", help="folder of the copy; Python imports it by this name")
+
+
+#: Commands of this group.
+COMMANDS = (
+    Command("info", INFO_HELP, INFO_EXAMPLE, add_info_arguments, "info"),
+    Command("kernels", KERNELS_HELP, KERNELS_EXAMPLE, add_kernels_arguments, "info"),
+)

@@ -1,14 +1,18 @@
-"""Arguments of `warpcage render`."""
+"""Arguments of `warpcage render` and `animate`."""
 
 from __future__ import annotations
 
 import argparse
+from fractions import Fraction
+from typing import Any
 
-from .. import deformation_options, options
+from ...core.names import LOOPS
+from . import deformation, options
+from .options import Command
 
-NAME = "render"
-HELP = "render one view of a field, as it is or deformed by a cage"
-EXAMPLE = """\
+RENDER_HELP = "render one view of a field, as it is or deformed by a cage"
+
+RENDER_EXAMPLE = """\
   warpcage render lego.npz -o lego.png
   warpcage render lego.npz --cage cage.obj --posed posed.obj -o bent.png --size 800
   warpcage render lego.npz --cage cage.obj --posed posed.obj -o bent.png --overlay \\
@@ -25,7 +29,7 @@ EXAMPLE = """\
 STEPS = 8
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_render_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
     parser.add_argument(
         "-o",
@@ -48,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_clear_background(parser)
     options.add_fill(parser)
     options.add_antialias(parser)
-    deformation_options.add_deformation(parser, several=True)
+    deformation.add_deformation(parser, several=True)
     options.add_view(parser)
     options.add_scene_scale(parser)
     options.add_device(parser)
@@ -73,3 +77,143 @@ def _add_many(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"pictures of --cameras interpolate (default: {STEPS} from each camera to the next)",
     )
+
+
+ANIMATE_HELP = "render a film from rest through the poses and back, with the camera turning around the object"
+
+ANIMATE_EXAMPLE = """\
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4
+  warpcage animate lego.npz --cage cage.obj --posed bend:45:y:z -o bend.gif --frames 24 --turn 0 --size 240
+  warpcage animate lego.npz --cage cage.obj --posed one.obj two.obj rest -o walk.mp4 --motion once
+  warpcage animate lego.npz --cage cage.obj --posed poses.json -o dance.mp4 --loop ping-pong
+  warpcage animate lego.npz --cage cage.obj --posed walk.glb -o walk.mp4
+  warpcage animate lego.npz --cage cage.obj --posed "walk_####.obj" -o walk.mp4 --fps 25
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mov --background transparent
+  warpcage animate lego.npz --edits lego.edits.json -o parts.mp4
+  warpcage animate lego.npz --session lego.session.json -o film.mp4 --size 800 600
+  warpcage animate lego.npz --cage cage.obj --posed posed.obj --frames 240 --jobs film.jsonl
+  warpcage run film.jsonl -o frames
+
+An output without an ending is a folder of pictures, PNG or EXR (--format). Opacity is kept by those, .mov (ProRes 4444)
+and .webm (VP9); colours are straight, but in EXR files multiplied by opacity. If the command is interrupted, run it
+again: it renders only what is missing of a folder.
+
+The film goes from rest through the poses of --posed in order. Each vertex moves straight or smoothly from pose to
+pose. If all poses are the same preset, its amount changes instead, so that a bend stays an arc.
+
+Keys at times make a film of their own length and rate, without the rest pose before them: a pose file with times
+(`warpcage pose -o poses.json --key NAME --at SECONDS`), an animated glTF file, or one cage file a frame: a folder, a
+pattern, or all of their names. --motion goes from rest through their poses instead.
+
+--session makes the film of a session of the editor: its keys, its camera and its settings. A folder is new or empty
+then, and appears when all of its pictures are there.
+"""
+
+#: What a session decides by itself, of the options that have a default.
+OF_SESSIONS = ("frames", "fps", "motion", "interpolation", "show", "coordinates", "resolution", "density", "fov")
+
+
+class Default:
+    """The default of an option that a session decides, as nobody gave it; value: what it is without a session."""
+
+    def __init__(self, value: Any):
+        self.value = value
+
+    def __str__(self) -> str:
+        return str(self.value)
+
+
+def add_animate_arguments(parser: argparse.ArgumentParser) -> None:
+    options.add_field(parser)
+    goal = parser.add_mutually_exclusive_group(required=True)
+    goal.add_argument("-o", "--output", metavar="FILM", help="film (.mp4, .gif, .mov, .webm) or folder of pictures")
+    goal.add_argument(
+        "--jobs",
+        metavar="FILE",
+        help="render nothing, but write a job file (.jsonl) of the frames: warpcage run makes them, over GPUs and "
+        "machines",
+    )
+    parser.add_argument(
+        "--workers",
+        type=options.positive_int,
+        metavar="N",
+        help="processes that render, one a GPU, or with a part of the cores each where there is none; more than one "
+        "needs Ray (default: this one)",
+    )
+    parser.add_argument(
+        "--frames", type=options.positive_int, default=48, metavar="N", help="number (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--fps",
+        type=options.positive_fraction,
+        default=Fraction(24),
+        metavar="RATE",
+        help="frames per second, such as 24, 12.5 or 30000/1001 (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--motion",
+        choices=("swing", "once", "hold"),
+        default="swing",
+        help="swing: to the last pose and back; once: to the last pose; hold: posed throughout (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--loop",
+        choices=LOOPS,
+        help="what a film of keys at times does at its end: once; loop: begin again; ping-pong: go back to its "
+        "beginning (default: what the pose file says, or once)",
+    )
+    parser.add_argument(
+        "--interpolation",
+        choices=("smooth", "linear"),
+        default="smooth",
+        help="linear: straight from pose to pose at constant speed; smooth: without jolts at the poses and slow at "
+        "both ends (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        default=None,
+        help="replace the frames of another film that are in the folder",
+    )
+    session = parser.add_argument_group("a session of the editor")
+    session.add_argument("--session", metavar="FILE", help="session file (.session.json), instead of all that it holds")
+    path = parser.add_argument_group("camera path")
+    path.add_argument(
+        "--turn",
+        type=options.finite_float,
+        default=None,
+        metavar="DEGREES",
+        help="how far the camera turns around the target; 0 keeps it still (default: 360)",
+    )
+    path.add_argument(
+        "--cameras",
+        metavar="FILE|SCENE[:SPLIT]",
+        help="move through the cameras of a file instead (.json, .glb, .gltf; at their times where they have some), or "
+        "of a scene's pictures, e.g. data/lego:test (default split: train)",
+    )
+    parser.add_argument(
+        "--show",
+        choices=options.PICTURE_KINDS,
+        default="rgb",
+        help="rgb; alpha; depth (near is white) or disparity, on one scale for the whole film; masks: what is turned "
+        "inside out, what was uncovered and where a posed cage has nothing to show, with a warning of how much "
+        "(default: %(default)s)",
+    )
+    parser.add_argument("--overlay", action="store_true", help="draw the cage into the pictures")
+    options.add_clear_background(parser)
+    options.add_fill(parser)
+    options.add_antialias(parser)
+    deformation.add_deformation(parser, keyframes=True)
+    options.add_view(parser)
+    options.add_scene_scale(parser)
+    options.add_device(parser)
+    options.add_quiet(parser)
+    parser.set_defaults(**{name: Default(parser.get_default(name)) for name in OF_SESSIONS})
+
+
+#: Commands of this group.
+COMMANDS = (
+    Command("render", RENDER_HELP, RENDER_EXAMPLE, add_render_arguments, "render"),
+    Command("animate", ANIMATE_HELP, ANIMATE_EXAMPLE, add_animate_arguments, "render"),
+)

@@ -1,16 +1,19 @@
-"""Arguments that several commands share, and the values that they take."""
-# `--help` needs this file: it imports nothing that takes long to load.
+"""Options that several commands share, and the values that they take."""
 
 from __future__ import annotations
 
 import argparse
 import fractions
 import pathlib
+from collections.abc import Callable
+from typing import NamedTuple
 
-from ..core.names import BACKGROUNDS
+from ...core.names import BACKGROUNDS
 
 CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
+
 MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
+
 SELECTION_ENDINGS = (".npz", ".json")
 
 #: Files of splats: 3DGS' and SuperSplat's .ply, those of web viewers, and Niantic's.
@@ -33,6 +36,16 @@ BY_SIZE = "by size"
 
 #: What takes arguments: a parser, or a group of its arguments.
 Arguments = argparse._ActionsContainer
+
+
+class Command(NamedTuple):
+    """A command as the parser knows it; `module` of warpcage.cli has run_NAME(args), loaded when it is chosen."""
+
+    name: str
+    help: str  # one line
+    example: str
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+    module: str
 
 
 def package_version() -> str:
@@ -386,3 +399,7 @@ def require_folder(path: str) -> None:
     if not pathlib.Path(path).is_dir():
         what = "is a file" if pathlib.Path(path).is_file() else "is not there"
         raise FileNotFoundError(f"scene folder {path!r} {what}")
+
+
+#: Whether --verbose was given: Warp's own lines are shown, and those of what is tried.
+verbose = False

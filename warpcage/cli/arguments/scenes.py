@@ -1,15 +1,50 @@
-"""Arguments of `warpcage fit`."""
+"""Arguments of `warpcage capture`, `fit` and `evaluate`."""
 
 from __future__ import annotations
 
 import argparse
 
 from ...core.names import QUALITIES
-from .. import options
+from . import options
+from .options import Command
 
-NAME = "fit"
-HELP = "fit a radiance field to the pictures of a scene"
-EXAMPLE = """\
+CAPTURE_HELP = "make a scene of a video or a folder of pictures: find the cameras, undistort the pictures"
+
+CAPTURE_EXAMPLE = """\
+  warpcage capture walk.mp4 -o scene
+  warpcage capture pictures -o scene --feature-size 1600
+  warpcage fit scene -o object.npz
+"""
+
+
+def add_capture_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "source", metavar="VIDEO|FOLDER", help="video, or folder of pictures (.jpg .png .webp .bmp .tif)"
+    )
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="SCENE", help="folder to write, new or empty: a scene for fit"
+    )
+    parser.add_argument(
+        "--frames",
+        type=options.positive_int,
+        default=120,
+        metavar="N",
+        help="most frames of a video that are taken: the sharp ones, spread along its way (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--feature-size",
+        type=options.positive_int,
+        default=800,
+        metavar="PIXELS",
+        help="longer side at which features are looked for; more is more exact and takes longer (default: %(default)s)",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of what is drawn by lot (default: %(default)s)")
+    options.add_quiet(parser)
+
+
+FIT_HELP = "fit a radiance field to the pictures of a scene"
+
+FIT_EXAMPLE = """\
   warpcage fit data/lego --downscale 2 -o lego.npz
   warpcage fit data/lego -o lego.npz --device cuda:0 --resolution 384 --background black
   warpcage fit data/lego -o lego.npz --quality high --checkpoint progress.npz --max-memory 6GB
@@ -18,7 +53,7 @@ EXAMPLE = """\
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="FIELD", help="field file to write (.npz)")
     options.add_scene(parser, split="train")
     options.add_background(
@@ -88,3 +123,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the order of the pixels (default: %(default)s)")
     options.add_device(parser)
     options.add_quiet(parser)
+
+
+EVALUATE_HELP = "compare renders of a field with a scene's pictures (PSNR, SSIM)"
+
+EVALUATE_EXAMPLE = """\
+  warpcage evaluate lego.npz data/lego
+  warpcage evaluate lego.npz data/lego --split test --downscale 2 --json psnr.json --worst worst.png
+"""
+
+
+def add_evaluate_arguments(parser: argparse.ArgumentParser) -> None:
+    options.add_field(parser)
+    options.add_scene(parser, split="test")
+    options.add_background(parser, "the field's own")
+    parser.add_argument("--json", metavar="FILE", help="also write the figures to this file (.json)")
+    parser.add_argument(
+        "--worst", metavar="FILE", help="write the worst view (.png): picture, render, and their difference"
+    )
+    parser.add_argument(
+        "--tune-cameras",
+        action="store_true",
+        help="turn and shift the camera of each view first so that it matches the field best, as is usual for fields "
+        "of refined cameras: the figures then say how good the field is, not where the views are",
+    )
+    options.add_scene_scale(parser)
+    options.add_device(parser)
+    options.add_quiet(parser)
+
+
+#: Commands of this group.
+COMMANDS = (
+    Command("capture", CAPTURE_HELP, CAPTURE_EXAMPLE, add_capture_arguments, "scenes"),
+    Command("fit", FIT_HELP, FIT_EXAMPLE, add_fit_arguments, "scenes"),
+    Command("evaluate", EVALUATE_HELP, EVALUATE_EXAMPLE, add_evaluate_arguments, "scenes"),
+)

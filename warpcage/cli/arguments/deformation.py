@@ -1,9 +1,8 @@
-"""Arguments of a deformation, which several commands share: its cages, poses and edits, and how it is computed."""
-# `--help` needs this file: it imports nothing that takes long to load.
+"""Options of deformations: cages, poses, edits, coordinates."""
 
 from __future__ import annotations
 
-from ..core.names import COORDINATES, DENSITIES, SPLAT_MAPS
+from ...core.names import COORDINATES, DENSITIES, SPLAT_MAPS
 from . import options
 
 

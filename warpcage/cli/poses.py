@@ -1,29 +1,74 @@
-"""`warpcage pose -o poses.json`: keys of a pose file."""
+"""`warpcage pose` and `edits`: poses of a cage, keys of films, edits files."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import pathlib
+from typing import Any
 
-from ..cage.axes import with_up
+from ..cage.axes import axis_of, default_towards, with_up
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..cage.presets import is_preset
+from ..core.files import require_file
 from ..core.names import counted
+from ..splats.splat_field import load_field
 from ..view.camera import CameraKey
-from . import inputs, pose, view
-from .film_keys import note_jumps, pose_file, read_film
-from .keyframes import read_pose, read_poses
-from .standing import posed_up
+from . import shared
+from .arguments import options
+from .edit_words import EditWords, parse_edit, read_edits_file, write_edits_file
+from .pose_words import ending, note_jumps, pose_file, posed_up, read_film, read_pose, read_poses, read_rest
+from .shared import Deformation, PosedEdit, is_session, numbered_edits, session_edits
+
+
+def run_edits(args: argparse.Namespace) -> None:
+    if args.file is None and not args.edit:
+        raise ValueError("give an edits file to read, or --edit for each edit to write")
+    if args.edit and args.output is None:
+        raise ValueError("--edit needs -o, the edits file to write")
+    output = None if args.output is None else options.check_output(args.output, (".json",), "edits file")
+    if args.file is not None and is_session(args.file):
+        if output is not None:
+            raise ValueError(f"{args.file} is a session of the editor, which --edits takes as it is: it needs no -o")
+        deformation, names = session_edits(args.file)
+        _list(args.file, deformation, names)
+        return
+    words = [] if args.file is None else read_edits_file(args.file)
+    words += [parse_edit(text) for text in args.edit or ()]
+    deformation = numbered_edits(words, args, "smooth")
+    if output is not None:
+        write_edits_file(output, [_with_up(edit, args.cage_up) for edit in words])
+    _list(f"wrote {output}" if output is not None else str(args.file), deformation, [str(edit) for edit in words])
+
+
+def _with_up(edit: EditWords, up: str | None) -> EditWords:
+    """An edit that says which axis points up in its cages, where it was said for all."""
+    return edit if edit.up is not None else dataclasses.replace(edit, up=up)
+
+
+def _list(what: str, deformation: Deformation, names: list[str]) -> None:
+    """Print a line for each edit."""
+    count = len(names)
+    print(f"{what}: {count} edit{'s'[: count > 1]}{', in this order' if count > 1 else ''}")
+    for number, (name, part) in enumerate(zip(names, deformation.parts, strict=True), 1):
+        print(f"  {number}. {name} ({_size(part)})")
+
+
+def _size(part: PosedEdit) -> str:
+    """How large the cage of an edit is, and how many poses it has."""
+    poses = 0 if part.keyframes is None else len(part.keyframes.cages) - 1
+    return f"{len(part.edit.cage.vertices)} vertices" + (f", {poses} poses" if poses > 1 else "")
+
 
 #: Options for pose files alone.
 OPTIONS = ("key", "at", "easing", "posed", "camera", "remove", "fps", "loop")
 
 
-def run(args: argparse.Namespace, output: pathlib.Path) -> None:
+def run_pose_keys(args: argparse.Namespace, output: pathlib.Path) -> None:
     """Add a key to a pose file, or all keys of a file that moves, and say what the film is then."""
-    inputs.quiet_warp()
-    rest, _ = pose.read_cage(args)
+    shared.quiet_warp()
+    rest, _ = read_cage(args)
     file = PoseFile.load(output, rest) if output.exists() else PoseFile(rest)
     if args.key is None:
         _add_all(file, args)
@@ -61,7 +106,7 @@ def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
             return  # a camera and no pose
     if name not in file or not alone:  # otherwise another time or easing of the pose that is there
         begin = file.rest if args.posed is None else read_pose(file.rest, _posed(args), posed_up(args))
-        file[name] = pose.stepped(begin, args)
+        file[name] = stepped(begin, args)
     if args.at is not None:
         same = [other for other in timed if file.times[other] == args.at]
         if same:
@@ -80,7 +125,7 @@ def _add_camera(file: PoseFile, args: argparse.Namespace) -> None:
     if time is None:
         raise ValueError(f"--key {args.key!r} needs --at SECONDS: a camera is reached at a time")
     easing = args.easing or (held[0].easing if held else "smooth")
-    key = CameraKey(view.named_camera(args, args.camera), time, args.key, easing)
+    key = CameraKey(shared.named_camera(args, args.camera), time, args.key, easing)
     same = [other for other in file.cameras if other.name != args.key and other.time == time]
     if same:
         raise ValueError(f"camera {same[0].name!r} of the file is at {time:g} s too: give another time")
@@ -150,3 +195,73 @@ def _described(file: PoseFile) -> str:
     cameras = [f"{key.name or 'camera'} at {key.time:g} s" for key in file.cameras]
     shown += [f"cameras {', '.join(cameras[:8])}"] if cameras else []
     return f"{counted(len(file) + len(cameras), 'key')} over {file.length:g} s{rate}{end}: {', '.join(shown)}"
+
+
+def run_pose(args: argparse.Namespace) -> None:
+    output = options.check_output(args.output, (*options.CAGE_ENDINGS, ".json"), "cage file")
+    if output.suffix.lower() == ".json":
+        run_pose_keys(args, output)
+        return
+    given = [name for name in OPTIONS if getattr(args, name)]
+    if given:
+        raise ValueError(f"--{given[0]} is for keys of a pose file: give one with -o (.json)")
+    if not args.steps:
+        raise ValueError("no step given: --bend, --twist, --taper, --stretch, --scale, --rotate or --translate")
+    if output.exists() and pathlib.Path(args.cage).exists() and output.samefile(args.cage):
+        raise ValueError(
+            f"-o {output} is the cage at rest itself, which is needed beside a posed one: name another file"
+        )
+    shared.quiet_warp()
+
+    cage, found = read_cage(args)
+    stepped(cage, args).save(output, up=args.cage_up or found.get(ending(str(output))))
+    print(f"wrote {output}: {steps_text(args)}")
+
+
+def read_cage(args: argparse.Namespace) -> tuple[Cage, dict[str, str]]:
+    """The cage of the command, and the axis that points up in files of its ending.
+    With --object the axis is found by that field, and `args.up` becomes the field's unless --up is given too."""
+    field = None if args.object is None else load_field(require_file(args.object, "field file"))
+    if field is not None and args.up is None:
+        args.up = tuple(field.up)
+    args.straightening = None if field is None else field.straightening  # for cameras of its scene
+    return read_rest(args.cage, args.cage_up, field, part=True)
+
+
+def stepped(cage: Cage, args: argparse.Namespace) -> Cage:
+    """A cage after the steps of the command, usable."""
+    for name, value in args.steps or ():
+        cage = getattr(cage, name)(*_arguments(name, value), **_options(name, cage, args))
+    cage.require_usable("the posed cage")
+    return cage
+
+
+def steps_text(args: argparse.Namespace) -> str:
+    """The steps of the command in words."""
+    steps = args.steps or ()
+    return ", ".join(f"{name} {value if isinstance(value, float) else tuple(value)}" for name, value in steps)
+
+
+def _arguments(name: str, value: Any) -> tuple:
+    """Positional arguments of the step's method of Cage."""
+    if name != "scale":
+        return (value,)
+    if len(value) not in (1, 3):
+        raise ValueError(f"--scale takes one factor or three, got {len(value)}")
+    return (value[0] if len(value) == 1 else tuple(value),)
+
+
+def _options(name: str, cage: Cage, args: argparse.Namespace) -> dict:
+    """Keyword arguments of the step's method of Cage."""
+    if name == "translate":
+        return {}
+    chosen = {"centre": args.centre}
+    if name != "scale":
+        chosen["axis"] = axis_of(with_up(args.axis, args.up))
+    if name == "bend":
+        chosen["towards"] = default_towards(cage, chosen["axis"])
+        if args.towards is not None:
+            chosen["towards"] = axis_of(with_up(args.towards, args.up))
+    if name in ("bend", "twist", "taper", "stretch"):
+        chosen["limits"] = tuple(args.limits)
+    return chosen

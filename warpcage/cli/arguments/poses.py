@@ -1,17 +1,18 @@
-"""Arguments of `warpcage pose`."""
+"""Arguments of `warpcage pose` and `edits`."""
 
 from __future__ import annotations
 
 import argparse
 from typing import Any
 
+from ...cage.axes import AXIS_WORDS, is_axis
 from ...core.names import EASINGS, LOOPS
-from .. import options
-from ..axes import AXIS_WORDS, axis_word
+from . import options
+from .options import Command
 
-NAME = "pose"
-HELP = "bend, twist, taper, stretch, scale, rotate or move a cage"
-EXAMPLE = """\
+POSE_HELP = "bend, twist, taper, stretch, scale, rotate or move a cage"
+
+POSE_EXAMPLE = """\
   warpcage pose cage.obj -o posed.obj --bend 40 --axis x --towards z
   warpcage pose cage.obj -o posed.obj --twist 30 --taper 0.6 --axis z --limits 0.3 1
   warpcage pose cage.obj -o poses.json --key start --at 0
@@ -40,7 +41,7 @@ class _Step(argparse.Action):
         namespace.steps = [*(namespace.steps or []), (option_string.lstrip("-"), values)]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_pose_arguments(parser: argparse.ArgumentParser) -> None:
     number = options.finite_float
     parser.add_argument("cage", help=f"cage to pose ({' '.join(options.CAGE_ENDINGS)})")
     parser.add_argument(
@@ -168,3 +169,51 @@ def _add_keys(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--remove", action="store_true", help="take the key out of the file")
     group.add_argument("--fps", type=options.positive_fraction, metavar="RATE", help="frames per second of the film")
     group.add_argument("--loop", choices=LOOPS, help="what the film does at its end")
+
+
+EDITS_HELP = "write several edits of one scene to a file, or say what such a file holds"
+
+EDITS_EXAMPLE = """\
+  warpcage edits -o house.edits.json --edit wing.obj:wing_up.obj --edit tower.obj:tower_aside.obj:keep \\
+      --edit chimney.obj:remove
+  warpcage edits house.edits.json
+  warpcage edits house.edits.json --edit door.obj:bend:30:z:x -o more.edits.json
+  warpcage render house.npz --edits house.edits.json -o house.png --overlay
+  warpcage animate house.npz --edits house.edits.json -o house.mp4
+
+An edit is a cage and what becomes of what is in it: CAGE:POSED moves it to where the posed cage is, CAGE:POSED:keep
+leaves a copy where it was, CAGE:remove takes it away. CAGE:POSED:falloff=WIDTH holds the walls of the cage that cut
+through matter and fades to rest in a band of that width inside them, so that the part does not tear off (held=still:
+the walls that the pose leaves in place; held=3,4: these faces). crumbs=SIZE takes pieces smaller than that along, which
+the cage cuts off. POSED is a cage file, a keyframe of a pose file (poses.json:NAME) or a preset (bend:40:x:z). Edits
+act in their order, each on what the ones before it left. A Windows drive (C:\\cage.obj:C:\\posed.obj) is no separator.
+
+The file is JSON, with paths relative to its own folder. Sessions of the editor (.session.json) are read too. Pictures
+of what edits do are in docs/edits.md.
+"""
+
+
+def add_edits_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", nargs="?", help="edits file, or session of the editor (.session.json)")
+    parser.add_argument(
+        "--edit",
+        action="append",
+        metavar="CAGE:POSED[:keep]",
+        help="an edit; give it again for the next. CAGE:remove takes away what is in the cage",
+    )
+    parser.add_argument("-o", "--output", metavar="FILE", help="edits file to write (.json)")
+    options.add_cage_up(parser)
+
+
+def axis_word(text: str) -> str:
+    """A word for a direction, as an argument. Raises argparse.ArgumentTypeError for others."""
+    if not is_axis(text):
+        raise argparse.ArgumentTypeError(f"must be {AXIS_WORDS}, got {text!r}")
+    return text
+
+
+#: Commands of this group.
+COMMANDS = (
+    Command("pose", POSE_HELP, POSE_EXAMPLE, add_pose_arguments, "poses"),
+    Command("edits", EDITS_HELP, EDITS_EXAMPLE, add_edits_arguments, "poses"),
+)

@@ -1,8 +1,9 @@
-"""`warpcage cage`: put a cage around a field or a mesh."""
+"""`warpcage cage` and `check`: cages made around an object, and examined."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import pathlib
 from typing import TYPE_CHECKING, Any
 
@@ -10,13 +11,17 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..cage.generate import checked_count
+from ..cage.presets import is_preset
 from ..cage.snap import cut_matter, snap_to_gaps
+from ..cage.up_axis import load_standing
 from ..core.files import require_file
 from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
 from ..mesh.io.gltf import require_gltf_room
-from . import inputs, options
-from .mesh import TO_Y_UP
+from . import shared
+from .arguments import options
+from .fields import TO_Y_UP
+from .pose_words import ending, pose_file, posed_up, read_pose, say_standing
 
 if TYPE_CHECKING:
     import trimesh
@@ -25,17 +30,17 @@ if TYPE_CHECKING:
 MARGIN = 0.03
 
 
-def run(args: argparse.Namespace) -> None:
+def run_cage(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, options.CAGE_ENDINGS, "cage file")
     _check_combination(args)
-    inputs.require_field_scale(args)
-    inputs.quiet_warp()
-    is_field = inputs.is_field(args.field)
-    thing: Any = inputs.read_field(args) if is_field else read_mesh(args.field)
+    shared.require_field_scale(args)
+    shared.quiet_warp()
+    is_field = shared.is_field(args.field)
+    thing: Any = shared.read_field(args) if is_field else read_mesh(args.field)
     if args.snap is not None:
         if not is_field:
             raise ValueError(f"--snap needs a field (.npz), got {args.field!r}")
-        _snap(inputs.require_voxels(thing, "--snap"), args, output)
+        _snap(shared.require_voxels(thing, "--snap"), args, output)
         return
     if any(value is not None for value in _selection(args).values()):
         thing = _selected(thing, is_field, args)
@@ -113,13 +118,13 @@ def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelec
         raise ValueError(f"--{'in-box' if 'box' in chosen else next(iter(chosen))} is for fields, not for meshes")
     selected = field
     if "selection" in chosen:
-        selected = NodeSelection.load(chosen.pop("selection"), inputs.require_voxels(field, "--selection"))
+        selected = NodeSelection.load(chosen.pop("selection"), shared.require_voxels(field, "--selection"))
         if not chosen:
             return selected
     if "box" in chosen:
         chosen["box"] = [args.in_box[:3], args.in_box[3:]]
     if "masks" in chosen:
-        scene = inputs.masked_scene(args.masks, field)
+        scene = shared.masked_scene(args.masks, field)
         chosen |= {"masks": scene.alphas, "cameras": scene.cameras}
     selection = select_nodes(selected, **chosen)
     for note in selection.notes:
@@ -168,3 +173,47 @@ def _cylinder_around(mesh: trimesh.Trimesh, args: argparse.Namespace) -> Cage:
     reach = np.linalg.norm(np.delete(mesh.vertices - centre, along, axis=1), axis=1).max() + margin
     height = mesh.extents[along] + 2 * margin
     return Cage.cylinder(centre, reach / np.cos(np.pi / sides), height, axis=axis, sides=sides, rings=args.rings or 4)
+
+
+def run_check(args: argparse.Namespace) -> int:
+    shared.require_field_scale(args)
+    output = None if args.repair is None else options.check_output(args.repair, options.CAGE_ENDINGS, "cage file")
+    shared.quiet_warp()
+
+    thing = _enclosed(args)
+    reference = next(iter(thing.values()), None)
+    cage, standing = load_standing(Cage, args.cage, up=args.cage_up, reference=reference, anywhere=True)
+    if standing.turned:  # the table says what else there is
+        say_standing(args.cage, standing, "--cage-up")
+    pose = None if args.posed is None else _pose(args, cage, standing.up)
+    notes = ()
+    if output is not None:
+        cage, notes = cage.repair()
+        cage.save(output)
+    report = cage.check(**thing, pose=pose)
+    if args.json:
+        print(json.dumps(report.as_dict() | {"file": args.cage, "repaired": list(notes)}, indent=1))
+    else:
+        for note in notes or (() if output is None else ("nothing to repair",)):
+            print(f"repair: {note}")
+        print(report)
+    return 0 if report.usable and not report.standing else 1
+
+
+def _pose(args: argparse.Namespace, cage: Cage, expected: str) -> Cage:
+    """The pose of --posed; expected: the axis that points up in the cage's file."""
+    if is_preset(args.posed) or pose_file(args.posed):
+        return read_pose(cage, args.posed, usable=False)
+    likely = expected if ending(args.posed) == ending(args.cage) else None
+    pose, standing = load_standing(Cage, args.posed, up=posed_up(args), reference=cage, expected=likely)
+    say_standing(args.posed, standing, "--posed-up")
+    return pose
+
+
+def _enclosed(args: argparse.Namespace) -> dict:
+    """The object of --object, as Cage.check takes it."""
+    if args.field is None:
+        return {}
+    if shared.is_field(args.field):
+        return {"field": shared.read_field(args)}
+    return {"mesh": read_mesh(args.field)}

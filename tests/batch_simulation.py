@@ -7,8 +7,8 @@ import heapq
 
 import numpy as np
 
-from .loop import Begun, Died, Event, Finished, Ready, Returned
-from .scheduler import Lot, LotReport
+from warpcage.batch.loop import Begun, Died, Event, Finished, Ready, Returned
+from warpcage.batch.scheduler import Lot, LotReport
 
 
 @dataclasses.dataclass

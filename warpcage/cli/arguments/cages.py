@@ -1,14 +1,15 @@
-"""Arguments of `warpcage cage`."""
+"""Arguments of `warpcage cage` and `check`."""
 
 from __future__ import annotations
 
 import argparse
 
-from .. import options
+from . import options
+from .options import Command
 
-NAME = "cage"
-HELP = "put a cage around a field or a mesh"
-EXAMPLE = """\
+CAGE_HELP = "put a cage around a field or a mesh"
+
+CAGE_EXAMPLE = """\
   warpcage cage lego.npz -o cage.obj --vertices 100
   warpcage cage room.npz -o chair.glb --seed 0.2 0 -0.5 --floaters 0.01
   warpcage cage room.npz -o cup.obj --selection cup.npz      (see warpcage select)
@@ -19,7 +20,7 @@ EXAMPLE = """\
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_cage_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field", metavar="object", help=f"field (.npz), splats or mesh ({' '.join(options.MESH_ENDINGS)})"
     )
@@ -90,3 +91,41 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
         help="what is connected to this point, world units",
     )
     options.add_parts(group)
+
+
+CHECK_HELP = "examine a cage, what it encloses and what a pose does to it; exit status 1 if it is of no use"
+
+CHECK_EXAMPLE = """\
+  warpcage check cage.obj
+  warpcage check cage.obj --object lego.npz --posed posed.obj
+  warpcage check broken.obj --repair mended.obj
+  warpcage check cage.obj --json > report.json
+"""
+
+
+def add_check_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("cage", help=f"cage to examine ({' '.join(options.CAGE_ENDINGS)})")
+    parser.add_argument(
+        "--object", dest="field", metavar="OBJECT", help="field (.npz), splats or mesh that should be inside"
+    )
+    parser.add_argument(
+        "--posed",
+        metavar="POSED",
+        help="a pose of the cage, a file or a preset, to examine for inverted volume, stretch and folds",
+    )
+    parser.add_argument(
+        "--repair",
+        metavar="MENDED",
+        help="repair what can be repaired safely, print what was done, write the cage to this file and examine it",
+    )
+    parser.add_argument("--json", action="store_true", help="print the report as JSON instead of a table")
+    options.add_cage_up(parser, found=True, posed=True)
+    options.add_scene_scale(parser)
+    options.add_device(parser)
+
+
+#: Commands of this group.
+COMMANDS = (
+    Command("cage", CAGE_HELP, CAGE_EXAMPLE, add_cage_arguments, "cages"),
+    Command("check", CHECK_HELP, CHECK_EXAMPLE, add_check_arguments, "cages"),
+)

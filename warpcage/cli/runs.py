@@ -1,4 +1,4 @@
-"""`warpcage sweep`: a job file of many poses from many cameras."""
+"""`warpcage sweep` and `run`: job files of data sets, and what makes their items."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ import pathlib
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
+from ..batch.forecast import Forecast, foresee
+from ..batch.manifest import Part
+from ..batch.run import Options, RunProgress, RunReport, run_jobs
 from ..batch.sweeps import GivenSource, PoseSource, RandomSource, RandomViews, write_sweep
 from ..cage.cage import Cage
 from ..cage.random_poses import RandomPoses
@@ -18,24 +22,151 @@ from ..core.names import BACKGROUNDS, counted
 from ..core.threads import cpu_threads
 from ..scene.formats.transforms import TransformsCameras
 from ..view.camera import Camera, CameraFile, framing_orbit
-from . import inputs, options, view
-from .arguments.sweep import OWN, USUAL_BACKGROUNDS
-from .keyframes import expected_ups, read_poses
-from .standing import posed_up, read_rest
+from . import shared
+from .arguments import options
+from .arguments.runs import OWN, USUAL_BACKGROUNDS
+from .pose_words import expected_ups, posed_up, read_poses, read_rest
+
+#: Lines about items that failed; the manifest has all.
+MOST_LINES = 10
+
+
+def run_run(args: argparse.Namespace) -> int:
+    shared.quiet_warp()
+    part = None if args.part is None else Part.named(args.part)
+    if args.dry_run:
+        if part is not None:
+            raise ValueError("--dry-run looks at the whole job: leave out --part")
+        return _say(foresee(args.jobs, args.output, workers=args.workers or 1, device=args.device))
+    Options(args.workers, args.cluster, args.device, args.retries, item_timeout=args.item_timeout)
+    with _Bar(args.quiet) as bar:
+        report = run_jobs(
+            args.jobs,
+            args.output,
+            workers=args.workers,
+            cluster=args.cluster,
+            device=args.device,
+            retries=args.retries,
+            item_timeout=args.item_timeout,
+            part=part,
+            progress=bar.show,
+            warn=bar.warn,
+        )
+    return _conclude(report, args.output)
+
+
+class _Bar:
+    """The bars of a run: one while items are checked, one while they are made, with throughput and time left."""
+
+    def __init__(self, quiet: bool):
+        self._quiet, self._bar, self._stage = quiet, None, ""
+
+    def __enter__(self) -> _Bar:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def show(self, state: RunProgress) -> None:
+        """Show how far the run is."""
+        from tqdm import tqdm
+
+        if state.stage != self._stage:
+            if self._bar is not None:
+                self._bar.close()
+            start = state.kept if state.stage == "make" else 0
+            options: dict[str, Any] = {"total": state.total, "initial": start, "unit": " items", "smoothing": 0.1}
+            brief = state.stage == "check"  # gone again: most jobs are looked through at once
+            self._bar = tqdm(desc=state.stage, disable=self._quiet, leave=not brief, delay=0.5 * brief, **options)
+            self._stage = state.stage
+        assert self._bar is not None
+        if state.failed:
+            self._bar.set_postfix(failed=state.failed, refresh=False)
+        place = state.checked if state.stage == "check" else state.kept + state.done + state.failed
+        self._bar.update(place - self._bar.n)
+
+    def warn(self, line: str) -> None:
+        """Print a line above the bar."""
+        from tqdm import tqdm
+
+        tqdm.write(f"warpcage: warning: {line}", file=sys.stderr)
+
+
+def _conclude(report: RunReport, output: str) -> int:
+    """Say what came of a run; returns the exit status."""
+    rate = f", {report.made / report.seconds:.3g} a second" if report.made and report.seconds else ""
+    print(f"wrote {output}: {counted(report.made, 'item')}{rate}, {report.kept} were there already")
+    for name, line in list(report.failed.items())[:MOST_LINES]:
+        print(f"warpcage: {name}: {line}", file=sys.stderr)
+    if len(report.failed) > MOST_LINES:
+        more = len(report.failed) - MOST_LINES
+        print(f"warpcage: and {more} more, see {output}/manifest.jsonl", file=sys.stderr)
+    if report.failed:
+        print(f"warpcage: error: {counted(len(report.failed), 'item')} failed", file=sys.stderr)
+    if report.halt is not None:
+        left = f"{counted(report.left, 'item')} left: the same command makes them once there is room"
+        print(f"warpcage: error: {report.halt}; {left}", file=sys.stderr)
+    return 0 if report.complete else 1
+
+
+def _say(forecast: Forecast) -> int:
+    """Print what a run would do."""
+    print(f"{counted(forecast.total, 'item')}: {forecast.kept} are there already and unchanged")
+    made = forecast.total - forecast.kept
+    kinds = ", ".join(counted(count, kind) for kind, count in forecast.counts.items())
+    notes = [
+        f"{count} {what}"
+        for count, what in (
+            (forecast.changed, "of them changed since they were made"),
+            (forecast.failed_before, "of them failed before"),
+        )
+        if count
+    ]
+    if made:
+        print(
+            f"{made} would be made: {kinds}, in {counted(forecast.group_count, 'group')}"
+            + "".join(f", {n}" for n in notes)
+        )
+    for kind, each in forecast.measured.items():
+        first = "".join(
+            f", and {seconds:.3g} s more for the first of a {what}"
+            for seconds, what in ((each.pose_seconds, "pose"), (each.load_seconds, "group"))
+            if seconds > 0
+        )
+        print(f"one {kind} takes {each.seconds:.3g} s{first} (measured: {each.source})")
+    if forecast.measured:
+        print(f"about {_duration(forecast.seconds)} by {counted(forecast.workers, 'worker')}")
+    wrong = forecast.errors | forecast.missing
+    for name, line in wrong.items():
+        print(f"warpcage: {name}: {line}", file=sys.stderr)
+    if forecast.missing_count:
+        count = counted(forecast.missing_count, "item")
+        print(f"warpcage: error: what {count} would read is not there", file=sys.stderr)
+    return 1 if wrong else 0
+
+
+def _duration(seconds: float) -> str:
+    """Such as "2 h 5 min", of whole units."""
+    if seconds < 120:
+        return f"{max(1, round(seconds))} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
+
 
 #: Degrees above the horizon of the cameras of orbit:N.
 ELEVATION = 20.0
 
 
-def run(args: argparse.Namespace) -> None:
+def run_sweep(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, (".jsonl", ".json"), "job file")
-    view.image_size(args)
+    shared.image_size(args)
     background = _background(args)
     _check_words(args)
-    field = inputs.read_field(args)
+    field = shared.read_field(args)
     rest, expected = read_rest(args.cage, args.cage_up, field)
     sources = _pose_sources(args, rest, expected)
-    shown, up = inputs.visible_points(field, None, None), tuple(field.up.tolist())
+    shown, up = shared.visible_points(field, None, None), tuple(field.up.tolist())
     given = _given_cameras(args)
     defaults = {
         "density": args.density,
@@ -180,23 +311,23 @@ def _given_cameras(args: argparse.Namespace) -> list[Camera] | None:
         return None
     if pathlib.Path(text).name.startswith("transforms") and text.lower().endswith(".json"):
         file = TransformsCameras(text)
-        found = [file.camera(str(index), view.file_size(args)) for index in range(len(file))]
-        return [view.fitted_to(view.moved_to_field(args, camera), args) for camera in found]
-    named = view.camera_file(text)
+        found = [file.camera(str(index), shared.file_size(args)) for index in range(len(file))]
+        return [shared.fitted_to(shared.moved_to_field(args, camera), args) for camera in found]
+    named = shared.camera_file(text)
     if named is None:
         options.require_folder(text if pathlib.Path(text).exists() else text.rpartition(":")[0] or text)
-        return view.sized_cameras(args, text)
+        return shared.sized_cameras(args, text)
     path, name = named
-    cameras = CameraFile.load(path, size=view.file_size(args))
+    cameras = CameraFile.load(path, size=shared.file_size(args))
     chosen = [cameras.named(name)] if name else [key.camera for key in cameras]
-    return [view.fitted_to(camera, args) for camera in chosen]
+    return [shared.fitted_to(camera, args) for camera in chosen]
 
 
 def _made_cameras(
     args: argparse.Namespace, points: np.ndarray, up: tuple[float, ...]
 ) -> Sequence[Camera] | RandomViews:
     """The cameras of orbit:N and random:N, which see all points (n, 3)."""
-    width, height = view.image_size(args) or view.DEFAULT_SIZE
+    width, height = shared.image_size(args) or shared.DEFAULT_SIZE
     count = _random_count(args.cameras, "--cameras")
     if count is not None:
         return RandomViews(count, points, args.seeds[0], up, args.fov, width, height)

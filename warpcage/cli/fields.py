@@ -1,0 +1,174 @@
+"""`warpcage select`, `mesh` and `bake`: fields into parts, surfaces and other fields."""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from ..core.files import atomic_path, require_file
+from ..core.names import counted
+from ..deform.bake import bake
+from ..deform.splat_deformer import SplatDeformer
+from ..field.objects import select_object
+from ..field.selection import NodeSelection
+from ..field.voxel_field import VoxelField
+from ..mesh.io.gltf import write_glb
+from ..splats.io import is_splat_file
+from ..view.camera import Camera, CameraFile
+from ..view.pictures import write_png
+from . import shared
+from .arguments import options
+from .pose_words import read_rest
+from .shared import Deformation, is_deformed, read_deformation
+
+
+def run_bake(args: argparse.Namespace) -> None:
+    require_file(args.field, "field file")
+    of_splats = is_splat_file(args.field)
+    output = options.check_output(args.output, options.SPLAT_ENDINGS if of_splats else (".npz",), "field file")
+    if of_splats and (args.voxels is not None or args.format is not None):
+        raise ValueError("--voxels and --format are for fields of voxels: the ending of a splat file says its format")
+    if args.frames is not None and (not of_splats or "#" not in output.name):
+        raise ValueError("--frames writes numbered files of splats: give -o NAME_####.ply, the # for the number")
+    if args.overwrite and args.frames is None:
+        raise ValueError("--overwrite is for numbered files: give --frames, how many; one file is replaced anyway")
+    if args.frames == 1:
+        raise ValueError("--frames 1 would write the pose at rest alone: give 2 or more, or leave it out")
+    if args.frames is None and of_splats and "##" in output.name:
+        raise ValueError("-o with # for a number writes numbered files: give --frames, how many")
+    if args.selection is None:
+        shared.require_deformation(args, "bake")
+    elif args.voxels is not None and not is_deformed(args):
+        raise ValueError("--voxels is for a deformed scene: what is only cut out keeps its voxels")
+    field = shared.read_field(args)
+    deformation = read_deformation(args, field)
+    if args.selection is not None:
+        field = NodeSelection.load(args.selection, shared.require_voxels(field, "--selection")).cut_out()
+    if deformation is None:
+        baked = shared.require_voxels(field, "--selection")
+    else:
+        deformer = shared.make_deformer(field, deformation, args).pose(deformation.posed)
+        if isinstance(deformer, SplatDeformer):
+            if args.frames is not None:
+                return _write_sequence(deformer, deformation, args)
+            splats = deformer.baked()
+            splats.save(output)
+            print(f"wrote {output}: {counted(splats.splat_count, 'splat')}, {output.stat().st_size / 1e6:.1f} MB")
+            return
+        baked = bake(deformer, resolution=args.voxels)
+    baked.save(output, format=args.format or "warpcage")
+    size = "x".join(map(str, baked.resolution))
+    print(
+        f"wrote {output}: {counted(baked.voxel_count, 'voxel')} in a grid of {size}, "
+        f"{output.stat().st_size / 1e6:.1f} MB"
+    )
+
+
+def _write_sequence(deformer: SplatDeformer, deformation: Deformation, args: argparse.Namespace) -> None:
+    """Files of the poses from rest to the last one, evenly."""
+    places = np.linspace(0.0, deformation.pose_count - 1.0, args.frames)
+    written = deformer.save_sequence(args.output, (deformation.at(place) for place in places), overwrite=args.overwrite)
+    print(f"wrote {counted(len(written), 'file')}, {written[0]} to {written[-1]}")
+
+
+#: Takes (x, y, z) to (x, z, -y): glTF has y up, while the other formats take coordinates as they are.
+TO_Y_UP = ((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1))
+
+#: Formats that hold colours of vertices.
+WITH_COLORS = (".glb", ".ply", ".obj")
+
+
+def run_mesh(args: argparse.Namespace) -> None:
+    output = options.check_output(args.output, options.MESH_ENDINGS, "mesh file")
+    ending = output.suffix.lower()
+    if args.colors and ending not in WITH_COLORS:
+        raise ValueError(f"--colors: {ending} has no colours, {' '.join(WITH_COLORS)} have")
+    field = shared.require_voxels(shared.read_field(args), "mesh")
+    colored = ending == ".glb" if args.colors is None else args.colors
+
+    selection = None if args.selection is None else NodeSelection.load(args.selection, field)
+    mesh = field.extract_mesh(threshold=args.threshold, components=args.components, colors=colored, selection=selection)
+    if args.as_captured and field.straightening is not None:
+        mesh.apply_transform(np.linalg.inv(field.straightening))
+    with atomic_path(output) as temporary:
+        if ending == ".glb":
+            colors = np.asarray(getattr(mesh.visual, "vertex_colors"))[:, :3] / 255.0 if colored else None  # noqa: B009
+            upright = np.asarray(mesh.vertices) @ np.array(TO_Y_UP, np.float64)[:3, :3].T
+            temporary.write_bytes(write_glb(upright, np.asarray(mesh.faces, np.int32), colors, name=output.stem))
+        else:
+            mesh.export(temporary, file_type=ending[1:])
+    low, high = mesh.bounds
+    print(
+        f"wrote {output}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces{', with colours' * colored}, from "
+        f"{low.round(3).tolist()} to {high.round(3).tolist()}"
+    )
+
+
+def run_select(args: argparse.Namespace) -> None:
+    output = options.check_output(args.output, options.SELECTION_ENDINGS, "selection file")
+    preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
+    shared.check_saved(args)
+    regions = (args.in_box, args.sphere, args.in_cage, args.masks, args.depth)
+    if all(given is None for given in (args.point, args.pixel, *regions)):
+        raise ValueError(
+            "select needs a click (--point or --pixel) or a region (--in-box, --sphere, --in-cage, --masks or --depth)"
+        )
+    if (args.depth is None) != (args.views is None):
+        raise ValueError("--depth and --views go together: distances from the cameras of views")
+    if args.masks is not None and args.depth is not None:
+        raise ValueError("--masks and --depth cannot be combined: give one of them")
+    if args.plane == "none" and (args.plane_at is not None or args.clearance is not None):
+        raise ValueError("--plane none leaves nothing out: --plane-at and --clearance belong to a plane")
+    field = shared.require_voxels(shared.read_field(args), "select")
+    low, high = field.bounds
+    corners = np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
+    camera = shared.chosen_camera(args, corners) if args.pixel or preview or args.save_camera else None
+    chosen = select_object(
+        field,
+        point=args.point,
+        pixel=args.pixel,
+        camera=camera if args.pixel else None,
+        plane=None if args.plane == "none" else args.plane,
+        plane_at=args.plane_at,
+        up=args.up,
+        clearance=args.clearance,
+        parts=args.parts,
+        floaters=args.floaters or 0.0,
+        **_regions(args, field),
+    )
+    for note in chosen.notes:
+        print(note)
+    if preview is not None and camera is not None:
+        write_png(preview, chosen.preview(camera))
+    chosen.save(output)
+    if camera is not None:
+        shared.save_cameras(args, [camera])
+    low, high = chosen.points.min(axis=0), chosen.points.max(axis=0)
+    print(
+        f"wrote {output}: {counted(int(np.count_nonzero(chosen.mask)), 'voxel')}, from {low.round(3).tolist()} to "
+        f"{high.round(3).tolist()}{'' if preview is None else f', and {preview}'}"
+    )
+
+
+def _regions(args: argparse.Namespace, field: VoxelField) -> dict:
+    """The regions of the arguments, as `select_object` takes them."""
+    given: dict = {}
+    if args.in_box is not None:
+        given["box"] = [args.in_box[:3], args.in_box[3:]]
+    if args.sphere is not None:
+        given["sphere"] = args.sphere
+    if args.in_cage is not None:
+        given["cage"] = read_rest(args.in_cage, args.cage_up, field, part=True)[0]
+    if args.masks is not None:
+        scene = shared.masked_scene(args.masks, field)
+        given |= {"masks": scene.alphas, "cameras": scene.cameras}
+    if args.depth is not None:
+        given |= {"depth": args.depth, "cameras": _depth_views(args)}
+    return given
+
+
+def _depth_views(args: argparse.Namespace) -> list[Camera]:
+    if shared.camera_file(args.views):
+        return [key.camera for key in CameraFile.load(args.views)]
+    return shared.scene_cameras(args, args.views)

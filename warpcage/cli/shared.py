@@ -1,0 +1,580 @@
+"""What commands share: fields, cages and views from their arguments."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import hashlib
+import pathlib
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from ..cage.axes import with_up
+from ..cage.cage import Cage
+from ..cage.pose_file import PoseFile, cage_hash
+from ..cage.presets import is_preset
+from ..core.devices import resolve_device
+from ..core.files import require_file
+from ..core.names import BACKGROUNDS
+from ..deform.deformer import Deformer
+from ..deform.edits import MAX_EDITS, CageEdit
+from ..deform.fill import fill_unseen
+from ..deform.picture_cells import MOST_CELLS, picture_cells
+from ..editor.session import FORMAT as SESSION_FORMAT
+from ..editor.session import read_session
+from ..field.voxel_field import VoxelField
+from ..scene.load import load_scene
+from ..scene.scene import Scene
+from ..splats.io import is_splat_file
+from ..splats.splat_field import AnyField, SplatField, load_field
+from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
+from ..view.frame import Frame
+from .arguments import options
+from .edit_words import EditWords, parse_edit, read_edits_file, read_edits_json
+from .pose_words import Keyframes, only_pose, posed_up, read_rest
+
+
+@dataclasses.dataclass(frozen=True)
+class PosedEdit:
+    """One edit, and the poses that its cage goes through (None for an edit that removes)."""
+
+    edit: CageEdit
+    keyframes: Keyframes | None
+
+    def at(self, place: float) -> Cage | None:
+        """The cage at a place, 0 at rest and 1 the first pose; after its last pose it stays. None: it is removed."""
+        if self.keyframes is None:
+            return None
+        return self.keyframes.at(min(place, len(self.keyframes.cages) - 1.0))
+
+    @property
+    def film(self) -> PoseFile | None:
+        """Keys at times, None where the poses follow one another evenly."""
+        return None if self.keyframes is None else self.keyframes.film
+
+
+class Deformation:
+    """Edits in the order in which they act, at least one, each with its poses."""
+
+    def __init__(self, parts: Sequence[PosedEdit]):
+        self.parts = list(parts)
+        self.edits = [part.edit for part in self.parts]
+        # The cage at rest and the poses of the edit that has most of them.
+        self.pose_count = max((len(part.keyframes.cages) for part in self.parts if part.keyframes), default=1)
+
+    @property
+    def posed(self) -> list[Cage | None]:
+        """The last pose of each edit, None for one that removes."""
+        return self.at(self.pose_count - 1.0)
+
+    def at(self, place: float) -> list[Cage | None]:
+        """The cages at a place between the poses: 0 at rest, 1 the first pose, and so on."""
+        return [part.at(place) for part in self.parts]
+
+    @property
+    def film(self) -> PoseFile | None:
+        """The keys at times that last longest, None where no edit has any."""
+        films = [part.film for part in self.parts if part.film is not None]
+        return max(films, key=lambda film: film.length, default=None)
+
+    @property
+    def camera_film(self) -> PoseFile | None:
+        """The first keys at times that hold cameras too, None where none do."""
+        return next((part.film for part in self.parts if part.film is not None and part.film.cameras), None)
+
+    def at_time(self, seconds: float) -> list[Cage | None]:
+        """The cages at a time of the film. Those without keys at times stay at their last pose."""
+        return [
+            part.at(self.pose_count - 1.0) if part.film is None else part.film.at_time(seconds) for part in self.parts
+        ]
+
+    @property
+    def is_still(self) -> bool:
+        """Whether nothing moves: the scene is the field as it is."""
+        return not any(part.edit.remove or _moves(part) for part in self.parts)
+
+    def drawn(self, cages: Sequence[Cage | None]) -> list[Cage]:
+        """The cages that an overlay shows: posed ones, and at rest those whose content is removed."""
+        return [edit.cage if cage is None else cage for edit, cage in zip(self.edits, cages, strict=True)]
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """(n, 3) vertices of all cages, at rest and posed, world units."""
+        cages = [part.edit.cage for part in self.parts]
+        cages += [cage for part in self.parts if part.keyframes for cage in part.keyframes.cages]
+        return np.concatenate([cage.vertices for cage in cages])
+
+    def fingerprints(self) -> dict[str, list[str]]:
+        """Hashes of the edits, "cage", and of their poses, "posed": all that decides how the scene moves."""
+        return {"cage": [_edit_hash(edit) for edit in self.edits], "posed": [_pose_hash(part) for part in self.parts]}
+
+
+def read_deformation(
+    args: argparse.Namespace, field: VoxelField | SplatField, interpolation: str | None = None
+) -> Deformation | None:
+    """The deformation that a command's options name, None where nothing is deformed; the field tells the axes of cage
+    files. interpolation: "smooth" or "linear", between several poses of an edit; None takes one pose an edit."""
+    ways = [f"--{name}" for name in ("cage", "edit", "edits") if getattr(args, name) is not None]
+    if len(ways) > 1:
+        raise ValueError(f"{ways[0]} and {ways[1]} do not go together: name each cage of several by --edit")
+    if args.posed is not None and args.cage is None:
+        raise ValueError("--posed needs --cage, the same cage at rest")
+    if args.cage is not None:
+        if args.posed is None and not getattr(args, "overlay", False):
+            raise ValueError(
+                "--cage and --posed go together: the cage at rest and the same cage posed (--overlay shows it at rest)"
+            )
+        texts = args.posed if isinstance(args.posed, list) else [args.posed or "rest"]
+        return Deformation([_read_edit(EditWords(args.cage, texts[0]), texts, args, interpolation, field)])
+    if args.edits is not None and is_session(args.edits):
+        return session_edits(args.edits, interpolation)[0]
+    words = [parse_edit(text) for text in args.edit or ()]
+    if args.edits is not None:
+        words = read_edits_file(args.edits)
+    return numbered_edits(words, args, interpolation, field) if words else None
+
+
+def numbered_edits(
+    words: Sequence[EditWords],
+    args: argparse.Namespace,
+    interpolation: str | None,
+    field: VoxelField | SplatField | None = None,
+) -> Deformation:
+    """The deformation of several edits; messages say which is wrong. Without a field axes are those of the formats."""
+    if len(words) > MAX_EDITS:
+        raise ValueError(f"a scene takes at most {MAX_EDITS} edits, got {len(words)}")
+    parts = []
+    for number, edit in enumerate(words, 1):
+        with _named(f"edit {number} of {len(words)}"):
+            texts = [] if edit.posed is None else [edit.posed]
+            parts.append(_read_edit(edit, texts, args, interpolation, field, part=True))
+    return Deformation(parts)
+
+
+def is_deformed(args: argparse.Namespace) -> bool:
+    """Whether options name a deformation."""
+    return any(getattr(args, name, None) is not None for name in ("cage", "edit", "edits"))
+
+
+def is_session(path: str) -> bool:
+    """Whether a file of --edits is a session of the editor. Raises for a file that is not there or no JSON."""
+    file = require_file(path, "edits file")
+    try:
+        return read_edits_json(file).get("format") == SESSION_FORMAT
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+
+
+def _own_or_all(own: float | None, args: argparse.Namespace, name: str) -> float:
+    """What an edit says for itself, or else what an option says for all edits."""
+    return (getattr(args, name, None) or 0.0) if own is None else own
+
+
+def _read_edit(
+    words: EditWords,
+    texts: list[str],
+    args: argparse.Namespace,
+    interpolation: str | None,
+    field: VoxelField | SplatField | None,
+    part: bool = False,
+) -> PosedEdit:
+    """An edit with the cages that its words name. texts: words of --posed; part: whether it is one of several."""
+    rest, expected = read_rest(words.cage, words.up or args.cage_up, field, part=part)
+    texts = [with_up(text, None if field is None else field.up.tolist()) if is_preset(text) else text for text in texts]
+    falloff = 0.0 if words.remove else _own_or_all(words.falloff, args, "falloff")
+    if words.held != "cut" and not falloff and not words.remove:
+        raise ValueError("held names the walls that an edit fades towards: give it a falloff=WIDTH, or leave held out")
+    crumbs = _own_or_all(words.crumbs, args, "crumbs")
+    edit = CageEdit(rest, keep_source=words.keep, remove=words.remove, falloff=falloff, held=words.walls, crumbs=crumbs)
+    if words.remove:
+        return PosedEdit(edit, None)
+    up, timed = words.up or posed_up(args), getattr(args, "timed", False)
+    keyframes = Keyframes(
+        rest, texts, interpolation or "smooth", up, expected, timed=timed, fps=getattr(args, "film_rate", None)
+    )
+    if interpolation is None and len(keyframes.cages) > 2:
+        keyframes.cages[1:] = [only_pose(rest, texts[0], up, keyframes.cages[1:])]
+    return PosedEdit(edit, keyframes)
+
+
+def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformation, list[str]]:
+    """The visible edits of a session of the editor, in the poses that it was left in, and a line on each edit."""
+    visible = [edit for edit in read_session(path).edits if edit.visible]
+    if not visible:
+        raise ValueError(f"{path}: the session has no visible edit")
+    parts = []
+    for edit in visible:
+        with _named(f"{path}: edit {edit.name!r}"):
+            cage_edit, keyframes = edit.cage_edit, None
+            if not cage_edit.remove:
+                keyframes = Keyframes(cage_edit.cage, [], interpolation or "smooth")
+                posed = cage_edit.cage.with_vertices(edit.posed)
+                posed.require_usable("the posed cage")
+                keyframes.cages.append(posed)
+            parts.append(PosedEdit(cage_edit, keyframes))
+    return Deformation(parts), [f"{edit.name}: {edit.kind}" for edit in visible]
+
+
+@contextlib.contextmanager
+def _named(what: str) -> Iterator[None]:
+    """Put a name before what is wrong."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{what}: {error}") from error
+
+
+def _moves(part: PosedEdit) -> bool:
+    """Whether a cage has a pose that is another than the cage at rest."""
+    cages = [] if part.keyframes is None else part.keyframes.cages
+    return any(
+        cage is not part.edit.cage and not np.array_equal(cage.vertices, part.edit.cage.vertices) for cage in cages
+    )
+
+
+def _edit_hash(edit: CageEdit) -> str:
+    """A hash of an edit at rest."""
+    return _hash([cage_hash(edit.cage), edit.keep_source, edit.remove, edit.falloff, edit.held, edit.crumbs])
+
+
+def _pose_hash(part: PosedEdit) -> str:
+    """A hash of the poses of an edit."""
+    keyframes = part.keyframes
+    if keyframes is None:
+        return ""
+    preset = None if keyframes.preset is None else (keyframes.preset.family, keyframes.amounts)
+    film = keyframes.film
+    moments = None if film is None else (sorted(film.times.items()), sorted(film.easings.items()))
+    return _hash([*map(cage_hash, keyframes.cages), preset, moments])
+
+
+def _hash(parts: Sequence[object]) -> str:
+    """sha256 of the texts of some values."""
+    return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
+
+
+def quiet_warp() -> None:
+    """Keep Warp's start-up lines and those of its modules out of a command's output, but for --verbose."""
+    if not options.verbose:
+        wp.config.log_level = wp.LOG_WARNING
+
+
+def chosen_device(args: argparse.Namespace) -> wp.Device:
+    """The device of --device."""
+    quiet_warp()
+    return resolve_device(args.device)
+
+
+def read_field(args: argparse.Namespace) -> AnyField:
+    """The field file of a command, voxels or splats, on the chosen device; sets `args.straightening`, and `args.up`
+    where --up is not given."""
+    require_file(args.field, "field file")  # before Warp starts, which takes a while
+    if is_splat_file(args.field):
+        require_field_scale(args)
+    elif getattr(args, "antialias", None):
+        raise ValueError(f"--antialias is for files of splats, got {args.field!r}")
+    elif getattr(args, "map", None) == "forward":
+        raise ValueError(f"--map forward is for files of splats, voxels are looked up backward, got {args.field!r}")
+    field = load_field(args.field, scene_scale=args.scene_scale, device=chosen_device(args))
+    if getattr(args, "up", field) is None:  # a command with a view
+        args.up = tuple(field.up)
+    # Cameras of scenes are moved by it.
+    args.straightening = field.straightening
+    return field
+
+
+def read_scene(args: argparse.Namespace, background: str | ArrayLike, orient: str | None = None) -> Scene:
+    """The scene folder of a command, by its --split, --downscale, --format and --masks. See `load_scene`."""
+    return load_scene(
+        args.scene,
+        split=args.split,
+        downscale=args.downscale,
+        format=args.format,
+        background=background,
+        masks=args.masks,
+        orient=orient,
+        cameras=args.cameras,
+    )
+
+
+def is_field(path: str) -> bool:
+    """Whether a file is a field: voxels (.npz) or splats."""
+    return path.lower().endswith(".npz") or is_splat_file(path)
+
+
+def require_voxels(field: AnyField, what: str) -> VoxelField:
+    """A field of voxels. Raises ValueError for splats; what: what is asked for, as the message begins."""
+    if isinstance(field, SplatField):
+        raise ValueError(f"{what} is for fields of voxels (.npz), this one is of splats")
+    return field
+
+
+def masked_scene(path: str, field: VoxelField) -> Scene:
+    """The training pictures of a scene in the world of a field, as masks of its object."""
+    scene = load_scene(path, orient=field.straightening)
+    if scene.alphas is None:
+        raise ValueError(f"the pictures of scene {path!r} have no opacity to take as masks")
+    return scene
+
+
+def require_field_scale(args: argparse.Namespace) -> None:
+    """Raises ValueError for --scene-scale where no field takes it."""
+    if getattr(args, "scene_scale", 1.0) != 1.0 and not str(args.field).lower().endswith(".npz"):
+        raise ValueError(f"--scene-scale is for fields (.npz), got {args.field!r}")
+
+
+def require_deformation(args: argparse.Namespace, what: str) -> None:
+    """Raises ValueError where no cage is given for something that needs one; what: how the message calls it."""
+    if not is_deformed(args):
+        alone = " (or --cage alone, at rest)" if what == "--overlay" else ""
+        raise ValueError(f"{what} needs a deformation: --cage and --posed{alone}, --edit or --edits")
+
+
+def visible_points(field: AnyField, deformation: Deformation | None, frame: str | None) -> np.ndarray:
+    """(n, 3) points around what a picture shows, world units: vertices of the cages at rest and posed (frame "posed"),
+    else the corners of the field's box."""
+    # The field at rest is the usual one, so that pictures before and after an edit, and of all its poses, can be
+    # compared.
+    if deformation is not None and frame == "posed":
+        return deformation.vertices
+    low, high = field.shown_bounds if isinstance(field, SplatField) else field.bounds
+    return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
+
+
+def make_deformer(field: AnyField, deformation: Deformation, args: argparse.Namespace) -> Deformer:
+    """The Deformer of the deformation options, not posed yet."""
+    options = {"coordinates": args.coordinates, "resolution": lattice_cells(args), "density": args.density}
+    return Deformer(field, deformation.edits, **options, map=args.map)
+
+
+def lattice_cells(args: argparse.Namespace) -> int | None:
+    """The lattice of --resolution, None for none; the finest usual one where `set_lattice` chose none."""
+    return MOST_CELLS if args.resolution == options.BY_SIZE else args.resolution
+
+
+def set_lattice(args: argparse.Namespace, camera: Camera) -> None:
+    """Choose the lattice by the size of a camera's picture, where --resolution is not given."""
+    if args.resolution == options.BY_SIZE:
+        args.resolution = picture_cells(camera)
+
+
+def posed_renderer(field: AnyField, deformation: Deformation | None, args: argparse.Namespace) -> AnyField | Deformer:
+    """What renders the scene: the field itself, or a posed Deformer where something is deformed."""
+    if deformation is None or deformation.is_still:
+        return field
+    return make_deformer(field, deformation, args).pose(deformation.posed)
+
+
+def is_transparent(args: argparse.Namespace) -> bool:
+    """Whether pictures have opacity instead of a background; refuses both, and unknown ones, before any long work."""
+    known = (*BACKGROUNDS, options.TRANSPARENT)
+    if isinstance(args.background, str) and args.background not in known:
+        raise ValueError(
+            f"--background {args.background!r} is not known: {', '.join(known)}, or three numbers in [0, 1] such as "
+            "0.2,0.3,0.4"
+        )
+    if args.transparent and args.background not in (None, options.TRANSPARENT):
+        raise ValueError("--transparent cannot be combined with --background: give one of them")
+    return args.transparent or args.background == options.TRANSPARENT
+
+
+def render_view(renderer: AnyField | Deformer, camera: Camera, args: argparse.Namespace) -> Frame:
+    """The view of a camera before the chosen background; what no picture showed is filled where --fill asks for it."""
+    splats = {"antialias": True} if args.antialias else {}
+    frame = renderer.render(camera, **background_option(args), **splats)
+    if not args.fill or frame.reveal is None:
+        return frame
+    field = renderer.field if isinstance(renderer, Deformer) else renderer
+    return fill_unseen(frame, require_voxels(field, "--fill"), camera)
+
+
+def require_fillable(args: argparse.Namespace, field: AnyField) -> None:
+    """Raises ValueError where --fill has nothing to fill."""
+    if not args.fill:
+        return
+    require_deformation(args, "--fill")
+    if args.background is not None or args.transparent:
+        raise ValueError("--fill continues the field's own background: it cannot be combined with --background")
+    if field.background_model is None:
+        raise ValueError("--fill: behind this field there is one colour, so that nothing is missing where it shows")
+
+
+def drawn_cages(renderer: AnyField | Deformer, deformation: Deformation | None) -> list[Cage]:
+    """The cages that an overlay shows: as the Deformer has them, whose held walls stay at rest."""
+    if deformation is None:
+        return []
+    posed = renderer.deformed if isinstance(renderer, Deformer) else None
+    return deformation.drawn(deformation.posed if posed is None else posed)
+
+
+def background_option(args: argparse.Namespace) -> dict:
+    """The option `background` of a render, empty where the field's own is taken. Behind opacity there is black."""
+    if is_transparent(args):
+        return {"background": "black"}
+    return {} if args.background is None else {"background": args.background}
+
+
+#: Width and height of a picture where none is given.
+DEFAULT_SIZE = (400, 400)
+
+#: Where a camera stands for each --view, degrees: above the ground, and around from +x to +y where z is up. Not quite
+#: straight above, so that what is behind the object is above it in the picture.
+SIDES = {
+    "corner": (25.0, -60.0),
+    "front": (0.0, -90.0),
+    "right": (0.0, 0.0),
+    "back": (0.0, 90.0),
+    "left": (0.0, 180.0),
+    "top": (89.99, -90.0),
+    "bottom": (-89.99, -90.0),
+}
+
+#: An array of Warp holds as many.
+MOST_PIXELS = 2**31 - 1
+
+
+def image_size(args: argparse.Namespace) -> tuple[int, int] | None:
+    """Width and height of --size, None where it is not given."""
+    if args.size is None:
+        return None
+    if len(args.size) > 2:
+        raise ValueError(f"--size takes a width, or a width and a height, got {len(args.size)} numbers")
+    width, height = args.size[0], args.size[-1]
+    if width * height > MOST_PIXELS:
+        raise ValueError(f"--size: {width}x{height} is too large, a picture has at most {MOST_PIXELS:,} pixels")
+    return width, height
+
+
+def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
+    """The camera of the view options. Where none is given, it sees all points (n, 3)."""
+    size = image_size(args)
+    if args.camera is not None:
+        if any(given is not None for given in (args.eye, args.target, args.view, args.frame)):
+            raise ValueError("--camera cannot be combined with --eye, --target, --view or --frame")
+        if named := camera_file(args.camera):
+            return fitted_to(Camera.load(*named, size=file_size(args)), args)
+        return fitted_to(scene_camera(args, args.camera), args)
+    width, height = size or DEFAULT_SIZE
+    view = {"up": args.up, "fov_degrees": args.fov, "width": width, "height": height}
+    elevation, azimuth = SIDES[args.view or "corner"]
+    framed = framing_orbit(points, 1, elevation_degrees=elevation, start_degrees=azimuth, **view)[0]
+    if args.eye is None and args.target is None:
+        return framed
+    if args.eye is not None and args.view is not None:
+        raise ValueError("--view cannot be combined with --eye: both say where the camera stands")
+    target = chosen_target(args, points)
+    eye = framed.centre + target - middle(points) if args.eye is None else args.eye
+    return Camera.look_at(eye, target, **view)
+
+
+def named_camera(args: argparse.Namespace, text: str) -> Camera:
+    """The camera that FILE[:NAME] or SCENE:[SPLIT:]INDEX names, at its own size."""
+    if named := camera_file(text):
+        return Camera.load(*named)
+    return scene_camera(args, text)
+
+
+def camera_file(text: str) -> tuple[str, str] | None:
+    """File and name of a camera ("" for all) where a word names a camera file, None for other words."""
+    found = re.fullmatch(r"(.+\.(?:json|glb|gltf))(?::(.*))?", text, re.IGNORECASE)
+    return (found[1], found[2] or "") if found else None
+
+
+def camera_keys(args: argparse.Namespace, text: str) -> list[CameraKey]:
+    """The cameras of a file as keys, at --size where it is given."""
+    path, name = camera_file(text) or (text, "")
+    cameras = CameraFile.load(path, size=file_size(args))
+    keys = cameras.path(name)
+    return [dataclasses.replace(key, camera=fitted_to(key.camera, args)) for key in keys]
+
+
+def check_saved(args: argparse.Namespace) -> None:
+    """Check the path of --save-camera before any long work."""
+    if args.save_camera is not None:
+        options.check_output(args.save_camera, (".json",), "camera file")
+
+
+def save_cameras(args: argparse.Namespace, cameras: Sequence[Camera], fps: float | Fraction | None = None) -> None:
+    """Write the file of --save-camera, if it was asked for; those of a film at the times of their frames."""
+    if args.save_camera is None:
+        return
+    times = [None] * len(cameras) if fps is None else [float(index / Fraction(fps)) for index in range(len(cameras))]
+    keys = [CameraKey(camera, time) for camera, time in zip(cameras, times, strict=True)]
+    CameraFile(keys, fps=None if fps is None else float(fps)).save(args.save_camera)
+
+
+def warn_of_edges(args: argparse.Namespace, camera: Camera, deformation: Deformation | None) -> None:
+    """Say on stderr where a posed cage reaches out of a picture that is framed by the field at rest."""
+    chosen = (args.frame, args.camera, args.eye, args.target, args.cameras)
+    if deformation is None or deformation.is_still or any(given is not None for given in chosen):
+        return
+    posed = [cage.vertices for cage in deformation.posed if cage is not None]
+    pixels, depth = camera.project(np.concatenate(posed or [np.zeros((0, 3))]))
+    beyond = (pixels < 0.0) | (pixels > (camera.width, camera.height))
+    if (beyond.any(axis=1) | (depth <= 0.0)).any():
+        print(
+            "warpcage: the cage reaches out of the picture, which is framed by the object at rest: --frame posed shows "
+            "all of it",
+            file=sys.stderr,
+        )
+
+
+def chosen_target(args: argparse.Namespace, points: np.ndarray) -> np.ndarray:
+    """(3,) what the camera looks at, or turns around. Where it is not given, the middle of the points (n, 3)."""
+    return middle(points) if args.target is None else np.asarray(args.target, np.float64)
+
+
+def middle(points: np.ndarray) -> np.ndarray:
+    """(3,) middle of the bounding box of points (n, 3)."""
+    return (points.min(axis=0) + points.max(axis=0)) / 2
+
+
+def fitted_to(camera: Camera, args: argparse.Namespace) -> Camera:
+    """A camera at the size of --size, at its own where it is not given. A width alone keeps the picture's shape."""
+    image_size(args)  # refuses others
+    return fitted(camera, args.size or (), "--size")
+
+
+def file_size(args: argparse.Namespace) -> tuple[int, int] | None:
+    """The size of pictures from cameras of files that have none. None is that of the file."""
+    size = image_size(args)
+    return size if size is not None and len(args.size) == 2 else None
+
+
+def scene_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
+    """The cameras that SCENE[:SPLIT] names, in the order of the pictures."""
+    path, split = text, "train"
+    if not pathlib.Path(path).exists() and ":" in path:
+        path, _, split = path.rpartition(":")
+    return [moved_to_field(args, camera) for camera in load_scene(path, split=split).cameras]
+
+
+def moved_to_field(args: argparse.Namespace, camera: Camera) -> Camera:
+    """A camera of a scene in the world of the field, which may have been straightened."""
+    motion = getattr(args, "straightening", None)  # of the field that was read
+    return camera if motion is None else camera.moved(motion)
+
+
+def sized_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
+    """The cameras that SCENE[:SPLIT] names, at --size where it is given."""
+    return [fitted_to(camera, args) for camera in scene_cameras(args, text)]
+
+
+def scene_camera(args: argparse.Namespace, text: str) -> Camera:
+    """The camera that SCENE:[SPLIT:]INDEX names."""
+    path, separator, index = text.rpartition(":")
+    if not separator or not index.isdigit():
+        raise ValueError(
+            f"--camera must be a camera file (.json, .glb, .gltf), SCENE:INDEX or SCENE:SPLIT:INDEX, got {text!r}"
+        )
+    cameras = scene_cameras(args, path)
+    if int(index) >= len(cameras):
+        raise ValueError(f"{path!r} has pictures 0 to {len(cameras) - 1}, got {index}")
+    return cameras[int(index)]
