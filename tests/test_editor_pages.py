@@ -19,6 +19,7 @@ from warpcage.cage.cage import Cage  # noqa: E402
 from warpcage.cage.up_axis import Standing  # noqa: E402
 from warpcage.editor import clients, inspection, server, tasks  # noqa: E402
 from warpcage.editor.document import Document  # noqa: E402
+from warpcage.editor.renderer import view_camera  # noqa: E402
 from warpcage.editor.session import (  # noqa: E402
     Session,
     new_document,
