@@ -66,7 +66,7 @@ def test_an_editor_that_could_not_save_says_so(tmp_path, monkeypatch):
     tiny_field().save(tmp_path / "ball.npz")
     editor = edit(tmp_path / "ball.npz", BOX)
     monkeypatch.setattr(pathlib.Path, "write_text", full_disk)
-    with pytest.warns(UserWarning, match="could not be saved: No space left"):
+    with pytest.warns(UserWarning, match="could not be saved: no space left"):
         editor.close()
     assert os.listdir(tmp_path) == ["ball.npz"]
 

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warpcage.cage.cage import Cage
+from warpcage.core.names import error_line
 from warpcage.editor.commands import COMMANDS, moved_keys, moved_rest, preset_pose, replace_cage, run_command
 from warpcage.editor.document import (
     MAX_ID,
@@ -20,7 +21,6 @@ from warpcage.editor.document import (
     Timeline,
     View,
     checked_view,
-    error_line,
     frozen_vertices,
     new_edit,
     parsed_json,
@@ -366,10 +366,10 @@ def test_what_is_no_json_is_refused(text):
 
 def test_an_error_is_one_line_without_folders():
     full = OSError(28, "No space left on device", "/somebody/secret/lego.session.json")
-    assert error_line(full) == "No space left on device: 'lego.session.json'"
+    assert error_line(full, folders=False) == "no space left on device 'lego.session.json'"
     assert error_line(KeyError("edit")) == "'edit' is missing"
     assert error_line(MemoryError()) == "not enough memory" and error_line(ValueError("a\n b")) == "a b"
-    assert error_line(ValueError()) == "ValueError" and len(error_line(ValueError("x" * 9999))) == 500
+    assert error_line(ValueError()) == "ValueError" and len(error_line(ValueError("x" * 9999), 500)) == 500
 
 
 # -- History

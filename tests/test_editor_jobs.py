@@ -103,8 +103,8 @@ def test_a_cancelled_job_stops_at_its_next_progress_and_leaves_nothing_half_writ
     ("error", "line"),
     [
         (ValueError("the cage\n  is open"), "the cage is open"),
-        (OSError(28, "No space left on device", "film.mp4"), "[Errno 28] No space left on device: 'film.mp4'"),
-        (MemoryError(), "MemoryError"),
+        (OSError(28, "No space left on device", "film.mp4"), "no space left on device 'film.mp4'"),
+        (MemoryError(), "not enough memory"),
         (KeyError("rest"), "KeyError: 'rest'"),
         (SystemExit(3), "SystemExit: 3"),
     ],

@@ -240,7 +240,7 @@ def test_a_full_disk_while_saving_loses_nothing_and_is_told(tmp_path, monkeypatc
     with monkeypatch.context() as patch:
         patch.setattr(pathlib.Path, "write_text", full_disk)
         session.save()
-        assert session.save_error.startswith("No space left on device") and str(tmp_path) not in session.save_error
+        assert session.save_error.startswith("no space left on device") and str(tmp_path) not in session.save_error
         assert path.read_bytes() == good and os.listdir(tmp_path) == [path.name] and session.unsaved
     session.save()
     assert session.save_error is None and not session.unsaved
@@ -256,7 +256,7 @@ def test_pages_are_told_that_the_disk_is_full_and_that_it_is_not(tmp_path, monke
         with monkeypatch.context() as patch:
             patch.setattr(pathlib.Path, "write_text", full_disk)
             await page.drag(REST * 1.1)
-            await page.until(lambda: "No space left" in (page.sections["session"]["save_error"] or ""))
+            await page.until(lambda: "no space left" in (page.sections["session"]["save_error"] or ""))
             await page.drag(REST * 1.2)
         await page.until(lambda: page.sections["session"]["save_error"] is None)
         np.testing.assert_array_equal(read(path).edits[0].posed, REST * 1.2)

@@ -38,7 +38,7 @@ def child(code, *words, **options):
 @pytest.fixture
 def command(monkeypatch):
     """Makes `warpcage info` do something else."""
-    return lambda action: monkeypatch.setattr("warpcage.cli.info.run", lambda arguments: action())
+    return lambda action: monkeypatch.setattr("warpcage.cli.info.run_info", lambda arguments: action())
 
 
 def fails(error):
@@ -58,7 +58,7 @@ def test_names_and_help_load_neither_numpy_nor_warp():
         import warpcage, warpcage.cli
         from warpcage.cli.program import COMMANDS
         assert set(warpcage.__all__) < set(dir(warpcage)) and warpcage.__version__
-        for words in [[], *([module.NAME] for module in COMMANDS)]:
+        for words in [[], *([name] for name in COMMANDS)]:
             with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.suppress(SystemExit):
                 warpcage.cli.main([*words, "--help"])
             assert "usage: warpcage" in text.getvalue()
@@ -100,7 +100,7 @@ def test_names_behave_as_if_they_were_imported():
 # Interrupts and signals
 
 
-@pytest.mark.parametrize("module", ["warpcage.cli.program", "warpcage.cli.arguments.scenes", "numpy", "warp"])
+@pytest.mark.parametrize("module", ["warpcage.cli.arguments", "warpcage.cli.arguments.scenes", "numpy", "warp"])
 def test_an_interrupt_while_the_program_starts_leaves_no_traceback(module):
     done = child(
         """
@@ -221,14 +221,14 @@ def test_closed_descriptors_lose_messages_and_nothing_else(tmp_path):
     """The next file that is opened would get the number of the closed one, and what Warp prints would end in it."""
     code = FAKE + textwrap.dedent(
         """
-        def run(arguments):
+        def run_info(arguments):
             with open(sys.argv[1], "w") as file:
                 print("a message")
                 print("a warning", file=sys.stderr)
                 os.write(1, b"from a library")
                 file.write("results")
 
-        fake.run = run
+        fake.run_info = run_info
         sys.exit(warpcage.cli.main(["info"]))
         """
     )

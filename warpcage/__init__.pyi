@@ -34,9 +34,12 @@ from .scene.scene import Scene as Scene
 from .splats.fit import SplatRates as SplatRates
 from .splats.fit import fit_splats as fit_splats
 from .splats.splat_field import SplatField as SplatField
-from .view.camera import Camera, CameraFile, CameraKey, turntable
-from .view.camera_path import camera_at
-from .view.frame import Frame
+from .view.camera import Camera as Camera
+from .view.camera import CameraFile as CameraFile
+from .view.camera import CameraKey as CameraKey
+from .view.camera import turntable as turntable
+from .view.camera_path import camera_at as camera_at
+from .view.frame import Frame as Frame
 
 __version__: str
 __all__ = [

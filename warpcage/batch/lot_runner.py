@@ -15,7 +15,7 @@ from concurrent.futures import Future
 from typing import Any, Protocol
 
 from .. import __version__
-from ..core.names import system_error_line
+from ..core.names import error_line
 from .items import Item
 from .manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes
 from .scheduler import LotReport
@@ -76,15 +76,6 @@ class Place:
     host: str
     # name of the processor or the GPU
     device: str
-
-
-def one_line(error: BaseException) -> str:
-    """What went wrong, in one line."""
-    if (line := system_error_line(error)) is not None:
-        return line
-    text = " ".join(str(error).split())
-    told = isinstance(error, (ValueError, FileNotFoundError))  # both are raised with a sentence that says it all
-    return text if text and told else f"{type(error).__name__}{': ' if text else ''}{text}"
 
 
 def leaves_no_room(error: BaseException) -> bool:
@@ -301,7 +292,7 @@ class LotRunner:
         record |= self._facts(made.item, seconds, made.attempts + 1)
         final = isinstance(error, BAD_INPUT) or made.attempts >= self._retries
         if error is not None:
-            record |= {"state": FAILED if final else ERROR, "error": one_line(error)}
+            record |= {"state": FAILED if final else ERROR, "error": error_line(error, named=True)}
         try:
             self._notes.append(record)
         except OSError as failure:
@@ -314,17 +305,17 @@ class LotRunner:
             # behind what waits for hashes of what was loaded, others seem to take nothing
             report.seconds.append(made.seconds if report.loading else seconds)
             return
-        (report.failed if final else report.errors).append((made.index, one_line(error)))
+        (report.failed if final else report.errors).append((made.index, error_line(error, named=True)))
         if not isinstance(error, BAD_INPUT) and report.broken is None:
             try:
                 self._check_device()
             except Exception as failure:  # whatever the device says, it is lost to this process
-                report.broken = one_line(failure)
+                report.broken = error_line(failure, named=True)
                 self.stop()
 
     def _halt(self, report: LotReport, error: BaseException) -> None:
         """Begin nothing more, as nothing can be written."""
-        report.halt = report.halt or one_line(error)
+        report.halt = report.halt or error_line(error, named=True)
         self.stop()
 
     def _facts(self, item: Item, seconds: float, attempts: int) -> dict[str, Any]:
@@ -351,9 +342,9 @@ class LotRunner:
             pack_shard(self._out, order.shard, [{"outputs": outputs} for outputs in order.packed])
         except Exception as error:
             if leaves_no_room(error):
-                report.halt = one_line(error)
+                report.halt = error_line(error, named=True)
             else:
-                report.pack_error = one_line(error)
+                report.pack_error = error_line(error, named=True)
 
     def keep(self, held: contextlib.AbstractContextManager[Any]) -> None:
         """Keep something open as long as this may write; `close` closes it."""

@@ -17,9 +17,10 @@ import types
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from ..core.names import error_line
 from ..core.threads import cpu_threads, limit_threads
 from .loop import ANSWER, Begun, Died, Event, Finished, LateItems, Ready, Returned
-from .lot_runner import LotOrder, LotRunner, one_line
+from .lot_runner import LotOrder, LotRunner
 from .manifest import DONE, ERROR, FAILED, OutputFolder, notes_of_lot
 from .runners import RunnerSettings, make_runner
 from .scheduler import MOST_LOTS, Lot, LotReport
@@ -113,8 +114,8 @@ def ray_session(cluster: str | None) -> Iterator[types.ModuleType]:
             if cluster is None:
                 raise
             raise ValueError(
-                f"no Ray cluster answers at {cluster!r}: {one_line(error)}. One that asks for a token wants "
-                "RAY_AUTH_MODE=token and its own token in ~/.ray/auth_token"
+                f"no Ray cluster answers at {cluster!r}: {error_line(error, named=True)}. One that asks for a token "
+                "wants RAY_AUTH_MODE=token and its own token in ~/.ray/auth_token"
             ) from error
     _silence()
     try:
@@ -134,7 +135,7 @@ def _require_answer(address: str) -> None:
     try:
         socket.create_connection((host.strip("[]"), int(port)), CONNECT).close()
     except (OSError, OverflowError) as error:
-        raise ValueError(f"no Ray cluster answers at {address!r}: {one_line(error)}") from None
+        raise ValueError(f"no Ray cluster answers at {address!r}: {error_line(error, named=True)}") from None
 
 
 @contextlib.contextmanager
@@ -439,7 +440,7 @@ def death_line(error: BaseException) -> str:
     """Why a worker died, in one line instead of Ray's paragraphs, without its name."""
     cause = getattr(error, "cause", None)  # of an error in the actor itself
     if isinstance(cause, BaseException):
-        return f"its worker failed: {one_line(cause)}"
+        return f"its worker failed: {error_line(cause, named=True)}"
     text = str(error)
     if "creation task" in text:
         return f"its worker could not start: {text.strip().splitlines()[-1].strip()}"

@@ -12,12 +12,13 @@ from typing import Any
 
 from ..core.checks import checked_positive, checked_whole
 from ..core.files import PathLike
+from ..core.names import error_line
 from .fingerprints import Fingerprints
 from .items import FOLDER
 from .job_file import JobFile
 from .local_engine import LocalEngine
 from .loop import Engine, drive
-from .lot_runner import LotOrder, Maker, leaves_no_room, one_line
+from .lot_runner import LotOrder, Maker, leaves_no_room
 from .manifest import OutputFolder, Part
 from .plan import Plan, make_plan, open_shards, shard_size, span_of
 from .ray_engine import GRACE, RayEngine, ray_session, shares
@@ -321,7 +322,7 @@ def _merged(folder: OutputFolder) -> Iterator[_Merging]:
         except OSError as error:
             if not leaves_no_room(error):
                 raise
-            merging.halt = merging.halt or one_line(error)
+            merging.halt = merging.halt or error_line(error, named=True)
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ from types import FrameType
 from typing import Any, NoReturn, TextIO
 
 from ..core import stderr
-from ..core.names import system_error_line
+from ..core.names import error_line
 from .arguments import cages, edit, fields, info, options, poses, render, runs, scenes
 from .arguments.options import package_version
 
@@ -196,19 +196,17 @@ def run(argv: list[str] | None) -> int:
             # Warp raises plain Exceptions where a kernel cannot be built or loaded
             if not isinstance(error, EXPECTED) and type(error) is not Exception:
                 raise
-            return _said(f"error: {one_line(error)}", 2)
+            return _said(f"error: {_line(error)}", 2)
 
 
-def one_line(error: Exception | str) -> str:
-    """An error or a warning in one line."""
-    if (line := system_error_line(error)) is not None:
-        return line
-    text = " ".join(str(error).split())
+def _line(error: Exception | str) -> str:
+    """An error or a warning in one line, with what a user can do about it."""
+    text = error_line(error)
     if isinstance(error, OverflowError):
-        return f"a number is too large{': ' if text else ''}{text}"
-    if isinstance(error, ImportError):
+        return f"a number is too large{': ' if str(error) else ''}{text if str(error) else ''}"
+    if isinstance(error, ImportError) and str(error):
         return f"{text}: install warpcage again with all that it needs (pip install warpcage)"
-    return text or type(error).__name__
+    return text
 
 
 def _run_command(argv: list[str] | None) -> int:
@@ -249,4 +247,4 @@ def _said(what: str, status: int) -> int:
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):
     """Print a warning as one line, without the place in the source."""
-    print(f"warpcage: warning: {one_line(message)}", file=sys.stderr)
+    print(f"warpcage: warning: {_line(message)}", file=sys.stderr)

@@ -178,6 +178,8 @@ def listed(names: Iterable[Any], most: int = 8, *, none: str = "none") -> str:
 
 def shown(value: object) -> str:
     """A value in a message: its `repr` in one line, cut where it is long."""
+    if isinstance(value, str):
+        value = value[: 2 * MOST_SHOWN]  # however long it is
     try:
         return _cut(" ".join(repr(value).split()))
     except ValueError:  # a whole number of too many digits

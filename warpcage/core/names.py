@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import pathlib
 from collections.abc import Sequence
 
 #: Kinds of coordinates, as `coordinates=` takes them; the first is the default of a Deformer.
@@ -63,13 +65,18 @@ def agreed(count: int, one: str, several: str) -> str:
     return one if count == 1 else several
 
 
-def system_error_line(error: object) -> str | None:
-    """One line for an error of the system or a shortage of memory, such as "no space left on device 'film.mp4'"; else
-    None."""
+def error_line(error: object, limit: int | None = None, *, named: bool = False, folders: bool = True) -> str:
+    """What went wrong in one line, such as "no space left on device 'film.mp4'", cut to `limit` letters.
+    named: say the kind of an error that is no sentence for users; folders: names of files with their folders."""
+    text = " ".join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
-        name = f" {str(error.filename)!r}" if error.filename else ""
-        return f"{error.strerror[0].lower()}{error.strerror[1:]}{name}"
-    if isinstance(error, MemoryError):
-        text = " ".join(str(error).split())
-        return f"not enough memory{': ' if text else ''}{text}"
-    return None
+        name = os.fsdecode(error.filename) if error.filename else ""
+        name = name if folders else pathlib.PurePath(name).name
+        text = f"{error.strerror[0].lower()}{error.strerror[1:]}{f' {name!r}' if name else ''}"
+    elif isinstance(error, MemoryError):
+        text = f"not enough memory{': ' if text else ''}{text}"
+    elif named and not (text and isinstance(error, (ValueError, FileNotFoundError))):
+        text = f"{type(error).__name__}{': ' if text else ''}{text}"
+    elif isinstance(error, KeyError):
+        text = f"{text[:60] or repr('')} is missing"
+    return text[:limit] or type(error).__name__

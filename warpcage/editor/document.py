@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import pathlib
 import unicodedata
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
@@ -13,7 +11,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.checks import checked_number
+from ..core.checks import checked_number, shown
 from ..core.names import COORDINATES, DENSITIES, EASINGS, LOOPS
 from ..deform.edits import HELD, MAX_EDITS, CageEdit
 from ..mesh.mesh import ClosedMesh
@@ -134,28 +132,6 @@ def parsed_json(text: str) -> Any:
         return json.loads(text, parse_constant=_refuse_constant)
     except RecursionError:
         raise ValueError("lists within lists within lists go too deep") from None
-
-
-def error_line(error: BaseException) -> str:
-    """What an error says, in one line for a person, without folders of this machine."""
-    text = " ".join(str(error).split())
-    if isinstance(error, OSError) and error.strerror:
-        name = f": {pathlib.PurePath(os.fsdecode(error.filename)).name!r}" if error.filename else ""
-        text = f"{error.strerror}{name}"
-    elif isinstance(error, KeyError):
-        text = f"{shown(error.args[0] if error.args else '')} is missing"
-    elif isinstance(error, MemoryError):
-        text = f"not enough memory{': ' if text else ''}{text}"
-    return text[:MAX_LINE] or type(error).__name__
-
-
-def shown(value: Any) -> str:
-    """A value as messages show it, however large it is."""
-    if isinstance(value, dict | list | tuple):
-        return f"a {'dictionary' if isinstance(value, dict) else 'list'}"
-    if isinstance(value, int) and abs(value) >= 10**20:
-        return "a huge number"
-    return repr(value[:40] if isinstance(value, str) else value)[:60]
 
 
 def _is_row(row: Any) -> bool:

@@ -15,12 +15,13 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..cage.check import sample_pose
+from ..core.names import error_line
 from ..field.selection import visible_mask
 from ..mesh.faces import column_cross, column_dot, face_edges
 from ..mesh.queries import inside_mesh, intersecting_faces
 from ..mesh.validity import first_problem
 from ..splats.splat_field import AnyField
-from .document import Document, Edit, error_line
+from .document import MAX_LINE, Document, Edit
 from .session import Session
 
 #: About how many samples of the map are taken in a posed cage, and of the visible nodes for the share inside: fewer
@@ -251,7 +252,7 @@ class Checker:
         except Exception as error:
             if not isinstance(error, ValueError | MemoryError | ArithmeticError | RuntimeError):
                 _log.exception("a cage could not be checked")
-            line = f"This cage could not be checked: {error_line(error)}"
+            line = f"This cage could not be checked: {error_line(error, MAX_LINE, folders=False)}"
             return {**NOTHING_KNOWN, "edit": number, "pending": False, "problem": line, "lines": [line]}
 
 

@@ -18,10 +18,12 @@ import numpy as np
 from aiohttp import BodyPartReader, WSMsgType, web
 from aiohttp.http import HttpProcessingError
 
+from ..core.names import error_line
 from ..field.voxel_field import VoxelField
 from .clients import MAX_SLOW, Client, packed_vertices, unpacked_vertices
 from .commands import COMMANDS
 from .document import (
+    MAX_LINE,
     MAX_SECONDS,
     Edit,
     checked_between,
@@ -30,7 +32,6 @@ from .document import (
     checked_vertices,
     checked_view,
     checked_whole,
-    error_line,
     parsed_json,
 )
 from .inspection import Checker
@@ -162,7 +163,7 @@ class Files:
                 keep = self._tasks.keep_upload
                 kept = await asyncio.get_running_loop().run_in_executor(None, keep, name, content)
         except BROKEN as error:
-            raise web.HTTPBadRequest(text=error_line(error)) from None
+            raise web.HTTPBadRequest(text=error_line(error, MAX_LINE, folders=False)) from None
         return web.json_response({"file": kept})
 
     async def _received(self, request: web.Request) -> tuple[str, bytes]:
@@ -338,7 +339,7 @@ class Server:
                 self._move(client, data)
                 client.mistakes = 0
             except ValueError as error:
-                await client.mistake(error_line(error))
+                await client.mistake(error_line(error, MAX_LINE, folders=False))
             return
         try:
             message = parsed_json(data)
@@ -348,7 +349,7 @@ class Server:
             if number is not None:
                 checked_whole(number, 0, 2**53, "n")
         except ValueError as error:
-            await client.mistake(f"a message makes no sense: {error_line(error)}")
+            await client.mistake(f"a message makes no sense: {error_line(error, MAX_LINE, folders=False)}")
             return
         try:
             result = self._obey(client, message)
@@ -591,8 +592,8 @@ def told(error: Exception) -> str:
     """What a page is told of an error. One that no input should cause is logged too."""
     if not isinstance(error, EXPECTED):
         _log.exception("a page's command failed", exc_info=error)
-        return f"this went wrong in the editor: {type(error).__name__}: {error_line(error)}"
-    return error_line(error)
+        return f"this went wrong in the editor: {type(error).__name__}: {error_line(error, MAX_LINE, folders=False)}"
+    return error_line(error, MAX_LINE, folders=False)
 
 
 def _places(edit: Edit) -> tuple[tuple[tuple[int, int], np.ndarray], ...]:

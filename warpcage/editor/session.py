@@ -19,10 +19,12 @@ import numpy as np
 from ..cage.cage import Cage
 from ..core.checks import listed
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
+from ..core.names import error_line
 from ..splats.splat_field import AnyField
 from ..view.camera import framing_orbit
 from . import commands, timeline
 from .document import (
+    MAX_LINE,
     Document,
     Edit,
     Selection,
@@ -30,7 +32,6 @@ from .document import (
     Timeline,
     View,
     edit_json,
-    error_line,
     frozen_vertices,
     new_edit,
 )
@@ -391,7 +392,7 @@ class Session:
             except Exception as error:
                 if not isinstance(error, OSError | ValueError | MemoryError):
                     _log.exception("the session could not be saved")
-                self.save_error = error_line(error)
+                self.save_error = error_line(error, MAX_LINE, folders=False)
                 return
             self._stamp, self._on_disk, self.save_error = file_stamp(self.path), (document, steps), None
             self.saved = _iso(datetime.datetime.now())

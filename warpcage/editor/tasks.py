@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 from ..cage.cage import Cage
 from ..cage.up_axis import Standing, load_standing
 from ..core.files import atomic_path
-from ..core.names import PLANES, counted
+from ..core.names import PLANES, counted, error_line
 from ..field.objects import select_object
 from ..field.selection import NodeSelection
 from ..field.voxel_field import VoxelField
@@ -211,10 +211,10 @@ class Jobs:
         except Cancelled:
             changes = {"state": "cancelled"}
         except (ValueError, OSError, MemoryError) as error:  # what a person's input or machine can cause
-            changes = {"state": "failed", "result": one_line(error)}
+            changes = {"state": "failed", "result": error_line(error, MAX_TEXT)}
         except BaseException as error:  # also what calls itself an exit: it would be lost in a thread
             _log.exception("job %s failed", number)
-            changes = {"state": "failed", "result": f"{type(error).__name__}: {one_line(error)}"}
+            changes = {"state": "failed", "result": error_line(error, MAX_TEXT, named=True)}
         with self._lock:
             self._finish(number, text="", **changes)
         self._tell()
@@ -237,11 +237,6 @@ class Jobs:
             self._listener()
         except Exception:  # the work goes on whether or not somebody hears of it
             _log.exception("a listener of jobs failed")
-
-
-def one_line(error: BaseException) -> str:
-    """What an error says, in one line of MAX_TEXT letters at most; its name where it says nothing."""
-    return " ".join(str(error).split())[:MAX_TEXT] or type(error).__name__
 
 
 def _percent(share: float | None) -> int | None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.checks import checked_path
 from ..core.files import PathLike, atomic_path, read_json
-from ..mesh.io.gltf import node_matrices, one_line, opened, read_buffers
+from ..mesh.io.gltf import errors_of_file, node_matrices, opened, read_buffers
 from ..mesh.io.gltf_animation import Channel, frames_of
 
 _FORMAT, _VERSION = "warpcage cameras", 1
@@ -69,7 +69,7 @@ def write_camera_document(
 def _read_gltf_entries(path: pathlib.Path, size: tuple[int, int] | None) -> list[dict[str, Any]]:
     """Entries of the perspective cameras of a glTF file, named as the nodes, z up; those of one camera follow each
     other. `size`: width and height, pixels; None is 400 in width, and the height that the file's aspect ratio says."""
-    with one_line(path):
+    with errors_of_file(path):
         document, chunk = opened(path)
         nodes = document.get("nodes", [])
         at_rest = node_matrices(document)

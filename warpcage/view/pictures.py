@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.files import atomic_path, require_file
+from ..core.names import error_line
 
 #: The rows of a picture from one to another, (k, w, c) float32.
 Rows = Callable[[int, int | None], np.ndarray]
@@ -104,7 +105,7 @@ def _opened(path: pathlib.Path) -> Iterator[Any]:
                 raise ValueError(f"it declares {width}x{height} pixels, at most {MAX_PIXELS} are read")
             yield picture
     except Exception as error:
-        raise ValueError(f"image {str(path)!r} cannot be read: {_one_line(error)}") from error
+        raise ValueError(f"image {str(path)!r} cannot be read: {error_line(error, 300)}") from error
 
 
 def _decoded(picture: Any, path: pathlib.Path) -> Any:
@@ -136,11 +137,6 @@ def _read_deep_png(path: pathlib.Path) -> np.ndarray:
             return frame.reformat(format="rgba64le").to_ndarray()[..., [0, 3]].astype(np.uint16)
         pixels = frame.to_ndarray().astype(np.uint16)
         return pixels[..., None] if pixels.ndim == 2 else pixels
-
-
-def _one_line(error: Exception) -> str:
-    """The first line of an error's message, or its name."""
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
 
 
 def write_png(path: str | os.PathLike, image: ArrayLike) -> None:

@@ -28,7 +28,7 @@ _PLACES = {"matrix", "rotation", "scale", "translation"}
 
 
 @contextlib.contextmanager
-def one_line(path: pathlib.Path) -> Iterator[None]:
+def errors_of_file(path: pathlib.Path) -> Iterator[None]:
     """What goes wrong with the content of a file, as a ValueError that names the file."""
     try:
         yield
@@ -190,7 +190,7 @@ VERTEX_BYTES, TRIANGLE_BYTES = 200, 150
 
 def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) float64, y up as in the file, and triangles (t, 3) int64 of a glTF file."""
-    with one_line(path):
+    with errors_of_file(path):
         document, chunk = opened(path)
         nodes = mesh_nodes(document)
         # nodes may share a mesh, so that a few bytes stand for a triangle each time: what they come to is counted first
@@ -214,7 +214,7 @@ def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
 
 def require_gltf_room(path: pathlib.Path) -> None:
     """Refuse a glTF file whose nodes come to too many triangles, before another library reads it."""
-    with one_line(path):
+    with errors_of_file(path):
         document, _ = opened(path)
         _require_room(document, mesh_nodes(document))
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...core.checks import listed
 from ...core.memory import require_host_memory
-from .gltf import joined_vertices, mesh_parts, node_matrices, one_line, opened, read_buffers, values_of
+from .gltf import errors_of_file, joined_vertices, mesh_parts, node_matrices, opened, read_buffers, values_of
 
 #: Rates at which programs write animations, in the order in which they are tried.
 RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 12.0, 15.0, 120.0, 30000 / 1001, 24000 / 1001)
@@ -43,7 +43,7 @@ class GltfMotion:
 def read_gltf_motion(path: pathlib.Path, name: str = "") -> GltfMotion | None:
     """How the vertices of a glTF file move; None where nothing does. Without an animation each shape is a pose.
     name: the animation or the shape; "" takes the only animation, or all shapes."""
-    with one_line(path):
+    with errors_of_file(path):
         document, chunk = opened(path)
         moving = _Moving(document, read_buffers(path, document, chunk))
         animations = moving.animations()

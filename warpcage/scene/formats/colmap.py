@@ -9,9 +9,10 @@ import struct
 import numpy as np
 
 from ...core.files import read_limited
+from ...core.names import error_line
 from ..pictures import COEFFICIENTS, View, make_scene, views_there
 from ..scene import Scene
-from .parsing import PICTURE_ENDINGS, floats, held_out, inside, is_file, one_line, read_text
+from .parsing import PICTURE_ENDINGS, floats, held_out, inside, is_file, read_text
 
 #: Bytes of memory that a byte of a binary file takes at most: a picture of 73 bytes becomes a record of some 700.
 BINARY_ROOM = 12
@@ -110,7 +111,7 @@ def _whole(word: str, where: str) -> int:
     try:
         return int(word)
     except ValueError as error:
-        raise ValueError(f"{where}: {one_line(error)}") from error
+        raise ValueError(f"{where}: {error_line(error, 300)}") from error
 
 
 def _cameras_txt(path: pathlib.Path) -> dict[int, ModelCamera]:

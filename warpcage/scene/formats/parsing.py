@@ -12,6 +12,7 @@ import numpy as np
 
 from ...core.checks import listed, shown
 from ...core.files import JSON_ROOM, TEXT_ROOM, read_limited
+from ...core.names import error_line
 
 #: Endings of pictures, and what is tried where a name has none.
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
@@ -30,7 +31,7 @@ def read_json(path: pathlib.Path) -> dict:
     try:
         content = json.loads(read_limited(path, "file", JSON_ROOM).decode("utf-8"))
     except (ValueError, RecursionError) as error:  # wrong bytes, wrong syntax, brackets without end
-        raise ValueError(f"{path} is no JSON file: {one_line(error)}") from error
+        raise ValueError(f"{path} is no JSON file: {error_line(error, 300)}") from error
     if not isinstance(content, dict):
         raise ValueError(f"{path} must hold a JSON object")
     return content
@@ -41,7 +42,7 @@ def read_text(path: pathlib.Path, what: str) -> str:
     try:
         return read_limited(path, what, TEXT_ROOM).decode("utf-8")
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is no text file: {one_line(error)}") from error
+        raise ValueError(f"{path} is no text file: {error_line(error, 300)}") from error
 
 
 def floats(text: str, where: str) -> list[float]:
@@ -49,7 +50,7 @@ def floats(text: str, where: str) -> list[float]:
     try:
         values = [float(word) for word in text.split()]
     except ValueError as error:
-        raise ValueError(f"{where}: {one_line(error)}") from error
+        raise ValueError(f"{where}: {error_line(error, 300)}") from error
     if not all(map(math.isfinite, values)):
         raise ValueError(f"{where} holds numbers that are not finite")
     return values
@@ -158,8 +159,3 @@ def frames_of(transforms: dict, path: pathlib.Path) -> list[tuple[str, dict]]:
         if not isinstance(frame, dict):
             raise ValueError(f"{path}: frame {index} must be a JSON object")
     return [(f"{path}: frame {index}", frame) for index, frame in enumerate(frames)]
-
-
-def one_line(error: BaseException) -> str:
-    """The message of an error on one line, or its name."""
-    return " ".join(str(error).split())[:300] or type(error).__name__
