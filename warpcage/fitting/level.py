@@ -14,7 +14,7 @@ from ..field.masked_field import field_from_mask
 from ..field.rendering import STOP_TRANSMITTANCE
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
-from ..kernels.field.render import record_weights
+from ..kernels.field.march import record_weights
 from ..kernels.fitting import rmsprop
 from ..kernels.fitting.loss import accumulate_photometric_gradient
 from ..kernels.fitting.loss_warps import accumulate_photometric_gradient_by_warps
