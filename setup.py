@@ -39,7 +39,15 @@ TEST = [
     "pycolmap>=4.2; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.15'",
 ]
 
-DEV = [*TEST, "ruff>=0.9", "codespell>=2.3", "import-linter>=2.0", "pyright[nodejs]>=1.1.380", "pre-commit>=3.7"]
+DEV = [
+    *TEST,
+    "ruff>=0.9",
+    "codespell>=2.3",
+    "import-linter>=2.0",
+    "pyright[nodejs]>=1.1.380",
+    "clang-format>=22",
+    "pre-commit>=3.7",
+]
 
 setup(
     name="warpcage",
@@ -56,7 +64,11 @@ setup(
         *(f"warpcage.kernels.{room}" for room in find_packages("kernels")),
     ],
     package_dir={"warpcage": "warpcage", "warpcage.kernels": "kernels"},
-    package_data={"warpcage": ["py.typed", "__init__.pyi"], "warpcage.editor": ["page/*"]},
+    package_data={
+        "warpcage": ["py.typed", "__init__.pyi"],
+        "warpcage.editor": ["page/*", "page/*/*"],
+        **{f"warpcage.kernels.{room}": ["*.h"] for room in find_packages("kernels")},
+    },
     install_requires=[
         "warp-lang>=1.19",
         "numpy>=1.26",

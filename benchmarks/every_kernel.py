@@ -13,18 +13,17 @@ warpcage.kernels was never launched.
 from __future__ import annotations
 
 import argparse
-import importlib
 import math
 import sys
 
 import numpy as np
 import trimesh
 import warp as wp
+from machine_code import kernel_modules
 from soak import ball_field
 
 import warpcage
 from warpcage.core.devices import launch
-from warpcage.core.kernel_files import kernel_names
 from warpcage.core.threads import limit_threads
 from warpcage.deform.lattice_edits import LARGE_PICTURE
 from warpcage.editor.renderer import frame_pixels
@@ -52,8 +51,7 @@ CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add
 CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows",
              "field.densities.lay_densities", "field.halves.widen_rows",
              "field.skip.spread_distance", "field.shades.",
-             "field.render.render_image", "field.render_shaded.", "deform.render_single.", "deform.render_sides.",
-             "deform.render_part.", "deform.render_part_sides.", "deform.shaded_",
+             "field.march.rows.", "field.march.shades.", "deform.views.rows", "deform.views.shades",
              "deform.carried_shades.", "deform.fine_cells.", "deform.posed_places.", "core.texels.",
              "deform.map_cells.", "deform.tile_begins.", "view.tile_order.",
              "splats.composite.", "splats.composite_slopes.", "splats.packed_rows.",
@@ -101,12 +99,7 @@ def watch_launches() -> None:
 
 
 def all_kernels() -> set[str]:
-    names = set()
-    for name in kernel_names():
-        module = importlib.import_module(f"warpcage.kernels.{name.replace('/', '.')}")
-        own = (value for value in vars(module).values() if isinstance(value, wp.Kernel))
-        names |= {kernel_name(kernel) for kernel in own if kernel.module.name == module.__name__}
-    return names
+    return {kernel_name(kernel) for module in kernel_modules() for kernel in module.kernels.values()}
 
 
 def camera(size: int = 16) -> warpcage.Camera:

@@ -9,7 +9,7 @@ import pytest
 from warpcage.cage.cage import Cage
 from warpcage.field import tables
 from warpcage.field.voxel_field import VoxelField
-from warpcage.kernels.deform.render import render_edits
+from warpcage.kernels.deform.views import stack_kernel
 from warpcage.view.camera import Camera
 
 KINDS = ("harmonic", "mean_value", "green")
@@ -144,27 +144,20 @@ def mirrored(positions):
     return positions * np.float32([-1, 1, 1])
 
 
-@contextlib.contextmanager
-def kernels_of(edits):
-    """The kernels by which edits are marched meanwhile, in their order."""
-    kernels = []
+#: The march of a CPU, as `recorded_launches` calls it.
+TILES = "render_cpu.render_edit_tiles"
 
-    def march(view, kernel, *rest, **options):
-        kernels.append(kernel)
-        type(edits).march(edits, view, kernel, *rest, **options)
 
-    edits.march = march
-    try:
-        yield kernels
-    finally:
-        del edits.march
+def marches(launched):
+    """The marches of views of deformed scenes, among the labels of `recorded_launches`."""
+    return [label for label in launched if label.startswith("views.") or label == TILES]
 
 
 @contextlib.contextmanager
 def general_march(edits):
     """Marches posed edits by the kernel for any edits; they must have been rendered."""
     usual = edits.render_kernel, edits.scene, edits._most_shades
-    edits.render_kernel, edits.scene, edits._most_shades = render_edits, edits.flat_array(), -1
+    edits.render_kernel, edits.scene, edits._most_shades = stack_kernel(False), edits.flat_array(), -1
     edits.scene_parts = lambda *_: None
     try:
         yield

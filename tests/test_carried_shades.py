@@ -10,8 +10,8 @@ from deformed_scenes import (
     ball,
     box_around,
     counter_moved,
-    kernels_of,
     make_field,
+    marches,
     mirrored,
     psnr,
     shiny,
@@ -23,25 +23,14 @@ from deformed_scenes import (
 )
 
 from warpcage.cage.cage import Cage
-from warpcage.core.devices import launch
+from warpcage.core.devices import launch, recorded_launches
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.field import tables
 from warpcage.kernels.deform.laid_shades import SHADE_LAYERS, LaidShades, write_laid_shade
-from warpcage.kernels.deform.render_part import render_edit_part
-from warpcage.kernels.deform.render_part_sides import render_edit_part_with_sides
-from warpcage.kernels.deform.render_sides import render_edit_with_sides
-from warpcage.kernels.deform.render_single import render_edit
-from warpcage.kernels.deform.shaded_part import render_shaded_part
-from warpcage.kernels.deform.shaded_part_sides import render_shaded_part_with_sides
-from warpcage.kernels.deform.shaded_sides import render_shaded_edit_with_sides
-from warpcage.kernels.deform.shaded_single import render_shaded_edit
 
 TURN = BOX.rotate(35, axis="z").translate([0.2, -0.1, 0.15])
 BEND = BOX.bend(60, axis="x", towards="z")
-
-OF_SHADES = {render_shaded_edit, render_shaded_edit_with_sides, render_shaded_part, render_shaded_part_with_sides}
-OF_ROWS = {render_edit, render_edit_with_sides, render_edit_part, render_edit_part_with_sides}
 
 
 @pytest.fixture(autouse=True)
@@ -49,20 +38,26 @@ def march(device, monkeypatch):
     return use_march("shaded", device, monkeypatch)
 
 
+def assert_marched_by(table, launched):
+    """By that of one edit or those of parts, with sides or without."""
+    found = marches(launched)
+    assert found and {label.partition("+")[0] for label in found} == {table}
+
+
 def shaded(deformer, camera):
     """A frame of shaded voxels."""
-    with kernels_of(deformer._edits) as kernels:
+    with recorded_launches() as launched:
         frame = deformer.render(camera)
-    assert kernels and set(kernels) <= OF_SHADES
+    assert_marched_by("views.shades", launched)
     return frame
 
 
 def of_rows(deformer, camera):
     """The same, whose colours are looked up at each sample."""
-    with pytest.MonkeyPatch.context() as patch, kernels_of(deformer._edits) as kernels:
+    with pytest.MonkeyPatch.context() as patch, recorded_launches() as launched:
         patch.setattr(tables, "NEAR_VOXELS", np.inf)
         frame = deformer.render(camera)
-    assert kernels and set(kernels) <= OF_ROWS
+    assert_marched_by("views.rows", launched)
     return frame
 
 
@@ -189,9 +184,9 @@ def test_poses_that_turn_matter_over_take_rows(device):
     alter_map(deformer, mirrored)
     deformer.pose(BOX.rotate(10))
     for _ in range(2):
-        with kernels_of(deformer._edits) as kernels:
+        with recorded_launches() as launched:
             frame = deformer.render(view())
-        assert kernels == [render_edit]
+        assert marches(launched) == ["views.rows"]
         assert psnr(frame.rgb, of_rows(deformer, view()).rgb) > 100
     assert frame.fold.max() > 0.9
 
@@ -207,9 +202,9 @@ def test_a_map_that_throws_a_node_far_away_takes_rows(device):
 
     alter_map(deformer, thrown)
     deformer.pose(BOX)
-    with kernels_of(deformer._edits) as kernels:
+    with recorded_launches() as launched:
         deformer.render(view())
-    assert kernels == [render_edit]
+    assert marches(launched) == ["views.rows"]
 
 
 def test_what_takes_rows(device):
@@ -221,16 +216,16 @@ def test_what_takes_rows(device):
     def used(edit, pose, camera, most=np.inf):
         deformer = Deformer(field, edit, resolution=16).pose(pose)
         deformer._edits._most_shades = most
-        with kernels_of(deformer._edits) as kernels:
+        with recorded_launches() as launched:
             frame = deformer.render(camera)
-        return kernels, frame
+        return marches(launched), frame
 
-    assert used(BOX, TURN, near)[0] == [render_shaded_edit]
-    assert used(BOX, away, near)[0] == [render_edit]
-    assert used(BOX, away, far)[0] == [render_shaded_edit]
-    assert used(BOX, TURN, view((0.3, 0.2, 0.1)))[0] == [render_edit]
-    kernels, frame = used(BOX, TURN, near, most=1000)
-    assert kernels == [render_edit]
+    assert used(BOX, TURN, near)[0] == ["views.shades"]
+    assert used(BOX, away, near)[0] == ["views.rows"]
+    assert used(BOX, away, far)[0] == ["views.shades"]
+    assert used(BOX, TURN, view((0.3, 0.2, 0.1)))[0] == ["views.rows"]
+    marched, frame = used(BOX, TURN, near, most=1000)
+    assert marched == ["views.rows"]
     assert psnr(frame.rgb, used(BOX, TURN, near)[1].rgb) > 60
 
 

@@ -8,13 +8,14 @@ import pytest
 import warp as wp
 from deformed_scenes import (
     MARCHES,
+    TILES,
     alter_map,
     ball,
     box_around,
     general_march,
-    kernels_of,
     make_field,
     march_in_numpy,
+    marches,
     mirrored,
     psnr,
     shiny,
@@ -25,18 +26,13 @@ from deformed_scenes import (
 )
 
 from warpcage.cage.cage import Cage
+from warpcage.core.devices import recorded_launches
 from warpcage.deform.apart import EditBoxes, box_gaps, edit_boxes, front_to_back
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit, MarchedView
 from warpcage.field import tables
 from warpcage.kernels.deform.march import MarchOptions
-from warpcage.kernels.deform.render import render_edits
-from warpcage.kernels.deform.render_cpu import render_edit_tiles
-from warpcage.kernels.deform.render_part import render_edit_part
-from warpcage.kernels.deform.render_part_sides import render_edit_part_with_sides
-from warpcage.kernels.deform.render_plain import render_plain_edits
-from warpcage.kernels.deform.shaded_part import render_shaded_part
-from warpcage.kernels.deform.shaded_part_sides import render_shaded_part_with_sides
+from warpcage.kernels.deform.views import part_kernel
 from warpcage.view.camera import Camera, camera_struct
 
 LEFT, MIDDLE, RIGHT = (box_around(x, 0, 0, half=0.3) for x in (-0.7, 0.0, 0.7))
@@ -92,22 +88,18 @@ def camera_at(eye):
 
 
 def both(deformer, camera, **options):
-    """The frames of the marches of one edit after the other, and of the march of all; and the kernels of the former."""
-    with kernels_of(deformer._edits) as kernels:
+    """The frames of the marches of one edit after the other, and of the march of all; and the labels of the former."""
+    with recorded_launches() as launched:
         by_parts = deformer.render(camera, **options)
-        launched = list(kernels)
-        with general_march(deformer._edits):
-            at_once = deformer.render(camera, **options)
-    assert kernels[len(launched) :] == [render_edits]
-    return by_parts, at_once, launched
+    with recorded_launches() as launched_at_once, general_march(deformer._edits):
+        at_once = deformer.render(camera, **options)
+    assert marches(launched_at_once) == ["views.stack"]
+    return by_parts, at_once, marches(launched)
 
 
-SHADED_KERNELS = (render_shaded_part, render_shaded_part_with_sides)
-
-
-def is_shaded(kernels):
+def is_shaded(marched):
     """Whether a view was marched through shaded voxels: all of it or nothing."""
-    found = {kernel in SHADED_KERNELS for kernel in kernels}
+    found = {label in ("views.shades+part", "views.shades+sides+part") for label in marched}
     assert len(found) == 1
     return found.pop()
 
@@ -132,23 +124,21 @@ def test_edits_one_by_one_are_seen_as_all_at_once(scene, march, device):
     deformer = Deformer(shiny_balls(device), rests, coordinates="mean_value", resolution=32).pose(posed)
     orders = set()
     for eye in EYES:
-        by_parts, at_once, kernels = both(deformer, camera_at(eye))
-        assert_alike(by_parts, at_once, is_shaded(kernels))
+        by_parts, at_once, marched = both(deformer, camera_at(eye))
+        assert_alike(by_parts, at_once, is_shaded(marched))
         assert at_once.alpha.max() > 0.9
         if deformer.device.is_cpu and tables.TILES_ON_CPU:
-            assert kernels == len(rests) * [render_edit_tiles]
+            assert marched == len(rests) * [TILES]
         else:
             gaps = sum(flat.has_sides for flat in deformer._edits._flat)
             is_far = np.linalg.norm(eye) > 1.5
             turns_over = scene == "with a slot"  # the map, where its slot closes
-            assert is_shaded(kernels) == (march == "shaded" and is_far and not turns_over)
-            plain, slotted_part = (
-                SHADED_KERNELS if is_shaded(kernels) else (render_edit_part, render_edit_part_with_sides)
-            )
-            assert kernels.count(slotted_part) == gaps
-            assert kernels.count(plain) == len(rests) - gaps > 0
+            assert is_shaded(marched) == (march == "shaded" and is_far and not turns_over)
+            table = "shades" if is_shaded(marched) else "rows"
+            assert marched.count(f"views.{table}+sides+part") == gaps
+            assert marched.count(f"views.{table}+part") == len(rests) - gaps > 0
             assert gaps > 0 or scene != "with a slot"
-            orders.add(tuple(kernel in (slotted_part,) for kernel in kernels))
+            orders.add(tuple("sides" in label for label in marched))
     assert len(orders) > 1 or scene != "with a slot" or tables.TILES_ON_CPU  # the slot's is first, second or last
 
 
@@ -157,9 +147,9 @@ def test_samples_sent_out_are_counted_in_each_part(march, device):
     field = make_field(lambda x: np.full(x.shape[:3], 2.0), shiny, device=device)
     posed = [LEFT.stretch(1.6, axis="z"), RIGHT.stretch(1.5, axis="y")]
     deformer = Deformer(field, [LEFT, RIGHT], coordinates="green", resolution=40).pose(posed)
-    by_parts, at_once, kernels = both(deformer, view())
-    assert len(kernels) == 2 and at_once.outside.max() > 3
-    assert_alike(by_parts, at_once, is_shaded(kernels))
+    by_parts, at_once, marched = both(deformer, view())
+    assert len(marched) == 2 and at_once.outside.max() > 3
+    assert_alike(by_parts, at_once, is_shaded(marched))
 
 
 def test_folds_and_what_is_revealed_are_kept_from_part_to_part(march, device):
@@ -167,9 +157,9 @@ def test_folds_and_what_is_revealed_are_kept_from_part_to_part(march, device):
     deformer = Deformer(shiny_balls(device), [LEFT, RIGHT], coordinates="mean_value", resolution=32)
     alter_map(deformer, lambda positions: np.float32([-1.4, 0, 0]) + mirrored(positions))
     deformer.pose([LEFT, RIGHT.scale((1, 0.5, 0.5), centre=(0.7, 0, 0))])
-    by_parts, at_once, kernels = both(deformer, view((-2.5, 0.4, 0.6)))
-    assert len(kernels) == 2 and at_once.fold.max() > 0.9 and at_once.reveal.max() > 0.1
-    assert_alike(by_parts, at_once, is_shaded(kernels))
+    by_parts, at_once, marched = both(deformer, view((-2.5, 0.4, 0.6)))
+    assert len(marched) == 2 and at_once.fold.max() > 0.9 and at_once.reveal.max() > 0.1
+    assert_alike(by_parts, at_once, is_shaded(marched))
 
 
 @pytest.mark.parametrize("density", ["opacity", "paper"])
@@ -179,9 +169,9 @@ def test_edits_one_by_one_against_a_march_in_numpy(density, march, device):
     options = {"coordinates": "mean_value", "resolution": 32, "density": density}
     deformer = Deformer(field, rests, **options).pose(posed)
     camera = Camera.look_at([2.0, -1.4, 1.0], (0, 0, 0), width=28, height=28, fov_degrees=45)
-    with kernels_of(deformer._edits) as kernels:
+    with recorded_launches() as launched:
         frame = deformer.render(camera)
-    assert len(kernels) == 3
+    assert len(marches(launched)) == 3
     assert psnr(frame.rgb, march_in_numpy(field, deformer, camera)) > 45  # turns keep lengths
     assert psnr(frame.rgb, field.render(camera).rgb) < 30
 
@@ -191,9 +181,9 @@ def test_edits_at_rest_leave_the_field(march, device):
     deformer = Deformer(field, [box_around(-0.5, 0, 0), box_around(0.5, 0, 0)], resolution=24)
     for width, height in ((64, 64), (1, 1), (9, 5), (31, 2)):  # some are no multiple of a tile
         camera = Camera.look_at([2.5, 1.2, 1.0], (0, 0, 0), width=width, height=height, fov_degrees=30)
-        with kernels_of(deformer._edits) as kernels:
+        with recorded_launches() as launched:
             frame = deformer.render(camera)
-        assert len(kernels) == 2
+        assert len(marches(launched)) == 2
         assert psnr(frame.rgb, field.render(camera).rgb) > 50
 
 
@@ -205,9 +195,9 @@ def test_other_cameras_steps_and_rays_per_pixel(march, device):
     for eye, options in itertools.product(
         ((-2.6, 0.3, 0.4), (2.6, 0.3, 0.4)), ({}, {"supersampling": 2}, {"step": 0.6 * step}, {"step": 1.5 * step})
     ):
-        by_parts, at_once, kernels = both(deformer, camera_at(eye), **options)
-        assert len(kernels) == 4
-        assert_alike(by_parts, at_once, is_shaded(kernels))
+        by_parts, at_once, marched = both(deformer, camera_at(eye), **options)
+        assert len(marched) == 4
+        assert_alike(by_parts, at_once, is_shaded(marched))
 
 
 def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
@@ -233,7 +223,7 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
     options.step = deformer.field.step
     options.inverse_step = 1.0 / options.step
     marched = MarchedView(deformer.field, None, [], camera, wp.vec3(), options, None, 0, 1.0)
-    kernels = (render_edit_part, render_edit_part_with_sides)
+    kernels = [part_kernel(False, has_sides) for has_sides in (False, True)]
     edits._parts._rays = Untouched()
     parts = edits.scene_parts(camera.centre, options.step)
     edits._parts.render(edits, marched, parts, kernels, [None, None], [None, None])
@@ -266,33 +256,33 @@ def test_threads_that_share_a_deformer_see_their_own_views(march, device):
 # -- What is marched at once
 
 
-def kernels_for(rests, posed, camera=None, **options):
+def marches_for(rests, posed, camera=None, **options):
     deformer = Deformer(two_balls("cpu"), rests, device="cpu", **{"resolution": 16, **options}).pose(posed)
-    with kernels_of(deformer._edits) as kernels:
+    with recorded_launches() as launched:
         deformer.render(view(size=8) if camera is None else camera)
-    return kernels
+    return marches(launched)
 
 
 def test_edits_that_may_meet_are_marched_at_once():
-    apart = kernels_for([LEFT, RIGHT], [LEFT, RIGHT])
-    assert apart == [render_edit_tiles, render_edit_tiles]
-    into = kernels_for([LEFT, RIGHT], [LEFT, RIGHT.translate((-0.9, 0, 0))])
-    over_rest = kernels_for([LEFT, RIGHT], [LEFT.translate((0.8, 0, 0)), RIGHT.translate((0, 2, 0))])
-    assert into == over_rest == [render_plain_edits]
+    apart = marches_for([LEFT, RIGHT], [LEFT, RIGHT])
+    assert apart == [TILES, TILES]
+    into = marches_for([LEFT, RIGHT], [LEFT, RIGHT.translate((-0.9, 0, 0))])
+    over_rest = marches_for([LEFT, RIGHT], [LEFT.translate((0.8, 0, 0)), RIGHT.translate((0, 2, 0))])
+    assert into == over_rest == ["views.stack+simple"]
     # between their cages is less than what a map may lead out of the later one's, half a cell, or than a step
     near = RIGHT.translate((-0.782, 0, 0))
     assert near.bounds[0, 0] - LEFT.bounds[1, 0] == pytest.approx(0.018)
-    assert len(kernels_for([LEFT, near], [LEFT, near], resolution=40)) == 1  # 0.6 / 40 / 2 apart is enough: the step
+    assert len(marches_for([LEFT, near], [LEFT, near], resolution=40)) == 1  # 0.6 / 40 / 2 apart is enough: the step
     step = {"resolution": 40, "coordinates": "mean_value"}
     deformer = Deformer(two_balls("cpu"), [LEFT, near], device="cpu", **step).pose([LEFT, near])
-    with kernels_of(deformer._edits) as kernels:
+    with recorded_launches() as launched:
         deformer.render(view(size=8), step=0.015)
         deformer.render(view(size=8), step=0.02)
-    assert kernels == [render_edit_tiles, render_edit_tiles, render_plain_edits]
+    assert marches(launched) == [TILES, TILES, "views.stack+simple"]
     deformer = Deformer(two_balls("cpu"), [LEFT, near], device="cpu", resolution=16).pose([LEFT, near])
-    with kernels_of(deformer._edits) as kernels:
+    with recorded_launches() as launched:
         deformer.render(view(size=8), step=0.01)
-    assert kernels == [render_plain_edits]  # half a cell is 0.6 / 32 and more
+    assert marches(launched) == ["views.stack+simple"]  # half a cell is 0.6 / 32 and more
 
 
 def bars():
@@ -303,7 +293,7 @@ def bars():
 
 def test_bars_that_hide_each_other_in_a_circle_are_marched_at_once():
     circle = [view(eye, size=8) for eye in itertools.product((-3.0, 3.0), repeat=3)]
-    found = [len(kernels_for(bars(), bars(), camera)) for camera in circle]
+    found = [len(marches_for(bars(), bars(), camera)) for camera in circle]
     assert set(found) == {1, 3}
     assert found == [1 if order_by_rays(boxes_of(bars()), camera.centre) is None else 3 for camera in circle]
 

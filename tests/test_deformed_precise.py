@@ -9,8 +9,9 @@ from warpcage import Cage, Deformer, PositionMap
 from warpcage.core.devices import module_block_dim
 from warpcage.core.modules import load_modules
 from warpcage.kernels.deform import cells as edit_cells
-from warpcage.kernels.deform import render_single as deformed_single
-from warpcage.kernels.field import render as volume_render
+from warpcage.kernels.deform.views import view_kernel
+from warpcage.kernels.field import march as volume_march
+from warpcage.kernels.field.march import image_kernel, record_weights
 from warpcage.reference.inverse_map import InverseMap
 
 
@@ -51,8 +52,8 @@ def test_cells_that_are_skipped_show_nothing(device):
 
 
 def test_kernels_of_a_module_share_a_block_size_and_modules_load_together(device):
-    assert module_block_dim(deformed_single.render_edit) == 64
-    assert module_block_dim(volume_render.render_image) == module_block_dim(volume_render.record_weights)
-    load_modules([edit_cells, volume_render], device)
+    assert module_block_dim(view_kernel(False, False)) == 64
+    assert module_block_dim(image_kernel(False)) == module_block_dim(record_weights) == 128
+    load_modules([edit_cells, volume_march, image_kernel(False)], device)
     rest = Cage(*oracles.icosphere(1))
     assert PositionMap(rest, resolution=16, device=device).pose(rest).data.distance.size > 0

@@ -6,11 +6,12 @@ from deformed_scenes import (
     BOX,
     KINDS,
     MARCHES,
+    TILES,
     alter_map,
     box_around,
     general_march,
-    kernels_of,
     make_field,
+    marches,
     mirrored,
     plain,
     psnr,
@@ -22,32 +23,24 @@ from deformed_scenes import (
 )
 
 from warpcage.cage.cage import Cage
+from warpcage.core.devices import recorded_launches
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.field import tables
 from warpcage.kernels.deform.edits import CELL_ALONE
-from warpcage.kernels.deform.render import render_edits
-from warpcage.kernels.deform.render_cpu import render_edit_tiles
-from warpcage.kernels.deform.render_plain import render_plain_edits
-from warpcage.kernels.deform.render_sides import render_edit_with_sides
-from warpcage.kernels.deform.render_single import render_edit
-from warpcage.kernels.deform.shaded_sides import render_shaded_edit_with_sides
-from warpcage.kernels.deform.shaded_single import render_shaded_edit
 from warpcage.view.camera import Camera
 
 
 def both(deformer, camera, **options):
     """The frames of the kernel for one edit and of the one for any number."""
     edits = deformer._edits
-    with kernels_of(edits) as kernels:
+    with recorded_launches() as launched:
         single = deformer.render(camera, **options)
-        of_rows = render_edit_with_sides if edits.scene.has_sides else render_edit
-        of_shades = render_shaded_edit_with_sides if edits.scene.has_sides else render_shaded_edit
-        expected = of_shades if edits._plan.is_shaded else of_rows
+        table, sides = "shades" if edits._plan.is_shaded else "rows", "+sides" if edits.scene.has_sides else ""
         with general_march(edits):
             general = deformer.render(camera, **options)
     by_tiles = deformer.device.is_cpu and tables.TILES_ON_CPU
-    assert kernels == [render_edit_tiles if by_tiles else expected, render_edits]
+    assert marches(launched) == [TILES if by_tiles else f"views.{table}{sides}", "views.stack"]
     return single, general
 
 
@@ -195,11 +188,11 @@ def removing():
 def test_several_edits_without_crumbs_and_gaps_are_seen_as_with(scene, device):
     rests, posed = scene()
     deformer = Deformer(two_balls(device), rests, resolution=24).pose(posed)
-    with kernels_of(deformer._edits) as kernels:
+    with recorded_launches() as launched:
         plainly = deformer.render(view())
         with general_march(deformer._edits):
             generally = deformer.render(view())
-    assert kernels == [render_plain_edits, render_edits]
+    assert marches(launched) == ["views.stack+simple", "views.stack"]
     assert_same_frame(plainly, generally)
 
 

@@ -79,8 +79,8 @@ def complaints(thing):
         described += entries(parts.get("Attributes", ()))
     names = [parameter.name for parameter in parameters]
     found += [f"{name} is not described" for name in names if name not in described]
-    takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
-    found += [f"{name} is described, but no parameter" for name in described if name not in names and not takes_any]
+    takes_more = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
+    found += [f"{name} is described, but no parameter" for name in described if name not in names and not takes_more]
     found += [f"{each.name} is not annotated" for each in parameters if each.annotation is each.empty]
     if inspect.isclass(thing):
         return found

@@ -102,8 +102,9 @@ def test_a_wheel_holds_every_file_once(wheel):
     linked = ROOT / "warpcage" / "kernels"
     package = [path for path in (ROOT / "warpcage").rglob("*.py") if linked not in path.parents]
     expected = [path.relative_to(ROOT).as_posix() for path in package] + ["warpcage/py.typed", "warpcage/__init__.pyi"]
-    expected += [f"warpcage/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "kernels").rglob("*.py")]
-    page = sorted((ROOT / "warpcage" / "editor" / "page").iterdir())
+    kernels = [path for pattern in ("*.py", "*.h") for path in (ROOT / "kernels").rglob(pattern)]
+    expected += [f"warpcage/{path.relative_to(ROOT).as_posix()}" for path in kernels]
+    page = sorted((ROOT / "warpcage" / "editor" / "page").rglob("*.*"))
     assert {path.suffix for path in page} == {".html", ".css", ".js", ".svg"}
     expected += [path.relative_to(ROOT).as_posix() for path in page]
     assert sorted(wheel.files) == sorted(expected)

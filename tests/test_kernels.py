@@ -8,6 +8,7 @@ import pathlib
 import re
 import subprocess
 import sys
+import threading
 
 import pytest
 import warp as wp
@@ -16,6 +17,7 @@ import warpcage
 from warpcage.cli import main
 from warpcage.core.kernel_files import (
     FOLDER,
+    MOVED,
     all_needs,
     copy_kernel,
     direct_needs,
@@ -23,7 +25,9 @@ from warpcage.core.kernel_files import (
     kernel_names,
     kernel_source,
     kernel_summary,
+    native_files,
 )
+from warpcage.kernels.deform.views import view_kernel
 
 NAMES = kernel_names()
 WITH_KERNELS = [name for name in NAMES if "@wp.kernel" in kernel_source(name)]
@@ -33,11 +37,11 @@ def module_of(name):
     return importlib.import_module(f"warpcage.kernels.{name.replace('/', '.')}")
 
 
-def named_needs(name):
-    """What a file's docstring says that it needs."""
-    docstring = ast.get_docstring(ast.parse(kernel_source(name)))
-    listed = re.search(r"^Needs:\s+([\w/,\s]+)\.$", docstring, re.MULTILINE)[1]
-    return set() if listed == "none" else set(re.split(r",\s+", listed))
+def warp_modules(name):
+    """The Warp modules of a file: that of its own kernels, and those of its variants."""
+    file = module_of(name)
+    own = wp.get_module(file.__name__)
+    return [*([own] if own.kernels else []), *(kernel.module for kernel in getattr(file, "variants", list)())]
 
 
 @functools.cache  # most copies hold the same files
@@ -61,28 +65,33 @@ def test_every_file_is_in_a_folder():
 def test_imports_only_warp_and_siblings(name):
     for node in ast.walk(ast.parse(kernel_source(name))):
         if isinstance(node, ast.Import):
-            assert [(a.name, a.asname) for a in node.names] == [("warp", "wp")]
+            plain = [(a.name, a.asname) for a in node.names]
+            # those that keep what factories of functions and kernels have made
+            kept = {("functools", None)} | {
+                (module, None) for module in ("inspect", "threading") if name == "core/variants"
+            }
+            assert plain == [("warp", "wp")] or set(plain) <= kept
         elif isinstance(node, ast.ImportFrom) and node.module == "typing":
             assert [a.name for a in node.names] == ["Any"]  # Warp's mark of a generic argument
+        elif isinstance(node, ast.ImportFrom) and node.module == "pathlib":
+            assert name == "core/native"  # which reads the C++ of kernels
         elif isinstance(node, ast.ImportFrom):
             assert node.level in (1, 2) and node.module is not None
     assert direct_needs(name) <= set(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_names_the_files_that_it_imports(name):
-    assert named_needs(name) == direct_needs(name)
-    assert kernel_summary(name)
+def test_says_what_it_is_for(name):
+    assert kernel_summary(name) and "Needs:" not in kernel_source(name)  # which its imports say
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_copy_is_complete(name, tmp_path):
     """Every relative import of every copied file finds its file in the copy, in a package all the way down."""
     paths = copy_kernel(name, tmp_path / "lifted")
-    assert {path.relative_to(tmp_path / "lifted").with_suffix("").as_posix() for path in paths} == {
-        name,
-        *all_needs(name),
-    }
+    files = {path.relative_to(tmp_path / "lifted").as_posix() for path in paths}
+    needed = {name, *all_needs(name)}
+    assert files == {f"{each}.py" for each in needed}.union(*map(native_files, needed))
     assert all(
         (path.parent / "__init__.py").is_file() and (path.parent.parent / "__init__.py").is_file() for path in paths
     )
@@ -93,7 +102,7 @@ def test_a_copy_is_complete(name, tmp_path):
 
 def test_copies_import_without_warpcage(tmp_path):
     """A few that need many files, each in a package of its own."""
-    names = ["deform/render_single", "fitting/loss_warps", "lattice/harmonic_coarse", "lattice/side_values"]
+    names = ["deform/views", "fitting/loss_warps", "lattice/harmonic_coarse", "lattice/side_values"]
     program = "import sys\nsys.modules['warpcage'] = None  # so that importing it fails\n"
     for name in names:
         package = f"with_{name.partition('/')[2]}"
@@ -104,15 +113,47 @@ def test_copies_import_without_warpcage(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+def test_a_copy_compiles_without_warpcage(tmp_path):
+    """The march of a CPU, whose C++ includes that of another folder."""
+    names = ["deform/render_cpu.h", "field/basis_of_direction.h", "field/cell_place.h", "field/cpu_samples.h"]
+    assert sorted(native_files("deform/render_cpu")) == names
+    paths = copy_kernel("deform/render_cpu", tmp_path / "lifted")
+    assert {tmp_path / "lifted" / name for name in names} < set(paths)
+    program = (
+        "import sys\nsys.modules['warpcage'] = None\nimport warp as wp\n"
+        f"wp.config.kernel_cache_dir = {str(tmp_path / 'cache')!r}\n"
+        "from lifted.deform import render_cpu\nassert wp.load_module(render_cpu, device='cpu') is not False\n"
+    )
+    (tmp_path / "program.py").write_text(program, encoding="utf-8")
+    done = subprocess.run([sys.executable, "program.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert list((tmp_path / "cache").rglob("*.o"))
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*/*.h")), ids=lambda path: path.name)
+def test_a_kernel_reads_every_file_of_native_code(path):
+    assert any(path.relative_to(FOLDER).as_posix() in native_files(name) for name in NAMES)
+
+
 def test_names_of_kernel_files():
     for text in ("mean_value", "coordinates/mean_value", "coordinates.mean_value"):
         assert find_kernel(text) == "coordinates/mean_value"
     with pytest.raises(ValueError, match="'mean_valu'.*did you mean coordinates/mean_value"):
         find_kernel("mean_valu")
-    with pytest.raises(ValueError, match="several.*'render': deform/render, field/render"):
-        find_kernel("render")
+    with pytest.raises(ValueError, match="several.*'march': deform/march, field/march"):
+        find_kernel("march")
     with pytest.raises(ValueError, match="'zzz'; `warpcage kernels list`"):
         find_kernel("zzz")
+
+
+def test_names_of_kernel_files_that_became_parts_of_others(tmp_path, capsys):
+    for text in ("deform/render_single", "deform.render_single", "render_single"):
+        with pytest.warns(UserWarning, match=f"'{text}' is a part of 'deform/views' now"):
+            assert find_kernel(text) == "deform/views"
+    assert set(MOVED.values()) <= set(NAMES)
+    assert main(["kernels", "copy", "render_shaded", str(tmp_path / "lifted")]) == 0
+    assert (tmp_path / "lifted" / "field" / "march.py").is_file()
+    assert "'render_shaded' is a part of 'field/march' now" in capsys.readouterr().err
 
 
 def test_kernels_list(capsys):
@@ -163,15 +204,45 @@ def test_a_copy_is_whole_or_not_at_all(tmp_path):
 
 @pytest.mark.parametrize("name", WITH_KERNELS)
 def test_loads(name, device):
-    wp.load_module(module_of(name), device=device)
+    for module in warp_modules(name):
+        wp.load_module(module, device=device)
 
 
 @pytest.mark.parametrize("name", WITH_KERNELS)
 def test_no_loop_is_around_kernels(name):
     """Warp's loop for launches of fewer threads than items, which keeps registers through all of a kernel."""
-    module = wp.get_module(module_of(name).__name__)
-    assert module.options["default_grid_stride"] is False
-    assert not any(kernel.options.get("grid_stride") for kernel in module.kernels.values())
+    for module in warp_modules(name):
+        assert module.options["default_grid_stride"] is False and module.options["enable_backward"] is False
+        assert not any(kernel.options.get("grid_stride") for kernel in module.kernels.values())
+
+
+def test_variants_are_declared_once_by_whichever_thread():
+    """One kernel for the same values, however they are given, in a module of its own."""
+    declared, begin = [], threading.Barrier(4)
+
+    def declare(number):
+        begin.wait()
+        declared.append(view_kernel(True, False) if number % 2 else view_kernel(shaded=True, has_sides=False))
+
+    view_kernel.cache_clear()
+    threads = [threading.Thread(target=declare, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(set(map(id, declared))) == 1 and list(declared[0].module.kernels.values()) == [declared[0]]
+    modules = warp_modules("deform/views")
+    assert len({module.name for module in modules}) == len(modules) == 12
+    assert declared[0].module.name == "warpcage.kernels.deform.views.shades" and declared[0].module in modules
+
+
+def test_no_variant_is_declared_before_it_is_used():
+    program = (
+        "import sys\nimport warp as wp\nimport warpcage.deform.deformer\nfrom warpcage.kernels.deform import views\n"
+        "from warpcage.kernels.field import march\n"
+        "assert not views.view_kernel.cache_info().currsize and not march.image_kernel.cache_info().currsize\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=300)
 
 
 @pytest.mark.parametrize("arch", [75, 90])
@@ -182,15 +253,14 @@ def test_compiles_for_cuda_without_a_gpu(name, arch, tmp_path, monkeypatch):
     At level 2, which takes half the time of level 3: whether a file compiles is the same. `test_loads` compiles each
     at the level that users get, where there is a GPU.
     """
-    module = module_of(name)
-    wp.get_module(
-        module.__name__
-    ).get_module_identifier()  # its name in the cache, of the level that users get, is kept
+    for module in warp_modules(name):
+        module.get_module_identifier()  # its name in the cache, of the level that users get, is kept
     monkeypatch.setattr(wp.config, "optimization_level", 2)
-    wp.compile_aot_module(module, arch=arch, module_dir=str(tmp_path), use_ptx=arch == 75)
-    suffix = ".ptx" if arch == 75 else ".cubin"
-    binaries = [path for path in tmp_path.rglob("*") if path.suffix == suffix]
-    assert binaries and all(path.stat().st_size > 1000 for path in binaries)
+    for module in warp_modules(name):
+        folder = tmp_path / module.name
+        wp.compile_aot_module(module, arch=arch, module_dir=str(folder), use_ptx=arch == 75)
+        (binary,) = folder.glob("*.ptx" if arch == 75 else "*.cubin")
+        assert binary.stat().st_size > 1000
 
 
 def test_no_kernel_is_defined_outside_the_folder():

@@ -10,7 +10,7 @@ from deformed_scenes import (
     KINDS,
     alter_map,
     box_around,
-    kernels_of,
+    marches,
     mirrored,
     shiny_field,
     slotted,
@@ -21,6 +21,7 @@ from deformed_scenes import (
 
 from warpcage import CageEdit, Deformer
 from warpcage.core import devices
+from warpcage.core.devices import recorded_launches
 from warpcage.deform import lattice_edits, pose_modules
 from warpcage.deform.carried_shading import CarriedShades
 from warpcage.deform.fine_cells import FineCells
@@ -128,9 +129,9 @@ def test_poses_that_turn_matter_over_are_found_out_ahead(ahead, device):
     plain = deformer.pose(BOX).render(view())
     alter_map(deformer, mirrored)
     deformer.pose(BOX)
-    with kernels_of(deformer._edits) as kernels:
+    with recorded_launches() as launched:
         frame = deformer.render(view())
-    assert "shaded" not in kernels[0].key and frame.fold.max() > 0.9 > plain.fold.max()
+    assert marches(launched) == ["views.rows"] and frame.fold.max() > 0.9 > plain.fold.max()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -144,11 +145,12 @@ def test_no_frame_waits_for_a_compiler(scene, kind, device, monkeypatch):
     field.render(view())
     loaded, needed = set(), set()
     load = pose_modules.load_modules
-    monkeypatch.setattr(
-        pose_modules,
-        "load_modules",
-        lambda modules, where: loaded.update(module.__name__ for module in modules) or load(modules, where),
-    )
+
+    def load_and_note(modules, where):
+        loaded.update(each.module.name if isinstance(each, wp.Kernel) else each.__name__ for each in modules)
+        load(modules, where)
+
+    monkeypatch.setattr(pose_modules, "load_modules", load_and_note)
     monkeypatch.setattr(devices, "require_loaded", lambda kernel, *_: needed.add(kernel.module.name))
     folds = itertools.cycle([True, False])
     monkeypatch.setattr(CarriedShades, "is_folded", lambda self: next(folds))

@@ -1,13 +1,17 @@
 """Kernels that are launched again and again: what changes between launches is seen, and nothing else stays."""
 
 import gc
+import threading
 import weakref
 
 import numpy as np
 import pytest
 import warp as wp
 
-from warpcage.core.devices import RepeatedLaunch, RepeatedLaunches, launch
+from warpcage.core.devices import RepeatedLaunch, RepeatedLaunches, kernel_label, launch, recorded_launches
+from warpcage.kernels.deform.views import part_kernel, stack_kernel
+from warpcage.kernels.field.march import image_kernel
+from warpcage.kernels.view.tile_order import sort_tiles
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -22,6 +26,11 @@ class Line:
 def follow_line(first: int, line: Line, shift: wp.vec3, begin: float, found: wp.array(dtype=float)):
     n = first + wp.tid()
     found[n] = begin + line.slope * line.values[n] + shift[0] * shift[1] * shift[2]
+
+
+@wp.kernel
+def fill_with(first: int, value: int, found: wp.array(dtype=wp.int32)):
+    found[first + wp.tid()] = value
 
 
 def line_of(values, slope, device):
@@ -104,3 +113,56 @@ def test_launches_of_an_owner_by_kernel_and_number(device):
             launches(follow_line, count, [lines[number], none, float(turn)], [found[number]], number=number)
             expected = np.where(np.arange(5) < count, turn + (1.0, 3.0)[number] * np.arange(5.0), -1.0)
             assert np.array_equal(found[number].numpy(), expected)
+
+
+def test_labels_of_kernels_and_of_variants():
+    kernels = [sort_tiles, part_kernel(True, False), stack_kernel(True), image_kernel(False), follow_line]
+    expected = ["tile_order.sort_tiles", "views.shades+part", "views.stack+simple", "march.rows"]
+    assert [kernel_label(kernel) for kernel in kernels] == [*expected, "test_repeated_launch.follow_line"]
+
+
+def test_records_what_is_launched(device):
+    """Once each, in their order: whoever launches, in however many pieces a CPU takes it, but not what is nothing."""
+    line, none = line_of(np.arange(1000.0), 1.0, device), wp.vec3(0.0, 0.0, 0.0)
+    found, order = wp.zeros(1000, dtype=float, device=device), wp.zeros(4, dtype=wp.int32, device=device)
+    label, repeated = "test_repeated_launch.follow_line", RepeatedLaunch(follow_line, device)
+    inputs = [line, none, 0.0]
+    launch(follow_line, 1000, inputs, [found], device=device)
+    with recorded_launches() as launched:
+        launch(follow_line, 1000, inputs, [found], device=device, threads=4, work=1e6)
+        launch(follow_line, 0, inputs, [found], device=device)
+        for _ in range(2):
+            repeated(1000, inputs, [found])
+        repeated(0, inputs, [found])
+        assert launched == 3 * [label]
+        with recorded_launches() as inner:
+            launch(fill_with, 4, [7], [order], device=device)
+        repeated(1000, inputs, [found])
+    launch(follow_line, 1000, inputs, [found], device=device)
+    assert inner == ["test_repeated_launch.fill_with"] and launched == [*(3 * [label]), *inner, label]
+
+
+def test_records_of_threads_hold_the_launches_of_all(device):
+    """Records begin and end while other threads launch; each holds at least what its own thread launched."""
+    records, begin = {}, threading.Barrier(4)
+
+    def work(number):
+        order = wp.zeros(4, dtype=wp.int32, device=device)
+        begin.wait()
+        for turn in range(20):
+            with recorded_launches() as launched:
+                launch(fill_with, 4, [turn], [order], device=device)
+            records[number, turn] = launched
+
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(records) == 80 and all(records.values())
+    assert sum(map(len, records.values())) >= 80 and {label for each in records.values() for label in each} == {
+        "test_repeated_launch.fill_with"
+    }
+    with recorded_launches() as launched:
+        pass
+    assert launched == []

@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, box_around, kernels_of, shiny_field, two_balls, use_march, view
+from deformed_scenes import BOX, box_around, marches, shiny_field, two_balls, use_march, view
 
 from warpcage.cage.cage import Cage
+from warpcage.core.devices import recorded_launches
 from warpcage.deform import lattice_edits
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.deform.tile_begins import TileBegins
 from warpcage.kernels.deform.flat_edits import LOOK_SKIP
-from warpcage.kernels.deform.shaded_large import render_large_shaded_edit
-from warpcage.kernels.deform.shaded_single import render_shaded_edit
 from warpcage.kernels.deform.tile_begins import NEVER
 from warpcage.kernels.view.rays import TILE_HEIGHT, TILE_WIDTH
 from warpcage.view.camera import Camera
@@ -151,9 +150,9 @@ def test_large_pictures_are_those_of_small_ones(device, monkeypatch):
     for least in (lattice_edits.LARGE_PICTURE, 64):
         monkeypatch.setattr(lattice_edits, "LARGE_PICTURE", least)
         deformer.render(view())
-        with kernels_of(deformer._edits) as kernels:
+        with recorded_launches() as launched:
             pictures.append(deformer.render(view()))
-        assert kernels == [(render_shaded_edit, render_large_shaded_edit)[least == 64]]
+        assert marches(launched) == ["views.shades+large" if least == 64 else "views.shades"]
     for name in ("rgb", "alpha", "depth", "reveal", "fold", "outside"):
         assert np.array_equal(*(getattr(picture, name) for picture in pictures), equal_nan=True), name
 

@@ -1,20 +1,15 @@
 """The tiles of a picture in the order of how long they took: each once, the longest first, and the same picture."""
 
-import functools
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, ball, box_around, kernels_of, make_field, shiny, shiny_field, use_march, view
+from deformed_scenes import BOX, ball, box_around, make_field, marches, shiny, shiny_field, use_march, view
 
-from warpcage.core import devices
-from warpcage.core.devices import RepeatedLaunch
+from warpcage.core.devices import RepeatedLaunch, recorded_launches
+from warpcage.core.threads import limit_threads
 from warpcage.deform.deformer import Deformer
-from warpcage.kernels.deform.render_part import render_edit_part
-from warpcage.kernels.deform.render_single import render_edit
-from warpcage.kernels.deform.shaded_part import render_shaded_part
-from warpcage.kernels.deform.shaded_single import render_shaded_edit
 from warpcage.kernels.view.rays import TILE_SIZE
 from warpcage.kernels.view.tile_order import MOST_TICKS, TileOrder, count_tiles, sort_tiles
 from warpcage.view import tile_order
@@ -34,9 +29,10 @@ TICKS = {
 
 
 @pytest.fixture(autouse=True)
-def one_thread(monkeypatch):
+def one_thread():
     """On a CPU one thread sorts, as atomics are none there."""
-    monkeypatch.setattr(devices, "launch", functools.partial(devices.launch, threads=1))
+    with limit_threads(1):
+        yield
 
 
 def sort(tiles, ticks):
@@ -78,7 +74,7 @@ def permuted(tiles, device, random):
     return order
 
 
-def views_in_any_order(deformer, camera, kernel, monkeypatch):
+def views_in_any_order(deformer, camera, march, monkeypatch):
     """The same view as tiles lie in the picture, and in several orders by chance; how many tiles each launch has."""
     device, random, begun = deformer.device, np.random.default_rng(1), []
 
@@ -91,10 +87,10 @@ def views_in_any_order(deformer, camera, kernel, monkeypatch):
 
     frames = []
     for function in (plain, begin, begin, begin):
-        with monkeypatch.context() as patch, kernels_of(deformer._edits) as kernels:
+        with monkeypatch.context() as patch, recorded_launches() as launched:
             patch.setattr(BalancedTiles, "begin", function)
             frames.append(deformer.render(camera))
-        assert set(kernels) == {kernel}
+        assert set(marches(launched)) == {march}
     return frames, begun
 
 
@@ -114,8 +110,8 @@ def test_no_order_changes_a_view(march, size, device, monkeypatch):
     use_march(march, device, monkeypatch)
     deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=16).pose(BOX.rotate(30))
     camera = view().resized(*size)
-    kernel = render_shaded_edit if march == "shaded" else render_edit
-    frames, begun = views_in_any_order(deformer, camera, kernel, monkeypatch)
+    expected = "views.shades" if march == "shaded" else "views.rows"
+    frames, begun = views_in_any_order(deformer, camera, expected, monkeypatch)
     assert frames[0].alpha.max() > 0.5
     assert_same(frames)
     ((launches, tiles),) = set(begun)
@@ -130,8 +126,8 @@ def test_no_order_changes_a_view_of_several_edits(march, device, monkeypatch):
     field = make_field(lambda x: sum(ball(x, (c, 0, 0)) for c in CENTRES), shiny, device=device)
     deformer = Deformer(field, boxes, coordinates="mean_value", resolution=16)
     deformer.pose([box.rotate(40, axis="x") for box in boxes])
-    kernel = render_shaded_part if march == "shaded" else render_edit_part
-    frames, begun = views_in_any_order(deformer, view((2.4, 1.1, 1.0)).resized(45, 30), kernel, monkeypatch)
+    expected = "views.shades+part" if march == "shaded" else "views.rows+part"
+    frames, begun = views_in_any_order(deformer, view((2.4, 1.1, 1.0)).resized(45, 30), expected, monkeypatch)
     assert frames[0].alpha.max() > 0.5
     assert_same(frames)
     assert {launches for launches, _ in begun} == {3}

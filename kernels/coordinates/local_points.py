@@ -1,8 +1,4 @@
-"""Points between world units and the local frame of a cage: local = (world - centre) / size.
-
-The difference is taken in float64, so that a scene far from the origin keeps the digits that its points have.
-Needs: none.
-"""
+"""Points between world units and the local frame of a cage: local = (world - centre) / size."""
 
 import warp as wp
 
@@ -22,6 +18,7 @@ def localise_points(
     bad: wp.array(dtype=int),
 ):
     """local (n,) = (points - centre) / size; bad (1,) becomes 1 where a point is not finite or FARTHEST away."""
+    # The difference is taken in float64, so that a scene far from the origin keeps the digits that its points have.
     n = first + wp.tid()
     x = wp.vec3((wp.vec3d(points[n]) - centre) / size)
     if not wp.isfinite(x) or wp.max(wp.abs(x)) >= FARTHEST:

@@ -1,22 +1,15 @@
-"""Mean value coordinates of points in (or around) a closed triangle cage, and the map they give.
+"""Mean value coordinates of points in (or around) a closed triangle cage, and the map they give."""
 
-Floater, Kos and Reimers, "Mean value coordinates in 3D" (CAGD 2005); Ju, Schaefer and Warren, "Mean value coordinates
-for closed triangular meshes" (SIGGRAPH 2005). With a, b, c the corners of a face seen from the point x,
-
-    C_a = b x c,  C_b = c x a,  C_c = a x b,  beta_i = the angle that C_i spans,
-    m = 1/2 sum_i beta_i C_i / |C_i|          (integral of the unit directions over the face's solid angle),
-    weight_i = (C_i . m) / det(a, b, c),      summed over faces, then divided by the sum over vertices.
-
-The determinant is the distance to the plane times twice the face's area, and the cross products are taken with the
-edges (b x c = b x (c - b)), so that float32 does not lose what is small beside the distances. What stays
-ill-conditioned, faces whose plane passes within PLANE_BAND of the size, goes through float64. Well outside the cage,
-where the contributions of its near and far side cancel, a second pass takes every face that way.
-
-Defined everywhere but on the cage, where it tends to the linear interpolation on the face: points within SNAP of the
-size take that. Shapes: points (n,), vertices and targets (v,), faces (f,); one unit of length for points, vertices and
-size, which is the longest side of the vertices' bounding box. Keep coordinates near the origin (float32).
-Needs: core/entries, mesh/fans, mesh/triangle.
-"""
+# Floater, Kos and Reimers, "Mean value coordinates in 3D" (CAGD 2005); Ju, Schaefer and Warren, "Mean value coordinates
+# for closed triangular meshes" (SIGGRAPH 2005). With a, b, c the corners of a face seen from the point x,
+#
+#   C_a = b x c,  C_b = c x a,  C_c = a x b,  beta_i = the angle that C_i spans,
+#   m = 1/2 sum_i beta_i C_i / |C_i|          (integral of the unit directions over the face's solid angle),
+#   weight_i = (C_i . m) / det(a, b, c),      summed over faces, then divided by the sum over vertices.
+#
+# Defined everywhere but on the cage, where it tends to the linear interpolation on the face: points within SNAP of the
+# size take that. Shapes: points (n,), vertices and targets (v,), faces (f,); one unit of length for points, vertices
+# and size, which is the longest side of the vertices' bounding box. Keep coordinates near the origin (float32).
 
 import warp as wp
 
@@ -82,6 +75,7 @@ def far_face_weights_in_double(x: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, s
 @wp.func(inline=False)
 def near_face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
     """Corner weights of a face whose plane passes next to the origin, in float64."""
+    # Faces whose plane passes next to the point are ill-conditioned.
     p = wp.vec3d(a)
     q = wp.vec3d(b)
     r = wp.vec3d(c)
@@ -145,6 +139,8 @@ def face_edge(b: wp.vec3, c: wp.vec3):
 def far_face_weights(edge_ba: FaceEdge, edge_bc: FaceEdge, edge_ca: FaceEdge, det: float):
     """Weights of the corners a, b, c of a face clear of the origin's plane; det = det(a, b, c). The first edge is as
     the face across it has it."""
+    # The determinant is the distance to the plane times twice the face's area, and the cross products are taken with
+    # the edges (b x c = b x (c - b)), so that float32 does not lose what is small beside the distances.
     mean = edge_bc.mean + edge_ca.mean - edge_ba.mean
     return wp.vec3(wp.dot(edge_bc.cross, mean), wp.dot(edge_ca.cross, mean), -wp.dot(edge_ba.cross, mean)) * (
         0.5 * (1.0 / det)
@@ -238,13 +234,11 @@ def mean_value_position(
     targets: wp.array(dtype=wp.vec3),
     size: float,
 ):
-    """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage `vertices`. fans: see prepare_fans.
-
-    Faces for float64 wait until the others are done: the points of a warp rarely meet theirs at the same face.
-    """
+    """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage `vertices`. fans: see prepare_fans."""
     total = float(0.0)
     position = wp.vec3(0.0, 0.0, 0.0)
-    waiting = int(-1)  # faces for float64
+    # faces for float64 wait until the others are done: the points of a warp rarely meet theirs at the same face
+    waiting = int(-1)
     next_waiting = int(-1)
     f = int(0)
     while f < faces.shape[0] or waiting >= 0:

@@ -1,9 +1,7 @@
-"""Entries of arrays by bare address arithmetic, and quick roots and quotients: for loops bound by instructions.
+"""Entries of arrays by bare address arithmetic, and quick roots and quotients: for loops bound by instructions."""
 
-Warp's own indexing also takes negative and long indices, at eight instructions per entry. These take an index
-from zero to the array's end, which is not checked.
-Needs: none.
-"""
+# Warp's own indexing also takes negative and long indices, at eight instructions per entry. These take an index from
+# zero to the array's end, which is not checked.
 
 import warp as wp
 

@@ -1,9 +1,7 @@
-"""Memory that the lanes of a warp share, on CUDA: numbers that one lane leaves for the others, or for later.
+"""Memory that the lanes of a warp share, on CUDA: numbers that one lane leaves for the others, or for later."""
 
-Each warp of a block has WARP_NUMBERS numbers of its own, in runs of four. What is written is seen by other lanes after
-`warp_meets`. Whole numbers are kept by their bits. On a CPU there are no warps, and no kernel that uses these.
-Needs: none.
-"""
+# Each warp of a block has WARP_NUMBERS numbers of its own, in runs of four. What is written is seen by other lanes
+# after `warp_meets`. Whole numbers are kept by their bits. On a CPU no kernel uses these.
 
 import warp as wp
 

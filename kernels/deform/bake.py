@@ -1,13 +1,11 @@
-"""A deformed scene resampled at the nodes of a new voxel grid.
+"""A deformed scene resampled at the nodes of a new voxel grid."""
 
-A node of the new grid takes density and spherical harmonics of its canonical point ("Deforming Radiance Fields with
-Cages", ECCV 2022, Eq. 5). Harmonics f(d) become f(R d), R the rotation in the polar decomposition of the map's
-Jacobian J: band 1 is a linear form in d and turns as a vector, band 2 a traceless quadratic form d^T S d and becomes
-R^T S R, band 3 follows from its values in seven directions. Where optical depth is taken in canonical arc length
-(|J d| of a step in direction d), the density takes the root mean square of |J d| over all directions,
-sqrt(tr(J^T J) / 3), as a voxel has one density for all of them.
-Needs: deform/edits, field/grid, field/harmonics.
-"""
+# A node of the new grid takes density and spherical harmonics of its canonical point ("Deforming Radiance Fields with
+# Cages", ECCV 2022, Eq. 5). Harmonics f(d) become f(R d), R the rotation in the polar decomposition of the map's
+# Jacobian J: band 1 is a linear form in d and turns as a vector, band 2 a traceless quadratic form d^T S d and becomes
+# R^T S R, band 3 follows from its values in seven directions. Where optical depth is taken in canonical arc length (|J
+# d| of a step in direction d), the density takes the root mean square of |J d| over all directions, sqrt(tr(J^T J) /
+# 3), as a voxel has one density for all of them.
 
 import warp as wp
 
@@ -183,9 +181,7 @@ def bake_nodes(
     sh: wp.array2d(dtype=wp.float32),
 ):
     """Density (rows,) before the ReLU and harmonics (rows, 24 or 27) of the deformed scene at nodes (rows,).
-
-    dt: of the differences, world units. arc_opacity: 1 where optical depth is in canonical arc length.
-    """
+    dt: of the differences, world units; arc_opacity: 1 where optical depth is in canonical arc length."""
     n = first + wp.tid()
     node = nodes[n]
     x = lower + wp.cw_mul(spacing, wp.vec3(float(node[0]), float(node[1]), float(node[2])))

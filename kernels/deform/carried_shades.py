@@ -1,12 +1,10 @@
-"""What a camera sees of each voxel of a field that edits deform: its colour towards the camera and its optical depth,
-evaluated once per view.
+"""What a camera sees of each voxel of a field that edits deform, evaluated once per view: its colour towards the camera
+and its optical depth."""
 
-A voxel of the rest cage is seen where the pose has taken it, at y with phi(y) = x, from the direction that Eq. 4 of
-"Deforming Radiance Fields with Cages" (ECCV 2022) has there: d_c = norm(J (y - o)) with the derivative J of phi and the
-camera at o. The direction is found at the nodes of the rest cage's lattice and blended. All other voxels are seen as
-they are (field/shades).
-Needs: deform/laid_shades, deform/map_nodes, field/grid, field/harmonics, field/shades, lattice/cage_map.
-"""
+# A voxel of the rest cage is seen where the pose has taken it, at y with phi(y) = x, from the direction that Eq. 4 of
+# "Deforming Radiance Fields with Cages" (ECCV 2022) has there: d_c = norm(J (y - o)) with the derivative J of phi and
+# the camera at o. The direction is found at the nodes of the rest cage's lattice and blended. All other voxels are seen
+# as they are (field/shades).
 
 import warp as wp
 
@@ -166,11 +164,8 @@ def shade_carried_rows(
     shaded: ShadedGrid,
     laid: LaidShades,
 ):
-    """Shades of a field that edits deform: as a row is seen where it is, in the layers of samples that may read it. One
-    thread per row, in whole warps.
-
-    nodes: (rows,); cages: (edits,) that do not meet; shaded: tells the camera and how long a step is.
-    """
+    """Shades of rows as they are seen, in the layers of samples that may read them; a thread per row, in whole warps.
+    nodes: (rows,); cages: (edits,) that do not meet; shaded: tells the camera and how long a step is."""
     item = first + wp.tid()
     n = wp.min(item, nodes.shape[0] - 1)
     row = own_row(shaded, n)

@@ -1,16 +1,14 @@
-"""The map of an edit continued beyond the walls of its posed cage, to where its crumbs go.
+"""The map of an edit continued beyond the walls of its posed cage, to where its crumbs go."""
 
-Mean value coordinates are defined on both sides of a closed cage (Ju, Schaefer and Warren, "Mean value coordinates for
-closed triangular meshes", SIGGRAPH 2005), are linear on its faces, and reproduce affine maps. With q the point of the
-posed cage nearest to x, phi the edit's map on its lattice and g the map that is linear on the faces,
-
-    psi(x) = sum_j w_j(x) v_j + phi(q) - g(q),        faded as phi is (mesh/walls).
-
-The difference at q is zero but for the lattice's error where phi takes the cage's faces to each other (harmonic, mean
-value), and closes the jump where it does not (Green). So psi goes on from phi without a jump and is exact for poses
-that phi reproduces.
-Needs: coordinates/mean_value, lattice/cage_map, lattice/nodes, mesh/containment, mesh/triangle, mesh/walls.
-"""
+# Mean value coordinates are defined on both sides of a closed cage (Ju, Schaefer and Warren, "Mean value coordinates
+# for closed triangular meshes", SIGGRAPH 2005), are linear on its faces, and reproduce affine maps. With q the point of
+# the posed cage nearest to x, phi the edit's map on its lattice and g the map that is linear on the faces,
+#
+#     psi(x) = sum_j w_j(x) v_j + phi(q) - g(q),        faded as phi is (mesh/walls).
+#
+# The difference at q is zero but for the lattice's error where phi takes the cage's faces to each other (harmonic, mean
+# value), and closes the jump where it does not (Green). So psi goes on from phi without a jump and is exact for poses
+# that phi reproduces.
 
 import warp as wp
 
@@ -110,11 +108,9 @@ def find_places(
     offsets: wp.array(dtype=wp.vec3),
     errors: wp.array(dtype=float),
 ):
-    """How far from F(y) the place x is that psi leads to a point y, for points (n,) beside the rest cage; and how far
-    from y psi leads at last. World units; the search ends where that is less than `enough`.
-
-    x <- x + F(y) - F(psi(x)), from x = F(y) on; the best of all x is kept.
-    """
+    """How far from F(y) the place x is that psi leads to points y (n,) beside the rest cage, and how far from y psi
+    leads at last, world units; the search ends where that is less than `enough`."""
+    # x <- x + F(y) - F(psi(x)), from x = F(y) on; the best of all x is kept
     n = first + wp.tid()
     y = points[n]
     goal = forward_position(walls, y)

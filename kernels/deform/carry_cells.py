@@ -1,8 +1,6 @@
-"""The lattice of an edit's map with room around it, and its cells that crumbs go through.
+"""The lattice of an edit's map with room around it, and its cells that crumbs go through."""
 
-The map on a lattice is that of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1.
-Needs: deform/cells, deform/edits, lattice/cage_map.
-"""
+# The map on a lattice is that of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1.
 
 import warp as wp
 
@@ -22,10 +20,8 @@ def pad_nodes(
     distance: wp.array3d(dtype=float),
     side_index: wp.array(dtype=int),
 ):
-    """A map's nodes in a larger lattice, `before` (3,) of whose nodes lie below the map's along each axis.
-
-    Nodes around them are far outside the cage. side_index: (nodes,), or (0,) for a map without sides.
-    """
+    """A map's nodes in a larger lattice, `before` of whose nodes lie below the map's along each axis, the others far
+    outside the cage. side_index: (nodes,), or (0,) for a map without sides."""
     n = first + wp.tid()
     k = n % positions.shape[2]
     j = (n // positions.shape[2]) % positions.shape[1]

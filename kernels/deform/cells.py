@@ -1,9 +1,7 @@
-"""What holds for whole lattice cells of an edit: the cases that a cell settles, and the cells that a march may skip.
+"""What holds for whole lattice cells of an edit: the cases that a cell settles, and the cells that a march may skip."""
 
-"Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1 (the map on a lattice) and Eq. 5. A module of its own,
-so that a pose does not compile a march.
-Needs: deform/edits, deform/march, field/grid, lattice/cage_map.
-"""
+# "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1 (the map on a lattice) and Eq. 5. A module of its own,
+# so that a pose does not compile a march.
 
 import warp as wp
 
@@ -83,10 +81,8 @@ def keep_edit(first: int, edit: LatticeEdit, index: int, edits: wp.array(dtype=L
 
 @wp.kernel
 def mark_edit_cases(first: int, edit: LatticeEdit, cells: wp.array3d(dtype=wp.uint8)):
-    """The CELL_... flags of each lattice cell of an edit, so that most samples need neither distance.
-
-    The trilinear distance in a cell lies between its corners'; the trilinear map in the bounding box of its corners'.
-    """
+    """The CELL_... flags of each lattice cell of an edit, so that most samples need neither distance."""
+    # the trilinear distance in a cell lies between its corners', the trilinear map in the bounding box of its corners'
     n = first + wp.tid()
     k = n % cells.shape[2]
     j = (n // cells.shape[2]) % cells.shape[1]
@@ -230,13 +226,11 @@ def mark_edit_cells(
     step: float,
     marks: wp.array3d(dtype=wp.uint8),
 ):
-    """0 at the lattice cells of an edit in which a march must look, REACH_LIMIT at the others.
-
-    The trilinear image of a cell lies in the bounding box of its eight corners' canonical positions; the scene beneath
-    (canonical grid and earlier edits, whose `skip` must be ready) is asked whether that box is empty. `step`, world
-    units: sub-samples reach half a march step out of the cell. Cells that the map sends out of the rest cage are looked
-    at, to be counted.
-    """
+    """0 at the lattice cells of an edit in which a march must look, REACH_LIMIT at the others. Earlier edits' `skip`
+    must be ready; step: of the march, world units."""
+    # The trilinear image of a cell lies in the bounding box of its eight corners' canonical positions; the scene
+    # beneath, canonical grid and earlier edits, is asked whether that box is empty. Sub-samples reach half a march step
+    # out of the cell. Cells that the map sends out of the rest cage are looked at, to be counted.
     n = first + wp.tid()
     k = n % marks.shape[2]
     j = (n // marks.shape[2]) % marks.shape[1]

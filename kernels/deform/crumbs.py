@@ -1,9 +1,7 @@
-"""Crumbs of an edit: small pieces of matter outside its rest cage, which hang on what is in it and go with it.
+"""Crumbs of an edit: small pieces of matter outside its rest cage, which hang on what is in it and go with it."""
 
-Which cells between voxels hold any of a crumb is kept exactly, one byte a cell, so that matter two voxels away stays
-where it is however coarse the lattice of the map.
-Needs: none.
-"""
+# Which cells between voxels hold any of a crumb is kept exactly, one byte a cell, so that matter two voxels away stays
+# where it is however coarse the lattice of the map.
 
 import warp as wp
 

@@ -1,17 +1,13 @@
-"""Samples of a deformed scene in canonical space: the three cases and the view directions of cage edits.
+"""Samples of a deformed scene in canonical space: the three cases and the view directions of cage edits."""
 
-"Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 4 and 5: a point inside the deformed cage is mapped, one inside
-the canonical (rest) cage only is cleared, any other is unchanged; d_c = norm(phi(x + dt d) - phi(x)).
-
-Several edits resolve in order: each acts on the scene that the ones before it left, so a point is traced through them
-from the last to the first. An edit may keep its source (a duplicate) or remove it (nothing is drawn in its place).
-
-Two kinds of edit share these functions: LatticeEdit looks the map and the signed distances up on lattices,
-ClosedFormEdit evaluates mean value or Green coordinates and winding numbers at the point itself; tables over lattice
-cells tell it where the answer is the same for a whole cell. A module compiles only the kind that its kernels take. All
-positions are relative to one origin that the caller keeps to.
-Needs: coordinates/green, coordinates/mean_value, deform/crumbs, lattice/cage_map, mesh/containment, mesh/walls.
-"""
+# "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 4 and 5: a point inside the deformed cage is mapped, one
+# inside the canonical (rest) cage only is cleared, any other is unchanged; d_c = norm(phi(x + dt d) - phi(x)). Several
+# edits resolve in order: each acts on the scene that the ones before it left, so a point is traced through them from
+# the last to the first. An edit may keep its source (a duplicate) or remove it (nothing is drawn in its place). Two
+# kinds of edit share these functions: LatticeEdit looks the map and the signed distances up on lattices, ClosedFormEdit
+# evaluates mean value or Green coordinates and winding numbers at the point itself; tables over lattice cells tell it
+# where the answer is the same for a whole cell. A module compiles only the kind that its kernels take. All positions
+# are relative to one origin that the caller keeps to.
 
 from typing import Any
 
@@ -173,10 +169,8 @@ def cell_trilinear(values: wp.array3d(dtype=Any), cell: LatticeCell):
 
 @wp.func
 def edit_point(edit: LatticeEdit, x: wp.vec3):
-    """Whether a point is in the deformed cage of an edit, and where the map leads.
-
-    An edit that removes leaves nothing there.
-    """
+    """Whether a point is in the deformed cage of an edit, and where the map leads; an edit that removes leaves nothing
+    there."""
     result = EditPoint()
     result.position = x
     if edit.removes == 1:
@@ -261,10 +255,8 @@ def edit_position(edit: ClosedFormEdit, x: wp.vec3):
 
 @wp.func
 def edit_point(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
-    """Whether a point is in the deformed cage of an edit, and where the map leads.
-
-    An edit that removes leaves nothing there.
-    """
+    """Whether a point is in the deformed cage of an edit, and where the map leads; an edit that removes leaves nothing
+    there."""
     result = EditPoint()
     result.position = x
     if edit.removes == 1:
@@ -292,10 +284,8 @@ def edit_point(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
 
 @wp.func
 def traced_point(edits: Any, x: wp.vec3):
-    """Trace a point of the deformed scene to canonical space: Eq. 5 for each of `edits`, the last first.
-
-    A cleared point goes on through the earlier edits, so that `position` says what was cleared there.
-    """
+    """Trace a point of the deformed scene to canonical space: Eq. 5 for each of `edits`, the last first."""
+    # a cleared point goes on through the earlier edits, so that `position` says what was cleared there
     result = CanonicalPoint()
     position = x
     cleared = int(0)
@@ -367,11 +357,9 @@ def long_step(edits: Any, x: wp.vec3, direction: wp.vec3, dt: float, here: Canon
 
 @wp.func
 def canonical_step(edits: Any, x: wp.vec3, direction: wp.vec3, dt: float, here: CanonicalPoint, ahead: CanonicalPoint):
-    """phi(x + dt d) - phi(x), world units; `here` and `ahead` are the canonical points of x and x + dt d.
-
-    Where x + dt d has left the cage it is the backward difference, where x - dt d has too a shorter one; where the
-    point shares its map with no neighbour at all it is dt d.
-    """
+    """phi(x + dt d) - phi(x), world units; `here` and `ahead` are the canonical points of x and x + dt d."""
+    # Where x + dt d has left the cage it is the backward difference, where x - dt d has too a shorter one; where the
+    # point shares its map with no neighbour at all it is dt d.
     if here.path == 0:
         return dt * direction
     if same_map(here, ahead):

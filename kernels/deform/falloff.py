@@ -1,10 +1,8 @@
-"""The lattice map of an edit, faded to the identity towards walls of its cage that do not move.
+"""The lattice map of an edit, faded to the identity towards walls of its cage that do not move."""
 
-phi' = x + s(x) (phi(x) - x) with the share s of mesh/walls: on such a wall phi' and its derivative are those of the
-scene outside, which no cage maps. The map phi is that of "Deforming Radiance Fields with Cages" (ECCV 2022), section
-4.1; phi' is taken at the nodes of its lattice, and at the corners that cells at narrow gaps hold for each side.
-Needs: lattice/cage_map, mesh/walls.
-"""
+# phi' = x + s(x) (phi(x) - x) with the share s of mesh/walls: on such a wall phi' and its derivative are those of the
+# scene outside, which no cage maps. The map phi is that of "Deforming Radiance Fields with Cages" (ECCV 2022), section
+# 4.1; phi' is taken at the nodes of its lattice, and at the corners that cells at narrow gaps hold for each side.
 
 import warp as wp
 

@@ -1,15 +1,12 @@
-"""What a march may skip of an edit's lattice, by fine cells, 4 x 4 x 4 in a cell.
+"""What a march may skip of an edit's lattice, by fine cells, 4 x 4 x 4 in a cell."""
 
-A lattice cell is some four voxels wide. A ray that knows whole cells (deform/cells) looks at some twenty samples that
-hold nothing for each stretch of matter; one that knows fine cells of about a voxel looks at a fraction of them. The
-image of a fine cell lies in the box around those of its corners, as the map is trilinear in it too ("Deforming Radiance
-Fields with Cages", ECCV 2022, section 4.1), and the field's own cells in that box say whether it may hold anything.
-
-The bits of a cell's fine cells are one number: bit 16 a + 4 b + c is that of fine cell (a, b, c). Their bytes follow
-each other in the same order, cells as in deform/flat_edits. Chebyshev distances between fine cells are found within
-cells that must be looked at and their neighbours; farther ones follow from distances between cells.
-Needs: core/entries, core/lanes, deform/edits, deform/flat_edits, deform/map_nodes, field/grid, lattice/cage_map.
-"""
+# A lattice cell is some four voxels wide. A ray that knows whole cells (deform/cells) looks at some twenty samples that
+# hold nothing for each stretch of matter; one that knows fine cells of about a voxel looks at a fraction of them. The
+# image of a fine cell lies in the box around those of its corners, as the map is trilinear in it too ("Deforming
+# Radiance Fields with Cages", ECCV 2022, section 4.1), and the field's own cells in that box say whether it may hold
+# anything. The bits of a cell's fine cells are one number: bit 16 a + 4 b + c is that of fine cell (a, b, c). Their
+# bytes follow each other in the same order, cells as in deform/flat_edits. Chebyshev distances between fine cells are
+# found within cells that must be looked at and their neighbours; farther ones follow from distances between cells.
 
 import warp as wp
 
@@ -286,11 +283,8 @@ def mark_fine_cells(
     looks: wp.array(dtype=wp.uint64),
     fine_look: wp.array(dtype=wp.uint8),
 ):
-    """Which fine cells of each cell a march must look at. A group of lanes (core/lanes) takes octet_count() cells.
-
-    `edit.look` says which cells may be skipped as a whole. step: of the march, world units; looks: (nodes,) bits;
-    fine_look: (FINE_COUNT * nodes,) becomes the flags of those, and nothing of others.
-    """
+    """Which fine cells of each cell a march must look at; a group of lanes takes octet_count() cells. step: world
+    units; looks: (nodes,) bits; fine_look: (FINE_COUNT * nodes,) becomes the flags of those, and nothing of others."""
     item = first + wp.tid()
     lane = item % lane_count()
     begin = item / lane_count() * octet_count()  # not all that lanes could hold: groups are to end together
@@ -425,12 +419,8 @@ def bytes_of(bits: wp.uint64, word: int):
 def spread_fine_cells(
     first: int, edit: FlatEdit, looks: wp.array(dtype=wp.uint64), fine_look: wp.array(dtype=wp.uint32)
 ):
-    """How far each fine cell is from the nearest that a march must look at. One item a cell, in whole groups of lanes
-    (core/lanes).
-
-    looks: (nodes,) bits; fine_look: (FINE_WORDS * nodes,) four bytes each, LOOK_SKIP and the distance where `looks` has
-    no bit.
-    """
+    """How far each fine cell is from the nearest that a march must look at; an item a cell, in whole groups of lanes.
+    looks: (nodes,) bits; fine_look: (FINE_WORDS * nodes,) of four bytes, LOOK_SKIP + distance where there is no bit."""
     item = first + wp.tid()
     nodes = looks.shape[0]
     n = wp.min(item, nodes - 1)

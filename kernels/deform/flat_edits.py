@@ -1,8 +1,6 @@
-"""Edits on lattices as fast marches read them: flat arrays, nodes of four numbers, and one table of cells.
+"""Edits on lattices as fast marches read them: flat arrays, nodes of four numbers, and one table of cells."""
 
-The map of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1.
-Needs: core/entries, deform/crumbs, lattice/cage_map.
-"""
+# The map of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1.
 
 import warp as wp
 

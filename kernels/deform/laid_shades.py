@@ -1,13 +1,11 @@
 """What a camera sees of each voxel of a deformed field, laid out by nodes, so that a march reads what lies around a
-place at once.
+place at once."""
 
-A row inside a rest cage is seen where the pose takes it, any other as it is (deform/carried_shades). Where the cage
-cuts matter, samples on both sides of it read the same rows, which are seen from two directions. So there are two
-layers: rows as samples see them that a map has led there, and as all others do. A row that samples of one layer alone
-read is in that one only: what an edit clears, deep in a rest cage, is looked for in the first. On CUDA they are one
-texture, in which layers follow each other along its last axis; on a CPU an array.
-Needs: core/texels.
-"""
+# A row inside a rest cage is seen where the pose takes it, any other as it is (deform/carried_shades). Where the cage
+# cuts matter, samples on both sides of it read the same rows, which are seen from two directions. So there are two
+# layers: rows as samples see them that a map has led there, and as all others do. A row that samples of one layer alone
+# read is in that one only: what an edit clears, deep in a rest cage, is looked for in the first. On CUDA they are one
+# texture, in which layers follow each other along its last axis; on a CPU an array.
 
 import warp as wp
 

@@ -1,11 +1,9 @@
-"""The trilinear map of an edit, and its derivative along a ray, from a polynomial for each cell.
+"""The trilinear map of an edit, and its derivative along a ray, from a polynomial for each cell."""
 
-In a cell of its lattice the map of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1, is
-c + c_x x + c_y y + c_z z + c_xy x y + c_xz x z + c_yz y z + c_xyz x y z with x, y and z from 0 to 1. Its eight
-coefficients take half as many operations for a place and its derivative (Eq. 4) as the eight nodes do
-(deform/map_nodes), and lie side by side in memory. They are worked out once a pose, of cells that a march may look at.
-Needs: deform/flat_edits.
-"""
+# In a cell of its lattice the map of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1, is c + c_x x +
+# c_y y + c_z z + c_xy x y + c_xz x z + c_yz y z + c_xyz x y z with x, y and z from 0 to 1. Its eight coefficients take
+# half as many operations for a place and its derivative (Eq. 4) as the eight nodes do (deform/map_nodes), and lie side
+# by side in memory. They are worked out once a pose, of cells that a march may look at.
 
 import warp as wp
 
@@ -28,10 +26,8 @@ def expand_map_cells(
     node_counts: wp.vec3i,
     polynomials: wp.array(dtype=wp.vec4),
 ):
-    """The polynomial of the cell above each node. One item a node; cells that are skipped as a whole have none.
-
-    nodes, look: of deform/flat_edits; polynomials: (CELL_WORDS * nodes,).
-    """
+    """The polynomial of the cell above each node, but for cells that are skipped as a whole; one item a node.
+    nodes, look: of deform/flat_edits; polynomials: (CELL_WORDS * nodes,)."""
     n = first + wp.tid()
     if int(look[n]) >= LOOK_SKIP:
         return

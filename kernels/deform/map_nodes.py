@@ -1,9 +1,7 @@
-"""The trilinear map of an edit, and its derivative along a ray, from nodes of four numbers that are read at once.
+"""The trilinear map of an edit, and its derivative along a ray, from nodes of four numbers that are read at once."""
 
-The map of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1, is trilinear in each cell of its lattice. So
-the derivative along a direction (Eq. 4) is known at the point itself, and takes no other point of the map.
-Needs: lattice/cage_map.
-"""
+# The map of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1, is trilinear in each cell of its lattice.
+# So the derivative along a direction (Eq. 4) is known at the point itself, and takes no other point of the map.
 
 import warp as wp
 

@@ -1,13 +1,11 @@
-"""Emission-absorption ray marching of a deformed sparse voxel grid.
+"""Emission-absorption ray marching of a deformed sparse voxel grid."""
 
-Samples lie at t_k = (k + 1/2) dt from the camera as in field/samples, are traced to canonical space by deform/edits
-("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), and composited. The canonical point of the next sample
-serves the finite difference of this one. Optical depth of a sample is sigma |phi(x + dt d) - phi(x)|, so that matter
-keeps its opacity when it is scaled, or sigma dt as the paper has it. Where the map compresses, a sample stands for a
-longer piece of canonical space than dt; it is then cut into sub-samples about dt apart there, so that nothing thin is
-jumped over.
-Needs: deform/edits, field/grid, field/harmonics, field/samples, view/rays.
-"""
+# Samples lie at t_k = (k + 1/2) dt from the camera as in field/samples, are traced to canonical space by deform/edits
+# ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), and composited. The canonical point of the next
+# sample serves the finite difference of this one. Optical depth of a sample is sigma |phi(x + dt d) - phi(x)|, so that
+# matter keeps its opacity when it is scaled, or sigma dt as the paper has it. Where the map compresses, a sample stands
+# for a longer piece of canonical space than dt; it is then cut into sub-samples about dt apart there, so that nothing
+# thin is jumped over.
 
 from typing import Any
 
@@ -138,11 +136,9 @@ def empty_reach_of_grid(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, t:
 
 @wp.func
 def empty_until(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, t: float):
-    """Distance along a ray up to which the deformed scene is certainly empty from t on; t where it may hold something.
-
-    The last edit whose box holds the point decides, as its `skip` knows the scene beneath; outside all boxes the
-    canonical grid does. A jump ends where it would enter the box of a later edit, or leave the one it is in.
-    """
+    """Distance along a ray from t on up to which the deformed scene is certainly empty; t where it may hold matter."""
+    # The last edit whose box holds the point decides, as its `skip` knows the scene beneath; outside all boxes the
+    # canonical grid does. A jump ends where it would enter the box of a later edit, or leave the one it is in.
     x = origin + t * direction
     limit = float(1.0e30)
     reach = float(-1.0)

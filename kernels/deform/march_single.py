@@ -1,20 +1,18 @@
-"""The march through a voxel field that one edit deforms: that of deform/march, written for speed.
+"""The march through a voxel field that one edit deforms: that of deform/march, written for speed."""
 
-The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common case
-of one edit on a lattice: flat arrays whose numbers are read many at once, one table of fine cells, and the map with its
-derivative as a polynomial of the cell. Where the map compresses, a sample is cut into sub-samples as in deform/march.
-Needs: core/entries, deform/edits, deform/flat_edits, deform/laid_shades, deform/map_cells, deform/map_nodes,
-deform/march, deform/matter_rows, deform/ray_parts, field/grid, field/render, field/rows, field/samples,
-lattice/cage_map, view/rays.
-"""
+# The same samples and the same sums ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5), for the common
+# case of one edit on a lattice: flat arrays whose numbers are read many at once, one table of fine cells, and the map
+# with its derivative as a polynomial of the cell. Where the map compresses, a sample is cut into sub-samples as in
+# deform/march.
 
+import functools
 from typing import Any
 
 import warp as wp
 
 from ..core.entries import byte_entry, near_exp, near_reciprocal, near_root, unset_number
 from ..field.grid import VoxelGrid, grid_position
-from ..field.render import PENDING_WEIGHT
+from ..field.march import PENDING_WEIGHT
 from ..field.rows import RowTable
 from ..field.samples import exit_of_cell, grid_span, safe_inverse
 from ..lattice.cage_map import side_position
@@ -29,21 +27,6 @@ from .matter_rows import empty_at, matter_at, matter_colour
 from .ray_parts import BEGUN, RayState
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
-
-
-@wp.struct
-class NoSides:
-    """Says that cells have polynomials, and none has corner values for each side of a narrow gap."""
-
-    unused: int
-
-
-@wp.struct
-class WithSides:
-    """Says that some may have them, and cells no polynomials. The functions of sides are calls, around which a GPU
-    keeps more registers, so that the march for edits without them is compiled by itself."""
-
-    unused: int
 
 
 @wp.func
@@ -132,27 +115,6 @@ def node_place(edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3, plac
     return place
 
 
-@wp.func
-def cell_place(sides: NoSides, edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
-    """The same, whatever the edit's cells have."""
-    return polynomial_place(edit, at, f, rate, place)
-
-
-@wp.func
-def cell_place(  # noqa: F811 (a Warp overload)
-    sides: WithSides, edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace
-):
-    if edit.by_nodes == 1:
-        place = node_place(edit, at, f, rate, place)
-    else:
-        place = polynomial_place(edit, at, f, rate, place)
-    entry = entry_of_sides(edit, at.n)
-    if entry != 0 and place.mapped == 1:
-        place.position = side_position(edit.sides, entry, f)
-        place.slope = side_slope(edit.sides, entry, f, rate)
-    return place
-
-
 # Registers are short. What a branch sets is a variable of the whole kernel to Warp, and kept from round to round: so
 # functions below return early, or set numbers of a struct. What a launch knows is a number of its structs rather than
 # worked out before the loop, and exact roots and quotients are calls, around which more is kept.
@@ -238,22 +200,6 @@ def current_place(edit: FlatEdit, grid: VoxelGrid, line: EditLine, sample: RaySa
 def is_empty(at: LatticePlace):
     """Whether nothing is there."""
     return at.look >= wp.where(at.n >= 0, int(LOOK_SKIP), 1)
-
-
-@wp.func
-def mapped_place(sides: Any, edit: FlatEdit, at: LatticePlace, line: EditLine):
-    """Where a sample is in canonical space (Eq. 4): where the map leads it inside the posed cage, else where it is."""
-    result = MappedPlace()
-    result.position = edit.lower + edit.fine_size * at.fine
-    result.slope = line.rate
-    if at.n < 0:
-        return result
-    if ((at.look | edit.all_outside) & CELL_OUTSIDE) != 0:
-        return result
-    # the cage reaches no cell at the lattice's border, where rounding may lead to the one beyond
-    place = edit.fine_width * at.fine
-    f = place - wp.vec3(wp.floor(place[0]), wp.floor(place[1]), wp.floor(place[2]))
-    return cell_place(sides, edit, at, f, line.rate, result)
 
 
 @wp.func
@@ -347,28 +293,6 @@ class FoundMatter:
 
 
 @wp.func
-def found_matter(
-    sides: Any, edit: FlatEdit, grid: VoxelGrid, table: Any, line: EditLine, at: LatticePlace, step: float
-):
-    """What a sample holds."""
-    found = FoundMatter()
-    if is_empty(at):  # which is asked again before any of it is read
-        unset = unset_number()
-        found.slope = wp.vec3(unset, unset, unset)
-        found.distance = unset
-        found.g = wp.vec3(unset, unset, unset)
-        found.matter = wp.vec4(unset, unset, unset, unset)
-        return found
-    point = mapped_place(sides, edit, at, line)
-    found.mapped = point.mapped
-    found.slope = point.slope
-    found.distance = distance_to_rest(edit, point, at.look)
-    found.g = grid_position(grid, point.position)
-    found.matter = matter_at(table, grid, found.g, shade_layer(edit, point.mapped, found.distance), step)
-    return found
-
-
-@wp.func
 def with_colour(table: RowTable, grid: VoxelGrid, line: EditLine, found: FoundMatter, ray: MarchedRay, weight: float):
     """A ray with the colour of a sample, which waits for the next one's until they weigh enough together."""
     ray.pending += weight
@@ -431,39 +355,96 @@ def gather_matter(
     return ray
 
 
-@wp.func
-def march_edit(
-    sides: Any,
-    edit: FlatEdit,
-    grid: VoxelGrid,
-    table: Any,
-    origin: wp.vec3,
-    direction: wp.vec3,
-    options: MarchOptions,
-    state: RayState,
-    end: float,
-):
-    """Gather radiance along a ray through the deformed scene from where `state` has reached up to a distance `end`."""
-    line = edit_line(edit, grid, origin, direction)
-    near_far = line_span(line)
-    far = wp.min(near_far[1], end)
-    ray = MarchedRay()
-    ray.seen = state.seen
-    ray.pending = state.pending
-    ray.sample = ray_sample(first_sample(wp.max(near_far[0], state.reached), options.inverse_step), 0.0, 1.0)
-    t = sample_distance(ray.sample, options.step)
-    foreseen = lattice_place(edit, grid, line, t)
-    while t < far and ray.seen.transmittance > options.stop:
-        at = current_place(edit, grid, line, ray.sample, foreseen, t)
-        ray.sample.share = wp.abs(ray.sample.share)
-        after = next_sample(edit, grid, options, line, ray.sample, at, t)
-        found = found_matter(sides, edit, grid, table, line, at, options.step)
-        # a GPU waits for what it reads: so the next place is asked for before this matter is
-        foreseen = lattice_place(edit, grid, line, sample_distance(after, options.step))
-        ray = gather_matter(edit, grid, table, options, line, ray, after, at, found, t)
+@functools.cache
+def make_edit_march(has_sides: bool) -> Any:
+    """The march through one edit. has_sides: cells may have corner values for each side of a narrow gap, or no
+    polynomials."""
+    # the functions of sides are calls, around which a GPU keeps more registers: edits without have a march of their own
+
+    @wp.func
+    def cell_place(edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
+        """The same, whatever the edit's cells have."""
+        if wp.static(has_sides):
+            if edit.by_nodes == 1:
+                place = node_place(edit, at, f, rate, place)
+            else:
+                place = polynomial_place(edit, at, f, rate, place)
+            entry = entry_of_sides(edit, at.n)
+            if entry != 0 and place.mapped == 1:
+                place.position = side_position(edit.sides, entry, f)
+                place.slope = side_slope(edit.sides, entry, f, rate)
+        else:
+            place = polynomial_place(edit, at, f, rate, place)
+        return place
+
+    @wp.func
+    def mapped_place(edit: FlatEdit, at: LatticePlace, line: EditLine):
+        """Where a sample is in canonical space (Eq. 4): mapped inside the posed cage, else where it is."""
+        result = MappedPlace()
+        result.position = edit.lower + edit.fine_size * at.fine
+        result.slope = line.rate
+        if at.n < 0:
+            return result
+        if ((at.look | edit.all_outside) & CELL_OUTSIDE) != 0:
+            return result
+        # the cage reaches no cell at the lattice's border, where rounding may lead to the one beyond
+        place = edit.fine_width * at.fine
+        f = place - wp.vec3(wp.floor(place[0]), wp.floor(place[1]), wp.floor(place[2]))
+        return cell_place(edit, at, f, line.rate, result)
+
+    @wp.func
+    def found_matter(edit: FlatEdit, grid: VoxelGrid, table: Any, line: EditLine, at: LatticePlace, step: float):
+        """What a sample holds."""
+        found = FoundMatter()
+        if is_empty(at):  # which is asked again before any of it is read
+            unset = unset_number()
+            found.slope = wp.vec3(unset, unset, unset)
+            found.distance = unset
+            found.g = wp.vec3(unset, unset, unset)
+            found.matter = wp.vec4(unset, unset, unset, unset)
+            return found
+        point = mapped_place(edit, at, line)
+        found.mapped = point.mapped
+        found.slope = point.slope
+        found.distance = distance_to_rest(edit, point, at.look)
+        found.g = grid_position(grid, point.position)
+        found.matter = matter_at(table, grid, found.g, shade_layer(edit, point.mapped, found.distance), step)
+        return found
+
+    @wp.func
+    def march_edit(
+        edit: FlatEdit,
+        grid: VoxelGrid,
+        table: Any,
+        origin: wp.vec3,
+        direction: wp.vec3,
+        options: MarchOptions,
+        state: RayState,
+        end: float,
+    ):
+        """Gather radiance along a ray through the deformed scene, from where `state` has reached up to `end`."""
+        line = edit_line(edit, grid, origin, direction)
+        near_far = line_span(line)
+        far = wp.min(near_far[1], end)
+        ray = MarchedRay()
+        ray.seen = state.seen
+        ray.pending = state.pending
+        ray.sample = ray_sample(first_sample(wp.max(near_far[0], state.reached), options.inverse_step), 0.0, 1.0)
         t = sample_distance(ray.sample, options.step)
-    result = RayState()
-    result.seen = ray.seen
-    result.pending = ray.pending
-    result.reached = wp.max(far, BEGUN)  # beyond `far` there is nothing up to `end`
-    return result
+        foreseen = lattice_place(edit, grid, line, t)
+        while t < far and ray.seen.transmittance > options.stop:
+            at = current_place(edit, grid, line, ray.sample, foreseen, t)
+            ray.sample.share = wp.abs(ray.sample.share)
+            after = next_sample(edit, grid, options, line, ray.sample, at, t)
+            found = found_matter(edit, grid, table, line, at, options.step)
+            # a GPU waits for what it reads: so the next place is asked for before this matter is
+            foreseen = lattice_place(edit, grid, line, sample_distance(after, options.step))
+            ray = gather_matter(edit, grid, table, options, line, ray, after, at, found, t)
+            t = sample_distance(ray.sample, options.step)
+        result = RayState()
+        result.seen = ray.seen
+        result.pending = ray.pending
+        result.reached = wp.max(far, BEGUN)  # beyond `far` there is nothing up to `end`
+        return result
+
+    return march_edit

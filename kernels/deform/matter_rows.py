@@ -1,9 +1,7 @@
-"""Matter at a place of a field, for the marches through a field that edits deform: of its rows, or of voxels that were
-shaded for the camera.
+"""Matter at a place of a field, for marches through a field that edits deform: of its rows, or of voxels that were
+shaded for the camera."""
 
-Of rows the density is asked first, and their colours only where enough weighs; shades hold both.
-Needs: core/entries, deform/laid_shades, field/densities, field/grid, field/harmonics, field/rows.
-"""
+# Of rows the density is asked first, and their colours only where enough weighs; shades hold both.
 
 import warp as wp
 

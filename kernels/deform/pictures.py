@@ -1,11 +1,8 @@
-"""Where the views of deformed scenes go.
-
-Needs: deform/march, field/render, view/tile_order.
-"""
+"""Where the views of deformed scenes go."""
 
 import warp as wp
 
-from ..field.render import visible_depth
+from ..field.march import visible_depth
 from ..view.tile_order import TileOrder
 from .march import DeformedRadiance
 

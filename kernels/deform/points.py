@@ -1,8 +1,6 @@
-"""Arbitrary points and directions of a deformed scene in canonical space, for renderers other than ours.
+"""Arbitrary points and directions of a deformed scene in canonical space, for renderers other than ours."""
 
-"Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 4 and 5, with edits looked up on lattices; see deform/edits.
-Needs: deform/edits.
-"""
+# "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 4 and 5, with edits looked up on lattices; see deform/edits.
 
 from typing import Any
 
@@ -25,10 +23,8 @@ class CanonicalRay:
 
 @wp.func
 def canonical_ray(edits: Any, x: wp.vec3, direction: wp.vec3, dt: float):
-    """Point, direction and region of a point x seen along `direction` of any length; dt in world units.
-
-    A cleared point keeps x and its direction. One whose map leaves the rest cage is empty too, hence cleared.
-    """
+    """Point, direction and region of a point x seen along `direction` of any length; dt in world units."""
+    # a cleared point keeps x and its direction; one whose map leaves the rest cage is empty too, hence cleared
     result = CanonicalRay()
     result.point = x
     result.direction = direction

@@ -1,8 +1,6 @@
-"""Arbitrary points and directions of a deformed scene in canonical space, without a lattice.
+"""Arbitrary points and directions of a deformed scene in canonical space, without a lattice."""
 
-As deform/points, with mean value or Green coordinates evaluated at every point; see deform/render_precise.
-Needs: deform/edits, deform/points.
-"""
+# As deform/points, with mean value or Green coordinates evaluated at every point; see deform/views.
 
 import warp as wp
 

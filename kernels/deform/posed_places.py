@@ -1,12 +1,10 @@
 """Where a pose takes the matter of a rest cage: the map of a posed cage, inverted at the nodes of the rest cage's
-lattice.
+lattice."""
 
-The map phi of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1, takes points of the posed scene to
-canonical space, and is trilinear in each cell of the posed cage's lattice. A node x of the rest cage's lattice lies in
-the images of some cells; phi(y) = x is solved in the first of them by Newton's method. Cells whose node the posed cage
-holds come before others, so that what the map does beyond the cage tells of nothing that it does within.
-Needs: deform/edits, deform/flat_edits, field/grid, lattice/cage_map.
-"""
+# The map phi of "Deforming Radiance Fields with Cages" (ECCV 2022), section 4.1, takes points of the posed scene to
+# canonical space, and is trilinear in each cell of the posed cage's lattice. A node x of the rest cage's lattice lies
+# in the images of some cells; phi(y) = x is solved in the first of them by Newton's method. Cells whose node the posed
+# cage holds come before others, so that what the map does beyond the cage tells of nothing that it does within.
 
 import warp as wp
 
@@ -141,12 +139,10 @@ def claim_nodes(
     folds: wp.array(dtype=int),
 ):
     """Each cell of the posed lattice puts its number down at the nodes of the rest lattice in its image; the lowest
-    stays. One item a cell, all on one thread of a CPU.
-
-    cells: CELL_... flags. grid: its `skip` tells where matter is. owners: (nx, ny, nz) of the rest lattice, NO_CELL
-    before: n, or n and the number of nodes of the posed lattice where the place is out of the posed cage. folds: (1,)
-    becomes 1 where the map turns matter over, which then is in several places, or squeezes it too much to look.
-    """
+    stays. An item a cell, all on one thread of a CPU. cells: CELL_... flags; grid: its `skip` tells where matter is."""
+    # owners: (nx, ny, nz) of the rest lattice, NO_CELL before: n, or n and the number of nodes of the posed lattice
+    # where the place is out of the posed cage. folds: (1,) becomes 1 where the map turns matter over, which then is in
+    # several places, or squeezes it too much to look.
     item = first + wp.tid()
     k = item % cells.shape[2]
     j = (item // cells.shape[2]) % cells.shape[1]

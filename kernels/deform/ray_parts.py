@@ -1,13 +1,11 @@
-"""Rays that several marches follow one after the other, each through a part of the scene.
+"""Rays that several marches follow one after the other, each through a part of the scene."""
 
-Sample k of a ray lies at t_k = (k + 1/2) dt whatever march takes it (see field/samples), so that several marches take
-the samples of one, and add up what it does ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5).
-Needs: deform/march, field/render.
-"""
+# Sample k of a ray lies at t_k = (k + 1/2) dt whatever march takes it (see field/samples), so that several marches take
+# the samples of one, and add up what it does ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5).
 
 import warp as wp
 
-from ..field.render import pending_colour
+from ..field.march import pending_colour
 from .march import DeformedRadiance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -63,11 +61,9 @@ def finished(state: RayState):
 
 @wp.func
 def part_end(part: ScenePart, origin: wp.vec3, direction: wp.vec3):
-    """Distance at which a part of the scene ends for a ray; 0 for one that has nothing to do with it.
-
-    As view/rays.box_span finds it, but for rays along a face of the box, which may count as beside it or not: without
-    branches, as a march needs all registers.
-    """
+    """Distance at which a part of the scene ends for a ray; 0 for one that has nothing to do with it."""
+    # As view/rays.box_span finds it, but for rays along a face of the box, which may count as beside it or not: without
+    # branches, as a march needs all registers.
     end = float(RAY_END)
     if part.is_last == 0:
         inverse = wp.cw_div(wp.vec3(1.0, 1.0, 1.0), direction)  # infinite for rays across an axis

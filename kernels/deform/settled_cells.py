@@ -1,8 +1,6 @@
-"""Lattice cells that lie on one side of a cage as a whole, where closed forms need not be evaluated.
+"""Lattice cells that lie on one side of a cage as a whole, where closed forms need not be evaluated."""
 
-What a "precise" march (see deform/render_precise) looks up before it evaluates coordinates or winding numbers.
-Needs: deform/cells, deform/edits, lattice/cage_map.
-"""
+# What a "precise" march (see deform/views) looks up before it evaluates coordinates or winding numbers.
 
 import warp as wp
 
@@ -19,10 +17,8 @@ HALF_DIAGONAL = wp.constant(0.8661)
 @wp.func
 def settled_case(cage_map: CageMap, i: int, j: int, k: int, slack: float):
     """CELL_INSIDE or CELL_OUTSIDE where no point of a lattice cell can be on the other side of the cage, else 0.
-
-    Distances at nodes are exact up to their limit, and differ between two points by at most the way between them.
-    Outside means farther than `slack`.
-    """
+    Outside means farther than `slack`."""
+    # distances at nodes are exact up to their limit, and differ between two points by at most the way between them
     nearest = float(1.0e30)
     farthest = float(-1.0e30)
     for c in range(8):
@@ -49,10 +45,8 @@ def settle_rest_cells(first: int, rest: CageMap, slack: float, flags: wp.array3d
 
 @wp.kernel
 def settle_deformed_cells(first: int, edit: LatticeEdit, flags: wp.array3d(dtype=wp.uint8)):
-    """The settled_case of each cell over the deformed cage, and what the lattice's map says of the inside ones.
-
-    CELL_STAYS as the lattice has it; CELL_STEEP where it may be; CELL_FOLDED where the map may turn over somewhere.
-    """
+    """The settled_case of each cell over the deformed cage, and what the lattice's map says of the inside ones:
+    CELL_STAYS as the lattice has it, CELL_STEEP where it may be, CELL_FOLDED where the map may turn over somewhere."""
     n = first + wp.tid()
     k = n % flags.shape[2]
     j = (n // flags.shape[2]) % flags.shape[1]

@@ -1,12 +1,10 @@
-"""How far the rays of a picture's tiles go before they may meet anything.
+"""How far the rays of a picture's tiles go before they may meet anything."""
 
-All rays of a tile begin at the camera and lie together, so that their way through what is empty need be looked for
-once: a beam with the tile as its section goes from one cube of empty cells to the next. The rays of a tile at one
-distance are in the box from `camera + distance low` to `camera + distance high`, with the least and the largest
-component of their directions along each axis. No ray meets anything before the beam ends, so that a march that begins
-there takes the same samples ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5).
-Needs: core/entries, deform/flat_edits, field/grid, view/rays.
-"""
+# All rays of a tile begin at the camera and lie together, so that their way through what is empty need be looked for
+# once: a beam with the tile as its section goes from one cube of empty cells to the next. The rays of a tile at one
+# distance are in the box from `camera + distance low` to `camera + distance high`, with the least and the largest
+# component of their directions along each axis. No ray meets anything before the beam ends, so that a march that begins
+# there takes the same samples ("Deforming Radiance Fields with Cages", ECCV 2022, Eq. 4 and 5).
 
 import warp as wp
 

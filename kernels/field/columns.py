@@ -1,12 +1,12 @@
-"""The rows of a sparse voxel grid told by bits: a table some ten times smaller than links, and two nodes in one read.
+"""The rows of a sparse voxel grid told by bits: a table ten times smaller than links, and two nodes in one read."""
 
-The nodes of a column (i, j) are cut into blocks of 31, each with the 32 bits of its nodes and of the first node of the
-next block, and the number of rows before it. So the nodes k and k + 1 are always in one block. Rows are numbered anew,
-in memory order: the columns' rows.
-Needs: none.
-"""
+# The nodes of a column (i, j) are cut into blocks of 31, each with the 32 bits of its nodes and of the first node of
+# the next block, and the number of rows before it. So the nodes k and k + 1 are always in one block. Rows are numbered
+# anew, in memory order: the columns' rows.
 
 import warp as wp
+
+from ..core.native import native_source
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -16,13 +16,7 @@ BLOCK_NODES = wp.constant(31)
 
 #: C++ of functions that read the table: where a cell lies among the blocks of its columns; the bits and the first row
 #: of one of its four columns.
-CELL_PLACE = """
-    const int block = k / 31;
-    const int place = k - 31 * block;
-    const unsigned low = (1u << place) - 1u;
-    const int block_width = columns.blocks.shape[1];
-    const int begin = (i * columns.node_counts.c[1] + j) * block_width + block;
-"""
+CELL_PLACE = native_source(__file__, "cell_place.h")
 COLUMN_ENTRY = """
         const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * block_width;
 #if defined(__CUDA_ARCH__)
@@ -68,11 +62,8 @@ def mark_blocks(
     nodes: wp.array(dtype=wp.int32),
     order: wp.array(dtype=wp.int32),
 ):
-    """Bits and first row of each block of a column, and the flat index of each row's node, one item per column.
-
-    running_count: (nx * ny,) inclusive scan of count_rows. blocks: (nx * ny, blocks of a column). nodes, order: (rows,)
-    the node and the link of each row.
-    """
+    """Bits and first row of each block of a column, and the node and the link of each row (rows,); one item per column.
+    running_count: (nx * ny,) inclusive scan of count_rows; blocks: (nx * ny, blocks of a column)."""
     n = first + wp.tid()
     i = n // links.shape[1]
     j = n % links.shape[1]

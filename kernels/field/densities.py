@@ -1,10 +1,8 @@
-"""Trilinear density of a sparse voxel grid, with few reads that wait for each other.
+"""Trilinear density of a sparse voxel grid, with few reads that wait for each other."""
 
-On CUDA the densities of all nodes are laid out as halves, 0 where a node has no row: a place in a cell is eight reads
-that wait for nothing, where links or bits would have to be asked first. They count in units of their own, so that
-scenes of any size keep their digits. On a CPU, whose caches hold a grid's bits, the rows are found by them.
-Needs: field/columns.
-"""
+# On CUDA the densities of all nodes are laid out as halves, 0 where a node has no row: a place in a cell is eight reads
+# that wait for nothing, where links or bits would have to be asked first. They count in units of their own, so that
+# scenes of any size keep their digits. On a CPU, whose caches hold a grid's bits, the rows are found by them.
 
 import warp as wp
 
@@ -81,9 +79,7 @@ def row_density(
     offset: wp.vec3,
 ) -> wp.float32:
     """Trilinear density before the ReLU, at a place, 0 to 1, in the cell above node (i, j, k).
-
-    laid: (nodes,) of lay_densities, in `unit`, read on CUDA; density: (rows,) of the grid, read on a CPU.
-    """
+    laid: (nodes,) of lay_densities, in `unit`, read on CUDA; density: (rows,) of the grid, read on a CPU."""
     ...
 
 

@@ -1,14 +1,10 @@
-"""Sparse voxel grid: trilinear density and spherical-harmonic colour at arbitrary points.
+"""Sparse voxel grid: trilinear density and spherical-harmonic colour at arbitrary points."""
 
-Model: Fridovich-Keil and Yu et al., "Plenoxels: Radiance Fields without Neural Networks" (CVPR 2022), section 3.
-density(x) = max(0, trilinear sigma), colour(x, d) = max(0, trilinear SH . Y(d) + 0.5), with one of two kinds of rows of
-SH numbers (field/harmonics).
-
-Values live at nodes; node (i, j, k) lies at lower + (i, j, k) * voxel_size. Nodes without a row hold zero.
-Positions are world units relative to any origin that the caller keeps to (warpcage: the field's centre, so that float32
-suffices).
-Needs: field/harmonics.
-"""
+# Model: Fridovich-Keil and Yu et al., "Plenoxels: Radiance Fields without Neural Networks" (CVPR 2022), section 3.
+# density(x) = max(0, trilinear sigma), colour(x, d) = max(0, trilinear SH . Y(d) + 0.5), with one of two kinds of rows
+# of SH numbers (field/harmonics). Values live at nodes; node (i, j, k) lies at lower + (i, j, k) * voxel_size. Nodes
+# without a row hold zero. Positions are world units relative to any origin that the caller keeps to (warpcage: the
+# field's centre, so that float32 suffices).
 
 import warp as wp
 

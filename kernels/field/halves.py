@@ -1,7 +1,4 @@
-"""Numbers in half precision, as files have them, become single on the device: half as many bytes are sent to it.
-
-Needs: none.
-"""
+"""Numbers in half precision, as files have them, become single on the device: half as many bytes are sent to it."""
 
 import warp as wp
 
@@ -13,13 +10,8 @@ RUN = wp.constant(3)
 
 @wp.kernel
 def widen_rows(first: int, halves: wp.array2d(dtype=wp.float16), singles: wp.array2d(dtype=wp.float32)):
-    """Copy RUN numbers.
-
-    Args:
-        first: Number of the first run of this launch; rows follow each other.
-        halves: (rows, n), n a multiple of RUN.
-        singles: (rows, n), written.
-    """
+    """Copy RUN numbers, from halves (rows, n) to singles (rows, n), n a multiple of RUN. first: of the launch's runs,
+    which follow each other row by row."""
     run = first + wp.tid()
     runs = halves.shape[1] // RUN
     row, column = run // runs, RUN * (run % runs)

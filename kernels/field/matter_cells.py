@@ -1,9 +1,7 @@
-"""The cells of a grid that hold matter, with the densities of their eight corners side by side: for marches on a CPU.
+"""The cells of a grid that hold matter, with the densities of their corners side by side: for marches on a CPU."""
 
-A sample then waits for one line of the cache instead of up to eight. Which cells hold matter is told by bits along the
-last axis, 32 cells a block, beside the number of the block's first record.
-Needs: none.
-"""
+# A sample then waits for one line of the cache instead of up to eight. Which cells hold matter is told by bits along
+# the last axis, 32 cells a block, beside the number of the block's first record.
 
 import warp as wp
 
@@ -48,9 +46,7 @@ def gather_densities(
     densities: wp.array2d(dtype=wp.float32),
 ):
     """Bits, first records and records of each column, one item per column; 0 where a corner has no row.
-
-    running_count: (columns,) inclusive scan of count_cells.
-    """
+    running_count: (columns,) inclusive scan of count_cells."""
     n = first + wp.tid()
     i = n // skip.shape[1]
     j = n % skip.shape[1]
@@ -96,10 +92,8 @@ def take_news(density: wp.array(dtype=wp.float32), kept: wp.array(dtype=wp.float
 def note_densities(
     first: int, density: wp.array(dtype=wp.float32), kept: wp.array(dtype=wp.float32), changed: wp.array(dtype=wp.int32)
 ):
-    """Keep the densities (rows,), COMPARED_VALUES an item; `changed` (1,) becomes 1 where one is news.
-
-    All items write the same number there.
-    """
+    """Keep the densities (rows,), COMPARED_VALUES an item; `changed` (1,) becomes 1 where one is news."""
     begin = (first + wp.tid()) * COMPARED_VALUES
     if take_news(density, kept, begin, wp.min(begin + COMPARED_VALUES, density.shape[0])) == 1:
+        # all items write the same number
         changed[0] = 1

@@ -1,17 +1,13 @@
-"""A sparse voxel grid in contracted space around a box: what lies between cameras and the box, and beyond it.
+"""A sparse voxel grid in contracted space around a box: what lies between cameras and the box, and beyond it."""
 
-In box units u (the box is [-1, 1]^3) with m = max |u_i| > 1, attained by coordinate a, a point goes to p_i = u_i / m
-for the others and p_a = sign(u_a) (2 - 1 / m): the region before each face of the box into a slab on that face (Reiser
-et al., "MeRF", SIGGRAPH 2023, its contraction function). In a region this map is projective: a straight ray stays
-straight, and is marched cell by cell like any ray. It is continuous at the faces of the box; where two regions meet, a
-ray goes on in another slab. Density is per unit of contracted length, so that a voxel stops as much light far away as
-nearby. Colours do not depend on direction.
-
-C = sum_k T_k (1 - exp(-sigma_k d_k)) c_k + T_end sky, as in field/render; the sky is a cube of colours at infinity
-(field/background). Node (i, j, k) of n^3 lies at
-p = (i, j, k) 4 / n + 2 / n - 2. Positions are relative to the middle of the box, in world units.
-Needs: field/background, field/grid, field/samples, view/rays.
-"""
+# In box units u (the box is [-1, 1]^3) with m = max |u_i| > 1, attained by coordinate a, a point goes to p_i = u_i / m
+# for the others and p_a = sign(u_a) (2 - 1 / m): the region before each face of the box into a slab on that face
+# (Reiser et al., "MeRF", SIGGRAPH 2023, its contraction function). In a region this map is projective: a straight ray
+# stays straight, and is marched cell by cell like any ray. It is continuous at the faces of the box; where two regions
+# meet, a ray goes on in another slab. Density is per unit of contracted length, so that a voxel stops as much light far
+# away as nearby. Colours do not depend on direction. C = sum_k T_k (1 - exp(-sigma_k d_k)) c_k + T_end sky, as in
+# field/march; the sky is a cube of colours at infinity (field/background). Node (i, j, k) of n^3 lies at
+# p = (i, j, k) 4 / n + 2 / n - 2. Positions are relative to the middle of the box, in world units.
 
 import warp as wp
 
@@ -102,10 +98,8 @@ def expanded(p: wp.vec3):
 
 @wp.func
 def region_span(o: wp.vec3, d: wp.vec3, region: int, begin: float, end: float):
-    """Distances between which a ray o + t d, box units, is in a region; none where the second is not above the first.
-
-    Neighbours share their borders to the bit, as their conditions are each other's negatives.
-    """
+    """Distances between which a ray o + t d, box units, is in a region; none where the second is not the larger."""
+    # neighbours share their borders to the bit, as their conditions are each other's negatives
     axis = region // 2
     sign = 2.0 * float(region % 2) - 1.0
     near = begin
@@ -294,13 +288,8 @@ def compose_outer(
     alpha: wp.array(dtype=wp.float32),
     light: wp.array(dtype=wp.float32),
 ):
-    """Put what is around the box before and behind a picture on black, (h * w,) all.
-
-    depth: distance of what the picture shows, inf where that is nothing: what is nearer goes before it. rgb, alpha: the
-    picture and its opacity, which become those that are seen. light: share that passes what is before it.
-
-    One thread per pixel, tile by tile.
-    """
+    """Put what is around the box before and behind a picture on black, (h * w,) all. depth: of what the picture shows,
+    inf where that is nothing; light: share that passes what is before it. One thread per pixel, tile by tile."""
     column, row = tile_pixel(first + wp.tid(), camera.width)
     if column < camera.width and row < camera.height:
         n = row * camera.width + column
@@ -340,11 +329,9 @@ def mark_outer_nodes(
     least: int,
     mask: wp.array3d(dtype=wp.uint8),
 ):
-    """1 at nodes (n, n, n) before the faces of the box, and next to there, that may hold matter; 0 elsewhere.
-
-    A node must be seen by a camera, and by `least` of them where one of them is nearer to it than `front` times its
-    distance to the middle of the box. It must be no nearer to any than `nearest`, world units.
-    """
+    """1 at nodes (n, n, n) before the faces of the box, and next to there, that may hold matter; 0 elsewhere."""
+    # A node must be seen by a camera, and by `least` of them where one of them is nearer to it than `front` times its
+    # distance to the middle of the box. It must be no nearer to any than `nearest`, world units.
     n = first + wp.tid()
     side = mask.shape[0]
     k = n % side

@@ -1,7 +1,4 @@
-"""Prune, dilate and refine the nodes of a sparse voxel grid.
-
-Needs: field/grid.
-"""
+"""Prune, dilate and refine the nodes of a sparse voxel grid."""
 
 import warp as wp
 
@@ -53,10 +50,8 @@ def keep_linked(first: int, links: wp.array3d(dtype=wp.int32), mask: wp.array3d(
 
 @wp.kernel
 def refine_mask(first: int, ratio: wp.vec3, source: wp.array3d(dtype=wp.uint8), mask: wp.array3d(dtype=wp.uint8)):
-    """Each finer voxel takes the value of the voxel that its centre lies in.
-
-    ratio: finer voxels per voxel, along each axis.
-    """
+    """Each finer voxel takes the value of the voxel that its centre lies in; ratio: finer voxels per voxel, along each
+    axis."""
     n = first + wp.tid()
     k = n % mask.shape[2]
     j = (n // mask.shape[2]) % mask.shape[1]
@@ -114,9 +109,7 @@ def resample_rows(
     sh: wp.array2d(dtype=wp.float32),
 ):
     """Values of fine nodes by trilinear interpolation among the coarse nodes that have rows (weights renormalised).
-
-    ratio: fine voxels per coarse one, along each axis.
-    """
+    ratio: fine voxels per coarse one, along each axis."""
     row = first + wp.tid()
     node = nodes[row]
     g = wp.vec3(float(node[0]), float(node[1]), float(node[2])) + wp.vec3(0.5, 0.5, 0.5)

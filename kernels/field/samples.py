@@ -1,9 +1,7 @@
-"""Samples along a ray through a sparse voxel grid, and the jump over its empty cells.
+"""Samples along a ray through a sparse voxel grid, and the jump over its empty cells."""
 
-Sample k of a ray lies at t_k = (k + 1/2) dt from its origin whatever box it enters, so that two marches over one space
-sample the same points. Empty cells are left by their distance to filled ones (field/skip).
-Needs: field/grid, view/rays.
-"""
+# Sample k of a ray lies at t_k = (k + 1/2) dt from its origin whatever box it enters, so that two marches over one
+# space sample the same points. Empty cells are left by their distance to filled ones (field/skip).
 
 import warp as wp
 

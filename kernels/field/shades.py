@@ -1,19 +1,17 @@
-"""What a camera sees of each voxel: its colour towards the camera and its optical depth, evaluated once per view.
+"""What a camera sees of each voxel: its colour towards the camera and its optical depth, evaluated once per view."""
 
-A march then reads eight numbers of 8 bytes a sample instead of eight rows of harmonics. Trilinear weights blend the
-directions to the eight nodes to the direction to the sample, but for the square of a voxel's angle from the camera, so
-that sum_i w_i c_i . Y(d_i) differs from (sum_i w_i c_i) . Y(d) by the change of c over a voxel times that angle.
-
-Needs: core/texels, field/columns, field/grid, field/harmonics, field/rows.
-"""
+# A march then reads eight numbers of 8 bytes a sample instead of eight rows of harmonics. Trilinear weights blend the
+# directions to the eight nodes to the direction to the sample, but for the square of a voxel's angle from the camera,
+# so that sum_i w_i c_i . Y(d_i) differs from (sum_i w_i c_i) . Y(d) by the change of c over a voxel times that angle.
 
 import warp as wp
 
+from ..core.native import native_source
 from ..core.texels import FOUR_HALVES
 from .columns import Columns
 from .grid import VoxelGrid, eight_rows
-from .harmonics import COLOUR_OF_ROW, sh_basis, vec16
-from .rows import OWN_ROW, STAGED_ROWS, cell_rows
+from .harmonics import sh_basis, vec16
+from .rows import cell_rows
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -28,32 +26,7 @@ class ShadedGrid:
     shades: wp.array2d(dtype=wp.uint32)  # (rows, words): red, green, blue less 0.5 and optical depth of a step
 
 
-@wp.func_native(
-    """
-    const int width = sh.shape[1];
-#if defined(__CUDA_ARCH__)
-"""
-    + OWN_ROW
-    + """    if (whole)
-    {
-        const float* c = own;
-        const int width = 24;
-"""
-    + COLOUR_OF_ROW
-    + """        return wp::vec_t<3, wp::float32>(red, green, blue);
-    }
-"""
-    + STAGED_ROWS
-    + """    const float* c = rows + lane * stride;
-#else
-    const float* c = sh.data + (size_t)row * width;
-#endif
-"""
-    + COLOUR_OF_ROW
-    + """
-    return wp::vec_t<3, wp::float32>(red, green, blue);
-"""
-)
+@wp.func_native(native_source(__file__, "shade_colour.h"))
 def shade_colour(sh: wp.array2d(dtype=wp.float32), row: wp.int32, basis: vec16) -> wp.vec3:
     """Harmonics of a row times a basis. All lanes, in blocks of at most 128 threads."""
     ...

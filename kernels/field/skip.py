@@ -1,8 +1,6 @@
-"""Distances that let a march jump over empty cells: an L-infinity (Chebyshev) distance transform of the occupied cells.
+"""Distances that let a march jump over empty cells: a Chebyshev (L-infinity) distance transform of occupied cells."""
 
-The transform is separable: along each axis in turn, d(i) = min over j of max(|i - j|, d(j)).
-Needs: none.
-"""
+# The transform is separable: along each axis in turn, d(i) = min over j of max(|i - j|, d(j)).
 
 import warp as wp
 
@@ -55,14 +53,12 @@ def note_signs(
     positive: wp.array(dtype=wp.uint8),
     changed: wp.array(dtype=wp.int32),
 ):
-    """Keep which densities (rows,) are above zero; `changed` (1,) becomes 1 where that is news.
-
-    All items write the same number there.
-    """
+    """Keep which densities (rows,) are above zero; `changed` (1,) becomes 1 where that is news."""
     n = first + wp.tid()
     value = wp.uint8(wp.where(density[n] > 0.0, 1, 0))
     if positive[n] != value:
         positive[n] = value
+        # all items write the same number
         changed[0] = 1
 
 

@@ -1,11 +1,9 @@
-"""Density and colour of a voxel grid with their derivatives by place and by direction.
+"""Density and colour of a voxel grid with their derivatives by place and by direction."""
 
-Between its nodes a trilinear value changes by the differences of its corners: with fractions f of a cell and the two
-factors 1 - f and f of an axis, the derivative by that axis has factors -1 and 1 in their stead. The harmonics of
-field/harmonics are polynomials in the components of a unit direction; their derivatives are taken by those, as if space
-were theirs, and what leads off the sphere is left to the caller.
-Needs: field/grid, field/harmonics.
-"""
+# Between its nodes a trilinear value changes by the differences of its corners: with fractions f of a cell and the two
+# factors 1 - f and f of an axis, the derivative by that axis has factors -1 and 1 in their stead. The harmonics of
+# field/harmonics are polynomials in the components of a unit direction; their derivatives are taken by those, as if
+# space were theirs, and what leads off the sphere is left to the caller.
 
 import warp as wp
 

@@ -1,8 +1,6 @@
-"""Tiles of the training images that see anything of a field.
+"""Tiles of the training images that see anything of a field."""
 
-A module of its own: on CUDA, fitting/loss is not compiled, as fitting/loss_warps takes its place.
-Needs: field/grid, field/samples, view/rays.
-"""
+# A module of its own: on CUDA, fitting/loss is not compiled, as fitting/loss_warps takes its place.
 
 import warp as wp
 
@@ -23,9 +21,7 @@ def mark_active_tiles(
     active: wp.array(dtype=wp.int32),
 ):
     """active: (tiles,) 1 where any pixel of a tile looks through a cell that holds values: the others have no gradient.
-
-    One item per tile. step: world units from one look at the grid to the next.
-    """
+    One item per tile. step: world units from one look at the grid to the next."""
     tile = first + wp.tid()
     width = cameras[0].width
     height = cameras[0].height

@@ -1,10 +1,8 @@
-"""Gradients of the photometric and total-variation losses by the values of background layers.
+"""Gradients of the photometric and total-variation losses by the values of background layers."""
 
-A ray's background is C = sum_l w_l c_l, w_l = T_l (1 - exp(-tau_l)); with g = dL/dC, dL/dc_l = w_l g and
-dL/dtau_l = T_{l+1} c_l . g - sum_{j>l} w_j c_j . g: the hand-written adjoint of fitting/loss with layers for samples
-(Plenoxels 2022, section 3.2). The total variation is over the neighbours on a cube's surface (Eq. 3).
-Needs: field/background, fitting/loss, fitting/pictures, fitting/rmsprop, view/rays.
-"""
+# A ray's background is C = sum_l w_l c_l, w_l = T_l (1 - exp(-tau_l)); with g = dL/dC, dL/dc_l = w_l g and
+# dL/dtau_l = T_{l+1} c_l . g - sum_{j>l} w_j c_j . g: the hand-written adjoint of fitting/loss with layers for samples
+# (Plenoxels 2022, section 3.2). The total variation is over the neighbours on a cube's surface (Eq. 3).
 
 import warp as wp
 
@@ -52,11 +50,9 @@ def compare_surroundings(
     scale: float,
     grad_behind: wp.array(dtype=wp.vec3),
 ):
-    """grad_behind: (rays,) scale * the gradient of sum over channels of (s C - S)^2 by the background C of a ray.
-
-    One item per ray. surroundings: (views, h, w) what masks split off a picture: S, its colour times its share s, and
-    s. The layers of such pictures are fitted to that alone, independently of the object.
-    """
+    """grad_behind: (rays,) scale * gradient of the sum over channels of (s C - S)^2 by the background C. One item per
+    ray. surroundings: (views, h, w) what masks split off a picture: S, its colour times its share s, and s."""
+    # The layers of such pictures are fitted to that alone, independently of the object.
     n = first + wp.tid()
     grad_behind[n] = wp.vec3(0.0, 0.0, 0.0)
     pixel = batch_pixel(rays, n)
@@ -78,11 +74,8 @@ def accumulate_background_gradient(
     grad_behind: wp.array(dtype=wp.vec3),
     grad_values: wp.array2d(dtype=wp.vec4),
 ):
-    """Adds the gradient of the loss by the layers' values.
-
-    One item per ray. grad_behind: (rays,) its gradient by each ray's background colour. grad_values: (layers, nodes).
-    Nodes are shared: on the CPU each thread needs grad_values of its own.
-    """
+    """Adds the gradient by the layers' values (layers, nodes), from that by each ray's background (rays,). One item per
+    ray. Nodes are shared: on the CPU each thread needs grad_values of its own."""
     n = first + wp.tid()
     pixel = batch_pixel(rays, n)
     grad_colour = grad_behind[n]
@@ -143,12 +136,10 @@ def accumulate_layer_variation(
     scale_depth: float,
     grad_values: wp.array2d(dtype=wp.vec4),
 ):
-    """Adds the gradient of scale_colour * TV(colours) + scale_depth * TV(optical depths) over a run of nodes.
-
-    One item per node, from first_node on. A node counts its differences to the next node along each axis on the cube's
-    surface, where a ray has met both (their moments, (layers, nodes), are not zero): what no ray met stays as it was.
-    Nodes are shared: on the CPU each thread needs grad_values of its own.
-    """
+    """Adds the gradient of scale_colour * TV(colours) + scale_depth * TV(optical depths). One item per node, from
+    first_node on. moments, grad_values: (layers, nodes); on the CPU each thread needs grad_values of its own."""
+    # A node counts its differences to the next node along each axis on the cube's surface, where a ray has met both
+    # (their moments are not zero): what no ray met stays as it was.
     count = layers.values.shape[1]
     n = (first_node + first + wp.tid()) % (count * layers.values.shape[0])
     layer = n // count

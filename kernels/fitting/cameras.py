@@ -1,13 +1,11 @@
-"""How the colours of rays change with their camera: what a fit refines cameras by.
+"""How the colours of rays change with their camera: what a fit refines cameras by."""
 
-Forward-mode derivatives of the march (Max 1995; the loss is that of BARF, Lin et al. 2021, and NeRF--, Wang et al.
-2021). With x_k = o + t_k d, optical depth s_k = sigma_k dt and A_k = sum_{j<k} ds_j, a ray's colour C = sum_k w_k c_k +
-T B changes by dC = sum_k [c_k (T_{k+1} ds_k - w_k A_k) + w_k dc_k] + T (dB - B A_end): one march, as there are few
-numbers by which a camera changes. They are seven: small turns about its axes (x right, y down, z forward), shifts along
-them in units of `reach`, and the logarithm of its focal length. A ray turns by d' = w x d, and by the focal length as
-the point (x / f, y / f, 1) of its picture does.
-Needs: field/grid, field/harmonics, field/samples, field/slopes, fitting/loss, fitting/pictures, view/rays.
-"""
+# Forward-mode derivatives of the march (Max 1995; the loss is that of BARF, Lin et al. 2021, and NeRF--, Wang et al.
+# 2021). With x_k = o + t_k d, optical depth s_k = sigma_k dt and A_k = sum_{j<k} ds_j, a ray's colour C = sum_k w_k c_k
+# + T B changes by dC = sum_k [c_k (T_{k+1} ds_k - w_k A_k) + w_k dc_k] + T (dB - B A_end): one march, as there are few
+# numbers by which a camera changes. They are seven: small turns about its axes (x right, y down, z forward), shifts
+# along them in units of `reach`, and the logarithm of its focal length. A ray turns by d' = w x d, and by the focal
+# length as the point (x / f, y / f, 1) of its picture does.
 
 import warp as wp
 
@@ -49,11 +47,8 @@ def draw_tiles(
     seed: int,
     drawn: wp.array(dtype=wp.int32),
 ):
-    """drawn: (views * count,) tiles of each view, drawn from those that count; its first one where none of it does.
-
-    One item per drawn tile. tiles: (n,) rising flat indices of those that count (fitting/loss). view_tiles:
-    (views + 1,) where those of each view begin. tiles_per_view: of a whole picture.
-    """
+    """drawn: (views * count,) tiles of each view, of those that count; its first one where none does. tiles:
+    (n,) flat indices of those that count, rising; view_tiles: (views + 1,) where each view's begin. One item each."""
     n = first + wp.tid()
     view = n // count
     begin = view_tiles[view]
@@ -100,13 +95,10 @@ def measure_camera_slopes(
     change: float,
     records: wp.array2d(dtype=wp.vec3),
 ):
-    """records: (rays, 11) what each ray of a batch misses its pixel by, and how that changes with its camera.
-
-    One item per ray. background, random_background, seed, step, stop: see accumulate_photometric_gradient of
-    fitting/loss. behind: (8, rays) colours behind the field, then those with one of the camera's seven numbers larger
-    by `change`. front: (8, rays) what is before it and the light that passes, likewise. Both are empty where there is
-    none. reach: world units of a shift by 1. A record is zero beyond the picture.
-    """
+    """records: (rays, 11) what a ray misses its pixel by, and how that changes with its camera; zero off the picture.
+    One item per ray. reach: world units of a shift by 1. The others: see fitting/loss."""
+    # behind: (8, rays) colours behind the field, then those with one of the camera's seven numbers larger by `change`.
+    # front: (8, rays) what is before it and the light that passes, likewise. Both are empty where there is none.
     n = first + wp.tid()
     for number in range(RECORD):
         records[n, number] = wp.vec3()
@@ -204,11 +196,9 @@ def measure_camera_slopes(
 
 @wp.func
 def exposure_sum(records: wp.array2d(dtype=wp.vec3), n: int, number: int):
-    """A ray's part of one of the fifteen sums that tell its picture's exposure.
-
-    For each channel x x, x a, a a, x y and a y, of the colour x that the field has, y that the picture has, and its
-    opacity a.
-    """
+    """A ray's part of one of the fifteen sums that tell its picture's exposure."""
+    # For each channel x x, x a, a a, x y and a y, of the colour x that the field has, y that the picture has, and its
+    # opacity a.
     channel = number // 5
     which = number % 5
     x = records[n, PREDICTED][channel]
@@ -223,12 +213,10 @@ def exposure_sum(records: wp.array2d(dtype=wp.vec3), n: int, number: int):
 def sum_camera_slopes(
     first: int, records: wp.array2d(dtype=wp.vec3), run: int, outlier: float, sums: wp.array2d(dtype=wp.float32)
 ):
-    """sums: (runs, 51) over each run of rays, which are all of one camera: what its next step follows from.
-
-    One item per sum. records: (runs * run, 11) of measure_camera_slopes. The upper triangle of J^T J, row after row;
-    J^T e; the fifteen of exposure_sum; e^T e. Each ray counts by 1 / (1 + |e|^2 / outlier^2)^2, the weight of Geman and
-    McClure: what the field does not show yet says nothing of the camera.
-    """
+    """sums: (runs, 51) over each run of rays, all of one camera. One item per sum. records: (runs * run, 11).
+    The upper triangle of J^T J, row after row; J^T e; the fifteen of exposure_sum; e^T e."""
+    # Each ray counts by 1 / (1 + |e|^2 / outlier^2)^2, the weight of Geman and McClure: what the field does not show
+    # yet says nothing of the camera.
     item = first + wp.tid()
     place = item // CAMERA_SUMS
     number = item % CAMERA_SUMS

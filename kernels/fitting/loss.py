@@ -1,11 +1,9 @@
-"""Gradient of the photometric loss by the density and SH numbers of a voxel grid.
+"""Gradient of the photometric loss by the density and SH numbers of a voxel grid."""
 
-Mean over pixels and channels of (C - C*)^2, C the mean of a pixel's sub-rays. With g = dL/dC, w_k = T_k alpha_k and the
-background as the last sample, dL/dc_k = w_k g and dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): the
-hand-written adjoint of the march as a second march (Plenoxels 2022, section 3.2; a tape cannot unroll a loop of unknown
-length). Rows are those of 24 numbers (field/harmonics).
-Needs: field/grid, field/harmonics, field/samples, fitting/pictures, fitting/shuffle, view/rays.
-"""
+# Mean over pixels and channels of (C - C*)^2, C the mean of a pixel's sub-rays. With g = dL/dC, w_k = T_k alpha_k and
+# the background as the last sample, dL/dc_k = w_k g and dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): the
+# hand-written adjoint of the march as a second march (Plenoxels 2022, section 3.2; a tape cannot unroll a loop of
+# unknown length). Rows are those of 24 numbers (field/harmonics).
 
 import warp as wp
 
@@ -156,15 +154,13 @@ def accumulate_photometric_gradient(
     grad_background: wp.array(dtype=wp.vec3),
     grad_front: wp.array(dtype=wp.vec4),
 ):
-    """Adds scale * d(sum over channels of (C - C*)^2) for each pixel of a batch. squared_error: (pixels,) that sum.
-
-    One item per pixel. random_background: 1 puts a random colour behind both the image's alpha and the render of each
-    pixel, so that opacity is supervised too; 0 takes `background` for all. own_background: (pixels,) a colour for each
-    pixel instead, whose gradient goes to grad_background (pixels,). front: (pixels,) the colour of what is before the
-    grid and the light that passes it, whose gradients go to grad_front (pixels,). Empty where there is none. stop:
-    transmittance at which a march ends. grad_density: (rows,). grad_sh: (rows, 24). Rows are shared: this kernel is for
-    CPU threads that have gradients of their own.
-    """
+    """Adds scale * d(sum over channels of (C - C*)^2) for each pixel of a batch; squared_error: (pixels,) that sum.
+    One item per pixel. Rows are shared: for CPU threads that have gradients (rows,), (rows, 24) of their own."""
+    # random_background: 1 puts a random colour behind both the image's alpha and the render of each pixel, so that
+    # opacity is supervised too; 0 takes `background` for all. own_background: (pixels,) a colour for each pixel
+    # instead, whose gradient goes to grad_background. front: (pixels,) the colour before the grid and the light that
+    # passes it, whose gradients go to grad_front. Both are empty where there is none. stop: transmittance at which a
+    # march ends.
     n = first + wp.tid()
     squared_error[n] = 0.0
     has_background = own_background.shape[0] > 0

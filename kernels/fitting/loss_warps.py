@@ -1,12 +1,10 @@
-"""The photometric gradient of fitting/loss, for CUDA: one warp per ray, one lane per coefficient.
+"""The photometric gradient of fitting/loss, for CUDA: one warp per ray, one lane per coefficient."""
 
-The sums are those of accumulate_photometric_gradient there, which documents them. The densities of 32 successive
-samples are looked up at once, one per lane. Then the samples that hold matter are taken one by one: 24 neighbouring
-lanes read the 24 coefficients of a voxel, so that a voxel's row is one run of memory instead of 24 scattered numbers.
-(Lanes for coefficients: Plenoxels 2022, in its CUDA code.) What a sample was found to weigh and to show is kept for the
-adjoint, which then reads no density and no colour again; a sub-ray for which there is no room left marches twice.
-Needs: core/lanes, core/warp_memory, field/grid, field/harmonics, field/samples, fitting/loss, fitting/rmsprop.
-"""
+# The sums are those of accumulate_photometric_gradient. The densities of 32 successive samples are looked up at once,
+# one per lane. Then the samples that hold matter are taken one by one: 24 neighbouring lanes read the 24 coefficients
+# of a voxel, so that a voxel's row is one run of memory instead of 24 scattered numbers. (Lanes for coefficients:
+# Plenoxels 2022, in its CUDA code.) What a sample was found to weigh and to show is kept for the adjoint, which then
+# reads no density and no colour again; a sub-ray for which there is no room left marches twice.
 
 import warp as wp
 
@@ -149,10 +147,7 @@ def accumulate_photometric_gradient_by_warps(
     grad_front: wp.array(dtype=wp.vec4),
 ):
     """As accumulate_photometric_gradient of fitting/loss, with 32 items per pixel, in blocks of at most 128.
-
-    gradients: (25 rows,) of fitting/rmsprop. touched: (rows,)
-    set to 1 where there is a gradient.
-    """
+    gradients: (25 rows,) of fitting/rmsprop. touched: (rows,) set to 1 where there is a gradient."""
     item = first + wp.tid()
     n = item // LANES
     lane = item % LANES

@@ -1,14 +1,13 @@
-"""Gradients of the photometric loss and of the total variation by the values of an outer grid, and their steps.
+"""Gradients of the photometric loss and of the total variation by the values of an outer grid, and their steps."""
 
-A pixel is C = F + T_F (inner), inner = ... + T B: the front F and the light T_F that passes it, and the back B, are
-marches through field/outer, before and after the inner grid's. With the loss's gradients by F, T_F and B, a sample of
-weight w_k = T_k alpha_k gets dL/dc_k = w_k g and dL/dsigma_k = d_k (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g - r), where
-r is what the end of its march adds: T_F dL/dT_F in front, T sky . g behind. The adjoint of fitting/loss in two parts.
-
-Opaque voxels hide the sky, which then learns nothing, and shows as it began wherever a new view looks past them. So it
-also follows B, by a loss by_sky / 2 * T_F T |sky - B|^2 of the sky alone, T the light that passes the box.
-Needs: field/background, field/grid, field/outer, field/samples, fitting/loss, fitting/rmsprop, view/rays.
-"""
+# A pixel is C = F + T_F (inner), inner = ... + T B: the front F and the light T_F that passes it, and the back B, are
+# marches through field/outer, before and after the inner grid's. With the loss's gradients by F, T_F and B, a sample of
+# weight w_k = T_k alpha_k gets dL/dc_k = w_k g and dL/dsigma_k = d_k (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g - r),
+# where r is what the end of its march adds: T_F dL/dT_F in front, T sky . g behind. The adjoint of fitting/loss in two
+# parts.
+#
+# Opaque voxels hide the sky, which then learns nothing, and shows as it began wherever a new view looks past them. So
+# it also follows B, by a loss by_sky / 2 * T_F T |sky - B|^2 of the sky alone, T the light that passes the box.
 
 import warp as wp
 
@@ -41,10 +40,8 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 def gather_outer(
     first: int, outer: OuterGrid, rays: TrainingRays, front: wp.array(dtype=wp.vec4), behind: wp.array(dtype=wp.vec3)
 ):
-    """What is before and behind the box for each ray of a batch.
-
-    One item per ray. front: (rays,) colour, and the light that passes. behind: (rays,) colour, the sky included.
-    """
+    """What is before the box, (rays,) colour and the light that passes, and behind it, (rays,) colour with the sky.
+    One item per ray."""
     n = first + wp.tid()
     pixel = batch_pixel(rays, n)
     if in_picture(rays, pixel):
@@ -71,10 +68,8 @@ def add_outer_gradient(
     total: float,
     grad_values: wp.array(dtype=wp.vec4),
 ):
-    """Adjoint of march_outer. total: colour . its gradient, and light that is left times its own gradient.
-
-    Returns the light that is left.
-    """
+    """Adjoint of march_outer; returns the light that is left.
+    total: colour . its gradient, and light that is left times its own gradient."""
     later = float(total)
     light = float(1.0)
     path = outer_path(outer, origin, direction, begin, end)
@@ -125,12 +120,11 @@ def accumulate_outer_gradient(
     grad_values: wp.array(dtype=wp.vec4),
     grad_sky: wp.array2d(dtype=wp.vec4),
 ):
-    """Adds the gradient of the loss by the values of the grid and the sky, of by_front * opacity of the front, and of
-    by_sky / 2 * (light that reaches what is behind the box) * |sky - what is behind the box|^2 by the sky.
-
-    One item per ray. front, behind: (rays,) of gather_outer, grad_front and grad_behind the loss's gradients by them.
-    grad_values: (rows,), grad_sky: (1, nodes). They are shared: on the CPU each thread needs its own.
-    """
+    """Adds the gradient by the values of the grid (rows,) and of the sky (1, nodes). One item per ray. front, behind:
+    (rays,) of gather_outer. What it adds to is shared: on the CPU each thread needs its own."""
+    # Of the loss, whose gradients by front and behind are grad_front and grad_behind, of by_front * opacity of the
+    # front, and of by_sky / 2 * (light that reaches what is behind the box) * |sky - what is behind the box|^2 by the
+    # sky.
     n = first + wp.tid()
     pixel = batch_pixel(rays, n)
     if not in_picture(rays, pixel):
@@ -224,10 +218,7 @@ def record_outer_weights(
     weights: wp.array(dtype=wp.float32),
 ):
     """Largest rendering weight that any ray gives to each node's row (rows,), behind what the inner grid holds.
-
-    Every pixel_stride-th row and column of every camera. step: of the march through the inner grid, world units. Rays
-    share rows: on the CPU each thread needs its own `weights`, which are joined by maximum.
-    """
+    One item per ray of every pixel_stride-th row and column. Rays share rows: on the CPU each thread needs its own."""
     n = first + wp.tid()
     per_row = (cameras[0].width + pixel_stride - 1) // pixel_stride
     per_view = per_row * ((cameras[0].height + pixel_stride - 1) // pixel_stride)
@@ -254,12 +245,10 @@ def accumulate_outer_variation(
     scale_density: float,
     grad_values: wp.array(dtype=wp.vec4),
 ):
-    """Adds the gradient of scale_colour * TV(colours) + scale_density * TV(densities) over a run of rows.
-
-    One item per row, from first_row on; sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences, those to nodes without a
-    row counting as zero (fitting/variation). nodes: (rows,) grid indices. Rows are shared with neighbours: on the CPU
-    each thread needs grad_values of its own.
-    """
+    """Adds the gradient of scale_colour * TV(colours) + scale_density * TV(densities). One item per row, from first_row
+    on. nodes: (rows,) grid indices. Neighbours share rows: on the CPU each thread needs grad_values of its own."""
+    # sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences, those to nodes without a row counting as zero
+    # (fitting/variation).
     row = (first_row + first + wp.tid()) % nodes.shape[0]
     node = nodes[row]
     value = outer.values[row]
@@ -296,10 +285,8 @@ def apply_outer_rmsprop(
     moments: wp.array(dtype=wp.vec4),
     values: wp.array(dtype=wp.vec4),
 ):
-    """Step of RMSProp where the gradient is not zero, which is cleared. One item per row.
-
-    Colours stay within [0, 1], where they are saved: cut at the end, they would no longer be those that were fitted.
-    """
+    """Step of RMSProp where the gradient is not zero, which is cleared. One item per row."""
+    # Colours stay within [0, 1], where they are saved: cut at the end, they would no longer be those that were fitted.
     row = first + wp.tid()
     gradient = gradients[row]
     if wp.length_sq(gradient) == 0.0:

@@ -1,7 +1,4 @@
-"""Pictures of four numbers per pixel, in 16 or 8 bits each: what the losses compare with.
-
-Needs: none.
-"""
+"""Pictures of four numbers per pixel, in 16 or 8 bits each: what the losses compare with."""
 
 import warp as wp
 

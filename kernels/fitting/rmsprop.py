@@ -1,10 +1,8 @@
-"""Optimiser step of a voxel field: RMSProp on the values that a gradient touched.
+"""Optimiser step of a voxel field: RMSProp on the values that a gradient touched."""
 
-v <- beta v + (1 - beta) g^2 (v = g^2 at the first touch), x <- x - rate g / (sqrt(v) + eps): Tieleman and Hinton 2012,
-with the start of Plenoxels' optimiser. One item for four numbers of a row, which are read and written at once, and one
-for its density.
-Needs: field/harmonics.
-"""
+# v <- beta v + (1 - beta) g^2 (v = g^2 at the first touch), x <- x - rate g / (sqrt(v) + eps): Tieleman and Hinton
+# 2012, with the start of Plenoxels' optimiser. One item for four numbers of a row, which are read and written at once,
+# and one for its density.
 
 import warp as wp
 
@@ -66,13 +64,10 @@ def apply_rmsprop(
     density: wp.array(dtype=wp.float32),
     sh: wp.array2d(dtype=wp.vec4),
 ):
-    """Step where the gradient is not zero, and clear the gradient for the next batch.
-
-    ROW_PARTS items per row. touched: (rows,) 1 where any gradient may be. grad_density, moments_density, density:
-    (rows,), the last per world unit. grad_sh, moments_sh, sh: (rows, 6) of four numbers; they step by the one of
-    rates_sh that is for their degree. Moments have 8 bits of mantissa: they only scale steps, and a share of 1 - beta
-    moves them by more than a last bit.
-    """
+    """Step where the gradient is not zero, and clear the gradient for the next batch. ROW_PARTS items per row.
+    touched: (rows,) 1 where any gradient may be. Densities: (rows,), per world unit; sh: (rows, 6) of four numbers."""
+    # Numbers of sh step by the one of rates_sh that is for their degree. Moments have 8 bits of mantissa: they only
+    # scale steps, and a share of 1 - beta moves them by more than a last bit.
     n = first + wp.tid()
     row = n // ROW_PARTS
     part = n % ROW_PARTS
@@ -132,12 +127,8 @@ def gather_moments(
     kept_density: wp.array(dtype=wp.bfloat16),
     kept_sh: wp.array2d(dtype=four_bfloats),
 ):
-    """Moments of the nodes that stay, from the rows that `links` gave them before.
-
-    ROW_PARTS items per row. links: (nx, ny, nz) row of each node, or -1. nodes: (rows,) grid indices of the rows that
-    stay. moments_density, moments_sh: of the rows before, (rows before,) and (rows before, 6); kept_density, kept_sh:
-    (rows,) and (rows, 6).
-    """
+    """Moments of the nodes (rows,) that stay, from the rows that `links` (nx, ny, nz) gave them before, -1 for none.
+    ROW_PARTS items per row. Moments of densities (rows,), of sh (rows, 6), before and after."""
     n = first + wp.tid()
     row = n // ROW_PARTS
     part = n % ROW_PARTS

@@ -1,11 +1,9 @@
-"""A shuffled order of any number of items, without a table.
+"""A shuffled order of any number of items, without a table."""
 
-A Feistel network is a bijection of the numbers below a power of four whatever its round function is (Luby and Rackoff
-1988). Walked along its cycle until it lands below `count`, it is one of the numbers below `count` (Black and Rogaway
-2002, "Ciphers with arbitrary finite domains"). The power is below 4 count, so that a walk takes four turns on average
-at most. The rounds mix as the finaliser of MurmurHash3 does (Appleby 2011).
-Needs: none.
-"""
+# A Feistel network is a bijection of the numbers below a power of four whatever its round function is (Luby and Rackoff
+# 1988). Walked along its cycle until it lands below `count`, it is one of the numbers below `count` (Black and Rogaway
+# 2002, "Ciphers with arbitrary finite domains"). The power is below 4 count, so that a walk takes four turns on average
+# at most. The rounds mix as the finaliser of MurmurHash3 does (Appleby 2011).
 
 import warp as wp
 

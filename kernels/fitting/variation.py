@@ -1,8 +1,7 @@
-"""Gradient of the total variation of a voxel field's density and SH coefficients.
+"""Gradient of the total variation of a voxel field's density and SH coefficients."""
 
-Per node and number sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences (Plenoxels 2022, Eq. 3).
-Needs: field/grid, fitting/rmsprop.
-"""
+# Per node and number sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences (Plenoxels 2022, Eq. 3). The difference to a
+# node without a row counts as zero.
 
 import warp as wp
 
@@ -36,14 +35,11 @@ def accumulate_variation_gradient(
     gradients: wp.array(dtype=wp.float32),
     touched: wp.array(dtype=wp.uint8),
 ):
-    """Adds the gradient of a sum of total variations over a run of rows: scale_density * TV(density / density_unit),
-    scale_sh * TV(sh) of degrees 0 and 1 and scale_high_degree * TV(sh) of degrees 2 and 3.
-
-    GRADIENT_ROW items per row, one per number, so that neighbouring threads read neighbouring numbers. nodes: (rows,)
-    grid indices of each row. first_row: where the run begins; it goes on at row 0 after the last one. gradients:
-    (25 rows,) of fitting/rmsprop. touched: (rows,) set to 1 where there is a gradient. The difference to a node without
-    a row counts as zero. Rows are shared with neighbours: on the CPU each thread needs gradients of its own.
-    """
+    """Adds the gradient of a sum of total variations over a run of rows. GRADIENT_ROW items per row, one per number.
+    nodes: (rows,) grid indices. Rows are shared with neighbours: on the CPU each thread needs gradients of its own."""
+    # scale_density * TV(density / density_unit), scale_sh * TV(sh) of degrees 0 and 1 and scale_high_degree * TV(sh) of
+    # degrees 2 and 3. Neighbouring threads read neighbouring numbers. The run begins at first_row, and goes on at row 0
+    # after the last one. gradients: (25 rows,) of fitting/rmsprop. touched: (rows,) set to 1 where there is a gradient.
     n = first + wp.tid()
     number = n % GRADIENT_ROW
     row = (first_row + n // GRADIENT_ROW) % nodes.shape[0]

@@ -1,7 +1,4 @@
-"""Visual hull: the voxels that no silhouette shows as empty (Laurentini 1994), and those that enough cameras see.
-
-Needs: view/rays.
-"""
+"""Visual hull: the voxels that no silhouette shows as empty (Laurentini 1994), and those that enough cameras see."""
 
 import warp as wp
 
@@ -15,10 +12,8 @@ BEYOND_SPREAD = wp.constant(3.0)
 
 @wp.kernel
 def sum_rows(first: int, opaque: wp.array3d(dtype=wp.uint8), sums: wp.array3d(dtype=wp.int32)):
-    """Running sums along each image row: sums[v, y + 1, x + 1] = opaque[v, y, 0] + .. + opaque[v, y, x].
-
-    One item per row. opaque: (views, h, w) 0 or 1; sums: (views, h + 1, w + 1), zero before.
-    """
+    """Running sums along each image row, sums[v, y + 1, x + 1] = opaque[v, y, 0] + .. + opaque[v, y, x]. One item per
+    row. opaque: (views, h, w) 0 or 1; sums: (views, h + 1, w + 1), zero before."""
     n = first + wp.tid()
     view = n // opaque.shape[1]
     y = n % opaque.shape[1]
@@ -50,14 +45,12 @@ def carve_visual_hull(
     bounded: wp.array(dtype=wp.int32),
     mask: wp.array3d(dtype=wp.uint8),
 ):
-    """mask: 1 where no image shows a node's voxel as transparent (Laurentini 1994, conservative in the voxel's extent).
-
-    One item per node. lower: position of the first voxel's centre. opaque_sums: (views, h + 1, w + 1) summed-area
-    tables of the opaque pixels. bounded: (views,) 1 where the silhouette keeps clear of the image's border, so that
-    everything beyond the image is transparent too. Where it touches the border, a voxel beyond it is carved if nothing
-    is opaque along the border within BEYOND_SPREAD times its distance from the image: silhouettes are assumed to widen
-    no faster than that. A voxel that no image sees is carved.
-    """
+    """mask: 1 where no image shows a node's voxel as transparent. One item per node. lower: centre of the first voxel.
+    opaque_sums: (views, h + 1, w + 1) summed-area tables of the opaque pixels."""
+    # Laurentini 1994, conservative in the voxel's extent. bounded: (views,) 1 where the silhouette keeps clear of the
+    # image's border, so that everything beyond the image is transparent too. Where it touches the border, a voxel
+    # beyond it is carved if nothing is opaque along the border within BEYOND_SPREAD times its distance from the image:
+    # silhouettes are assumed to widen no faster than that. A voxel that no image sees is carved.
     n = first + wp.tid()
     k = n % mask.shape[2]
     j = (n // mask.shape[2]) % mask.shape[1]

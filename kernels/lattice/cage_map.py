@@ -1,15 +1,14 @@
-"""Canonical position map of a cage on a lattice, and its look-up at arbitrary points.
+"""Canonical position map of a cage on a lattice, and its look-up at arbitrary points."""
 
-The map x -> sum_j w_j(x) v_j from deformed to canonical space (Joshi et al. 2007, section 3; "Deforming Radiance Fields
-with Cages", ECCV 2022, section 4.1) is stored at nodes and interpolated trilinearly. It is linear in the weights, so
-interpolating positions is the same as interpolating weights and summing afterwards.
-
-Node (i, j, k) lies at lower + (i, j, k) * spacing, in world units relative to any origin that the caller keeps to.
-`distance` is the signed distance to the cage the lattice is built on, negative inside, exact at nodes nearer than
-4 * spacing and clamped to that elsewhere. `positions` hold at inside nodes and at the rings of nodes around them that
-look-up near the cage takes in. Cells at narrow gaps of the cage have corner values for each side (see side_values.py).
-Needs: none.
-"""
+# The map x -> sum_j w_j(x) v_j from deformed to canonical space (Joshi et al. 2007, section 3; "Deforming Radiance
+# Fields with Cages", ECCV 2022, section 4.1) is stored at nodes and interpolated trilinearly. It is linear in the
+# weights, so interpolating positions is the same as interpolating weights and summing afterwards.
+#
+# Node (i, j, k) lies at lower + (i, j, k) * spacing, in world units relative to any origin that the caller keeps to.
+# `distance` is the signed distance to the cage the lattice is built on, negative inside, exact at nodes nearer than 4 *
+# spacing and clamped to that elsewhere. `positions` hold at inside nodes and at the rings of nodes around them that
+# look-up near the cage takes in. Cells at narrow gaps of the cage have corner values for each side (see
+# side_values.py).
 
 import warp as wp
 
@@ -73,10 +72,8 @@ def cell_sides(cage_map: CageMap, i: int, j: int, k: int):
 
 @wp.func(inline=False)  # rare
 def side_position(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3):
-    """Canonical position at a place in a cell with an entry that is not 0: of the side that the place is on.
-
-    Of a CageMap it takes the table alone: the whole struct would be copied to the stack of every thread.
-    """
+    """Canonical position at a place in a cell with an entry that is not 0: of the side that the place is on."""
+    # Of a CageMap it takes the table alone: the whole struct would be copied to the stack of every thread.
     lowest = float(1.0e30)
     position = wp.vec3(0.0, 0.0, 0.0)
     for side in range(entry % 8):

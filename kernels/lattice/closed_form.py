@@ -1,13 +1,11 @@
-"""Mean value and Green maps at the listed nodes of a lattice.
+"""Mean value and Green maps at the listed nodes of a lattice."""
 
-Cage vertices are in node units (see crossings.py) relative to the middle of the lattice, so that float32 keeps most
-digits where the cage is; `size` is the cage's size in them.
-
-Both maps are harmonic or nearly so, and smooth at CLEARANCE cells from the cage and more: there they are evaluated at
-every second node along each axis, and the others take the polynomial of degree five through three nodes either side,
-axis after axis. That errs by 1e-6 of the size in poses that bend or twist, by 4e-5 in wild ones.
-Needs: coordinates/green, coordinates/mean_value, lattice/cut_rows, lattice/gap_sides, lattice/nodes.
-"""
+# Cage vertices are in node units (see crossings.py) relative to the middle of the lattice, so that float32 keeps most
+# digits where the cage is; `size` is the cage's size in them.
+#
+# Both maps are harmonic or nearly so, and smooth at CLEARANCE cells from the cage and more: there they are evaluated at
+# every second node along each axis, and the others take the polynomial of degree five through three nodes either side,
+# axis after axis. That errs by 1e-6 of the size in poses that bend or twist, by 4e-5 in wild ones.
 
 import warp as wp
 
@@ -99,12 +97,10 @@ def stretch_normals(
     values: wp.array(dtype=wp.vec3),
 ):
     """values (f,): what psi in node units multiplies for the remainder of a map after its affine part A x + b, as a
-    share of the rest cage's size: stretched normals of the rest cage less A n, as x = sum phi v + sum psi n.
-
-    rest_normals: unit normals; rest_products: |s|^2, s.t, |t|^2 of the edges from the first corner of each face, over
-    the rest cage's size squared; affine: as in add_affine. Stretch (Lipman et al. 2008, 3-D) from a face of area A with
-    edges u, v: sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A).
-    """
+    share of the rest cage's size: stretched normals of the rest cage less A n, as x = sum phi v + sum psi n."""
+    # rest_normals: unit normals; rest_products: |s|^2, s.t, |t|^2 of the edges from the first corner of each face, over
+    # the rest cage's size squared; affine: as in add_affine. Stretch (Lipman et al. 2008, 3-D) from a face of area A
+    # with edges u, v: sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A).
     f = first + wp.tid()
     face = faces[f]
     u = vertices[face[1]] - vertices[face[0]]

@@ -1,13 +1,11 @@
-"""Where the lines of a lattice cross a triangle cage: inside / outside of nodes, and fractions of cut grid edges.
+"""Where the lines of a lattice cross a triangle cage: inside / outside of nodes, and fractions of cut grid edges."""
 
-A lattice has nodes at integer coordinates 0 .. shape - 1 ("node units"); cage vertices (v,) vec3 are given in the same
-units. Lines run along the three axes through the nodes; each keeps its crossings with the cage in order, reduced to
-those where the winding number turns from 0 to above 0 or back, so even places enter the inside and odd ones leave it.
-Whether a line passes through a face is decided by edge functions in float64, of float32 input and with vertices in one
-order for both faces of an edge: products are exact, so neighbouring faces agree and closed cages have no leaks (compare
-Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", JCGT 2013).
-Needs: core/lanes.
-"""
+# A lattice has nodes at integer coordinates 0 .. shape - 1 ("node units"); cage vertices (v,) vec3 are given in the
+# same units. Lines run along the three axes through the nodes; each keeps its crossings with the cage in order, reduced
+# to those where the winding number turns from 0 to above 0 or back, so even places enter the inside and odd ones leave
+# it. Whether a line passes through a face is decided by edge functions in float64, of float32 input and with vertices
+# in one order for both faces of an edge: products are exact, so neighbouring faces agree and closed cages have no leaks
+# (compare Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", JCGT 2013).
 
 import warp as wp
 
@@ -205,12 +203,9 @@ def cross_lines(
     crossings: LineCrossings,
     overflow: wp.array(dtype=int),
 ):
-    """Crossings of all lines of a lattice with a cage.
-
-    A group of lanes takes a run of RUN neighbouring lines: the lanes look at as many faces at once, and then each at
-    its own lines where these faces may meet them. overflow (1,) becomes the crossings a line would need where they are
-    more than the capacity.
-    """
+    """Crossings of all lines of a lattice with a cage. A group of lanes takes a run of RUN neighbouring lines.
+    overflow (1,) becomes the crossings a line would need where they are more than the capacity."""
+    # The lanes look at as many faces at once, and then each at its own lines where these faces may meet them.
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes

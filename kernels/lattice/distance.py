@@ -1,11 +1,9 @@
-"""Signed distance to a cage on the nodes of a lattice: exact in a narrow band, clamped outside it.
+"""Signed distance to a cage on the nodes of a lattice: exact in a narrow band, clamped outside it."""
 
-The sign comes from the crossings of lattice lines with the cage, so it is exact at nodes; the size is the distance to
-the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. Which octants of a block
-are CLEARANCE cells and more from the cage is kept as well. A cage of many faces has them looked through for groups of
-blocks first, by their bounding boxes. Units: node units (see crossings.py) for vertices, world units for the result.
-Needs: core/lanes, lattice/crossings, mesh/containment.
-"""
+# The sign comes from the crossings of lattice lines with the cage, so it is exact at nodes; the size is the distance to
+# the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. Which octants of a block
+# are CLEARANCE cells and more from the cage is kept as well. A cage of many faces has them looked through for groups of
+# blocks first, by their bounding boxes. Units: node units (see crossings.py) for vertices, world units for the result.
 
 import warp as wp
 
@@ -206,11 +204,11 @@ def list_block_faces(
     near: wp.array2d(dtype=int),
     clear_octants: wp.array(dtype=int),
 ):
-    """shapes: as in LineCrossings. boxes: see box_faces; group_side, candidates: see find_candidates; both empty where
-    every block looks at all faces. near (blocks, m): faces within BAND cells of a block's nodes, ascending; counts
-    (blocks,): how many, also beyond m;
-    clear_octants (blocks,): bit o is set where the nodes of octant o are at least CLEARANCE cells from the cage; bits
-    0, 1, 2 of o: its upper half along the axes. One group of lanes per block, one lane per face."""
+    """near (blocks, m): faces within BAND cells of a block's nodes, ascending; counts (blocks,): how many, also beyond
+    m. One group of lanes per block, one lane per face."""
+    # clear_octants (blocks,): bit o is set where the nodes of octant o are at least CLEARANCE cells from the cage; bits
+    # 0, 1, 2 of o: its upper half along the axes. shapes: as in LineCrossings. boxes: see box_faces; group_side,
+    # candidates: see find_candidates; both empty where every block looks at all faces.
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes

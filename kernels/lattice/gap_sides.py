@@ -1,11 +1,10 @@
-"""Sides of the lattice cells at narrow gaps of a cage, as rows of a table.
+"""Sides of the lattice cells at narrow gaps of a cage, as rows of a table."""
 
-A side is a set of inside corners of a cell joined by links that do not cross the cage, of the cell or one layer behind
-a face of it. A cell may hold a tip of the cage without a corner inside it: besides its own it has the sides of the six
-neighbouring cells that have no inside corner in common with it. Cells are marked, their sides counted column by column,
-summed up and written; what the rows hold is in side_values.py. Cells have the number of their first corner.
-Needs: core/lanes, lattice/cut_rows, lattice/nodes, lattice/rings.
-"""
+# A side is a set of inside corners of a cell joined by links that do not cross the cage, of the cell or one layer
+# behind a face of it. A cell may hold a tip of the cage without a corner inside it: besides its own it has the sides of
+# the six neighbouring cells that have no inside corner in common with it. Cells are marked, their sides counted column
+# by column, summed up and written; what the rows hold is in side_values.py. Cells have the number of their first
+# corner.
 
 import warp as wp
 
@@ -284,12 +283,9 @@ def list_column_sides(
     side_masks: wp.array(dtype=int),
 ):
     """side_index: from what count_column_sides leaves to 8 * first row + number of sides of each cell, 0 where it has
-    none; side_cells, side_masks: cell and corners of each row. Nothing is written where the table is longer than
-    they are. One group of lanes per column, one lane per cell.
-
-    Rows hold the cell whose corners make the side; above the corners' bits stands 1 plus the direction in which that
-    cell lies, where it is not the one that gets the side.
-    """
+    none; side_cells, side_masks: cell and corners of each row. One group of lanes per column, one lane per cell."""
+    # Nothing is written where the table is longer than they are. Rows hold the cell whose corners make the side; above
+    # the corners' bits stands 1 plus the direction in which that cell lies, where it is not the one that gets the side.
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes

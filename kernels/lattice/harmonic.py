@@ -1,21 +1,20 @@
-"""Multigrid for the Laplace equation inside a cage: three channels at a time, on lists of inside nodes.
+"""Multigrid for the Laplace equation inside a cage: three channels at a time, on lists of inside nodes."""
 
-V-cycles of red-black Gauss-Seidel, full weighting and trilinear prolongation (Brandt 1977; Briggs, Henson and
-McCormick, "A Multigrid Tutorial") for the rows of cut_rows.py. On level l the row at node 0 is
-
-    sum over uncut links u_k - d u_0 + b = 0,    d = 6, or the sum of 1 / theta at a cut node
-
-with b the boundary values' sources on level 0 and 4 times the restricted residual on coarser ones (the spacing
-doubles), where the boundary values of the correction are zero. A sweep is red nodes, then black ones, whose residual it
-leaves zero. So only red residuals are restricted, and as the next sweep sets red values anew, only black ones need the
-correction, and the residuals can lie in the red values' place meanwhile. On coarser levels, which begin at zero, the
-first half sweep is load / d. The half sweep that ends a cycle begins the next one: what it changes is the residual.
-
-values (nodes of all levels,) vec3, as numbered by nodes.py; zero outside. A launch writes nodes of one colour and
-reads the other, so items are independent. Every kernel takes its count from the device: launches may be longer than
-the list, which lets one CUDA graph serve poses with different counts.
-Needs: core/lanes, lattice/cut_rows, lattice/nodes.
-"""
+# V-cycles of red-black Gauss-Seidel, full weighting and trilinear prolongation (Brandt 1977; Briggs, Henson and
+# McCormick, "A Multigrid Tutorial") for the rows of cut_rows.py. On level l the row at node 0 is
+#
+#   sum over uncut links u_k - d u_0 + b = 0,    d = 6, or the sum of 1 / theta at a cut node
+#
+# with b the boundary values' sources on level 0 and 4 times the restricted residual on coarser ones (the spacing
+# doubles), where the boundary values of the correction are zero. A sweep is red nodes, then black ones, whose residual
+# it leaves zero. So only red residuals are restricted, and as the next sweep sets red values anew, only black ones need
+# the correction, and the residuals can lie in the red values' place meanwhile. On coarser levels, which begin at zero,
+# the first half sweep is load / d. The half sweep that ends a cycle begins the next one: what it changes is the
+# residual.
+#
+# values (nodes of all levels,) vec3, as numbered by nodes.py; zero outside. A launch writes nodes of one colour and
+# reads the other, so items are independent. Every kernel takes its count from the device: launches may be longer than
+# the list, which lets one CUDA graph serve poses with different counts.
 
 import warp as wp
 
@@ -90,10 +89,8 @@ def diagonal(system: LaplaceSystem, code: int):
 
 @wp.func
 def residual(system: LaplaceSystem, level: int, node: int):
-    """Residual of a node's row; zero at outside nodes and at nodes that lie almost on the cage.
-
-    The rows of the latter hold 1 / theta times rounding errors, which coarse levels would take for a load.
-    """
+    """Residual of a node's row; zero at outside nodes and at nodes that lie almost on the cage."""
+    # The rows of the latter hold 1 / theta times rounding errors, which coarse levels would take for a load.
     code = system.levels.codes[node]
     d = float(0.0)
     if code > OUTSIDE:
@@ -183,9 +180,7 @@ def relax_laplace(first: int, level: int, colour: int, system: LaplaceSystem):
 @wp.kernel
 def relax_and_measure(first: int, span: int, system: LaplaceSystem, largest: wp.array(dtype=wp.vec2)):
     """Relax the red nodes of level 0, and raise `largest` (slots,), first component, to what changes most.
-
-    An item takes `span` nodes, and a group of lanes raises one entry. On a CPU there are as many items as entries.
-    """
+    An item takes `span` nodes, and a group of lanes raises one entry. On a CPU there are as many items as entries."""
     item = first + wp.tid()
     begin = system.levels.starts[0]
     worst = float(0.0)

@@ -1,11 +1,9 @@
-"""The coarse levels of a multigrid cycle in one launch of one block of threads.
+"""The coarse levels of a multigrid cycle in one launch of one block of threads."""
 
-They hold too few nodes to fill a device, so one launch per sweep would cost more than the sweep. The threads of the
-block share the nodes of a colour and wait for each other between colours; on a CPU one thread does all. A half
-sweep takes as long as one value takes from memory and back. So a thread that has at most two nodes of a colour looks
-their rows up once per level, and a half sweep reads the neighbours only.
-Needs: lattice/harmonic.
-"""
+# They hold too few nodes to fill a device, so one launch per sweep would cost more than the sweep. The threads of the
+# block share the nodes of a colour and wait for each other between colours; on a CPU one thread does all. A half sweep
+# takes as long as one value takes from memory and back. So a thread that has at most two nodes of a colour looks their
+# rows up once per level, and a half sweep reads the neighbours only.
 
 import warp as wp
 
@@ -133,9 +131,8 @@ def sweep_level(
 
 @wp.kernel(launch_bounds=BLOCK_THREADS)
 def cycle_coarse_levels(first: int, level: int, sweeps: int, coarsest_sweeps: int, threads: int, system: LaplaceSystem):
-    """The part of a V-cycle on `level` (1 and up) and all coarser ones: from its loads and first half sweep to its
-    corrections. One block of `threads` threads, one item per thread.
-    """
+    """The part of a V-cycle on `level` (1 and up) and all coarser ones, from its loads and first half sweep to its
+    corrections. One block of `threads` threads, one item per thread."""
     thread = wp.tid()
     last = system.levels.shapes.shape[0] - 1
     for visit in range(2 * (last - level) + 1):

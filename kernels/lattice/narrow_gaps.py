@@ -1,10 +1,8 @@
-"""Narrow gaps of a cage: outside nodes next to the inside that lie between two of its sheets.
+"""Narrow gaps of a cage: outside nodes next to the inside that lie between two of its sheets."""
 
-Two things are found: nodes whose inside neighbours, of 26, are not all joined by links that stay inside the cage; and
-links that leave the cage and enter it again, at gaps narrower than a cell. They count where the map differs by more
-than GAP_JUMP from one side to the other; grooves that a pose does not open need no sides (see gap_sides.py).
-Needs: lattice/crossings, lattice/cut_rows, lattice/nodes, lattice/rings.
-"""
+# Two things are found: nodes whose inside neighbours, of 26, are not all joined by links that stay inside the cage; and
+# links that leave the cage and enter it again, at gaps narrower than a cell. They count where the map differs by more
+# than GAP_JUMP from one side to the other; grooves that a pose does not open need no sides (see gap_sides.py).
 
 import warp as wp
 
@@ -108,10 +106,8 @@ def find_gap_nodes(
     count: wp.array(dtype=int),
 ):
     """flags (nodes of rings 0 and 1,): 1 at narrow gaps over which `values` (nodes,) differ by more than `least`;
-    count (1,) is above 0 where there are any.
-
-    Items of a CPU launch that is cut over threads may miss each other's additions to count.
-    """
+    count (1,) is above 0 where there are any."""
+    # Items of a CPU launch that is cut over threads may miss each other's additions to count.
     n = first + wp.tid()
     section = ring_section(levels)
     if n >= levels.starts[section + 2] - levels.starts[section]:

@@ -1,18 +1,16 @@
-"""Values at the outside nodes of cells that the cage cuts, continued from inside, and the affine part of the map.
+"""Values at the outside nodes of cells that the cage cuts, continued from inside, and the affine part of the map."""
 
-Trilinear look-up near the cage needs all eight corners of a cell. Ring 0 (see nodes.py) is continued along grid
-edges through the boundary value g at the true crossing: with u_in the value at the inside node, a fraction theta of a
-cell from the crossing, and u_back the one behind it,
-
-    g + (g - u_in) (1 - theta) / theta                theta >= 1/2
-    g + (g - u_back) (1 - theta) / (1 + theta)        else,
-
-averaged over the grid edges; the other rings take the mean of 2 u_1 - u_2 along the 26 directions of the lattice,
-ring 1 from inside nodes alone where it can, else from what lies towards the nearest part of the cage. All of it is
-linear in the values and exact for linear functions; where a part of the cage is too thin for that (no second value),
-the mean of the neighbours or the value at the nearest point of the cage stands in.
-Needs: core/lanes, lattice/cut_rows, lattice/nodes.
-"""
+# Trilinear look-up near the cage needs all eight corners of a cell. Ring 0 (see nodes.py) is continued along grid edges
+# through the boundary value g at the true crossing: with u_in the value at the inside node, a fraction theta of a cell
+# from the crossing, and u_back the one behind it,
+#
+#   g + (g - u_in) (1 - theta) / theta                theta >= 1/2
+#   g + (g - u_back) (1 - theta) / (1 + theta)        else,
+#
+# averaged over the grid edges; the other rings take the mean of 2 u_1 - u_2 along the 26 directions of the lattice,
+# ring 1 from inside nodes alone where it can, else from what lies towards the nearest part of the cage. All of it is
+# linear in the values and exact for linear functions; where a part of the cage is too thin for that (no second value),
+# the mean of the neighbours or the value at the nearest point of the cage stands in.
 
 import warp as wp
 
@@ -45,9 +43,7 @@ def is_open_link(levels: NodeLevels, rows: CutRows, node: int, direction: int):
 @wp.func
 def is_steady(rows: CutRows, row: int, direction: int):
     """Whether the value beyond the crossing in a direction follows without much amplification.
-
-    It does not where the cage is crossed again right behind the node.
-    """
+    It does not where the cage is crossed again right behind the node."""
     back = direction ^ 1
     theta = rows.fractions[row, direction]
     return theta >= 0.5 or (rows.links[row] >> back) & 1 == 1 or theta + rows.fractions[row, back] >= 0.5

@@ -1,9 +1,7 @@
-"""Weights of all cage vertices at the inside nodes of a lattice, and the maps that they give.
+"""Weights of all cage vertices at the inside nodes of a lattice, and the maps that they give."""
 
-weights (m, v): row n belongs to entry begin + n of the node list (see nodes.py). A map with values r_j at the cage's
-vertices is sum_j w_j r_j at each node (Joshi et al. 2007, section 3).
-Needs: lattice/cage_map, lattice/nodes.
-"""
+# weights (m, v): row n belongs to entry begin + n of the node list (see nodes.py). A map with values r_j at the cage's
+# vertices is sum_j w_j r_j at each node (Joshi et al. 2007, section 3).
 
 import warp as wp
 

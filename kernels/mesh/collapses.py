@@ -1,12 +1,10 @@
-"""Collapses of edges of a closed triangle mesh: where the new vertex goes, and what its faces are like.
+"""Collapses of edges of a closed triangle mesh: where the new vertex goes, and what its faces are like."""
 
-In float64, operation by operation as NumPy does them, so that the last digit is the same: products and sums are not
-fused, sums of products go in the order of its einsum, and sums over faces in that of its pairwise sum.
-
-An edge (u, v) has around it (r,) the faces at its ends, -1 for none, with their unit normals, offsets of their planes
-from the origin and doubled areas before the collapse.
-Needs: none.
-"""
+# In float64, operation by operation as NumPy does them, so that the last digit is the same: products and sums are not
+# fused, sums of products go in the order of its einsum, and sums over faces in that of its pairwise sum.
+#
+# An edge (u, v) has around it (r,) the faces at its ends, -1 for none, with their unit normals, offsets of their planes
+# from the origin and doubled areas before the collapse.
 
 import warp as wp
 
@@ -81,12 +79,10 @@ def measure_collapses(
     uneven: wp.array(dtype=wp.float64),
 ):
     """Place (e,) of the new vertex, room (e,) that it adds, square (e,) of the longest side of its faces and what they
-    lack (e,) of being even; a negative square where the edge cannot collapse there.
-
-    The place is a base (e,), lifted along the mean normal (e,) to the outer side of every plane; what lies less than
-    on_plane behind one lies on it. Refused are edges that cannot be lifted, that add no less than the room allowed, and
-    those with a face that would turn farther than by the cosine least_turn or be flatter than least_even.
-    """
+    lack (e,) of being even; a negative square where the edge cannot collapse there."""
+    # The place is a base (e,), lifted along the mean normal (e,) to the outer side of every plane; what lies less than
+    # on_plane behind one lies on it. Refused are edges that cannot be lifted, that add no less than the room allowed,
+    # and those with a face that would turn farther than by the cosine least_turn or be flatter than least_even.
     e = first + wp.tid()
     u = edges[e][0]
     v = edges[e][1]

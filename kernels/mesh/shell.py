@@ -1,13 +1,11 @@
-"""Look-ups around an object on a voxel grid: trilinear values, and the distance to the nearest of many points.
+"""Look-ups around an object on a voxel grid: trilinear values, and the distance to the nearest of many points."""
 
-In float64, operation by operation as SciPy does them (map_coordinates of order 1, KDTree.query), so that the last digit
-is the same: products and sums are not fused. Node (0, 0, 0) of a grid is at `lower`, its nodes are `spacing` apart.
-Beyond the grid a point takes the value at the grid's edge.
-
-Points (p,) are sorted by the voxel that they lie in, the last axis fastest: those of voxel (i, j, k), at most half a
-spacing from its node along each axis, are starts[n] to starts[n + 1] with n = (i * ny + j) * nz + k.
-Needs: none.
-"""
+# In float64, operation by operation as SciPy does them (map_coordinates of order 1, KDTree.query), so that the last
+# digit is the same: products and sums are not fused. Node (0, 0, 0) of a grid is at `lower`, its nodes are `spacing`
+# apart. Beyond the grid a point takes the value at the grid's edge.
+#
+# Points (p,) are sorted by the voxel that they lie in, the last axis fastest: those of voxel (i, j, k), at most half a
+# spacing from its node along each axis, are starts[n] to starts[n + 1] with n = (i * ny + j) * nz + k.
 
 import warp as wp
 
@@ -214,9 +212,7 @@ def measure_nearest(
     distance: wp.array(dtype=wp.float64),
 ):
     """Distance (n,) from x (n,) to the nearest of the points, of which there is at least one; `most` if it is more.
-
-    about (n,): radius greater than 0 in which the search begins; it grows until there is one within it.
-    """
+    about (n,): radius greater than 0 in which the search begins; it grows until there is one within it."""
     n = first + wp.tid()
     limit = wp.min(about[n], most)
     best = least_squared(x[n], limit, points, starts, shape, lower, spacing)

@@ -1,8 +1,4 @@
-"""The point of a triangle nearest to the origin, in float64, for the few faces that lie next to a point.
-
-Christer Ericson, "Real-Time Collision Detection" (2005), section 5.1.5.
-Needs: none.
-"""
+"""The point of a triangle nearest to the origin, in float64, for the few faces that lie next to a point."""
 
 import warp as wp
 
@@ -14,6 +10,7 @@ _ONE = wp.constant(wp.float64(1.0))
 @wp.func
 def nearest_barycentric(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
     """Barycentric coordinates (of a, b, c) of the point nearest to the origin; the triangle must have an area."""
+    # Christer Ericson, "Real-Time Collision Detection" (2005), section 5.1.5.
     ab = b - a
     ac = c - a
     d1 = -wp.dot(ab, a)

@@ -1,11 +1,9 @@
-"""How much of an edit is left near the walls of a cage that do not move: nothing on them, all of it beyond a band.
+"""How much of an edit is left near the walls of a cage that do not move: nothing on them, all of it beyond a band."""
 
-The band is `width` across. Over it the share rises from 0 to 1 as s(t) = t^3 (6 t^2 - 15 t + 10), t = distance / width,
-whose first and second derivatives are 0 at both ends (Perlin, "Improving Noise", SIGGRAPH 2002). Walls are sets of
-faces that meet without an edge; the share is the product over the walls. The distance to a flat convex wall has a
-continuous derivative off the wall, and so has the product, also where two walls meet.
-Needs: mesh/containment.
-"""
+# The band is `width` across. Over it the share rises from 0 to 1 as s(t) = t^3 (6 t^2 - 15 t + 10), t = distance /
+# width, whose first and second derivatives are 0 at both ends (Perlin, "Improving Noise", SIGGRAPH 2002). Walls are
+# sets of faces that meet without an edge; the share is the product over the walls. The distance to a flat convex wall
+# has a continuous derivative off the wall, and so has the product, also where two walls meet.
 
 import warp as wp
 

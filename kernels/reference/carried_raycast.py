@@ -1,18 +1,16 @@
-"""Ray casting of a deformed mesh that carries its colour and light along, as a posed radiance field does.
+"""Ray casting of a deformed mesh that carries its colour and light along, as a posed radiance field does."""
 
-Where a ray meets the posed mesh, the same point of the mesh at rest is shaded as in mesh_raycast, with the texture, the
-normal, the shadows and the light that it has there. A matrix given at each vertex takes the view direction to rest
-space; with the Jacobian of the map from posed to rest space this is Eq. 4 of "Deforming Radiance Fields with Cages"
-(ECCV 2022). With the mesh at rest as both meshes and unit matrices, the result is the picture of the mesh at rest.
-
-For comparison the posed mesh can be lit in its posed place instead, by lights fixed to the world. Only its texture then
-comes from rest.
-
-The texture is solid: Perlin noise of the position at rest, in two octaves, over the colours of the faces. Positions of
-each of the two meshes are relative to one origin; depths are in the unit of the posed mesh.
-
-Needs: reference/mesh_raycast, view/rays.
-"""
+# Where a ray meets the posed mesh, the same point of the mesh at rest is shaded as in mesh_raycast, with the texture,
+# the normal, the shadows and the light that it has there. A matrix given at each vertex takes the view direction to
+# rest space; with the Jacobian of the map from posed to rest space this is Eq. 4 of "Deforming Radiance Fields with
+# Cages" (ECCV 2022). With the mesh at rest as both meshes and unit matrices, the result is the picture of the mesh at
+# rest.
+#
+# For comparison the posed mesh can be lit in its posed place instead, by lights fixed to the world. Only its texture
+# then comes from rest.
+#
+# The texture is solid: Perlin noise of the position at rest, in two octaves, over the colours of the faces. Positions
+# of each of the two meshes are relative to one origin; depths are in the unit of the posed mesh.
 
 import warp as wp
 
@@ -61,11 +59,9 @@ def cast_carried_rays(
     rgba: wp.array(dtype=wp.vec4),
     depth: wp.array(dtype=wp.float32),
 ):
-    """One item per pixel, as in cast_mesh_rays; both meshes have the same faces.
-
-    light_stays: 1 lights the posed mesh by lights fixed to the world. view_matrices (v,): posed to rest directions.
-    depth (height * width,): mean distance over the samples that hit, inf unless all do.
-    """
+    """One item per pixel, as in cast_mesh_rays; both meshes have the same faces. view_matrices (v,): posed to rest
+    directions. depth (height * width,): mean distance over the samples that hit, inf unless all do."""
+    # light_stays: 1 lights the posed mesh by lights fixed to the world.
     item = first + wp.tid()
     column = item % camera.width
     row = item // camera.width
@@ -113,10 +109,8 @@ def shade_surface_points(
     directions: wp.array2d(dtype=wp.vec3),
     colours: wp.array2d(dtype=wp.vec3),
 ):
-    """Colour of points of the mesh at rest from several sides: one item per point.
-
-    faces, corners (n,): face of a point, and its weights of the first two corners. directions (n, m): unit vectors from
-    the eye to the point. colours (n, m)."""
+    """Colours (n, m) of points of the mesh at rest from several sides, directions (n, m): unit vectors from eye to
+    point. One item per point. faces, corners (n,): face of a point, and its weights of the first two corners."""
     n = first + wp.tid()
     face = faces[n]
     place = wp.mesh_eval_position(rest, face, corners[n][0], corners[n][1])

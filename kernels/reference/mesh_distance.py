@@ -1,13 +1,10 @@
-"""Signed distances of points from a triangle mesh.
+"""Signed distances of points from a triangle mesh."""
 
-The side is told by the winding number (Barill et al., "Fast Winding Numbers for Soups and Clouds", 2018, inside
-`wp.mesh_query_point_sign_winding_number`): a point is inside where it is above 1/2, so that what lies in two solids of
-a mesh at once is inside, and what lies on the wall of one in another is, too.
-
-Shapes: points and distances (n,); one unit of length, one origin for points and mesh.
-
-Needs: none.
-"""
+# The side is told by the winding number (Barill et al., "Fast Winding Numbers for Soups and Clouds", 2018, inside
+# `wp.mesh_query_point_sign_winding_number`): a point is inside where it is above 1/2, so that what lies in two solids
+# of a mesh at once is inside, and what lies on the wall of one in another is, too.
+#
+# Shapes: points and distances (n,); one unit of length, one origin for points and mesh.
 
 import warp as wp
 

@@ -1,14 +1,12 @@
-"""Ray casting of a triangle mesh with one colour per face, for the pictures of the reference scenes.
+"""Ray casting of a triangle mesh with one colour per face, for the pictures of the reference scenes."""
 
-Each sample of a pixel casts one ray (Moeller and Trumbore 1997, inside `wp.mesh_query_ray`) and shades the point that
-it hits: hemispheric ambient light times the openness there, Lambert's cosine for two distant lights (the first with a
-shadow ray) and a modest Blinn-Phong highlight (Blinn 1977), which makes the colour depend on the view. The colour is a
-fixed function of position and view direction, so that two cameras that see the same point agree about it.
-
-Positions are in one unit, relative to one origin; directions have unit length; colours are in [0, 1], display-referred.
-
-Needs: view/rays.
-"""
+# Each sample of a pixel casts one ray (Moeller and Trumbore 1997, inside `wp.mesh_query_ray`) and shades the point that
+# it hits: hemispheric ambient light times the openness there, Lambert's cosine for two distant lights (the first with a
+# shadow ray) and a modest Blinn-Phong highlight (Blinn 1977), which makes the colour depend on the view. The colour is
+# a fixed function of position and view direction, so that two cameras that see the same point agree about it.
+#
+# Positions are in one unit, relative to one origin; directions have unit length; colours are in [0, 1], display-
+# referred.
 
 import warp as wp
 
@@ -103,9 +101,7 @@ def cast_mesh_rays(
     rgba: wp.array(dtype=wp.vec4),
 ):
     """One item per pixel: side_samples^2 samples on a regular grid, averaged to straight (not premultiplied) RGBA.
-
-    face_colours (f,); rgba (height * width,): the colour is the mean over the samples that hit (0 if none does).
-    """
+    face_colours (f,); rgba (height * width,): the colour is the mean over the samples that hit (0 if none does)."""
     item = first + wp.tid()
     column = item % camera.width
     row = item // camera.width

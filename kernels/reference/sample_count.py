@@ -1,9 +1,6 @@
-"""Number of samples that a march takes along the rays of cameras: the work of a step of a fit.
+"""Number of samples that a march takes along the rays of cameras: the work of a step of a fit."""
 
-Steps along a ray as `march` of field/render does.
-
-Needs: field/grid, field/samples, view/rays.
-"""
+# Steps along a ray as `march` of field/render does.
 
 import warp as wp
 
@@ -25,11 +22,8 @@ def count_samples(
     marched_count: wp.array(dtype=wp.int32),
     matter_count: wp.array(dtype=wp.int32),
 ):
-    """One item per ray: every pixel_stride-th row and column of every camera, all of one size.
-
-    marched_count (rays,): samples in cells that hold values, until less than `stop` of the light is left.
-    matter_count (rays,): those of them with density.
-    """
+    """Samples of each ray (rays,), one item each: marched in cells that hold values until less than `stop` of the light
+    is left, and with density. Rays of every pixel_stride-th row and column of every camera, all of one size."""
     n = first + wp.tid()
     per_row = (cameras[0].width + pixel_stride - 1) // pixel_stride
     per_view = per_row * ((cameras[0].height + pixel_stride - 1) // pixel_stride)

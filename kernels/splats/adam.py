@@ -1,9 +1,7 @@
-"""Optimiser step of the values of splats: Adam (Kingma and Ba, "Adam: A Method for Stochastic Optimization", 2015).
+"""Optimiser step of the values of splats: Adam (Kingma and Ba, "Adam: A Method for Stochastic Optimization", 2015)."""
 
-m <- b1 m + (1 - b1) g, v <- b2 v + (1 - b2) g^2, x <- x - rate m' / (sqrt(v') + eps), with m' = m / (1 - b1^t) and
-v' = v / (1 - b2^t) at step t.
-Needs: none.
-"""
+# m <- b1 m + (1 - b1) g, v <- b2 v + (1 - b2) g^2, x <- x - rate m' / (sqrt(v') + eps), with m' = m / (1 - b1^t) and
+# v' = v / (1 - b2^t) at step t.
 
 import warp as wp
 

@@ -1,13 +1,11 @@
-"""Splats as densities at the nodes of a grid: matter to put a cage around, or to select parts of.
+"""Splats as densities at the nodes of a grid: matter to put a cage around, or to select parts of."""
 
-A splat of covariance S and opacity o, seen where it is thinnest, has the optical depth -ln(1 - o). Widened to the grid,
-S' = S + (h / 2)^2 with h a cell's side, it adds at x, of a density per world unit,
-
-    -ln(1 - o) / (sqrt(2 pi) s') exp(-1/2 (x - c)^T S'^-1 (x - c)),   s' its smallest standard deviation,
-
-so that a ray along that direction through the middle meets the same optical depth on a grid of any fineness.
-Needs: splats/inside, splats/splats.
-"""
+# A splat of covariance S and opacity o, seen where it is thinnest, has the optical depth -ln(1 - o). Widened to the
+# grid, S' = S + (h / 2)^2 with h a cell's side, it adds at x, of a density per world unit,
+#
+#   -ln(1 - o) / (sqrt(2 pi) s') exp(-1/2 (x - c)^T S'^-1 (x - c)),   s' its smallest standard deviation,
+#
+# so that a ray along that direction through the middle meets the same optical depth on a grid of any fineness.
 
 import warp as wp
 

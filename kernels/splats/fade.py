@@ -1,9 +1,7 @@
-"""The map of an edit on splats, faded to the identity towards walls of its cage that do not move.
+"""The map of an edit on splats, faded to the identity towards walls of its cage that do not move."""
 
-phi'(x) = x + s(x) (phi(x) - x) with the share s of mesh/walls, J' = 1 + s (J - 1) + (phi - x) grad(s)^T. On such a wall
-phi' and its Jacobian are those of the scene outside.
-Needs: mesh/walls, splats/pose.
-"""
+# phi'(x) = x + s(x) (phi(x) - x) with the share s of mesh/walls, J' = 1 + s (J - 1) + (phi - x) grad(s)^T. On such a
+# wall phi' and its Jacobian are those of the scene outside.
 
 import warp as wp
 

@@ -1,11 +1,9 @@
-"""Splats that an earlier edit has moved, through the edits after it; forward maps on lattices.
+"""Splats that an earlier edit has moved, through the edits after it; forward maps on lattices."""
 
-"Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 5, for matter: each edit acts on the scene that the ones before
-it left. Where a splat is then is known with each pose only, so that it is carried through the forward map of the edit,
-which is looked up on a lattice over the cage at rest; derivatives are central differences over half a cell to each
-side. Such a splat goes, stays and gives way as its centre does.
-Needs: lattice/cage_map, mesh/containment, splats/pose.
-"""
+# "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 5, for matter: each edit acts on the scene that the ones
+# before it left. Where a splat is then is known with each pose only, so that it is carried through the forward map of
+# the edit, which is looked up on a lattice over the cage at rest; derivatives are central differences over half a cell
+# to each side. Such a splat goes, stays and gives way as its centre does.
 
 import warp as wp
 

@@ -1,22 +1,21 @@
-"""Green coordinates of points and their gradients, in float64: rows by which points are carried along with a cage.
+"""Green coordinates of points and their gradients, in float64: rows by which points are carried along with a cage."""
 
-Lipman, Levin and Cohen-Or, "Green coordinates" (SIGGRAPH 2008), in the form of coordinates/green. With a, b, c the
-corners of a face seen from x, e_i the edge across from corner i, C_i the cross product of its ends, A2 twice the area,
-n the unit normal, h = n . a, Omega the solid angle and K_i = log((r + s + |e_i|) / (r + s - |e_i|)) / |e_i|, r and s
-being the lengths of the ends,
-
-    psi = (sum_i (n . C_i) K_i - h Omega) / 4 pi,
-    phi_i = ((n . C_i) Omega + h e_i . P) / (4 pi A2),    P = sum_k K_k e_k.
-
-Where x moves by dx corners move by -dx: d (n . C_i) = (e_i x n) . dx for e_i = from the first end to the second,
-d h = -n . dx, d K = 2 (u_r + u_s) . dx / ((r + s)^2 - |e|^2) with the unit vectors u to the ends, and
-d Omega = 2 (B dD - D dB) / (D^2 + B^2) with Omega = 2 atan2(D, B), D = det(a, b, c),
-B = |a| |b| |c| + (a . b) |c| + (b . c) |a| + (c . a) |b|.
-
-Shapes: points (m,), vertices (v,), faces (f,), one unit of length, in which the cage's longest side is about 1. Points
-lie inside, no nearer to a face than 1e-6.
-Needs: none.
-"""
+# Lipman, Levin and Cohen-Or, "Green coordinates" (SIGGRAPH 2008), in the form of coordinates/green. With a, b, c the
+# corners of a face seen from x, e_i the edge across from corner i, C_i the cross product of its ends, A2 twice the
+# area, n the unit normal, h = n . a, Omega the solid angle and K_i = log((r + s + |e_i|) / (r + s - |e_i|)) / |e_i|, r
+# and s being the lengths of the ends,
+#
+#   psi = (sum_i (n . C_i) K_i - h Omega) / 4 pi,
+#   phi_i = ((n . C_i) Omega + h e_i . P) / (4 pi A2),    P = sum_k K_k e_k.
+#
+# Where x moves by dx corners move by -dx: d (n . C_i) = (e_i x n) . dx for e_i = from the first end to the second,
+#
+#   d h = -n . dx,    d K = 2 (u_r + u_s) . dx / ((r + s)^2 - |e|^2) with the unit vectors u to the ends,
+#   d Omega = 2 (B dD - D dB) / (D^2 + B^2) with Omega = 2 atan2(D, B), D = det(a, b, c),
+#   B = |a| |b| |c| + (a . b) |c| + (b . c) |a| + (c . a) |b|.
+#
+# Shapes: points (m,), vertices (v,), faces (f,), one unit of length, in which the cage's longest side is about 1.
+# Points lie inside, no nearer to a face than 1e-6.
 
 import warp as wp
 

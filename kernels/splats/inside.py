@@ -1,13 +1,11 @@
-"""How much of a splat lies in a cage, and splats that a posed cage covers.
+"""How much of a splat lies in a cage, and splats that a posed cage covers."""
 
-Eq. 5 of "Deforming Radiance Fields with Cages" (ECCV 2022) for matter: what is in the cage at rest goes with it, what
-is outside stays, and gives way where the posed cage comes to be. A splat at the wall does both by its shares: the
-Gaussian of covariance S at signed distance d (negative inside) from a flat wall of normal n has the share Phi(-d /
-sqrt(n^T S n)) inside, Phi the normal distribution.
-
-vertices (v,), faces (f,), splats (n,), world units relative to one origin.
-Needs: core/lanes, mesh/containment, splats/pose.
-"""
+# Eq. 5 of "Deforming Radiance Fields with Cages" (ECCV 2022) for matter: what is in the cage at rest goes with it, what
+# is outside stays, and gives way where the posed cage comes to be. A splat at the wall does both by its shares: the
+# Gaussian of covariance S at signed distance d (negative inside) from a flat wall of normal n has the share Phi(-d /
+# sqrt(n^T S n)) inside, Phi the normal distribution.
+#
+# vertices (v,), faces (f,), splats (n,), world units relative to one origin.
 
 import warp as wp
 
@@ -165,9 +163,8 @@ def cover_staying(
     upper: wp.vec3,
     carried: CarriedSplats,
 ):
-    """Let splats members (m,) that stay at rest give way to a posed cage: of each is left what lies outside of it, and
-    outside (m,), its share outside the cage at rest. lower, upper: box of the posed cage. A group of lanes each: they
-    are few, and the faces many."""
+    """Let splats members (m,) that stay at rest give way to a posed cage, of the box lower, upper. A group of lanes
+    each. outside (m,): their shares outside the cage at rest, and what is left of each outside of the posed one."""
     item = first + wp.tid()
     m = item / lane_count()
     lane = item % lane_count()

@@ -1,11 +1,9 @@
-"""Splats put where the map of the voxels finds them: the backward map of a posed cage, inverted.
+"""Splats put where the map of the voxels finds them: the backward map of a posed cage, inverted."""
 
-Voxels look each point x of the posed scene up in the cage at rest, psi(x) = sum_j w'_j(x) v_j with the coordinates w'
-of the posed cage ("Deforming Radiance Fields with Cages", ECCV 2022, section 3.2). For a splat at c this is solved the
-other way, psi(x) = c, by Newton's method from where the forward map takes it, on the lattice of the posed cage, so that
-splats and voxels under one cage coincide. J is the inverse of psi's.
-Needs: lattice/cage_map, splats/follow, splats/pose.
-"""
+# Voxels look each point x of the posed scene up in the cage at rest, psi(x) = sum_j w'_j(x) v_j with the coordinates w'
+# of the posed cage ("Deforming Radiance Fields with Cages", ECCV 2022, section 3.2). For a splat at c this is solved
+# the other way, psi(x) = c, by Newton's method from where the forward map takes it, on the lattice of the posed cage,
+# so that splats and voxels under one cage coincide. J is the inverse of psi's.
 
 import warp as wp
 
@@ -31,9 +29,10 @@ def invert_map(
     carried: CarriedSplats,
     missed: wp.array(dtype=wp.uint8),
 ):
-    """Splats members (m,) to the places that `backward` takes to targets (m,), their places at rest. tolerance: how far
-    outside of the posed cage a place may be; close: how near to its target it must be taken; world units. missed (m,):
-    1 where there is no such place near, and the splat stays where the forward map took it."""
+    """Splats members (m,) to the places that `backward` takes to targets (m,), their places at rest. missed (m,): 1
+    where there is no such place near, and the splat stays where the forward map took it."""
+    # tolerance: how far outside of the posed cage a place may be; close: how near to its target it must be taken; world
+    # units.
     m = first + wp.tid()
     n = members[m]
     target = targets[m]

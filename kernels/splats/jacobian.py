@@ -1,12 +1,10 @@
-"""What the Jacobian of a map does to a splat: its covariance, the rotation nearest to it, and its stretch.
+"""What the Jacobian of a map does to a splat: its covariance, the rotation nearest to it, and its stretch."""
 
-A map takes the Gaussian of covariance S around c to the Gaussian of covariance J S J^T around phi(c), to first order.
-The rotation nearest to J is R of the polar decomposition J = R P (Higham, "Computing the Polar Decomposition with
-Applications", 1986): X <- (X + X^-T) / 2 doubles its digits each time, with a scaling at first. Where J turns over or
-is nearly flat it is that of the singular value decomposition, with the sign of the smallest direction chosen so that R
-is a rotation.
-Needs: none.
-"""
+# A map takes the Gaussian of covariance S around c to the Gaussian of covariance J S J^T around phi(c), to first order.
+# The rotation nearest to J is R of the polar decomposition J = R P (Higham, "Computing the Polar Decomposition with
+# Applications", 1986): X <- (X + X^-T) / 2 doubles its digits each time, with a scaling at first. Where J turns over or
+# is nearly flat it is that of the singular value decomposition, with the sign of the smallest direction chosen so that
+# R is a rotation.
 
 import warp as wp
 

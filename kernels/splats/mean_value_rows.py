@@ -1,20 +1,18 @@
-"""Mean value coordinates of points and their gradients, in float64: rows by which points are carried along with a cage.
+"""Mean value coordinates of points and their gradients, in float64: rows by which points are carried with a cage."""
 
-Floater, Kos and Reimers, "Mean value coordinates in 3D" (CAGD 2005), in the form of coordinates/mean_value. With a, b,
-c the corners of a face seen from the point x, C_a = b x c, beta_a the angle between b and c, n_a = C_a / |C_a|, m =
-sum_i beta_i n_i and D = det(a, b, c) = N . a, a face gives corner a the weight w_a = C_a . m / (2 D). Corners move by
--dx where x moves by dx, so that
-
-    d C_a = dx x (b - c),    d beta_a = (n_a x (b / |b|^2 - c / |c|^2)) . dx,    d D = -N . dx,
-    d (beta n) = n d beta + beta / |C| (d C - n (n . d C)),
-    grad w_a = ((b - c) x m + (d m)^T C_a) / (2 D) + w_a N / D,
-
-and with W the sum over vertices, lambda = w / W has grad lambda = (grad w - lambda grad W) / W.
-
-Shapes: points (m,), vertices (v,), faces (f,), one unit of length, in which the cage's longest side is about 1. Points
-lie inside, no nearer to a face than 1e-6.
-Needs: none.
-"""
+# Floater, Kos and Reimers, "Mean value coordinates in 3D" (CAGD 2005), in the form of coordinates/mean_value. With a,
+# b, c the corners of a face seen from the point x, C_a = b x c, beta_a the angle between b and c, n_a = C_a / |C_a|,
+# m = sum_i beta_i n_i and D = det(a, b, c) = N . a, a face gives corner a the weight w_a = C_a . m / (2 D). Corners
+# move by -dx where x moves by dx, so that
+#
+#   d C_a = dx x (b - c),    d beta_a = (n_a x (b / |b|^2 - c / |c|^2)) . dx,    d D = -N . dx,
+#   d (beta n) = n d beta + beta / |C| (d C - n (n . d C)),
+#   grad w_a = ((b - c) x m + (d m)^T C_a) / (2 D) + w_a N / D,
+#
+# and with W the sum over vertices, lambda = w / W has grad lambda = (grad w - lambda grad W) / W.
+#
+# Shapes: points (m,), vertices (v,), faces (f,), one unit of length, in which the cage's longest side is about 1.
+# Points lie inside, no nearer to a face than 1e-6.
 
 import warp as wp
 

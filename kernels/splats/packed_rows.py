@@ -1,16 +1,14 @@
-"""Rows of weights and gradients in ten bytes an entry instead of sixteen, for devices that wait for memory.
+"""Rows of weights and gradients in ten bytes an entry instead of sixteen, for devices that wait for memory."""
 
-A pose reads every row once and does little with it (splats/pose), so that bytes are time. Weights stay float32: places
-need their digits. Gradients are half floats, over a scale of each point's own, 1/1024 of its largest: each is off by
-less than 2^-11 of itself, and neither overflows in cages with tiny faces nor vanishes beside large ones.
-
-Four rows of 32 points lie together, 1280 bytes that a warp reads from one place: of each row the weight and the first
-two numbers of its gradient in a word of 64 bits, those of rows 0 and 1 of a point side by side, then those of rows 2
-and 3; and at the end one word a point of the four third numbers. The next four rows of these points lie behind.
-
-Shapes: points (m,), rows (j, m) of weight and gradient, packed in groups (g,) of four, zeros behind the last row.
-Needs: splats/pose.
-"""
+# A pose reads every row once and does little with it (splats/pose), so that bytes are time. Weights stay float32:
+# places need their digits. Gradients are half floats, over a scale of each point's own, 1/1024 of its largest: each is
+# off by less than 2^-11 of itself, and neither overflows in cages with tiny faces nor vanishes beside large ones.
+#
+# Four rows of 32 points lie together, 1280 bytes that a warp reads from one place: of each row the weight and the first
+# two numbers of its gradient in a word of 64 bits, those of rows 0 and 1 of a point side by side, then those of rows 2
+# and 3; and at the end one word a point of the four third numbers. The next four rows of these points lie behind.
+#
+# Shapes: points (m,), rows (j, m) of weight and gradient, packed in groups (g,) of four, zeros behind the last row.
 
 import warp as wp
 

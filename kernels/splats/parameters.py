@@ -1,12 +1,11 @@
-"""Splats as files and optimisers hold them, and the slopes of what kernels draw by these.
+"""Splats as files and optimisers hold them, and the slopes of what kernels draw by these."""
 
-A splat is held by the logarithms of its three standard deviations s along its own axes R, a quaternion w x y z of any
-length that R belongs to, and the logit of its opacity: S = R diag(s^2) R^T, o = 1 / (1 + exp(-logit)) (Kerbl et al.,
-"3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023, Eq. 6). A quaternion of length zero turns nothing.
-
-The slope of a number is the derivative of a loss by it.
-Needs: none.
-"""
+# A splat is held by the logarithms of its three standard deviations s along its own axes R, a quaternion w x y z of any
+# length that R belongs to, and the logit of its opacity: S = R diag(s^2) R^T, o = 1 / (1 + exp(-logit)) (Kerbl et al.,
+# "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023, Eq. 6). A quaternion of length zero turns
+# nothing.
+#
+# The slope of a number is the derivative of a loss by it.
 
 import warp as wp
 

@@ -1,9 +1,7 @@
-"""Loss of a picture beside the one that should be seen, and its slope by each pixel.
+"""Loss of a picture beside the one that should be seen, and its slope by each pixel."""
 
-Of each pixel and colour |d| (Kerbl et al. 2023, Eq. 7, without its second term) or d^2 / 2, d the difference. A pixel
-may be the mean of side x side ones that were drawn, as splats are measured with several rays a pixel.
-Needs: view/downsample.
-"""
+# Of each pixel and colour |d| (Kerbl et al. 2023, Eq. 7, without its second term) or d^2 / 2, d the difference. A pixel
+# may be the mean of side x side ones that were drawn, as splats are measured with several rays a pixel.
 
 import warp as wp
 
@@ -23,9 +21,9 @@ def slope_of_picture(
     slopes: wp.array(dtype=wp.vec3),
     errors: wp.array(dtype=wp.float32),
 ):
-    """One item per pixel of the picture. side: parts along each side of a pixel. width: of the picture, pixels.
-    squared: 1 for d^2 / 2. drawn: (h * side * width * side,). picture: (h * width,) what should be seen. slopes: of the
-    sum over all pixels, as `drawn`. errors: (h * width,) mean square of the colours' differences."""
+    """slopes, as `drawn` (h * side * width * side,): of the sum over all pixels; errors (h * width,): mean square of
+    the colours' differences. One item per pixel of the picture (h * width,) that should be seen."""
+    # side: parts along each side of a pixel. width: of the picture, pixels. squared: 1 for d^2 / 2.
     n = first + wp.tid()
     mean = wp.vec3()
     share = 1.0 / float(side * side)

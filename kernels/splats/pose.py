@@ -1,20 +1,18 @@
-"""Splats carried along by the map of a posed cage.
+"""Splats carried along by the map of a posed cage."""
 
-Splats are matter and move forward: phi(x) = A x + t + sum_j w_j(x) r_j, with the coordinates w of the cage at rest, A
-and t what fits the pose best among the maps that they reproduce, and r_j what that leaves of the posed vertices (of
-Green coordinates also of the stretched normals). So affine poses (Green: similarities) hold to the last digits. Its
-Jacobian is J = A + sum_j r_j (grad w_j)^T; the covariance S becomes J S J^T, harmonics turn by the rotation nearest to
-J.
-
-Opacity law, by `law`. LAW_RAYS keeps the opacity: a ray through the posed splat is as opaque as the ray that the map
-takes it from is through the splat at rest, as both pass it at the same distance in its own units (3DGS takes a splat's
-opacity at its centre in the picture, whatever its depth): this is density="opacity" of the voxels. LAW_DENSITY keeps
-matter per length, density="paper": the optical depth -ln(1 - o) grows with the length of the ray in the splat, by the
-root mean square of |J d| over directions, as a splat has one opacity for all of them.
-
-Shapes: splats (n,), rows (j, n) of weight and gradient, world units relative to one origin.
-Needs: splats/jacobian.
-"""
+# Splats are matter and move forward: phi(x) = A x + t + sum_j w_j(x) r_j, with the coordinates w of the cage at rest, A
+# and t what fits the pose best among the maps that they reproduce, and r_j what that leaves of the posed vertices (of
+# Green coordinates also of the stretched normals). So affine poses (Green: similarities) hold to the last digits. Its
+# Jacobian is J = A + sum_j r_j (grad w_j)^T; the covariance S becomes J S J^T, harmonics turn by the rotation nearest
+# to J.
+#
+# Opacity law, by `law`. LAW_RAYS keeps the opacity: a ray through the posed splat is as opaque as the ray that the map
+# takes it from is through the splat at rest, as both pass it at the same distance in its own units (3DGS takes a
+# splat's opacity at its centre in the picture, whatever its depth): this is density="opacity" of the voxels.
+# LAW_DENSITY keeps matter per length, density="paper": the optical depth -ln(1 - o) grows with the length of the ray in
+# the splat, by the root mean square of |J d| over directions, as a splat has one opacity for all of them.
+#
+# Shapes: splats (n,), rows (j, n) of weight and gradient, world units relative to one origin.
 
 import warp as wp
 
@@ -67,9 +65,9 @@ def carry_bound(
     inverse_size: float,
     carried: CarriedSplats,
 ):
-    """Splats members (m,), at rest, and the others (n,) that go the same way, to where a pose takes them. anchors (m,):
-    where the map is taken, offsets (m,) from there to the splats; rows (j, m), gradients per size of the cage; targets:
-    r_j from number `begin` on; slope, shift: A - 1 and t."""
+    """Splats members (m,), at rest, and the others (n,) that go the same way, to where a pose takes them. rows (j, m),
+    gradients per size of the cage; targets: r_j from number `begin` on; slope, shift: A - 1 and t."""
+    # anchors (m,): where the map is taken, offsets (m,) from there to the splats.
     m = first + wp.tid()
     moved = wp.vec3(0.0, 0.0, 0.0)
     turned = wp.mat33()

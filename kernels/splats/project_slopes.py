@@ -1,12 +1,10 @@
-"""Slopes of a loss by the values of splats, from the sums that splats/composite_slopes leaves of a picture.
+"""Slopes of a loss by the values of splats, from the sums that splats/composite_slopes leaves of a picture."""
 
-The adjoint of splats/project, line by line from its end to its beginning, and of splats/parameters: slopes by l_0, l_1,
-l_2, strength, column and row become those by the ellipse E = A S A^T and by the blurred one, then by the rows of A and
-by S = M M^T, M = R diag(s), and from there by the centre (through A, the direction that colours are seen in, and the
-place on the picture), the logarithms of s, the quaternion and the logit (Kerbl et al. 2023, appendix A). Where A is
-taken at the rim, and where a colour is held at 0, the slope is that of what is held: none.
-Needs: field/harmonics, splats/parameters, splats/project, splats/splats.
-"""
+# The adjoint of splats/project, line by line from its end to its beginning, and of splats/parameters: slopes by l_0,
+# l_1, l_2, strength, column and row become those by the ellipse E = A S A^T and by the blurred one, then by the rows of
+# A and by S = M M^T, M = R diag(s), and from there by the centre (through A, the direction that colours are seen in,
+# and the place on the picture), the logarithms of s, the quaternion and the logit (Kerbl et al. 2023, appendix A).
+# Where A is taken at the rim, and where a colour is held at 0, the slope is that of what is held: none.
 
 import warp as wp
 

@@ -1,18 +1,16 @@
-"""Gaussian splats as kernels read them, and the colour of one from a direction.
+"""Gaussian splats as kernels read them, and the colour of one from a direction."""
 
-Model: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023). Splat i is matter
-around its centre c: opacity o exp(-1/2 (x - c)^T S^-1 (x - c)), with a covariance S. Its colour along a direction d,
-from the camera into the scene, is max(0, 0.5 + sum_b h_b Y_b(d)) with the real spherical harmonics Y of
-field/harmonics, whose order and signs 3DGS shares.
-
-A posed splat may be turned: its harmonics are those of the splat at rest, and are looked up along the direction turned
-back, Y(turn^-1 d), so that a pose need not write them anew. It may also be one of several pieces or copies of a splat
-at rest, which share a row of harmonics.
-
-Positions are world units relative to any origin that the caller keeps to (warpcage: the field's centre, so that float32
-suffices).
-Needs: field/harmonics.
-"""
+# Model: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023). Splat i is matter
+# around its centre c: opacity o exp(-1/2 (x - c)^T S^-1 (x - c)), with a covariance S. Its colour along a direction d,
+# from the camera into the scene, is max(0, 0.5 + sum_b h_b Y_b(d)) with the real spherical harmonics Y of
+# field/harmonics, whose order and signs 3DGS shares.
+#
+# A posed splat may be turned: its harmonics are those of the splat at rest, and are looked up along the direction
+# turned back, Y(turn^-1 d), so that a pose need not write them anew. It may also be one of several pieces or copies of
+# a splat at rest, which share a row of harmonics.
+#
+# Positions are world units relative to any origin that the caller keeps to (warpcage: the field's centre, so that
+# float32 suffices).
 
 import warp as wp
 

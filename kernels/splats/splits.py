@@ -1,13 +1,11 @@
-"""Which splats a pose bends so much that their pieces are drawn in their place.
+"""Which splats a pose bends so much that their pieces are drawn in their place."""
 
-phi is affine over a splat up to half its second derivative times the extent squared. The pieces of a splat lie about a
-standard deviation from its centre; how far the map takes them from where the splat's own affine piece takes them is
-that remainder, measured. A splat whose pieces are off by more than a tolerance is hidden and its pieces are drawn, each
-of which may be split again. (GSDeformer takes seven points of each splat instead.)
-
-Nodes: the splats as they are, then pieces of pieces (nodes,). Splats (n,): what is drawn, each of one node.
-Needs: splats/pose.
-"""
+# phi is affine over a splat up to half its second derivative times the extent squared. The pieces of a splat lie about
+# a standard deviation from its centre; how far the map takes them from where the splat's own affine piece takes them is
+# that remainder, measured. A splat whose pieces are off by more than a tolerance is hidden and its pieces are drawn,
+# each of which may be split again. (GSDeformer takes seven points of each splat instead.)
+#
+# Nodes: the splats as they are, then pieces of pieces (nodes,). Splats (n,): what is drawn, each of one node.
 
 import warp as wp
 
@@ -30,8 +28,8 @@ def measure_bends(
     split: wp.array(dtype=wp.uint8),
 ):
     """split[nodes[m]] becomes 1 where splat whole[m] (m,) is bent by more than the tolerance, world units. pieces (m,
-    3): the splats that are its pieces, -1 for one that does not go along; offsets (m, 3) to them at rest; at_wall (m,):
-    1 where it goes along in part, and is split once it moves; rest (n,): splats at rest."""
+    3): its pieces, -1 for one that does not go along; offsets (m, 3) to them at rest."""
+    # at_wall (m,): 1 where a splat goes along in part, and is split once it moves; rest (n,): splats at rest.
     m = first + wp.tid()
     n = whole[m]
     bend = float(0.0)

@@ -1,10 +1,8 @@
-"""Which splats each tile of a picture shows, from front to back.
+"""Which splats each tile of a picture shows, from front to back."""
 
-Splats are sorted by depth, then each writes one entry for every tile that its ellipse touches: the ellipse, not a box
-around it. A stable sort of the entries by tile alone then leaves each tile's splats in the order of depth: two passes
-over the entries instead of the six that keys of tile and depth need.
-Needs: core/entries, splats/project.
-"""
+# Splats are sorted by depth, then each writes one entry for every tile that its ellipse touches: the ellipse, not a box
+# around it. A stable sort of the entries by tile alone then leaves each tile's splats in the order of depth: two passes
+# over the entries instead of the six that keys of tile and depth need.
 
 import warp as wp
 

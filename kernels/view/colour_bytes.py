@@ -1,7 +1,4 @@
-"""Colours of pictures as bytes.
-
-Needs: none.
-"""
+"""Colours of pictures as bytes."""
 
 import warp as wp
 

@@ -1,8 +1,6 @@
-"""Join the pixels of a picture in squares of side x side: supersampling against aliasing.
+"""Join the pixels of a picture in squares of side x side: supersampling against aliasing."""
 
-Colours and opacities are averaged as an area filter has it; depths by how opaque each part is.
-Needs: none.
-"""
+# Colours and opacities are averaged as an area filter has it; depths by how opaque each part is.
 
 import warp as wp
 

@@ -1,9 +1,7 @@
-"""What is sent of a frame: colours as bytes, and few depths in 16 bits.
+"""What is sent of a frame: colours as bytes, and few depths in 16 bits."""
 
-Depths are kept by ratio: v = 1 + 65534 log(depth / near) / log(far / near), rounded and held to 1 ... 65535; 0 where
-nothing is seen.
-Needs: none.
-"""
+# Depths are kept by ratio: v = 1 + 65534 log(depth / near) / log(far / near), rounded and held to 1 ... 65535; 0 where
+# nothing is seen.
 
 import warp as wp
 

@@ -1,7 +1,4 @@
-"""Pinhole rays and their span inside a box.
-
-Needs: none.
-"""
+"""Pinhole rays and their span inside a box."""
 
 import warp as wp
 
@@ -41,10 +38,8 @@ def pixel_direction(camera: PinholeCamera, column: int, row: int):
 
 @wp.func
 def tile_pixel(n: int, width: int):
-    """Column and row of the n-th pixel when a picture is walked tile by tile; the last tiles reach beyond it.
-
-    A tile is one warp of a GPU: its rays lie together and read the same cells.
-    """
+    """Column and row of the n-th pixel when a picture is walked tile by tile; the last tiles reach beyond it."""
+    # A tile is one warp of a GPU: its rays lie together and read the same cells.
     tile = n // TILE_SIZE
     tiles_per_row = (width + TILE_WIDTH - 1) // TILE_WIDTH
     column = (tile % tiles_per_row) * TILE_WIDTH + n % TILE_WIDTH

@@ -1,11 +1,9 @@
-"""The tiles of a picture in the order of how long they took in the view before, the longest first.
+"""The tiles of a picture in the order of how long they took in the view before, the longest first."""
 
-A GPU starts the tiles of a picture one after the other. Where the longest come last, most of it has nothing to do
-while they end. So each tile notes its clock ticks, and the next view of as many tiles begins with those that took
-longest: scheduling by longest processing time (Graham, "Bounds on multiprocessing timing anomalies", SIAM J. Appl.
-Math. 17, 1969). Whatever the order, each tile is followed once, so that it changes no picture.
-Needs: core/lanes, view/rays.
-"""
+# A GPU starts the tiles of a picture one after the other. Where the longest come last, most of it has nothing to do
+# while they end. So each tile notes its clock ticks, and the next view of as many tiles begins with those that took
+# longest: scheduling by longest processing time (Graham, "Bounds on multiprocessing timing anomalies", SIAM J. Appl.
+# Math. 17, 1969). Whatever the order, each tile is followed once, so that it changes no picture.
 
 import warp as wp
 
@@ -69,9 +67,7 @@ def tile_bin(ticks: int):
 @wp.kernel
 def count_tiles(first: int, tiles: int, ticks: wp.array(dtype=wp.int32), bins: wp.array(dtype=wp.int32)):
     """How many tiles of each launch are in each bin. One item a tile, launch by launch.
-
-    tiles: of a launch; ticks: (launches * tiles,); bins: (launches * 2 * TILE_BINS,), 0 before.
-    """
+    tiles: of a launch; ticks: (launches * tiles,); bins: (launches * 2 * TILE_BINS,), 0 before."""
     n = first + wp.tid()
     count_up(bins, 2 * TILE_BINS * (n // tiles) + tile_bin(ticks[n]))
 
@@ -86,9 +82,7 @@ def sort_tiles(
     order: wp.array(dtype=wp.int32),
 ):
     """Put the tiles of each launch in the order of their bins, and set ticks and the bins of the next view to 0.
-
-    bins: what count_tiles counted, and how many of each bin have their place, 0 before. spare: as many.
-    """
+    bins: what count_tiles counted, and how many of each bin have their place, 0 before. spare: as many."""
     n = first + wp.tid()
     launch = n // tiles
     own = tile_bin(ticks[n])

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import weakref
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import warp as wp
@@ -17,6 +19,10 @@ FIRST_WORK = 1 << 20
 
 #: Steps that an item is taken for where nobody knows.
 USUAL_WORK = 16
+
+#: The lists of `recorded_launches`; threads replace the tuple as a whole.
+_records: tuple[list[str], ...] = ()
+_records_change = threading.Lock()
 
 
 def resolve_device(device: wp.DeviceLike = None) -> wp.Device:
@@ -58,6 +64,7 @@ def launch(
     block_dim = module_block_dim(kernel) if block_dim is None else block_dim
     require_loaded(kernel, device, block_dim)
 
+    _record(kernel)
     outputs = list(outputs)
 
     def run(begin: int, end: int) -> None:
@@ -107,6 +114,7 @@ class RepeatedLaunch:
         elif count > 0:
             with device_turn(self._device):
                 recorded = self._command(count, [0, *inputs, *outputs])
+                _record(self._kernel)
                 recorded.launch(stream)
                 for index in range(len(self._arguments) - passing, len(self._arguments)):
                     self._arguments[index] = recorded.fwd_args[index] = None
@@ -152,6 +160,33 @@ class RepeatedLaunches:
         if key not in self._launches:
             self._launches[key] = RepeatedLaunch(kernel, self._device)
         self._launches[key](count, inputs, outputs, **how)
+
+
+@contextlib.contextmanager
+def recorded_launches() -> Iterator[list[str]]:
+    """The labels of the kernels that any thread launches meanwhile, in their order; without what graphs replay."""
+    global _records
+    labels: list[str] = []
+    with _records_change:
+        _records = (*_records, labels)
+    try:
+        yield labels
+    finally:
+        with _records_change:
+            _records = tuple(each for each in _records if each is not labels)
+
+
+def kernel_label(kernel: Kernel) -> str:
+    """A kernel's file with its name or that of its variant, such as "tile_order.count_tiles" or "views.shades+part"."""
+    assert isinstance(kernel, wp.Kernel)
+    module = kernel.module.name
+    has_variants = module != kernel.func.__module__
+    return ".".join((module if has_variants else f"{module}.{kernel.key}").split(".")[-2:])
+
+
+def _record(kernel: Kernel) -> None:
+    for labels in _records:
+        labels.append(kernel_label(kernel))
 
 
 def lane_count(device: wp.DeviceLike) -> int:

@@ -9,12 +9,29 @@ import functools
 import keyword
 import os
 import pathlib
+import posixpath
+import re
 
 from ..kernels import __path__ as kernel_folders
+from .checks import warn_caller
 from .files import atomic_path
 
 FOLDER = pathlib.Path(kernel_folders[0])
 ROOT_DOCSTRING = '"""Kernels of warpcage (Apache License 2.0), copied with `warpcage kernels copy`."""\n'
+
+#: Files whose kernels are variants in deform/views now.
+_VIEWS = ("render", "render_plain", "render_precise", "render_single", "render_sides", "render_part",
+          "render_part_sides", "shaded_single", "shaded_sides", "shaded_large", "shaded_part",
+          "shaded_part_sides", "march_pixels")  # fmt: skip
+
+#: Kernel files that have become parts of others: their names are understood in this version.
+MOVED = {
+    **{f"deform/{name}": "deform/views" for name in _VIEWS},
+    "field/render": "field/march",
+    "field/render_shaded": "field/march",
+    "deform/cpu_map": "deform/render_cpu",
+    "field/cpu_samples": "field/render_cpu",
+}
 
 
 def kernel_names() -> list[str]:
@@ -28,6 +45,12 @@ def find_kernel(text: str) -> str:
     names = kernel_names()
     wanted = text.replace(".", "/")
     found = [name for name in names if wanted in (name, _stem(name))]
+    if not found:
+        found = sorted({new for old, new in MOVED.items() if wanted in (old, _stem(old))})
+        if len(found) == 1:
+            warn_caller(
+                f"the kernel file {text!r} is a part of {found[0]!r} now: the next version knows that name alone"
+            )
     if len(found) > 1:
         raise ValueError(f"several kernel files are called {text!r}: {', '.join(found)}")
     if not found:
@@ -71,6 +94,25 @@ def all_needs(name: str) -> set[str]:
     return needed
 
 
+@functools.cache
+def native_files(name: str) -> frozenset[str]:
+    """The files of C++ that a kernel file reads, and those that they include, such as "field/cpu_samples.h"."""
+    named = [(name, each) for each in re.findall(r'native_source\(__file__, "(.+?)"\)', kernel_source(name))]
+    found: set[str] = set()
+    while named:
+        user, each = named.pop()
+        path = posixpath.normpath(posixpath.join(posixpath.dirname(user), each))
+        if path not in found:
+            found.add(path)
+            named += [(path, other) for other in re.findall(r'^#include "(.+)"$', native_text(path), re.MULTILINE)]
+    return frozenset(found)
+
+
+def native_text(path: str) -> str:
+    """The text of a file of C++, named by its folder and its name."""
+    return (FOLDER / path).read_text(encoding="utf-8")
+
+
 def copy_kernel(name: str, destination: str | os.PathLike) -> list[pathlib.Path]:
     """Copy a kernel file and all that it needs into a package that imports without warpcage; returns their paths,
     sorted. All or nothing is copied; files that are there with the same text stay, and so does every `__init__.py`."""
@@ -79,6 +121,8 @@ def copy_kernel(name: str, destination: str | os.PathLike) -> list[pathlib.Path]
     names = sorted({name} | all_needs(name))
     # The files import each other relatively (`from ..mesh.fans import ...`), so a copy keeps the folders.
     texts = {destination / f"{each}.py": kernel_source(each) for each in names}
+    native = sorted(frozenset().union(*map(native_files, names)))
+    texts |= {destination / each: native_text(each) for each in native}
     for path, text in texts.items():
         if path.exists() and path.read_text(encoding="utf-8") != text:
             raise ValueError(f"{str(path)!r} is there with other contents: nothing is copied over it")
@@ -87,7 +131,7 @@ def copy_kernel(name: str, destination: str | os.PathLike) -> list[pathlib.Path]
     for folder in sorted({each.partition("/")[0] for each in names}):
         packages[destination / folder / "__init__.py"] = (FOLDER / folder / "__init__.py").read_text(encoding="utf-8")
     _write_whole({path: text for path, text in (packages | texts).items() if not path.exists()})
-    return list(texts)
+    return sorted(texts)
 
 
 def _stem(name: str) -> str:

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 import warp as wp
 
+from ..kernels.core import variants
 from . import stderr
 from .locks import device_turn
 from .stderr import without_driver_note
@@ -21,16 +22,13 @@ from .threads import cpu_threads
 #: What `wp.kernel` makes of a function: a wp.Kernel, which type checkers take for the function itself.
 Kernel: TypeAlias = wp.Kernel | Callable[..., Any]
 
-#: Held while modules are loaded: Warp gives modules that two threads load at once the same name.
-_loading = threading.RLock()
-
 #: Modules that are loaded, with their device and threads per block.
 _loaded: set[tuple[wp.Module, str, int | None]] = set()
 
 
 def start_warp() -> None:
     """Start Warp, in one thread; costs nothing where it has started."""
-    with _loading:
+    with variants.lock:
         try:
             with without_driver_note():
                 wp.init()
@@ -38,12 +36,12 @@ def start_warp() -> None:
             raise _unwritable(error) from error
 
 
-def load_modules(modules: Iterable[types.ModuleType], device: wp.DeviceLike) -> None:
-    """Compile and load modules of kernels side by side, each for the block size that it names; none twice."""
+def load_modules(modules: Iterable[types.ModuleType | Kernel], device: wp.DeviceLike) -> None:
+    """Compile and load kernel files, or the modules of kernels, side by side; each for the block size that it names."""
     # Launched one by one they would wait for each other.
     device = wp.get_device(device)
-    warp_modules = [wp.get_module(module.__name__) for module in modules]
-    with device_turn(device), _loading:
+    warp_modules = [each.module if isinstance(each, wp.Kernel) else wp.get_module(each.__name__) for each in modules]
+    with device_turn(device), variants.lock:  # Warp gives modules that two threads load at once the same name
         _ask_cpu_target()
         _tell(warp_modules, device)
         try:
@@ -59,7 +57,7 @@ def require_loaded(kernel: Kernel, device: wp.Device, block_dim: int) -> None:
     place = (kernel.module, device.alias, None if device.is_cpu else block_dim)
     if place in _loaded:
         return
-    with device_turn(device), _loading:
+    with device_turn(device), variants.lock:
         _ask_cpu_target()
         _tell([kernel.module], device, block_dim)
         _load(kernel.module, device, place[2])
@@ -128,8 +126,7 @@ def _ask_cpu_target() -> None:
 
 def _forget_lock() -> None:
     """A forked process may have a lock that a thread holds which it does not have."""
-    global _loading
-    _loading = threading.RLock()
+    variants.lock = threading.RLock()
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork

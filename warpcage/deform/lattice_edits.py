@@ -18,22 +18,9 @@ from ..core.devices import RepeatedLaunches
 from ..core.memory import free_bytes
 from ..field import tables
 from ..field.voxel_field import VoxelField
-from ..kernels.deform import (
-    points,
-    render,
-    render_cpu,
-    render_part,
-    render_part_sides,
-    render_plain,
-    render_sides,
-    render_single,
-    shaded_large,
-    shaded_part,
-    shaded_part_sides,
-    shaded_sides,
-    shaded_single,
-)
+from ..kernels.deform import points, render_cpu
 from ..kernels.deform.flat_edits import FlatEdit
+from ..kernels.deform.views import part_kernel, stack_kernel, view_kernel
 from ..kernels.view.rays import TILE_SIZE
 from ..lattice.buffers import BufferPool, SideStream
 from ..view.tile_order import BalancedTiles
@@ -45,17 +32,10 @@ from .edits import CageEdit, MarchedView, PosedEdits
 from .falloff import FalloffBand
 from .fine_cells import FineCells
 from .flat_edits import flat_edit, join_tables, lattice_box, tell_sides
-from .map_cells import MapPolynomials, takes_any
+from .map_cells import MapPolynomials, needs_general_map
 from .parts import PartsInTurn
 from .pose_modules import load_pose_modules, render_modules
 from .tile_begins import TileBegins
-
-#: Kernels for an edit, or a part of a scene, without narrow gaps whose cells have polynomials, and for any.
-ROW_KERNELS = (render_single.render_edit, render_sides.render_edit_with_sides)
-SHADED_KERNELS = (shaded_single.render_shaded_edit, shaded_sides.render_shaded_edit_with_sides)
-PART_KERNELS = (render_part.render_edit_part, render_part_sides.render_edit_part_with_sides)
-SHADED_PART_KERNELS = (shaded_part.render_shaded_part, shaded_part_sides.render_shaded_part_with_sides)
-TILE_KERNELS = (render_cpu.render_edit_tiles, render_cpu.render_edit_tiles)
 
 #: Rays from which on a view is one of many pixels.
 LARGE_PICTURE = 1 << 20
@@ -77,49 +57,28 @@ MOST_SHADES = 0.25
 
 
 class Plan(NamedTuple):
-    """How a view is marched.
+    """How a view is marched."""
 
-    Args:
-        parts: The FlatEdit of each edit and its box, front to back; None where one kernel takes the whole scene.
-        is_shaded: Whether voxels are shaded for the view.
-    """
-
+    # the FlatEdit of each edit and its box (2, 3), front to back; None where one kernel takes the whole scene
     parts: list[tuple[Any, np.ndarray]] | None
+    # whether voxels are shaded for the view
     is_shaded: bool
 
 
 class SeenView(NamedTuple):
-    """What the tables of a pose take of the views of it.
-
-    Args:
-        field: The field.
-        grid: Its VoxelGrid as it was marched.
-        centre: Of the camera, relative to the field's origin.
-        step: March step, world units.
-    """
+    """What the tables of a pose take of the views of it."""
 
     field: VoxelField
+    # its VoxelGrid as it was marched
     grid: Any
+    # of the camera, relative to the field's origin
     centre: wp.vec3
+    # of the march, world units
     step: float
 
 
 class LatticeEdits(PosedEdits):
-    """Edits on lattices, for the kernel of one edit or that of several.
-
-    Args:
-        edits: The edits in their order.
-        coordinates: Kind of coordinates.
-        resolution: Cells of each lattice along the longest side of its cage.
-        origin: (3,) world point that positions on the device are relative to.
-        device: Warp device.
-        store: "map" or "weights", as Deformer has it.
-        bands: The FalloffBand of each edit, None for one without a falloff; () is none at all.
-        carried: The CarriedCrumbs of each edit, None for one without crumbs; () is none at all.
-
-    Attributes:
-        lattices: The EditLattices that hold the maps.
-    """
+    """Edits on lattices, for the kernel of one edit or that of several; arguments as EditLattices has them."""
 
     def __init__(
         self,
@@ -137,7 +96,7 @@ class LatticeEdits(PosedEdits):
         self._is_single, self._has_crumbs = len(edits) == 1 and not any(carried), any(carried)
         self._by_tiles = device.is_cpu and tables.TILES_ON_CPU
         self._looks_ahead = device.is_cuda or LOOKS_AHEAD_ON_CPU
-        super().__init__(points.map_points, render_single.render_edit if self._is_single else render.render_edits)
+        super().__init__(points.map_points, None)  # poses choose the other one
         load_pose_modules(coordinates, render_modules(device, len(edits), self._has_crumbs), device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
         self._flat: list[Any] = []
@@ -168,17 +127,17 @@ class LatticeEdits(PosedEdits):
         if not self._flat:
             return []  # where a new pose leads to is not known yet
         if not self._plan.is_shaded:
-            return [field.marching.rows()]
+            return [field.tables.rows()]
         if not self._shades.is_posed:
             return []
         if self._shades.is_known_folded:
             return self._unshaded_tables(field)
-        return [self._shades.shades(field.grid, field.marching.columns, centre, step)]
+        return [self._shades.shades(field.grid, field.tables.columns, centre, step)]
 
     def _unshaded_tables(self, field: VoxelField) -> list[Any]:
         """Rows, as the pose turns matter over."""
         self._plan = Plan(self._plan.parts, False)
-        return [field.marching.rows()]
+        return [field.tables.rows()]
 
     def _planned(self, field: VoxelField, centre: wp.vec3, step: float) -> Plan:
         """How a view is marched."""
@@ -189,8 +148,8 @@ class LatticeEdits(PosedEdits):
             and not self._has_crumbs
             and (self._is_single or parts is not None)
             and all(flat.nodes.shape[0] < MOST_LATTICE_NODES for flat in self._flat)
-            and field.marching.is_shaded(centre, self._lattice_boxes)
-            and shade_texture_bytes(field.marching.columns) <= self._most_shades
+            and field.tables.is_shaded(centre, self._lattice_boxes)
+            and shade_texture_bytes(field.tables.columns) <= self._most_shades
         )
         return Plan(parts, is_shaded)
 
@@ -210,13 +169,8 @@ class LatticeEdits(PosedEdits):
             self._look_ahead(seen)
 
     def warm(self, field: VoxelField) -> None:
-        """Launch once what poses and views of them do, at rest and seen from afar: the first ones take no longer then.
-
-        Nothing is done where poses do not look ahead, or where memory is short.
-
-        Args:
-            field: The field that views are of.
-        """
+        """Launch once what poses and views of a field do, at rest and seen from afar: the first ones take no longer
+        then. Nothing is done where poses do not look ahead, or where memory is short."""
         lattices = [found.lattice for found in self.lattices.maps if found is not None]
         if not self._looks_ahead or any(lattice is None for lattice in lattices):  # where no graphs are
             return
@@ -226,11 +180,11 @@ class LatticeEdits(PosedEdits):
         self.pose([None if edit.remove else edit.cage for edit in self._edits])
         low, high = field.bounds
         centre = wp.vec3(*(FAR * (high - low)).tolist())
-        seen = SeenView(field, field.marching.grid(), centre, field.step)
+        seen = SeenView(field, field.tables.grid(), centre, field.step)
         self._look_ahead(seen)
         if self._plan.is_shaded:
             self._shades.aim(centre)
-            self._shades.walls(seen.grid, field.marching.columns)
+            self._shades.walls(seen.grid, field.tables.columns)
         self._seen = seen  # by which the first pose goes
 
     def _look_ahead(self, seen: SeenView) -> None:
@@ -251,11 +205,8 @@ class LatticeEdits(PosedEdits):
         self.scene = scene
 
     def flat_scene(self) -> Any:
-        """The posed edits with what `mark_empty` found, as their render kernel takes them.
-
-        Returns:
-            The one FlatEdit of kernels/deform/flat_edits.py, or an array of several.
-        """
+        """The posed edits with what `mark_empty` found, as their render kernel takes them: one FlatEdit, or an array of
+        several."""
         posed = self.lattices.posed()
         if [id(edit) for edit, _ in posed] != [id(edit) for edit, _ in self._laid]:
             self._lay_out()
@@ -267,11 +218,12 @@ class LatticeEdits(PosedEdits):
         self._lattice_boxes, self._shades.is_posed = [lattice_box(flat) for flat in self._flat], False
         self._is_fine = False
         if not self._is_single:
-            rare = any(self.lattices.carried) or any(flat.has_sides for flat in self._flat)
-            self.render_kernel = render.render_edits if rare else render_plain.render_plain_edits
+            is_simple = not any(self.lattices.carried) and not any(flat.has_sides for flat in self._flat)
+            self.render_kernel = stack_kernel(is_simple)
             return self.flat_array()
         (flat,) = self._flat
-        self.render_kernel = ROW_KERNELS[takes_any(flat)]
+        if not self._by_tiles:
+            self.render_kernel = view_kernel(False, needs_general_map(flat))
         return flat
 
     def _lay_out(self) -> None:
@@ -281,12 +233,8 @@ class LatticeEdits(PosedEdits):
         self._laid = [(edit, flat_edit(edit, look, nodes)) for edit, look, nodes in buffers]
 
     def _begin_tables(self, grid: Any) -> bool:
-        """Launch the tables of fine cells and the polynomials of cells, where the march is one that knows them, for one
-        edit or for those apart.
-
-        Returns:
-            Whether they are new: they are there behind `_end_tables`.
-        """
+        """Launch the tables of fine cells and the polynomials of cells, where the march knows them: for one edit or
+        edits apart. Returns whether they are new: they are there behind `_end_tables`."""
         is_known = not self._by_tiles and (self._is_single or self._plan.parts is not None)
         if self._is_fine or not is_known:
             return False
@@ -299,7 +247,7 @@ class LatticeEdits(PosedEdits):
         self._side.join()
         self._is_fine = True
         if self._is_single:
-            self.render_kernel = ROW_KERNELS[takes_any(self._flat[0])]
+            self.render_kernel = view_kernel(False, needs_general_map(self._flat[0]))
 
     def _find_places(self, grid: Any) -> None:
         """Launch what finds where the pose takes matter."""
@@ -329,7 +277,10 @@ class LatticeEdits(PosedEdits):
         (parts, is_shaded), tiles = self._plan, view.threads // TILE_SIZE
         if parts is not None:
             orders = self._tiles.begin(len(parts), tiles)
-            kernels = TILE_KERNELS if self._by_tiles else SHADED_PART_KERNELS if is_shaded else PART_KERNELS
+            if self._by_tiles:
+                kernels = [render_cpu.render_edit_tiles, render_cpu.render_edit_tiles]
+            else:
+                kernels = [part_kernel(is_shaded, has_sides) for has_sides in (False, True)]
             self._parts.render(self, view, parts, kernels, orders, begins)
             self._tiles.end()
         elif self._is_single:
@@ -352,21 +303,14 @@ class LatticeEdits(PosedEdits):
 
     def _shaded_kernel(self, view: MarchedView) -> Any:
         """The kernel that marches a view of shaded voxels through one edit."""
-        if view.threads >= LARGE_PICTURE and not takes_any(self._flat[0]):
-            return shaded_large.render_large_shaded_edit
-        return SHADED_KERNELS[takes_any(self._flat[0])]
+        has_sides = needs_general_map(self._flat[0])
+        return view_kernel(True, has_sides, large=view.threads >= LARGE_PICTURE and not has_sides)
 
     def scene_parts(self, centre: wp.vec3, step: float) -> list[tuple[Any, np.ndarray]] | None:
-        """The edits as a view takes them one by one.
-
-        Args:
-            centre: Of the camera, relative to the edits' origin.
-            step: March step, world units.
-
-        Returns:
-            The FlatEdit of each and its box (2, 3), front to back. None where one kernel takes the whole scene: one
-            edit on CUDA, crumbs, edits that may meet each other, and boxes that hide each other in a circle.
-        """
+        """The FlatEdit of each edit and its box (2, 3), front to back from `centre`, relative to the edits' origin, as
+        a view takes them one by one. None where one kernel takes the whole scene."""
+        # One kernel takes one edit on CUDA, crumbs, edits that may meet each other, and boxes that hide each other in a
+        # circle.
         if self._is_single:
             return [(self._flat[0], NOWHERE)] if self._by_tiles else None
         if self._boxes is None:

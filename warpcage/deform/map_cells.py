@@ -20,12 +20,7 @@ MOST_POLYNOMIALS = 1 / 16
 
 
 class MapPolynomials:
-    """The map of each cell of posed lattices as a polynomial.
-
-    Args:
-        edit_count: Number of edits.
-        device: Warp device.
-    """
+    """The map of each cell of posed lattices as a polynomial."""
 
     def __init__(self, edit_count: int, device: wp.Device):
         self._most_bytes = math.inf if device.is_cpu else MOST_POLYNOMIALS * device.total_memory
@@ -34,11 +29,8 @@ class MapPolynomials:
         self._launch = RepeatedLaunches(device)
 
     def expand(self, edits: Sequence[Any]) -> None:
-        """Give posed edits their `polynomials`, where they map anything and there is memory.
-
-        Args:
-            edits: The FlatEdits, whose cells are marked.
-        """
+        """Give posed FlatEdits, whose cells are marked, their `polynomials`, where they map anything and there is
+        memory."""
         for number, (edit, buffer) in enumerate(zip(edits, self._polynomials, strict=True)):
             words = int(CELL_WORDS) * edit.look.size
             takes = wp.types.type_size_in_bytes(wp.vec4) * words
@@ -48,13 +40,7 @@ class MapPolynomials:
                 edit.polynomials, edit.by_nodes = polynomials, 0
 
 
-def takes_any(edit: Any) -> int:
-    """Which of two kernels marches an edit.
-
-    Args:
-        edit: The FlatEdit.
-
-    Returns:
-        1 for that which takes any edit, 0 for the faster one that takes polynomials and knows no narrow gaps.
-    """
-    return int(bool(edit.has_sides or edit.by_nodes))
+def needs_general_map(edit: Any) -> bool:
+    """Whether a FlatEdit has corner values for each side of narrow gaps, or no polynomials: the faster march knows
+    polynomials alone."""
+    return bool(edit.has_sides or edit.by_nodes)

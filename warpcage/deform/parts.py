@@ -14,18 +14,14 @@ from ..kernels.deform.render_cpu import render_edit_tiles
 from ..kernels.view.rays import TILE_SIZE
 from ..lattice.buffers import BufferPool
 from .edits import MarchedView, PosedEdits
-from .map_cells import takes_any
+from .map_cells import needs_general_map
 
 #: One of the three arrays that hold the state of rays takes so much for a ray.
 STATE_BYTES = wp.types.type_size_in_bytes(wp.vec4)
 
 
 class PartsInTurn:
-    """Marches views through edits that are apart, a launch for each; rays keep their state in between.
-
-    Args:
-        device: Warp device.
-    """
+    """Marches views through edits that are apart, a launch for each; rays keep their state in between."""
 
     def __init__(self, device: wp.Device):
         # kept, as CUDA takes longer to hand out as much memory than to fill it
@@ -42,24 +38,16 @@ class PartsInTurn:
         orders: Sequence[Any],
         begins: Sequence[wp.array | None],
     ) -> None:
-        """March a view.
-
-        Args:
-            edits: The edits.
-            view: The view.
-            parts: The FlatEdit of each edit and the box (2, 3) of what it has to do with, half a step more, relative to
-                the edits' origin; front to back. What is behind the last box goes with it.
-            kernels: That for an edit without narrow gaps whose cells have polynomials, and that for any.
-            orders: The TileOrder of each launch.
-            begins: What TileBegins found for each; None where the kernels do not ask.
-        """
+        """March a view through parts: each edit's FlatEdit and box (2, 3), from the edits' origin, front to back.
+        kernels: for edits whose map is by polynomials alone, and for any; begins: None where the kernels do not ask."""
+        # A box is of what its edit has to do with, half a step more. What is behind the last one goes with it.
         structs = self._scene_parts([box.tolist() for _, box in parts], view.pinhole.width * view.pinhole.height)
         by_tiles = render_edit_tiles in kernels
         tables = [view.field.marching.cells(view.grid)] if by_tiles else []
         for number, ((flat, _), struct, order) in enumerate(zip(parts, structs, orders, strict=True)):
             scene = [*tables, flat, struct]
             rays = TILE_SIZE if by_tiles else 1
-            edits.march(view, kernels[takes_any(flat)], scene, rays, order, begins[number], number)
+            edits.march(view, kernels[needs_general_map(flat)], scene, rays, order, begins[number], number)
 
     def _scene_parts(self, boxes: list[list[list[float]]], rays: int) -> list[Any]:
         """The ScenePart of each box, with arrays for as many rays; those of the view before where it has the same."""
@@ -73,17 +61,8 @@ class PartsInTurn:
 
 
 def scene_part(box: list[list[float]], is_first: bool, is_last: bool, states: wp.array | None) -> Any:
-    """A part of a scene for kernels.
-
-    Args:
-        box: Its lower and its upper corner, (3,) each, relative to the edits' origin.
-        is_first: Whether nothing was marched before.
-        is_last: Whether rays are followed to their end.
-        states: (3, rays) vec4 in which rays keep their state, not set yet. None for the first and only part.
-
-    Returns:
-        A ScenePart of kernels/deform/ray_parts.py.
-    """
+    """The ScenePart of a box: its lower and upper corner, (3,) each, relative to the edits' origin.
+    states: (3, rays) vec4 in which rays keep their state, not set yet; None for the first and only part."""
     part = ScenePart()
     part.lower, part.upper = (wp.vec3(*corner) for corner in box)
     part.is_first, part.is_last = int(is_first), int(is_last)

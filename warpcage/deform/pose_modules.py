@@ -7,30 +7,12 @@ from types import ModuleType
 
 import warp as wp
 
-from ..core.modules import load_modules
+from ..core.modules import Kernel, load_modules
 from ..field import tables
 from ..kernels.core import texels
-from ..kernels.deform import (
-    carried_shades,
-    fine_cells,
-    flat_edits,
-    map_cells,
-    posed_places,
-    render,
-    render_cpu,
-    render_part,
-    render_part_sides,
-    render_plain,
-    render_sides,
-    render_single,
-    shaded_large,
-    shaded_part,
-    shaded_part_sides,
-    shaded_sides,
-    shaded_single,
-    tile_begins,
-)
+from ..kernels.deform import carried_shades, fine_cells, flat_edits, map_cells, posed_places, render_cpu, tile_begins
 from ..kernels.deform import cells as cell_tables
+from ..kernels.deform.views import part_kernel, stack_kernel, view_kernel
 from ..kernels.field import columns, densities, rows
 from ..kernels.field import skip as grid_skip
 from ..kernels.lattice import (
@@ -61,48 +43,31 @@ SOLVER_MODULES = {
 }
 
 
-def load_pose_modules(coordinates: str, others: Sequence[ModuleType], device: wp.Device) -> None:
-    """Compile and load the kernels of a pose side by side, with others.
-
-    Args:
-        coordinates: Kind of coordinates.
-        others: Modules that frames need beside them.
-        device: Warp device.
-    """
+def load_pose_modules(coordinates: str, others: Sequence[ModuleType | Kernel], device: wp.Device) -> None:
+    """Compile and load the kernels of a pose side by side, with what frames need beside them."""
     load_modules([*POSE_MODULES, *SOLVER_MODULES[coordinates], *others], device)
 
 
 def load_usual_modules(coordinates: str, device: wp.Device) -> None:
-    """Compile and load the kernels of views of one edit, before there is a field or a cage.
-
-    Args:
-        coordinates: Kind of coordinates.
-        device: Warp device.
-    """
+    """Compile and load the kernels of views of one edit, before there is a field or a cage."""
     load_pose_modules(coordinates, render_modules(device), device)
 
 
-def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = False) -> list[ModuleType]:
-    """The modules of the kernels that render views.
-
-    Args:
-        device: Warp device.
-        edit_count: Number of edits.
-        has_crumbs: Whether crumbs go with one of them.
-
-    Returns:
-        The modules.
-    """
+def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = False) -> list[ModuleType | Kernel]:
+    """What renders views, kernel files and variants; has_crumbs: crumbs go with one of the edits."""
     if has_crumbs:
-        return [render]
-    several = [render_plain, render] if edit_count > 1 else []
+        return [stack_kernel(False)]
+    several = [stack_kernel(True), stack_kernel(False)] if edit_count > 1 else []
     if device.is_cpu and tables.TILES_ON_CPU:
         return [render_cpu, *several]
     march_modules = [fine_cells, map_cells, tile_begins, *several]
-    by_rows = [render_part, render_part_sides] if several else [render_single, render_sides]
+    kernel_of = part_kernel if several else view_kernel
+    by_rows = [kernel_of(False, has_sides) for has_sides in (False, True)]
     if device.is_cpu and not tables.SHADES_ON_CPU:
         return [*march_modules, *by_rows]
-    shaded = [shaded_part, shaded_part_sides] if several else [shaded_single, shaded_large, shaded_sides]
+    shaded = [kernel_of(True, has_sides) for has_sides in (False, True)]
+    if not several:
+        shaded.append(view_kernel(True, False, large=True))
     # poses that turn matter over are marched by rows, and no hand that moves a cage is to wait for a compiler
     frame_modules = [columns, densities, rows, texels, tile_order]
     return [*march_modules, posed_places, carried_shades, *shaded, *by_rows, *frame_modules]

@@ -12,8 +12,9 @@ from ..cage.cage import Cage
 from ..coordinates.coordinates import stretched_normals
 from ..core.arrays import empty_array
 from ..core.devices import launch
-from ..kernels.deform import points_precise, render_precise, settled_cells
+from ..kernels.deform import points_precise, settled_cells
 from ..kernels.deform.edits import CellTable, ClosedFormEdit
+from ..kernels.deform.views import exact_kernel
 from ..mesh.fans import prepared_fans
 from ..mesh.queries import SURFACE_TOLERANCE
 from .carried import CarriedCrumbs
@@ -33,22 +34,10 @@ GUIDE_RESOLUTION, GUIDE_MARGIN = 96, 0.5
 
 class ClosedFormEdits(PosedEdits):
     """Edits whose mean value or Green coordinates are evaluated at every sample ("precise").
+    bands, carried: one or None for each edit, () for none at all."""
 
-    A lattice map of the same coordinates finds the cells where that can be left out: those that are clear of a cage,
-    and those that show nothing.
-
-    Args:
-        edits: The edits in their order.
-        coordinates: "mean_value" or "green".
-        origin: (3,) world point that positions on the device are relative to.
-        device: Warp device.
-        bands: The FalloffBand of each edit, None for one without a falloff; () is none at all.
-        carried: The CarriedCrumbs of each edit, None for one without crumbs; () is none at all. Crumbs follow the
-            lattice map beside the cage.
-
-    Attributes:
-        guide: The EditLattices that find those cells.
-    """
+    # A lattice map of the same coordinates finds the cells where that can be left out: those that are clear of a cage,
+    # and those that show nothing. Crumbs follow the lattice map beside the cage.
 
     def __init__(
         self,
@@ -59,11 +48,11 @@ class ClosedFormEdits(PosedEdits):
         bands: Sequence[FalloffBand | None] = (),
         carried: Sequence[CarriedCrumbs | None] = (),
     ):
-        super().__init__(points_precise.map_points_precisely, render_precise.render_precisely)
+        super().__init__(points_precise.map_points_precisely, exact_kernel())
         self._edits, self._origin, self._device = edits, origin, device
         self.sample_work = sum(len(edit.cage.faces) for edit in edits)  # each face is looked at
         self._is_green = coordinates == "green"
-        load_pose_modules(coordinates, [render_precise, settled_cells], device)
+        load_pose_modules(coordinates, [exact_kernel(), settled_cells], device)
         self._bands = list(bands) or [None] * len(edits)
         self.guide = EditLattices(edits, coordinates, GUIDE_RESOLUTION, origin, device, bands=bands, carried=carried)
         self._rest_cells = [
@@ -124,32 +113,16 @@ class ClosedFormEdits(PosedEdits):
 
 
 def settled_rest_cells(rest: Any, slack: float, device: wp.Device) -> Any:
-    """Where all of a cell lies on one side of a rest cage.
-
-    Args:
-        rest: CageMap of the rest cage.
-        slack: Outside means farther than this from the cage, world units.
-        device: Warp device.
-
-    Returns:
-        A CellTable of kernels/deform/edits.py.
-    """
+    """The CellTable of where all of a cell of a CageMap lies on one side of its rest cage.
+    Outside means farther than `slack` from the cage, world units."""
     table = cell_table(rest, device)
     launch(settled_cells.settle_rest_cells, table.flags.size, [rest, slack], [table.flags], device=device)
     return table
 
 
 def settled_deformed_cells(guide: Any, skip: wp.array, device: wp.Device) -> Any:
-    """What holds for whole cells over a deformed cage.
-
-    Args:
-        guide: The posed LatticeEdit.
-        skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything.
-        device: Warp device.
-
-    Returns:
-        A CellTable of kernels/deform/edits.py.
-    """
+    """The CellTable of what holds for whole cells over a deformed cage, whose posed LatticeEdit is `guide`.
+    skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything."""
     table = cell_table(guide.deformed, device)
     table.skip = skip
     launch(settled_cells.settle_deformed_cells, skip.size, [guide], [table.flags], device=device)
@@ -157,15 +130,7 @@ def settled_deformed_cells(guide: Any, skip: wp.array, device: wp.Device) -> Any
 
 
 def cell_table(cage_map: Any, device: wp.Device) -> Any:
-    """A table over the cells of a map, its flags not set yet.
-
-    Args:
-        cage_map: A CageMap.
-        device: Warp device.
-
-    Returns:
-        A CellTable of kernels/deform/edits.py.
-    """
+    """A CellTable over the cells of a CageMap, its flags not set yet."""
     table = CellTable()
     table.lower, table.spacing = cage_map.lower, cage_map.spacing
     table.flags = empty_array(cell_shape(cage_map), wp.uint8, device)

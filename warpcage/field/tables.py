@@ -17,9 +17,7 @@ from ..kernels.core.texels import clear_half_texels
 from ..kernels.field import columns, matter_cells
 from ..kernels.field.densities import lay_densities
 from ..kernels.field.grid import VoxelGrid
-from ..kernels.field.render import render_image
 from ..kernels.field.render_cpu import render_tiles
-from ..kernels.field.render_shaded import render_shaded_image
 from ..kernels.field.rows import RowTable, pack_rows
 from ..kernels.field.shades import ShadedGrid, shade_rows
 from ..kernels.view.rays import TILE_SIZE
@@ -213,14 +211,10 @@ TILES_ON_CPU = True
 
 
 class MarchTables:
-    """What marches read of a grid instead of its own arrays.
+    """What marches read of a grid instead of its own arrays."""
 
-    Values are read anew for each frame, so that none is shown that is no longer there. What is kept depends on the
-    links, which do not change, and on which densities are above zero, which is compared at each frame.
-
-    Args:
-        grid: The VoxelGrid.
-    """
+    # Values are read anew for each frame, so that none is shown that is no longer there. What is kept depends on the
+    # links, which do not change, and on which densities are above zero, which is compared at each frame.
 
     def __init__(self, grid: Any):
         self._grid = grid
@@ -263,16 +257,8 @@ class MarchTables:
         return row_table(self._grid, self.columns)
 
     def begin_image(self, centre: wp.vec3, step: float, work: float) -> March:
-        """Start on a view of the grid.
-
-        Args:
-            centre: Of the camera, relative to the grid's origin.
-            step: March step, world units.
-            work: Steps that a ray may take, as `core.devices.launch` has them.
-
-        Returns:
-            What launches the rest.
-        """
+        """Start on a view of the grid and return what launches the rest; step: world units.
+        centre: of the camera, relative to the grid's origin; work: steps that a ray may take, as `launch` has them."""
         kernel, inputs, rays = self._image_kernel(centre, step)
 
         def march(threads: int, pinhole: Any, colour: wp.vec3, make_arrays: MakeArrays) -> None:
@@ -291,24 +277,17 @@ class MarchTables:
         return self._launches[kernel]
 
     def _image_kernel(self, centre: wp.vec3, step: float) -> tuple[Kernel, list[Any], int]:
-        """What renders a view of the grid.
-
-        Args:
-            centre: Of the camera, relative to the grid's origin.
-            step: March step, world units.
-
-        Returns:
-            A kernel, its first inputs, and the rays that one of its items follows.
-        """
+        """A kernel that renders views of the grid, its first inputs, and the rays that one of its items follows.
+        centre: of the camera, relative to the grid's origin; step: world units."""
         self.begin()
         if self.is_shaded(centre):
             shaded = shaded_grid(self._grid, self.columns, centre, step)
-            return render_shaded_image, [self.grid(), shaded], 1
+            return image_kernel(True), [self.grid(), shaded], 1
         rows = self.rows()
         if self.by_tiles:
             grid = self.grid()
             return render_tiles, [grid, rows, self.cells(grid)], TILE_SIZE
-        return render_image, [self.grid(), rows], 1
+        return image_kernel(False), [self.grid(), rows], 1
 
     @property
     def by_tiles(self) -> bool:
@@ -316,27 +295,13 @@ class MarchTables:
         return self._grid.links.device.is_cpu and TILES_ON_CPU
 
     def cells(self, grid: Any) -> Any:
-        """The densities by cells, on a CPU.
-
-        Args:
-            grid: What `grid` returned.
-
-        Returns:
-            A MatterCells of kernels/field/matter_cells.py.
-        """
+        """The densities by cells, on a CPU: a MatterCells; grid: what `grid()` returned."""
         with self._lock:
             return self._cells.cells(grid.density, grid.skip, self._matter.version)
 
     def is_shaded(self, centre: wp.vec3, others: Sequence[Sequence[Sequence[float]]] = ()) -> bool:
-        """Whether voxels are shaded for a camera: where none is near it.
-
-        Args:
-            centre: Of the camera, relative to the grid's origin.
-            others: (2, 3) boxes that voxels are moved into.
-
-        Returns:
-            Whether they are.
-        """
+        """Whether voxels are shaded for a camera: where none is near it, nor to others: boxes (2, 3) they are moved
+        into. centre: of the camera, relative to the grid's origin, as boxes are."""
         if self._grid.links.device.is_cpu and not SHADES_ON_CPU:
             return False
         near, place = NEAR_VOXELS * self._longest, (centre[0], centre[1], centre[2])
@@ -344,14 +309,5 @@ class MarchTables:
 
 
 def box_distance(lower: Sequence[float], upper: Sequence[float], point: Any) -> float:
-    """How far a point is from a box; 0 within.
-
-    Args:
-        lower: (3,) corner of the box.
-        upper: (3,) corner.
-        point: (3,).
-
-    Returns:
-        The distance.
-    """
+    """How far a point (3,) is from a box; 0 within."""
     return math.hypot(*(max(low - x, x - high, 0.0) for low, x, high in zip(lower, point, upper, strict=True)))

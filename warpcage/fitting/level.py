@@ -16,7 +16,7 @@ from ..field.render import STOP_TRANSMITTANCE
 from ..field.sparse import link_mask
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
-from ..kernels.field.render import record_weights
+from ..kernels.field.march import record_weights
 from ..kernels.fitting import rmsprop
 from ..kernels.fitting.loss import accumulate_photometric_gradient
 from ..kernels.fitting.loss_warps import accumulate_photometric_gradient_by_warps

@@ -1,0 +1,35 @@
+"""Variants of a kernel, each a Warp module of its own: it compiles by itself, and only once it is used."""
+
+import functools
+import inspect
+import threading
+from typing import Any
+
+import warp as wp
+
+#: Held while kernels are declared, as Warp keeps modules by their names for all threads; and while they are loaded.
+lock = threading.RLock()
+
+
+def variant_module(file: str, variant: str, **options: Any) -> wp.Module:
+    """The Warp module of a variant. file: `__name__` of the kernel file; options: beside those of all kernel files."""
+    # one for each, as the second of two kernels of one name replaces the first. Not "unique", which hashes all that a
+    # kernel calls as soon as it is declared, in each process: 13 ms
+    module = wp.get_module(f"{file}.{variant}")
+    wp.set_module_options({"enable_backward": False, "default_grid_stride": False, **options}, module=module)
+    return module
+
+
+def declared_once(make: Any) -> Any:
+    """Decorates what declares a kernel: the same arguments get the same kernel, whichever thread asks."""
+    made, signature = functools.cache(make), inspect.signature(make)
+
+    @functools.cache  # so that who asks again does not wait for a compiler
+    @functools.wraps(make)
+    def declared(*values: Any, **named: Any) -> Any:
+        bound = signature.bind(*values, **named)
+        bound.apply_defaults()
+        with lock:
+            return made(*bound.args, **bound.kwargs)
+
+    return declared

@@ -1,0 +1,181 @@
+"""Emission-absorption ray marching of a sparse voxel grid: its views, by rows or by voxels shaded for the camera."""
+
+# C = sum_k T_k (1 - exp(-sigma_k dt)) c_k + T_end background, T_k = exp(-sum_{j<k} sigma_j dt): Max 1995 as used by
+# NeRF (Mildenhall et al. 2020, Eq. 3) and Plenoxels (2022, Eq. 1).
+
+from typing import Any
+
+import warp as wp
+
+from ..core.entries import cell_byte
+from ..core.variants import declared_once, variant_module
+from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
+from .densities import row_density
+from .grid import VoxelGrid, cell_density, cell_sample, empty_distance
+from .harmonics import sh_basis
+from .rows import RowTable, row_colour
+from .samples import exit_of_cell, grid_ray, safe_inverse, sample_beyond, sample_distance, sample_place
+from .shades import ShadedGrid, shade_at
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
+
+#: A pixel has a depth where it is at least this opaque.
+DEPTH_MIN_ALPHA = wp.constant(1.0e-3)
+
+#: Samples that together weigh no more than this take the colour of the next one: half of what an 8-bit image shows.
+PENDING_WEIGHT = wp.constant(1.0 / 512.0)
+
+
+@wp.struct
+class Radiance:
+    """What a march gathered along a ray."""
+
+    colour: wp.vec3  # sum of w_k c_k, without background
+    transmittance: float  # what is left for the background
+    depth: float  # sum of w_k t_k
+
+
+@wp.func
+def pending_colour(colour: wp.vec3, transmittance: float, pending: float):
+    """What samples add whose colour was not looked up: that of the others, or grey where there are none."""
+    looked_up = 1.0 - transmittance - pending
+    if looked_up > 0.5 * PENDING_WEIGHT:
+        return (pending / looked_up) * colour
+    return wp.vec3(0.5 * pending, 0.5 * pending, 0.5 * pending)
+
+
+@wp.func
+def visible_depth(depth: float, opacity: float):
+    """Expected distance along the ray, inf where almost nothing is seen. depth: sum of w_k t_k."""
+    return wp.where(opacity > DEPTH_MIN_ALPHA, depth / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)
+
+
+@declared_once
+def image_kernel(shaded: bool) -> Any:
+    """The kernel that renders a view, by a RowTable or by a ShadedGrid."""
+    table_type = ShadedGrid if shaded else RowTable
+    variant = "shades" if shaded else "rows"
+
+    @wp.func
+    def march(grid: VoxelGrid, table: table_type, origin: wp.vec3, direction: wp.vec3, step: float, stop: float):
+        """Gather radiance along a ray until its transmittance falls below `stop`."""
+        result = Radiance()
+        result.transmittance = float(1.0)
+        if wp.static(not shaded):
+            basis = sh_basis(direction)
+        ray = grid_ray(grid, origin, direction, step)
+        inverse_slope = safe_inverse(ray.slope)
+        inverse_step = 1.0 / step
+        tops = wp.vec3i(grid.skip.shape[0] - 1, grid.skip.shape[1] - 1, grid.skip.shape[2] - 1)
+        if wp.static(not shaded):
+            pending = float(0.0)  # weight of samples whose colour is not looked up yet
+        k = float(ray.first)  # a whole number: no conversions in the loop, where each step waits for the one before
+        t = (k + 0.5) * step
+        while t < ray.far and result.transmittance > stop:
+            g = ray.start + t * ray.slope
+            ci = wp.clamp(int(g[0]), 0, tops[0])
+            cj = wp.clamp(int(g[1]), 0, tops[1])
+            ck = wp.clamp(int(g[2]), 0, tops[2])
+            empty = cell_byte(grid.skip, ci, cj, ck)
+            offset = g - wp.vec3(float(ci), float(cj), float(ck))
+            if empty > 0:
+                leave = t + exit_of_cell(offset, inverse_slope, empty)
+                after = wp.ceil(leave * inverse_step - 0.5)
+                k = wp.where(after > k + 1.0, after, k + 1.0)
+            else:
+                if wp.static(shaded):
+                    shade = shade_at(table, ci, cj, ck, offset)
+                    if shade[3] > 0.0:
+                        kept = wp.exp(-shade[3])
+                        weight = result.transmittance * (1.0 - kept)
+                        colour = wp.vec3(shade[0] + 0.5, shade[1] + 0.5, shade[2] + 0.5)
+                        result.colour += weight * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                        result.depth += weight * t
+                        result.transmittance *= kept
+                else:
+                    sigma = row_density(table.laid, table.unit, grid.density, table.columns, ci, cj, ck, offset)
+                    if sigma > 0.0:
+                        kept = wp.exp(-sigma * step)
+                        weight = result.transmittance * (1.0 - kept)
+                        pending += weight
+                        if pending > PENDING_WEIGHT:
+                            colour = row_colour(grid.sh, table.packed, table.columns, ci, cj, ck, offset, basis)
+                            result.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                            pending = float(0.0)
+                        result.depth += weight * t
+                        result.transmittance *= kept
+                k += 1.0
+            t = (k + 0.5) * step
+        if wp.static(not shaded):
+            result.colour += pending_colour(result.colour, result.transmittance, pending)
+        return result
+
+    @wp.kernel(name=f"render_{variant}", module=variant_module(__name__, variant, block_dim=64 if shaded else 128))
+    def render(
+        first: int,
+        grid: VoxelGrid,
+        table: table_type,
+        camera: PinholeCamera,
+        background: wp.vec3,
+        step: float,
+        stop: float,
+        rgb: wp.array(dtype=wp.vec3),
+        alpha: wp.array(dtype=wp.float32),
+        depth: wp.array(dtype=wp.float32),
+    ):
+        """One thread per pixel, in the order of view/rays.tile_pixel; outputs (h * w,) row by row."""
+        column, row = tile_pixel(first + wp.tid(), camera.width)
+        if column >= camera.width or row >= camera.height:
+            return
+        n = row * camera.width + column
+        seen = march(grid, table, camera.centre, pixel_direction(camera, column, row), step, stop)
+        opacity = 1.0 - seen.transmittance
+        rgb[n] = seen.colour + seen.transmittance * background
+        alpha[n] = opacity
+        depth[n] = visible_depth(seen.depth, opacity)
+
+    return render
+
+
+def variants() -> list[Any]:
+    """All kernels that factories of this file declare."""
+    return [image_kernel(shaded) for shaded in (False, True)]
+
+
+@wp.kernel
+def record_weights(
+    first: int,
+    grid: VoxelGrid,
+    cameras: wp.array(dtype=PinholeCamera),
+    pixel_stride: int,
+    step: float,
+    stop: float,
+    weights: wp.array(dtype=wp.float32),
+):
+    """Largest rendering weight T_k alpha_k that any ray gives to each node's row. Every pixel_stride-th row and column
+    of every camera. Rays share rows: on the CPU each thread needs its own `weights`, which are joined by maximum."""
+    n = first + wp.tid()
+    per_row = (cameras[0].width + pixel_stride - 1) // pixel_stride
+    per_view = per_row * ((cameras[0].height + pixel_stride - 1) // pixel_stride)
+    camera = cameras[n // per_view]
+    column = (n % per_view % per_row) * pixel_stride
+    row = (n % per_view // per_row) * pixel_stride
+    ray = grid_ray(grid, camera.centre, pixel_direction(camera, column, row), step)
+    transmittance = float(1.0)
+    k = ray.first
+    while sample_distance(ray, k) < ray.far and transmittance > stop:
+        g = sample_place(ray, k)
+        empty = empty_distance(grid, g)
+        if empty > 0:
+            k = sample_beyond(ray, k, g, empty)
+        else:
+            cell = cell_sample(grid, g)
+            sigma = cell_density(grid, cell)
+            if sigma > 0.0:
+                weight = transmittance * (1.0 - wp.exp(-sigma * step))
+                for c in range(8):
+                    if cell.rows[c] >= 0:
+                        if weights[cell.rows[c]] < weight:
+                            wp.atomic_max(weights, cell.rows[c], weight)
+                transmittance *= wp.exp(-sigma * step)
+            k += 1

@@ -1,0 +1,57 @@
+wp::vec_t<5, wp::float32> seen;
+#if defined(__CUDA_ARCH__)
+__shared__ float4 rows[8][32][3];
+const int warp = (threadIdx.x >> 5) & 7, lane = threadIdx.x & 31;
+const float4* rows_of = reinterpret_cast<const float4*>(view.data);
+const int* member = reinterpret_cast<const int*>(members.data);
+const float left = x - (float)(lane & 7), top = y - (float)(lane >> 3);
+const float low = top - 0.002f, high = top + 3.002f, right = left + 7.002f;
+float T = inside ? 1.0f : 0.0f, red = 0.0f, green = 0.0f, blue = 0.0f, depth = 0.0f;
+for (int base = begin; base < end; base += 32)
+{
+    if (__ballot_sync(0xffffffffu, T > stop) == 0u)
+        break;
+    bool touched = false;
+    float4 a, b;
+    const float4* row = rows_of;
+    if (base + lane < end)
+    {
+        row += 3u * (unsigned)member[base + lane];
+        a = row[0];
+        b = row[1];
+#include "warp_reach.h"
+    }
+    const unsigned which = __ballot_sync(0xffffffffu, touched);
+    if (touched)
+    {
+        float4* slot = rows[warp][__popc(which & ((1u << lane) - 1u))];
+        slot[0] = a;
+        slot[1] = b;
+        slot[2] = row[2];
+    }
+    __syncwarp();
+    const int count = __popc(which);
+    for (int k = 0; k < count; ++k)
+    {
+#include "warp_power.h"
+        if (power >= -7.994353437f && T > stop)
+        {
+            const float4 c = rows[warp][k][2];
+            const float alpha = fminf(exp2f(power), 0.999f);
+            const float weight = alpha * T;
+            red += weight * b.z;
+            green += weight * b.w;
+            blue += weight * c.x;
+            depth += weight * (c.y + c.z * dx + c.w * dy);
+            T -= weight;
+        }
+    }
+    __syncwarp();
+}
+seen.c[0] = red;
+seen.c[1] = green;
+seen.c[2] = blue;
+seen.c[3] = depth;
+seen.c[4] = T;
+#endif
+return seen;

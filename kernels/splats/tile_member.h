@@ -1,0 +1,6 @@
+// a member, and the rows of the tile that its ellipse reaches
+const float* p = reinterpret_cast<const float*>(view.data) + 12 * (size_t)members.data[e];
+const float u = p[0] - (float)x0, v = p[1] - (float)y0, strength = p[2], l0 = p[3], l1 = p[4], l2 = p[5];
+const float reach = strength - least;
+const float high = sqrtf(reach) / l2 + 0.002f;
+const float from = ceilf(v - high - 0.5f), to = floorf(v + high - 0.5f);
