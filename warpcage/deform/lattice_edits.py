@@ -127,17 +127,17 @@ class LatticeEdits(PosedEdits):
         if not self._flat:
             return []  # where a new pose leads to is not known yet
         if not self._plan.is_shaded:
-            return [field.tables.rows()]
+            return [field.marching.rows()]
         if not self._shades.is_posed:
             return []
         if self._shades.is_known_folded:
             return self._unshaded_tables(field)
-        return [self._shades.shades(field.grid, field.tables.columns, centre, step)]
+        return [self._shades.shades(field.grid, field.marching.columns, centre, step)]
 
     def _unshaded_tables(self, field: VoxelField) -> list[Any]:
         """Rows, as the pose turns matter over."""
         self._plan = Plan(self._plan.parts, False)
-        return [field.tables.rows()]
+        return [field.marching.rows()]
 
     def _planned(self, field: VoxelField, centre: wp.vec3, step: float) -> Plan:
         """How a view is marched."""
@@ -148,8 +148,8 @@ class LatticeEdits(PosedEdits):
             and not self._has_crumbs
             and (self._is_single or parts is not None)
             and all(flat.nodes.shape[0] < MOST_LATTICE_NODES for flat in self._flat)
-            and field.tables.is_shaded(centre, self._lattice_boxes)
-            and shade_texture_bytes(field.tables.columns) <= self._most_shades
+            and field.marching.is_shaded(centre, self._lattice_boxes)
+            and shade_texture_bytes(field.marching.columns) <= self._most_shades
         )
         return Plan(parts, is_shaded)
 
@@ -180,11 +180,11 @@ class LatticeEdits(PosedEdits):
         self.pose([None if edit.remove else edit.cage for edit in self._edits])
         low, high = field.bounds
         centre = wp.vec3(*(FAR * (high - low)).tolist())
-        seen = SeenView(field, field.tables.grid(), centre, field.step)
+        seen = SeenView(field, field.marching.grid(), centre, field.step)
         self._look_ahead(seen)
         if self._plan.is_shaded:
             self._shades.aim(centre)
-            self._shades.walls(seen.grid, field.tables.columns)
+            self._shades.walls(seen.grid, field.marching.columns)
         self._seen = seen  # by which the first pose goes
 
     def _look_ahead(self, seen: SeenView) -> None:

@@ -17,6 +17,7 @@ from ..kernels.core.texels import clear_half_texels
 from ..kernels.field import columns, matter_cells
 from ..kernels.field.densities import lay_densities
 from ..kernels.field.grid import VoxelGrid
+from ..kernels.field.march import image_kernel
 from ..kernels.field.render_cpu import render_tiles
 from ..kernels.field.rows import RowTable, pack_rows
 from ..kernels.field.shades import ShadedGrid, shade_rows
