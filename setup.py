@@ -67,7 +67,7 @@ setup(
     package_data={
         "warpcage": ["py.typed", "__init__.pyi"],
         "warpcage.editor": ["page/*", "page/*/*"],
-        **{f"warpcage.kernels.{room}": ["*.h"] for room in find_packages("kernels")},
+        **{f"warpcage.kernels.{room}": ["*.h", "cpp/*.h"] for room in find_packages("kernels")},
     },
     install_requires=[
         "warp-lang>=1.19",

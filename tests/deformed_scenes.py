@@ -9,7 +9,7 @@ import pytest
 from warpcage.cage.cage import Cage
 from warpcage.field import tables
 from warpcage.field.voxel_field import VoxelField
-from warpcage.kernels.deform.views import stack_kernel
+from warpcage.kernels.render.views import stack_kernel
 from warpcage.view.camera import Camera
 
 KINDS = ("harmonic", "mean_value", "green")

@@ -27,7 +27,7 @@ from warpcage.core.devices import launch, recorded_launches
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.field import tables
-from warpcage.kernels.deform.laid_shades import SHADE_LAYERS, LaidShades, write_laid_shade
+from warpcage.kernels.render.volume import SHADE_LAYERS, LaidShades, write_laid_shade
 
 TURN = BOX.rotate(35, axis="z").translate([0.2, -0.1, 0.15])
 BEND = BOX.bend(60, axis="x", towards="z")

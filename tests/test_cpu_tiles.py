@@ -13,7 +13,7 @@ from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.field import tables
 from warpcage.field.sparse import DensityWatch, spread_along
-from warpcage.kernels.field.skip import spread_distance
+from warpcage.kernels.field.occupancy import spread_distance
 from warpcage.view.camera import Camera
 
 CPU = wp.get_device("cpu")

@@ -31,8 +31,8 @@ from warpcage.deform.apart import EditBoxes, box_gaps, edit_boxes, front_to_back
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit, MarchedView
 from warpcage.field import tables
-from warpcage.kernels.deform.march import MarchOptions
-from warpcage.kernels.deform.views import part_kernel
+from warpcage.kernels.render.rays import MarchOptions
+from warpcage.kernels.render.views import part_kernel
 from warpcage.view.camera import Camera, camera_struct
 
 LEFT, MIDDLE, RIGHT = (box_around(x, 0, 0, half=0.3) for x in (-0.7, 0.0, 0.7))

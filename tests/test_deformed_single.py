@@ -27,7 +27,7 @@ from warpcage.core.devices import recorded_launches
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.field import tables
-from warpcage.kernels.deform.edits import CELL_ALONE
+from warpcage.kernels.edits.structs import CELL_ALONE
 from warpcage.view.camera import Camera
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 
 from warpcage.core.arrays import array_view
-from warpcage.kernels.core.entries import near_exp, near_reciprocal, near_root, reciprocal_root, row_has_zero
+from warpcage.kernels.core.loads import near_exp, near_reciprocal, near_root, reciprocal_root, row_has_zero
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

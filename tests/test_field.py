@@ -8,8 +8,8 @@ import warp as wp
 import warpcage
 from warpcage.core.devices import launch
 from warpcage.field.sparse import harmonics_on_device
-from warpcage.kernels.field import halves
 from warpcage.kernels.field import harmonics as spherical_harmonics
+from warpcage.kernels.field import refine
 
 
 @wp.kernel
@@ -48,7 +48,7 @@ def test_halves_become_single_on_the_device(device, shape):
     rows = sh.reshape(len(sh), np.prod(shape[1:]))
     runs = wp.array(rows, dtype=wp.float16, device=device)
     singles = wp.full(runs.shape, 7.0, dtype=wp.float32, device=device)
-    launch(halves.widen_rows, runs.size // int(halves.RUN), [runs], [singles], device=device)
+    launch(refine.widen_rows, runs.size // int(refine.RUN), [runs], [singles], device=device)
     assert np.array_equal(singles.numpy(), rows.astype(np.float32))
 
 

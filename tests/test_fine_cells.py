@@ -10,9 +10,8 @@ from warpcage.cage.cage import Cage
 from warpcage.deform import fine_cells
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
-from warpcage.kernels.deform.edits import CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS
-from warpcage.kernels.deform.fine_cells import FINE_FAR, FINE_SIDE
-from warpcage.kernels.deform.flat_edits import LOOK_SKIP
+from warpcage.kernels.edits.fine_cells import FINE_FAR, FINE_SIDE
+from warpcage.kernels.edits.structs import CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, LOOK_SKIP
 from warpcage.view.camera import Camera
 
 SKIP, SIDE = int(LOOK_SKIP), int(FINE_SIDE)

@@ -27,7 +27,7 @@ from warpcage.core.kernel_files import (
     kernel_summary,
     native_files,
 )
-from warpcage.kernels.deform.views import view_kernel
+from warpcage.kernels.render.views import view_kernel
 
 NAMES = kernel_names()
 WITH_KERNELS = [name for name in NAMES if "@wp.kernel" in kernel_source(name)]
@@ -233,12 +233,12 @@ def test_variants_are_declared_once_by_whichever_thread():
     assert len(set(map(id, declared))) == 1 and list(declared[0].module.kernels.values()) == [declared[0]]
     modules = warp_modules("deform/views")
     assert len({module.name for module in modules}) == len(modules) == 12
-    assert declared[0].module.name == "warpcage.kernels.deform.views.shades" and declared[0].module in modules
+    assert declared[0].module.name == "warpcage.kernels.render.views.shades" and declared[0].module in modules
 
 
 def test_no_variant_is_declared_before_it_is_used():
     program = (
-        "import sys\nimport warp as wp\nimport warpcage.deform.deformer\nfrom warpcage.kernels.deform import views\n"
+        "import sys\nimport warp as wp\nimport warpcage.deform.deformer\nfrom warpcage.kernels.edits import views\n"
         "from warpcage.kernels.field import march\n"
         "assert not views.view_kernel.cache_info().currsize and not march.image_kernel.cache_info().currsize\n"
     )

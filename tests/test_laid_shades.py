@@ -9,7 +9,7 @@ from deformed_scenes import BOX, shiny_field, view
 from warpcage.core.devices import half_texture
 from warpcage.deform.deformer import Deformer
 from warpcage.field.tables import ColumnTable
-from warpcage.kernels.deform.laid_shades import SHADE_LAYERS, LaidShades, laid_shade, write_laid_shade
+from warpcage.kernels.render.volume import SHADE_LAYERS, LaidShades, laid_shade, write_laid_shade
 
 COUNTS = (5, 7, 6)
 LAYERS = int(SHADE_LAYERS)

@@ -9,9 +9,8 @@ from warpcage.core.devices import launch, recorded_launches
 from warpcage.deform import map_cells
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
-from warpcage.kernels.deform.flat_edits import LOOK_SKIP
-from warpcage.kernels.deform.map_cells import CELL_WORDS, cell_place_slope, expand_map_cells, vec6
-from warpcage.kernels.deform.map_nodes import node_distance
+from warpcage.kernels.edits.nodes import CELL_WORDS, cell_place_slope, expand_map_cells, node_distance, vec6
+from warpcage.kernels.edits.structs import LOOK_SKIP
 
 COUNTS = (4, 5, 6)
 

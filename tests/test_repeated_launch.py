@@ -9,8 +9,8 @@ import pytest
 import warp as wp
 
 from warpcage.core.devices import RepeatedLaunch, RepeatedLaunches, kernel_label, launch, recorded_launches
-from warpcage.kernels.deform.views import part_kernel, stack_kernel
 from warpcage.kernels.field.march import image_kernel
+from warpcage.kernels.render.views import part_kernel, stack_kernel
 from warpcage.kernels.view.tile_order import sort_tiles
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})

@@ -21,7 +21,7 @@ from warpcage.core.locks import device_turn, owner_lock
 from warpcage.core.threads import PART_SECONDS, limit_threads, run_parallel, run_parts
 from warpcage.deform import carried_shading, edit_lattices, lattice_edits, precise_edits
 from warpcage.deform.bake import bake
-from warpcage.kernels.deform.edits import LatticeEdit
+from warpcage.kernels.edits.structs import LatticeEdit
 from warpcage.kernels.fitting.rmsprop import add_gradients
 
 THREADS = 4
@@ -360,7 +360,7 @@ wp.config.use_precompiled_headers = False  # which take longer to make than one 
 wp.init()
 from warpcage.core import modules
 from warpcage.core.devices import launch
-from warpcage.kernels.view.downsample import average_values
+from warpcage.kernels.view.bytes import average_values
 source, joined = wp.array([1.0, 2.0, 3.0, 6.0], dtype=float, device="cpu"), wp.zeros(1, dtype=float, device="cpu")
 launch(average_values, 1, [2, 1, source], [joined], device="cpu")
 print(joined.numpy()[0])

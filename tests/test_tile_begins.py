@@ -11,8 +11,8 @@ from warpcage.deform import lattice_edits
 from warpcage.deform.deformer import Deformer
 from warpcage.deform.edits import CageEdit
 from warpcage.deform.tile_begins import TileBegins
-from warpcage.kernels.deform.flat_edits import LOOK_SKIP
-from warpcage.kernels.deform.tile_begins import NEVER
+from warpcage.kernels.edits.structs import LOOK_SKIP
+from warpcage.kernels.render.beams import NEVER
 from warpcage.kernels.view.rays import TILE_HEIGHT, TILE_WIDTH
 from warpcage.view.camera import Camera
 

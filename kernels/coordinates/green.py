@@ -20,7 +20,7 @@
 
 import warp as wp
 
-from ..core.entries import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
+from ..core.loads import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
 from ..mesh.fans import INFINITE, PLANE_BAND, near_plane_limit
 from ..mesh.triangle import nearest_barycentric
 

@@ -16,7 +16,7 @@ BLOCK_NODES = wp.constant(31)
 
 #: C++ of functions that read the table: where a cell lies among the blocks of its columns; the bits and the first row
 #: of one of its four columns.
-CELL_PLACE = native_source(__file__, "cell_place.h")
+CELL_PLACE = native_source(__file__, "cpp/cell_place.h")
 COLUMN_ENTRY = """
         const int at = begin + ((column >> 1) * columns.node_counts.c[1] + (column & 1)) * block_width;
 #if defined(__CUDA_ARCH__)

@@ -1,17 +1,14 @@
 """Sparse voxel grid: trilinear density and spherical-harmonic colour at arbitrary points."""
 
-# Model: Fridovich-Keil and Yu et al., "Plenoxels: Radiance Fields without Neural Networks" (CVPR 2022), section 3.
-# density(x) = max(0, trilinear sigma), colour(x, d) = max(0, trilinear SH . Y(d) + 0.5), with one of two kinds of rows
-# of SH numbers (field/harmonics). Values live at nodes; node (i, j, k) lies at lower + (i, j, k) * voxel_size. Nodes
-# without a row hold zero. Positions are world units relative to any origin that the caller keeps to (warpcage: the
-# field's centre, so that float32 suffices).
-
 import warp as wp
 
+from ..view.rays import box_span
 from .harmonics import COLOUR_OF_ROW, sh_basis, vec16
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
 eight_rows = wp.types.vector(length=8, dtype=wp.int32)
+
 eight_weights = wp.types.vector(length=8, dtype=wp.float32)
 
 #: C++ of several functions: numbers of eight rows, each in its weight, added up. Both widths are known while compiling.
@@ -162,3 +159,91 @@ def sample_field(
     basis = sh_basis(wp.normalize(directions[n]))
     rgb[n] = wp.max(cell_colour(grid, cell, basis), wp.vec3(0.0, 0.0, 0.0))
     density[n] = wp.max(cell_density(grid, cell), 0.0)
+
+
+@wp.func
+def grid_span(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
+    """Distances (near, far) at which a ray is among the grid's nodes."""
+    cells = wp.vec3(float(grid.links.shape[0] - 1), float(grid.links.shape[1] - 1), float(grid.links.shape[2] - 1))
+    return box_span(origin, direction, grid.lower, grid.lower + wp.cw_mul(cells, grid.voxel_size))
+
+
+@wp.func
+def exit_distance(g: wp.vec3, dg: wp.vec3, reach: int):
+    """How far a ray at node coordinates g, moving by dg per unit, stays in the cells within reach - 1 of its own."""
+    leave = float(1.0e30)
+    for axis in range(3):
+        if wp.abs(dg[axis]) > 1.0e-12:
+            cell = wp.floor(g[axis])
+            plane = wp.where(dg[axis] > 0.0, cell + float(reach), cell - float(reach) + 1.0)
+            leave = wp.min(leave, (plane - g[axis]) / dg[axis])
+    return leave
+
+
+@wp.func
+def safe_inverse(rate: wp.vec3):
+    """1 / rate by component; a large number where the rate is almost zero."""
+    result = wp.vec3(1.0e30, 1.0e30, 1.0e30)
+    for axis in range(3):
+        if wp.abs(rate[axis]) > 1.0e-12:
+            result[axis] = 1.0 / rate[axis]
+    return result
+
+
+@wp.func
+def exit_of_cell(offset: wp.vec3, inverse_rate: wp.vec3, reach: int):
+    """exit_distance from an offset in a cell, 0 to 1, with the divisions done once per ray."""
+    leave = float(1.0e30)
+    for axis in range(3):
+        plane = wp.where(inverse_rate[axis] > 0.0, float(reach), 1.0 - float(reach))
+        way = (plane - offset[axis]) * inverse_rate[axis]
+        leave = wp.where(way < leave, way, leave)  # a CPU takes less time for it than for min
+    return leave
+
+
+@wp.func
+def sample_index_after(t: float, step: float):
+    """Index of the first sample at or beyond distance t."""
+    return int(wp.ceil(t / step - 0.5))
+
+
+@wp.struct
+class GridRay:
+    """A ray through a grid, in steps."""
+
+    start: wp.vec3  # node coordinates of its origin
+    slope: wp.vec3  # node coordinates per unit of distance
+    step: float
+    far: float  # distance at which it leaves the grid
+    first: int  # the first sample in the grid
+
+
+@wp.func
+def grid_ray(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, step: float):
+    """From an origin along a unit direction; step: world units."""
+    ray = GridRay()
+    ray.start = grid_position(grid, origin)
+    ray.slope = wp.cw_mul(direction, grid.inverse_voxel_size)
+    ray.step = step
+    span = grid_span(grid, origin, direction)
+    ray.far = span[1]
+    ray.first = sample_index_after(span[0], step)
+    return ray
+
+
+@wp.func
+def sample_distance(ray: GridRay, k: int):
+    """From the ray's origin to sample k, world units."""
+    return (float(k) + 0.5) * ray.step
+
+
+@wp.func
+def sample_place(ray: GridRay, k: int):
+    """Node coordinates of sample k."""
+    return ray.start + sample_distance(ray, k) * ray.slope
+
+
+@wp.func
+def sample_beyond(ray: GridRay, k: int, g: wp.vec3, empty: int):
+    """The first sample after k, at node coordinates g, that is not among the cells within empty - 1 of its own."""
+    return wp.max(k + 1, sample_index_after(sample_distance(ray, k) + exit_distance(g, ray.slope, empty), ray.step))

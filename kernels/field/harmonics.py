@@ -18,7 +18,7 @@ LUMINANCE_BASIS = wp.constant(16)
 DIFFERENCE_BASIS = wp.constant(4)
 
 #: C++ of several functions: colour = numbers . basis of a row c of `width` numbers.
-COLOUR_OF_ROW = native_source(__file__, "colour_of_row.h")
+COLOUR_OF_ROW = native_source(__file__, "cpp/colour_of_row.h")
 
 
 @wp.func

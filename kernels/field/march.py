@@ -1,20 +1,27 @@
 """Emission-absorption ray marching of a sparse voxel grid: its views, by rows or by voxels shaded for the camera."""
 
-# C = sum_k T_k (1 - exp(-sigma_k dt)) c_k + T_end background, T_k = exp(-sum_{j<k} sigma_j dt): Max 1995 as used by
-# NeRF (Mildenhall et al. 2020, Eq. 3) and Plenoxels (2022, Eq. 1).
-
 from typing import Any
 
 import warp as wp
 
-from ..core.entries import cell_byte
+from ..core.loads import cell_byte
 from ..core.variants import declared_once, variant_module
 from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
 from .densities import row_density
-from .grid import VoxelGrid, cell_density, cell_sample, empty_distance
+from .grid import (
+    VoxelGrid,
+    cell_density,
+    cell_sample,
+    empty_distance,
+    exit_of_cell,
+    grid_ray,
+    safe_inverse,
+    sample_beyond,
+    sample_distance,
+    sample_place,
+)
 from .harmonics import sh_basis
 from .rows import RowTable, row_colour
-from .samples import exit_of_cell, grid_ray, safe_inverse, sample_beyond, sample_distance, sample_place
 from .shades import ShadedGrid, shade_at
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
@@ -179,3 +186,6 @@ def record_weights(
                             wp.atomic_max(weights, cell.rows[c], weight)
                 transmittance *= wp.exp(-sigma * step)
             k += 1
+
+
+__all__ = ["PENDING_WEIGHT", "Radiance", "pending_colour", "visible_depth"]

@@ -13,8 +13,7 @@ import warp as wp
 
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .background import BackgroundLayers, layer_value, surface_sample
-from .grid import eight_rows, eight_weights
-from .samples import exit_distance
+from .grid import eight_rows, eight_weights, exit_distance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 vec6 = wp.types.vector(length=6, dtype=wp.float32)

@@ -46,7 +46,7 @@ def cell_rows(columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_
     ...
 
 
-@wp.func_native(native_source(__file__, "row_colour.h"))
+@wp.func_native(native_source(__file__, "cpp/row_colour.h"))
 def row_colour(
     sh: wp.array2d(dtype=wp.float32),
     packed: wp.array2d(dtype=wp.uint32),
@@ -61,7 +61,7 @@ def row_colour(
     ...
 
 
-@wp.func_native(native_source(__file__, "write_packed.h"))
+@wp.func_native(native_source(__file__, "cpp/write_packed.h"))
 def write_packed(
     sh: wp.array2d(dtype=wp.float32), row: wp.int32, packed: wp.array2d(dtype=wp.uint32), target: wp.int32
 ):

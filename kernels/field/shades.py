@@ -26,7 +26,7 @@ class ShadedGrid:
     shades: wp.array2d(dtype=wp.uint32)  # (rows, words): red, green, blue less 0.5 and optical depth of a step
 
 
-@wp.func_native(native_source(__file__, "shade_colour.h"))
+@wp.func_native(native_source(__file__, "cpp/shade_colour.h"))
 def shade_colour(sh: wp.array2d(dtype=wp.float32), row: wp.int32, basis: vec16) -> wp.vec3:
     """Harmonics of a row times a basis. All lanes, in blocks of at most 128 threads."""
     ...

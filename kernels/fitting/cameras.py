@@ -9,13 +9,21 @@
 
 import warp as wp
 
-from ..field.grid import VoxelGrid, cell_density, cell_sample, empty_distance
+from ..field.grid import (
+    VoxelGrid,
+    cell_density,
+    cell_sample,
+    empty_distance,
+    grid_ray,
+    sample_beyond,
+    sample_distance,
+    sample_place,
+)
 from ..field.harmonics import sh_basis
-from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
-from ..field.slopes import blended_colour_slopes, cell_slopes, density_slope, sh_basis_slope
 from ..view.rays import PinholeCamera
 from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_colour
 from .pictures import picture_pixel
+from .slopes import blended_colour_slopes, cell_slopes, density_slope, sh_basis_slope
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

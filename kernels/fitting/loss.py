@@ -7,9 +7,20 @@
 
 import warp as wp
 
-from ..field.grid import VoxelGrid, cell_colour, cell_density, cell_sample, eight_rows, eight_weights, empty_distance
+from ..field.grid import (
+    VoxelGrid,
+    cell_colour,
+    cell_density,
+    cell_sample,
+    eight_rows,
+    eight_weights,
+    empty_distance,
+    grid_ray,
+    sample_beyond,
+    sample_distance,
+    sample_place,
+)
 from ..field.harmonics import sh_basis, vec16
-from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
 from ..view.rays import PinholeCamera, image_direction
 from .pictures import Pictures, picture_pixel
 from .shuffle import shuffled_place

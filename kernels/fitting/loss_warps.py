@@ -9,19 +9,19 @@
 import warp as wp
 
 from ..core.lanes import ballot, from_lane, lowest_bit, without_lowest_bit
-from ..core.warp_memory import (
-    WARP_NUMBERS,
-    bits_as_float,
-    bits_as_int,
-    four_kept,
-    keep_four,
-    keep_one,
-    one_kept,
-    warp_meets,
+from ..core.shared import WARP_NUMBERS, bits_as_float, bits_as_int, four_kept, keep_four, keep_one, one_kept, warp_meets
+from ..field.grid import (
+    CellSample,
+    VoxelGrid,
+    cell_density,
+    cell_sample,
+    empty_distance,
+    grid_ray,
+    sample_beyond,
+    sample_distance,
+    sample_place,
 )
-from ..field.grid import CellSample, VoxelGrid, cell_density, cell_sample, empty_distance
 from ..field.harmonics import DIFFERENCE_BASIS, LUMINANCE_BASIS, luminance_colour, sh_basis
-from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
 from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_colour
 from .rmsprop import COEFFICIENTS, GRADIENT_ROW, gradient_place
 

@@ -12,7 +12,16 @@
 import warp as wp
 
 from ..field.background import layer_value, surface_sample
-from ..field.grid import VoxelGrid, cell_density, cell_sample, empty_distance
+from ..field.grid import (
+    VoxelGrid,
+    cell_density,
+    cell_sample,
+    empty_distance,
+    grid_ray,
+    sample_beyond,
+    sample_distance,
+    sample_place,
+)
 from ..field.outer import (
     FAR_AWAY,
     OUTER_STOP,
@@ -28,7 +37,6 @@ from ..field.outer import (
     sample_after,
     shown_colour,
 )
-from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
 from ..view.rays import PinholeCamera, pixel_direction
 from .loss import TrainingRays, batch_pixel, in_picture
 from .rmsprop import rmsprop_update

@@ -12,7 +12,7 @@ import warp as wp
 from ..coordinates.green import green_position
 from ..coordinates.mean_value import mean_value_position
 from .cut_rows import CutRows
-from .gap_sides import is_near_mark
+from .gaps import is_near_mark
 from .nodes import CUT_SECTION, INTERPOLATED_SECTION, RING_SECTION, NodeLevels, centred_place, node_place
 
 # so many registers per thread that larger blocks would fill a GPU less well

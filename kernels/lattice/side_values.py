@@ -14,8 +14,7 @@
 import warp as wp
 
 from .cut_rows import DOUBLE_CUT, CutRows, crossing_value
-from .gap_sides import corner_node, cut_row_count, inside_corners, link_direction, table_length
-from .narrow_gaps import far_side
+from .gaps import corner_node, cut_row_count, far_side, inside_corners, link_direction, table_length
 from .nodes import NodeLevels, cut_section, node_place
 from .rings import is_known, is_steady, node_step
 

@@ -4,8 +4,16 @@
 
 import warp as wp
 
-from ..field.grid import VoxelGrid, cell_density, cell_sample, empty_distance
-from ..field.samples import grid_ray, sample_beyond, sample_distance, sample_place
+from ..field.grid import (
+    VoxelGrid,
+    cell_density,
+    cell_sample,
+    empty_distance,
+    grid_ray,
+    sample_beyond,
+    sample_distance,
+    sample_place,
+)
 from ..view.rays import PinholeCamera, pixel_direction
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})

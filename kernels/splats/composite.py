@@ -1,12 +1,5 @@
 """Draw the splats of each tile over each other, from front to back."""
 
-# C = sum_i T_i alpha_i c_i + T_end background, T_i = prod_{j<i} (1 - alpha_j) (Kerbl et al. 2023, Eq. 3), and in the
-# same way the expected distance sum_i T_i alpha_i t_i / (1 - T_end). A pixel ends where its T falls below `stop`.
-#
-# For CUDA; on the CPU it is splats/composite_tiles. A warp has 8x4 pixels of a tile to itself: its lanes look at 32
-# splats of the tile's list at once and put those whose ellipse touches these pixels side by side, in order; then each
-# lane draws them over its pixel, one after the other.
-
 import warp as wp
 
 from ..core.native import native_source
@@ -20,7 +13,7 @@ DEPTH_MIN_ALPHA = wp.constant(1.0e-3)
 vec5 = wp.types.vector(length=5, dtype=wp.float32)
 
 
-@wp.func_native(native_source(__file__, "composite.h"))
+@wp.func_native(native_source(__file__, "cpp/composite.h"))
 def drawn_pixel(
     view: wp.array(dtype=wp.vec4),
     members: wp.array(dtype=wp.int32),
@@ -73,3 +66,69 @@ def composite_pixels(
         rgb[at] = wp.vec3(seen[0], seen[1], seen[2]) + left * background
         alpha[at] = opacity
         depth[at] = wp.where(opacity > DEPTH_MIN_ALPHA, seen[3] / wp.max(opacity, DEPTH_MIN_ALPHA), wp.inf)
+
+
+#: Sums of a splat.
+SUMS = wp.constant(9)
+
+
+@wp.func_native(native_source(__file__, "cpp/composite_slopes.h"))
+def add_pixel_slopes(
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    begin: int,
+    end: int,
+    x: float,
+    y: float,
+    inside: int,
+    stop: float,
+    colour: wp.vec3,
+    slope: wp.vec3,
+    sums: wp.array(dtype=wp.float32),
+):
+    """Add the sums of a pixel with its centre at x, y: its colour, with what is behind the splats, and the slope by it.
+    All lanes of a warp, which has 8x4 pixels, row by row; blocks of up to 256 threads."""
+    ...
+
+
+@wp.kernel
+def add_slopes(
+    first: int,
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    tiles: TileGrid,
+    stop: float,
+    rgb: wp.array(dtype=wp.vec3),
+    slopes: wp.array(dtype=wp.vec3),
+    sums: wp.array(dtype=wp.float32),
+):
+    """One thread per pixel of the tiles, as splats/composite, whose inputs and picture these are. slopes: (h * w,) of
+    the loss by the picture. sums: (SUMS n,) are added to."""
+    n = first + wp.tid()
+    tile = n // (TILE_SIDE * TILE_SIDE)
+    block = (n // 32) % (TILE_SIDE * TILE_SIDE // 32)
+    lane = n % 32
+    across = TILE_SIDE // 8
+    column = (tile % tiles.columns) * TILE_SIDE + (block % across) * 8 + lane % 8
+    row = (tiles.first_row + tile // tiles.columns) * TILE_SIDE + (block // across) * 4 + lane // 8
+    inside = 0
+    colour = wp.vec3()
+    slope = wp.vec3()
+    if column < tiles.width and row < tiles.height:
+        inside = 1
+        colour = rgb[row * tiles.width + column]
+        slope = slopes[row * tiles.width + column]
+    add_pixel_slopes(
+        view,
+        members,
+        starts[tile],
+        starts[tile + 1],
+        float(column) + 0.5,
+        float(row) + 0.5,
+        inside,
+        stop,
+        colour,
+        slope,
+        sums,
+    )

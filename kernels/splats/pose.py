@@ -1,25 +1,69 @@
 """Splats carried along by the map of a posed cage."""
 
-# Splats are matter and move forward: phi(x) = A x + t + sum_j w_j(x) r_j, with the coordinates w of the cage at rest, A
-# and t what fits the pose best among the maps that they reproduce, and r_j what that leaves of the posed vertices (of
-# Green coordinates also of the stretched normals). So affine poses (Green: similarities) hold to the last digits. Its
-# Jacobian is J = A + sum_j r_j (grad w_j)^T; the covariance S becomes J S J^T, harmonics turn by the rotation nearest
-# to J.
-#
-# Opacity law, by `law`. LAW_RAYS keeps the opacity: a ray through the posed splat is as opaque as the ray that the map
-# takes it from is through the splat at rest, as both pass it at the same distance in its own units (3DGS takes a
-# splat's opacity at its centre in the picture, whatever its depth): this is density="opacity" of the voxels.
-# LAW_DENSITY keeps matter per length, density="paper": the optical depth -ln(1 - o) grows with the length of the ray in
-# the splat, by the root mean square of |J d| over directions, as a splat has one opacity for all of them.
-#
-# Shapes: splats (n,), rows (j, n) of weight and gradient, world units relative to one origin.
-
 import warp as wp
 
-from .jacobian import carried_covariance, nearest_rotation, rms_stretch
+from ..lattice.cage_map import CageMap, map_distance, map_position
+from ..mesh.containment import winding_number
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+#: Below this determinant, as a share of the cube of J's root mean square stretch, J counts as flat or turned over.
+FLAT = wp.constant(1.0e-3)
+
+
+@wp.func
+def rms_stretch(jacobian: wp.mat33):
+    """Root mean square of |J d| over all directions d: sqrt(tr(J^T J) / 3)."""
+    return wp.sqrt(wp.ddot(jacobian, jacobian) / 3.0)
+
+
+@wp.func(inline=False)  # rare
+def rotation_by_svd(jacobian: wp.mat33):
+    """The nearest rotation of any J; of J = 0 the identity."""
+    largest = rms_stretch(jacobian)
+    if not largest > 0.0:
+        return wp.identity(n=3, dtype=float)
+    u = wp.mat33()
+    v = wp.mat33()
+    s = wp.vec3()
+    wp.svd3(jacobian / largest, u, s, v)
+    sign = wp.where(wp.determinant(u) * wp.determinant(v) < 0.0, -1.0, 1.0)
+    return u * wp.diag(wp.vec3(1.0, 1.0, sign)) * wp.transpose(v)
+
+
+@wp.func
+def nearest_rotation(jacobian: wp.mat33):
+    """R of the polar decomposition J = R P; of a map that turns over, the nearest rotation."""
+    largest = rms_stretch(jacobian)
+    det = wp.determinant(jacobian)
+    if not det > FLAT * largest * largest * largest:
+        return rotation_by_svd(jacobian)
+    r = jacobian * (1.0 / largest)
+    for _ in range(12):
+        # the inverse transposed is the matrix of cofactors over the determinant
+        a = wp.vec3(r[0, 0], r[0, 1], r[0, 2])
+        b = wp.vec3(r[1, 0], r[1, 1], r[1, 2])
+        c = wp.vec3(r[2, 0], r[2, 1], r[2, 2])
+        bc = wp.cross(b, c)
+        scale = 1.0 / wp.dot(a, bc)
+        inverse = scale * wp.matrix_from_rows(bc, wp.cross(c, a), wp.cross(a, b))
+        # after Higham: balances r and its inverse, so that far from a rotation few steps are needed
+        gamma = wp.sqrt(wp.sqrt(wp.ddot(inverse, inverse) / wp.ddot(r, r)))
+        r = 0.5 * (gamma * r + (1.0 / gamma) * inverse)
+        off = wp.ddot(r, r) - 3.0
+        if wp.abs(gamma - 1.0) < 1.0e-4 and wp.abs(off) < 1.0e-6:
+            break
+    return r
+
+
+@wp.func
+def carried_covariance(jacobian: wp.mat33, covariance: wp.mat33):
+    """J S J^T, symmetric to the last bit where its six numbers are taken from the upper triangle."""
+    return jacobian * covariance * wp.transpose(jacobian)
+
+
 LAW_RAYS = wp.constant(0)
+
 LAW_DENSITY = wp.constant(1)
 
 
@@ -128,3 +172,138 @@ def finish_splats(
             opacity = 0.0
     opacities[n] = opacity
     turns[n] = wp.quat_from_matrix(nearest_rotation(jacobian))
+
+
+#: What becomes of a splat that an edit may meet: it goes or stays; goes or is gone (a copy that moves); stays, whatever
+#: is taken from there (a copy that is left).
+GOES_OR_STAYS = wp.constant(0)
+
+GOES = wp.constant(1)
+
+STAYS = wp.constant(2)
+
+
+@wp.func
+def map_slope(cage_map: CageMap, x: wp.vec3):
+    """Jacobian of a map on a lattice, by central differences over half a cell to each side."""
+    h = 0.5 * cage_map.spacing
+    inverse = cage_map.inverse_spacing
+    dx = map_position(cage_map, x + wp.vec3(h, 0.0, 0.0)) - map_position(cage_map, x - wp.vec3(h, 0.0, 0.0))
+    dy = map_position(cage_map, x + wp.vec3(0.0, h, 0.0)) - map_position(cage_map, x - wp.vec3(0.0, h, 0.0))
+    dz = map_position(cage_map, x + wp.vec3(0.0, 0.0, h)) - map_position(cage_map, x - wp.vec3(0.0, 0.0, h))
+    return inverse * wp.matrix_from_cols(dx, dy, dz)
+
+
+@wp.func
+def lies_in_cage(
+    x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), lower: wp.vec3, upper: wp.vec3
+):
+    """Whether a point is in a cage, of vertices (v,) and faces (f,), in the box from lower to upper."""
+    for axis in range(3):
+        if x[axis] < lower[axis] or x[axis] > upper[axis]:
+            return False
+    return winding_number(x, vertices, faces) > 0.5
+
+
+@wp.kernel
+def follow_map(
+    first: int,
+    members: wp.array(dtype=int),
+    ways: wp.array(dtype=wp.uint8),
+    forward: CageMap,
+    tolerance: float,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    lower: wp.vec3,
+    upper: wp.vec3,
+    carried: CarriedSplats,
+):
+    """Splats members (m,), ways (m,), through an edit. forward: from the cage at rest, where its distances are of, to
+    the posed one, of vertices (v,) and faces (f,) in the box lower to upper."""
+    m = first + wp.tid()
+    n = members[m]
+    way = int(ways[m])
+    x = carried.positions[n]
+    if way != STAYS and map_distance(forward, x) <= tolerance:
+        carried.jacobians[n] = map_slope(forward, x) * carried.jacobians[n]
+        carried.positions[n] = map_position(forward, x)
+    elif way == GOES or lies_in_cage(x, vertices, faces, lower, upper):
+        carried.shares[n] = 0.0
+
+
+@wp.kernel
+def clear_inside(
+    first: int,
+    members: wp.array(dtype=int),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    lower: wp.vec3,
+    upper: wp.vec3,
+    carried: CarriedSplats,
+):
+    """Clear of splats members (m,), which an earlier edit moved, what lies in a cage whose content is removed."""
+    m = first + wp.tid()
+    n = members[m]
+    if lies_in_cage(carried.positions[n], vertices, faces, lower, upper):
+        carried.shares[n] = 0.0
+
+
+#: Steps at most, and the longest step, in cells.
+STEPS = wp.constant(24)
+
+LONGEST = wp.constant(2.0)
+
+
+@wp.kernel
+def invert_map(
+    first: int,
+    members: wp.array(dtype=int),
+    targets: wp.array(dtype=wp.vec3),
+    backward: CageMap,
+    tolerance: float,
+    close: float,
+    carried: CarriedSplats,
+    missed: wp.array(dtype=wp.uint8),
+):
+    """Splats members (m,) to the places that `backward` takes to targets (m,), their places at rest. missed (m,): 1
+    where there is no such place near, and the splat stays where the forward map took it."""
+    # tolerance: how far outside of the posed cage a place may be; close: how near to its target it must be taken; world
+    # units.
+    m = first + wp.tid()
+    n = members[m]
+    target = targets[m]
+    x = carried.positions[n]
+    reach = backward.spacing
+    found = int(0)
+    off = wp.length(map_position(backward, x) - target)
+    step = int(0)
+    while step < STEPS and off > 0.01 * close:
+        slope = map_slope(backward, x)
+        det = wp.determinant(slope)
+        if wp.abs(det) < 1.0e-9:
+            break
+        move = wp.inverse(slope) * (target - map_position(backward, x))
+        length = wp.length(move)
+        if length > LONGEST * reach:
+            move = move * (LONGEST * reach / length)
+        # a shorter step where the whole one does not come nearer
+        share = float(1.0)
+        better = float(0.0)
+        for _ in range(6):
+            trial = wp.length(map_position(backward, x + share * move) - target)
+            if trial < off:
+                better = share
+                off = trial
+                break
+            share *= 0.5
+        if better == 0.0:
+            break
+        x += better * move
+        step += 1
+    if off <= close and map_distance(backward, x) <= tolerance:
+        slope = map_slope(backward, x)
+        if wp.abs(wp.determinant(slope)) > 1.0e-9:
+            found = 1
+            carried.positions[n] = x
+            carried.jacobians[n] = wp.inverse(slope)
+    missed[m] = wp.uint8(1 - found)

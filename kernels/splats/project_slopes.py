@@ -9,7 +9,7 @@
 import warp as wp
 
 from ..field.harmonics import sh_basis, vec16
-from .parameters import quaternion_slope, splat_axes
+from .fit import quaternion_slope, splat_axes
 from .project import ROOT_SCALE, Lens, rim_slope
 from .splats import Splats, splat_covariance
 

@@ -1,20 +1,11 @@
 """Gaussian splats as kernels read them, and the colour of one from a direction."""
 
-# Model: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023). Splat i is matter
-# around its centre c: opacity o exp(-1/2 (x - c)^T S^-1 (x - c)), with a covariance S. Its colour along a direction d,
-# from the camera into the scene, is max(0, 0.5 + sum_b h_b Y_b(d)) with the real spherical harmonics Y of
-# field/harmonics, whose order and signs 3DGS shares.
-#
-# A posed splat may be turned: its harmonics are those of the splat at rest, and are looked up along the direction
-# turned back, Y(turn^-1 d), so that a pose need not write them anew. It may also be one of several pieces or copies of
-# a splat at rest, which share a row of harmonics.
-#
-# Positions are world units relative to any origin that the caller keeps to (warpcage: the field's centre, so that
-# float32 suffices).
-
 import warp as wp
 
+from ..core.lanes import ballot, from_lane, lane_count, least_of_lanes, lowest_bit, sum_of_lanes
 from ..field.harmonics import sh_basis
+from ..mesh.containment import closest_point_on_triangle, solid_angle, winding_number
+from .pose import CarriedSplats
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -74,3 +65,167 @@ def splat_covariance(splats: Splats, n: int):
     yz = splats.covariances[n, 4]
     zz = splats.covariances[n, 5]
     return wp.mat33(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+
+
+#: Standard deviations beyond which nothing of a splat is counted.
+FAR = wp.constant(3.0)
+
+
+@wp.struct
+class NearestWall:
+    distance: float  # signed, negative inside
+    place: wp.vec3  # nearest point of the cage
+    normal: wp.vec3  # outward, of the wall as the splat sees it
+
+
+@wp.func
+def nearest_wall(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i)):
+    """The cage's surface nearest to a point. The normal is that from the surface to the point, or of a face where the
+    point is on it."""
+    wall = NearestWall()
+    nearest = float(1.0e30)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        a = vertices[face[0]]
+        b = vertices[face[1]]
+        c = vertices[face[2]]
+        place = closest_point_on_triangle(x, a, b, c)
+        squared = wp.length_sq(x - place)
+        if squared < nearest:
+            nearest = squared
+            wall.place = place
+            wall.normal = wp.normalize(wp.cross(b - a, c - a))
+    length = wp.sqrt(nearest)
+    inside = winding_number(x, vertices, faces) > 0.5
+    if length > 1.0e-6 * wp.max(wp.length(x), length):
+        wall.normal = (x - wall.place) / wp.where(inside, -length, length)
+    wall.distance = wp.where(inside, -length, length)
+    return wall
+
+
+@wp.func
+def nearest_wall_of_lanes(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), lane: int):
+    """`nearest_wall` of a point that a group of lanes shares, in each of them. All lanes."""
+    nearest = float(1.0e30)
+    place = wp.vec3(0.0, 0.0, 0.0)
+    normal = wp.vec3(0.0, 0.0, 0.0)
+    total = float(0.0)
+    for f in range(lane, faces.shape[0], lane_count()):
+        face = faces[f]
+        a = vertices[face[0]]
+        b = vertices[face[1]]
+        c = vertices[face[2]]
+        near = closest_point_on_triangle(x, a, b, c)
+        squared = wp.length_sq(x - near)
+        if squared < nearest:
+            nearest = squared
+            place = near
+            normal = wp.cross(b - a, c - a)
+        total += solid_angle(x, a, b, c)
+    least = least_of_lanes(nearest)
+    has_it = int(0)
+    if nearest == least:
+        has_it = 1
+    owner = lowest_bit(ballot(has_it))
+    length = wp.sqrt(least)
+    inside = sum_of_lanes(total) > 2.0 * wp.pi
+    wall = NearestWall()
+    wall.place = wp.vec3(from_lane(place[0], owner), from_lane(place[1], owner), from_lane(place[2], owner))
+    wall.normal = wp.normalize(
+        wp.vec3(from_lane(normal[0], owner), from_lane(normal[1], owner), from_lane(normal[2], owner))
+    )
+    if length > 1.0e-6 * wp.max(wp.length(x), length):
+        wall.normal = (x - wall.place) / wp.where(inside, -length, length)
+    wall.distance = wp.where(inside, -length, length)
+    return wall
+
+
+@wp.func
+def share_inside(wall: NearestWall, covariance: wp.mat33):
+    """Share of a Gaussian behind a wall, 0 and 1 beyond FAR standard deviations."""
+    reach = wp.sqrt(wp.max(wp.dot(wall.normal, covariance * wall.normal), 0.0))
+    if wp.abs(wall.distance) >= FAR * reach:
+        return wp.where(wall.distance <= 0.0, 1.0, 0.0)
+    return 0.5 * wp.erfc(wall.distance / (1.4142135623730951 * reach))
+
+
+@wp.func
+def covariance_of(covariances: wp.array2d(dtype=float), n: int):
+    return wp.mat33(
+        covariances[n, 0],
+        covariances[n, 1],
+        covariances[n, 2],
+        covariances[n, 1],
+        covariances[n, 3],
+        covariances[n, 4],
+        covariances[n, 2],
+        covariances[n, 4],
+        covariances[n, 5],
+    )
+
+
+@wp.func
+def is_near_box(x: wp.vec3, covariance: wp.mat33, lower: wp.vec3, upper: wp.vec3):
+    """Whether a splat may reach a box."""
+    for axis in range(3):
+        reach = FAR * wp.sqrt(wp.max(covariance[axis, axis], 0.0))
+        if x[axis] + reach < lower[axis] or x[axis] - reach > upper[axis]:
+            return False
+    return True
+
+
+@wp.kernel
+def measure_shares(
+    first: int,
+    centres: wp.array(dtype=wp.vec3),
+    covariances: wp.array2d(dtype=float),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    lower: wp.vec3,
+    upper: wp.vec3,
+    depth: float,
+    shares: wp.array(dtype=float),
+    anchors: wp.array(dtype=wp.vec3),
+):
+    """shares (n,) of splats inside a cage at rest, 0 to 1, and anchors (n,): the centre, or where it lies outside or
+    nearer to a wall than `depth`, the place at that depth behind the wall. lower, upper: box of the cage."""
+    n = first + wp.tid()
+    x = centres[n]
+    covariance = covariance_of(covariances, n)
+    shares[n] = 0.0
+    anchors[n] = x
+    if not is_near_box(x, covariance, lower, upper):
+        return
+    wall = nearest_wall(x, vertices, faces)
+    shares[n] = share_inside(wall, covariance)
+    if wall.distance > -depth:
+        anchors[n] = wall.place - depth * wall.normal
+
+
+@wp.kernel
+def cover_staying(
+    first: int,
+    members: wp.array(dtype=int),
+    outside: wp.array(dtype=float),
+    centres: wp.array(dtype=wp.vec3),
+    covariances: wp.array2d(dtype=float),
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    lower: wp.vec3,
+    upper: wp.vec3,
+    carried: CarriedSplats,
+):
+    """Let splats members (m,) that stay at rest give way to a posed cage, of the box lower, upper. A group of lanes
+    each. outside (m,): their shares outside the cage at rest, and what is left of each outside of the posed one."""
+    item = first + wp.tid()
+    m = item / lane_count()
+    lane = item % lane_count()
+    n = members[m]
+    left = outside[m]
+    x = centres[n]
+    covariance = covariance_of(covariances, n)
+    if is_near_box(x, covariance, lower, upper):
+        wall = nearest_wall_of_lanes(x, vertices, faces, lane)
+        left = wp.min(left, 1.0 - share_inside(wall, covariance))
+    if lane == 0:
+        carried.shares[n] = carried.shares[n] * left

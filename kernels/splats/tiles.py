@@ -6,7 +6,7 @@
 
 import warp as wp
 
-from ..core.entries import vec4_entry
+from ..core.loads import vec4_entry
 from .project import LOG2_LEAST_ALPHA, band_columns
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})

@@ -18,8 +18,7 @@ from ..core.checks import warn_caller
 from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
 from ..core.names import agreed
-from ..kernels.lattice.cage_map import CageMap
-from ..kernels.lattice.weights import sample_weights
+from ..kernels.lattice.cage_map import CageMap, sample_weights
 from ..lattice.gaps import MapTarget, lattice_side_bytes
 from ..lattice.harmonic import HarmonicSolver
 from ..lattice.lattice import CageLattice, require_resolution

@@ -19,19 +19,50 @@ from .files import atomic_path
 FOLDER = pathlib.Path(kernel_folders[0])
 ROOT_DOCSTRING = '"""Kernels of warpcage (Apache License 2.0), copied with `warpcage kernels copy`."""\n'
 
-#: Files whose kernels are variants in deform/views now.
-_VIEWS = ("render", "render_plain", "render_precise", "render_single", "render_sides", "render_part",
-          "render_part_sides", "shaded_single", "shaded_sides", "shaded_large", "shaded_part",
-          "shaded_part_sides", "march_pixels")  # fmt: skip
-
-#: Kernel files that have become parts of others: their names are understood in this version.
-MOVED = {
-    **{f"deform/{name}": "deform/views" for name in _VIEWS},
-    "field/render": "field/march",
-    "field/render_shaded": "field/march",
-    "deform/cpu_map": "deform/render_cpu",
-    "field/cpu_samples": "field/render_cpu",
+#: Kernel files by the names that they, or parts of them, had before: these are understood in this version.
+_FORMER = {
+    "core/loads": "core/entries",
+    "core/shared": "core/warp_memory",
+    "edits/bake": "deform/bake",
+    "edits/cell_tables": "deform/cells deform/settled_cells",
+    "edits/extension": "deform/carry deform/carry_cells deform/falloff",
+    "edits/fine_cells": "deform/fine_cells",
+    "edits/inverse": "deform/posed_places",
+    "edits/nodes": "deform/map_nodes deform/map_cells",
+    "edits/points_exact": "deform/points_precise",
+    "edits/structs": "deform/flat_edits deform/crumbs",
+    "edits/trace": "deform/edits deform/points",
+    "field/grid": "field/samples",
+    "field/march": "field/render_shaded field/render",
+    "field/march_cpu": "field/render_cpu field/cpu_samples",
+    "field/occupancy": "field/skip field/matter_cells",
+    "field/refine": "field/halves",
+    "fitting/slopes": "field/slopes",
+    "lattice/cage_map": "lattice/weights",
+    "lattice/gaps": "lattice/narrow_gaps lattice/gap_sides",
+    "render/beams": "deform/tile_begins",
+    "render/march": "deform/march_single deform/matter_rows",
+    "render/march_cpu": "deform/render_cpu deform/cpu_map",
+    "render/march_exact": "deform/march",
+    "render/march_stack": "deform/march_several",
+    "render/rays": "deform/ray_parts deform/pictures",
+    "render/shading": "deform/carried_shades",
+    "render/views": (
+        "deform/render deform/render_plain deform/render_precise deform/render_single deform/render_sides "
+        "deform/render_part deform/render_part_sides deform/shaded_single deform/shaded_sides deform/shaded_large "
+        "deform/shaded_part deform/shaded_part_sides deform/march_pixels"
+    ),
+    "render/volume": "deform/laid_shades",
+    "splats/bind": "splats/mean_value_rows splats/green_rows",
+    "splats/composite": "splats/composite_slopes",
+    "splats/composite_cpu": "splats/composite_tiles splats/composite_slopes_tiles",
+    "splats/fit": "splats/adam splats/density splats/picture_slopes splats/parameters",
+    "splats/pose": "splats/follow splats/invert splats/jacobian",
+    "splats/splats": "splats/inside",
+    "splats/split": "splats/splits splats/fade",
+    "view/bytes": "view/downsample view/colour_bytes view/preview",
 }
+MOVED = {old: new for new, names in _FORMER.items() for old in names.split()}
 
 
 def kernel_names() -> list[str]:

@@ -14,7 +14,7 @@ from ..core.devices import launch
 from ..core.memory import require_memory
 from ..field.sparse import link_mask
 from ..field.voxel_field import VoxelField
-from ..kernels.deform.bake import bake_nodes, mark_filled_nodes
+from ..kernels.edits.bake import bake_nodes, mark_filled_nodes
 from ..splats.splat_field import SplatField
 from .deformer import Deformer
 from .lattice_edits import LatticeEdits

@@ -14,8 +14,8 @@ from ..core.checks import warn_caller
 from ..core.devices import launch
 from ..core.memory import require_memory
 from ..field.voxel_field import VoxelField
-from ..kernels.deform import carry, carry_cells
-from ..kernels.deform.crumbs import CrumbCells
+from ..kernels.edits import extension
+from ..kernels.edits.structs import CrumbCells
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh.walls import Walls
 from ..lattice.buffers import BufferPool
@@ -63,7 +63,7 @@ class CarriedCrumbs:
             self._local(field.bounds[0] + (nodes + 0.5) * field.voxel_size) for nodes in (self.voxels, corners)
         )
         fans = edit.cage.topology.fans
-        self._walls = carry.WallMap()
+        self._walls = extension.WallMap()
         self._walls.rest = self._local(edit.cage.vertices)
         self._walls.faces = wp.array(fans.faces, dtype=wp.vec3i, device=self._device)
         self._walls.rest_size = edit.cage.size
@@ -106,9 +106,9 @@ class CarriedCrumbs:
         if len(first):
             depth = int((last - first)[:, 0].max()) + 1
             boxes = [self._triples(cells + self.before) for cells in (first, last)]
-            launch(carry_cells.mark_boxes, depth * len(first), [*boxes, depth], [marks], device=self._device, threads=1)
+            launch(extension.mark_boxes, depth * len(first), [*boxes, depth], [marks], device=self._device, threads=1)
             inputs = [data, result.lower, result.spacing, result.distance, marks]
-            launch(carry.carry_nodes, result.distance.size, inputs, [result.positions], device=self._device)
+            launch(extension.carry_nodes, result.distance.size, inputs, [result.positions], device=self._device)
         lower = self._origin + np.array(result.lower)
         self.bounds = np.stack([lower, lower + result.spacing * (np.array(padded) - 1)])
         return result
@@ -117,7 +117,7 @@ class CarriedCrumbs:
         """Mark the cells of the last pose, of which `edit` is the LatticeEdit, through which crumbs go.
         cells: (nx-1, ny-1, nz-1) uint8, the CELL_... flags of `mark_edit_cases`."""
         if self._marks is not None:
-            launch(carry_cells.mark_carrying_cells, cells.size, [edit, self._marks], [cells], device=self._device)
+            launch(extension.mark_carrying_cells, cells.size, [edit, self._marks], [cells], device=self._device)
 
     def inner(self, cells: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         """The part of a table over the cells of the larger lattice that lies over the map's own, a view of that
@@ -129,10 +129,10 @@ class CarriedCrumbs:
         count, faces = self._points.size, self._walls.faces.size
         offsets, errors = (empty_array(count, kind, self._device) for kind in (wp.vec3, wp.float32))
         places = empty_array(self._corners.size, wp.vec3, self._device)
-        inputs, work = [self._walls, self._points, WELL_FOUND * self._voxel], 4 * carry.MOST_STEPS * faces
-        launch(carry.find_places, count, inputs, [offsets, errors], device=self._device, work=work)
+        inputs, work = [self._walls, self._points, WELL_FOUND * self._voxel], 4 * extension.MOST_STEPS * faces
+        launch(extension.find_places, count, inputs, [offsets, errors], device=self._device, work=work)
         inputs = [self._walls, self._corners]
-        launch(carry.map_forwards, places.size, inputs, [places], device=self._device, work=2 * faces)
+        launch(extension.map_forwards, places.size, inputs, [places], device=self._device, work=2 * faces)
         images = places.numpy()[self._rows].astype(np.float64) + offsets.numpy()[:, None]
         images = (images - np.array(cage_map.lower)) / cage_map.spacing
         found = (errors.numpy() < FOUND * self._voxel) & np.isfinite(images).all(axis=(1, 2))
@@ -161,7 +161,7 @@ class CarriedCrumbs:
         sides = self._sides.take(int(np.prod(shape)) if has_sides else 0)
         inputs = [cage_map, wp.vec3i(*(int(n) for n in self.before))]
         outputs = [result.positions, result.distance, sides]
-        launch(carry_cells.pad_nodes, result.distance.size, inputs, outputs, device=self._device)
+        launch(extension.pad_nodes, result.distance.size, inputs, outputs, device=self._device)
         if has_sides:
             result.side_index, result.sides = sides, cage_map.sides
         return result

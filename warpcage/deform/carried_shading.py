@@ -11,7 +11,8 @@ import warp as wp
 from ..core.arrays import empty_array
 from ..core.devices import HALF_TEXEL_BYTES, MOST_TEXELS, HostFlag, RepeatedLaunches, launch
 from ..field.tables import ColumnTable, whole_warps
-from ..kernels.deform.carried_shades import (
+from ..kernels.edits.inverse import NO_CELL, claim_nodes, settle_nodes
+from ..kernels.render.shading import (
     AimedCage,
     aim_nodes,
     keep_cage,
@@ -20,8 +21,7 @@ from ..kernels.deform.carried_shades import (
     shade_carried_rows,
     shade_wall_rows,
 )
-from ..kernels.deform.laid_shades import SHADE_LAYERS, LaidShades
-from ..kernels.deform.posed_places import NO_CELL, claim_nodes, settle_nodes
+from ..kernels.render.volume import SHADE_LAYERS, LaidShades
 from ..lattice.buffers import BufferPool
 
 #: A trilinear distance changes by at most the root of three per unit of length; rounded up.

@@ -17,9 +17,8 @@ from ..core.locks import owner_lock
 from ..core.names import COORDINATES, DENSITIES, STORES
 from ..field.render import STOP_TRANSMITTANCE, MakeArrays, March
 from ..field.voxel_field import VoxelField
-from ..kernels.deform.edits import MAPPED
-from ..kernels.deform.march import MarchOptions
-from ..kernels.deform.pictures import Picture
+from ..kernels.edits.structs import MAPPED
+from ..kernels.render.rays import MarchOptions, Picture
 from ..lattice.buffers import StreamOrder
 from ..mesh.match import require_same_faces
 from ..mesh.validity import is_usable, require_usable

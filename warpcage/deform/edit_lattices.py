@@ -16,9 +16,8 @@ from ..core.checks import warn_caller
 from ..core.devices import RepeatedLaunches, launch
 from ..core.modules import load_modules
 from ..field.sparse import spread_along
-from ..kernels.deform import carry, carry_cells
-from ..kernels.deform import cells as cell_tables
-from ..kernels.deform.edits import LatticeEdit
+from ..kernels.edits import cell_tables, extension
+from ..kernels.edits.structs import LatticeEdit
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh import fans
 from ..lattice.buffers import BufferPool
@@ -55,7 +54,7 @@ class EditLattices:
         self._bands = list(bands) or [None] * len(edits)
         self.carried = list(carried) or [None] * len(edits)
         if any(self.carried):
-            load_modules([carry, carry_cells, fans], device)
+            load_modules([extension, extension, fans], device)
         self._plain: list[Any] = [None] * len(edits)
         self._faded: list[Any] = [None] * len(edits)
         self._walls: list[Any] = [None] * len(edits)

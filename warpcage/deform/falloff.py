@@ -14,8 +14,8 @@ from ..cage.walls import cut_faces, in_matter, wall_groups
 from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..field.voxel_field import VoxelField
-from ..kernels.deform import falloff as kernels
-from ..kernels.deform.edits import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE
+from ..kernels.edits import extension as kernels
+from ..kernels.edits.structs import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh.walls import Walls
 from ..lattice.position_map import PositionMap

@@ -9,7 +9,7 @@ import warp as wp
 
 from ..core.arrays import array_view
 from ..core.devices import RepeatedLaunches, lane_count
-from ..kernels.deform.fine_cells import FINE_COUNT, FINE_SIDE, FINE_WORDS, mark_fine_cells, spread_fine_cells
+from ..kernels.edits.fine_cells import FINE_COUNT, FINE_SIDE, FINE_WORDS, mark_fine_cells, spread_fine_cells
 from ..lattice.buffers import BufferPool, SideStream
 
 #: Cells that are less than so many voxels wide are not told apart: fine cells would be smaller than what they skip.

@@ -9,8 +9,8 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..kernels.deform.edits import CELL_OUTSIDE
-from ..kernels.deform.flat_edits import FlatEdit, join_cell_tables, join_nodes
+from ..kernels.edits.cell_tables import join_cell_tables, join_nodes
+from ..kernels.edits.structs import CELL_OUTSIDE, FlatEdit
 from ..lattice.buffers import Buffer
 from .edit_lattices import has_sides
 from .fine_cells import tell_fine_cells

@@ -18,9 +18,10 @@ from ..core.devices import RepeatedLaunches
 from ..core.memory import free_bytes
 from ..field import tables
 from ..field.voxel_field import VoxelField
-from ..kernels.deform import points, render_cpu
-from ..kernels.deform.flat_edits import FlatEdit
-from ..kernels.deform.views import part_kernel, stack_kernel, view_kernel
+from ..kernels.edits import trace
+from ..kernels.edits.structs import FlatEdit
+from ..kernels.render import march_cpu
+from ..kernels.render.views import part_kernel, stack_kernel, view_kernel
 from ..kernels.view.rays import TILE_SIZE
 from ..lattice.buffers import BufferPool, SideStream
 from ..view.tile_order import BalancedTiles
@@ -96,7 +97,7 @@ class LatticeEdits(PosedEdits):
         self._is_single, self._has_crumbs = len(edits) == 1 and not any(carried), any(carried)
         self._by_tiles = device.is_cpu and tables.TILES_ON_CPU
         self._looks_ahead = device.is_cuda or LOOKS_AHEAD_ON_CPU
-        super().__init__(points.map_points, None)  # poses choose the other one
+        super().__init__(trace.map_points, None)  # poses choose the other one
         load_pose_modules(coordinates, render_modules(device, len(edits), self._has_crumbs), device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
         self._flat: list[Any] = []
@@ -278,7 +279,7 @@ class LatticeEdits(PosedEdits):
         if parts is not None:
             orders = self._tiles.begin(len(parts), tiles)
             if self._by_tiles:
-                kernels = [render_cpu.render_edit_tiles, render_cpu.render_edit_tiles]
+                kernels = [march_cpu.render_edit_tiles, march_cpu.render_edit_tiles]
             else:
                 kernels = [part_kernel(is_shaded, has_sides) for has_sides in (False, True)]
             self._parts.render(self, view, parts, kernels, orders, begins)

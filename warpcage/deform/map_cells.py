@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 from ..core.devices import RepeatedLaunches
-from ..kernels.deform.map_cells import CELL_WORDS, expand_map_cells
+from ..kernels.edits.nodes import CELL_WORDS, expand_map_cells
 from ..lattice.buffers import BufferPool
 
 #: An array has fewer entries along an axis.

@@ -9,8 +9,8 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import array_view
-from ..kernels.deform.ray_parts import ScenePart
-from ..kernels.deform.render_cpu import render_edit_tiles
+from ..kernels.render.march_cpu import render_edit_tiles
+from ..kernels.render.rays import ScenePart
 from ..kernels.view.rays import TILE_SIZE
 from ..lattice.buffers import BufferPool
 from .edits import MarchedView, PosedEdits

@@ -10,32 +10,30 @@ import warp as wp
 from ..core.modules import Kernel, load_modules
 from ..field import tables
 from ..kernels.core import texels
-from ..kernels.deform import carried_shades, fine_cells, flat_edits, map_cells, posed_places, render_cpu, tile_begins
-from ..kernels.deform import cells as cell_tables
-from ..kernels.deform.views import part_kernel, stack_kernel, view_kernel
+from ..kernels.edits import cell_tables, fine_cells, inverse, structs
+from ..kernels.edits import nodes as map_cells
 from ..kernels.field import columns, densities, rows
-from ..kernels.field import skip as grid_skip
+from ..kernels.field import occupancy as grid_skip
 from ..kernels.lattice import (
     closed_form,
     corrections,
     crossings,
     cut_rows,
     distance,
-    gap_sides,
+    gaps,
     harmonic,
     harmonic_coarse,
-    narrow_gaps,
     nodes,
     rings,
     side_values,
 )
 from ..kernels.mesh import fans
+from ..kernels.render import beams, march_cpu, shading
+from ..kernels.render.views import part_kernel, stack_kernel, view_kernel
 from ..kernels.view import tile_order
 
 #: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
-POSE_MODULES = (
-    *(crossings, distance, nodes, rings, narrow_gaps, gap_sides, side_values, cell_tables, flat_edits, grid_skip),
-)
+POSE_MODULES = (*(crossings, distance, nodes, rings, gaps, gaps, side_values, cell_tables, structs, grid_skip),)
 SOLVER_MODULES = {
     "harmonic": (harmonic, harmonic_coarse, cut_rows),
     "mean_value": (closed_form, fans, cut_rows, corrections),
@@ -59,8 +57,8 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = Fa
         return [stack_kernel(False)]
     several = [stack_kernel(True), stack_kernel(False)] if edit_count > 1 else []
     if device.is_cpu and tables.TILES_ON_CPU:
-        return [render_cpu, *several]
-    march_modules = [fine_cells, map_cells, tile_begins, *several]
+        return [march_cpu, *several]
+    march_modules = [fine_cells, map_cells, beams, *several]
     kernel_of = part_kernel if several else view_kernel
     by_rows = [kernel_of(False, has_sides) for has_sides in (False, True)]
     if device.is_cpu and not tables.SHADES_ON_CPU:
@@ -70,4 +68,4 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = Fa
         shaded.append(view_kernel(True, False, large=True))
     # poses that turn matter over are marched by rows, and no hand that moves a cage is to wait for a compiler
     frame_modules = [columns, densities, rows, texels, tile_order]
-    return [*march_modules, posed_places, carried_shades, *shaded, *by_rows, *frame_modules]
+    return [*march_modules, inverse, shading, *shaded, *by_rows, *frame_modules]

@@ -12,9 +12,9 @@ from ..cage.cage import Cage
 from ..coordinates.coordinates import stretched_normals
 from ..core.arrays import empty_array
 from ..core.devices import launch
-from ..kernels.deform import points_precise, settled_cells
-from ..kernels.deform.edits import CellTable, ClosedFormEdit
-from ..kernels.deform.views import exact_kernel
+from ..kernels.edits import cell_tables, points_exact
+from ..kernels.edits.structs import CellTable, ClosedFormEdit
+from ..kernels.render.views import exact_kernel
 from ..mesh.fans import prepared_fans
 from ..mesh.queries import SURFACE_TOLERANCE
 from .carried import CarriedCrumbs
@@ -48,11 +48,11 @@ class ClosedFormEdits(PosedEdits):
         bands: Sequence[FalloffBand | None] = (),
         carried: Sequence[CarriedCrumbs | None] = (),
     ):
-        super().__init__(points_precise.map_points_precisely, exact_kernel())
+        super().__init__(points_exact.map_points_precisely, exact_kernel())
         self._edits, self._origin, self._device = edits, origin, device
         self.sample_work = sum(len(edit.cage.faces) for edit in edits)  # each face is looked at
         self._is_green = coordinates == "green"
-        load_pose_modules(coordinates, [exact_kernel(), settled_cells], device)
+        load_pose_modules(coordinates, [exact_kernel(), cell_tables], device)
         self._bands = list(bands) or [None] * len(edits)
         self.guide = EditLattices(edits, coordinates, GUIDE_RESOLUTION, origin, device, bands=bands, carried=carried)
         self._rest_cells = [
@@ -116,7 +116,7 @@ def settled_rest_cells(rest: Any, slack: float, device: wp.Device) -> Any:
     """The CellTable of where all of a cell of a CageMap lies on one side of its rest cage.
     Outside means farther than `slack` from the cage, world units."""
     table = cell_table(rest, device)
-    launch(settled_cells.settle_rest_cells, table.flags.size, [rest, slack], [table.flags], device=device)
+    launch(cell_tables.settle_rest_cells, table.flags.size, [rest, slack], [table.flags], device=device)
     return table
 
 
@@ -125,7 +125,7 @@ def settled_deformed_cells(guide: Any, skip: wp.array, device: wp.Device) -> Any
     skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything."""
     table = cell_table(guide.deformed, device)
     table.skip = skip
-    launch(settled_cells.settle_deformed_cells, skip.size, [guide], [table.flags], device=device)
+    launch(cell_tables.settle_deformed_cells, skip.size, [guide], [table.flags], device=device)
     return table
 
 

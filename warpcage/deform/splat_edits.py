@@ -11,7 +11,12 @@ import warp as wp
 from ..cage.cage import Cage
 from ..core.arrays import empty_array
 from ..core.devices import lane_count, launch
-from ..kernels.splats import fade, follow, inside, invert, pose, splits
+from ..kernels.splats import pose
+from ..kernels.splats import pose as follow
+from ..kernels.splats import pose as invert
+from ..kernels.splats import splats as inside
+from ..kernels.splats import split as fade
+from ..kernels.splats import split as splits
 from ..kernels.splats.pose import CarriedSplats
 from ..kernels.splats.splats import Splats
 from ..lattice.position_map import PositionMap

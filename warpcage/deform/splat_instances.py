@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from ..kernels.splats.follow import GOES, GOES_OR_STAYS, STAYS
+from ..kernels.splats.pose import GOES, GOES_OR_STAYS, STAYS
 from ..splats.binding import SplitTree
 from .edits import CageEdit
 
@@ -23,7 +23,7 @@ class EditActions:
     kinds: np.ndarray
     # float32, of LEFT splats the share that stays at most
     outside: np.ndarray
-    # uint8, of FOLLOWED splats the way of kernels/splats/follow.py
+    # uint8, of FOLLOWED splats the way of kernels/splats/pose.py
     ways: np.ndarray
 
     def of(self, kind: int) -> np.ndarray:

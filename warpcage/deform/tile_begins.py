@@ -9,8 +9,8 @@ import warp as wp
 
 from ..core.arrays import array_view, struct_array
 from ..core.devices import RepeatedLaunches
-from ..kernels.deform.flat_edits import FlatEdit
-from ..kernels.deform.tile_begins import find_tile_begins, find_tile_begins_of_edits
+from ..kernels.edits.structs import FlatEdit
+from ..kernels.render.beams import find_tile_begins, find_tile_begins_of_edits
 from ..lattice.buffers import Buffer, BufferPool, SideStream
 
 #: Streams whose buffers are kept.

@@ -25,7 +25,7 @@ from ..deform.deformer import Deformer
 from ..deform.edits import CageEdit
 from ..deform.fill import fill_unseen
 from ..field.voxel_field import VoxelField
-from ..kernels.view import preview
+from ..kernels.view import bytes
 from ..mesh.validity import require_usable
 from ..splats.splat_field import AnyField
 from ..view.camera import Camera
@@ -141,7 +141,7 @@ class Pixels:
     """A frame on the host, as it is sent."""
 
     colours: np.ndarray  # (h, w, 3) uint8
-    depths: np.ndarray  # (rows, columns) uint16, see kernels/view/preview.py
+    depths: np.ndarray  # (rows, columns) uint16, see kernels/view/bytes.py
     near: float  # distances that the depths 1 and 65535 stand for, world units
     far: float
 
@@ -160,10 +160,10 @@ def frame_pixels(frame: Frame, show: str, near: float, far: float, columns: int,
     with device_turn(rgb.device):
         sampled = empty_array(rows * columns, wp.uint16, rgb.device)
         inputs = [width, height, columns, rows, HIDING_ALPHA, near, far, frame.arrays["alpha"], frame.arrays["depth"]]
-        launch(preview.sample_depths, rows * columns, inputs, [sampled], device=rgb.device)
+        launch(bytes.sample_depths, rows * columns, inputs, [sampled], device=rgb.device)
         if show == "rgb":
             packed = empty_array((width * height, 3), wp.uint8, rgb.device)
-            launch(preview.pack_colours, width * height, [rgb], [packed], device=rgb.device)
+            launch(bytes.pack_colours, width * height, [rgb], [packed], device=rgb.device)
             colours = packed.numpy().reshape(height, width, 3)
         else:
             shown = picture(frame, "rgb" if show == "masks" and frame.reveal is None else show)

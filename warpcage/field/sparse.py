@@ -12,10 +12,10 @@ import warp as wp
 
 from ..core.arrays import array_view, empty_array
 from ..core.devices import HostFlag, RepeatedLaunch, launch
-from ..kernels.field import halves as grid_halves
-from ..kernels.field import matter_cells
+from ..kernels.field import occupancy
+from ..kernels.field import occupancy as grid_skip
+from ..kernels.field import refine as grid_halves
 from ..kernels.field import refine as grid_refine
-from ..kernels.field import skip as grid_skip
 from .io.field_file import BASIS_COUNT, LUMINANCE_NUMBERS, RGB_NUMBERS, as_single
 
 
@@ -34,9 +34,9 @@ class DensityWatch:
         if kept is None or kept.size != density.size:
             kept, changed = wp.clone(density), True
         else:
-            news, run = wp.zeros(1, dtype=wp.int32, device=density.device), int(matter_cells.COMPARED_VALUES)
+            news, run = wp.zeros(1, dtype=wp.int32, device=density.device), int(occupancy.COMPARED_VALUES)
             inputs = [density, kept, news]
-            launch(matter_cells.note_densities, -(-density.size // run), inputs, device=density.device, work=run)
+            launch(occupancy.note_densities, -(-density.size // run), inputs, device=density.device, work=run)
             changed = bool(news.numpy()[0])
         self.version += changed
         self._kept = kept

@@ -14,11 +14,11 @@ from ..core.devices import RepeatedLaunch, half_texture, launch
 from ..core.locks import owner_lock
 from ..core.modules import Kernel
 from ..kernels.core.texels import clear_half_texels
-from ..kernels.field import columns, matter_cells
+from ..kernels.field import columns, occupancy
 from ..kernels.field.densities import lay_densities
 from ..kernels.field.grid import VoxelGrid
 from ..kernels.field.march import image_kernel
-from ..kernels.field.render_cpu import render_tiles
+from ..kernels.field.march_cpu import render_tiles
 from ..kernels.field.rows import RowTable, pack_rows
 from ..kernels.field.shades import ShadedGrid, shade_rows
 from ..kernels.view.rays import TILE_SIZE
@@ -49,13 +49,13 @@ def gathered_cells(links: wp.array, density: wp.array, skip: wp.array) -> Any:
     """A MatterCells of densities (rows,) float32 at links (nx, ny, nz); skip: 0 in the cells that hold matter."""
     device, (nx, ny, nz) = links.device, skip.shape
     counts = empty_array(nx * ny, wp.int32, device)
-    launch(matter_cells.count_cells, nx * ny, [skip], [counts], device=device, work=nz)
+    launch(occupancy.count_cells, nx * ny, [skip], [counts], device=device, work=nz)
     wp.utils.array_scan(counts, counts, inclusive=True)
-    cells = matter_cells.MatterCells()
-    cells.blocks = empty_array((nx * ny, -(-nz // int(matter_cells.BLOCK_CELLS))), wp.vec2i, device)
+    cells = occupancy.MatterCells()
+    cells.blocks = empty_array((nx * ny, -(-nz // int(occupancy.BLOCK_CELLS))), wp.vec2i, device)
     cells.densities = empty_array((int(counts.numpy()[-1]), 8), wp.float32, device)
     inputs = [links, density, skip, counts]
-    launch(matter_cells.gather_densities, nx * ny, inputs, [cells.blocks, cells.densities], device=device, work=8 * nz)
+    launch(occupancy.gather_densities, nx * ny, inputs, [cells.blocks, cells.densities], device=device, work=8 * nz)
     return cells
 
 

@@ -11,6 +11,7 @@ from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import USUAL_WORK, launch
 from ..kernels.coordinates.green import weigh_green
 from ..kernels.coordinates.mean_value import weigh_mean_value
+from ..kernels.lattice.cage_map import place_nodes
 from ..kernels.lattice.closed_form import (
     interpolate_nodes,
     map_crossings_green,
@@ -20,7 +21,6 @@ from ..kernels.lattice.closed_form import (
 )
 from ..kernels.lattice.corrections import correct_values, measure_corrections
 from ..kernels.lattice.nodes import RINGS
-from ..kernels.lattice.weights import place_nodes
 from ..mesh.faces import StretchTarget
 from ..mesh.fans import prepared_fans
 from ..mesh.mesh import ClosedMesh

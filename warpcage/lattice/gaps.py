@@ -8,8 +8,15 @@ import warp as wp
 
 from ..core.arrays import WarpStruct
 from ..core.devices import lane_count, launch
-from ..kernels.lattice.gap_sides import count_column_sides, list_column_sides, mark_gap_cells, mark_narrow_cells
-from ..kernels.lattice.narrow_gaps import GAP_JUMP, confirm_narrow, find_gap_nodes
+from ..kernels.lattice.gaps import (
+    GAP_JUMP,
+    confirm_narrow,
+    count_column_sides,
+    find_gap_nodes,
+    list_column_sides,
+    mark_gap_cells,
+    mark_narrow_cells,
+)
 from ..kernels.lattice.side_values import (
     complete_sides,
     continue_sides,

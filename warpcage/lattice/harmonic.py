@@ -14,6 +14,7 @@ from ..core.devices import lane_count, launch
 from ..core.modules import load_modules, require_loaded
 from ..kernels.lattice import harmonic as harmonic_kernels
 from ..kernels.lattice import harmonic_coarse
+from ..kernels.lattice.cage_map import select_vertices, store_weights
 from ..kernels.lattice.cut_rows import set_sources
 from ..kernels.lattice.harmonic import (
     LaplaceSystem,
@@ -27,7 +28,6 @@ from ..kernels.lattice.harmonic import (
     restrict_residual,
 )
 from ..kernels.lattice.harmonic_coarse import BLOCK_THREADS, cycle_coarse_levels
-from ..kernels.lattice.weights import select_vertices, store_weights
 from .gaps import MapTarget, launch_linear_boundary
 from .lattice import CageLattice
 from .nodes import CutRowTable, LatticeNodes, continue_to_rings

@@ -9,8 +9,8 @@ import warp as wp
 
 from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import launch
+from ..kernels.lattice.cage_map import apply_weights
 from ..kernels.lattice.cut_rows import CutRows
-from ..kernels.lattice.weights import apply_weights
 from ..mesh.mesh import ClosedMesh
 from .buffers import Buffer
 from .gaps import GapFlags, MapTarget

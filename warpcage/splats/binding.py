@@ -13,7 +13,7 @@ from ..coordinates.harmonic import WeightGaps
 from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..core.memory import require_memory
-from ..kernels.splats import green_rows, lattice_rows, mean_value_rows, pose
+from ..kernels.splats import bind, lattice_rows, pose
 from ..kernels.splats.packed_rows import PackedRows, carry_packed, pack_rows
 from ..lattice.harmonic import HarmonicSolver
 from ..lattice.lattice import CageLattice
@@ -163,7 +163,7 @@ class CageBinding:
         vertices = wp.array((cage.vertices - centre) / cage.size, dtype=wp.vec3d, device=device)
         faces = wp.array(cage.faces, dtype=wp.vec3i, device=device)
         scratch = _columns(corners, max(chunk, 1), wp.vec4d, device)
-        kernel = green_rows.bind_green if coordinates == "green" else mean_value_rows.bind_mean_value
+        kernel = bind.bind_green if coordinates == "green" else bind.bind_mean_value
         for begin in range(0, count, CHUNK):
             items = min(CHUNK, count - begin)
             into = rows if pack else rows[:, begin : begin + items]

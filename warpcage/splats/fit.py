@@ -15,16 +15,8 @@ from ..core.arrays import array_view, empty_array
 from ..core.checks import checked_flag, checked_number, checked_positive, checked_whole, require_type
 from ..core.devices import launch
 from ..core.locks import device_turn
-from ..kernels.splats import (
-    adam,
-    composite_slopes,
-    composite_slopes_tiles,
-    parameters,
-    picture_slopes,
-    project_slopes,
-    tiles,
-)
-from ..kernels.splats.composite_slopes import SUMS
+from ..kernels.splats import composite, composite_cpu, fit, project_slopes, tiles
+from ..kernels.splats.composite import SUMS
 from ..kernels.splats.project_slopes import ValueSlopes
 from ..kernels.splats.splats import Splats
 from ..lattice.buffers import BufferPool
@@ -91,7 +83,7 @@ class SplatParameters:
         names = ("log_scales", "quaternions", "logits")
         inputs = [self.by_rows(name, self.values) for name in names]
         outputs = [self.splats.covariances, self.splats.opacities]
-        launch(parameters.make_splats, len(self.field), inputs, outputs, device=self.field.device)
+        launch(fit.make_splats, len(self.field), inputs, outputs, device=self.field.device)
 
     def to_field(self) -> SplatField:
         """A field of the values as they are now, with what else the file of the first one says."""
@@ -132,7 +124,7 @@ class SplatGradients(SplatRenderer):
         """The picture (h * w,) vec3, one ray a pixel, valid until the next one; `parameters` are refreshed before.
         lens: of `splat_lens`, of the same camera; colour: behind the splats."""
         grid, pixels = tile_grid(camera), camera.width * camera.height
-        seen = self._project(parameters.splats, lens)
+        seen = self._project(fit.splats, lens)
         total = self.entry_count = self._count(grid, *seen)
         if total > MOST_ENTRIES:
             raise ValueError(f"splats touch {total} tiles of a picture, at most {MOST_ENTRIES}: fit smaller pictures")
@@ -142,12 +134,12 @@ class SplatGradients(SplatRenderer):
         rgb, parts = self._rgb.take(pixels), self._parts.take((2, pixels))
         inputs = [seen[1], members, starts, grid]
         self._composite(grid, [*inputs, colour, STOP_TRANSMITTANCE], [rgb, parts[0], parts[1]])
-        self._drawn = parameters, lens, grid, seen, inputs, sources, total, rgb
+        self._drawn = fit, lens, grid, seen, inputs, sources, total, rgb
         return rgb
 
     def take_back(self, slopes: wp.array) -> None:
         """Set the slopes of the parameters drawn last, from those (h * w,) vec3 of a loss by the picture's colours."""
-        parameters, lens, grid, seen, inputs, sources, total, rgb = self._drawn
+        fit, lens, grid, seen, inputs, sources, total, rgb = self._drawn
         count, view, _, order = seen
         sums = self._sums.take(SUM_COUNT * count)
         inputs = [*inputs, STOP_TRANSMITTANCE, rgb, slopes]
@@ -155,17 +147,17 @@ class SplatGradients(SplatRenderer):
         if self.device.is_cpu:
             rows = self._entry_sums.take(SUM_COUNT * total)
             inputs.insert(2, sources)
-            kernel = composite_slopes_tiles.sum_slopes_of_tiles
+            kernel = composite_cpu.sum_slopes_of_tiles
             launch(kernel, tile_count, inputs, [rows], device=self.device, work=DRAW_WORK)
-            kernel, inputs = composite_slopes_tiles.sum_slopes_of_splats, [order, self._ends.take(count), rows]
+            kernel, inputs = composite_cpu.sum_slopes_of_splats, [order, self._ends.take(count), rows]
             launch(kernel, count, inputs, [sums], device=self.device)
         else:
             sums.zero_()
             items = tile_count * tiles.TILE_SIDE**2
-            launch(composite_slopes.add_slopes, items, inputs, [sums], device=self.device)
-        held = [parameters.by_rows(name, parameters.values) for name in ("log_scales", "quaternions")]
-        inputs = [parameters.splats, lens, *held, view, sums]
-        outputs = [parameters.value_slopes]
+            launch(composite.add_slopes, items, inputs, [sums], device=self.device)
+        held = [fit.by_rows(name, fit.values) for name in ("log_scales", "quaternions")]
+        inputs = [fit.splats, lens, *held, view, sums]
+        outputs = [fit.value_slopes]
         kernel = project_slopes.find_value_slopes
         launch(kernel, count, inputs, outputs, device=self.device, work=2 * PROJECT_WORK)
 
@@ -247,7 +239,7 @@ def fit_splats(
     """Improve a field of splats on pictures of what it shows.
 
     Each step draws one picture, takes the slopes of its loss back to the centres, scales, rotations, opacities and
-    harmonics of the splats (kernels/splats/composite_slopes.py, project_slopes.py), and steps by Adam. There are as
+    harmonics of the splats (kernels/splats/composite.py, project_slopes.py), and steps by Adam. There are as
     many splats afterwards as before: none is added, divided or removed. Give a field that is near already, and
     pictures from all sides: what no picture sees stays as it is.
 
@@ -430,7 +422,7 @@ class SplatOptimizer:
         drawn = self._gradients.draw(self._parameters, camera, self._lenses[number], self._background)
         inputs = [self._side, camera.width // self._side, self._squared, drawn, image]
         outputs = [self._slopes, self._errors]
-        launch(picture_slopes.slope_of_picture, self._pixels, inputs, outputs, device=self.device)
+        launch(fit.slope_of_picture, self._pixels, inputs, outputs, device=self.device)
         self._gradients.take_back(self._slopes)
 
     def _step_values(self) -> None:
@@ -438,14 +430,14 @@ class SplatOptimizer:
         fall = self._rates.last ** (self.step_count / max(self._steps - 1, 1))
         for name, (lead, lead_rate, rate) in self._kinds.items():
             values, slopes = self._parameters.values[name], self._parameters.slopes[name]
-            step = adam.AdamStep()
+            step = fit.AdamStep()
             step.width, step.lead, step.lead_rate, step.rate = values.shape[1], lead, fall * lead_rate, fall * rate
             step.beta1, step.beta2, step.epsilon = *BETAS, EPSILON
             step.share1, step.share2 = (1.0 - beta**done for beta in BETAS)
             arrays = [slopes, self._means[name], self._squares[name], values]
             flat = [array.flatten() for array in arrays]
-            launch(adam.step_adam, values.size, [step, *flat], device=self.device)
+            launch(fit.step_adam, values.size, [step, *flat], device=self.device)
         if self._first_scales is not None:
             values = self._parameters.values["log_scales"]
             inputs = [self._growth, self._first_scales.flatten()]
-            launch(adam.hold_below, values.size, inputs, [values.flatten()], device=self.device)
+            launch(fit.hold_below, values.size, inputs, [values.flatten()], device=self.device)

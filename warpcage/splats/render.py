@@ -13,7 +13,7 @@ from ..core.arrays import WarpStruct
 from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.locks import owner_lock
 from ..field.render import picture_arrays
-from ..kernels.splats import composite, composite_tiles, project, tiles
+from ..kernels.splats import composite, composite_cpu, project, tiles
 from ..lattice.buffers import BufferPool
 from ..view.camera import Camera, camera_struct
 from ..view.frame import PART_NAMES, Frame, average_frame, checked_supersampling, finer_camera
@@ -125,7 +125,7 @@ class SplatRenderer:
         """Draw the tiles of a grid."""
         tile_count = grid.columns * grid.rows
         if self.device.is_cpu:
-            kernel, items = composite_tiles.composite_tiles, tile_count
+            kernel, items = composite_cpu.composite_tiles, tile_count
         else:
             kernel, items = composite.composite_pixels, tile_count * tiles.TILE_SIDE**2
         launch(kernel, items, inputs, outputs, device=self.device, work=DRAW_WORK)

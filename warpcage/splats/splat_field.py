@@ -21,7 +21,7 @@ from ..core.names import counted
 from ..field.io import load_field as load_voxels
 from ..field.io.field_file import FieldContents
 from ..field.voxel_field import VoxelField
-from ..kernels.splats.density import deposit_splats
+from ..kernels.splats.fit import deposit_splats
 from ..kernels.splats.splats import Splats
 from ..view.camera import Camera
 from ..view.frame import Frame, parse_background
@@ -39,7 +39,7 @@ class SplatDensity:
     resolution: nodes along the longest side, 2 to 1024; bounds: (2, 3) box, world units, None is that of all splats."""
 
     # Node (i, j, k) lies at bounds[0] + (i + 0.5) * voxel_size. A splat counts by its covariance and opacity, not by
-    # its centre alone (kernels/splats/density.py).
+    # its centre alone (kernels/splats/fit.py).
 
     def __init__(self, field: SplatField, resolution: int = RESOLUTION, bounds: ArrayLike | None = None):
         self.field, self.straightening = field, None  # the coordinates are those of the file
@@ -276,7 +276,7 @@ class SplatField:
     def node_densities(self) -> np.ndarray:
         """(nx, ny, nz) float32 densities of the splats' matter in the middle of each voxel, per world unit.
 
-        Cages, selections and surfaces are made of them (kernels/splats/density.py)."""
+        Cages, selections and surfaces are made of them (kernels/splats/fit.py)."""
         if self._density is None:
             self._density = SplatDensity(self)
         return self._density.node_densities()

@@ -1,1 +1,0 @@
-"""Ray marching of deformed scenes, cage edits, and baking."""

@@ -1,0 +1,245 @@
+"""What a camera sees of each voxel of a field that edits deform, evaluated once per view: its colour towards the camera
+and its optical depth."""
+
+import warp as wp
+
+from ..edits.nodes import node_blend, node_slope, side_slope
+from ..field.grid import VoxelGrid
+from ..field.harmonics import sh_basis
+from ..field.shades import ShadedGrid, own_row, row_place, shade_colour
+from ..lattice.cage_map import CageMap, map_distance
+from .volume import CARRIED_LAYER, PLAIN_LAYER, LaidShades, write_laid_shade
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
+
+#: A cage is at least this many cells within the border of its lattice (warpcage/lattice/lattice).
+LATTICE_MARGIN = wp.constant(2.0)
+
+
+@wp.struct
+class AimedCage:
+    """A rest cage's lattice, the pose of its edit, and what `aim_nodes` found at its nodes."""
+
+    lower: wp.vec3  # position of node (0, 0, 0)
+    inverse_spacing: float
+    node_counts: wp.vec3i
+    distance: wp.array(dtype=float)  # (nodes,) signed distance to the rest cage
+    places: wp.array(dtype=wp.vec4)  # (nodes,) where the pose takes each, of deform/posed_places
+    aims: wp.array(dtype=wp.vec4)  # (nodes,) canonical view direction or 0, and signed distance to the rest cage
+    depth: float  # rows up to so deep in the rest cage are read by samples of both layers
+    height: float  # and those up to so far out of it
+    posed_lower: wp.vec3  # of the lattice over the posed cage, as deform/flat_edits has it
+    posed_inverse_spacing: float
+    posed_counts: wp.vec3i
+    posed_nodes: wp.array(dtype=wp.vec4)
+    side_index: wp.array(dtype=int)  # or (0,)
+    sides: wp.array2d(dtype=wp.vec4)
+
+
+@wp.kernel
+def keep_cage(first: int, cage: AimedCage, index: int, cages: wp.array(dtype=AimedCage)):
+    """Put a cage into an array: an argument takes the host less time than a copy. One item."""
+    cages[first + wp.tid() + index] = cage
+
+
+@wp.kernel
+def aim_nodes(first: int, cages: wp.array(dtype=AimedCage), centre: wp.vec3):
+    """Canonical view direction at each node of each rest lattice, 0 where no pose takes it anywhere, and its signed
+    distance to the rest cage: the aims of each cage. centre: of the camera. One item a node, cage by cage."""
+    n = first + wp.tid()
+    index = int(0)
+    size = cages[0].places.shape[0]
+    while n >= size:
+        n -= size
+        index += 1
+        size = cages[index].places.shape[0]
+    cage = cages[index]
+    place = cage.places[n]
+    along = wp.vec3(0.0, 0.0, 0.0)
+    if place[3] > 0.0:
+        counts = cage.posed_counts
+        nz = counts[2]
+        nyz = counts[1] * nz
+        seat = wp.vec3(place[0], place[1], place[2])
+        cell = wp.vec3i()
+        for axis in range(3):
+            cell[axis] = wp.min(int(seat[axis]), counts[axis] - 2)
+        f = seat - wp.vec3(float(cell[0]), float(cell[1]), float(cell[2]))
+        rate = seat - (centre - cage.posed_lower) * cage.posed_inverse_spacing
+        corner = cell[0] * nyz + cell[1] * nz + cell[2]
+        slope = node_slope(cage.posed_nodes, corner, nyz, nz, f, rate)
+        entry = int(0)
+        if cage.side_index.shape[0] > 0:
+            entry = cage.side_index[corner]
+        if entry != 0:
+            slope = side_slope(cage.sides, entry, f, rate)
+        along = wp.normalize(slope)
+    cage.aims[n] = wp.vec4(along[0], along[1], along[2], cage.distance[n])
+
+
+@wp.struct
+class RowView:
+    """How a row is seen."""
+
+    along: wp.vec3  # canonical view direction
+    carried: int  # 1: it lies in a rest cage
+    is_plain: int  # 1: samples of the plain layer may read it
+    is_carried: int  # 1: and those of the other one
+
+
+@wp.func
+def aim_at(cage: AimedCage, g: wp.vec3):
+    """Blended aims at node coordinates g among the nodes: direction of any length, and signed distance."""
+    counts = cage.node_counts
+    cell = wp.vec3i()
+    for axis in range(3):
+        cell[axis] = wp.min(int(g[axis]), counts[axis] - 2)
+    f = g - wp.vec3(float(cell[0]), float(cell[1]), float(cell[2]))
+    nyz = counts[1] * counts[2]
+    return node_blend(cage.aims, cell[0] * nyz + cell[1] * counts[2] + cell[2], nyz, counts[2], f)
+
+
+@wp.func
+def row_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
+    """How a row at x is seen: as the pose has it of the rest cage that it is in, else from `plain`."""
+    seen = RowView()
+    seen.along = plain
+    seen.is_plain = int(1)
+    for index in range(cages.shape[0]):
+        cage = cages[index]
+        g = (x - cage.lower) * cage.inverse_spacing
+        top = wp.vec3(float(cage.node_counts[0] - 1), float(cage.node_counts[1] - 1), float(cage.node_counts[2] - 1))
+        if wp.min(g) >= 0.0 and wp.min(top - g) >= 0.0:
+            aim = aim_at(cage, g)
+            turned = wp.vec3(aim[0], aim[1], aim[2])
+            seen.is_plain = wp.where(aim[3] < -cage.depth, 0, seen.is_plain)
+            seen.is_carried = wp.where(aim[3] < cage.height, 1, seen.is_carried)
+            if aim[3] <= 0.0:
+                seen.carried = 1
+                if wp.length_sq(turned) > 1.0e-6:
+                    seen.along = wp.normalize(turned)
+    return seen
+
+
+@wp.func
+def nearest_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
+    """How a row at x, not far out of a rest cage, would be seen if it went with it: as what lies just in the cage."""
+    along = plain
+    least = float(1.0e30)
+    for index in range(cages.shape[0]):
+        cage = cages[index]
+        g = (x - cage.lower) * cage.inverse_spacing
+        top = wp.vec3(float(cage.node_counts[0] - 1), float(cage.node_counts[1] - 1), float(cage.node_counts[2] - 1))
+        near = wp.max(wp.min(g, top), wp.vec3(0.0, 0.0, 0.0))
+        aim = aim_at(cage, near)
+        away = aim[3] + wp.length(g - near) / cage.inverse_spacing
+        if away < least:
+            least = away
+            slope = wp.vec3(0.0, 0.0, 0.0)
+            for axis in range(3):
+                ahead = near
+                behind = near
+                ahead[axis] = wp.min(near[axis] + 0.5, top[axis])
+                behind[axis] = wp.max(near[axis] - 0.5, 0.0)
+                slope[axis] = aim_at(cage, ahead)[3] - aim_at(cage, behind)[3]
+            within = near - wp.normalize(slope) * (aim[3] * cage.inverse_spacing + 0.75)
+            aim = aim_at(cage, wp.max(wp.min(within, top), wp.vec3(0.0, 0.0, 0.0)))
+            turned = wp.vec3(aim[0], aim[1], aim[2])
+            if wp.length_sq(turned) > 1.0e-6:
+                along = wp.normalize(turned)
+    return along
+
+
+@wp.kernel
+def shade_carried_rows(
+    first: int,
+    grid: VoxelGrid,
+    nodes: wp.array(dtype=wp.int32),
+    cages: wp.array(dtype=AimedCage),
+    shaded: ShadedGrid,
+    laid: LaidShades,
+):
+    """Shades of rows as they are seen, in the layers of samples that may read them; a thread per row, in whole warps.
+    nodes: (rows,); cages: (edits,) that do not meet; shaded: tells the camera and how long a step is."""
+    item = first + wp.tid()
+    n = wp.min(item, nodes.shape[0] - 1)
+    row = own_row(shaded, n)
+    x = row_place(grid, shaded.columns.node_counts, nodes[n])
+    seen = row_view(cages, x, wp.normalize(x - shaded.centre))
+    colour = shade_colour(grid.sh, row, sh_basis(seen.along))
+    if item < nodes.shape[0]:
+        shade = wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step)
+        if seen.is_plain == 1:
+            write_laid_shade(laid, nodes[n], PLAIN_LAYER, shade)
+        if seen.is_carried == 1:
+            write_laid_shade(laid, nodes[n], CARRIED_LAYER, shade)
+
+
+@wp.kernel
+def shade_wall_rows(
+    first: int,
+    grid: VoxelGrid,
+    nodes: wp.array(dtype=wp.int32),
+    wall_rows: wp.array(dtype=wp.int32),
+    cages: wp.array(dtype=AimedCage),
+    shaded: ShadedGrid,
+    laid: LaidShades,
+):
+    """Of rows near a rest cage, how samples on the other side of it see them, in the layer of those. One thread for
+    each of wall_rows (m,), in whole warps."""
+    item = first + wp.tid()
+    n = wall_rows[wp.min(item, wall_rows.shape[0] - 1)]
+    row = own_row(shaded, n)
+    x = row_place(grid, shaded.columns.node_counts, nodes[n])
+    plain = wp.normalize(x - shaded.centre)
+    along = plain
+    layer = PLAIN_LAYER
+    if row_view(cages, x, plain).carried == 0:
+        along = nearest_view(cages, x, plain)
+        layer = CARRIED_LAYER
+    colour = shade_colour(grid.sh, row, sh_basis(along))
+    if item < wall_rows.shape[0]:
+        shade = wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step)
+        write_laid_shade(laid, nodes[n], layer, shade)
+
+
+@wp.func
+def least_distance(rest: CageMap, x: wp.vec3):
+    """map_distance in the lattice of a cage, and beyond it at most what the distance is."""
+    counts = rest.distance.shape
+    g = (x - rest.lower) * rest.inverse_spacing
+    top = wp.vec3(float(counts[0] - 1), float(counts[1] - 1), float(counts[2] - 1))
+    distance = map_distance(rest, x)
+    if wp.min(g) < 0.0 or wp.min(top - g) <= 0.0:
+        near = wp.max(wp.min(g, top), wp.vec3(0.0, 0.0, 0.0))
+        distance = (wp.length(g - near) + LATTICE_MARGIN) * rest.spacing
+    return distance
+
+
+@wp.kernel
+def mark_wall_rows(
+    first: int,
+    grid: VoxelGrid,
+    nodes: wp.array(dtype=wp.int32),
+    node_counts: wp.vec3i,
+    rest: CageMap,
+    depth: float,
+    height: float,
+    marks: wp.array(dtype=wp.int32),
+):
+    """1 for rows that lie up to `depth` within a rest cage, or up to `height` out of it. marks: (rows,), 0 before."""
+    n = first + wp.tid()
+    distance = least_distance(rest, row_place(grid, node_counts, nodes[n]))
+    if distance > -depth and distance < height:
+        marks[n] = 1
+
+
+@wp.kernel
+def list_rows(first: int, running_count: wp.array(dtype=wp.int32), rows: wp.array(dtype=wp.int32)):
+    """The marked rows in their order. running_count: (rows,) inclusive scan of their marks."""
+    n = first + wp.tid()
+    before = int(0)
+    if n > 0:
+        before = running_count[n - 1]
+    if running_count[n] > before:
+        rows[before] = n

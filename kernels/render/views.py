@@ -1,0 +1,225 @@
+"""Views of a voxel field that edits deform, a kernel for each way of marching."""
+
+from typing import Any
+
+import warp as wp
+
+from ..core.variants import declared_once, variant_module
+from ..edits.structs import ClosedFormEdit, FlatEdit
+from ..field.grid import VoxelGrid
+from ..field.rows import RowTable
+from ..view.rays import TILE_SIZE, PinholeCamera, pixel_direction, tile_pixel
+from ..view.tile_order import clock_ticks, note_ticks, ordered_item
+from .march import make_edit_march
+from .march_exact import march_deformed
+from .march_stack import make_stack_march
+from .rays import (
+    RAY_END,
+    MarchOptions,
+    Picture,
+    RayState,
+    ScenePart,
+    fill_pixel,
+    finished,
+    leave_ray,
+    part_end,
+    ray_start,
+    ray_state,
+)
+from .volume import LaidShades
+
+#: The registers that each variant may take. Measured on an H200: parts and sides wait less with more of them, and large
+#: pictures have rays enough to keep a GPU busy, so that more in flight, of fewer registers each, take less time.
+MAX_REGISTERS = {
+    "rows": 96,
+    "rows+sides": 128,
+    "rows+part": 128,
+    "rows+sides+part": 128,
+    "shades": 80,
+    "shades+large": 72,
+    "shades+sides": 96,
+    "shades+part": 96,
+    "shades+sides+part": 96,
+    "stack": 128,
+    "stack+simple": 128,
+    "exact": None,
+}
+
+
+def declaration(variant: str) -> dict[str, Any]:
+    """What wp.kernel takes beside the function of a variant."""
+    # small blocks: the rays of one block end at very different times
+    module = variant_module(__name__, variant, block_dim=64)
+    name = f"view_{variant.replace('+', '_')}"
+    return {"name": name, "module": module, "cuda_max_registers": MAX_REGISTERS[variant]}
+
+
+def view_name(shaded: bool, has_sides: bool, part: bool = False, large: bool = False) -> str:
+    """The variant's name, such as "shades+part"."""
+    table = "shades" if shaded else "rows"
+    return "+".join([table, *["sides"] * has_sides, *["part"] * part, *["large"] * large])
+
+
+@wp.func
+def begun_ray(state: RayState, picture: Picture, item: int):
+    """A ray of an item that has passed what holds nothing for all rays of its tile."""
+    if picture.begins.shape[0] > 0:
+        state.reached = wp.max(state.reached, picture.begins[item // TILE_SIZE])
+    return state
+
+
+@declared_once
+def view_kernel(shaded: bool, has_sides: bool, *, large: bool = False) -> Any:
+    """The kernel for one edit, by a RowTable or LaidShades. has_sides: of march_single; large: for many pixels."""
+    table_type = LaidShades if shaded else RowTable
+    march = make_edit_march(has_sides)
+
+    @wp.func
+    def march_pixel(
+        item: int,
+        grid: VoxelGrid,
+        table: table_type,
+        edit: FlatEdit,
+        camera: PinholeCamera,
+        background: wp.vec3,
+        options: MarchOptions,
+        picture: Picture,
+    ):
+        begin = clock_ticks()
+        place = ordered_item(picture.order, item)
+        column, row = tile_pixel(place, camera.width)
+        if column < camera.width and row < camera.height:
+            direction = pixel_direction(camera, column, row)
+            start = begun_ray(ray_start(), picture, place)
+            ray = march(edit, grid, table, camera.centre, direction, options, start, RAY_END)
+            fill_pixel(picture, row * camera.width + column, finished(ray), background)
+            note_ticks(picture.order, place, begin)
+
+    @wp.kernel(**declaration(view_name(shaded, has_sides, large=large)))
+    def render(
+        first: int,
+        grid: VoxelGrid,
+        table: table_type,
+        edit: FlatEdit,
+        camera: PinholeCamera,
+        background: wp.vec3,
+        options: MarchOptions,
+        picture: Picture,
+    ):
+        """One thread per pixel, tile by tile in the picture's order."""
+        march_pixel(first + wp.tid(), grid, table, edit, camera, background, options, picture)
+
+    return render
+
+
+@declared_once
+def part_kernel(shaded: bool, has_sides: bool) -> Any:
+    """The kernel for one edit of several that cannot meet each other: the same through a part of the scene."""
+    table_type = LaidShades if shaded else RowTable
+    march = make_edit_march(has_sides)
+
+    @wp.func
+    def march_part_pixel(
+        item: int,
+        grid: VoxelGrid,
+        table: table_type,
+        edit: FlatEdit,
+        part: ScenePart,
+        camera: PinholeCamera,
+        background: wp.vec3,
+        options: MarchOptions,
+        picture: Picture,
+    ):
+        begin = clock_ticks()
+        place = ordered_item(picture.order, item)
+        column, row = tile_pixel(place, camera.width)
+        if column < camera.width and row < camera.height:
+            pixel = row * camera.width + column
+            direction = pixel_direction(camera, column, row)
+            end = part_end(part, camera.centre, direction)
+            if end > 0.0:
+                ray = ray_state(part, pixel)
+                if ray.seen.transmittance > options.stop:
+                    ray = begun_ray(ray, picture, place)
+                    ray = march(edit, grid, table, camera.centre, direction, options, ray, end)
+                    if part.is_last == 0:
+                        leave_ray(part, pixel, ray)
+                if part.is_last == 1:
+                    fill_pixel(picture, pixel, finished(ray), background)
+            elif part.is_first == 1:
+                leave_ray(part, pixel, ray_start())
+            note_ticks(picture.order, place, begin)
+
+    @wp.kernel(**declaration(view_name(shaded, has_sides, part=True)))
+    def render(
+        first: int,
+        grid: VoxelGrid,
+        table: table_type,
+        edit: FlatEdit,
+        part: ScenePart,
+        camera: PinholeCamera,
+        background: wp.vec3,
+        options: MarchOptions,
+        picture: Picture,
+    ):
+        """One thread per pixel, tile by tile; a launch for each edit, front to back, of which the last fills pixels."""
+        march_part_pixel(first + wp.tid(), grid, table, edit, part, camera, background, options, picture)
+
+    return render
+
+
+@declared_once
+def stack_kernel(is_simple: bool) -> Any:
+    """The kernel for several edits that may meet. is_simple: of march_several."""
+    march = make_stack_march(is_simple)
+
+    @wp.kernel(**declaration("stack+simple" if is_simple else "stack"))
+    def render(
+        first: int,
+        grid: VoxelGrid,
+        table: RowTable,
+        edits: wp.array(dtype=FlatEdit),
+        camera: PinholeCamera,
+        background: wp.vec3,
+        options: MarchOptions,
+        picture: Picture,
+    ):
+        """One thread per pixel, tile by tile."""
+        column, row = tile_pixel(first + wp.tid(), camera.width)
+        if column < camera.width and row < camera.height:
+            direction = pixel_direction(camera, column, row)
+            seen = march(edits, grid, table, camera.centre, direction, options)
+            fill_pixel(picture, row * camera.width + column, seen, background)
+
+    return render
+
+
+@declared_once
+def exact_kernel() -> Any:
+    """The kernel that evaluates mean value or Green coordinates at every sample."""
+    # positions are exact everywhere: lattices only save work whose result is known (deform/settled_cells)
+
+    @wp.kernel(**declaration("exact"))
+    def render(
+        first: int,
+        grid: VoxelGrid,
+        edits: wp.array(dtype=ClosedFormEdit),
+        camera: PinholeCamera,
+        background: wp.vec3,
+        options: MarchOptions,
+        picture: Picture,
+    ):
+        """One thread per pixel, tile by tile."""
+        column, row = tile_pixel(first + wp.tid(), camera.width)
+        if column < camera.width and row < camera.height:
+            seen = march_deformed(edits, grid, camera.centre, pixel_direction(camera, column, row), options)
+            fill_pixel(picture, row * camera.width + column, seen, background)
+
+    return render
+
+
+def variants() -> list[Any]:
+    """All kernels that factories of this file declare."""
+    pairs = [(shaded, has_sides) for shaded in (False, True) for has_sides in (False, True)]
+    single = [*(view_kernel(*pair) for pair in pairs), view_kernel(True, False, large=True)]
+    return [*single, *(part_kernel(*pair) for pair in pairs), stack_kernel(True), stack_kernel(False), exact_kernel()]

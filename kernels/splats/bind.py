@@ -1,0 +1,225 @@
+"""Green coordinates of points and their gradients, in float64: rows by which points are carried along with a cage."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
+
+#: A face whose plane is this close spans no solid angle.
+FLAT = wp.constant(wp.float64(1.0e-11))
+
+_HALF = wp.constant(wp.float64(0.5))
+
+_ONE = wp.constant(wp.float64(1.0))
+
+_TINY = wp.constant(wp.float64(1.0e-200))
+
+
+@wp.struct
+class EdgeMean:
+    """An edge from b to c of a face, seen from the point: beta n, and its derivative."""
+
+    cross: wp.vec3d  # C = b x c
+    mean: wp.vec3d  # beta C / |C|
+    slope: wp.mat33d  # d (beta n) / d x
+
+
+@wp.func
+def edge_mean(b: wp.vec3d, c: wp.vec3d):
+    edge = EdgeMean()
+    edge.cross = wp.cross(b, c - b)
+    length = wp.length(edge.cross) + _TINY
+    beta = wp.atan2(length, wp.dot(b, c))
+    normal = edge.cross / length
+    edge.mean = beta * normal
+    turning = wp.cross(normal, b / wp.length_sq(b) - c / wp.length_sq(c))
+    # dC = dx x (b - c) is the matrix -[b - c]_x
+    d_cross = -wp.skew(b - c)
+    across = d_cross - wp.outer(normal, wp.transpose(d_cross) * normal)
+    edge.slope = wp.outer(normal, turning) + (beta / length) * across
+    return edge
+
+
+@wp.func
+def corner_row(cross: wp.vec3d, along: wp.vec3d, mean: wp.vec3d, slope: wp.mat33d, normal: wp.vec3d, det: wp.float64):
+    """Weight of a corner and its gradient; along: b - c of the edge across from it."""
+    weight = _HALF * wp.dot(cross, mean) / det
+    gradient = (_HALF / det) * (wp.cross(along, mean) + wp.transpose(slope) * cross) + (weight / det) * normal
+    return wp.vec4d(weight, gradient[0], gradient[1], gradient[2])
+
+
+@wp.kernel
+def bind_mean_value(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.vec3i),
+    scratch: wp.array2d(dtype=wp.vec4d),
+    rows: wp.array2d(dtype=wp.vec4),
+):
+    """rows (v, n): weight and gradient of each vertex at points (n,). scratch (v, n)."""
+    n = first + wp.tid()
+    x = points[n]
+    total = wp.vec4d()
+    for j in range(vertices.shape[0]):
+        scratch[j, n] = wp.vec4d()
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        a = vertices[face[0]] - x
+        b = vertices[face[1]] - x
+        c = vertices[face[2]] - x
+        normal = wp.cross(b - a, c - a)
+        det = wp.dot(normal, a)
+        if wp.abs(det) > FLAT * wp.length(normal):
+            bc = edge_mean(b, c)
+            ca = edge_mean(c, a)
+            ab = edge_mean(a, b)
+            mean = bc.mean + ca.mean + ab.mean
+            slope = bc.slope + ca.slope + ab.slope
+            row_a = corner_row(bc.cross, b - c, mean, slope, normal, det)
+            row_b = corner_row(ca.cross, c - a, mean, slope, normal, det)
+            row_c = corner_row(ab.cross, a - b, mean, slope, normal, det)
+            scratch[face[0], n] = scratch[face[0], n] + row_a
+            scratch[face[1], n] = scratch[face[1], n] + row_b
+            scratch[face[2], n] = scratch[face[2], n] + row_c
+            total += row_a + row_b + row_c
+    inverse = _ONE / total[0]
+    for j in range(vertices.shape[0]):
+        row = scratch[j, n] * inverse
+        share = row[0]
+        rows[j, n] = wp.vec4(
+            float(share),
+            float(row[1] - share * total[1] * inverse),
+            float(row[2] - share * total[2] * inverse),
+            float(row[3] - share * total[3] * inverse),
+        )
+
+
+_INVERSE_FOUR_PI = wp.constant(wp.float64(0.07957747154594767))
+
+_TWO = wp.constant(wp.float64(2.0))
+
+
+@wp.struct
+class EdgeTerms:
+    """An edge from p to q of a face, seen from the point."""
+
+    along: wp.vec3d  # e = q - p
+    area: wp.float64  # n . (p x q)
+    area_slope: wp.vec3d
+    integral: wp.float64  # K
+    integral_slope: wp.vec3d
+
+
+@wp.func
+def edge_terms(p: wp.vec3d, q: wp.vec3d, normal: wp.vec3d):
+    terms = EdgeTerms()
+    terms.along = q - p
+    edge = wp.length(terms.along)
+    r = wp.length(p)
+    s = wp.length(q)
+    terms.area = wp.dot(normal, wp.cross(p, terms.along))
+    # d (p x q) = dx x (p - q), so that n . d (p x q) = ((p - q) x n) . dx
+    terms.area_slope = wp.cross(p - q, normal)
+    both = r + s
+    # both^2 - edge^2 = 2 (r s + p . q), which next to the edge is better told by the cross product
+    cosine = wp.dot(p, q)
+    low = r * s + cosine
+    if cosine < wp.float64(0.0):
+        low = wp.length_sq(wp.cross(p, terms.along)) / (r * s - cosine)
+    terms.integral = wp.log(_ONE + edge * (both + edge) / low) / edge
+    terms.integral_slope = (p / r + q / s) / low
+    return terms
+
+
+@wp.func
+def row_of(value: wp.float64, slope: wp.vec3d):
+    return wp.vec4d(value, slope[0], slope[1], slope[2])
+
+
+@wp.kernel
+def bind_green(
+    first: int,
+    points: wp.array(dtype=wp.vec3d),
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.vec3i),
+    scratch: wp.array2d(dtype=wp.vec4d),
+    rows: wp.array2d(dtype=wp.vec4),
+):
+    """rows (v + f, n): phi of each vertex, then psi of each face, and their gradients, at points (n,).
+    scratch (v, n)."""
+    n = first + wp.tid()
+    x = points[n]
+    count = vertices.shape[0]
+    for j in range(count):
+        scratch[j, n] = wp.vec4d()
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        a = vertices[face[0]] - x
+        b = vertices[face[1]] - x
+        c = vertices[face[2]] - x
+        cross = wp.cross(b - a, c - a)
+        double_area = wp.length(cross)
+        normal = cross / double_area
+        height = wp.dot(normal, a)
+        bc = edge_terms(b, c, normal)
+        ca = edge_terms(c, a, normal)
+        ab = edge_terms(a, b, normal)
+
+        la = wp.length(a)
+        lb = wp.length(b)
+        lc = wp.length(c)
+        det = height * double_area
+        cos_ab = wp.dot(a, b)
+        cos_bc = wp.dot(b, c)
+        cos_ca = wp.dot(c, a)
+        below = la * lb * lc + cos_ab * lc + cos_bc * la + cos_ca * lb
+        angle = _TWO * wp.atan2(det, below)
+        d_below = (
+            (a / la) * (lb * lc + cos_bc)
+            + (b / lb) * (la * lc + cos_ca)
+            + (c / lc) * (la * lb + cos_ab)
+            + (a + b) * lc
+            + (b + c) * la
+            + (c + a) * lb
+        )
+        # d det = -cross . dx, d below = -d_below . dx
+        angle_slope = (_TWO / (det * det + below * below)) * (det * d_below - below * cross)
+
+        pull = bc.integral * bc.along + ca.integral * ca.along + ab.integral * ab.along
+        pull_slope = (
+            wp.outer(bc.along, bc.integral_slope)
+            + wp.outer(ca.along, ca.integral_slope)
+            + wp.outer(ab.along, ab.integral_slope)
+        )
+        scale = _INVERSE_FOUR_PI / double_area
+        for k in range(3):
+            terms = bc
+            if k == 1:
+                terms = ca
+            elif k == 2:
+                terms = ab
+            reach = wp.dot(terms.along, pull)
+            value = scale * (terms.area * angle + height * reach)
+            slope = scale * (
+                terms.area_slope * angle
+                + terms.area * angle_slope
+                - reach * normal
+                + height * (wp.transpose(pull_slope) * terms.along)
+            )
+            scratch[face[k], n] = scratch[face[k], n] + row_of(value, slope)
+        psi = _INVERSE_FOUR_PI * (
+            bc.area * bc.integral + ca.area * ca.integral + ab.area * ab.integral - height * angle
+        )
+        psi_slope = _INVERSE_FOUR_PI * (
+            bc.area_slope * bc.integral
+            + bc.area * bc.integral_slope
+            + ca.area_slope * ca.integral
+            + ca.area * ca.integral_slope
+            + ab.area_slope * ab.integral
+            + ab.area * ab.integral_slope
+            + angle * normal
+            - height * angle_slope
+        )
+        rows[count + f, n] = wp.vec4(row_of(psi, psi_slope))
+    for j in range(count):
+        rows[j, n] = wp.vec4(scratch[j, n])

@@ -1,0 +1,106 @@
+"""Draw the splats of each tile over each other, a tile at a time: what a CPU does best."""
+
+import warp as wp
+
+from ..core.native import native_source
+from .tiles import TileGrid
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.func_native(native_source(__file__, "cpp/composite_slopes_cpu.h"))
+def sum_tile_slopes(
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    sources: wp.array(dtype=wp.int32),
+    begin: int,
+    end: int,
+    tiles: TileGrid,
+    tile: int,
+    stop: float,
+    rgb: wp.array(dtype=wp.vec3),
+    slopes: wp.array(dtype=wp.vec3),
+    entry_sums: wp.array(dtype=wp.float32),
+):
+    """The sums of the entries of a tile, on the CPU alone. Arrays without gaps."""
+    ...
+
+
+@wp.kernel
+def sum_slopes_of_tiles(
+    first: int,
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    sources: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    tiles: TileGrid,
+    stop: float,
+    rgb: wp.array(dtype=wp.vec3),
+    slopes: wp.array(dtype=wp.vec3),
+    entry_sums: wp.array(dtype=wp.float32),
+):
+    """One item per tile; inputs and picture of splats/composite_tiles. sources: (entries,) place of each sorted entry
+    among those that were written. slopes: (h * w,) of the loss by the picture. entry_sums: (9 entries,), by place."""
+    tile = first + wp.tid()
+    sum_tile_slopes(view, members, sources, starts[tile], starts[tile + 1], tiles, tile, stop, rgb, slopes, entry_sums)
+
+
+@wp.kernel
+def sum_slopes_of_splats(
+    first: int,
+    order: wp.array(dtype=wp.int32),
+    ends: wp.array(dtype=wp.int64),
+    entry_sums: wp.array(dtype=wp.float32),
+    sums: wp.array(dtype=wp.float32),
+):
+    """order: (n,) splats as they wrote their entries. ends: (n,) where the entries of each end. sums: (9 n,)."""
+    i = first + wp.tid()
+    begin = int(0)
+    if i > 0:
+        begin = int(ends[i - 1])
+    end = int(ends[i])
+    n = order[i]
+    for k in range(9):
+        total = float(0.0)
+        for e in range(begin, end):
+            total += entry_sums[9 * e + k]
+        sums[9 * n + k] = total
+
+
+@wp.func_native(native_source(__file__, "cpp/composite_cpu.h"))
+def draw_tile(
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    begin: int,
+    end: int,
+    tiles: TileGrid,
+    tile: int,
+    background: wp.vec3,
+    stop: float,
+    rgb: wp.array(dtype=wp.vec3),
+    alpha: wp.array(dtype=wp.float32),
+    depth: wp.array(dtype=wp.float32),
+):
+    """Draw a tile of 16x16 pixels, on the CPU alone. Arrays without gaps. Alphas are those of splats/project."""
+    ...
+
+
+@wp.kernel
+def composite_tiles(
+    first: int,
+    view: wp.array(dtype=wp.vec4),
+    members: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    tiles: TileGrid,
+    background: wp.vec3,
+    stop: float,
+    rgb: wp.array(dtype=wp.vec3),
+    alpha: wp.array(dtype=wp.float32),
+    depth: wp.array(dtype=wp.float32),
+):
+    """One item per tile. Outputs (h * w,), row by row; depth: expected distance along the ray, world units, inf where
+    almost nothing is seen."""
+    # view: (3 n,) of splats/project. members: splats of all tiles, tile by tile from front to back. starts: (tiles +
+    # 1,) where each begins.
+    tile = first + wp.tid()
+    draw_tile(view, members, starts[tile], starts[tile + 1], tiles, tile, background, stop, rgb, alpha, depth)
