@@ -11,7 +11,7 @@ from deformed_scenes import BOX, KINDS, ellipsoid, make_field, plain, psnr, rota
 from warpcage.cage.cage import Cage
 from warpcage.deform.bake import bake
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
+from warpcage.edits.edits import CageEdit
 from warpcage.field.voxel_field import VoxelField
 
 

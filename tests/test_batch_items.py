@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from warpcage.batch.items import EvaluateItem, FitItem, FrameItem, Item
 from warpcage.batch.job_file import JobFile, is_job_file, write_jobs
-from warpcage.deform.edits import CageEdit
+from warpcage.edits.edits import CageEdit
 
 HEADER = {"format": "warpcage jobs", "version": 1}
 CAMERA = {"eye": [3, 0, 0], "target": [0, 0, 0], "width": 40, "height": 30}

@@ -26,7 +26,7 @@ from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
 from warpcage.core.overlap import SPARE
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
+from warpcage.edits.edits import CageEdit
 from warpcage.field.voxel_field import VoxelField
 from warpcage.scene.load import load_scene
 from warpcage.splats.splat_field import SplatField

@@ -6,7 +6,7 @@ from deformed_scenes import BOX, ellipsoid, make_field, plain, psnr, shiny_field
 
 from warpcage.cage.cage import Cage
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
+from warpcage.edits.edits import CageEdit
 from warpcage.view.camera import Camera
 
 LEFT = Cage.box([-0.9, -0.3, -0.3], [-0.3, 0.3, 0.3])

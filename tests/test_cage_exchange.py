@@ -1,5 +1,5 @@
-"""Cages to and from other programs. tests/fixtures/blender was written by Blender 5.0.1 through
-benchmarks/blender_round_trip.py: a cylinder cage, its export in each dialect after a bend, and where Blender has it."""
+"""Cages to and from other programs. tests/fixtures/blender was written by Blender 5.0.1 through `python
+benchmarks blender round-trip`: a cylinder cage, its export in each dialect after a bend, where Blender has it."""
 
 import base64
 import json

@@ -25,7 +25,7 @@ from deformed_scenes import (
 from warpcage.cage.cage import Cage
 from warpcage.core.devices import launch, recorded_launches
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
+from warpcage.edits.edits import CageEdit
 from warpcage.field import tables
 from warpcage.kernels.render.volume import SHADE_LAYERS, LaidShades, write_laid_shade
 

@@ -12,9 +12,9 @@ from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
 from warpcage.cli.edit_words import EditWords, parse_edit, read_edits_file, write_edits_file
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
 from warpcage.editor.document import Document, Selection, Settings, Timeline, View, new_edit
 from warpcage.editor.session import write_session
+from warpcage.edits.edits import CageEdit
 from warpcage.field.voxel_field import VoxelField
 from warpcage.view.camera import Camera
 from warpcage.view.pictures import read_image

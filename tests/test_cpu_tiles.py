@@ -10,7 +10,7 @@ from deformed_scenes import BOX, make_field, plain, psnr, shiny_field, view
 from warpcage.cage.cage import Cage
 from warpcage.core.devices import launch
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
+from warpcage.edits.edits import CageEdit
 from warpcage.field import tables
 from warpcage.field.sparse import DensityWatch, spread_along
 from warpcage.kernels.field.occupancy import spread_distance

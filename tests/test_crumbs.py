@@ -6,9 +6,9 @@ from deformed_scenes import KINDS, make_field, nodes, plain, psnr, rotation
 
 from warpcage.cage.cage import Cage
 from warpcage.deform.bake import bake
-from warpcage.deform.crumbs import crumbs
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
+from warpcage.edits.edits import CageEdit
+from warpcage.edits.fragments import crumbs
 from warpcage.field.voxel_field import VoxelField
 from warpcage.view.camera import Camera
 

@@ -27,12 +27,13 @@ from deformed_scenes import (
 
 from warpcage.cage.cage import Cage
 from warpcage.core.devices import recorded_launches
-from warpcage.deform.apart import EditBoxes, box_gaps, edit_boxes, front_to_back
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit, MarchedView
+from warpcage.edits.apart import EditBoxes, box_gaps, edit_boxes, front_to_back
+from warpcage.edits.edits import CageEdit
 from warpcage.field import tables
 from warpcage.kernels.render.rays import MarchOptions
 from warpcage.kernels.render.views import part_kernel
+from warpcage.render.view import MarchedView
 from warpcage.view.camera import Camera, camera_struct
 
 LEFT, MIDDLE, RIGHT = (box_around(x, 0, 0, half=0.3) for x in (-0.7, 0.0, 0.7))

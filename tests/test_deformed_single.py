@@ -25,7 +25,7 @@ from deformed_scenes import (
 from warpcage.cage.cage import Cage
 from warpcage.core.devices import recorded_launches
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
+from warpcage.edits.edits import CageEdit
 from warpcage.field import tables
 from warpcage.kernels.edits.structs import CELL_ALONE
 from warpcage.view.camera import Camera

@@ -16,7 +16,6 @@ from warpcage.cage.cage import Cage
 from warpcage.cage.pose_file import PoseFile
 from warpcage.cli import main
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
 from warpcage.editor import renderer as scene_module
 from warpcage.editor.document import Document, Key, Selection, Settings, Timeline, View, frozen_vertices, new_edit
 from warpcage.editor.exports import (
@@ -33,6 +32,7 @@ from warpcage.editor.renderer import PosedScene, view_camera
 from warpcage.editor.session import write_session
 from warpcage.editor.tasks import Cancelled, Jobs, Outcome
 from warpcage.editor.timeline import frame_times, state_at
+from warpcage.edits.edits import CageEdit
 from warpcage.field.voxel_field import VoxelField
 from warpcage.view.camera import Camera
 

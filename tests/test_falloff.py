@@ -10,8 +10,8 @@ from oracles import mean_value_weights
 from warpcage.cage.cage import Cage
 from warpcage.cage.walls import cut_faces
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
-from warpcage.deform.falloff import walls_share
+from warpcage.edits.edits import CageEdit
+from warpcage.edits.falloff import walls_share
 
 WIDTH = 0.25
 #: Around the right half of a bar along x: its wall at x = 0 cuts the bar.

@@ -11,8 +11,8 @@ from deformed_scenes import ellipsoid, make_field, plain
 import warpcage
 from warpcage.cage.cage import Cage
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
 from warpcage.deform.fill import fill_unseen, membrane
+from warpcage.edits.edits import CageEdit
 from warpcage.field.sparse import harmonics_on_host
 from warpcage.field.surroundings import LayeredBackground, OuterField
 from warpcage.view.camera import Camera

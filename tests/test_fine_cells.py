@@ -7,11 +7,11 @@ import pytest
 from deformed_scenes import BOX, box_around, make_field, plain, shiny_field, slotted, two_balls, use_march, view
 
 from warpcage.cage.cage import Cage
-from warpcage.deform import fine_cells
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
+from warpcage.edits.edits import CageEdit
 from warpcage.kernels.edits.fine_cells import FINE_FAR, FINE_SIDE
 from warpcage.kernels.edits.structs import CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, LOOK_SKIP
+from warpcage.render import tables
 from warpcage.view.camera import Camera
 
 SKIP, SIDE = int(LOOK_SKIP), int(FINE_SIDE)
@@ -153,7 +153,7 @@ def test_flags_of_fine_cells(case, march, device):
 def frames(deformer, monkeypatch, camera):
     """The same frame without and with fine cells."""
     with monkeypatch.context() as patch:
-        patch.setattr(fine_cells, "LEAST_VOXELS", math.inf)
+        patch.setattr(tables, "LEAST_VOXELS", math.inf)
         whole = deformer.render(camera)
     deformer._edits._is_fine = False
     fine = deformer.render(camera)

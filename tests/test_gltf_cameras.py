@@ -109,7 +109,7 @@ def test_commands_take_them(tmp_path, capsys):
 
 @pytest.mark.parametrize("name", ["still", "moving"])
 def test_cameras_from_blender_see_what_blender_says(name):
-    """benchmarks/blender_cameras.py writes the files, and where Blender itself has points in the pictures."""
+    """`python benchmarks blender cameras` writes the files, and where Blender itself has points in the pictures."""
     truth = np.load(FIXTURES / f"{name}.npz")
     width, height = truth["size"].tolist()
     keys = CameraFile.load(FIXTURES / f"{name}.glb", size=(width, height))

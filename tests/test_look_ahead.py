@@ -22,10 +22,11 @@ from deformed_scenes import (
 from warpcage import CageEdit, Deformer
 from warpcage.core import devices
 from warpcage.core.devices import recorded_launches
-from warpcage.deform import lattice_edits, pose_modules
-from warpcage.deform.carried_shading import CarriedShades
-from warpcage.deform.fine_cells import FineCells
 from warpcage.lattice.graph import PoseGraph
+from warpcage.render import modules as pose_modules
+from warpcage.render import scene as lattice_edits
+from warpcage.render.shading import CarriedShades
+from warpcage.render.tables import FineCells
 
 
 @pytest.fixture(params=["rows", "shaded"])

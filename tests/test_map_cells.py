@@ -6,11 +6,11 @@ import warp as wp
 from deformed_scenes import BOX, marches, shiny_field, slotted, use_march, view
 
 from warpcage.core.devices import launch, recorded_launches
-from warpcage.deform import map_cells
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
+from warpcage.edits.edits import CageEdit
 from warpcage.kernels.edits.nodes import CELL_WORDS, cell_place_slope, expand_map_cells, node_distance, vec6
 from warpcage.kernels.edits.structs import LOOK_SKIP
+from warpcage.render import tables
 
 COUNTS = (4, 5, 6)
 
@@ -89,8 +89,8 @@ def test_pictures_without_polynomials_are_the_same(case, march, device, monkeypa
     }[case]
     field = shiny_field(device, resolution=48)
     frames = []
-    for most in (map_cells.MOST_ENTRIES, 0):
-        monkeypatch.setattr(map_cells, "MOST_ENTRIES", most)
+    for most in (tables.MOST_ENTRIES, 0):
+        monkeypatch.setattr(tables, "MOST_ENTRIES", most)
         deformer = Deformer(field, CageEdit(rest, **options), resolution=10).pose(pose)
         frames.append(deformer.render(view()))
         (edit,) = deformer._edits._flat

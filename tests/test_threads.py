@@ -19,10 +19,13 @@ from warpcage.core import modules
 from warpcage.core.devices import RepeatedLaunch, launch
 from warpcage.core.locks import device_turn, owner_lock
 from warpcage.core.threads import PART_SECONDS, limit_threads, run_parallel, run_parts
-from warpcage.deform import carried_shading, edit_lattices, lattice_edits, precise_edits
+from warpcage.deform import exact
 from warpcage.deform.bake import bake
+from warpcage.edits import maps
 from warpcage.kernels.edits.structs import LatticeEdit
 from warpcage.kernels.fitting.rmsprop import add_gradients
+from warpcage.render import scene as lattice_edits
+from warpcage.render import shading
 
 THREADS = 4
 POSES = [BOX.twist(15.0 * turn) for turn in range(THREADS)]
@@ -82,7 +85,7 @@ def hammer(device, kind):
     sys.setswitchinterval(1e-5)
     resolution = None if kind == "precise" else 16
     options = {"coordinates": "mean_value" if kind == "precise" else kind, "resolution": resolution, "device": device}
-    precise_edits.GUIDE_RESOLUTION = 24  # a fine guide takes most of the time, and this is a process of its own
+    exact.GUIDE_RESOLUTION = 24  # a fine guide takes most of the time, and this is a process of its own
     shared = Deformer(shiny_field(device), BOX, **options)
     camera = view(size=6) if kind == "precise" else CAMERA  # closed forms at each sample take long on a CPU
     expected = [parts(shared.pose(pose).render(camera)) for pose in POSES]
@@ -332,7 +335,7 @@ def test_what_an_interrupt_leaves_half_prepared_is_prepared_again(what, march, d
             deformer.pose(POSES[0]).render(CAMERA, step=long)
         left = [interrupts]
         with monkeypatch.context() as patch:
-            for module in (edit_lattices, carried_shading):
+            for module in (maps, shading):
                 patch.setattr(module, "launch", interruptible(launch))
             patch.setattr(RepeatedLaunch, "__call__", interruptible(RepeatedLaunch.__call__))
             try:

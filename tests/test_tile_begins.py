@@ -7,13 +7,13 @@ from deformed_scenes import BOX, box_around, marches, shiny_field, two_balls, us
 
 from warpcage.cage.cage import Cage
 from warpcage.core.devices import recorded_launches
-from warpcage.deform import lattice_edits
 from warpcage.deform.deformer import Deformer
-from warpcage.deform.edits import CageEdit
-from warpcage.deform.tile_begins import TileBegins
+from warpcage.edits.edits import CageEdit
 from warpcage.kernels.edits.structs import LOOK_SKIP
 from warpcage.kernels.render.beams import NEVER
 from warpcage.kernels.view.rays import TILE_HEIGHT, TILE_WIDTH
+from warpcage.render import scene
+from warpcage.render.tables import TileBegins
 from warpcage.view.camera import Camera
 
 SLAB = Cage.box([-0.3, -0.9, -0.9], [0.9, 0.9, 0.9], segments=2)
@@ -147,8 +147,8 @@ def test_large_pictures_are_those_of_small_ones(device, monkeypatch):
         BOX.bend(70, axis="x", towards="z")
     )
     pictures = []
-    for least in (lattice_edits.LARGE_PICTURE, 64):
-        monkeypatch.setattr(lattice_edits, "LARGE_PICTURE", least)
+    for least in (scene.LARGE_PICTURE, 64):
+        monkeypatch.setattr(scene, "LARGE_PICTURE", least)
         deformer.render(view())
         with recorded_launches() as launched:
             pictures.append(deformer.render(view()))

@@ -12,8 +12,8 @@ from warpcage.core.threads import limit_threads
 from warpcage.deform.deformer import Deformer
 from warpcage.kernels.view.rays import TILE_SIZE
 from warpcage.kernels.view.tile_order import MOST_TICKS, TileOrder, count_tiles, sort_tiles
-from warpcage.view import tile_order
-from warpcage.view.tile_order import BalancedTiles
+from warpcage.render import tile_order
+from warpcage.render.tile_order import BalancedTiles
 
 MOST = int(MOST_TICKS)
 CENTRES = (-0.7, 0.0, 0.7)

@@ -21,7 +21,7 @@ __version__ = "0.1.0"
 #: Public names, and the modules that they come from.
 _HOMES = {
     "Cage": "cage.cage",
-    "CageEdit": "deform.edits",
+    "CageEdit": "edits.edits",
     "CageReport": "cage.check",
     "Camera": "view.camera",
     "CameraFile": "view.camera",

@@ -15,11 +15,10 @@ from ..cage.cage import Cage
 from ..core.arrays import array_bytes
 from ..core.memory import Recent, free_bytes
 from ..deform.deformer import Deformer
-from ..deform.edits import CageEdit
 from ..deform.fill import fill_unseen
-from ..deform.picture_cells import picture_cells
-from ..deform.pose_modules import load_usual_modules
+from ..edits.edits import CageEdit, picture_cells
 from ..field.voxel_field import VoxelField
+from ..render.modules import load_usual_modules
 from ..splats.io import is_splat_file
 from ..splats.splat_field import AnyField
 from ..view.camera import Camera

@@ -259,7 +259,7 @@ class Dispatcher:
     """Hands out lots, and knows when all is settled; retries: how often an item may be tried again.
     shards: items that are open of each shard, where lots are shards; 0 where it is only to be packed."""
 
-    # Times are handed in: a simulation under a virtual clock runs the very same code (benchmarks/batch_scale.py).
+    # Times are handed in: a simulation under a virtual clock runs the very same code (python benchmarks batch-scale).
 
     def __init__(self, lots: Lots, *, retries: int = 2, shards: dict[int, int] | None = None):
         self.lots, self.retries = lots, retries

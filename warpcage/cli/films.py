@@ -25,11 +25,11 @@ from ..batch.run import RunProgress, RunReport, run_jobs
 from ..batch.words import TRANSPARENT
 from ..core.files import PathLike, atomic_path
 from ..core.names import counted
-from ..deform.edits import CageEdit
 from ..editor.document import Document
 from ..editor.exports import Film
 from ..editor.renderer import view_camera
 from ..editor.timeline import document_at, frame_rate, frame_times
+from ..edits.edits import CageEdit
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera, CameraKey, camera_json
 from ..view.film import CLEAR_ENDINGS, read_film_frame, write_film

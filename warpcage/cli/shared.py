@@ -24,11 +24,10 @@ from ..core.devices import resolve_device
 from ..core.files import require_file
 from ..core.names import BACKGROUNDS
 from ..deform.deformer import Deformer
-from ..deform.edits import MAX_EDITS, CageEdit
 from ..deform.fill import fill_unseen
-from ..deform.picture_cells import MOST_CELLS, picture_cells
 from ..editor.session import FORMAT as SESSION_FORMAT
 from ..editor.session import read_session
+from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
 from ..field.voxel_field import VoxelField
 from ..scene.load import load_scene
 from ..scene.scene import Scene

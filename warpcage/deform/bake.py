@@ -15,9 +15,9 @@ from ..core.memory import require_memory
 from ..field.sparse import link_mask
 from ..field.voxel_field import VoxelField
 from ..kernels.edits.bake import bake_nodes, mark_filled_nodes
+from ..render.scene import LatticeEdits
 from ..splats.splat_field import SplatField
 from .deformer import Deformer
-from .lattice_edits import LatticeEdits
 from .splat_deformer import SplatDeformer
 
 #: Cells of the lattice that stands in for a Deformer without one.

@@ -15,6 +15,9 @@ from ..core.checks import MOST_SAMPLES, checked_flag, checked_step, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import owner_lock
 from ..core.names import COORDINATES, DENSITIES, STORES
+from ..edits.edits import CageEdit, checked_edits
+from ..edits.falloff import FalloffBand
+from ..edits.fragments import CarriedCrumbs
 from ..field.render import STOP_TRANSMITTANCE, MakeArrays, March
 from ..field.voxel_field import VoxelField
 from ..kernels.edits.structs import MAPPED
@@ -22,14 +25,12 @@ from ..kernels.render.rays import MarchOptions, Picture
 from ..lattice.buffers import StreamOrder
 from ..mesh.match import require_same_faces
 from ..mesh.validity import is_usable, require_usable
+from ..render.scene import LatticeEdits
+from ..render.view import MarchedView, PosedEdits
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
-from .carried import CarriedCrumbs
-from .edits import CageEdit, MarchedView, PosedEdits, checked_edits
-from .falloff import FalloffBand
-from .lattice_edits import LatticeEdits
-from .precise_edits import ClosedFormEdits
+from .exact import ClosedFormEdits
 
 
 class Deformer:

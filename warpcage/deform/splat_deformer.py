@@ -18,6 +18,8 @@ from ..core.checks import checked_flag, checked_path, checked_whole, listed, req
 from ..core.devices import resolve_device
 from ..core.locks import owner_lock
 from ..core.names import DENSITIES, SPLAT_MAPS, counted, require_coordinates, require_name
+from ..edits.edits import CageEdit, checked_edits
+from ..edits.falloff import FalloffBand
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..lattice.buffers import StreamOrder
 from ..splats.binding import turned_harmonics
@@ -28,8 +30,6 @@ from ..splats.splat_field import SplatDensity, SplatField, rotation_matrices
 from ..view.camera import Camera
 from ..view.frame import Frame, parse_background
 from .deformer import Deformer
-from .edits import CageEdit, checked_edits
-from .falloff import FalloffBand
 from .splat_edits import SplatEdits
 
 

@@ -11,6 +11,8 @@ import warp as wp
 from ..cage.cage import Cage
 from ..core.arrays import empty_array
 from ..core.devices import lane_count, launch
+from ..edits.edits import CageEdit
+from ..edits.falloff import FalloffBand, tell_of_squeezing
 from ..kernels.splats import pose
 from ..kernels.splats import pose as follow
 from ..kernels.splats import pose as invert
@@ -24,8 +26,6 @@ from ..mesh.queries import SURFACE_TOLERANCE
 from ..mesh.validity import require_usable
 from ..splats.binding import RESOLUTION, CageBinding, split_tree
 from ..splats.splat_field import SplatField
-from .edits import CageEdit
-from .falloff import FalloffBand, tell_of_squeezing
 from .splat_instances import BOUND, CLEARED, FOLLOWED, LEFT, make_instances, shared_ways
 
 #: A splat of a cage is cut in pieces, which a pose may draw in its place, where twice its standard deviation is more

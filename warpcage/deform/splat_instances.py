@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
+from ..edits.edits import CageEdit
 from ..kernels.splats.pose import GOES, GOES_OR_STAYS, STAYS
 from ..splats.binding import SplitTree
-from .edits import CageEdit
 
 #: What an edit does to a splat: nothing; it goes along with the cage, bound to it at rest; it stays, and gives way; it
 #: is followed to where earlier edits took it, in one of the three ways; it is cleared if it got there.

@@ -12,7 +12,7 @@ from ..cage import poses
 from ..cage.cage import Cage
 from ..coordinates.coordinates import deform_points
 from ..core.names import EASINGS, LOOPS
-from ..deform.edits import MAX_EDITS
+from ..edits.edits import MAX_EDITS
 from .document import (
     KINDS,
     MAX_KEYS,

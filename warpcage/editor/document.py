@@ -13,7 +13,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..core.checks import checked_number, shown
 from ..core.names import COORDINATES, DENSITIES, EASINGS, LOOPS
-from ..deform.edits import HELD, MAX_EDITS, CageEdit
+from ..edits.edits import HELD, MAX_EDITS, CageEdit
 from ..mesh.mesh import ClosedMesh
 from ..view.frame import MAX_SUPERSAMPLING, parse_background
 

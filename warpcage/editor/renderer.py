@@ -22,8 +22,8 @@ from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..core.locks import device_turn
 from ..deform.deformer import Deformer
-from ..deform.edits import CageEdit
 from ..deform.fill import fill_unseen
+from ..edits.edits import CageEdit
 from ..field.voxel_field import VoxelField
 from ..kernels.view import bytes
 from ..mesh.validity import require_usable

@@ -13,8 +13,8 @@ from ..kernels.render.march_cpu import render_edit_tiles
 from ..kernels.render.rays import ScenePart
 from ..kernels.view.rays import TILE_SIZE
 from ..lattice.buffers import BufferPool
-from .edits import MarchedView, PosedEdits
-from .map_cells import needs_general_map
+from .tables import needs_general_map
+from .view import MarchedView, PosedEdits
 
 #: One of the three arrays that hold the state of rays takes so much for a ray.
 STATE_BYTES = wp.types.type_size_in_bytes(wp.vec4)

@@ -1,20 +1,18 @@
-"""Edits of a scene, and what renderers and kernels take of them once they are posed."""
+"""CageEdit: a cage, what its pose does to the scene, and checks of several of them."""
 
 from __future__ import annotations
 
-import abc
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from ..cage.cage import Cage
 from ..core.checks import checked_number
-from ..core.devices import RepeatedLaunches
-from ..field.voxel_field import VoxelField
 from ..mesh.validity import require_usable
+from ..view.camera import Camera
 
 #: Walls that a falloff may hold: those that cut matter, and those that a pose leaves in place.
 HELD = ("cut", "still")
@@ -91,82 +89,12 @@ def checked_edits(rest: Cage | CageEdit | Sequence[Cage | CageEdit]) -> list[Cag
     return edits
 
 
-@dataclasses.dataclass(frozen=True)
-class MarchedView:
-    """A view that edits are to be marched for."""
-
-    field: VoxelField
-    # its VoxelGrid as it is marched now
-    grid: Any
-    # what `PosedEdits.row_tables` gave
-    rows: list[Any]
-    # the PinholeCamera, relative to the field's origin
-    pinhole: Any
-    background: wp.vec3
-    # the MarchOptions, and the Picture that is filled
-    options: Any
-    picture: Any
-    # rays, in whole tiles
-    threads: int
-    # steps that a ray may take, as `core.devices.launch` has them
-    work: float
+#: Fewest and most cells along the longest side of a cage where nobody asks for a number of them, and pixels for each:
+#: a lattice of 64 cells is 72 dB from a fine one in pictures of any size (docs/measurements.md).
+FEWEST_CELLS, MOST_CELLS, PIXELS_PER_CELL = 64, 128, 5
 
 
-class PosedEdits(abc.ABC):
-    """Edits on a device, as kernels take them."""
-
-    def __init__(self, map_kernel: Any, render_kernel: Any):
-        # the first traces points to canonical space and takes `array`, the other renders views and takes `scene`
-        self.map_kernel, self.render_kernel = map_kernel, render_kernel
-        # (edits,) structs, once the edits are posed
-        self.array: wp.array | None = None
-        # what the render kernel takes, once `prepare` has been called for the pose
-        self.scene: Any = None
-        # steps that one sample takes at most, as `core.devices.launch` has them
-        self.sample_work = 1
-        self._launches: RepeatedLaunches | None = None
-
-    def begin_view(self, field: VoxelField, centre: wp.vec3, step: float) -> None:
-        """Start on what a view takes of the pose alone, so that the device is at work as early as can be.
-        centre: of the camera, relative to the field's origin; step: of the march, world units."""
-        return
-
-    def row_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
-        """Start on what the render kernel takes of a field beside its VoxelGrid, before that is waited for; behind
-        `begin_view`. Returns arguments of the kernel; none where `render` is to find them."""
-        return []
-
-    def render(self, view: MarchedView) -> None:
-        """March a view, once `prepare` has been called for the pose."""
-        self.march(view, self.render_kernel, [self.scene])
-
-    def march(
-        self,
-        view: MarchedView,
-        kernel: Any,
-        scene: Sequence[Any],
-        item_rays: int = 1,
-        order: Any = None,
-        begins: wp.array | None = None,
-        number: int = 0,
-    ) -> None:
-        """Launch a kernel, of items of `item_rays` rays, that marches a view; `scene` goes between tables and camera.
-        order: TileOrder, None as tiles lie; begins: (tiles,) distances before which rays meet nothing, or None."""
-        if order is not None:
-            view.picture.order = order
-        if begins is not None:
-            view.picture.begins = begins
-        end = [view.pinhole, view.background, view.options, view.picture]
-        inputs = [view.grid, *view.rows, *scene, *end]
-        work = view.work * self.sample_work * item_rays
-        if self._launches is None:
-            self._launches = RepeatedLaunches(view.field.device)
-        self._launches(kernel, view.threads // item_rays, inputs, number=number, passing=len(end), work=work)
-
-    @abc.abstractmethod
-    def pose(self, cages: Sequence[Cage | None]) -> None:
-        """Compute what kernels need of a pose; cages: in the order of the edits, None for an edit that removes."""
-
-    @abc.abstractmethod
-    def prepare(self, grid: Any, step: float) -> None:
-        """Find the cells of a VoxelGrid that a march by `step`, world units, may skip, once per pose."""
+def picture_cells(camera: Camera) -> int:
+    """Cells along the longest side of a cage that suit a camera's picture, a multiple of 16."""
+    cells = 16 * math.ceil(max(camera.width, camera.height) / (16 * PIXELS_PER_CELL))
+    return min(max(cells, FEWEST_CELLS), MOST_CELLS)

@@ -1,4 +1,4 @@
-"""Edits whose maps and signed distances are looked up on lattices, and the kernels that march them."""
+"""Edits on lattices that are posed and rendered: plans of views, tables kept from pose to pose, launches."""
 
 from __future__ import annotations
 
@@ -16,6 +16,11 @@ from ..cage.cage import Cage
 from ..core.arrays import struct_array
 from ..core.devices import RepeatedLaunches
 from ..core.memory import free_bytes
+from ..edits.apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
+from ..edits.edits import CageEdit
+from ..edits.falloff import FalloffBand
+from ..edits.fragments import CarriedCrumbs
+from ..edits.maps import EditLattices
 from ..field import tables
 from ..field.voxel_field import VoxelField
 from ..kernels.edits import trace
@@ -24,19 +29,21 @@ from ..kernels.render import march_cpu
 from ..kernels.render.views import part_kernel, stack_kernel, view_kernel
 from ..kernels.view.rays import TILE_SIZE
 from ..lattice.buffers import BufferPool, SideStream
-from ..view.tile_order import BalancedTiles
-from .apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
-from .carried import CarriedCrumbs
-from .carried_shading import CarriedShades, shade_texture_bytes
-from .edit_lattices import EditLattices
-from .edits import CageEdit, MarchedView, PosedEdits
-from .falloff import FalloffBand
-from .fine_cells import FineCells
-from .flat_edits import flat_edit, join_tables, lattice_box, tell_sides
-from .map_cells import MapPolynomials, needs_general_map
+from .modules import load_pose_modules, render_modules
 from .parts import PartsInTurn
-from .pose_modules import load_pose_modules, render_modules
-from .tile_begins import TileBegins
+from .shading import CarriedShades, shade_texture_bytes
+from .tables import (
+    FineCells,
+    MapPolynomials,
+    TileBegins,
+    flat_edit,
+    join_tables,
+    lattice_box,
+    needs_general_map,
+    tell_sides,
+)
+from .tile_order import BalancedTiles
+from .view import MarchedView, PosedEdits, SeenView
 
 #: Rays from which on a view is one of many pixels.
 LARGE_PICTURE = 1 << 20
@@ -64,18 +71,6 @@ class Plan(NamedTuple):
     parts: list[tuple[Any, np.ndarray]] | None
     # whether voxels are shaded for the view
     is_shaded: bool
-
-
-class SeenView(NamedTuple):
-    """What the tables of a pose take of the views of it."""
-
-    field: VoxelField
-    # its VoxelGrid as it was marched
-    grid: Any
-    # of the camera, relative to the field's origin
-    centre: wp.vec3
-    # of the march, world units
-    step: float
 
 
 class LatticeEdits(PosedEdits):

@@ -25,9 +25,9 @@ from ..lattice.lattice import CageLattice
 from ..lattice.position_map import PositionMap
 from ..mesh.queries import SURFACE_TOLERANCE
 from ..mesh.validity import require_usable, size_problem
-from .carried import CarriedCrumbs
 from .edits import CageEdit
 from .falloff import FalloffBand, faded_map, folded_cells, tell_of_squeezing
+from .fragments import CarriedCrumbs
 
 #: How far the map may lead out of the rest cage before a sample counts as outside, in cells of the rest cage's lattice:
 #: the trilinear signed distance errs by up to half a cell at corners.

@@ -1,4 +1,4 @@
-"""Edits whose closed-form coordinates are evaluated at every sample."""
+"""Edits whose coordinates are evaluated at each sample, without a lattice: the precise mode of the paper."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from ..cage.cage import Cage
 from ..coordinates.coordinates import stretched_normals
 from ..core.arrays import empty_array
 from ..core.devices import launch
+from ..edits.edits import CageEdit
+from ..edits.falloff import FalloffBand
+from ..edits.fragments import CarriedCrumbs
+from ..edits.maps import EditLattices, cell_shape
 from ..kernels.edits import cell_tables, points_exact
 from ..kernels.edits.structs import CellTable, ClosedFormEdit
 from ..kernels.render.views import exact_kernel
 from ..mesh.fans import prepared_fans
 from ..mesh.queries import SURFACE_TOLERANCE
-from .carried import CarriedCrumbs
-from .edit_lattices import EditLattices, cell_shape
-from .edits import CageEdit, PosedEdits
-from .falloff import FalloffBand
-from .pose_modules import load_pose_modules
+from ..render.modules import load_pose_modules
+from ..render.view import PosedEdits
 
 #: How far the map may lead out of the rest cage before a sample counts as outside, as a share of the cage's size:
 #: float32 evaluates the maps to about 1e-5.

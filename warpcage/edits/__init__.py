@@ -1,0 +1,1 @@
+"""Edits of a scene: one description of an edit, its maps, falloff and fragments."""

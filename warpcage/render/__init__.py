@@ -1,0 +1,1 @@
+"""Frames of edited scenes: views, tables, shading and launches."""

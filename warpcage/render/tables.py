@@ -1,0 +1,208 @@
+"""Tables of a posed scene that marches read: flat edits, fine cells, polynomials of cells, begins of tiles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import warp as wp
+
+from ..core.arrays import array_view, empty_array, struct_array
+from ..core.devices import RepeatedLaunches, lane_count
+from ..edits.maps import has_sides
+from ..kernels.edits.cell_tables import join_cell_tables, join_nodes
+from ..kernels.edits.fine_cells import FINE_COUNT, FINE_SIDE, FINE_WORDS, mark_fine_cells, spread_fine_cells
+from ..kernels.edits.nodes import CELL_WORDS, expand_map_cells
+from ..kernels.edits.structs import CELL_OUTSIDE, FlatEdit
+from ..kernels.render.beams import find_tile_begins, find_tile_begins_of_edits
+from ..lattice.buffers import Buffer, BufferPool, SideStream
+
+#: Cells that are less than so many voxels wide are not told apart: fine cells would be smaller than what they skip.
+LEAST_VOXELS = 2.0
+
+#: As many factors of two.
+FINE_BITS = int(FINE_SIDE).bit_length() - 1
+
+#: Lattices of more nodes have more fine cells than an index counts.
+MOST_NODES = (1 << 31) // int(FINE_COUNT) - 64
+
+
+class FineCells:
+    """Which fine cells of posed lattices may be skipped, found on the stream `side`."""
+
+    def __init__(self, edit_count: int, side: SideStream):
+        device = side.device
+        self._device, self._lanes = device, lane_count(device)
+        pool = BufferPool(device)
+        self._words = [pool.buffer(wp.uint32) for _ in range(edit_count)]
+        self._looks = [pool.buffer(wp.uint64) for _ in range(edit_count)]
+        self._side, self._launch = side, RepeatedLaunches(device)
+
+    def begin(self, edits: Sequence[Any], grid: Any, step: float) -> None:
+        """Let posed FlatEdits, whose cells are marked, tell their fine cells apart, beside what comes until the side
+        stream joins. step: the longest of a march, world units."""
+        width = max(grid.voxel_size)
+        told = [edit.spacing >= LEAST_VOXELS * width and edit.look.size <= MOST_NODES for edit in edits]
+        held = [
+            (edit, words.take(int(FINE_WORDS) * edit.look.size), looks.take(edit.look.size))
+            for edit, words, looks, is_told in zip(edits, self._words, self._looks, told, strict=True)
+            if is_told
+        ]
+        self._side.mark()  # behind which memory is there, and the tables of cells
+        stream = self._side.behind_mark()
+        for number, (edit, words, looks) in enumerate(held):
+            self._mark(number, edit, grid, step, words, looks, stream)
+
+    def _mark(
+        self, number: int, edit: Any, grid: Any, step: float, words: wp.array, looks: wp.array, stream: wp.Stream | None
+    ) -> None:
+        nodes = looks.size
+        fine_look = array_view(words, wp.uint8, int(FINE_COUNT) * nodes)
+        groups = -(-nodes // max(1, self._lanes // 4))  # an octet of cells for a group of lanes
+        inputs, how = [grid, edit, step], {"number": number, "stream": stream}
+        work = int(FINE_COUNT) / self._lanes
+        self._launch(mark_fine_cells, self._lanes * groups, inputs, [looks, fine_look], work=work, **how)
+        whole_groups = -(-nodes // self._lanes) * self._lanes
+        self._launch(spread_fine_cells, whole_groups, [edit, looks], [words], **how)
+        tell_fine_cells(edit, FINE_BITS, fine_look)
+
+
+def tell_fine_cells(edit: Any, bits: int, fine_look: wp.array) -> None:
+    """Let a FlatEdit tell fine cells apart, 2^bits along each side of a cell; fine_look: (8^bits * nodes,) uint8."""
+    edit.fine_bits, edit.fine_look, side = bits, fine_look, 1 << bits
+    edit.last_fine = wp.vec3i(*(side * (count - 1) - 1 for count in edit.node_counts))
+    edit.fine_width, edit.fine_size = 1.0 / side, edit.spacing / side
+    edit.inverse_fine_size = edit.inverse_spacing * side
+
+
+def flat_edit(edit: Any, look: Buffer, nodes: Buffer) -> Any:
+    """The FlatEdit of a posed LatticeEdit, perhaps without the sides of narrow gaps, its arrays still to be filled.
+    look: of uint8, for the table of cells; nodes: of vec4. `tell_sides` and `join_tables` come after."""
+    node_count = edit.deformed.distance.size
+    flat = FlatEdit()
+    flat.lower, flat.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
+    flat.spacing = 1.0 / edit.deformed.inverse_spacing
+    flat.node_counts = wp.vec3i(*edit.deformed.distance.shape)
+    flat.look, flat.nodes = look.take(node_count), nodes.take(node_count)
+    tell_fine_cells(flat, 0, flat.look)
+    flat.rest = edit.rest
+    flat.by_nodes = int(not edit.removes)  # until there are polynomials
+    flat.tolerance, flat.slack = edit.tolerance, edit.slack
+    flat.keeps_source, flat.removes, flat.crumbs = edit.keeps_source, edit.removes, edit.crumbs
+    flat.all_outside = int(CELL_OUTSIDE) if edit.removes else 0
+    flat.carried_below = -math.inf if edit.removes else 0.0
+    return flat
+
+
+def tell_sides(flat: Any, edit: Any) -> None:
+    """Let a FlatEdit have the sides of narrow gaps of its posed LatticeEdit."""
+    flat.has_sides = int(has_sides(edit.deformed))
+    if flat.has_sides:
+        flat.side_index, flat.sides = edit.deformed.side_index, edit.deformed.sides
+
+
+def join_tables(flat: Any, edit: Any, skip: wp.array, launch: Callable[..., None]) -> None:
+    """Launch what fills the arrays of a FlatEdit, of a posed LatticeEdit, by RepeatedLaunches.
+    skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything."""
+    count = flat.nodes.size
+    launch(join_cell_tables, count, [edit.cells, skip, flat.node_counts], [flat.look])
+    positions = empty_array(0, wp.vec3, skip.device) if edit.removes else edit.deformed.positions.flatten()
+    launch(join_nodes, count, [positions, edit.deformed.distance.flatten()], [flat.nodes])
+
+
+def lattice_box(flat: Any) -> list[list[float]]:
+    """Lower and upper corner, (3,) each, of a FlatEdit's lattice over its posed cage, relative to the edits' origin."""
+    lower, counts, spacing = tuple(flat.lower), tuple(flat.node_counts), 1.0 / flat.inverse_spacing
+    return [list(lower), [low + (count - 1) * spacing for low, count in zip(lower, counts, strict=True)]]
+
+
+#: An array has fewer entries along an axis.
+MOST_ENTRIES = 1 << 31
+
+#: Share of a GPU's memory that the polynomials of a lattice's cells may take.
+MOST_POLYNOMIALS = 1 / 16
+
+
+class MapPolynomials:
+    """The map of each cell of posed lattices as a polynomial."""
+
+    def __init__(self, edit_count: int, device: wp.Device):
+        self._most_bytes = math.inf if device.is_cpu else MOST_POLYNOMIALS * device.total_memory
+        pool = BufferPool(device)
+        self._polynomials = [pool.buffer(wp.vec4) for _ in range(edit_count)]
+        self._launch = RepeatedLaunches(device)
+
+    def expand(self, edits: Sequence[Any]) -> None:
+        """Give posed FlatEdits, whose cells are marked, their `polynomials`, where they map anything and there is
+        memory."""
+        for number, (edit, buffer) in enumerate(zip(edits, self._polynomials, strict=True)):
+            words = int(CELL_WORDS) * edit.look.size
+            takes = wp.types.type_size_in_bytes(wp.vec4) * words
+            if not edit.removes and words < MOST_ENTRIES and takes <= self._most_bytes:
+                inputs, polynomials = [edit.nodes, edit.look, edit.node_counts], buffer.take(words)
+                self._launch(expand_map_cells, edit.look.size, inputs, [polynomials], number=number)
+                edit.polynomials, edit.by_nodes = polynomials, 0
+
+
+def needs_general_map(edit: Any) -> bool:
+    """Whether a FlatEdit has corner values for each side of narrow gaps, or no polynomials: the faster march knows
+    polynomials alone."""
+    return bool(edit.has_sides or edit.by_nodes)
+
+
+#: Streams whose buffers are kept.
+MOST_KEPT = 4
+
+#: Bytes of a distance.
+DISTANCE_BYTES = wp.types.type_size_in_bytes(wp.float32)
+
+
+class TileBegins:
+    """Looks once for each tile of a view how far its rays go through what is empty.
+    It looks on the stream `side`, beside what is launched until that joins."""
+
+    def __init__(self, side: SideStream):
+        self._side, self._launch = side, RepeatedLaunches(side.device)
+        self._kept: dict[int, Buffer] = {}
+        self._edits: tuple[list[Any], wp.array] | None = None
+        self._ready: tuple[wp.array | None, wp.array | None] = None, None
+
+    def find(self, edits: Sequence[Any], grid: Any, pinhole: Any, tiles: int) -> list[wp.array]:
+        """(tiles,) float of each FlatEdit: distance before which a tile's rays meet nothing, until the stream's next
+        view. Fine cells are told by now, or forked; it looks after what came before the side stream's mark."""
+        is_single = len(edits) == 1  # an argument takes the host less time than an array
+        needed = self._buffer().take(len(edits) * tiles), None if is_single else self._array_of(edits)
+        if any(array is not before for array, before in zip(needed, self._ready, strict=True)):
+            self._side.mark()  # what is new was made behind the mark
+            self._ready = needed
+        begins, array = needed
+        stream = self._side.behind_mark()
+        if is_single:
+            self._launch(find_tile_begins, tiles, [grid, edits[0], pinhole], [begins], stream=stream)
+            return [begins]
+        inputs = [tiles, grid, array, pinhole]
+        self._launch(find_tile_begins_of_edits, begins.size, inputs, [begins], stream=stream)
+        return [
+            array_view(begins, wp.float32, tiles, offset=number * tiles * DISTANCE_BYTES)
+            for number in range(len(edits))
+        ]
+
+    def _array_of(self, edits: Sequence[Any]) -> wp.array:
+        """The edits on the device, once for those of a pose in their order."""
+        kept = self._edits
+        if kept is None or [id(edit) for edit in kept[0]] != [id(edit) for edit in edits]:
+            self._edits = kept = list(edits), struct_array(edits, FlatEdit, self._side.device)
+        return kept[1]
+
+    def _buffer(self) -> Buffer:
+        """Of the current stream: frames of one follow each other, those of several need not."""
+        device = self._side.device
+        key = int(device.stream.cuda_stream or 0) if device.is_cuda else 0
+        kept = self._kept.pop(key, None)
+        if kept is None:
+            kept = BufferPool(device).buffer(wp.float32)
+            while len(self._kept) >= MOST_KEPT:
+                del self._kept[next(iter(self._kept))]  # used longest ago
+        self._kept[key] = kept
+        return kept

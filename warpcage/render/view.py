@@ -1,0 +1,105 @@
+"""A view of an edited scene as it is asked for, and what everything that renders one offers."""
+
+import abc
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from ..cage.cage import Cage
+from ..core.devices import RepeatedLaunches
+from ..field.voxel_field import VoxelField
+
+
+@dataclasses.dataclass(frozen=True)
+class MarchedView:
+    """A view that edits are to be marched for."""
+
+    field: VoxelField
+    # its VoxelGrid as it is marched now
+    grid: Any
+    # what `PosedEdits.row_tables` gave
+    rows: list[Any]
+    # the PinholeCamera, relative to the field's origin
+    pinhole: Any
+    background: wp.vec3
+    # the MarchOptions, and the Picture that is filled
+    options: Any
+    picture: Any
+    # rays, in whole tiles
+    threads: int
+    # steps that a ray may take, as `core.devices.launch` has them
+    work: float
+
+
+class PosedEdits(abc.ABC):
+    """Edits on a device, as kernels take them."""
+
+    def __init__(self, map_kernel: Any, render_kernel: Any):
+        # the first traces points to canonical space and takes `array`, the other renders views and takes `scene`
+        self.map_kernel, self.render_kernel = map_kernel, render_kernel
+        # (edits,) structs, once the edits are posed
+        self.array: wp.array | None = None
+        # what the render kernel takes, once `prepare` has been called for the pose
+        self.scene: Any = None
+        # steps that one sample takes at most, as `core.devices.launch` has them
+        self.sample_work = 1
+        self._launches: RepeatedLaunches | None = None
+
+    def begin_view(self, field: VoxelField, centre: wp.vec3, step: float) -> None:
+        """Start on what a view takes of the pose alone, so that the device is at work as early as can be.
+        centre: of the camera, relative to the field's origin; step: of the march, world units."""
+        return
+
+    def row_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
+        """Start on what the render kernel takes of a field beside its VoxelGrid, before that is waited for; behind
+        `begin_view`. Returns arguments of the kernel; none where `render` is to find them."""
+        return []
+
+    def render(self, view: MarchedView) -> None:
+        """March a view, once `prepare` has been called for the pose."""
+        self.march(view, self.render_kernel, [self.scene])
+
+    def march(
+        self,
+        view: MarchedView,
+        kernel: Any,
+        scene: Sequence[Any],
+        item_rays: int = 1,
+        order: Any = None,
+        begins: wp.array | None = None,
+        number: int = 0,
+    ) -> None:
+        """Launch a kernel, of items of `item_rays` rays, that marches a view; `scene` goes between tables and camera.
+        order: TileOrder, None as tiles lie; begins: (tiles,) distances before which rays meet nothing, or None."""
+        if order is not None:
+            view.picture.order = order
+        if begins is not None:
+            view.picture.begins = begins
+        end = [view.pinhole, view.background, view.options, view.picture]
+        inputs = [view.grid, *view.rows, *scene, *end]
+        work = view.work * self.sample_work * item_rays
+        if self._launches is None:
+            self._launches = RepeatedLaunches(view.field.device)
+        self._launches(kernel, view.threads // item_rays, inputs, number=number, passing=len(end), work=work)
+
+    @abc.abstractmethod
+    def pose(self, cages: Sequence[Cage | None]) -> None:
+        """Compute what kernels need of a pose; cages: in the order of the edits, None for an edit that removes."""
+
+    @abc.abstractmethod
+    def prepare(self, grid: Any, step: float) -> None:
+        """Find the cells of a VoxelGrid that a march by `step`, world units, may skip, once per pose."""
+
+
+class SeenView(NamedTuple):
+    """What the tables of a pose take of the views of it."""
+
+    field: VoxelField
+    # its VoxelGrid as it was marched
+    grid: Any
+    # of the camera, relative to the field's origin
+    centre: wp.vec3
+    # of the march, world units
+    step: float
