@@ -1,5 +1,5 @@
 """Motion from other programs. tests/fixtures/blender_motion was written by Blender 5.0.1 through
-python benchmarks blender motion: .glb files, and where Blender has the vertices at each frame."""
+`python benchmarks blender motion`: .glb files, and where Blender has the vertices at each frame."""
 
 import pathlib
 

@@ -9,7 +9,7 @@ import numpy as np
 from ..core.files import atomic_path, require_file
 from ..core.names import counted
 from ..deform.bake import bake
-from ..deform.splat_deformer import SplatDeformer
+from ..deform.deformer import SplatDeformer
 from ..field.objects import select_object
 from ..field.selection import NodeSelection
 from ..field.voxel_field import VoxelField

@@ -17,8 +17,7 @@ from ..field.voxel_field import VoxelField
 from ..kernels.edits.bake import bake_nodes, mark_filled_nodes
 from ..render.scene import LatticeEdits
 from ..splats.splat_field import SplatField
-from .deformer import Deformer
-from .splat_deformer import SplatDeformer
+from .deformer import Deformer, SplatDeformer
 
 #: Cells of the lattice that stands in for a Deformer without one.
 STAND_IN_RESOLUTION = 128

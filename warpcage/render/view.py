@@ -5,9 +5,11 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import warp as wp
 
 from ..cage.cage import Cage
+from ..core.checks import MOST_SAMPLES
 from ..core.devices import RepeatedLaunches
 from ..field.voxel_field import VoxelField
 
@@ -103,3 +105,18 @@ class SeenView(NamedTuple):
     centre: wp.vec3
     # of the march, world units
     step: float
+
+
+def cage_span(cage: Cage | None) -> float:
+    """The diagonal of the box around a posed cage, world units; 0 for None, an edit that removes."""
+    return 0.0 if cage is None else float(np.linalg.norm(np.ptp(cage.bounds, axis=0)))
+
+
+def require_short_march(spans: Sequence[float], step: float) -> None:
+    """Refuse posed cages, of these spans, through which a march of this step, both world units, would take all day."""
+    for index, size in enumerate(spans):
+        if size > MOST_SAMPLES * step:
+            raise ValueError(
+                f"the posed cage of edit {index} is {size:.3g} across, {size / step:.3g} march steps of {step:.3g}: "
+                f"make it smaller, or the step at least {size / MOST_SAMPLES:.3g}"
+            )
