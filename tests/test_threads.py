@@ -363,7 +363,7 @@ wp.config.use_precompiled_headers = False  # which take longer to make than one 
 wp.init()
 from warpcage.core import modules
 from warpcage.core.devices import launch
-from warpcage.kernels.view.bytes import average_values
+from warpcage.kernels.view.pictures import average_values
 source, joined = wp.array([1.0, 2.0, 3.0, 6.0], dtype=float, device="cpu"), wp.zeros(1, dtype=float, device="cpu")
 launch(average_values, 1, [2, 1, source], [joined], device="cpu")
 print(joined.numpy()[0])

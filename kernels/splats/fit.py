@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from ..view.bytes import part_index
+from ..view.pictures import part_index
 from .splats import Splats, covariance_of
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})

@@ -60,7 +60,7 @@ _FORMER = {
     "splats/pose": "splats/follow splats/invert splats/jacobian",
     "splats/splats": "splats/inside",
     "splats/split": "splats/splits splats/fade",
-    "view/bytes": "view/downsample view/colour_bytes view/preview",
+    "view/pictures": "view/downsample view/colour_bytes view/preview",
 }
 MOVED = {old: new for new, names in _FORMER.items() for old in names.split()}
 

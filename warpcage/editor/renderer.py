@@ -25,7 +25,7 @@ from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
 from ..edits.edits import CageEdit
 from ..field.voxel_field import VoxelField
-from ..kernels.view import bytes
+from ..kernels.view import pictures
 from ..mesh.validity import require_usable
 from ..splats.splat_field import AnyField
 from ..view.camera import Camera
@@ -141,7 +141,7 @@ class Pixels:
     """A frame on the host, as it is sent."""
 
     colours: np.ndarray  # (h, w, 3) uint8
-    depths: np.ndarray  # (rows, columns) uint16, see kernels/view/bytes.py
+    depths: np.ndarray  # (rows, columns) uint16, see kernels/view/pictures.py
     near: float  # distances that the depths 1 and 65535 stand for, world units
     far: float
 
@@ -160,10 +160,10 @@ def frame_pixels(frame: Frame, show: str, near: float, far: float, columns: int,
     with device_turn(rgb.device):
         sampled = empty_array(rows * columns, wp.uint16, rgb.device)
         inputs = [width, height, columns, rows, HIDING_ALPHA, near, far, frame.arrays["alpha"], frame.arrays["depth"]]
-        launch(bytes.sample_depths, rows * columns, inputs, [sampled], device=rgb.device)
+        launch(pictures.sample_depths, rows * columns, inputs, [sampled], device=rgb.device)
         if show == "rgb":
             packed = empty_array((width * height, 3), wp.uint8, rgb.device)
-            launch(bytes.pack_colours, width * height, [rgb], [packed], device=rgb.device)
+            launch(pictures.pack_colours, width * height, [rgb], [packed], device=rgb.device)
             colours = packed.numpy().reshape(height, width, 3)
         else:
             shown = picture(frame, "rgb" if show == "masks" and frame.reveal is None else show)
@@ -183,7 +183,7 @@ def band_camera(camera: Camera, first: int, last: int) -> Camera:
     return dataclasses.replace(camera, cy=camera.cy - first, height=last - first)
 
 
-def packed_frame(header: dict[str, Any], pixels: Pixels | None, quality: int) -> bytes:
+def packed_frame(header: dict[str, Any], pixels: Pixels | None, quality: int) -> pictures:
     """A frame's message: four little-endian uint32 (FRAME, bytes of the header, of the JPEG, of the depths), then those
     three. Each but the last is padded to a multiple of 8. pixels None: there is only something to say."""
     import simplejpeg
@@ -360,7 +360,7 @@ class Renderer:
     """Renders documents in a thread. Only the newest request counts: others that wait are forgotten.
     `deliver`: called with the header and the message of each frame, from a thread of the renderer."""
 
-    def __init__(self, field: AnyField, deliver: Callable[[dict[str, Any], bytes], None]):
+    def __init__(self, field: AnyField, deliver: Callable[[dict[str, Any], pictures], None]):
         self._scene = PosedScene(field)
         self._field, self._deliver = field, deliver
         self.pace = Pace(not field.device.is_cpu)

@@ -124,7 +124,7 @@ class SplatGradients(SplatRenderer):
         """The picture (h * w,) vec3, one ray a pixel, valid until the next one; `parameters` are refreshed before.
         lens: of `splat_lens`, of the same camera; colour: behind the splats."""
         grid, pixels = tile_grid(camera), camera.width * camera.height
-        seen = self._project(fit.splats, lens)
+        seen = self._project(parameters.splats, lens)
         total = self.entry_count = self._count(grid, *seen)
         if total > MOST_ENTRIES:
             raise ValueError(f"splats touch {total} tiles of a picture, at most {MOST_ENTRIES}: fit smaller pictures")
@@ -134,12 +134,12 @@ class SplatGradients(SplatRenderer):
         rgb, parts = self._rgb.take(pixels), self._parts.take((2, pixels))
         inputs = [seen[1], members, starts, grid]
         self._composite(grid, [*inputs, colour, STOP_TRANSMITTANCE], [rgb, parts[0], parts[1]])
-        self._drawn = fit, lens, grid, seen, inputs, sources, total, rgb
+        self._drawn = parameters, lens, grid, seen, inputs, sources, total, rgb
         return rgb
 
     def take_back(self, slopes: wp.array) -> None:
         """Set the slopes of the parameters drawn last, from those (h * w,) vec3 of a loss by the picture's colours."""
-        fit, lens, grid, seen, inputs, sources, total, rgb = self._drawn
+        parameters, lens, grid, seen, inputs, sources, total, rgb = self._drawn
         count, view, _, order = seen
         sums = self._sums.take(SUM_COUNT * count)
         inputs = [*inputs, STOP_TRANSMITTANCE, rgb, slopes]
@@ -155,9 +155,9 @@ class SplatGradients(SplatRenderer):
             sums.zero_()
             items = tile_count * tiles.TILE_SIDE**2
             launch(composite.add_slopes, items, inputs, [sums], device=self.device)
-        held = [fit.by_rows(name, fit.values) for name in ("log_scales", "quaternions")]
-        inputs = [fit.splats, lens, *held, view, sums]
-        outputs = [fit.value_slopes]
+        held = [parameters.by_rows(name, parameters.values) for name in ("log_scales", "quaternions")]
+        inputs = [parameters.splats, lens, *held, view, sums]
+        outputs = [parameters.value_slopes]
         kernel = project_slopes.find_value_slopes
         launch(kernel, count, inputs, outputs, device=self.device, work=2 * PROJECT_WORK)
 

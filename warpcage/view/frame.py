@@ -16,7 +16,7 @@ from ..core.checks import checked_whole, real_array, shown
 from ..core.devices import launch
 from ..core.locks import device_turn
 from ..core.names import BACKGROUNDS
-from ..kernels.view import bytes
+from ..kernels.view import pictures
 from .camera import Camera
 from .pictures import NOT_FINITE, to_uint8
 
@@ -109,7 +109,7 @@ class Frame:
                 self._host[RGB_BYTES] = to_uint8(self.rgb)
             else:
                 pixels, state = coming.wait()
-                if state == bytes.NOT_FINITE:
+                if state == pictures.NOT_FINITE:
                     raise ValueError(NOT_FINITE)
                 self._host[RGB_BYTES] = pixels.reshape(self.height, self.width, 3)
                 self._coming.pop(RGB_BYTES, None)
@@ -223,8 +223,8 @@ def _copy_bytes(colours: wp.array) -> HostCopy:
     assert colours.device is not None
     with device_turn(colours.device):
         packed = empty_array((colours.size, 3), wp.uint8, colours.device)
-        state = wp.full(1, int(bytes.DONE), dtype=wp.int32, device=colours.device)
-        launch(bytes.round_colours, colours.size, [colours, packed, state], device=colours.device)
+        state = wp.full(1, int(pictures.DONE), dtype=wp.int32, device=colours.device)
+        launch(pictures.round_colours, colours.size, [colours, packed, state], device=colours.device)
         return HostCopy(packed, state)
 
 
@@ -258,12 +258,12 @@ def average_frame(frame: Frame, side: int) -> Frame:
     width, height = frame.width // side, frame.height // side
     joined = {}
     for name, parts in frame.arrays.items():
-        kernel = bytes.average_values
+        kernel = pictures.average_values
         inputs = [side, width, parts]
         if name == "rgb":
-            kernel = bytes.average_colours
+            kernel = pictures.average_colours
         elif name == "depth":
-            kernel = bytes.average_depths
+            kernel = pictures.average_depths
             inputs.append(frame.arrays["alpha"])
         joined[name] = wp.empty(width * height, dtype=parts.dtype, device=parts.device)
         launch(kernel, width * height, inputs, [joined[name]], device=parts.device)

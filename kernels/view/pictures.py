@@ -1,4 +1,4 @@
-"""What is sent of a frame: colours as bytes, and few depths in 16 bits."""
+"""Pictures as bytes and at smaller sizes: rounding, supersampling against aliasing, previews with a few depths."""
 
 import warp as wp
 
