@@ -183,7 +183,7 @@ def band_camera(camera: Camera, first: int, last: int) -> Camera:
     return dataclasses.replace(camera, cy=camera.cy - first, height=last - first)
 
 
-def packed_frame(header: dict[str, Any], pixels: Pixels | None, quality: int) -> pictures:
+def packed_frame(header: dict[str, Any], pixels: Pixels | None, quality: int) -> bytes:
     """A frame's message: four little-endian uint32 (FRAME, bytes of the header, of the JPEG, of the depths), then those
     three. Each but the last is padded to a multiple of 8. pixels None: there is only something to say."""
     import simplejpeg
@@ -360,7 +360,7 @@ class Renderer:
     """Renders documents in a thread. Only the newest request counts: others that wait are forgotten.
     `deliver`: called with the header and the message of each frame, from a thread of the renderer."""
 
-    def __init__(self, field: AnyField, deliver: Callable[[dict[str, Any], pictures], None]):
+    def __init__(self, field: AnyField, deliver: Callable[[dict[str, Any], bytes], None]):
         self._scene = PosedScene(field)
         self._field, self._deliver = field, deliver
         self.pace = Pace(not field.device.is_cpu)
