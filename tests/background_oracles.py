@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from warpcage.field.io.field_file import surface_node_count
-from warpcage.field.surroundings import LayeredBackground
+from warpcage.field import LayeredBackground, surface_node_count
 
 
 def surface_points(side):

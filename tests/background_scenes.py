@@ -6,8 +6,7 @@ import numpy as np
 from scene_writers import Pictures, write_dtu, write_image
 
 from warpcage import Camera, Scene
-from warpcage.reference.bricks import brick_model
-from warpcage.reference.raycast import render_mesh_views
+from warpcage.reference import brick_model, render_mesh_views
 
 #: Half the side of the room; cameras stand in it, around the model.
 ROOM = 9.0

@@ -11,10 +11,9 @@ import time
 import numpy as np
 from cli_runs import write_files
 
-from warpcage.batch.job_file import write_jobs
-from warpcage.batch.run import Options, _run
-from warpcage.batch.worker import Worker
-from warpcage.cage.cage import Cage
+from warpcage import Cage
+from warpcage.batch import Options, Worker, write_jobs
+from warpcage.batch.run import _run
 
 CAMERA = {"eye": [2.5, 1.2, 1.0], "target": [0, 0, 0], "width": 24, "height": 20}
 RECORDS = {"kind": "webdataset", "items_per_shard": 5}

@@ -7,8 +7,8 @@ import heapq
 
 import numpy as np
 
-from warpcage.batch.loop import Begun, Died, Event, Finished, Ready, Returned
-from warpcage.batch.scheduler import Lot, LotReport
+from warpcage.batch import Died, Event, Finished, Lot, LotReport, Ready, Returned
+from warpcage.batch.loop import Begun
 
 
 @dataclasses.dataclass

@@ -7,8 +7,7 @@ import pathlib
 import numpy as np
 
 from warpcage import Camera
-from warpcage.reference.phone_video import TEXTURE, PhonePath, table_scene
-from warpcage.reference.raycast import CarriedMesh
+from warpcage.reference import TEXTURE, CarriedMesh, PhonePath, table_scene
 
 OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from warpcage.cage.cage import Cage
+from warpcage import Cage, VoxelField
 from warpcage.cli import main
-from warpcage.field.voxel_field import VoxelField
-from warpcage.reference.brick_scene import write_brick_scene
+from warpcage.reference import write_brick_scene
 
 DEFORMED = ("--cage", "@cage.obj", "--posed", "@posed.obj")
 SMALL = ("--size", "40", "--coordinates", "mean_value", "--resolution", "24")

@@ -20,8 +20,8 @@ if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     share = (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
     os.environ.setdefault("WARPCAGE_THREADS", str(max(1, share)))
 
-import pytest  # noqa: E402
-import warp as wp  # noqa: E402
+import pytest
+import warp as wp
 
 wp.config.quiet = True
 wp.init()
@@ -65,8 +65,7 @@ def pytest_sessionstart(session):
     if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
         return
     if not config.option.collectonly and config.args_source is config.ArgsSource.TESTPATHS:
-        from warpcage.core.kernel_files import kernel_names, kernel_source
-        from warpcage.core.modules import load_modules
+        from warpcage.core import kernel_names, kernel_source, load_modules
 
         files = [name.replace("/", ".") for name in kernel_names() if "@wp.kernel" in kernel_source(name)]
         load_modules([importlib.import_module(f"warpcage.kernels.{name}") for name in files], "cpu")
@@ -117,7 +116,7 @@ def device(request):
 def two_threads():
     """Kernels on the CPU are cut over two threads, and fits have two shards of gradients, whatever this run's workers
     are given."""
-    from warpcage.core.threads import limit_threads
+    from warpcage.core import limit_threads
 
     with limit_threads(2):
         yield

@@ -6,11 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from warpcage.cage.cage import Cage
+from warpcage import Cage, Camera, VoxelField
 from warpcage.field import tables
-from warpcage.field.voxel_field import VoxelField
 from warpcage.kernels.render.views import stack_kernel
-from warpcage.view.camera import Camera
 
 KINDS = ("harmonic", "mean_value", "green")
 SIZE = 64

@@ -20,10 +20,10 @@ import pytest
 pytest.importorskip("aiohttp")
 pytest.importorskip("simplejpeg")
 
-from editor_pages import tiny_field  # noqa: E402
-from page_probe import drag, pointer  # noqa: E402
+from editor_pages import tiny_field
+from page_probe import drag, pointer
 
-import warpcage  # noqa: E402
+import warpcage
 
 #: Seconds that anything may take before it counts as not happening. Nothing waits longer than it must.
 PATIENCE = 120.0

@@ -11,12 +11,9 @@ import aiohttp
 import numpy as np
 import pytest
 
-from warpcage.cage.cage import Cage
-from warpcage.editor.server import Server
-from warpcage.editor.session import Session, new_document
-from warpcage.field.sparse import harmonics_on_host
-from warpcage.field.surroundings import LayeredBackground
-from warpcage.field.voxel_field import VoxelField
+from warpcage import Cage, VoxelField
+from warpcage.editor import Server, Session, new_document
+from warpcage.field import LayeredBackground, harmonics_on_host
 
 WAIT = 30.0
 BOX = Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.7))

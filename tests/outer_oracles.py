@@ -3,7 +3,7 @@
 import numpy as np
 from background_oracles import bilinear, surface_points
 
-from warpcage.field.surroundings import OuterField
+from warpcage.field import OuterField
 
 
 def contract(u, like=None):

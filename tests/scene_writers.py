@@ -8,8 +8,7 @@ import imageio.v3 as iio
 import numpy as np
 
 from warpcage import Camera
-from warpcage.reference.bricks import brick_model
-from warpcage.reference.raycast import render_mesh_views
+from warpcage.reference import brick_model, render_mesh_views
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from warpcage.field.voxel_field import VoxelField
-from warpcage.view.camera import Camera
+from warpcage import Camera, VoxelField
 
 #: What a node belongs to.
 EMPTY, FLOOR, TABLE, LAMP, BALL, CRUMB = range(6)

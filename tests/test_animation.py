@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.presets import Preset, is_preset
+from warpcage import Cage, Camera, turntable
+from warpcage.cage import Preset, is_preset
 from warpcage.cli.pose_words import Keyframes, read_pose
-from warpcage.view.camera import Camera, turntable
-from warpcage.view.motion import cameras_along, frame_places, pose_along, pose_between, pose_weights, value_along
+from warpcage.view import cameras_along, frame_places, pose_along, pose_between, pose_weights, value_along
 
 BOX = Cage.box([-1, -1, -1], [1, 1, 1], segments=2)
 

@@ -12,16 +12,12 @@ from background_scenes import room_cameras, room_scene, write_room
 from test_fit_gradients import photometric_gradient, training_rays
 
 import warpcage
+from warpcage import FieldOptimizer, mean_psnr
 from warpcage.cli import main
-from warpcage.field.io.field_file import surface_node_count
-from warpcage.field.surroundings import LayeredBackground
-from warpcage.fitting.checkpoint import load_progress, save_progress
-from warpcage.fitting.evaluation import mean_psnr
-from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.fitting.silhouettes import Silhouettes, keep_seen
-from warpcage.fitting.surroundings import chosen_background
+from warpcage.field import LayeredBackground, surface_node_count
+from warpcage.fitting import Silhouettes, chosen_background, keep_seen, load_progress, save_progress
 from warpcage.kernels.fitting import background_loss
-from warpcage.view.pictures import read_image
+from warpcage.view import read_image
 
 
 def rays_of(count, seed=0, reach=4.0):

@@ -8,11 +8,7 @@ import pytest
 from background_oracles import random_background
 from deformed_scenes import BOX, KINDS, ellipsoid, make_field, plain, psnr, rotation, shiny_field, view
 
-from warpcage.cage.cage import Cage
-from warpcage.deform.bake import bake
-from warpcage.deform.deformer import Deformer
-from warpcage.edits.edits import CageEdit
-from warpcage.field.voxel_field import VoxelField
+from warpcage import Cage, CageEdit, Deformer, VoxelField, bake
 
 
 def voxel_centres(field):

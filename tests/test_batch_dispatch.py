@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from batch_simulation import Conditions, SimulatedEngine
 
-from warpcage.batch.loop import drive
-from warpcage.batch.scheduler import Dispatcher, LotReport, Lots
+from warpcage.batch import Dispatcher, LotReport, Lots, drive
 
 
 def simulated(count=2000, workers=8, group_count=5, retries=2, aim=10.0, progress=None, **words):

@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 from cli_runs import run, write_files
 
-from warpcage.batch.items import Item
-from warpcage.batch.worker import CHECKPOINTS, Worker
-from warpcage.field.voxel_field import VoxelField
-from warpcage.fitting.checkpoint import save_progress
-from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.view.camera import Camera
+from warpcage import Camera, FieldOptimizer, VoxelField
+from warpcage.batch import CHECKPOINTS, Item, Worker
+from warpcage.fitting import save_progress
 
 CAMERA = Camera.look_at((2.5, -1.2, 1.0), (0, 0, 0), width=40, height=32)
 FRAME = {

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpcage.batch.items import EvaluateItem, FitItem, FrameItem, Item
-from warpcage.batch.job_file import JobFile, is_job_file, write_jobs
-from warpcage.edits.edits import CageEdit
+from warpcage import CageEdit
+from warpcage.batch import EvaluateItem, FitItem, FrameItem, Item, JobFile, is_job_file, write_jobs
 
 HEADER = {"format": "warpcage jobs", "version": 1}
 CAMERA = {"eye": [3, 0, 0], "target": [0, 0, 0], "width": 40, "height": 30}
@@ -371,7 +370,7 @@ def test_lines_take_few_bytes_each(tmp_path):
 
 
 def test_rows_of_a_long_array_are_read_alone(tmp_path):
-    from warpcage.core.files import NpyFile
+    from warpcage.core import NpyFile
 
     values = np.arange(24, dtype=np.float32).reshape(4, 3, 2)
     np.save(tmp_path / "a.npy", values)

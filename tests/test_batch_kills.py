@@ -18,8 +18,7 @@ import pytest
 from batch_runs import Deadly, Making, Moody, left_over, number_of, pictures, records, run_with, write_frames
 
 import warpcage
-from warpcage.batch.ray_engine import RayEngine, Share
-from warpcage.batch.runners import RunnerSettings
+from warpcage.batch import RayEngine, RunnerSettings, Share
 from warpcage.cli import main
 
 ray = pytest.importorskip("ray", reason="several workers need Ray")
@@ -183,7 +182,8 @@ def count_of(notes, out):
 def test_an_item_that_kills_its_worker_is_failed_and_the_rest_is_made(address, job, tmp_path):
     path, out = write_frames(tmp_path / "job", 40), tmp_path / "out"
     lines = []
-    from warpcage.batch.run import Options, _run
+    from warpcage.batch import Options
+    from warpcage.batch.run import _run
 
     report = _run(path, out, Options(2, None, "cpu", 2), lambda state: None, lines.append, Deadly)
     assert report.made == 39 and list(report.failed) == ["shot/f0005"]
@@ -335,8 +335,8 @@ def test_devices_that_several_workers_cannot_share_are_refused(address, job, tmp
 
 
 def test_workers_share_the_cores():
-    from warpcage.batch.ray_engine import shares
-    from warpcage.core.threads import cpu_threads
+    from warpcage.batch import shares
+    from warpcage.core import cpu_threads
 
     class Nodes:
         def __init__(self, *resources):

@@ -12,11 +12,8 @@ import pytest
 from batch_runs import Making, write_frames
 
 import warpcage
+from warpcage.batch import JobFile, LateItems, LotOrder, LotRunner, OutputFolder, Place
 from warpcage.batch.fingerprints import Begun
-from warpcage.batch.job_file import JobFile
-from warpcage.batch.loop import LateItems
-from warpcage.batch.lot_runner import LotOrder, LotRunner, Place
-from warpcage.batch.manifest import OutputFolder
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from warpcage.batch.manifest import Manifest, Notes, id_key, merge_notes, notes_of_lot
+from warpcage.batch import Manifest, Notes, id_key, merge_notes, notes_of_lot
 
 
 def record(name, state="done", **words):

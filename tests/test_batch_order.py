@@ -5,10 +5,9 @@ import pytest
 import warp as wp
 from order_oracle import shuffled
 
-from warpcage import fit
-from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage import FieldOptimizer, fit
 from warpcage.kernels.fitting.shuffle import shuffled_place
-from warpcage.reference.scenes import synthetic_scene
+from warpcage.reference import synthetic_scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

@@ -13,19 +13,30 @@ import numpy as np
 import pytest
 from batch_runs import Making, number_of, records, run_with, write_frames
 
-from warpcage.batch import fields, fingerprints, runners
-from warpcage.batch.fields import ExpectedField
-from warpcage.batch.fingerprints import Begun, Fingerprints
-from warpcage.batch.job_file import JobFile
+from warpcage import VoxelField
+from warpcage.batch import (
+    Dispatcher,
+    ExpectedField,
+    Fingerprints,
+    Finished,
+    JobFile,
+    Lot,
+    LotOrder,
+    LotReport,
+    LotRunner,
+    Lots,
+    OutputFolder,
+    Place,
+    RayEngine,
+    RunnerSettings,
+    Share,
+    fields,
+    fingerprints,
+    runners,
+)
+from warpcage.batch.fingerprints import Begun
 from warpcage.batch.loop import Begun as LotBegun
-from warpcage.batch.loop import Finished
-from warpcage.batch.lot_runner import LotOrder, LotRunner, Place
-from warpcage.batch.manifest import OutputFolder
-from warpcage.batch.ray_engine import RayEngine, Share
-from warpcage.batch.runners import RunnerSettings
-from warpcage.batch.scheduler import Dispatcher, Lot, LotReport, Lots
-from warpcage.core.files import file_stamp
-from warpcage.field.voxel_field import VoxelField
+from warpcage.core import file_stamp
 
 
 @pytest.fixture(scope="module")

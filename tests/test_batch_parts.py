@@ -5,8 +5,9 @@ import json
 import pytest
 from batch_runs import RECORDS, Making, left_over, pictures, records, write_frames, write_records
 
-from warpcage.batch.manifest import OutputFolder, Part
-from warpcage.batch.run import Options, _run, run_jobs
+from warpcage import run_jobs
+from warpcage.batch import Options, OutputFolder, Part
+from warpcage.batch.run import _run
 from warpcage.cli import main
 
 

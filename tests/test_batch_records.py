@@ -9,24 +9,23 @@ import numpy as np
 import pytest
 from cli_runs import write_files
 
-from warpcage.batch.items import Item, record_outputs
-from warpcage.batch.job_file import JobFile, write_jobs
-from warpcage.batch.records import finish_folder
-from warpcage.batch.webdataset import (
+from warpcage import Cage, CameraFile, RandomPoses, load_scene, turntable
+from warpcage.batch import (
+    Item,
+    JobFile,
+    Worker,
+    finish_folder,
     pack_shard,
     read_shard,
+    record_outputs,
     shard_holds,
     shard_path,
     shard_stage,
     split_key,
     staged_shards,
+    write_jobs,
 )
-from warpcage.batch.worker import Worker
-from warpcage.cage.cage import Cage
-from warpcage.cage.random_poses import RandomPoses
-from warpcage.scene.load import load_scene
-from warpcage.view.camera import CameraFile, turntable
-from warpcage.view.pictures import read_image
+from warpcage.view import read_image
 
 COMMON = {"field": "ball.npz", "cage": "cage.obj", "coordinates": "mean_value", "resolution": 24}
 CAMERAS = turntable((0, 0, 0), 3.0, 20.0, 3, width=32, height=24)

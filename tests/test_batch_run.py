@@ -25,8 +25,7 @@ from batch_runs import (
 )
 
 import warpcage
-from warpcage.batch.manifest import OutputFolder
-from warpcage.batch.webdataset import pack_shard, read_shard
+from warpcage.batch import OutputFolder, pack_shard, read_shard
 from warpcage.cli import main
 
 
@@ -235,10 +234,8 @@ def test_a_field_that_changes_while_it_runs_is_read_again(files, tmp_path):
     """Or an item would be noted with the new field's hash and show the old one."""
     folder, out = tmp_path / "job", tmp_path / "out"
     path = write_frames(folder, 4)
-    from warpcage.batch.fingerprints import Fingerprints
-    from warpcage.batch.job_file import JobFile
-    from warpcage.batch.worker import Worker
-    from warpcage.field.voxel_field import VoxelField
+    from warpcage import VoxelField
+    from warpcage.batch import Fingerprints, JobFile, Worker
 
     with JobFile(path) as job, Worker(folder, out, "cpu") as worker:
         prints, item = Fingerprints(folder), job.item(1)

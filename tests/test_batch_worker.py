@@ -14,25 +14,21 @@ import pytest
 from cli_runs import run, write_files
 from splat_scenes import splats_in_box
 
-from warpcage.batch import fingerprints, frames
-from warpcage.batch.fingerprints import Fingerprints
-from warpcage.batch.forecast import Missing
-from warpcage.batch.frames import MOST_DEFORMERS
-from warpcage.batch.items import Item
-from warpcage.batch.job_file import JobFile
-from warpcage.batch.manifest import write_array
-from warpcage.batch.worker import PARTS, Worker
-from warpcage.cage.cage import Cage
-from warpcage.cage.pose_file import PoseFile
-from warpcage.core.overlap import SPARE
-from warpcage.deform.deformer import Deformer
-from warpcage.edits.edits import CageEdit
-from warpcage.field.voxel_field import VoxelField
-from warpcage.scene.load import load_scene
-from warpcage.splats.splat_field import SplatField
-from warpcage.view.camera import Camera, CameraFile
-from warpcage.view.frame import Frame
-from warpcage.view.pictures import read_image
+from warpcage import Cage, CageEdit, Camera, CameraFile, Deformer, Frame, PoseFile, SplatField, VoxelField, load_scene
+from warpcage.batch import (
+    MOST_DEFORMERS,
+    PARTS,
+    Fingerprints,
+    Item,
+    JobFile,
+    Missing,
+    Worker,
+    fingerprints,
+    frames,
+    write_array,
+)
+from warpcage.core import SPARE
+from warpcage.view import read_image
 
 CAMERAS = [Camera.look_at((2.5, 1.2 * side, 1.0), (0, 0, 0), width=40, height=32) for side in (-1, 1)]
 SKEW = {"fx": 40, "fy": 40, "cx": 20, "cy": 16, "width": 40, "height": 32, "camera_to_world": [[2, 0, 0, 0]] * 4}

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from warpcage import VoxelField
-from warpcage.core.files import read_npz
+from warpcage.core import read_npz
 
 # Archives and field files
 

@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from warpcage.cage.cage import Cage
-from warpcage.mesh import queries
-from warpcage.mesh.match import require_same_faces
-from warpcage.mesh.queries import intersecting_faces
+from warpcage import Cage
+from warpcage.mesh import intersecting_faces, queries, require_same_faces
 
 
 def tetrahedron():

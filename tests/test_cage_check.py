@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from test_cage_match import shuffled
 
-from warpcage.cage.cage import Cage
+from warpcage import Cage
 from warpcage.cli import main
 
 
@@ -70,7 +70,7 @@ def test_cost_counts_the_lattice():
     report = Cage.box([0, 0, 0], [1, 1, 1]).check()
     assert report.cost["nodes"] == 134**3 and report.cost["inside_nodes"] == 128**3
     assert report.cost["face_terms"] == 12 * 128**3 and report.cost["weight_bytes"] == 8 * 4 * 128**3
-    from warpcage.lattice.lattice import CageLattice
+    from warpcage.lattice import CageLattice
 
     assert rod().check().cost["nodes"] == pytest.approx(CageLattice(rod(), 128).node_count, rel=0.1)
 

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 from deformed_scenes import BOX, ellipsoid, make_field, plain, psnr, shiny_field, view
 
-from warpcage.cage.cage import Cage
-from warpcage.deform.deformer import Deformer
-from warpcage.edits.edits import CageEdit
-from warpcage.view.camera import Camera
+from warpcage import Cage, CageEdit, Camera, Deformer
 
 LEFT = Cage.box([-0.9, -0.3, -0.3], [-0.3, 0.3, 0.3])
 RIGHT = Cage.box([0.3, -0.3, -0.3], [0.9, 0.3, 0.3])

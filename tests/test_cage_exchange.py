@@ -9,8 +9,8 @@ import struct
 import numpy as np
 import pytest
 
-from warpcage.cage.cage import Cage
-from warpcage.mesh.polygons import cut_polygon
+from warpcage import Cage
+from warpcage.mesh import cut_polygon
 
 FIXTURES = pathlib.Path(__file__).parent / "fixtures" / "blender"
 POSED = sorted(

@@ -3,9 +3,9 @@ import pytest
 import trimesh
 from test_surface import GridField, ball, nodes
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.generate.shell import distance_to
-from warpcage.field.selection import visible_nodes
+from warpcage import Cage
+from warpcage.cage import distance_to
+from warpcage.field import visible_nodes
 
 
 def winding(points, vertices, faces):

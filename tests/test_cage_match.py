@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from warpcage.cage.cage import Cage
-from warpcage.mesh.match import require_same_faces
+from warpcage import Cage
+from warpcage.mesh import require_same_faces
 
 
 def cages():

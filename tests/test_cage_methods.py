@@ -7,11 +7,12 @@ import pytest
 import trimesh
 from test_cage_generation import shapes, winding
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.generate.voxel import _manifold, outer_surface, principal_frame
-from warpcage.field.selection import visible_nodes
-from warpcage.mesh.mesh import MeshTopology
-from warpcage.reference.cage_scenes import CAGE_SCENES, scene_field
+from warpcage import Cage
+from warpcage.cage import outer_surface, principal_frame
+from warpcage.cage.generate.voxel import _manifold
+from warpcage.field import visible_nodes
+from warpcage.mesh import MeshTopology
+from warpcage.reference import CAGE_SCENES, scene_field
 
 SCENES = list(CAGE_SCENES)
 GENUS = {"ring": 1}

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from gltf_writer import GltfWriter
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.motion import are_numbered, gltf_poses, gltf_shown, numbered_files, sequence_poses
-from warpcage.mesh.io.gltf_animation import read_gltf_motion
+from warpcage import Cage
+from warpcage.cage import are_numbered, gltf_poses, gltf_shown, numbered_files, sequence_poses
+from warpcage.mesh import read_gltf_motion
 
 FIXTURES = pathlib.Path(__file__).parent / "fixtures" / "blender_motion"
 BOX = Cage.box([-1, -1, -1], [1, 1, 1])

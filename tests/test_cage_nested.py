@@ -5,10 +5,10 @@ import pytest
 import trimesh
 from test_cage_generation import winding
 
-from warpcage.cage.cage import Cage
+from warpcage import Cage
+from warpcage.cage import nested
 from warpcage.cage.generate import decimate as nested_module
-from warpcage.cage.generate.decimate import nested
-from warpcage.mesh.queries import intersecting_faces
+from warpcage.mesh import intersecting_faces
 
 
 def surfaces():

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from test_cage_match import shuffled
 
-from warpcage.cage import poses
-from warpcage.cage.cage import Cage
-from warpcage.cage.pose_file import PoseFile, cage_hash
-from warpcage.reference.cage_scenes import scene_field
+from warpcage import Cage, PoseFile
+from warpcage.cage import cage_hash, poses
+from warpcage.reference import scene_field
 
 
 def test_subdivision_keeps_the_surface_and_the_first_vertices():

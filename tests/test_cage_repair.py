@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from warpcage.cage.cage import Cage
+from warpcage import Cage
 
 
 def soup(cage):

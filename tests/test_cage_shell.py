@@ -8,9 +8,8 @@ import scipy.ndimage
 import scipy.spatial
 import trimesh
 
-from warpcage.cage.generate.fit import face_samples, points_on, sample_weights
-from warpcage.cage.generate.shell import NearestInTree, NearestInVoxels, ObjectShell
-from warpcage.core.threads import limit_threads
+from warpcage.cage import NearestInTree, NearestInVoxels, ObjectShell, face_samples, points_on, sample_weights
+from warpcage.core import limit_threads
 
 
 def same(found, expected):

@@ -6,9 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from warpcage.view.camera import Camera, CameraFile, CameraKey, turntable
-from warpcage.view.camera_path import camera_at, path_cameras, timed_keys
-from warpcage.view.motion import axis_rotation
+from warpcage import Camera, CameraFile, CameraKey, camera_at, turntable
+from warpcage.view import axis_rotation, path_cameras, timed_keys
 
 LENS = {"fov_degrees": 50, "width": 60, "height": 40}
 

@@ -8,7 +8,7 @@ import pytest
 from capture_scenes import camera_errors, found_poses, relative_errors, save_pictures, similarity, table_pictures
 
 import warpcage
-from warpcage.reference.phone_video import PhonePath, write_phone_video
+from warpcage.reference import PhonePath, write_phone_video
 
 pytest.importorskip("pycolmap", minversion="4.2")
 
@@ -58,7 +58,7 @@ def test_a_captured_scene_stands_upright_around_its_object(walk):
 
 def test_points_of_a_capture_project_to_where_they_were_seen(walk):
     """Colours of points are those of the pixels that they fall on: cameras, points and pictures belong together."""
-    from warpcage.mesh.io.ply import read_ply
+    from warpcage.mesh import read_ply
 
     scene = warpcage.load_scene(walk[0], split="all")
     points, _ = read_ply(walk[0] / "points.ply")
@@ -158,7 +158,7 @@ def test_pictures_of_several_sizes_become_one(tmp_path, shots):
 def test_a_turned_video_is_upright(tmp_path):
     from test_capture_video import turn_video
 
-    from warpcage.captures.video import scan_video
+    from warpcage.captures import scan_video
 
     video = tmp_path / "walk.mp4"
     write_phone_video(video, frames=3, size=(64, 48), strips=2, exposures=1, route=PhonePath(degrees=9), device="cpu")

@@ -136,7 +136,7 @@ def test_an_interrupted_capture_continues(tmp_path, glances, monkeypatch):
     folder, output = save_pictures(tmp_path / "in", glances[0]), tmp_path / "out"
     output.mkdir()
     called = []
-    from warpcage.captures.colmap import Solver
+    from warpcage.captures import Solver
 
     find, mapped = Solver.find_features, Solver.map
     monkeypatch.setattr(Solver, "map", lambda self, folder: (_ for _ in ()).throw(KeyboardInterrupt))
@@ -179,7 +179,7 @@ def test_an_interrupt_waits_for_what_cannot_be_cancelled():
     import threading
     import time
 
-    from warpcage.captures.colmap import Solver
+    from warpcage.captures import Solver
 
     ended = []
 

@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from warpcage.captures.video import FrameScores, motion, pick_frames, scan_video, sharpness, write_frames
+from warpcage.captures import FrameScores, motion, pick_frames, scan_video, sharpness, write_frames
 
 
 def turn_video(path, degrees):

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from warpcage.reference.models import chair_model, subdivided_model
-from warpcage.reference.raycast import CarriedMesh, render_mesh_views
-from warpcage.view.camera import Camera
+from warpcage import Camera
+from warpcage.reference import CarriedMesh, chair_model, render_mesh_views, subdivided_model
 
 EYE = np.array([1.8, -1.6, 1.1])
 

@@ -22,10 +22,8 @@ from deformed_scenes import (
     view,
 )
 
-from warpcage.cage.cage import Cage
-from warpcage.core.devices import launch, recorded_launches
-from warpcage.deform.deformer import Deformer
-from warpcage.edits.edits import CageEdit
+from warpcage import Cage, CageEdit, Deformer
+from warpcage.core import launch, recorded_launches
 from warpcage.field import tables
 from warpcage.kernels.render.volume import SHADE_LAYERS, LaidShades, write_laid_shade
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from warpcage.core.checks import (
+from warpcage.core import (
     axis_index,
     checked_bounds,
     checked_margin,

@@ -10,11 +10,11 @@ import pytest
 import warp as wp
 from cli_runs import DEFORMED, run, succeed, write_files
 
+from warpcage import VoxelField
 from warpcage.cli import main
 from warpcage.cli.program import COMMANDS
-from warpcage.core.checks import warn_caller
-from warpcage.field.voxel_field import VoxelField
-from warpcage.view.pictures import read_image
+from warpcage.core import warn_caller
+from warpcage.view import read_image
 
 NAMES = [module.NAME for module in COMMANDS]
 
@@ -182,7 +182,7 @@ def test_fit_and_evaluate(files, capsys, tmp_path, device):
 def test_evaluate_says_where_it_errs(files, capsys, tmp_path):
     """A field rendered to a scene and one pixel painted over: that view is the worst, red where it was painted, and the
     untouched ones are right."""
-    from warpcage.scene.load import load_scene
+    from warpcage import load_scene
 
     scene = load_scene(files / "scene", split="test")
     field = VoxelField.load(files / "ball.npz")

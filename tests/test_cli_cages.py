@@ -8,9 +8,8 @@ import pytest
 import trimesh
 from cli_runs import succeed, write_files
 
-from warpcage.cage.cage import Cage
+from warpcage import Cage, VoxelField
 from warpcage.cli import main
-from warpcage.field.voxel_field import VoxelField
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,11 @@ import pytest
 
 pytest.importorskip("aiohttp")
 
-from cli_runs import run  # noqa: E402
-from editor_pages import BOX, WAIT, pages, tiny_field  # noqa: E402
+from cli_runs import run
+from editor_pages import BOX, WAIT, pages, tiny_field
 
-from warpcage.cage.cage import Cage  # noqa: E402
-from warpcage.editor.edit import Editor  # noqa: E402
-from warpcage.editor.session import read_session  # noqa: E402
+from warpcage import Cage
+from warpcage.editor import Editor, read_session
 
 
 @pytest.fixture

@@ -8,16 +8,10 @@ import numpy as np
 import pytest
 from cli_runs import SMALL, run, succeed, write_files
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.pose_file import PoseFile
+from warpcage import Cage, CageEdit, Camera, Deformer, PoseFile, VoxelField
 from warpcage.cli.edit_words import EditWords, parse_edit, read_edits_file, write_edits_file
-from warpcage.deform.deformer import Deformer
-from warpcage.editor.document import Document, Selection, Settings, Timeline, View, new_edit
-from warpcage.editor.session import write_session
-from warpcage.edits.edits import CageEdit
-from warpcage.field.voxel_field import VoxelField
-from warpcage.view.camera import Camera
-from warpcage.view.pictures import read_image
+from warpcage.editor import Document, Selection, Settings, Timeline, View, new_edit, write_session
+from warpcage.view import read_image
 
 VIEW = (*SMALL, "--eye", 0, -4, 0.5, "--target", 0, 0, 0, "--background", "white")
 TOP = Cage.box((-0.7, -0.7, 0.0), (0.7, 0.7, 0.7))

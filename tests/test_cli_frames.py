@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.pose_file import PoseFile
-from warpcage.field.sparse import harmonics_on_host
-from warpcage.field.voxel_field import VoxelField
-from warpcage.view.pictures import read_image, write_png
+from warpcage import Cage, PoseFile, VoxelField
+from warpcage.field import harmonics_on_host
+from warpcage.view import read_image, write_png
 
 #: Around the half of the ball that the camera looks at: where it moves away, the other half is seen from within.
 FRONT = "@front.obj"
@@ -352,9 +350,9 @@ def test_several_poses_make_a_picture_each(files, tmp_path, capsys):
 
 @pytest.mark.parametrize(("size", "more", "cells"), [(8, [], 64), (403, [], 96), (900, [], 128), (8, ["40"], 40)])
 def test_the_lattice_follows_the_size_of_the_picture(size, more, cells):
+    from warpcage import Camera
     from warpcage.cli.program import build_parser
     from warpcage.cli.shared import lattice_cells, set_lattice
-    from warpcage.view.camera import Camera
 
     given = ["--resolution", *more] if more else []
     args = build_parser().parse_args(["render", "f.npz", "-o", "x.png", *given])

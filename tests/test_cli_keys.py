@@ -10,11 +10,8 @@ import pytest
 from cli_runs import run, succeed, write_files
 from gltf_writer import GltfWriter
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.pose_file import PoseFile
-from warpcage.scene.load import load_scene
-from warpcage.view.camera import CameraKey
-from warpcage.view.pictures import read_image
+from warpcage import Cage, CameraKey, PoseFile, load_scene
+from warpcage.view import read_image
 
 LOOK = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, "--size", 24, "--coordinates", "mean_value", "--resolution", 16]
 FILM = ["--cage", "@cage.obj", *LOOK, "--turn", 0, "--quiet"]

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 from scene_writers import brick_pictures, write_colmap, write_dtu, write_nsvf, write_transforms
 
-from warpcage import load_scene
-from warpcage.cage.cage import Cage
-from warpcage.cage.pose_file import PoseFile
+from warpcage import Cage, PoseFile, VoxelField, load_scene
 from warpcage.cli import main
-from warpcage.field.voxel_field import VoxelField
-from warpcage.view.pictures import read_image
+from warpcage.view import read_image
 
 
 @pytest.fixture(scope="module")

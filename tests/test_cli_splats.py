@@ -5,8 +5,7 @@ import pytest
 from splat_scenes import splats_in_box
 
 import warpcage
-from warpcage.batch.job_file import JobFile
-from warpcage.batch.worker import Worker
+from warpcage.batch import JobFile, Worker
 from warpcage.cli import main
 
 
@@ -94,7 +93,7 @@ def test_a_shorter_sequence_says_what_is_left_of_a_longer_one(folder, capsys):
 
 def test_small_splats_can_be_drawn_as_they_were_fitted(folder, capsys):
     """In pictures, flights, films and of each pose: as the library draws them."""
-    from warpcage.view.pictures import read_image
+    from warpcage.view import read_image
 
     size = ["--size", "64", "48"]
     moved = ["--cage", "cage.obj", "--posed", "twist:30", "--coordinates", "mean_value"]

@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.pose_file import PoseFile
-from warpcage.view.camera import Camera, CameraFile, CameraKey, turntable
-from warpcage.view.camera_path import camera_at
-from warpcage.view.pictures import read_image
+from warpcage import Cage, Camera, CameraFile, CameraKey, PoseFile, camera_at, turntable
+from warpcage.view import read_image
 
 LENS = {"fov_degrees": 50, "width": 40, "height": 40}
 

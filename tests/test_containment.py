@@ -6,8 +6,8 @@ import pytest
 import trimesh
 import warp as wp
 
-from warpcage.cage.cage import Cage
-from warpcage.core.devices import launch
+from warpcage import Cage
+from warpcage.core import launch
 from warpcage.kernels.mesh.containment import measure_distance, measure_winding_number
 
 

@@ -9,20 +9,11 @@ import pytest
 import trimesh
 import warp as wp
 
-from warpcage.cage.cage import Cage
-from warpcage.coordinates.coordinates import (
-    deform_points,
-    green_coordinates,
-    harmonic_coordinates,
-    mean_value_coordinates,
-)
-from warpcage.core import memory
-from warpcage.core.devices import launch
+from warpcage import Cage, PositionMap, deform_points, green_coordinates, harmonic_coordinates, mean_value_coordinates
+from warpcage.core import launch, memory
 from warpcage.kernels.lattice.cage_map import sample_map
-from warpcage.lattice.graph import PoseGraph
-from warpcage.lattice.launches import PoseLaunches
-from warpcage.lattice.position_map import PositionMap
-from warpcage.reference.bricks import brick_model
+from warpcage.lattice import PoseGraph, PoseLaunches
+from warpcage.reference import brick_model
 
 NAMES = ("icosphere", "box", "concave", "bricks")
 COUNT = 10_000

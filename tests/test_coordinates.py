@@ -7,9 +7,9 @@ import trimesh
 import warp as wp
 
 import warpcage as coordinates
-from warpcage.cage.cage import Cage
-from warpcage.coordinates.coordinates import stretched_normals
-from warpcage.core.names import COORDINATES
+from warpcage import Cage
+from warpcage.coordinates import stretched_normals
+from warpcage.core import COORDINATES
 
 CLOSED_FORMS = ["mean_value", "green"]
 

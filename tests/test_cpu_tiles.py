@@ -7,14 +7,10 @@ import pytest
 import warp as wp
 from deformed_scenes import BOX, make_field, plain, psnr, shiny_field, view
 
-from warpcage.cage.cage import Cage
-from warpcage.core.devices import launch
-from warpcage.deform.deformer import Deformer
-from warpcage.edits.edits import CageEdit
-from warpcage.field import tables
-from warpcage.field.sparse import DensityWatch, spread_along
+from warpcage import Cage, CageEdit, Camera, Deformer
+from warpcage.core import launch
+from warpcage.field import DensityWatch, spread_along, tables
 from warpcage.kernels.field.occupancy import spread_distance
-from warpcage.view.camera import Camera
 
 CPU = wp.get_device("cpu")
 PARTS = ("rgb", "alpha", "reveal", "fold", "outside")

@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 from deformed_scenes import KINDS, make_field, nodes, plain, psnr, rotation
 
-from warpcage.cage.cage import Cage
-from warpcage.deform.bake import bake
-from warpcage.deform.deformer import Deformer
-from warpcage.edits.edits import CageEdit
-from warpcage.edits.fragments import crumbs
-from warpcage.field.voxel_field import VoxelField
-from warpcage.view.camera import Camera
+from warpcage import Cage, CageEdit, Camera, Deformer, VoxelField, bake
+from warpcage.edits import crumbs
 
 PART = Cage.box([0.0, -0.4, -0.4], [0.8, 0.4, 0.4])
 CAMERA = Camera.look_at([1.0, -4.0, 1.5], (0, 0, 0), width=48, height=48, fov_degrees=35)

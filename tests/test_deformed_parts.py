@@ -25,16 +25,14 @@ from deformed_scenes import (
     view,
 )
 
-from warpcage.cage.cage import Cage
-from warpcage.core.devices import recorded_launches
-from warpcage.deform.deformer import Deformer
-from warpcage.edits.apart import EditBoxes, box_gaps, edit_boxes, front_to_back
-from warpcage.edits.edits import CageEdit
+from warpcage import Cage, CageEdit, Camera, Deformer
+from warpcage.core import recorded_launches
+from warpcage.edits import EditBoxes, box_gaps, edit_boxes, front_to_back
 from warpcage.field import tables
 from warpcage.kernels.render.rays import MarchOptions
 from warpcage.kernels.render.views import part_kernel
-from warpcage.render.view import MarchedView
-from warpcage.view.camera import Camera, camera_struct
+from warpcage.render import MarchedView
+from warpcage.view import camera_struct
 
 LEFT, MIDDLE, RIGHT = (box_around(x, 0, 0, half=0.3) for x in (-0.7, 0.0, 0.7))
 HIGH, SLOTTED = box_around(0, 0, 0.85, half=0.14), slotted(0.4).scale(0.5, centre=(0, 0, 0)).translate((0, 0, -0.2))

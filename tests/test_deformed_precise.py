@@ -6,13 +6,12 @@ import pytest
 from deformed_scenes import make_field, plain, shiny_field, view
 
 from warpcage import Cage, Deformer, PositionMap
-from warpcage.core.devices import module_block_dim
-from warpcage.core.modules import load_modules
+from warpcage.core import load_modules, module_block_dim
 from warpcage.kernels.edits import cell_tables as edit_cells
 from warpcage.kernels.field import march as volume_march
 from warpcage.kernels.field.march import image_kernel, record_weights
 from warpcage.kernels.render.views import view_kernel
-from warpcage.reference.inverse_map import InverseMap
+from warpcage.reference import InverseMap
 
 
 @pytest.mark.parametrize("kind", ["mean_value", "green"])

@@ -22,13 +22,10 @@ from deformed_scenes import (
     view,
 )
 
-from warpcage.cage.cage import Cage
-from warpcage.core.devices import recorded_launches
-from warpcage.deform.deformer import Deformer
-from warpcage.edits.edits import CageEdit
+from warpcage import Cage, CageEdit, Camera, Deformer
+from warpcage.core import recorded_launches
 from warpcage.field import tables
 from warpcage.kernels.edits.structs import CELL_ALONE
-from warpcage.view.camera import Camera
 
 
 def both(deformer, camera, **options):

@@ -22,10 +22,8 @@ from deformed_scenes import (
     view,
 )
 
-from warpcage.cage.cage import Cage
-from warpcage.coordinates.coordinates import stretched_normals
-from warpcage.deform.deformer import Deformer
-from warpcage.view.camera import Camera
+from warpcage import Cage, Camera, Deformer
+from warpcage.coordinates import stretched_normals
 
 # -- Poses whose picture is known
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from warpcage.cage import poses
-from warpcage.cage.cage import Cage
-from warpcage.cage.poses import direction
-from warpcage.view.motion import axis_rotation
+from warpcage import Cage
+from warpcage.cage import direction, poses
+from warpcage.view import axis_rotation
 
 TURN = axis_rotation(np.array([0.6, 0.0, 0.8]), 0.7) @ axis_rotation(np.array([0.0, 1.0, 0.0]), -1.1)
 BOX = Cage.box((-0.5, -1.0, -2.0), (0.5, 1.0, 2.0), segments=2).translate((0.3, -0.2, 0.7))

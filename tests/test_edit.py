@@ -12,17 +12,11 @@ import pytest
 
 aiohttp = pytest.importorskip("aiohttp")
 
-from editor_pages import BOX, new_session, pages, served, tiny_field  # noqa: E402
+from editor_pages import BOX, new_session, pages, served, tiny_field
 
-from warpcage.cage.cage import Cage  # noqa: E402
-from warpcage.editor import edit as edit_module  # noqa: E402
-from warpcage.editor.document import Document  # noqa: E402
-from warpcage.editor.edit import edit  # noqa: E402
-from warpcage.editor.session import (  # noqa: E402
-    Session,
-    new_document,
-    read_session,  # noqa: E402
-)
+from warpcage import Cage, edit
+from warpcage.editor import Document, Session, new_document, read_session
+from warpcage.editor import edit as edit_module
 
 REST = BOX.vertices
 

@@ -10,22 +10,28 @@ from editor_pages import BOX, new_session
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpcage.cage.cage import Cage
-from warpcage.core.names import error_line
-from warpcage.editor.commands import COMMANDS, moved_keys, moved_rest, preset_pose, replace_cage, run_command
-from warpcage.editor.document import (
+from warpcage import Cage
+from warpcage.core import error_line
+from warpcage.editor import (
+    COMMANDS,
+    DEPTH,
     MAX_ID,
     MAX_PLACE,
     Document,
+    History,
     Key,
     Timeline,
     View,
     checked_view,
     frozen_vertices,
+    moved_keys,
+    moved_rest,
     new_edit,
     parsed_json,
+    preset_pose,
+    replace_cage,
+    run_command,
 )
-from warpcage.editor.session import DEPTH, History
 
 REST = BOX.vertices
 AFFINE, OFFSET = np.array([[1.2, 0.3, 0.0], [-0.1, 0.9, 0.2], [0.0, 0.1, 1.1]]), np.array([0.1, -0.2, 0.3])

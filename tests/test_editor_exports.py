@@ -10,16 +10,21 @@ import pytest
 from cli_runs import write_files
 from deformed_scenes import BOX, shiny_field
 
-from warpcage.batch.job_file import JobFile
-from warpcage.batch.worker import Worker
-from warpcage.cage.cage import Cage
-from warpcage.cage.pose_file import PoseFile
+from warpcage import Cage, CageEdit, Camera, Deformer, PoseFile, VoxelField
+from warpcage.batch import JobFile, Worker
 from warpcage.cli import main
-from warpcage.deform.deformer import Deformer
-from warpcage.editor import renderer as scene_module
-from warpcage.editor.document import Document, Key, Selection, Settings, Timeline, View, frozen_vertices, new_edit
-from warpcage.editor.exports import (
+from warpcage.editor import (
+    Cancelled,
+    Document,
     Film,
+    Jobs,
+    Key,
+    Outcome,
+    PosedScene,
+    Selection,
+    Settings,
+    Timeline,
+    View,
     atomic_folder,
     export_baked,
     export_cage,
@@ -27,14 +32,14 @@ from warpcage.editor.exports import (
     export_film,
     export_poses,
     film_pictures,
+    frame_times,
+    frozen_vertices,
+    new_edit,
+    state_at,
+    view_camera,
+    write_session,
 )
-from warpcage.editor.renderer import PosedScene, view_camera
-from warpcage.editor.session import write_session
-from warpcage.editor.tasks import Cancelled, Jobs, Outcome
-from warpcage.editor.timeline import frame_times, state_at
-from warpcage.edits.edits import CageEdit
-from warpcage.field.voxel_field import VoxelField
-from warpcage.view.camera import Camera
+from warpcage.editor import renderer as scene_module
 
 VIEW = View((2.5, 1.2, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)
 BENT, TWISTED = BOX.bend(40, axis="x", towards="z"), BOX.twist(50, axis="x")

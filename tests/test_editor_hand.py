@@ -11,7 +11,7 @@ import pytest
 from page_probe import VIEW, Modules, drag, hull, pointer, press, projected
 from scipy.spatial.transform import Rotation
 
-from warpcage.cage.poses import move
+from warpcage.cage import move
 
 # the wire ----------------------------------------------------------------------------------------------------------
 

@@ -4,12 +4,21 @@ import numpy as np
 import pytest
 from deformed_scenes import BOX, ellipsoid, make_field, plain
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.check import check_pose
-from warpcage.editor import inspection
-from warpcage.editor.document import Document, Selection, Settings, Timeline, View, new_edit
-from warpcage.editor.inspection import Inspector, inspect, inspector
-from warpcage.field.selection import visible_nodes
+from warpcage import Cage
+from warpcage.cage import check_pose
+from warpcage.editor import (
+    Document,
+    Inspector,
+    Selection,
+    Settings,
+    Timeline,
+    View,
+    inspect,
+    inspection,
+    inspector,
+    new_edit,
+)
+from warpcage.field import visible_nodes
 
 VIEW = View((3.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)
 ALL_IS_WELL = ["All is well: the cage holds all that is visible, and nothing is turned inside out."]

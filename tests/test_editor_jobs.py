@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
-from warpcage.core.files import atomic_path
-from warpcage.editor.tasks import MAX_JOBS, MAX_UNFINISHED, Jobs, Outcome
+from warpcage.core import atomic_path
+from warpcage.editor import MAX_JOBS, MAX_UNFINISHED, Jobs, Outcome
 
 WAIT = 20.0
 

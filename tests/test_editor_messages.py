@@ -10,15 +10,13 @@ import pytest
 aiohttp = pytest.importorskip("aiohttp")
 pytest.importorskip("hypothesis")
 
-from editor_pages import BOX, packed, with_pages  # noqa: E402
-from editor_pages import nothing_logged as _nothing_logged  # noqa: E402, F401 (a fixture for all tests)
-from hypothesis import HealthCheck, given, settings  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
+from editor_pages import BOX, packed, with_pages
+from editor_pages import nothing_logged as _nothing_logged  # noqa: F401 (a fixture for all tests)
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from warpcage.cage.cage import Cage  # noqa: E402
-from warpcage.editor import clients, server  # noqa: E402
-from warpcage.editor.commands import COMMANDS  # noqa: E402
-from warpcage.editor.document import Document  # noqa: E402
+from warpcage import Cage
+from warpcage.editor import COMMANDS, Document, clients, server
 
 REST = BOX.vertices
 

@@ -16,7 +16,7 @@ from page_probe import projected
 
 import warpcage
 from warpcage.cli import main
-from warpcage.editor.document import View, checked_view
+from warpcage.editor import View, checked_view
 
 __all__ = ["editor", "window"]  # fixtures
 

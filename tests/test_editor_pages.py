@@ -11,19 +11,22 @@ import pytest
 aiohttp = pytest.importorskip("aiohttp")
 pytest.importorskip("hypothesis")
 
-from editor_pages import BOX, WAIT, Page, new_session, pages, with_pages  # noqa: E402
-from editor_pages import nothing_logged as _nothing_logged  # noqa: E402, F401 (a fixture for all tests)
-from table_scene import LAMP, TableScene  # noqa: E402
+from editor_pages import BOX, WAIT, Page, new_session, pages, with_pages
+from editor_pages import nothing_logged as _nothing_logged  # noqa: F401 (a fixture for all tests)
+from table_scene import LAMP, TableScene
 
-from warpcage.cage.cage import Cage  # noqa: E402
-from warpcage.cage.up_axis import Standing  # noqa: E402
-from warpcage.editor import clients, inspection, server, tasks  # noqa: E402
-from warpcage.editor.document import Document  # noqa: E402
-from warpcage.editor.renderer import view_camera  # noqa: E402
-from warpcage.editor.session import (  # noqa: E402
+from warpcage import Cage
+from warpcage.cage import Standing
+from warpcage.editor import (
+    Document,
     Session,
+    clients,
+    inspection,
     new_document,
-    read_session,  # noqa: E402
+    read_session,
+    server,
+    tasks,
+    view_camera,
 )
 
 REST = BOX.vertices

@@ -13,25 +13,25 @@ from test_crumbs import INSIDE, NUB, PART, boxes
 from test_fill import BOX, ball
 
 import warpcage
-from warpcage.editor import renderer as renderer_module
-from warpcage.editor.document import View
-from warpcage.editor.renderer import (
+from warpcage import Frame
+from warpcage.editor import (
     COARSE_CELLS,
     FRAME,
     LEAST_SIDE,
     Pace,
     Renderer,
     Request,
+    View,
     band_camera,
     camera,
     depth_size,
     frame_pixels,
     joined_pixels,
+    new_document,
     packed_frame,
     same_pose,
 )
-from warpcage.editor.session import new_document
-from warpcage.view.frame import Frame
+from warpcage.editor import renderer as renderer_module
 
 simplejpeg = pytest.importorskip("simplejpeg")
 

@@ -8,10 +8,10 @@ import pytest
 aiohttp = pytest.importorskip("aiohttp")
 pytest.importorskip("hypothesis")
 
-from editor_pages import BOX, WAIT, new_session, run, status, with_pages  # noqa: E402
-from editor_pages import nothing_logged as _nothing_logged  # noqa: E402, F401 (a fixture for all tests)
+from editor_pages import BOX, WAIT, new_session, run, status, with_pages
+from editor_pages import nothing_logged as _nothing_logged  # noqa: F401 (a fixture for all tests)
 
-from warpcage.editor import server  # noqa: E402
+from warpcage.editor import server
 
 REST = BOX.vertices
 

@@ -16,12 +16,11 @@ import pytest
 
 aiohttp = pytest.importorskip("aiohttp")
 
-from editor_pages import BOX, WAIT, new_session, pages, tiny_field, with_pages  # noqa: E402
+from editor_pages import BOX, WAIT, new_session, pages, tiny_field, with_pages
 
-from warpcage.editor import session as session_module  # noqa: E402
-from warpcage.editor.edit import edit  # noqa: E402
-from warpcage.editor.session import file_stamp, free_session_path, read_session, session_path, write_session  # noqa: E402
-from warpcage.field.voxel_field import VoxelField  # noqa: E402
+from warpcage import VoxelField, edit
+from warpcage.editor import file_stamp, free_session_path, read_session, session_path, write_session
+from warpcage.editor import session as session_module
 
 REST = BOX.vertices
 ME, YOU = object(), object()

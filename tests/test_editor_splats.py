@@ -8,15 +8,12 @@ import pytest
 pytest.importorskip("aiohttp")
 pytest.importorskip("simplejpeg")
 
-from editor_pages import BOX, nothing_logged, with_pages  # noqa: E402, F401
+from editor_pages import BOX, nothing_logged, with_pages  # noqa: F401
 
-import warpcage  # noqa: E402
-from warpcage import Deformer, SplatField  # noqa: E402
-from warpcage.editor.exports import export_baked  # noqa: E402
-from warpcage.editor.inspection import inspect  # noqa: E402
-from warpcage.editor.renderer import PosedScene, view_camera  # noqa: E402
-from warpcage.editor.session import Session, new_document  # noqa: E402
-from warpcage.splats.splat_field import field_size, load_field  # noqa: E402
+import warpcage
+from warpcage import Deformer, SplatField
+from warpcage.editor import PosedScene, Session, export_baked, inspect, new_document, view_camera  # noqa: E402
+from warpcage.splats import field_size, load_field
 
 
 @pytest.fixture(scope="module")

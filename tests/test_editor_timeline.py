@@ -7,21 +7,26 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.pose_file import PoseFile
-from warpcage.editor.document import Document, Key, Selection, Settings, Timeline, View, frozen_vertices, new_edit
-from warpcage.editor.renderer import view_camera
-from warpcage.editor.timeline import (
+from warpcage import Cage, Camera, CameraKey, PoseFile
+from warpcage.editor import (
+    Document,
+    Key,
+    Selection,
+    Settings,
+    Timeline,
+    View,
     document_at,
     frame_rate,
     frame_times,
+    frozen_vertices,
     load_poses,
     looped_time,
+    new_edit,
     pose_file,
     state_at,
+    view_camera,
     with_pose_file,
 )
-from warpcage.view.camera import Camera, CameraKey
 
 CAGE = Cage.box([-1, -1, -1], [1, 1, 1])
 VIEW = View((3.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from warpcage.cage.poses import move
+from warpcage.cage import move
 
 
 @pytest.fixture(scope="module")

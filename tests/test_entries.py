@@ -3,7 +3,7 @@
 import numpy as np
 import warp as wp
 
-from warpcage.core.arrays import array_view
+from warpcage.core import array_view
 from warpcage.kernels.core.loads import near_exp, near_reciprocal, near_root, reciprocal_root, row_has_zero
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})

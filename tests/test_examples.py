@@ -12,11 +12,9 @@ import pytest
 from background_scenes import write_room
 from scene_writers import Pictures, write_transforms
 
-from warpcage.cage.cage import Cage
-from warpcage.reference.raycast import render_mesh_views
-from warpcage.reference.solids import box, cylinder, joined
-from warpcage.view.camera import Camera
-from warpcage.view.pictures import read_image
+from warpcage import Cage, Camera
+from warpcage.reference import box, cylinder, joined, render_mesh_views
+from warpcage.view import read_image
 
 EXAMPLES = pathlib.Path(__file__).resolve().parent.parent / "examples"
 
@@ -108,8 +106,8 @@ def test_edit_parts_of_the_bricks(tmp_path, device):
 
 def model_field(resolution, device):
     """The surface of the brick model as a thin grey shell of voxels."""
-    from warpcage.field.voxel_field import VoxelField
-    from warpcage.reference.bricks import brick_model
+    from warpcage import VoxelField
+    from warpcage.reference import brick_model
 
     vertices, faces, _ = brick_model()
     low, high = vertices.min(axis=0) - 0.1, vertices.max(axis=0) + 0.1

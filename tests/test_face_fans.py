@@ -5,10 +5,10 @@ import oracles
 import pytest
 import warp as wp
 
-from warpcage.cage.cage import Cage
-from warpcage.core.devices import launch
+from warpcage import Cage
+from warpcage.core import launch
 from warpcage.kernels.coordinates import green, mean_value
-from warpcage.mesh.fans import face_fans, prepared_fans
+from warpcage.mesh import face_fans, prepared_fans
 
 
 def goes_on(faces):

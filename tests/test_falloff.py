@@ -7,11 +7,9 @@ import pytest
 from deformed_scenes import make_field, shiny, view
 from oracles import mean_value_weights
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.walls import cut_faces
-from warpcage.deform.deformer import Deformer
-from warpcage.edits.edits import CageEdit
-from warpcage.edits.falloff import walls_share
+from warpcage import Cage, CageEdit, Deformer
+from warpcage.cage import cut_faces
+from warpcage.edits import walls_share
 
 WIDTH = 0.25
 #: Around the right half of a bar along x: its wall at x = 0 cuts the bar.

@@ -6,8 +6,8 @@ import pytest
 import warp as wp
 
 import warpcage
-from warpcage.core.devices import launch
-from warpcage.field.sparse import harmonics_on_device
+from warpcage.core import launch
+from warpcage.field import harmonics_on_device
 from warpcage.kernels.field import harmonics as spherical_harmonics
 from warpcage.kernels.field import refine
 

@@ -7,8 +7,7 @@ import zlib
 import numpy as np
 import pytest
 
-from warpcage.core import files
-from warpcage.core.files import atomic_path, joined_crc, read_npz
+from warpcage.core import atomic_path, files, joined_crc, read_npz
 from warpcage.field.io import field_file
 
 

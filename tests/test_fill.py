@@ -9,16 +9,10 @@ from cli_runs import SMALL, run, succeed
 from deformed_scenes import ellipsoid, make_field, plain
 
 import warpcage
-from warpcage.cage.cage import Cage
-from warpcage.deform.deformer import Deformer
-from warpcage.deform.fill import fill_unseen, membrane
-from warpcage.edits.edits import CageEdit
-from warpcage.field.sparse import harmonics_on_host
-from warpcage.field.surroundings import LayeredBackground, OuterField
-from warpcage.view.camera import Camera
-from warpcage.view.frame import Frame
-from warpcage.view.frame_parts import mask_picture, mask_shares
-from warpcage.view.pictures import read_image
+from warpcage import Cage, CageEdit, Camera, Deformer, Frame, fill_unseen
+from warpcage.deform import membrane
+from warpcage.field import LayeredBackground, OuterField, harmonics_on_host
+from warpcage.view import mask_picture, mask_shares, read_image
 
 BOX = Cage.box([-0.6, -0.6, -0.6], [0.6, 0.6, 0.6])
 CAMERA = Camera.look_at([0, -4, 0], (0, 0, 0), width=64, height=64, fov_degrees=40)

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 
-from warpcage.batch.job_file import JobFile
-from warpcage.batch.worker import Worker
-from warpcage.cage.cage import Cage
-from warpcage.cage.pose_file import PoseFile
+from warpcage import Cage, PoseFile
+from warpcage.batch import JobFile, Worker
 
 FILM = ("--frames", 5, "--quiet", *SMALL)
 

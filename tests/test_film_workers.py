@@ -8,9 +8,8 @@ import pytest
 from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 
 import warpcage.cli.films as films
-from warpcage.deform.deformer import Deformer
-from warpcage.view.film import deep_pixels, read_film_frame, write_film_frame
-from warpcage.view.pictures import write_png
+from warpcage import Deformer
+from warpcage.view import deep_pixels, read_film_frame, write_film_frame, write_png
 
 #: x264 writes the same file again only of sides that are multiples of its blocks.
 FILM = ("animate", "@ball.npz", *DEFORMED, *SMALL, "--size", 64, "--frames", 6, "--quiet", "--device", "cpu")

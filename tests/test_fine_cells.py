@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from deformed_scenes import BOX, box_around, make_field, plain, shiny_field, slotted, two_balls, use_march, view
 
-from warpcage.cage.cage import Cage
-from warpcage.deform.deformer import Deformer
-from warpcage.edits.edits import CageEdit
+from warpcage import Cage, CageEdit, Camera, Deformer
 from warpcage.kernels.edits.fine_cells import FINE_FAR, FINE_SIDE
 from warpcage.kernels.edits.structs import CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, LOOK_SKIP
 from warpcage.render import tables
-from warpcage.view.camera import Camera
 
 SKIP, SIDE = int(LOOK_SKIP), int(FINE_SIDE)
 

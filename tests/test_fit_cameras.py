@@ -11,8 +11,14 @@ from test_fit_gradients import photometric_gradient, training_rays
 
 import warpcage
 from warpcage.kernels.fitting import cameras as camera_kernels
-from warpcage.view.alignment import Similarity, aligning_similarity, picture_shifts, picture_similarity, pose_errors
-from warpcage.view.camera import framing_orbit
+from warpcage.view import (
+    Similarity,
+    aligning_similarity,
+    framing_orbit,
+    picture_shifts,
+    picture_similarity,
+    pose_errors,
+)
 
 STEP = 1e-5
 
@@ -122,7 +128,7 @@ def test_camera_slopes_match_finite_differences(device, numbers, around):
 
 def test_sums_are_the_gradient_of_the_fits_own_loss(device):
     """2 J^T e of each camera against finite differences of the photometric loss that the field is fitted by."""
-    from warpcage.fitting.cameras import CameraSums
+    from warpcage.fitting import CameraSums
 
     # nothing at the faces of its box, and no empty place within: its pictures change without jumps
     links = np.full((7, 7, 7), -1, np.int32)

@@ -5,11 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from warpcage import Camera, Scene, fit
-from warpcage.field.voxel_field import VoxelField
-from warpcage.fitting.evaluation import evaluate, mean_psnr
-from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.view.camera import turntable
+from warpcage import Camera, FieldOptimizer, Scene, VoxelField, evaluate, fit, mean_psnr, turntable
 
 SIZE = 16
 QUICK = {"progress": False, "resolution": 16, "levels": 2, "epochs": 8, "batch_rays": 512}

@@ -6,13 +6,13 @@ import pytest
 import warp as wp
 
 import warpcage
-from warpcage.fitting.level import gradient_parts
+from warpcage.fitting import gradient_parts
 from warpcage.kernels.fitting import background_loss
 from warpcage.kernels.fitting import loss as field_loss
 from warpcage.kernels.fitting import loss_warps as field_loss_warps
 from warpcage.kernels.fitting import rmsprop as field_step
 from warpcage.kernels.fitting import variation as field_variation
-from warpcage.view.camera import camera_array
+from warpcage.view import camera_array
 
 
 def training_rays(cameras, images, alphas, field, device, side=1):

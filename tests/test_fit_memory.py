@@ -10,16 +10,22 @@ from background_scenes import room_scene
 from order_oracle import shuffled
 from test_fit_edges import around, seen
 
-from warpcage import Scene, fit
-from warpcage.fitting import memory
-from warpcage.fitting.batches import PRECISIONS, TrainingPictures, picture_bytes
-from warpcage.fitting.checkpoint import load_progress, save_progress
-from warpcage.fitting.evaluation import evaluate, mean_psnr
-from warpcage.fitting.level import Level, node_bytes, row_bytes
-from warpcage.fitting.memory import memory_size, scaled_shape
-from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.fitting.silhouettes import Silhouettes
-from warpcage.reference.scenes import synthetic_scene
+from warpcage import FieldOptimizer, Scene, evaluate, fit, mean_psnr
+from warpcage.fitting import (
+    PRECISIONS,
+    Level,
+    Silhouettes,
+    TrainingPictures,
+    load_progress,
+    memory,
+    memory_size,
+    node_bytes,
+    picture_bytes,
+    row_bytes,
+    save_progress,
+    scaled_shape,
+)
+from warpcage.reference import synthetic_scene
 
 
 @pytest.fixture(scope="module")

@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpcage import Camera, Scene, fit
-from warpcage.fitting.evaluation import evaluate, mean_psnr
-from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.fitting.options import checked_options
-from warpcage.fitting.schedule import MOST_SCARCE, PLENTY, plan_batches, scarcity
+from warpcage import Camera, FieldOptimizer, Scene, evaluate, fit, mean_psnr, turntable
+from warpcage.fitting import MOST_SCARCE, PLENTY, checked_options, plan_batches, scarcity
 from warpcage.kernels.fitting.rmsprop import shrink_view_dependence
-from warpcage.reference.models import MODELS
-from warpcage.reference.scenes import KINDS, synthetic_scene
-from warpcage.view.camera import turntable
+from warpcage.reference import KINDS, MODELS, synthetic_scene
 
 SMALL = {"progress": False, "least_steps": 120, "batch_rays": 1024}
 

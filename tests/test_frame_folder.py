@@ -5,7 +5,7 @@ import json
 import pytest
 from cli_runs import SMALL, run, succeed, write_files
 
-from warpcage.deform.deformer import Deformer
+from warpcage import Deformer
 
 FILM = ("--frames", 3, "--quiet", "--turn", 0, *SMALL)
 CAGES = ("--cage", "@cage.obj", "--posed")

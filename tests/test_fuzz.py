@@ -10,17 +10,14 @@ import pytest
 
 pytest.importorskip("hypothesis")
 
-from hypothesis import HealthCheck, given, settings  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
-from scene_writers import brick_pictures, write_blender, write_colmap, write_dtu, write_nsvf, write_transforms  # noqa: E402
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scene_writers import brick_pictures, write_blender, write_colmap, write_dtu, write_nsvf, write_transforms
 
-from warpcage import VoxelField, load_scene  # noqa: E402
-from warpcage.cage.cage import Cage
-from warpcage.cage.pose_file import PoseFile
-from warpcage.field.surroundings import LayeredBackground, OuterField
-from warpcage.fitting.checkpoint import load_progress, save_progress
-from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.view.pictures import read_image
+from warpcage import Cage, FieldOptimizer, PoseFile, VoxelField, load_scene
+from warpcage.field import LayeredBackground, OuterField
+from warpcage.fitting import load_progress, save_progress
+from warpcage.view import read_image
 
 EXAMPLES = os.environ.get("WARPCAGE_FUZZ_EXAMPLES")
 COUNT = int(EXAMPLES or 120)

@@ -8,9 +8,8 @@ import pytest
 from cli_runs import SMALL, run, succeed, write_files
 from gltf_writer import GltfWriter
 
-from warpcage.view.camera import Camera, CameraFile
-from warpcage.view.camera_path import camera_at
-from warpcage.view.pictures import read_image
+from warpcage import Camera, CameraFile, camera_at
+from warpcage.view import read_image
 
 FIXTURES = pathlib.Path(__file__).parent / "fixtures" / "blender_cameras"
 LENS = {"type": "perspective", "perspective": {"yfov": 0.6, "aspectRatio": 1.6, "znear": 0.1}}

@@ -6,11 +6,11 @@ import pytest
 import trimesh
 import warp as wp
 
-from warpcage.cage.cage import Cage
-from warpcage.coordinates.coordinates import deform_points, green_coordinates, stretched_normals
-from warpcage.core.devices import launch
+from warpcage import Cage, deform_points, green_coordinates
+from warpcage.coordinates import stretched_normals
+from warpcage.core import launch
 from warpcage.kernels.coordinates import green
-from warpcage.mesh.fans import prepared_fans
+from warpcage.mesh import prepared_fans
 
 NAMES = list(oracles.CAGES)
 

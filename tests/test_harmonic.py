@@ -12,11 +12,9 @@ from test_containment import reference_distance
 from test_coordinate_accuracy import points_beside_slot, slot_cages
 from trimesh.transformations import rotation_matrix
 
-from warpcage.cage.cage import Cage
-from warpcage.coordinates.harmonic import harmonic_weights
-from warpcage.lattice.harmonic import HarmonicSolver
-from warpcage.lattice.lattice import CageLattice
-from warpcage.lattice.sizes import NodeSections
+from warpcage import Cage
+from warpcage.coordinates import harmonic_weights
+from warpcage.lattice import CageLattice, HarmonicSolver, NodeSections
 
 CAGES = ("icosphere", "box", "concave", "two boxes")
 

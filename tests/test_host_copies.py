@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import warp as wp
 
+from warpcage import Frame
 from warpcage.core import arrays
-from warpcage.view.frame import Frame
-from warpcage.view.pictures import to_uint8
+from warpcage.view import to_uint8
 
 SIDE = 37
 

@@ -15,16 +15,13 @@ import numpy as np
 import pytest
 from test_optimize import blob_scene
 
+from warpcage import FieldOptimizer, VoxelField
 from warpcage.cli.cages import read_mesh as read_object
-from warpcage.core.checks import listed
-from warpcage.core.files import npz_names, read_limited, read_npz
-from warpcage.core.memory import UNKNOWN, MemoryShortage, free_host_bytes
+from warpcage.core import UNKNOWN, MemoryShortage, free_host_bytes, listed, npz_names, read_limited, read_npz
 from warpcage.field import io as field_files
-from warpcage.field.voxel_field import VoxelField
-from warpcage.fitting.checkpoint import load_progress, save_progress, scene_digest
-from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.mesh import polygons
-from warpcage.mesh.io import gltf, read_mesh
+from warpcage.fitting import load_progress, save_progress, scene_digest
+from warpcage.mesh import polygons, read_mesh
+from warpcage.mesh.io import gltf
 
 
 def refused(action, *words, error=ValueError):
@@ -257,7 +254,7 @@ def test_a_checkpoint_sees_every_change_of_the_scene(checkpoint, change):
 
 
 def test_digests_are_the_same_for_any_threads_and_layout(checkpoint, two_threads):
-    from warpcage.core.threads import limit_threads
+    from warpcage.core import limit_threads
 
     scene, _ = checkpoint
     digest = scene_digest(scene)
@@ -277,7 +274,7 @@ def test_checkpoints_of_earlier_versions_are_named_so(checkpoint, tmp_path):
 
 
 def test_checkpoints_hold_no_arrays_that_are_not_read(checkpoint):
-    from warpcage.fitting.checkpoint import NAMES
+    from warpcage.fitting import NAMES
 
     assert set(npz_names(checkpoint[1], "checkpoint")) <= NAMES
 

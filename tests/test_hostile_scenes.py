@@ -13,8 +13,8 @@ from test_images import write_deep_png
 
 from warpcage import load_scene
 from warpcage.scene import pictures as views
-from warpcage.scene.pictures import undistort
-from warpcage.view.pictures import read_image, read_rows, shrink, write_png
+from warpcage.scene import undistort
+from warpcage.view import read_image, read_rows, shrink, write_png
 
 # Memory
 

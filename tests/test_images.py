@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from warpcage.view.film import write_gif, write_video
-from warpcage.view.pictures import (
+from warpcage.view import (
     colour_disparity,
     contact_sheet,
     disparity_range,
@@ -18,7 +17,9 @@ from warpcage.view.pictures import (
     read_image,
     side_by_side,
     to_uint8,
+    write_gif,
     write_png,
+    write_video,
 )
 
 

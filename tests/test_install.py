@@ -14,7 +14,7 @@ import zipfile
 import pytest
 
 import warpcage
-from warpcage.core.checkout import NEEDED
+from warpcage.core import NEEDED
 
 ROOT = pathlib.Path(__file__).parents[1]
 SOURCES = ("setup.py", "pyproject.toml", "README.md", "LICENSE", "warpcage", "kernels")

@@ -5,7 +5,7 @@ import oracles
 import pytest
 
 from warpcage import Cage, Deformer
-from warpcage.reference.inverse_map import InverseMap
+from warpcage.reference import InverseMap
 
 
 def cages():
@@ -23,7 +23,7 @@ def oracle_map(kind, rest, deformed, points):
         return oracles.mean_value_weights(points, deformed.vertices, deformed.faces) @ rest.vertices
     if kind == "harmonic":
         return oracles.harmonic_oracle(deformed.vertices, deformed.faces, rest.vertices, points, graded=2)
-    from warpcage.coordinates.coordinates import stretched_normals
+    from warpcage.coordinates import stretched_normals
 
     phi, psi = oracles.green_weights_in_closed_form(points, deformed.vertices, deformed.faces)
     return phi @ rest.vertices + psi @ stretched_normals(deformed, rest)

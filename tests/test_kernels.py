@@ -15,7 +15,7 @@ import warp as wp
 
 import warpcage
 from warpcage.cli import main
-from warpcage.core.kernel_files import (
+from warpcage.core import (
     FOLDER,
     MOVED,
     all_needs,

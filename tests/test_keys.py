@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpcage.core.names import EASINGS
-from warpcage.view.motion import frame_times, limited_velocity, value_at
+from warpcage.core import EASINGS
+from warpcage.view import frame_times, limited_velocity, value_at
 
 STEPS = st.floats(0.05, 3.0)
 HEIGHTS = st.sampled_from([-1.0, 0.0, 0.0, 0.3, 1.0, 1.0, 7.0])

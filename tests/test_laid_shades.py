@@ -6,9 +6,9 @@ import pytest
 import warp as wp
 from deformed_scenes import BOX, shiny_field, view
 
-from warpcage.core.devices import half_texture
-from warpcage.deform.deformer import Deformer
-from warpcage.field.tables import ColumnTable
+from warpcage import Deformer
+from warpcage.core import half_texture
+from warpcage.field import ColumnTable
 from warpcage.kernels.render.volume import SHADE_LAYERS, LaidShades, laid_shade, write_laid_shade
 
 COUNTS = (5, 7, 6)

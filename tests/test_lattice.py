@@ -6,9 +6,9 @@ import pytest
 import trimesh
 from test_containment import reference_distance
 
-from warpcage.cage.cage import Cage
+from warpcage import Cage
+from warpcage.lattice import BLOCK_FACES, LINE_CAPACITY, CageLattice
 from warpcage.lattice import lattice as block_faces
-from warpcage.lattice.lattice import BLOCK_FACES, LINE_CAPACITY, CageLattice
 
 
 def nodes_of(lattice):

@@ -20,13 +20,11 @@ from deformed_scenes import (
 )
 
 from warpcage import CageEdit, Deformer
-from warpcage.core import devices
-from warpcage.core.devices import recorded_launches
-from warpcage.lattice.graph import PoseGraph
+from warpcage.core import devices, recorded_launches
+from warpcage.lattice import PoseGraph
+from warpcage.render import CarriedShades, FineCells
 from warpcage.render import modules as pose_modules
 from warpcage.render import scene as lattice_edits
-from warpcage.render.shading import CarriedShades
-from warpcage.render.tables import FineCells
 
 
 @pytest.fixture(params=["rows", "shaded"])

@@ -5,9 +5,8 @@ import pytest
 import warp as wp
 from deformed_scenes import BOX, marches, shiny_field, slotted, use_march, view
 
-from warpcage.core.devices import launch, recorded_launches
-from warpcage.deform.deformer import Deformer
-from warpcage.edits.edits import CageEdit
+from warpcage import CageEdit, Deformer
+from warpcage.core import launch, recorded_launches
 from warpcage.kernels.edits.nodes import CELL_WORDS, cell_place_slope, expand_map_cells, node_distance, vec6
 from warpcage.kernels.edits.structs import LOOK_SKIP
 from warpcage.render import tables

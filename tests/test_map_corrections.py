@@ -8,10 +8,8 @@ import pytest
 import trimesh
 from test_position_map import inside_points, look_up, pose_noisily
 
-from warpcage.cage.cage import Cage
-from warpcage.lattice.closed_form import MeanValueSolver
-from warpcage.lattice.nodes import continue_to_rings
-from warpcage.lattice.position_map import PositionMap
+from warpcage import Cage, PositionMap
+from warpcage.lattice import MeanValueSolver, continue_to_rings
 
 STEPS = np.array(list(itertools.product((0, 1), repeat=3)))
 

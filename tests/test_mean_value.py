@@ -5,11 +5,10 @@ import oracles
 import pytest
 import warp as wp
 
-from warpcage.cage.cage import Cage
-from warpcage.coordinates.coordinates import deform_points, green_coordinates, mean_value_coordinates
-from warpcage.core.devices import launch
+from warpcage import Cage, deform_points, green_coordinates, mean_value_coordinates
+from warpcage.core import launch
 from warpcage.kernels.coordinates import mean_value
-from warpcage.mesh.fans import prepared_fans
+from warpcage.mesh import prepared_fans
 
 NAMES = list(oracles.CAGES)
 

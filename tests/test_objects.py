@@ -6,12 +6,8 @@ from outer_oracles import random_outer
 from table_scene import BALL, CRUMB, LAMP, TABLE, TableScene
 from test_surface import GridField
 
-from warpcage.cage.cage import Cage
-from warpcage.field.objects import pick_point, select_object
-from warpcage.field.planes import Plane
-from warpcage.field.selection import NodeSelection, select_nodes
-from warpcage.field.voxel_field import VoxelField
-from warpcage.view.camera import Camera
+from warpcage import Cage, Camera, NodeSelection, VoxelField, select_nodes, select_object
+from warpcage.field import Plane, pick_point
 
 VOXEL = 2.0 / 64
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import warpcage
-from warpcage.core.devices import resolve_device
-from warpcage.fitting.evaluation import error_image, evaluate, mean_psnr, psnr, ssim
-from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.fitting.silhouettes import object_bounds
+from warpcage import FieldOptimizer, evaluate, mean_psnr, psnr
+from warpcage.core import resolve_device
+from warpcage.fitting import error_image, object_bounds, ssim
 
 
 def blob_scene(count=14, size=40, scale=1.0, offset=(0.0, 0.0, 0.0), with_alpha=True, device=None):
@@ -188,7 +187,7 @@ def test_a_killed_fit_goes_on_from_its_checkpoint(tmp_path):
 
 
 def test_checkpoints_of_other_fits_are_refused(tmp_path):
-    from warpcage.fitting.checkpoint import load_progress, save_progress
+    from warpcage.fitting import load_progress, save_progress
 
     scene = blob_scene(count=4, size=16)
     optimizer = FieldOptimizer(scene, resolution=16, levels=1, batch_rays=256)

@@ -11,11 +11,11 @@ from background_scenes import room_cameras
 from test_fit_gradients import photometric_gradient, training_rays
 
 import warpcage
-from warpcage.field.surroundings import OuterField
+from warpcage.field import OuterField
 from warpcage.kernels.field.outer import mark_outer_nodes
 from warpcage.kernels.fitting import outer_loss
-from warpcage.reference.scenes import FLOOR, OBJECT_BOX, ROOM_HALF, object_model, room_views
-from warpcage.view.camera import camera_array
+from warpcage.reference import FLOOR, OBJECT_BOX, ROOM_HALF, object_model, room_views
+from warpcage.view import camera_array
 
 HALF = np.array([1.0, 0.7, 1.3])
 

@@ -5,13 +5,12 @@ import pytest
 from background_scenes import room_cameras, room_scene, write_room
 
 import warpcage
+from warpcage import FieldOptimizer, mean_psnr
 from warpcage.cli import main
-from warpcage.field.surroundings import OuterField
+from warpcage.field import OuterField
+from warpcage.fitting import load_progress, save_progress
 from warpcage.fitting import optimizer as optimizer_module
-from warpcage.fitting.checkpoint import load_progress, save_progress
-from warpcage.fitting.evaluation import mean_psnr
-from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.view.pictures import read_image
+from warpcage.view import read_image
 
 SMALL = {"resolution": 32, "levels": 2, "epochs": 6, "batch_rays": 1024, "background": "outer"}
 

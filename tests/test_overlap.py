@@ -10,10 +10,9 @@ import pytest
 from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 
 import warpcage.view.film as film
-from warpcage.core.overlap import SPARE, Beside, stream
-from warpcage.deform.deformer import Deformer
-from warpcage.view import pictures
-from warpcage.view.film import write_film
+from warpcage import Deformer
+from warpcage.core import SPARE, Beside, stream
+from warpcage.view import pictures, write_film
 
 #: Seconds until a test that hangs fails.
 PATIENCE = 60.0

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from warpcage.cage.cage import Cage
-from warpcage.view.camera import Camera
-from warpcage.view.overlay import draw_cage
+from warpcage import Cage, Camera
+from warpcage.view import draw_cage
 
 SIZE = 64
 RED = (1.0, 0.0, 0.0)

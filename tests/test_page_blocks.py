@@ -11,7 +11,7 @@ from table_scene import TableScene
 
 import warpcage
 from warpcage.cli import main
-from warpcage.reference.brick_scene import write_brick_scene
+from warpcage.reference import write_brick_scene
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 

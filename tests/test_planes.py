@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 from table_scene import FLOOR_TOP, TABLE_TOP, TableScene, tilt
 from test_surface import GridField
 
-from warpcage.field.planes import Plane, blocks, find_planes, fit_planes, surface_points, surrounds
+from warpcage.field import Plane, blocks, find_planes, fit_planes, surface_points, surrounds
 
 
 def sheet(random, normal, offset, count, noise, size=1.0):

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from warpcage import Cage
 from warpcage.cage import poses
-from warpcage.cage.cage import Cage
 
 rod = np.array([[0, 0, 0], [0, 0, 1], [0, 0, 2], [0.1, 0, 2], [0, 0.1, 2], [0, 0, 4.0]])
 

@@ -7,17 +7,13 @@ import trimesh
 import warp as wp
 from deformed_scenes import slotted
 
-from warpcage.cage.cage import Cage
-from warpcage.coordinates.coordinates import stretched_normals
-from warpcage.coordinates.harmonic import harmonic_weights
-from warpcage.core import memory
-from warpcage.core.devices import launch
+from warpcage import Cage, PositionMap
+from warpcage.coordinates import harmonic_weights, stretched_normals
+from warpcage.core import launch, memory
 from warpcage.kernels.lattice.cage_map import sample_map
+from warpcage.lattice import GreenSolver, PoseGraph, fit_affine
 from warpcage.lattice import lattice as block_faces
 from warpcage.lattice import lattice as lattices
-from warpcage.lattice.closed_form import GreenSolver
-from warpcage.lattice.graph import PoseGraph
-from warpcage.lattice.position_map import PositionMap, fit_affine
 
 KINDS = ("harmonic", "mean_value", "green")
 STORES = ("map", "weights")

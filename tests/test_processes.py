@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from warpcage import Cage, PositionMap, deform_points
-from warpcage.core.threads import THREADS_VARIABLE, cpu_threads, limit_threads, run_parallel
+from warpcage.core import THREADS_VARIABLE, cpu_threads, limit_threads, run_parallel
 
 PROGRAM = """\
 import multiprocessing

@@ -12,10 +12,10 @@ import pytest
 
 pytest.importorskip("hypothesis")
 
-from hypothesis import HealthCheck, given, settings  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from warpcage import Cage, PoseFile, load_scene  # noqa: E402
+from warpcage import Cage, PoseFile, load_scene
 
 EXAMPLES = os.environ.get("WARPCAGE_FUZZ_EXAMPLES")
 

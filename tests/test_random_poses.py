@@ -8,11 +8,9 @@ import oracles
 import pytest
 
 from warpcage import Cage, RandomPoses
-from warpcage.cage import poses, random_poses
-from warpcage.cage.check import check_pose
-from warpcage.cage.random_poses import POSE_MODES, PoseProbe, PoseWay, RandomNumbers
-from warpcage.coordinates.reference_mvc import host_mean_value_weights, mean_value_gradients
-from warpcage.mesh.queries import intersecting_faces
+from warpcage.cage import POSE_MODES, PoseProbe, PoseWay, RandomNumbers, check_pose, poses, random_poses
+from warpcage.coordinates import host_mean_value_weights, mean_value_gradients
+from warpcage.mesh import intersecting_faces
 
 #: Cages with faces of several sizes, reflex edges, and more than one part.
 CAGES = {

@@ -3,8 +3,7 @@
 import numpy as np
 import warp as wp
 
-from warpcage.core.arrays import array_bytes
-from warpcage.core.memory import MEASURED_EVERY, Recent
+from warpcage.core import MEASURED_EVERY, Recent, array_bytes
 
 
 def test_those_that_were_used_last_are_kept():
@@ -65,7 +64,7 @@ def test_bytes_of_arrays_count_once(device):
 def test_bytes_of_a_deformer_beside_its_field(device):
     from deformed_scenes import BOX, shiny_field, view
 
-    from warpcage.deform.deformer import Deformer
+    from warpcage import Deformer
 
     field = shiny_field(device)
     alone = array_bytes(field)

@@ -9,16 +9,12 @@ from scipy.spatial.transform import Rotation
 from test_optimize import blob_scene
 
 import warpcage
+from warpcage import CameraFile, FieldOptimizer, evaluate, mean_psnr
 from warpcage.cli import main
+from warpcage.fitting import CameraRefinement, load_progress, save_progress, tuned_scene
 from warpcage.fitting import cameras as cameras_module
-from warpcage.fitting.cameras import CameraRefinement, tuned_scene
-from warpcage.fitting.checkpoint import load_progress, save_progress
-from warpcage.fitting.evaluation import evaluate, mean_psnr
-from warpcage.fitting.optimizer import FieldOptimizer
-from warpcage.reference.brick_scene import write_brick_scene
-from warpcage.reference.scenes import synthetic_scene
-from warpcage.view.alignment import picture_similarity
-from warpcage.view.camera import CameraFile
+from warpcage.reference import synthetic_scene, write_brick_scene
+from warpcage.view import picture_similarity
 
 #: Fits of a second or two.
 QUICK = {"resolution": 28, "batch_rays": 2048, "least_steps": 250, "epochs": 11.0}

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpcage.view.camera import Camera, camera_struct
-from warpcage.view.frame import Frame
+from warpcage import Camera, Frame
+from warpcage.view import camera_struct
 
 
 def test_a_frame_converts_once_and_reshapes(device):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpcage.core.devices import RepeatedLaunch, RepeatedLaunches, kernel_label, launch, recorded_launches
+from warpcage.core import RepeatedLaunch, RepeatedLaunches, kernel_label, launch, recorded_launches
 from warpcage.kernels.field.march import image_kernel
 from warpcage.kernels.render.views import part_kernel, stack_kernel
 from warpcage.kernels.view.tile_order import sort_tiles

@@ -4,9 +4,9 @@ import numpy as np
 import warp as wp
 
 from warpcage import Camera, VoxelField
-from warpcage.core.devices import launch
+from warpcage.core import launch
 from warpcage.kernels.reference.sample_count import count_samples
-from warpcage.view.camera import camera_array
+from warpcage.view import camera_array
 
 
 def counts(field, cameras, stride=1, stop=1e-4):

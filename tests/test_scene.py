@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import warpcage
-from warpcage import Camera, load_scene
-from warpcage.view.camera import turntable
+from warpcage import Camera, load_scene, turntable
 
 
 def write_folder(folder, images, *, angle=0.8, split="train", poses=None, **changes):

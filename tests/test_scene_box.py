@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from warpcage.scene.box import are_inliers, bulk_box
+from warpcage.scene import are_inliers, bulk_box
 
 SEEN = np.array([[-2.0] * 3, [2.0] * 3])
 

@@ -17,7 +17,7 @@ from scene_writers import (
 )
 
 from warpcage import Camera, load_scene
-from warpcage.scene.pictures import COEFFICIENTS, distort, undistort, undistorted_intrinsics
+from warpcage.scene import COEFFICIENTS, distort, undistort, undistorted_intrinsics
 
 BACKGROUND = (0.1, 0.5, 0.9)
 
@@ -393,7 +393,7 @@ def test_a_model_that_colmap_wrote(tmp_path, bricks, binary):
     for index, image in enumerate(theirs.images.values()):
         path = tmp_path / "images" / image.name
         path.parent.mkdir(parents=True, exist_ok=True)
-        from warpcage.view.pictures import write_png
+        from warpcage.view import write_png
 
         write_png(path, bricks.rgba[index % 10])
     scene = load(tmp_path, split="all")

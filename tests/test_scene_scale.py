@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from scene_writers import brick_pictures, write_colmap, write_nsvf
 
-from warpcage import Camera, Deformer, Scene, VoxelField, fit, load_scene
-from warpcage.cage.cage import Cage
-from warpcage.core.devices import resolve_device
-from warpcage.fitting.silhouettes import object_bounds
-from warpcage.scene.box import view_box
-from warpcage.view.camera import turntable
+from warpcage import Cage, Camera, Deformer, Scene, VoxelField, fit, load_scene, turntable
+from warpcage.core import resolve_device
+from warpcage.fitting import object_bounds
+from warpcage.scene import view_box
 
 FAR = np.array([1e4, -2e4, 3e4])
 WORLDS = {

@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 from test_surface import GridField, nodes
 
-from warpcage.cage.cage import Cage
-from warpcage.field.selection import select_nodes
-from warpcage.field.surface import extract_mesh
-from warpcage.view.camera import Camera
+from warpcage import Cage, Camera, select_nodes
+from warpcage.field import extract_mesh
 
 DTU = pathlib.Path(os.environ.get("WARPCAGE_DATA", "../shared/data")) / "dtu_scan24_half"
 
@@ -77,7 +75,7 @@ def test_masks_of_several_views_cut_the_object_out():
 
 @pytest.mark.skipif(not DTU.is_dir(), reason=f"no DTU data in {DTU} (set WARPCAGE_DATA)")
 def test_the_object_of_dtu_scan_24_by_its_masks():
-    from warpcage.view.pictures import read_image
+    from warpcage.view import read_image
 
     bundle = np.load(DTU / "cameras_sphere.npz")
     names = sorted((DTU / "mask").glob("*.png"))[::2]

@@ -10,12 +10,8 @@ from table_scene import BALL, LAMP, TableScene
 from test_surface import GridField
 
 import warpcage
-from warpcage.field.objects import select_object
-from warpcage.field.selection import NodeSelection, select_nodes
-from warpcage.reference.raycast import render_mesh_views
-from warpcage.reference.solids import box, cylinder, joined
-from warpcage.reference.viewpoints import reference_cameras, spread_eyes
-from warpcage.scene.scene import Scene
+from warpcage import NodeSelection, Scene, select_nodes, select_object
+from warpcage.reference import box, cylinder, joined, reference_cameras, render_mesh_views, spread_eyes
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ import pytest
 from deformed_scenes import make_field, plain
 from test_crumbs import boxes
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.snap import cut_matter, snap_to_gaps
+from warpcage import Cage
+from warpcage.cage import cut_matter, snap_to_gaps
 from warpcage.cli import main
 
 #: Two blocks with a gap between them, x from 0.0 to 0.15, and a plate below both.

@@ -8,8 +8,7 @@ import pytest
 import warp as wp
 from deformed_scenes import shiny_field, view
 
-from warpcage.core import devices
-from warpcage.core.devices import LEAST_SPARE, SPARE_FRAMES, SpareMemory
+from warpcage.core import LEAST_SPARE, SPARE_FRAMES, SpareMemory, devices
 
 MIB = 1 << 20
 

@@ -7,12 +7,11 @@ from splat_scenes import splats_in_box
 from test_splat_pose import AFFINE, BOX, TURN, forward_map
 
 from warpcage import Cage, CageEdit, Deformer
-from warpcage.coordinates.coordinates import stretched_normals
-from warpcage.deform.splat_instances import shared_ways
+from warpcage.coordinates import stretched_normals
+from warpcage.deform import shared_ways
 from warpcage.kernels.splats.pose import CarriedSplats
-from warpcage.lattice.position_map import fit_affine
-from warpcage.splats import binding
-from warpcage.splats.binding import CageBinding, PoseFit, fit_similarity, split_tree
+from warpcage.lattice import fit_affine
+from warpcage.splats import CageBinding, PoseFit, binding, fit_similarity, split_tree
 
 KINDS = ("harmonic", "mean_value", "green")
 ORIGIN = np.array([0.3, -0.2, 0.1])

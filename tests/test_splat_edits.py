@@ -7,7 +7,7 @@ from splat_scenes import covariances_of, drawn, one_splat, splats_in_box
 
 import warpcage
 from warpcage import Cage, CageEdit, Deformer
-from warpcage.deform.splat_instances import BOUND, FOLLOWED, LEFT, make_instances
+from warpcage.deform import BOUND, FOLLOWED, LEFT, make_instances
 
 LEFT_BOX, RIGHT_BOX = Cage.box((-1, -1, -1), (0, 1, 1)), Cage.box((0, -1, -1), (1, 1, 1))
 TINY = (-9.0, -8.0)

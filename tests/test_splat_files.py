@@ -11,9 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import warpcage
-from warpcage.splats.io import WRITERS, is_splat_file
-from warpcage.splats.io.contents import SplatContents
-from warpcage.splats.io.spz import turned_over
+from warpcage.splats import WRITERS, SplatContents, is_splat_file, turned_over
 
 DATA = pathlib.Path(os.environ.get("WARPCAGE_DATA", "../shared/data")) / "splats"
 DEGREE3, COMPRESSED = DATA / "small_degree3.ply", DATA / "biker.compressed.ply"

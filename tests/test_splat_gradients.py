@@ -6,9 +6,7 @@ import warp as wp
 from splat_oracles import reference_view
 
 from warpcage import Camera, SplatField
-from warpcage.splats.fit import SplatGradients, SplatParameters
-from warpcage.splats.render import splat_lens
-from warpcage.splats.splat_field import rotation_matrices
+from warpcage.splats import SplatGradients, SplatParameters, rotation_matrices, splat_lens
 
 BACKGROUND = (0.9, 0.5, 0.2)
 STEP = 1e-6

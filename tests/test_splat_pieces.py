@@ -8,7 +8,7 @@ from splat_scenes import drawn, one_splat, splats_in_box
 
 import warpcage
 from warpcage import Cage, Deformer
-from warpcage.splats.binding import PIECE, pieces_of, sh_basis, split_tree, turned_harmonics
+from warpcage.splats import PIECE, pieces_of, sh_basis, split_tree, turned_harmonics
 
 BOX = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)
 

@@ -10,10 +10,10 @@ from splat_scenes import covariances_of, drawn, one_splat, splats_in_box
 
 import warpcage
 from warpcage import Cage, CageEdit, Deformer
-from warpcage.coordinates.coordinates import stretched_normals
-from warpcage.core.devices import launch
+from warpcage.coordinates import stretched_normals
+from warpcage.core import launch
 from warpcage.kernels.splats import pose
-from warpcage.splats.binding import CageBinding, fit_similarity
+from warpcage.splats import CageBinding, fit_similarity
 
 KINDS = ("harmonic", "mean_value", "green")
 BOX = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)

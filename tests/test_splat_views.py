@@ -9,8 +9,7 @@ from splat_oracles import reference_view
 
 from warpcage import Camera, SplatField
 from warpcage.kernels.splats.splats import Splats
-from warpcage.splats import render
-from warpcage.splats.render import SplatRenderer
+from warpcage.splats import SplatRenderer, render
 
 WHITE = (1.0, 1.0, 1.0)
 

@@ -8,14 +8,9 @@ import pytest
 import trimesh
 from cli_runs import run, succeed
 
-from warpcage.cage.cage import Cage
-from warpcage.field.voxel_field import VoxelField
-from warpcage.fitting.evaluation import evaluate, mean_psnr
-from warpcage.reference.brick_scene import write_brick_scene
-from warpcage.scene.load import load_scene
-from warpcage.view.camera import turntable
-from warpcage.view.motion import axis_rotation
-from warpcage.view.pictures import read_image
+from warpcage import Cage, VoxelField, evaluate, load_scene, mean_psnr, turntable
+from warpcage.reference import write_brick_scene
+from warpcage.view import axis_rotation, read_image
 
 #: How the world lies: up is about that of the DTU pictures.
 TILT = np.eye(4)
@@ -67,7 +62,7 @@ def test_all_splits_are_of_one_world(files):
 
 
 def test_up_that_points_down_is_turned_over():
-    from warpcage.scene.scene import Scene
+    from warpcage import Scene
 
     cameras = turntable((0, 0, 0), 3.0, 20, 4, up=(0, 0, -1), width=4, height=4)
     scene = Scene(np.zeros((4, 4, 4, 3)), None, cameras, bounds=[[-1, -2, -3], [1, 2, 4]])

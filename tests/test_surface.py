@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from warpcage.field.surface import extract_mesh, surface_density
+from warpcage.field import extract_mesh, surface_density
 
 
 class GridField:

@@ -9,8 +9,7 @@ import trimesh
 from cli_runs import run, write_files
 from deformed_scenes import make_field
 
-from warpcage.cage.cage import Cage
-from warpcage.field.voxel_field import VoxelField
+from warpcage import Cage, VoxelField
 
 #: The two halves of the ball of cli_runs, sRGB: harmonics of degree 0, plus a half.
 RED, BLUE = np.array([1.5, -1.5, -1.5]) * 0.28209479 + 0.5, np.array([-1.5, -1.5, 1.5]) * 0.28209479 + 0.5

@@ -7,19 +7,20 @@ import numpy as np
 import pytest
 from cli_runs import run, succeed, write_files
 
-from warpcage.batch.forecast import foresee
-from warpcage.batch.job_file import JobFile
-from warpcage.batch.records import finish_folder
-from warpcage.batch.run import run_jobs
-from warpcage.batch.sweeps import GivenSource, RandomSource, RandomViews, write_sweep
-from warpcage.batch.webdataset import read_shard, staged_shards
-from warpcage.batch.worker import Worker
-from warpcage.cage.cage import Cage
-from warpcage.cage.pose_file import PoseFile
-from warpcage.cage.random_poses import POSE_MODES, RandomPoses
-from warpcage.field.voxel_field import VoxelField
-from warpcage.scene.load import load_scene
-from warpcage.view.camera import Camera, CameraFile, turntable
+from warpcage import Cage, Camera, CameraFile, PoseFile, RandomPoses, VoxelField, load_scene, run_jobs, turntable
+from warpcage.batch import (
+    GivenSource,
+    JobFile,
+    RandomSource,
+    RandomViews,
+    Worker,
+    finish_folder,
+    foresee,
+    read_shard,
+    staged_shards,
+    write_sweep,
+)
+from warpcage.cage import POSE_MODES
 
 SWEEP = ("sweep", "@ball.npz", "--cage", "@cage.obj", "--device", "cpu", "--quiet")
 

@@ -8,10 +8,8 @@ import scipy.sparse
 import scipy.sparse.csgraph
 
 from warpcage import Camera, load_scene
-from warpcage.reference.brick_scene import write_brick_scene
-from warpcage.reference.bricks import brick_model
-from warpcage.reference.raycast import render_mesh_views
-from warpcage.view.pictures import read_image
+from warpcage.reference import brick_model, render_mesh_views, write_brick_scene
+from warpcage.view import read_image
 
 BOX_VERTICES = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float) * (0.5, 0.3, 0.4)
 BOX_FACES = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],

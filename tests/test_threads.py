@@ -14,13 +14,19 @@ import pytest
 import warp as wp
 from deformed_scenes import BOX, KINDS, MARCHES, shiny_field, use_march, view
 
-from warpcage import CageEdit, Deformer, PositionMap, Scene, deform_points, fit, turntable
-from warpcage.core import modules
-from warpcage.core.devices import RepeatedLaunch, launch
-from warpcage.core.locks import device_turn, owner_lock
-from warpcage.core.threads import PART_SECONDS, limit_threads, run_parallel, run_parts
+from warpcage import CageEdit, Deformer, PositionMap, Scene, bake, deform_points, fit, turntable
+from warpcage.core import (
+    PART_SECONDS,
+    RepeatedLaunch,
+    device_turn,
+    launch,
+    limit_threads,
+    modules,
+    owner_lock,
+    run_parallel,
+    run_parts,
+)
 from warpcage.deform import exact
-from warpcage.deform.bake import bake
 from warpcage.edits import maps
 from warpcage.kernels.edits.structs import LatticeEdit
 from warpcage.kernels.fitting.rmsprop import add_gradients

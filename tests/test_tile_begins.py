@@ -5,16 +5,12 @@ import pytest
 import warp as wp
 from deformed_scenes import BOX, box_around, marches, shiny_field, two_balls, use_march, view
 
-from warpcage.cage.cage import Cage
-from warpcage.core.devices import recorded_launches
-from warpcage.deform.deformer import Deformer
-from warpcage.edits.edits import CageEdit
+from warpcage import Cage, CageEdit, Camera, Deformer
+from warpcage.core import recorded_launches
 from warpcage.kernels.edits.structs import LOOK_SKIP
 from warpcage.kernels.render.beams import NEVER
 from warpcage.kernels.view.rays import TILE_HEIGHT, TILE_WIDTH
-from warpcage.render import scene
-from warpcage.render.tables import TileBegins
-from warpcage.view.camera import Camera
+from warpcage.render import TileBegins, scene
 
 SLAB = Cage.box([-0.3, -0.9, -0.9], [0.9, 0.9, 0.9], segments=2)
 CASES = {

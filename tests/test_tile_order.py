@@ -7,13 +7,11 @@ import pytest
 import warp as wp
 from deformed_scenes import BOX, ball, box_around, make_field, marches, shiny, shiny_field, use_march, view
 
-from warpcage.core.devices import RepeatedLaunch, recorded_launches
-from warpcage.core.threads import limit_threads
-from warpcage.deform.deformer import Deformer
+from warpcage import Deformer
+from warpcage.core import RepeatedLaunch, limit_threads, recorded_launches
 from warpcage.kernels.view.rays import TILE_SIZE
 from warpcage.kernels.view.tile_order import MOST_TICKS, TileOrder, count_tiles, sort_tiles
-from warpcage.render import tile_order
-from warpcage.render.tile_order import BalancedTiles
+from warpcage.render import BalancedTiles, tile_order
 
 MOST = int(MOST_TICKS)
 CENTRES = (-0.7, 0.0, 0.7)

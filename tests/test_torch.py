@@ -5,8 +5,8 @@ import pytest
 import warp as wp
 from deformed_scenes import BOX, KINDS, rotation, shiny_field
 
-from warpcage.core.arrays import as_points
-from warpcage.deform.deformer import Deformer
+from warpcage import Deformer
+from warpcage.core import as_points
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
 

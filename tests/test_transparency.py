@@ -5,12 +5,17 @@ import numpy as np
 import pytest
 from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 
-from warpcage.view.camera import Camera
-from warpcage.view.exr import depth_along_view, read_exr, write_exr
-from warpcage.view.film import write_film
-from warpcage.view.frame import Frame
-from warpcage.view.opacity import linear_light, rgba_picture, with_spread_colours
-from warpcage.view.pictures import read_image
+from warpcage import Camera, Frame
+from warpcage.view import (
+    depth_along_view,
+    linear_light,
+    read_exr,
+    read_image,
+    rgba_picture,
+    with_spread_colours,
+    write_exr,
+    write_film,
+)
 
 VIEW = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, *SMALL]
 

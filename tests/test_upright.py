@@ -9,11 +9,10 @@ import pytest
 import trimesh
 from cli_runs import run, succeed
 
-from warpcage.cage.cage import Cage
-from warpcage.cage.up_axis import restood, standing_of_rest
-from warpcage.field.selection import select_nodes, some_visible_nodes, visible_nodes
-from warpcage.field.voxel_field import VoxelField
-from warpcage.view.pictures import read_image
+from warpcage import Cage, VoxelField, select_nodes
+from warpcage.cage import restood, standing_of_rest
+from warpcage.field import some_visible_nodes, visible_nodes
+from warpcage.view import read_image
 
 VIEW = ("--size", "40", "--coordinates", "mean_value", "--resolution", "24", "--eye", 0, -5, 1, "--target", 0, 0, 0)
 

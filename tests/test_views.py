@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from warpcage.cage.cage import Cage
-from warpcage.view.camera import framing_orbit
-from warpcage.view.motion import pose_between, pose_weights
+from warpcage import Cage
+from warpcage.view import framing_orbit, pose_between, pose_weights
 
 
 @pytest.mark.parametrize("width, height", [(64, 64), (90, 40), (40, 90)])

@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from warpcage.cage.cage import Cage
+from warpcage import Cage, SplatField, harmonic_coordinates
 from warpcage.cli import main
-from warpcage.coordinates.coordinates import harmonic_coordinates
-from warpcage.core.names import agreed, counted
-from warpcage.mesh.mesh import MeshTopology
-from warpcage.splats.splat_field import SplatField
+from warpcage.core import agreed, counted
+from warpcage.mesh import MeshTopology
 
 BOX = Cage.box((-1, -1, -1), (1, 1, 1))
 

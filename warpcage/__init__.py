@@ -9,57 +9,44 @@ tells type checkers what the names are.
 
 from __future__ import annotations
 
-import importlib
-
 from .core.checkout import find_kernels, require_dependencies
+from .core.exports import lazy_exports
 
 require_dependencies()
 find_kernels(__name__)
 
 __version__ = "0.1.0"
 
-#: Public names, and the modules that they come from.
+#: Public names by the modules that they come from.
 _HOMES = {
-    "Cage": "cage.cage",
-    "CageEdit": "edits.edits",
-    "CageReport": "cage.check",
-    "Camera": "view.camera",
-    "CameraFile": "view.camera",
-    "CameraKey": "view.camera",
-    "CaptureReport": "captures.report",
-    "Deformer": "deform.deformer",
-    "FieldOptimizer": "fitting.optimizer",
-    "FitOptions": "fitting.options",
-    "Frame": "view.frame",
-    "NodeSelection": "field.selection",
-    "PoseFile": "cage.pose_file",
-    "PositionMap": "lattice.position_map",
-    "RandomPoses": "cage.random_poses",
-    "RunReport": "batch.run",
-    "Scene": "scene.scene",
-    "SplatDeformer": "deform.deformer",
-    "SplatField": "splats.splat_field",
-    "SplatRates": "splats.fit",
-    "VoxelField": "field.voxel_field",
-    "bake": "deform.bake",
-    "camera_at": "view.camera_path",
-    "capture": "captures.capture",
-    "deform_points": "coordinates.coordinates",
-    "edit": "editor.edit",
-    "evaluate": "fitting.evaluation",
-    "fill_unseen": "deform.fill",
-    "fit": "fitting.fit",
-    "fit_splats": "splats.fit",
-    "green_coordinates": "coordinates.coordinates",
-    "harmonic_coordinates": "coordinates.coordinates",
-    "load_scene": "scene.load",
-    "mean_psnr": "fitting.evaluation",
-    "mean_value_coordinates": "coordinates.coordinates",
-    "psnr": "fitting.evaluation",
-    "run_jobs": "batch.run",
-    "select_nodes": "field.selection",
-    "select_object": "field.objects",
-    "turntable": "view.camera",
+    "batch.run": ["RunReport", "run_jobs"],
+    "cage.cage": ["Cage"],
+    "cage.check": ["CageReport"],
+    "cage.pose_file": ["PoseFile"],
+    "cage.random_poses": ["RandomPoses"],
+    "captures.capture": ["capture"],
+    "captures.report": ["CaptureReport"],
+    "coordinates.coordinates": ["deform_points", "green_coordinates", "harmonic_coordinates", "mean_value_coordinates"],
+    "deform.bake": ["bake"],
+    "deform.deformer": ["Deformer", "SplatDeformer"],
+    "deform.fill": ["fill_unseen"],
+    "editor.edit": ["edit"],
+    "edits.edits": ["CageEdit"],
+    "field.objects": ["select_object"],
+    "field.selection": ["NodeSelection", "select_nodes"],
+    "field.voxel_field": ["VoxelField"],
+    "fitting.evaluation": ["evaluate", "mean_psnr", "psnr"],
+    "fitting.fit": ["fit"],
+    "fitting.optimizer": ["FieldOptimizer"],
+    "fitting.options": ["FitOptions"],
+    "lattice.position_map": ["PositionMap"],
+    "scene.load": ["load_scene"],
+    "scene.scene": ["Scene"],
+    "splats.fit": ["SplatRates", "fit_splats"],
+    "splats.splat_field": ["SplatField"],
+    "view.camera": ["Camera", "CameraFile", "CameraKey", "turntable"],
+    "view.camera_path": ["camera_at"],
+    "view.frame": ["Frame"],
 }
 
 _ROOMS = (
@@ -83,19 +70,5 @@ _ROOMS = (
     "splats",
     "view",
 )
-__all__ = list(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]  (checkers read the stub)
 
-
-def __getattr__(name: str) -> object:
-    if name in _HOMES:
-        found = getattr(importlib.import_module(f".{_HOMES[name]}", __name__), name)
-    elif name in _ROOMS:
-        found = importlib.import_module(f".{name}", __name__)
-    else:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name)
-    globals()[name] = found  # the next time Python finds it by itself
-    return found
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES, *_ROOMS})
+__getattr__, __dir__, __all__ = lazy_exports(__name__, _HOMES, _ROOMS)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -1,21 +1,26 @@
 """Many frames, fits and evaluations: items of a job file, and the worker that makes them."""
 
-from __future__ import annotations
+from ..core.exports import lazy_exports
 
-import importlib
-
-#: What callers use, and the modules that it comes from: loaded when it is first used.
-_HOMES = {
-    "run_jobs": "run",
-    "RunReport": "report",
-    "RunProgress": "report",
-    "JobFile": "job_file",
-    "write_jobs": "job_file",
-}
-
-
-def __getattr__(name: str) -> object:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name)
-    found = globals()[name] = getattr(importlib.import_module(f".{_HOMES[name]}", __name__), name)
-    return found
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "fields": "ExpectedField",
+        "fingerprints": "Fingerprints",
+        "forecast": "Missing foresee",
+        "frames": "MOST_DEFORMERS",
+        "items": "EvaluateItem FitItem FrameItem Item record_outputs",
+        "job_file": "JobFile is_job_file write_jobs",
+        "loop": "Died Event Finished LateItems Ready Returned drive",
+        "lot_runner": "LotOrder LotRunner Place",
+        "manifest": "Manifest Notes OutputFolder Part id_key merge_notes notes_of_lot write_array",
+        "ray_engine": "RayEngine Share load_ray ray_session shares",
+        "records": "finish_folder",
+        "run": "Options RunProgress RunReport planned run_jobs",
+        "runners": "RunnerSettings",
+        "scheduler": "AIM Dispatcher LARGEST Lot LotReport Lots",
+        "sweeps": "GivenSource RandomSource RandomViews write_sweep",
+        "webdataset": "pack_shard read_shard shard_holds shard_path shard_stage split_key staged_shards",
+        "worker": "CHECKPOINTS PARTS Worker",
+    },
+)

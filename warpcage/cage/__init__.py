@@ -1,1 +1,22 @@
 """Cages: shapes, poses, checks, repair, refinement and generation."""
+
+from ..core.exports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "check": "check_pose grid_points",
+        "generate.decimate": "nested",
+        "generate.fit": "face_samples points_on sample_weights",
+        "generate.shell": "NearestInTree NearestInVoxels ObjectShell distance_to",
+        "generate.voxel": "outer_surface principal_frame",
+        "motion": "are_numbered gltf_poses gltf_shown numbered_files sequence_poses",
+        "pose_file": "cage_hash",
+        "poses": "direction move",
+        "presets": "Preset is_preset",
+        "random_poses": "POSE_MODES PoseProbe PoseWay RandomNumbers",
+        "snap": "cut_matter snap_to_gaps",
+        "up_axis": "Standing restood standing_of_rest",
+        "walls": "cut_faces",
+    },
+)

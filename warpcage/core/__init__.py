@@ -1,1 +1,30 @@
 """What everything stands on: devices, threads, arrays, files, memory, checks and names."""
+
+from .exports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "arrays": "array_bytes array_view as_points",
+        "checkout": "NEEDED",
+        "checks": (
+            "axis_index checked_bounds checked_margin checked_number checked_positive checked_step "
+            "checked_vector checked_whole listed warn_caller"
+        ),
+        "devices": (
+            "LEAST_SPARE RepeatedLaunch RepeatedLaunches SPARE_FRAMES SpareMemory half_texture "
+            "kernel_label launch module_block_dim recorded_launches resolve_device"
+        ),
+        "files": "NpyFile atomic_path file_stamp joined_crc npz_names read_limited read_npz",
+        "kernel_files": (
+            "FOLDER MOVED all_needs copy_kernel direct_needs find_kernel kernel_names kernel_source "
+            "kernel_summary native_files"
+        ),
+        "locks": "device_turn owner_lock",
+        "memory": "MEASURED_EVERY MemoryShortage Recent UNKNOWN free_host_bytes",
+        "modules": "load_modules",
+        "names": "COORDINATES EASINGS agreed counted error_line",
+        "overlap": "Beside SPARE stream",
+        "threads": "PART_SECONDS THREADS_VARIABLE cpu_threads limit_threads run_parallel run_parts",
+    },
+)

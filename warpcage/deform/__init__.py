@@ -1,1 +1,12 @@
 """Deformed fields: the Deformer, edits and baking."""
+
+from ..core.exports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "fill": "membrane",
+        "splat_baking": "quaternions_of",
+        "splat_instances": "BOUND FOLLOWED LEFT make_instances shared_ways",
+    },
+)

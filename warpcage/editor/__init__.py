@@ -2,3 +2,32 @@
 # `document` is what is edited. It never changes: each command makes a new one (`commands`), so that undo can keep the
 # old ones (`history`). A `session` holds the newest one, saves it, and tells listeners. `scene` and `renderer` make
 # pictures of it, `server` and `clients` bring them to pages. `page/` is modules as they are, without a build step.
+
+from ..core.exports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "commands": "COMMANDS moved_keys moved_rest preset_pose replace_cage run_command",
+        "demo": "demo_files",
+        "document": (
+            "Document Key MAX_ID MAX_PLACE Selection Settings Timeline View checked_view frozen_vertices "
+            "new_edit parsed_json"
+        ),
+        "edit": "Editor",
+        "exports": (
+            "Film atomic_folder export_baked export_cage export_command export_film export_poses film_pictures"
+        ),
+        "inspection": "Inspector inspect inspector",
+        "renderer": (
+            "COARSE_CELLS FRAME LEAST_SIDE Pace PosedScene Renderer Request band_camera camera depth_size "
+            "frame_pixels joined_pixels packed_frame same_pose view_camera"
+        ),
+        "server": "Server",
+        "session": (
+            "DEPTH History Session file_stamp free_session_path new_document read_session session_path write_session"
+        ),
+        "tasks": "Cancelled Jobs MAX_JOBS MAX_UNFINISHED Outcome",
+        "timeline": "document_at frame_rate frame_times load_poses looped_time pose_file state_at with_pose_file",
+    },
+)

@@ -1,1 +1,19 @@
 """From posed pictures to a voxel field."""
+
+from ..core.exports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "batches": "PRECISIONS TrainingPictures picture_bytes sum_shards",
+        "cameras": "CameraRefinement CameraSums tuned_scene",
+        "checkpoint": "NAMES load_progress save_progress scene_digest",
+        "evaluation": "error_image ssim",
+        "level": "Level gradient_parts node_bytes row_bytes",
+        "memory": "memory_size scaled_shape",
+        "options": "checked_options",
+        "schedule": "MOST_SCARCE PLENTY plan_batches scarcity",
+        "silhouettes": "Silhouettes keep_seen object_bounds",
+        "surroundings": "chosen_background",
+    },
+)

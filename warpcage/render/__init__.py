@@ -1,1 +1,15 @@
 """Frames of edited scenes: views, tables, shading and launches."""
+
+from ..core.exports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "modules": "load_usual_modules",
+        "scene": "LARGE_PICTURE",
+        "shading": "CarriedShades",
+        "tables": "FineCells TileBegins",
+        "tile_order": "BalancedTiles",
+        "view": "MarchedView",
+    },
+)

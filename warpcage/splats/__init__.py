@@ -1,1 +1,16 @@
 """Gaussian splats: fields of them, their files, their views, and how a cage poses them."""
+
+from ..core.exports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "binding": "CageBinding PIECE PoseFit fit_similarity pieces_of sh_basis split_tree turned_harmonics",
+        "fit": "SplatGradients SplatParameters",
+        "io": "WRITERS is_splat_file",
+        "io.contents": "SplatContents",
+        "io.spz": "turned_over",
+        "render": "IMAGE_BLUR SplatRenderer splat_lens",
+        "splat_field": "SplatDensity field_size load_field rotation_matrices",
+    },
+)
