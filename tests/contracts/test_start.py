@@ -7,7 +7,7 @@ import sys
 import pytest
 from cli_runs import write_files
 
-ROOT = pathlib.Path(__file__).resolve().parent.parent
+ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")

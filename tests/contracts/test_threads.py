@@ -111,7 +111,7 @@ def hammer(device, kind):
 
 
 def subprocess_of(program, *arguments, **options):
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(pathlib.Path(__file__).parent), *sys.path[1:]])}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(pathlib.Path(__file__).parents[1] / "support"), *sys.path[1:]])}
     environment |= options.pop("env", {})
     return subprocess.run(
         [sys.executable, "-c", program, *map(str, arguments)],
@@ -119,7 +119,7 @@ def subprocess_of(program, *arguments, **options):
         capture_output=True,
         text=True,
         timeout=300,
-        cwd=pathlib.Path(__file__).parents[1],
+        cwd=pathlib.Path(__file__).parents[2],
         **options,
     )
 
@@ -290,7 +290,7 @@ except KeyboardInterrupt:
 @pytest.mark.parametrize("scene", ["field", "deformer"])
 def test_an_interrupt_ends_a_long_render(scene, threads):
     environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(pathlib.Path(__file__).parent), *sys.path[1:]]),
+        "PYTHONPATH": os.pathsep.join([str(pathlib.Path(__file__).parents[1] / "support"), *sys.path[1:]]),
         "WARPCAGE_THREADS": str(threads),
     }
     program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n" + INTERRUPTED

@@ -13,7 +13,7 @@ import warpcage
 from warpcage.cli import main
 from warpcage.reference import write_brick_scene
 
-ROOT = pathlib.Path(__file__).resolve().parents[1]
+ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 #: What is made smaller, or put where these files have it.
 SMALLER = {

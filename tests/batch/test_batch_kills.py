@@ -439,7 +439,7 @@ cluster.shutdown()
 def test_a_lost_machine_costs_an_item_a_try(tmp_path):
     """Two nodes of a cluster on one machine, one of which is killed with all that runs on it."""
     path, out = write_frames(tmp_path / "job", 60), tmp_path / "out"
-    line = [sys.executable, "-c", LOST_NODE, str(path), str(out), str(pathlib.Path(__file__).parent)]
+    line = [sys.executable, "-c", LOST_NODE, str(path), str(out), str(pathlib.Path(__file__).parents[1] / "support")]
     done = subprocess.run(line, capture_output=True, text=True, env=os.environ | {"RAY_USAGE_STATS_ENABLED": "0"})
     assert done.returncode == 0, done.stderr[-3000:]
     found = records(out)

@@ -133,7 +133,7 @@ def test_sections_are_told_apart():
     assert entries(parts["Args"]) == ["one", "options"] and list(parts) == ["", "Args", "Returns"]
 
 
-PAGES = sorted((pathlib.Path(__file__).parent.parent / "docs").glob("*.md"))
+PAGES = sorted((pathlib.Path(__file__).parents[2] / "docs").glob("*.md"))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

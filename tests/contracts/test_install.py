@@ -16,7 +16,7 @@ import pytest
 import warpcage
 from warpcage.core import NEEDED
 
-ROOT = pathlib.Path(__file__).parents[1]
+ROOT = pathlib.Path(__file__).parents[2]
 SOURCES = ("setup.py", "pyproject.toml", "README.md", "LICENSE", "warpcage", "kernels")
 FOUND = "import warpcage; print(warpcage.__file__); print(warpcage.kernels.__file__); print(warpcage.__version__)"
 

@@ -16,7 +16,7 @@ from warpcage import Cage, Camera
 from warpcage.reference import box, cylinder, joined, render_mesh_views
 from warpcage.view import read_image
 
-EXAMPLES = pathlib.Path(__file__).resolve().parent.parent / "examples"
+EXAMPLES = pathlib.Path(__file__).resolve().parents[2] / "examples"
 
 #: The brick scene, much smaller than by default.
 TINY = ("--size", "40", "--views", "24", "--picture", "64", "--film", "48", "--frames", "4", "--lattice", "24",

@@ -1,4 +1,4 @@
-"""Motion from other programs. tests/fixtures/blender_motion was written by Blender 5.0.1 through
+"""Motion from other programs. tests/data/blender_motion was written by Blender 5.0.1 through
 `python benchmarks blender motion`: .glb files, and where Blender has the vertices at each frame."""
 
 import pathlib
@@ -11,7 +11,7 @@ from warpcage import Cage
 from warpcage.cage import are_numbered, gltf_poses, gltf_shown, numbered_files, sequence_poses
 from warpcage.mesh import read_gltf_motion
 
-FIXTURES = pathlib.Path(__file__).parent / "fixtures" / "blender_motion"
+FIXTURES = pathlib.Path(__file__).parents[1] / "data" / "blender_motion"
 BOX = Cage.box([-1, -1, -1], [1, 1, 1])
 Y_UP = np.stack([BOX.vertices[:, 0], BOX.vertices[:, 2], -BOX.vertices[:, 1]], axis=1)
 

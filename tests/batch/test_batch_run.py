@@ -426,7 +426,7 @@ def test_a_kill_while_a_shard_is_packed_loses_nothing(tmp_path, step):
         f"place.{name} = {'types.SimpleNamespace(rmtree=kill)' if name == 'shutil' else 'kill'}\n"
         "run_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
     )
-    line = [sys.executable, "-c", program, str(path), str(out), str(pathlib.Path(__file__).parent)]
+    line = [sys.executable, "-c", program, str(path), str(out), str(pathlib.Path(__file__).parents[1] / "support")]
     assert subprocess.run(line).returncode == -signal.SIGKILL
     report = run_with(path, out)
     assert report.complete and report.kept >= 5 and pictures(out) == whole and left_over(out) == []
@@ -462,7 +462,7 @@ def test_a_kill_at_any_step_loses_nothing(files, tmp_path, step):
         "kill = lambda *given, **words: os.kill(os.getpid(), signal.SIGKILL)\n"
         f"{KILLS[step]}run_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
     )
-    line = [sys.executable, "-c", program, str(path), str(out), str(pathlib.Path(__file__).parent)]
+    line = [sys.executable, "-c", program, str(path), str(out), str(pathlib.Path(__file__).parents[1] / "support")]
     assert subprocess.run(line).returncode == -signal.SIGKILL
     report = run_with(path, out)
     noted = {"between files and their note": 4, "in the middle of a note": 0}.get(step, 12)

@@ -1,4 +1,4 @@
-"""Cages to and from other programs. tests/fixtures/blender was written by Blender 5.0.1 through `python
+"""Cages to and from other programs. tests/data/blender was written by Blender 5.0.1 through `python
 benchmarks blender round-trip`: a cylinder cage, its export in each dialect after a bend, where Blender has it."""
 
 import base64
@@ -12,7 +12,7 @@ import pytest
 from warpcage import Cage
 from warpcage.mesh import cut_polygon
 
-FIXTURES = pathlib.Path(__file__).parent / "fixtures" / "blender"
+FIXTURES = pathlib.Path(__file__).parents[1] / "data" / "blender"
 POSED = sorted(
     path.name for path in FIXTURES.iterdir() if path.stem not in ("rest", "bent") and not path.stem.endswith("_rest")
 )
