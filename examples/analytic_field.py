@@ -29,14 +29,14 @@ def radiance(x: wp.vec3, direction: wp.vec3):
 def composite(points: wp.array2d(dtype=wp.vec3), directions: wp.array2d(dtype=wp.vec3), region: wp.array2d(dtype=int),
               dt: float, image: wp.array(dtype=wp.vec3)):  # fmt: skip
     ray = wp.tid()
-    colour = wp.vec3()
+    color = wp.vec3()
     light = float(1.0)  # noqa: UP018 (a variable to Warp, not a constant)
     for k in range(points.shape[1]):
         rgb, density = radiance(points[ray, k], directions[ray, k])
         kept = wp.exp(-wp.where(region[ray, k] == 1, 0.0, density) * dt)  # 1: what the moved cage left behind
-        colour += light * (1.0 - kept) * rgb
+        color += light * (1.0 - kept) * rgb
         light *= kept
-    image[ray] = colour + light * wp.vec3(1.0, 1.0, 1.0)
+    image[ray] = color + light * wp.vec3(1.0, 1.0, 1.0)
 
 
 def main(size=48, steps=160, near=2.0, far=4.0):

@@ -39,9 +39,9 @@ def main(argv=None) -> dict:
     again = warpcage.SplatField.load(out / "bent.ply", device=args.device)
 
     low, high = field.shown_bounds
-    centre, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
+    center, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
     away = np.array([-0.8, 0.0, -0.6]) - 0.15 * field.up
-    camera = warpcage.Camera.look_at(centre + 1.5 * size * away, centre, up=field.up, width=args.size, height=args.size)
+    camera = warpcage.Camera.look_at(center + 1.5 * size * away, center, up=field.up, width=args.size, height=args.size)
     still, posed, saved = (each.render(camera, background="grey").rgb for each in (field, deformer, again))
     write_png(out / "splats.png", contact_sheet([still, draw_cage(still, camera, cage), posed, saved]))
     print(f"{field.splat_count} splats of degree {field.degree}, {again.splat_count} bent: {out / 'bent.ply'}")

@@ -87,8 +87,8 @@ def drawn(name: str, mesh, made, size: int) -> list[np.ndarray]:
     """Panels (size + caption, size, 3) of the mesh alone and with each cage, from one camera that shows all of them."""
     points = np.concatenate([cage.vertices for cage, _, _ in made])
     camera = framing_orbit(points, 1, elevation_degrees=30.0, start_degrees=40.0, width=size, height=size)[0]
-    colours = np.broadcast_to(np.array(STONE), np.shape(mesh.faces))
-    rgba = render_mesh_views(mesh.vertices, mesh.faces, colours, [camera], samples=3)[0]
+    colors = np.broadcast_to(np.array(STONE), np.shape(mesh.faces))
+    rgba = render_mesh_views(mesh.vertices, mesh.faces, colors, [camera], samples=3)[0]
     picture = rgba[..., :3] * rgba[..., 3:] + 1.0 - rgba[..., 3:]
     panels = [captioned(picture, f"{name}\n{len(mesh.vertices)} vertices\nvolume {abs(mesh.volume):.3g}")]
     for cage, report, seconds in made:

@@ -30,7 +30,7 @@ from warpcage.core.devices import resolve_device
 from warpcage.core.files import atomic_path
 from warpcage.view.frame_parts import mask_picture
 from warpcage.view.overlay import draw_cage
-from warpcage.view.pictures import colour_disparity, contact_sheet, disparity_range, write_png
+from warpcage.view.pictures import color_disparity, contact_sheet, disparity_range, write_png
 
 #: A box around the wing on the right, above its ground floor, in the house's own upright axes (see `upright_axes`).
 WING = ([-1.05, -0.62, -0.15], [0.05, 0.47, 0.66])
@@ -76,7 +76,7 @@ def main(argv=None) -> dict:
     box = turned(warpcage.Cage.box(*WING, segments=(3, 3, 3)), axes)
     generated = warpcage.Cage.load(args.cage) if args.cage else generate(field, masked, axes)
     edits = {
-        "box": (box, posed(box, axes, lambda cage: cage.stretch(1.35, axis="z", centre=cage.bounds[0]))),
+        "box": (box, posed(box, axes, lambda cage: cage.stretch(1.35, axis="z", center=cage.bounds[0]))),
         "generated": (
             generated,
             posed(
@@ -138,7 +138,7 @@ def generate(field, scene, axes):
 def upright_axes(scene) -> np.ndarray:
     """(3, 3) rows: sideward, towards the cameras, up."""
     up = scene.up
-    towards = np.mean([camera.centre for camera in scene.cameras], axis=0)
+    towards = np.mean([camera.center for camera in scene.cameras], axis=0)
     towards -= (towards @ up) * up
     towards /= np.linalg.norm(towards)
     return np.stack([np.cross(towards, up), towards, up])
@@ -172,7 +172,7 @@ def show(out, field, edits, camera) -> float:
         drawn = picture
         for each in [rest for rest, _ in edits.values()] if cage is None else [cage]:
             drawn = draw_cage(drawn, camera, each)
-        panels += [picture, drawn, colour_disparity(frame.disparity, alpha=frame.alpha, scale=scale)]
+        panels += [picture, drawn, color_disparity(frame.disparity, alpha=frame.alpha, scale=scale)]
     write_png(out / "edits.png", contact_sheet(panels, columns=3))
     return unmoved
 

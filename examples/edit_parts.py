@@ -42,7 +42,7 @@ def main(argv=None) -> dict:
     field = warpcage.VoxelField.load(args.field or demo_files(device)[0], device=device)
     camera = warpcage.Camera.look_at((2.1, -2.8, 1.5), (0, 0, 0.15), width=args.size, height=args.size, fov_degrees=38)
     cabin, bucket, arm = (warpcage.Cage.box(*corners, segments=3) for corners in (CABIN, BUCKET, ARM))
-    on_top, swung = cabin.translate([0, 0, 0.7]), arm.rotate(-25, axis="z", centre=[0.3, -0.25, 0])
+    on_top, swung = cabin.translate([0, 0, 0.7]), arm.rotate(-25, axis="z", center=[0.3, -0.25, 0])
 
     # each edit acts on what the ones before it left: the arm that swings has lost its bucket
     steps = [

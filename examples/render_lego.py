@@ -32,7 +32,7 @@ from warpcage.view.camera import framing_orbit
 from warpcage.view.film import write_gif, write_video
 from warpcage.view.motion import pose_weights
 from warpcage.view.overlay import draw_cage
-from warpcage.view.pictures import colour_disparity, contact_sheet, disparity_range, to_uint8, write_png
+from warpcage.view.pictures import color_disparity, contact_sheet, disparity_range, to_uint8, write_png
 
 
 def main(argv=None) -> dict:
@@ -84,7 +84,7 @@ def main(argv=None) -> dict:
             panels += [
                 frame.rgb,
                 draw_cage(frame.rgb, camera, drawn),
-                colour_disparity(frame.disparity, alpha=frame.alpha, scale=scale),
+                color_disparity(frame.disparity, alpha=frame.alpha, scale=scale),
             ]
         write_png(out / "deformed.png", contact_sheet(panels, columns=3))
     if not args.no_video:
@@ -93,7 +93,7 @@ def main(argv=None) -> dict:
             cameras = framing_orbit(points, args.frames, start_degrees=side, fill=1.0, **size)
             film = list(bend_film(deformer, cage, cameras, args.bend, bend))
             write_video(out / "bend.mp4", film, fps=15)
-            write_gif(out / "bend.gif", film, fps=15, colours=64)
+            write_gif(out / "bend.gif", film, fps=15, colors=64)
 
     summary = {
         "scene": str(args.data or "brick model"),

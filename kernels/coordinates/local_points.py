@@ -12,7 +12,7 @@ FARTHEST = wp.constant(1.0e3)
 def localise_points(
     first: int,
     points: wp.array(dtype=wp.vec3),
-    centre: wp.vec3d,
+    center: wp.vec3d,
     size: wp.float64,
     local: wp.array(dtype=wp.vec3),
     bad: wp.array(dtype=int),
@@ -20,7 +20,7 @@ def localise_points(
     """local (n,) = (points - centre) / size; bad (1,) becomes 1 where a point is not finite or FARTHEST away."""
     # The difference is taken in float64, so that a scene far from the origin keeps the digits that its points have.
     n = first + wp.tid()
-    x = wp.vec3((wp.vec3d(points[n]) - centre) / size)
+    x = wp.vec3((wp.vec3d(points[n]) - center) / size)
     if not wp.isfinite(x) or wp.max(wp.abs(x)) >= FARTHEST:
         bad[0] = 1
     local[n] = x
@@ -28,11 +28,11 @@ def localise_points(
 
 @wp.kernel
 def restore_points(
-    first: int, local: wp.array(dtype=wp.vec3), centre: wp.vec3d, size: wp.float64, points: wp.array(dtype=wp.vec3)
+    first: int, local: wp.array(dtype=wp.vec3), center: wp.vec3d, size: wp.float64, points: wp.array(dtype=wp.vec3)
 ):
     """points (n,) = local * size + centre."""
     n = first + wp.tid()
-    points[n] = wp.vec3(wp.vec3d(local[n]) * size + centre)
+    points[n] = wp.vec3(wp.vec3d(local[n]) * size + center)
 
 
 @wp.kernel

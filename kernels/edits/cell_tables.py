@@ -168,9 +168,9 @@ def mark_alone_cells(
 
 
 @wp.func
-def grid_is_empty(grid: VoxelGrid, centre: wp.vec3, half: wp.vec3):
+def grid_is_empty(grid: VoxelGrid, center: wp.vec3, half: wp.vec3):
     """Whether a box is certainly empty in the canonical grid."""
-    g = grid_position(grid, centre)
+    g = grid_position(grid, center)
     reach = wp.cw_mul(half, grid.inverse_voxel_size)
     needed = float(0.0)
     nearest = wp.vec3(0.0, 0.0, 0.0)
@@ -185,7 +185,7 @@ def grid_is_empty(grid: VoxelGrid, centre: wp.vec3, half: wp.vec3):
 
 @wp.func
 def scene_is_empty(
-    edits: wp.array(dtype=LatticeEdit), edit_count: int, grid: VoxelGrid, centre: wp.vec3, half: wp.vec3
+    edits: wp.array(dtype=LatticeEdit), edit_count: int, grid: VoxelGrid, center: wp.vec3, half: wp.vec3
 ):
     """Whether a box is certainly empty in the scene that the first `edit_count` edits leave."""
     e = edit_count - 1
@@ -196,14 +196,14 @@ def scene_is_empty(
         beside = bool(False)
         within = bool(True)
         for axis in range(3):
-            if centre[axis] + half[axis] < lower[axis] or centre[axis] - half[axis] > upper[axis]:
+            if center[axis] + half[axis] < lower[axis] or center[axis] - half[axis] > upper[axis]:
                 beside = True
-            if centre[axis] - half[axis] < lower[axis] or centre[axis] + half[axis] > upper[axis]:
+            if center[axis] - half[axis] < lower[axis] or center[axis] + half[axis] > upper[axis]:
                 within = False
         if not beside:
             # what of the box is in the edit's, which knows the scene beneath there
-            low = wp.max(centre - half, lower)
-            high = wp.min(centre + half, upper)
+            low = wp.max(center - half, lower)
+            high = wp.min(center + half, upper)
             g = (0.5 * (low + high) - lower) * edit.deformed.inverse_spacing
             i = wp.clamp(int(wp.floor(g[0])), 0, edit.skip.shape[0] - 1)
             j = wp.clamp(int(wp.floor(g[1])), 0, edit.skip.shape[1] - 1)
@@ -213,7 +213,7 @@ def scene_is_empty(
                 return float(edit.skip[i, j, k]) > needed
             # beyond it there is no more than in the scene that the edit found
         e -= 1
-    return grid_is_empty(grid, centre, half)
+    return grid_is_empty(grid, center, half)
 
 
 @wp.kernel
@@ -257,8 +257,8 @@ def mark_edit_cells(
         empty = empty and scene_is_empty(edits, edit_index, grid, 0.5 * (lower + upper), reach * (upper - lower))
     if edit.removes == 1 or farthest > edit.tolerance:
         h = 0.5 * edit.deformed.spacing
-        centre = edit.deformed.lower + edit.deformed.spacing * wp.vec3(float(i) + 0.5, float(j) + 0.5, float(k) + 0.5)
-        empty = empty and scene_is_empty(edits, edit_index, grid, centre, wp.vec3(h, h, h))
+        center = edit.deformed.lower + edit.deformed.spacing * wp.vec3(float(i) + 0.5, float(j) + 0.5, float(k) + 0.5)
+        empty = empty and scene_is_empty(edits, edit_index, grid, center, wp.vec3(h, h, h))
     marks[i, j, k] = wp.uint8(wp.where(empty, REACH_LIMIT, 0))
 
 

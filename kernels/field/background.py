@@ -153,9 +153,9 @@ def layer_kept(layers: BackgroundLayers, layer: int, value: wp.vec4):
 
 
 @wp.func
-def background_colour(layers: BackgroundLayers, origin: wp.vec3, direction: wp.vec3):
+def background_color(layers: BackgroundLayers, origin: wp.vec3, direction: wp.vec3):
     """What a ray sees of the layers."""
-    colour = wp.vec3()
+    color = wp.vec3()
     transmittance = float(1.0)
     for layer in range(layers.values.shape[0]):
         if transmittance > OPAQUE_TRANSMITTANCE:
@@ -163,9 +163,9 @@ def background_colour(layers: BackgroundLayers, origin: wp.vec3, direction: wp.v
             if sample.met == 1:
                 value = layer_value(layers, layer, sample)
                 kept = layer_kept(layers, layer, value)
-                colour += transmittance * (1.0 - kept) * wp.vec3(value[0], value[1], value[2])
+                color += transmittance * (1.0 - kept) * wp.vec3(value[0], value[1], value[2])
                 transmittance *= kept
-    return colour
+    return color
 
 
 @wp.kernel
@@ -178,7 +178,7 @@ def sample_background(
 ):
     """Colours (n,) along rays from origins (n,) in unit directions (n,)."""
     n = first + wp.tid()
-    rgb[n] = background_colour(layers, origins[n], directions[n])
+    rgb[n] = background_color(layers, origins[n], directions[n])
 
 
 @wp.kernel
@@ -195,7 +195,7 @@ def add_background(
         n = row * camera.width + column
         left = 1.0 - alpha[n]
         if left > OPAQUE_TRANSMITTANCE:
-            rgb[n] = rgb[n] + left * background_colour(layers, camera.centre, pixel_direction(camera, column, row))
+            rgb[n] = rgb[n] + left * background_color(layers, camera.center, pixel_direction(camera, column, row))
 
 
 @wp.kernel

@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..view.rays import box_span
-from .harmonics import COLOUR_OF_ROW, sh_basis, vec16
+from .harmonics import COLOR_OF_ROW, sh_basis, vec16
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -102,20 +102,20 @@ def cell_density(grid: VoxelGrid, cell: CellSample):
 
 @wp.func_native(
     BLENDED_ROW
-    + COLOUR_OF_ROW
+    + COLOR_OF_ROW
     + """
     return wp::vec_t<3, wp::float32>(red + 0.5f, green + 0.5f, blue + 0.5f);
 """
 )
-def blended_colour(sh: wp.array2d(dtype=wp.float32), rows: eight_rows, weights: eight_weights, basis: vec16) -> wp.vec3:
+def blended_color(sh: wp.array2d(dtype=wp.float32), rows: eight_rows, weights: eight_weights, basis: vec16) -> wp.vec3:
     """basis . (sum of weight times row) + 0.5."""
     ...
 
 
 @wp.func
-def cell_colour(grid: VoxelGrid, cell: CellSample, basis: vec16):
+def cell_color(grid: VoxelGrid, cell: CellSample, basis: vec16):
     """SH colour before the clamp at zero."""
-    return blended_colour(grid.sh, cell.rows, cell.weights, basis)
+    return blended_color(grid.sh, cell.rows, cell.weights, basis)
 
 
 @wp.func
@@ -136,10 +136,10 @@ def sample_density(grid: VoxelGrid, x: wp.vec3):
 
 
 @wp.func
-def sample_colour(grid: VoxelGrid, x: wp.vec3, direction: wp.vec3):
+def sample_color(grid: VoxelGrid, x: wp.vec3, direction: wp.vec3):
     """Colour at a point seen along a unit direction (from the camera into the scene)."""
-    colour = cell_colour(grid, cell_sample(grid, grid_position(grid, x)), sh_basis(direction))
-    return wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+    color = cell_color(grid, cell_sample(grid, grid_position(grid, x)), sh_basis(direction))
+    return wp.max(color, wp.vec3(0.0, 0.0, 0.0))
 
 
 @wp.kernel
@@ -157,7 +157,7 @@ def sample_field(
     n = first + wp.tid()
     cell = cell_sample(grid, grid_position(grid, points[n] - origin))
     basis = sh_basis(wp.normalize(directions[n]))
-    rgb[n] = wp.max(cell_colour(grid, cell, basis), wp.vec3(0.0, 0.0, 0.0))
+    rgb[n] = wp.max(cell_color(grid, cell, basis), wp.vec3(0.0, 0.0, 0.0))
     density[n] = wp.max(cell_density(grid, cell), 0.0)
 
 

@@ -18,7 +18,7 @@ LUMINANCE_BASIS = wp.constant(16)
 DIFFERENCE_BASIS = wp.constant(4)
 
 #: C++ of several functions: colour = numbers . basis of a row c of `width` numbers.
-COLOUR_OF_ROW = native_source(__file__, "cpp/colour_of_row.h")
+COLOR_OF_ROW = native_source(__file__, "cpp/color_of_row.h")
 
 
 @wp.func
@@ -51,7 +51,7 @@ def sh_basis(d: wp.vec3):
 
 
 @wp.func
-def luminance_colour(parts: wp.vec3):
+def luminance_color(parts: wp.vec3):
     """Red, green and blue of luminance, orange and green difference."""
     grey = parts[0] - 0.5 * parts[2]
     return wp.vec3(grey + parts[1], parts[0] + parts[2], grey - parts[1])

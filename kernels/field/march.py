@@ -21,7 +21,7 @@ from .grid import (
     sample_place,
 )
 from .harmonics import sh_basis
-from .rows import RowTable, row_colour
+from .rows import RowTable, row_color
 from .shades import ShadedGrid, shade_at
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
@@ -37,17 +37,17 @@ PENDING_WEIGHT = wp.constant(1.0 / 512.0)
 class Radiance:
     """What a march gathered along a ray."""
 
-    colour: wp.vec3  # sum of w_k c_k, without background
+    color: wp.vec3  # sum of w_k c_k, without background
     transmittance: float  # what is left for the background
     depth: float  # sum of w_k t_k
 
 
 @wp.func
-def pending_colour(colour: wp.vec3, transmittance: float, pending: float):
+def pending_color(color: wp.vec3, transmittance: float, pending: float):
     """What samples add whose colour was not looked up: that of the others, or grey where there are none."""
     looked_up = 1.0 - transmittance - pending
     if looked_up > 0.5 * PENDING_WEIGHT:
-        return (pending / looked_up) * colour
+        return (pending / looked_up) * color
     return wp.vec3(0.5 * pending, 0.5 * pending, 0.5 * pending)
 
 
@@ -95,8 +95,8 @@ def image_kernel(shaded: bool) -> Any:
                     if shade[3] > 0.0:
                         kept = wp.exp(-shade[3])
                         weight = result.transmittance * (1.0 - kept)
-                        colour = wp.vec3(shade[0] + 0.5, shade[1] + 0.5, shade[2] + 0.5)
-                        result.colour += weight * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                        color = wp.vec3(shade[0] + 0.5, shade[1] + 0.5, shade[2] + 0.5)
+                        result.color += weight * wp.max(color, wp.vec3(0.0, 0.0, 0.0))
                         result.depth += weight * t
                         result.transmittance *= kept
                 else:
@@ -106,15 +106,15 @@ def image_kernel(shaded: bool) -> Any:
                         weight = result.transmittance * (1.0 - kept)
                         pending += weight
                         if pending > PENDING_WEIGHT:
-                            colour = row_colour(grid.sh, table.packed, table.columns, ci, cj, ck, offset, basis)
-                            result.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                            color = row_color(grid.sh, table.packed, table.columns, ci, cj, ck, offset, basis)
+                            result.color += pending * wp.max(color, wp.vec3(0.0, 0.0, 0.0))
                             pending = float(0.0)
                         result.depth += weight * t
                         result.transmittance *= kept
                 k += 1.0
             t = (k + 0.5) * step
         if wp.static(not shaded):
-            result.colour += pending_colour(result.colour, result.transmittance, pending)
+            result.color += pending_color(result.color, result.transmittance, pending)
         return result
 
     @wp.kernel(name=f"render_{variant}", module=variant_module(__name__, variant, block_dim=64 if shaded else 128))
@@ -135,9 +135,9 @@ def image_kernel(shaded: bool) -> Any:
         if column >= camera.width or row >= camera.height:
             return
         n = row * camera.width + column
-        seen = march(grid, table, camera.centre, pixel_direction(camera, column, row), step, stop)
+        seen = march(grid, table, camera.center, pixel_direction(camera, column, row), step, stop)
         opacity = 1.0 - seen.transmittance
-        rgb[n] = seen.colour + seen.transmittance * background
+        rgb[n] = seen.color + seen.transmittance * background
         alpha[n] = opacity
         depth[n] = visible_depth(seen.depth, opacity)
 
@@ -167,7 +167,7 @@ def record_weights(
     camera = cameras[n // per_view]
     column = (n % per_view % per_row) * pixel_stride
     row = (n % per_view // per_row) * pixel_stride
-    ray = grid_ray(grid, camera.centre, pixel_direction(camera, column, row), step)
+    ray = grid_ray(grid, camera.center, pixel_direction(camera, column, row), step)
     transmittance = float(1.0)
     k = ray.first
     while sample_distance(ray, k) < ray.far and transmittance > stop:
@@ -186,6 +186,3 @@ def record_weights(
                             wp.atomic_max(weights, cell.rows[c], weight)
                 transmittance *= wp.exp(-sigma * step)
             k += 1
-
-
-__all__ = ["PENDING_WEIGHT", "Radiance", "pending_colour", "visible_depth"]

@@ -5,7 +5,7 @@ import warp as wp
 from ..core.native import native_source
 from ..view.rays import TILE_SIZE, PinholeCamera, pixel_direction, tile_pixel
 from .grid import VoxelGrid, grid_ray
-from .march import PENDING_WEIGHT, pending_colour, visible_depth
+from .march import PENDING_WEIGHT, pending_color, visible_depth
 from .occupancy import MatterCells
 from .rows import RowTable
 
@@ -61,7 +61,7 @@ def render_tiles(
         ends[r] = -1.0
         if column < camera.width and row < camera.height:
             direction = pixel_direction(camera, column, row)
-            ray = grid_ray(grid, camera.centre, direction, step)
+            ray = grid_ray(grid, camera.center, direction, step)
             start = ray.start
             directions[r] = direction
             firsts[r] = float(ray.first)
@@ -71,9 +71,9 @@ def render_tiles(
         column, row = tile_pixel(tile * TILE_SIZE + r, camera.width)
         if column < camera.width and row < camera.height:
             n = row * camera.width + column
-            colour = wp.vec3(seen[r, 0], seen[r, 1], seen[r, 2])
+            color = wp.vec3(seen[r, 0], seen[r, 1], seen[r, 2])
             transmittance = seen[r, 3]
-            colour += pending_colour(colour, transmittance, seen[r, 5])
-            rgb[n] = colour + transmittance * background
+            color += pending_color(color, transmittance, seen[r, 5])
+            rgb[n] = color + transmittance * background
             alpha[n] = 1.0 - transmittance
             depth[n] = visible_depth(seen[r, 4], 1.0 - transmittance)

@@ -209,7 +209,7 @@ def outer_sample(outer: OuterGrid, g: wp.vec3):
 
 
 @wp.func
-def shown_colour(value: wp.vec4):
+def shown_color(value: wp.vec4):
     """Colour of a sample, not below zero."""
     return wp.max(wp.vec3(value[0], value[1], value[2]), wp.vec3(0.0, 0.0, 0.0))
 
@@ -217,7 +217,7 @@ def shown_colour(value: wp.vec4):
 @wp.func
 def march_outer(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: float, end: float):
     """Colour before what is behind, and the light that is left, of a ray between two distances, outside the box."""
-    colour = wp.vec3()
+    color = wp.vec3()
     light = float(1.0)
     path = outer_path(outer, origin, direction, begin, end)
     for n in range(path.count):
@@ -232,10 +232,10 @@ def march_outer(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: fl
                 value = outer_sample(outer, g).value
                 if value[3] > 0.0:
                     kept = wp.exp(-value[3] * piece.length)
-                    colour += light * (1.0 - kept) * shown_colour(value)
+                    color += light * (1.0 - kept) * shown_color(value)
                     light *= kept
                 k += 1
-    return wp.vec4(colour[0], colour[1], colour[2], light)
+    return wp.vec4(color[0], color[1], color[2], light)
 
 
 @wp.func
@@ -248,20 +248,20 @@ def front_end(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3):
 
 
 @wp.func
-def sky_colour(outer: OuterGrid, direction: wp.vec3):
+def sky_color(outer: OuterGrid, direction: wp.vec3):
     """Colour of the sky in a direction."""
     value = layer_value(outer.sky, 0, surface_sample(outer.sky.side, direction))
-    return shown_colour(value)
+    return shown_color(value)
 
 
 @wp.func
-def outer_colour(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: float):
+def outer_color(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: float):
     """What a ray sees from a distance on, the sky included."""
     seen = march_outer(outer, origin, direction, begin, FAR_AWAY)
-    colour = wp.vec3(seen[0], seen[1], seen[2])
+    color = wp.vec3(seen[0], seen[1], seen[2])
     if seen[3] > OUTER_STOP:
-        colour += seen[3] * sky_colour(outer, direction)
-    return colour
+        color += seen[3] * sky_color(outer, direction)
+    return color
 
 
 @wp.kernel
@@ -274,7 +274,7 @@ def sample_outer(
 ):
     """Colours (n,) along rays from origins (n,) in unit directions (n,), with nothing in the box."""
     n = first + wp.tid()
-    rgb[n] = outer_colour(outer, origins[n], directions[n], 0.0)
+    rgb[n] = outer_color(outer, origins[n], directions[n], 0.0)
 
 
 @wp.kernel
@@ -294,19 +294,19 @@ def compose_outer(
         n = row * camera.width + column
         direction = pixel_direction(camera, column, row)
         between = depth[n]
-        colour = wp.vec3()
+        color = wp.vec3()
         left = float(1.0)
         if between < FAR_AWAY:
-            front = march_outer(outer, camera.centre, direction, 0.0, between)
-            colour = wp.vec3(front[0], front[1], front[2])
+            front = march_outer(outer, camera.center, direction, 0.0, between)
+            color = wp.vec3(front[0], front[1], front[2])
             left = front[3]
         else:
             between = float(0.0)
-        colour += left * rgb[n]
+        color += left * rgb[n]
         passed = left * (1.0 - alpha[n])
         if passed > OUTER_STOP:
-            colour += passed * outer_colour(outer, camera.centre, direction, between)
-        rgb[n] = colour
+            color += passed * outer_color(outer, camera.center, direction, between)
+        rgb[n] = color
         alpha[n] = left * alpha[n]
         light[n] = left
 
@@ -352,7 +352,7 @@ def mark_outer_nodes(
         kept = int(1)
         for view in range(cameras.shape[0]):
             camera = cameras[view]
-            local = wp.transpose(camera.rotation) * (x - camera.centre)
+            local = wp.transpose(camera.rotation) * (x - camera.center)
             if wp.length(local) < nearest:
                 kept = int(0)
             if local[2] > 0.0:
@@ -360,7 +360,7 @@ def mark_outer_nodes(
                 row = camera.focal[1] * local[1] / local[2] + camera.principal_point[1]
                 if column >= 0.0 and row >= 0.0 and column < float(camera.width) and row < float(camera.height):
                     seen += 1
-                    if wp.length(local) < front * wp.length(camera.centre):
+                    if wp.length(local) < front * wp.length(camera.center):
                         needed = least
         if seen < needed:
             kept = int(0)

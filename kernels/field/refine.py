@@ -50,7 +50,7 @@ def keep_linked(first: int, links: wp.array3d(dtype=wp.int32), mask: wp.array3d(
 
 @wp.kernel
 def refine_mask(first: int, ratio: wp.vec3, source: wp.array3d(dtype=wp.uint8), mask: wp.array3d(dtype=wp.uint8)):
-    """Each finer voxel takes the value of the voxel that its centre lies in; ratio: finer voxels per voxel, along each
+    """Each finer voxel takes the value of the voxel that its center lies in; ratio: finer voxels per voxel, along each
     axis."""
     n = first + wp.tid()
     k = n % mask.shape[2]

@@ -46,8 +46,8 @@ def cell_rows(columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_
     ...
 
 
-@wp.func_native(native_source(__file__, "cpp/row_colour.h"))
-def row_colour(
+@wp.func_native(native_source(__file__, "cpp/row_color.h"))
+def row_color(
     sh: wp.array2d(dtype=wp.float32),
     packed: wp.array2d(dtype=wp.uint32),
     columns: Columns,

@@ -21,13 +21,13 @@ class ShadedGrid:
     """The rows of a grid in memory order, as one camera sees them."""
 
     columns: Columns
-    centre: wp.vec3  # of the camera
+    center: wp.vec3  # of the camera
     step: float
     shades: wp.array2d(dtype=wp.uint32)  # (rows, words): red, green, blue less 0.5 and optical depth of a step
 
 
-@wp.func_native(native_source(__file__, "cpp/shade_colour.h"))
-def shade_colour(sh: wp.array2d(dtype=wp.float32), row: wp.int32, basis: vec16) -> wp.vec3:
+@wp.func_native(native_source(__file__, "cpp/shade_color.h"))
+def shade_color(sh: wp.array2d(dtype=wp.float32), row: wp.int32, basis: vec16) -> wp.vec3:
     """Harmonics of a row times a basis. All lanes, in blocks of at most 128 threads."""
     ...
 
@@ -77,9 +77,9 @@ def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), sha
     n = wp.min(item, nodes.shape[0] - 1)
     row = own_row(shaded, n)
     place = row_place(grid, shaded.columns.node_counts, nodes[n])
-    colour = shade_colour(grid.sh, row, sh_basis(wp.normalize(place - shaded.centre)))
+    color = shade_color(grid.sh, row, sh_basis(wp.normalize(place - shaded.center)))
     if item < nodes.shape[0]:
-        write_shade(shaded.shades, n, wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step))
+        write_shade(shaded.shades, n, wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step))
 
 
 @wp.func_native("""

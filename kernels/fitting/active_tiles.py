@@ -32,7 +32,7 @@ def mark_active_tiles(
         row = (tile // columns) % rows * tile_size + n // tile_size
         column = tile % columns * tile_size + n % tile_size
         if found == 0 and row < height and column < width:
-            ray = grid_ray(grid, camera.centre, pixel_direction(camera, column, row), step)
+            ray = grid_ray(grid, camera.center, pixel_direction(camera, column, row), step)
             k = ray.first
             while sample_distance(ray, k) < ray.far and found == 0:
                 g = sample_place(ray, k)

@@ -9,7 +9,7 @@ import warp as wp
 from ..field.background import (
     OPAQUE_TRANSMITTANCE,
     BackgroundLayers,
-    background_colour,
+    background_color,
     layer_kept,
     layer_sample,
     layer_value,
@@ -38,7 +38,7 @@ def gather_background(first: int, layers: BackgroundLayers, rays: TrainingRays, 
     pixel = batch_pixel(rays, n)
     if in_picture(rays, pixel):
         camera = rays.cameras[pixel[0]]
-        behind[n] = background_colour(layers, camera.centre, pixel_direction(camera, pixel[2], pixel[1]))
+        behind[n] = background_color(layers, camera.center, pixel_direction(camera, pixel[2], pixel[1]))
 
 
 @wp.kernel
@@ -61,8 +61,8 @@ def compare_surroundings(
         share = seen[3]
         if share > 0.0:
             camera = rays.cameras[pixel[0]]
-            colour = background_colour(layers, camera.centre, pixel_direction(camera, pixel[2], pixel[1]))
-            error = share * colour - evenly_exposed(rays, pixel[0], seen)
+            color = background_color(layers, camera.center, pixel_direction(camera, pixel[2], pixel[1]))
+            error = share * color - evenly_exposed(rays, pixel[0], seen)
             grad_behind[n] = 2.0 * scale * share * error
 
 
@@ -78,13 +78,13 @@ def accumulate_background_gradient(
     ray. Nodes are shared: on the CPU each thread needs grad_values of its own."""
     n = first + wp.tid()
     pixel = batch_pixel(rays, n)
-    grad_colour = grad_behind[n]
-    if not in_picture(rays, pixel) or wp.length_sq(grad_colour) == 0.0:
+    grad_color = grad_behind[n]
+    if not in_picture(rays, pixel) or wp.length_sq(grad_color) == 0.0:
         return
     camera = rays.cameras[pixel[0]]
-    origin = camera.centre
+    origin = camera.center
     direction = pixel_direction(camera, pixel[2], pixel[1])
-    later = wp.dot(background_colour(layers, origin, direction), grad_colour)
+    later = wp.dot(background_color(layers, origin, direction), grad_color)
     transmittance = float(1.0)
     for layer in range(layers.values.shape[0]):
         if transmittance > OPAQUE_TRANSMITTANCE:
@@ -94,14 +94,12 @@ def accumulate_background_gradient(
                 kept = layer_kept(layers, layer, value)
                 weight = transmittance * (1.0 - kept)
                 transmittance *= kept
-                radiance = wp.dot(wp.vec3(value[0], value[1], value[2]), grad_colour)
+                radiance = wp.dot(wp.vec3(value[0], value[1], value[2]), grad_color)
                 later -= weight * radiance
                 grad_depth = float(0.0)
                 if value[3] > 0.0 and layer < layers.values.shape[0] - 1:
                     grad_depth = transmittance * radiance - later
-                gradient = wp.vec4(
-                    weight * grad_colour[0], weight * grad_colour[1], weight * grad_colour[2], grad_depth
-                )
+                gradient = wp.vec4(weight * grad_color[0], weight * grad_color[1], weight * grad_color[2], grad_depth)
                 for corner in range(4):
                     wp.atomic_add(grad_values, layer, sample.nodes[corner], sample.weights[corner] * gradient)
 
@@ -132,11 +130,11 @@ def accumulate_layer_variation(
     layers: BackgroundLayers,
     moments: wp.array2d(dtype=wp.vec4),
     first_node: int,
-    scale_colour: float,
+    scale_color: float,
     scale_depth: float,
     grad_values: wp.array2d(dtype=wp.vec4),
 ):
-    """Adds the gradient of scale_colour * TV(colours) + scale_depth * TV(optical depths). One item per node, from
+    """Adds the gradient of scale_color * TV(colors) + scale_depth * TV(optical depths). One item per node, from
     first_node on. moments, grad_values: (layers, nodes); on the CPU each thread needs grad_values of its own."""
     # A node counts its differences to the next node along each axis on the cube's surface, where a ray has met both
     # (their moments are not zero): what no ray met stays as it was.
@@ -150,7 +148,7 @@ def accumulate_layer_variation(
     place = surface_place(side, number)
     value = layers.values[layer, number]
     total = wp.vec4()
-    neighbours = wp.vec3i(-1, -1, -1)
+    neighbors = wp.vec3i(-1, -1, -1)
     differences = wp.matrix(shape=(3, 4), dtype=wp.float32)
     for axis in range(3):
         node = place
@@ -158,18 +156,18 @@ def accumulate_layer_variation(
         if node[axis] <= side and on_surface(side, node):
             other = surface_node(side, node)
             if wp.length_sq(moments[layer, other]) > 0.0:
-                neighbours[axis] = other
+                neighbors[axis] = other
                 difference = layers.values[layer, other] - value
                 for channel in range(4):
                     differences[axis, channel] = difference[channel]
     for channel in range(4):
-        scale = wp.where(channel < 3, scale_colour, scale_depth)
+        scale = wp.where(channel < 3, scale_color, scale_depth)
         slope = variation_slope(differences[0, channel], differences[1, channel], differences[2, channel], scale)
         for axis in range(3):
             differences[axis, channel] = slope * differences[axis, channel]
     for axis in range(3):
-        if neighbours[axis] >= 0:
+        if neighbors[axis] >= 0:
             step = wp.vec4(differences[axis, 0], differences[axis, 1], differences[axis, 2], differences[axis, 3])
             total -= step
-            wp.atomic_add(grad_values, layer, neighbours[axis], step)
+            wp.atomic_add(grad_values, layer, neighbors[axis], step)
     wp.atomic_add(grad_values, layer, number, total)

@@ -21,9 +21,9 @@ from ..field.grid import (
 )
 from ..field.harmonics import sh_basis
 from ..view.rays import PinholeCamera
-from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_colour
+from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_color
 from .pictures import picture_pixel
-from .slopes import blended_colour_slopes, cell_slopes, density_slope, sh_basis_slope
+from .slopes import blended_color_slopes, cell_slopes, density_slope, sh_basis_slope
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -129,8 +129,8 @@ def measure_camera_slopes(
         basis_x = sh_basis_slope(direction, 0)
         basis_y = sh_basis_slope(direction, 1)
         basis_z = sh_basis_slope(direction, 2)
-        ray = grid_ray(grid, camera.centre, direction, step)
-        colour = wp.vec3()
+        ray = grid_ray(grid, camera.center, direction, step)
+        color = wp.vec3()
         by_origin = wp.mat33()  # a channel a row
         by_direction = wp.mat33()
         depth_by_origin = wp.vec3()
@@ -155,7 +155,7 @@ def measure_camera_slopes(
                     transmittance *= left
                     slope = density_slope(grid, cell.rows, by_x, by_y, by_z)
                     thicker = step * wp.cw_mul(slope, grid.inverse_voxel_size)
-                    held = blended_colour_slopes(
+                    held = blended_color_slopes(
                         grid.sh, cell.rows, cell.weights, by_x, by_y, by_z, basis, basis_x, basis_y, basis_z
                     )
                     for channel in range(3):
@@ -167,15 +167,15 @@ def measure_camera_slopes(
                             turned = weight * wp.vec3(held[4, channel], held[5, channel], held[6, channel])
                             moved = by_place - value * weight * depth_by_origin
                             turned += t * by_place - value * weight * depth_by_direction
-                            colour[channel] = colour[channel] + weight * value
+                            color[channel] = color[channel] + weight * value
                             for axis in range(3):
                                 by_origin[channel, axis] = by_origin[channel, axis] + moved[axis]
                                 by_direction[channel, axis] = by_direction[channel, axis] + turned[axis]
                     depth_by_origin += thicker
                     depth_by_direction += t * thicker
                 k += 1
-        own += share * colour
-        total += share * (colour + transmittance * back)
+        own += share * color
+        total += share * (color + transmittance * back)
         by_origin -= transmittance * wp.outer(back, depth_by_origin)
         by_direction -= transmittance * wp.outer(back, depth_by_direction)
         for number in range(CAMERA_NUMBERS):
@@ -196,7 +196,7 @@ def measure_camera_slopes(
     rgba = picture_pixel(rays.pictures, pixel[0], pixel[1], pixel[2])
     if random_background == 0 or has_behind:
         own = total - (1.0 - rgba[3]) * back
-    records[n, MISSED] = total - training_colour(rays, pixel, back)
+    records[n, MISSED] = total - training_color(rays, pixel, back)
     records[n, PREDICTED] = own
     records[n, PICTURED] = wp.vec3(rgba[0], rgba[1], rgba[2])
     records[n, OPACITY] = wp.vec3(rgba[3], rgba[3], rgba[3])

@@ -9,7 +9,7 @@ import warp as wp
 
 from ..field.grid import (
     VoxelGrid,
-    cell_colour,
+    cell_color,
     cell_density,
     cell_sample,
     eight_rows,
@@ -76,14 +76,14 @@ def in_picture(rays: TrainingRays, pixel: wp.vec3i):
 @wp.func
 def evenly_exposed(rays: TrainingRays, view: int, rgba: wp.vec4):
     """A pixel's premultiplied colour without its picture's exposure: gain c + alpha offset."""
-    colour = wp.vec3(rgba[0], rgba[1], rgba[2])
+    color = wp.vec3(rgba[0], rgba[1], rgba[2])
     if rays.exposures.shape[0] > 0:
-        colour = wp.cw_mul(rays.exposures[view, 0], colour) + rgba[3] * rays.exposures[view, 1]
-    return colour
+        color = wp.cw_mul(rays.exposures[view, 0], color) + rgba[3] * rays.exposures[view, 1]
+    return color
 
 
 @wp.func
-def training_colour(rays: TrainingRays, pixel: wp.vec3i, behind: wp.vec3):
+def training_color(rays: TrainingRays, pixel: wp.vec3i, behind: wp.vec3):
     """What a pixel of the pictures shows in front of a background."""
     rgba = picture_pixel(rays.pictures, pixel[0], pixel[1], pixel[2])
     return evenly_exposed(rays, pixel[0], rgba) + (1.0 - rgba[3]) * behind
@@ -138,7 +138,7 @@ def background_behind(background: wp.vec3, random_background: int, seed: int, n:
 #endif
         }
 """)
-def add_colour_gradient(
+def add_color_gradient(
     grad_sh: wp.array2d(dtype=wp.float32), rows: eight_rows, weights: eight_weights, basis: vec16, change: wp.vec3
 ):
     """Add the gradient by the numbers of eight rows; on a CPU to what one thread alone adds to. change: by red, green
@@ -187,25 +187,25 @@ def accumulate_photometric_gradient(
     behind = background_behind(background, random_background, seed, n)
     if has_background:
         behind = own_background[n]
-    target = training_colour(rays, pixel, behind)
+    target = training_color(rays, pixel, behind)
     passed_front = float(1.0)
     if has_front:
         target -= wp.vec3(front[n][0], front[n][1], front[n][2])
         passed_front = front[n][3]
 
     subray_count = rays.rays_per_side * rays.rays_per_side
-    colours = mat43()
+    colors = mat43()
     left = float(0.0)  # transmittance, summed over the sub-rays
-    grad_colour = wp.vec3()
+    grad_color = wp.vec3()
     march = int(0)
     while march < 2 * subray_count:  # forward for each sub-ray, then the adjoint for each
         subray = march % subray_count
         direction = subray_direction(rays, camera, pixel, subray, seed, n)
         basis = sh_basis(direction)
-        ray = grid_ray(grid, camera.centre, direction, step)
+        ray = grid_ray(grid, camera.center, direction, step)
         # the part of C . dL/dC that comes from behind the current sample
-        later = wp.dot(colours[subray], grad_colour)
-        colour = wp.vec3()
+        later = wp.dot(colors[subray], grad_color)
+        color = wp.vec3()
         transmittance = float(1.0)
         k = ray.first
         while sample_distance(ray, k) < ray.far and transmittance > stop:
@@ -219,12 +219,12 @@ def accumulate_photometric_gradient(
                 if sigma > 0.0:
                     weight = transmittance * (1.0 - wp.exp(-sigma * step))
                     transmittance *= wp.exp(-sigma * step)
-                    raw = cell_colour(grid, cell, basis)
+                    raw = cell_color(grid, cell, basis)
                     radiance = wp.max(raw, wp.vec3(0.0, 0.0, 0.0))
                     if march < subray_count:
-                        colour += weight * radiance
+                        color += weight * radiance
                     else:
-                        change = wp.dot(radiance, grad_colour)
+                        change = wp.dot(radiance, grad_color)
                         later -= weight * change
                         grad_sigma = step * (transmittance * change - later)
                         for c in range(8):
@@ -233,20 +233,20 @@ def accumulate_photometric_gradient(
                         passed = wp.vec3()
                         for channel in range(3):
                             if raw[channel] > 0.0:  # the clamp max(0, .) passes no gradient
-                                passed[channel] = weight * grad_colour[channel]
-                        add_colour_gradient(grad_sh, cell.rows, cell.weights, basis, passed)
+                                passed[channel] = weight * grad_color[channel]
+                        add_color_gradient(grad_sh, cell.rows, cell.weights, basis, passed)
                 k += 1
         if march < subray_count:
-            colours[subray] = colour + transmittance * behind
+            colors[subray] = color + transmittance * behind
             left += transmittance
         if march == subray_count - 1:
-            seen = (colours[0] + colours[1] + colours[2] + colours[3]) / float(subray_count)
+            seen = (colors[0] + colors[1] + colors[2] + colors[3]) / float(subray_count)
             error = passed_front * seen - target
             squared_error[n] = wp.dot(error, error)
             grad_seen = 2.0 * scale * error
-            grad_colour = passed_front / float(subray_count) * grad_seen
+            grad_color = passed_front / float(subray_count) * grad_seen
             if has_front:
                 grad_front[n] = wp.vec4(grad_seen[0], grad_seen[1], grad_seen[2], wp.dot(grad_seen, seen))
             if has_background:
-                grad_background[n] = left * grad_colour
+                grad_background[n] = left * grad_color
         march += 1

@@ -21,8 +21,8 @@ from ..field.grid import (
     sample_distance,
     sample_place,
 )
-from ..field.harmonics import DIFFERENCE_BASIS, LUMINANCE_BASIS, luminance_colour, sh_basis
-from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_colour
+from ..field.harmonics import DIFFERENCE_BASIS, LUMINANCE_BASIS, luminance_color, sh_basis
+from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_color
 from .rmsprop import COEFFICIENTS, GRADIENT_ROW, gradient_place
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
@@ -170,14 +170,14 @@ def accumulate_photometric_gradient_by_warps(
     if has_background:
         all_behind = own_background[n]
     behind = pick(all_behind, channel)
-    target = pick(training_colour(rays, pixel, all_behind), channel)
+    target = pick(training_color(rays, pixel, all_behind), channel)
     if front.shape[0] > 0:
         target -= pick(wp.vec3(front[n][0], front[n][1], front[n][2]), channel)
 
     subray_count = rays.rays_per_side * rays.rays_per_side
-    mean_colour = float(0.0)  # of this lane's channel
+    mean_color = float(0.0)  # of this lane's channel
     left_over = float(0.0)  # transmittance, summed over the sub-rays
-    grad_colour = float(0.0)
+    grad_color = float(0.0)
     kept = int(0)  # samples of all sub-rays
     march = int(0)
     while march < 2 * subray_count:  # forward for each sub-ray, then the adjoint for each
@@ -191,17 +191,17 @@ def accumulate_photometric_gradient_by_warps(
         for b in range(16):
             if lane < COEFFICIENTS and own_basis == b:
                 basis = all_basis[b]
-        ray = grid_ray(grid, camera.centre, direction, step)
+        ray = grid_ray(grid, camera.center, direction, step)
         k = ray.first
         start = int(BEYOND)
         first_kept = kept
         later = float(0.0)  # the part of C . dL/dC that comes from behind the current sample
         if march >= subray_count:
-            later = over_channels(one_kept(head + channel) * grad_colour)
+            later = over_channels(one_kept(head + channel) * grad_color)
             first_kept = bits_as_int(one_kept(head + 3))
             count = bits_as_int(one_kept(head + 4))
             k = bits_as_int(one_kept(head + 5))
-            all_gradients = channels(grad_colour)
+            all_gradients = channels(grad_color)
             if count >= 0:
                 k = BEYOND
             done = int(0)
@@ -232,7 +232,7 @@ def accumulate_photometric_gradient_by_warps(
                     gradient = basis * one_kept(4 * (CELL_FOURS * j + 4) + part)
                     add_corner_gradients(gradients, j, lane, stride, first_place, gradient)
                 done += LANES
-        colour = float(0.0)
+        color = float(0.0)
         transmittance = float(1.0)
         while sample_distance(ray, k) < ray.far and transmittance > stop:
             g = sample_place(ray, k)
@@ -267,10 +267,10 @@ def accumulate_photometric_gradient_by_warps(
                             row = bits_as_int(rows[c])
                             value += wp.where(row >= 0, weights[c], 0.0) * grid.sh[wp.max(row, 0), number]
                     sums = part_sums(basis * value, lane)
-                    raw = 0.5 + pick(luminance_colour(sums), channel)
+                    raw = 0.5 + pick(luminance_color(sums), channel)
                     radiance_own = wp.max(raw, 0.0)
                     if march < subray_count:
-                        colour += weight * radiance_own
+                        color += weight * radiance_own
                         if kept < MOST_SAMPLES:
                             keeping = radiance_own
                             slot = 3 + lane
@@ -287,9 +287,9 @@ def accumulate_photometric_gradient_by_warps(
                                 keep_one(SAMPLES + SAMPLE * kept + slot, keeping)
                         kept += 1
                     else:
-                        change_all = over_channels(radiance_own * grad_colour)
+                        change_all = over_channels(radiance_own * grad_color)
                         later -= weight * change_all
-                        passed_all = part_gradients(channels(wp.where(raw > 0.0, weight * grad_colour, 0.0)))
+                        passed_all = part_gradients(channels(wp.where(raw > 0.0, weight * grad_color, 0.0)))
                         gradient_own = basis * pick(wp.vec3(passed_all[0], passed_all[1], passed_all[2]), part)
                         if lane == COEFFICIENTS:
                             gradient_own = step * ((left - weight) * change_all - later)
@@ -300,15 +300,15 @@ def accumulate_photometric_gradient_by_warps(
                                 touched[marked] = wp.uint8(1)
                 k += LANES
         if march < subray_count:
-            colour += transmittance * behind
-            mean_colour += colour / float(subray_count)
+            color += transmittance * behind
+            mean_color += color / float(subray_count)
             left_over += transmittance
             count_kept = kept - first_kept
             if kept > MOST_SAMPLES:  # no room: the adjoint marches again
                 kept = first_kept
                 count_kept = -1
             if lane < 3:
-                keep_one(head + lane, colour)
+                keep_one(head + lane, color)
             if lane == 3:
                 keep_one(head + 3, bits_as_float(first_kept))
             if lane == 4:
@@ -320,12 +320,12 @@ def accumulate_photometric_gradient_by_warps(
             passed_front = float(1.0)
             if front.shape[0] > 0:
                 passed_front = front[n][3]
-            error = passed_front * mean_colour - target
-            grad_colour = 2.0 * scale * error
+            error = passed_front * mean_color - target
+            grad_color = 2.0 * scale * error
             total = over_channels(error * error)
-            change_of_light = over_channels(grad_colour * mean_colour)
-            all_errors = channels(grad_colour)
-            grad_colour *= passed_front / float(subray_count)
+            change_of_light = over_channels(grad_color * mean_color)
+            all_errors = channels(grad_color)
+            grad_color *= passed_front / float(subray_count)
             if lane == 0:
                 squared_error[n] = total
                 if has_background:

@@ -28,14 +28,14 @@ from ..field.outer import (
     OuterGrid,
     front_end,
     march_outer,
-    outer_colour,
+    outer_color,
     outer_empty,
     outer_path,
     outer_piece,
     outer_place,
     outer_sample,
     sample_after,
-    shown_colour,
+    shown_color,
 )
 from ..view.rays import PinholeCamera, pixel_direction
 from .loss import TrainingRays, batch_pixel, in_picture
@@ -55,14 +55,14 @@ def gather_outer(
     if in_picture(rays, pixel):
         camera = rays.cameras[pixel[0]]
         direction = pixel_direction(camera, pixel[2], pixel[1])
-        between = front_end(outer, camera.centre, direction)
+        between = front_end(outer, camera.center, direction)
         seen = wp.vec4(0.0, 0.0, 0.0, 1.0)
         if between > 0.0:
-            seen = march_outer(outer, camera.centre, direction, 0.0, between)
+            seen = march_outer(outer, camera.center, direction, 0.0, between)
         front[n] = seen
         behind[n] = wp.vec3()
         if seen[3] > OUTER_STOP:
-            behind[n] = outer_colour(outer, camera.centre, direction, between)
+            behind[n] = outer_color(outer, camera.center, direction, between)
 
 
 @wp.func
@@ -72,12 +72,12 @@ def add_outer_gradient(
     direction: wp.vec3,
     begin: float,
     end: float,
-    grad_colour: wp.vec3,
+    grad_color: wp.vec3,
     total: float,
     grad_values: wp.array(dtype=wp.vec4),
 ):
     """Adjoint of march_outer; returns the light that is left.
-    total: colour . its gradient, and light that is left times its own gradient."""
+    total: color . its gradient, and light that is left times its own gradient."""
     later = float(total)
     light = float(1.0)
     path = outer_path(outer, origin, direction, begin, end)
@@ -95,12 +95,12 @@ def add_outer_gradient(
                     kept = wp.exp(-sample.value[3] * piece.length)
                     weight = light * (1.0 - kept)
                     light *= kept
-                    change = wp.dot(shown_colour(sample.value), grad_colour)
+                    change = wp.dot(shown_color(sample.value), grad_color)
                     later -= weight * change
                     gradient = wp.vec4(0.0, 0.0, 0.0, piece.length * (light * change - later))
                     for channel in range(3):
                         if sample.value[channel] >= 0.0:
-                            gradient[channel] = weight * grad_colour[channel]
+                            gradient[channel] = weight * grad_color[channel]
                     for corner in range(8):
                         if sample.rows[corner] >= 0:
                             wp.atomic_add(grad_values, sample.rows[corner], sample.weights[corner] * gradient)
@@ -138,27 +138,27 @@ def accumulate_outer_gradient(
     if not in_picture(rays, pixel):
         return
     camera = rays.cameras[pixel[0]]
-    origin = camera.centre
+    origin = camera.center
     direction = pixel_direction(camera, pixel[2], pixel[1])
     between = front_end(outer, origin, direction)
     seen = front[n]
     if between > 0.0 and seen[3] < 1.0:
         change = grad_front[n] - wp.vec4(0.0, 0.0, 0.0, by_front)
-        by_colour = wp.vec3(change[0], change[1], change[2])
-        add_outer_gradient(outer, origin, direction, 0.0, between, by_colour, wp.dot(seen, change), grad_values)
-    grad_colour = grad_behind[n]
-    if seen[3] > OUTER_STOP and wp.length_sq(grad_colour) > 0.0:
-        total = wp.dot(behind[n], grad_colour)
-        light = add_outer_gradient(outer, origin, direction, between, FAR_AWAY, grad_colour, total, grad_values)
+        by_color = wp.vec3(change[0], change[1], change[2])
+        add_outer_gradient(outer, origin, direction, 0.0, between, by_color, wp.dot(seen, change), grad_values)
+    grad_color = grad_behind[n]
+    if seen[3] > OUTER_STOP and wp.length_sq(grad_color) > 0.0:
+        total = wp.dot(behind[n], grad_color)
+        light = add_outer_gradient(outer, origin, direction, between, FAR_AWAY, grad_color, total, grad_values)
         place = surface_sample(outer.sky.side, direction)
         value = layer_value(outer.sky, 0, place)
         to_pixel = wp.vec3(grad_front[n][0], grad_front[n][1], grad_front[n][2])
-        follows = by_sky * light_behind(grad_colour, to_pixel)
+        follows = by_sky * light_behind(grad_color, to_pixel)
         gradient = wp.vec4()
         for channel in range(3):
             gradient[channel] = follows * (value[channel] - behind[n][channel])
             if light > OUTER_STOP and value[channel] >= 0.0:
-                gradient[channel] += light * grad_colour[channel]
+                gradient[channel] += light * grad_color[channel]
         for corner in range(4):
             wp.atomic_add(grad_sky, 0, place.nodes[corner], place.weights[corner] * gradient)
 
@@ -234,13 +234,13 @@ def record_outer_weights(
     column = (n % per_view % per_row) * pixel_stride
     row = (n % per_view // per_row) * pixel_stride
     direction = pixel_direction(camera, column, row)
-    between = front_end(outer, camera.centre, direction)
+    between = front_end(outer, camera.center, direction)
     light = float(1.0)
     if between > 0.0:
-        light = record_outer_ray(outer, camera.centre, direction, 0.0, between, 1.0, weights)
-    light *= light_through(inner, camera.centre, direction, step)
+        light = record_outer_ray(outer, camera.center, direction, 0.0, between, 1.0, weights)
+    light *= light_through(inner, camera.center, direction, step)
     if light > OUTER_STOP:
-        record_outer_ray(outer, camera.centre, direction, between, FAR_AWAY, light, weights)
+        record_outer_ray(outer, camera.center, direction, between, FAR_AWAY, light, weights)
 
 
 @wp.kernel
@@ -249,7 +249,7 @@ def accumulate_outer_variation(
     outer: OuterGrid,
     nodes: wp.array(dtype=wp.vec3i),
     first_row: int,
-    scale_colour: float,
+    scale_color: float,
     scale_density: float,
     grad_values: wp.array(dtype=wp.vec4),
 ):
@@ -270,7 +270,7 @@ def accumulate_outer_variation(
             if rows[axis] >= 0:
                 difference = outer.values[rows[axis]] - value
                 squares += wp.cw_mul(difference, difference)
-    slope = wp.vec4(scale_colour, scale_colour, scale_colour, scale_density)
+    slope = wp.vec4(scale_color, scale_color, scale_color, scale_density)
     for channel in range(4):
         slope[channel] = slope[channel] / wp.sqrt(squares[channel])
     total = wp.vec4()
@@ -285,7 +285,7 @@ def accumulate_outer_variation(
 @wp.kernel
 def apply_outer_rmsprop(
     first: int,
-    rate_colour: float,
+    rate_color: float,
     rate_density: float,
     beta: float,
     epsilon: float,
@@ -303,7 +303,7 @@ def apply_outer_rmsprop(
     moment = moments[row]
     for channel in range(4):
         if gradient[channel] != 0.0:
-            rate = wp.where(channel < 3, rate_colour, rate_density)
+            rate = wp.where(channel < 3, rate_color, rate_density)
             number, spread = rmsprop_update(value[channel], moment[channel], gradient[channel], rate, beta, epsilon)
             value[channel] = wp.where(channel < 3, wp.clamp(number, 0.0, 1.0), number)
             moment[channel] = spread

@@ -9,7 +9,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Red, green and blue in the columns; in the rows the value, its derivatives by the node coordinates, and by the
 #: components of the direction.
-ColourSlopes = wp.types.matrix(shape=(7, 3), dtype=wp.float32)
+ColorSlopes = wp.types.matrix(shape=(7, 3), dtype=wp.float32)
 
 
 @wp.func
@@ -112,7 +112,7 @@ def sh_basis_slope(d: wp.vec3, axis: int):
     const bool luminous = width == 24;
     const int first[3] = {0, luminous ? 16 : 9, luminous ? 20 : 18};
     const int most[3] = {luminous ? 16 : 9, luminous ? 4 : 9, luminous ? 4 : 9};
-    // luminance and two differences of colour, or red, green and blue: the value and its seven derivatives
+    // luminance and two differences of color, or red, green and blue: the value and its seven derivatives
     float parts[7][3];
     for (int n = 0; n < 7; ++n)
         for (int part = 0; part < 3; ++part)
@@ -143,7 +143,7 @@ def sh_basis_slope(d: wp.vec3, axis: int):
                 parts[6][part] += weight * z;
             }
         }
-    ColourSlopes result;
+    ColorSlopes result;
     for (int n = 0; n < 7; ++n)
     {
         const float luminance = parts[n][0], orange = parts[n][1], green = parts[n][2];
@@ -156,7 +156,7 @@ def sh_basis_slope(d: wp.vec3, axis: int):
     return result;
 """.replace("ColourSlopes", "wp::mat_t<7, 3, wp::float32>")
 )
-def blended_colour_slopes(
+def blended_color_slopes(
     sh: wp.array2d(dtype=wp.float32),
     rows: eight_rows,
     weights: eight_weights,
@@ -167,6 +167,6 @@ def blended_colour_slopes(
     basis_x: vec16,
     basis_y: vec16,
     basis_z: vec16,
-) -> ColourSlopes:
+) -> ColorSlopes:
     """Colour of a blend of eight rows before the clamp at zero, and how it changes with place and direction."""
     ...

@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.func
-def neighbour_row(grid: VoxelGrid, node: wp.vec3i, axis: int):
+def neighbor_row(grid: VoxelGrid, node: wp.vec3i, axis: int):
     """Row of the next node along an axis, or -1."""
     i = node[0] + wp.where(axis == 0, 1, 0)
     j = node[1] + wp.where(axis == 1, 1, 0)
@@ -57,7 +57,7 @@ def accumulate_variation_gradient(
     rows = wp.vec3i()
     difference = wp.vec3()
     for axis in range(3):
-        rows[axis] = neighbour_row(grid, nodes[row], axis)
+        rows[axis] = neighbor_row(grid, nodes[row], axis)
         if rows[axis] >= 0:
             if number < COEFFICIENTS:
                 difference[axis] = grid.sh[rows[axis], number] - value

@@ -61,7 +61,7 @@ def carve_visual_hull(
     kept = int(1)
     for view in range(cameras.shape[0]):
         camera = cameras[view]
-        local = wp.transpose(camera.rotation) * (x - camera.centre)
+        local = wp.transpose(camera.rotation) * (x - camera.center)
         if local[2] > 2.0 * radius:
             # half-width of the voxel's bounding sphere in the image, with room for its perspective
             spread = radius / (local[2] - radius)
@@ -114,7 +114,7 @@ def keep_seen_voxels(
     views = int(0)
     for view in range(cameras.shape[0]):
         camera = cameras[view]
-        local = wp.transpose(camera.rotation) * (x - camera.centre)
+        local = wp.transpose(camera.rotation) * (x - camera.center)
         if local[2] > 0.0:
             u = local[0] / local[2] * camera.focal[0] + camera.principal_point[0]
             v = local[1] / local[2] * camera.focal[1] + camera.principal_point[1]

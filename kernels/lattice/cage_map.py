@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from .nodes import NodeLevels, centred_place
+from .nodes import NodeLevels, centered_place
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -116,7 +116,7 @@ def sample_map(
 def place_nodes(first: int, begin: int, levels: NodeLevels, points: wp.array(dtype=wp.vec3)):
     """points (m,): places of entries of the node list from `begin` on; node units from the middle of the lattice."""
     n = first + wp.tid()
-    points[n] = centred_place(levels, levels.nodes[begin + n])
+    points[n] = centered_place(levels, levels.nodes[begin + n])
 
 
 @wp.kernel

@@ -13,7 +13,7 @@ from ..coordinates.green import green_position
 from ..coordinates.mean_value import mean_value_position
 from .cut_rows import CutRows
 from .gaps import is_near_mark
-from .nodes import CUT_SECTION, INTERPOLATED_SECTION, RING_SECTION, NodeLevels, centred_place, node_place
+from .nodes import CUT_SECTION, INTERPOLATED_SECTION, RING_SECTION, NodeLevels, centered_place, node_place
 
 # so many registers per thread that larger blocks would fill a GPU less well
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True, "block_dim": 128})
@@ -36,7 +36,7 @@ def map_nodes_mean_value(
     if n >= levels.starts[INTERPOLATED_SECTION]:
         return
     node = levels.nodes[n]
-    values[node] = mean_value_position(centred_place(levels, node), vertices, faces, fans, targets, size)
+    values[node] = mean_value_position(centered_place(levels, node), vertices, faces, fans, targets, size)
 
 
 @wp.kernel
@@ -57,7 +57,7 @@ def map_nodes_green(
     if n >= levels.starts[INTERPOLATED_SECTION]:
         return
     node = levels.nodes[n]
-    values[node] = green_position(centred_place(levels, node), vertices, faces, fans, targets, target_normals, size)
+    values[node] = green_position(centered_place(levels, node), vertices, faces, fans, targets, target_normals, size)
 
 
 @wp.kernel
@@ -137,7 +137,7 @@ def map_crossings_green(
         return
     node = levels.nodes[levels.starts[CUT_SECTION] + row]
     if rows.faces[row, direction] >= 0 and is_near_mark(levels, marks, node):
-        x = centred_place(levels, node)
+        x = centered_place(levels, node)
         away = rows.fractions[row, direction]
         axis = direction / 2
         x[axis] = x[axis] + wp.where(direction % 2 == 1, away, -away)

@@ -131,15 +131,15 @@ def find_candidates(
     if group >= (block_count(shape[0]) + group_side - 1) / group_side * ny * nz:
         return
     side = float(BLOCK * group_side)
-    centre = wp.vec3(float(group / (ny * nz)), float((group / nz) % ny), float(group % nz)) * side
-    centre += wp.vec3(1.0, 1.0, 1.0) * (0.5 * side - 0.5)
+    center = wp.vec3(float(group / (ny * nz)), float((group / nz) % ny), float(group % nz)) * side
+    center += wp.vec3(1.0, 1.0, 1.0) * (0.5 * side - 0.5)
     # from this middle to those of the outermost blocks
     half = wp.vec3(1.0, 1.0, 1.0) * (0.5 * float(BLOCK * (group_side - 1)))
     reach = CLEARANCE + HALF_DIAGONAL + GROUP_SLACK
     bits = int(0)
     for bit in range(lane, WORD_FACES, lanes):
         f = word * WORD_FACES + bit
-        if f < boxes.shape[0] and box_gap_squared(centre, boxes[f, 0] - half, boxes[f, 1] + half) <= reach * reach:
+        if f < boxes.shape[0] and box_gap_squared(center, boxes[f, 0] - half, boxes[f, 1] + half) <= reach * reach:
             bits = bits | (1 << bit)
     bits = union_of_lanes(bits)
     if lane == 0:
@@ -147,14 +147,14 @@ def find_candidates(
 
 
 @wp.func
-def octant_centre(centre: wp.vec3, octant: int):
+def octant_center(center: wp.vec3, octant: int):
     """Middle of an octant of a block; bits 0, 1, 2: its upper half along the axes."""
-    return centre + wp.vec3(float(2 * (octant & 1) - 1), float((octant & 2) - 1), float((octant & 4) / 2 - 1))
+    return center + wp.vec3(float(2 * (octant & 1) - 1), float((octant & 2) - 1), float((octant & 4) / 2 - 1))
 
 
 @wp.func
 def clear_octant_bits(
-    centre: wp.vec3,
+    center: wp.vec3,
     group: int,
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
@@ -175,13 +175,13 @@ def clear_octant_bits(
             f = word * WORD_FACES + bit
             is_near = int(0)
             if (bits >> bit) & 1 == 1:
-                is_near = wp.where(face_gap_squared(centre, f, boxes, vertices, faces) < reach * reach, 1, 0)
+                is_near = wp.where(face_gap_squared(center, f, boxes, vertices, faces) < reach * reach, 1, 0)
             near = ballot(is_near)
             while near != 0:
                 face = faces[f - lane + lowest_bit(near)]
                 near = without_lowest_bit(near)
                 for octant in range(lane, 8, lanes):
-                    x = octant_centre(centre, octant)
+                    x = octant_center(center, octant)
                     found = triangle_distance_squared(x, vertices[face[0]], vertices[face[1]], vertices[face[2]])
                     apart[octant] = wp.min(apart[octant], found)
     clear = int(0)
@@ -225,7 +225,7 @@ def list_block_faces(
         (nz + group_side - 1) / group_side
     ) + k / group_side
     half = 0.5 * float(BLOCK - 1)
-    centre = wp.vec3(float(i * BLOCK) + half, float(j * BLOCK) + half, float(k * BLOCK) + half)
+    center = wp.vec3(float(i * BLOCK) + half, float(j * BLOCK) + half, float(k * BLOCK) + half)
     reach = BAND + HALF_DIAGONAL
     nearest = (CLEARANCE + HALF_DIAGONAL) * (CLEARANCE + HALF_DIAGONAL)
     count = int(0)
@@ -235,8 +235,8 @@ def list_block_faces(
             f = word * WORD_FACES + bit
             is_near = int(0)
             if (bits >> bit) & 1 == 1:
-                if face_gap_squared(centre, f, boxes, vertices, faces) <= wp.max(nearest, reach * reach):
-                    apart = face_distance_squared(centre, f, vertices, faces)
+                if face_gap_squared(center, f, boxes, vertices, faces) <= wp.max(nearest, reach * reach):
+                    apart = face_distance_squared(center, f, vertices, faces)
                     nearest = wp.min(nearest, apart)
                     is_near = wp.where(apart <= reach * reach, 1, 0)
             found = ballot(is_near)
@@ -247,7 +247,7 @@ def list_block_faces(
     apart = wp.sqrt(least_of_lanes(nearest))
     clear = wp.where(apart >= 0.9999 * (CLEARANCE + HALF_DIAGONAL), 255, 0)
     if clear == 0 and apart > CLEARANCE - HALF_DIAGONAL:
-        clear = clear_octant_bits(centre, group, vertices, faces, boxes, candidates, lane, lanes)
+        clear = clear_octant_bits(center, group, vertices, faces, boxes, candidates, lane, lanes)
     if lane == 0:
         counts[block] = count
         clear_octants[block] = clear

@@ -115,13 +115,13 @@ def restricted_load(system: LaplaceSystem, level: int, node: int):
     shape = system.levels.shapes[level - 1]
     row = shape[2]
     slab = shape[1] * shape[2]
-    centre = system.levels.first_node[level - 1] + 2 * (p[0] * slab + p[1] * row + p[2])
-    total = 4.0 * system.values[centre]
+    center = system.levels.first_node[level - 1] + 2 * (p[0] * slab + p[1] * row + p[2])
+    total = 4.0 * system.values[center]
     for s in range(-1, 2, 2):
         for t in range(-1, 2, 2):
-            total += system.values[centre + s * slab + t * row]
-            total += system.values[centre + s * slab + t]
-            total += system.values[centre + s * row + t]
+            total += system.values[center + s * slab + t * row]
+            total += system.values[center + s * slab + t]
+            total += system.values[center + s * row + t]
     # weights 1/8 and 1/32, times 4 for the doubled spacing
     return total / 8.0
 
@@ -167,11 +167,11 @@ def raise_largest(largest: wp.array(dtype=wp.vec2), item: int, found: wp.vec2):
 
 
 @wp.kernel
-def relax_laplace(first: int, level: int, colour: int, system: LaplaceSystem):
+def relax_laplace(first: int, level: int, color: int, system: LaplaceSystem):
     """Half a Gauss-Seidel sweep: solve the rows of one colour for their own node."""
     n = first + wp.tid()
-    begin = system.levels.starts[2 * level + colour]
-    if n >= system.levels.starts[2 * level + colour + 1] - begin:
+    begin = system.levels.starts[2 * level + color]
+    if n >= system.levels.starts[2 * level + color + 1] - begin:
         return
     node = system.levels.nodes[begin + n]
     system.values[node] = relaxed_value(system, level, node)

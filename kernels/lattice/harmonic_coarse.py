@@ -42,12 +42,12 @@ class HeldRow:
 
 
 @wp.func
-def held_row(system: LaplaceSystem, level: int, colour: int, item: int):
+def held_row(system: LaplaceSystem, level: int, color: int, item: int):
     """Row of a node of a colour, where there are that many."""
     result = HeldRow()
     result.node = -1
-    n = system.levels.starts[2 * level + colour] + item
-    if n < system.levels.starts[2 * level + colour + 1]:
+    n = system.levels.starts[2 * level + color] + item
+    if n < system.levels.starts[2 * level + color + 1]:
         node = system.levels.nodes[n]
         code = system.levels.codes[node]
         shape = system.levels.shapes[level]
@@ -88,7 +88,7 @@ def leave_held_residual(system: LaplaceSystem, row: HeldRow):
 
 @wp.func
 def sweep_level(
-    system: LaplaceSystem, level: int, first_colour: int, half_sweeps: int, leaves: bool, thread: int, threads: int
+    system: LaplaceSystem, level: int, first_color: int, half_sweeps: int, leaves: bool, thread: int, threads: int
 ):
     """Half sweeps of the colours in turn; then, if `leaves`, residuals in the place of red values."""
     red = system.levels.starts[2 * level]
@@ -100,7 +100,7 @@ def sweep_level(
         black_row = held_row(system, level, 1, thread)
         other_black_row = held_row(system, level, 1, thread + threads)
         for half in range(half_sweeps):
-            if (half + first_colour) % 2 == 0:
+            if (half + first_color) % 2 == 0:
                 relax_held(system, red_row)
                 relax_held(system, other_red_row)
             else:
@@ -113,7 +113,7 @@ def sweep_level(
             wait_for_block()
     else:
         for half in range(half_sweeps):
-            section = 2 * level + (half + first_colour) % 2
+            section = 2 * level + (half + first_color) % 2
             n = system.levels.starts[section] + thread
             while n < system.levels.starts[section + 1]:
                 node = system.levels.nodes[n]

@@ -81,7 +81,7 @@ def node_place(levels: NodeLevels, level: int, node: int):
 
 
 @wp.func
-def centred_place(levels: NodeLevels, node: int):
+def centered_place(levels: NodeLevels, node: int):
     """Place of a node of level 0 from the middle of the lattice, node units."""
     p = node_place(levels, 0, node)
     shape = levels.shapes[0]

@@ -15,7 +15,7 @@
 import warp as wp
 
 from ..view.rays import PinholeCamera
-from .mesh_raycast import MeshLighting, sample_direction, shaded_colour
+from .mesh_raycast import MeshLighting, sample_direction, shaded_color
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 TEXTURE_SEED = wp.constant(7)
@@ -49,7 +49,7 @@ def cast_carried_rays(
     first: int,
     posed: wp.uint64,
     rest: wp.uint64,
-    face_colours: wp.array(dtype=wp.vec3),
+    face_colors: wp.array(dtype=wp.vec3),
     view_matrices: wp.array(dtype=wp.mat33),
     texture: SolidTexture,
     lighting: MeshLighting,
@@ -65,35 +65,35 @@ def cast_carried_rays(
     item = first + wp.tid()
     column = item % camera.width
     row = item // camera.width
-    colour = wp.vec3(0.0, 0.0, 0.0)
+    color = wp.vec3(0.0, 0.0, 0.0)
     distance = float(0.0)
     hits = float(0.0)
     for k in range(side_samples * side_samples):
         x = float(column) + (float(k % side_samples) + 0.5) / float(side_samples)
         y = float(row) + (float(k // side_samples) + 0.5) / float(side_samples)
         direction = sample_direction(camera, x, y)
-        query = wp.mesh_query_ray(posed, camera.centre, direction, 1.0e6)
+        query = wp.mesh_query_ray(posed, camera.center, direction, 1.0e6)
         if query.result:
             face = query.face
             place = wp.mesh_eval_position(rest, face, query.u, query.v)
             view = wp.normalize(vertex_mean(view_matrices, rest, face, query.u, query.v) * direction)
             normal = wp.mesh_eval_face_normal(rest, face)
-            base = texture_factor(texture, place) * face_colours[face]
+            base = texture_factor(texture, place) * face_colors[face]
             lit = rest
             if light_stays == 1:
                 lit = posed
-                place = camera.centre + query.t * direction
+                place = camera.center + query.t * direction
                 view = direction
                 normal = wp.normalize(query.normal)
             if wp.dot(normal, view) > 0.0:
                 normal = -normal
-            colour += shaded_colour(lit, lighting, base, place, normal, view)
+            color += shaded_color(lit, lighting, base, place, normal, view)
             distance += query.t
             hits += 1.0
     count = float(side_samples * side_samples)
     if hits > 0.0:
-        colour = colour / hits
-    rgba[item] = wp.vec4(colour[0], colour[1], colour[2], hits / count)
+        color = color / hits
+    rgba[item] = wp.vec4(color[0], color[1], color[2], hits / count)
     depth[item] = wp.where(hits == count, distance / count, wp.inf)
 
 
@@ -101,23 +101,23 @@ def cast_carried_rays(
 def shade_surface_points(
     first: int,
     rest: wp.uint64,
-    face_colours: wp.array(dtype=wp.vec3),
+    face_colors: wp.array(dtype=wp.vec3),
     texture: SolidTexture,
     lighting: MeshLighting,
     faces: wp.array(dtype=wp.int32),
     corners: wp.array(dtype=wp.vec2),
     directions: wp.array2d(dtype=wp.vec3),
-    colours: wp.array2d(dtype=wp.vec3),
+    colors: wp.array2d(dtype=wp.vec3),
 ):
     """Colours (n, m) of points of the mesh at rest from several sides, directions (n, m): unit vectors from eye to
     point. One item per point. faces, corners (n,): face of a point, and its weights of the first two corners."""
     n = first + wp.tid()
     face = faces[n]
     place = wp.mesh_eval_position(rest, face, corners[n][0], corners[n][1])
-    base = texture_factor(texture, place) * face_colours[face]
+    base = texture_factor(texture, place) * face_colors[face]
     normal = wp.mesh_eval_face_normal(rest, face)
     for m in range(directions.shape[1]):
         side = normal
         if wp.dot(normal, directions[n, m]) > 0.0:
             side = -normal
-        colours[n, m] = shaded_colour(rest, lighting, base, place, side, directions[n, m])
+        colors[n, m] = shaded_color(rest, lighting, base, place, side, directions[n, m])

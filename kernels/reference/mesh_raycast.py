@@ -23,11 +23,11 @@ class MeshLighting:
     """The light of the scene. Reach and offset are lengths in the unit of the mesh."""
 
     key_direction: wp.vec3  # towards the light that casts shadows
-    key_colour: wp.vec3
+    key_color: wp.vec3
     fill_direction: wp.vec3  # towards the light that casts none
-    fill_colour: wp.vec3
-    sky_colour: wp.vec3  # ambient on faces that look up (+z)
-    ground_colour: wp.vec3  # ambient on faces that look down
+    fill_color: wp.vec3
+    sky_color: wp.vec3  # ambient on faces that look up (+z)
+    ground_color: wp.vec3  # ambient on faces that look down
     highlight: float  # strength of the specular term
     shininess: float  # its exponent
     reach: float  # matter nearer than this darkens the ambient light
@@ -67,26 +67,26 @@ def openness(mesh: wp.uint64, position: wp.vec3, normal: wp.vec3, reach: float):
 
 
 @wp.func
-def shaded_colour(
-    mesh: wp.uint64, lighting: MeshLighting, colour: wp.vec3, position: wp.vec3, normal: wp.vec3, view: wp.vec3
+def shaded_color(
+    mesh: wp.uint64, lighting: MeshLighting, color: wp.vec3, position: wp.vec3, normal: wp.vec3, view: wp.vec3
 ):
     """Colour of a surface point as the eye sees it; `view` points from the eye to the surface."""
     start = position + lighting.offset * normal
     up = 0.5 * normal[2] + 0.5
-    ambient = up * lighting.sky_colour + (1.0 - up) * lighting.ground_colour
+    ambient = up * lighting.sky_color + (1.0 - up) * lighting.ground_color
     light = openness(mesh, start, normal, lighting.reach) * ambient
-    light += wp.max(wp.dot(normal, lighting.fill_direction), 0.0) * lighting.fill_colour
+    light += wp.max(wp.dot(normal, lighting.fill_direction), 0.0) * lighting.fill_color
 
     highlight = wp.vec3(0.0, 0.0, 0.0)
     cosine = wp.dot(normal, lighting.key_direction)
     if cosine > 0.0:
         shadow = wp.mesh_query_ray(mesh, start, lighting.key_direction, 1.0e6)
         if not shadow.result:
-            light += cosine * lighting.key_colour
+            light += cosine * lighting.key_color
             half = wp.normalize(lighting.key_direction - view)
             gloss = wp.pow(wp.max(wp.dot(normal, half), 0.0), lighting.shininess)
-            highlight = lighting.highlight * gloss * lighting.key_colour
-    shaded = wp.cw_mul(colour, light) + highlight
+            highlight = lighting.highlight * gloss * lighting.key_color
+    shaded = wp.cw_mul(color, light) + highlight
     return wp.vec3(wp.min(shaded[0], 1.0), wp.min(shaded[1], 1.0), wp.min(shaded[2], 1.0))
 
 
@@ -94,31 +94,31 @@ def shaded_colour(
 def cast_mesh_rays(
     first: int,
     mesh: wp.uint64,
-    face_colours: wp.array(dtype=wp.vec3),
+    face_colors: wp.array(dtype=wp.vec3),
     lighting: MeshLighting,
     camera: PinholeCamera,
     side_samples: int,
     rgba: wp.array(dtype=wp.vec4),
 ):
     """One item per pixel: side_samples^2 samples on a regular grid, averaged to straight (not premultiplied) RGBA.
-    face_colours (f,); rgba (height * width,): the colour is the mean over the samples that hit (0 if none does)."""
+    face_colors (f,); rgba (height * width,): the color is the mean over the samples that hit (0 if none does)."""
     item = first + wp.tid()
     column = item % camera.width
     row = item // camera.width
-    colour = wp.vec3(0.0, 0.0, 0.0)
+    color = wp.vec3(0.0, 0.0, 0.0)
     hits = float(0.0)
     for k in range(side_samples * side_samples):
         x = float(column) + (float(k % side_samples) + 0.5) / float(side_samples)
         y = float(row) + (float(k // side_samples) + 0.5) / float(side_samples)
         direction = sample_direction(camera, x, y)
-        query = wp.mesh_query_ray(mesh, camera.centre, direction, 1.0e6)
+        query = wp.mesh_query_ray(mesh, camera.center, direction, 1.0e6)
         if query.result:
             normal = wp.normalize(query.normal)
             if wp.dot(normal, direction) > 0.0:
                 normal = -normal
-            position = camera.centre + query.t * direction
-            colour += shaded_colour(mesh, lighting, face_colours[query.face], position, normal, direction)
+            position = camera.center + query.t * direction
+            color += shaded_color(mesh, lighting, face_colors[query.face], position, normal, direction)
             hits += 1.0
     if hits > 0.0:
-        colour = colour / hits
-    rgba[item] = wp.vec4(colour[0], colour[1], colour[2], hits / float(side_samples * side_samples))
+        color = color / hits
+    rgba[item] = wp.vec4(color[0], color[1], color[2], hits / float(side_samples * side_samples))

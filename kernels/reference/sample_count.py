@@ -38,7 +38,7 @@ def count_samples(
     camera = cameras[n // per_view]
     column = (n % per_view % per_row) * pixel_stride
     direction = pixel_direction(camera, column, (n % per_view // per_row) * pixel_stride)
-    ray = grid_ray(grid, camera.centre, direction, step)
+    ray = grid_ray(grid, camera.center, direction, step)
     k = ray.first
     transmittance = float(1.0)
     marched = int(0)

@@ -172,7 +172,7 @@ def find_tile_begins(first: int, grid: VoxelGrid, edit: FlatEdit, camera: Pinhol
     """Distance up to which no ray of a tile meets anything. begins: (tiles,). One item a tile."""
     tile = first + wp.tid()
     low, high = tile_directions(camera, tile)
-    begins[tile] = beam_begin(edit, grid, camera.centre, low, high)
+    begins[tile] = beam_begin(edit, grid, camera.center, low, high)
 
 
 @wp.kernel
@@ -187,4 +187,4 @@ def find_tile_begins_of_edits(
     """The same for each of several edits by itself. begins: (edits * tiles,). One item a tile, edit by edit."""
     n = first + wp.tid()
     low, high = tile_directions(camera, n % tiles)
-    begins[n] = beam_begin(edits[n / tiles], grid, camera.centre, low, high)
+    begins[n] = beam_begin(edits[n / tiles], grid, camera.center, low, high)

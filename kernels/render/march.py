@@ -23,7 +23,7 @@ from ..field.densities import early_density, late_density
 from ..field.grid import VoxelGrid, exit_of_cell, grid_position, grid_span, safe_inverse
 from ..field.harmonics import sh_basis
 from ..field.march import PENDING_WEIGHT
-from ..field.rows import RowTable, row_colour
+from ..field.rows import RowTable, row_color
 from ..lattice.cage_map import side_position
 from ..view.rays import box_span
 from .rays import BEGUN, FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions, RayState
@@ -52,7 +52,7 @@ def empty_at(grid: VoxelGrid, g: wp.vec3):
 
 @wp.func
 def matter_at(table: RowTable, grid: VoxelGrid, g: wp.vec3, layer: int, step: float):
-    """Colour, if it comes with the rest, and optical depth of a step at node coordinates g; 0 where there is nothing.
+    """Color, if it comes with the rest, and optical depth of a step at node coordinates g; 0 where there is nothing.
     layer: of deform/laid_shades."""
     i = int(wp.floor(g[0]))
     j = int(wp.floor(g[1]))
@@ -76,7 +76,7 @@ def matter_at(table: LaidShades, grid: VoxelGrid, g: wp.vec3, layer: int, step: 
 
 
 @wp.func
-def matter_colour(table: RowTable, grid: VoxelGrid, g: wp.vec3, slope: wp.vec3, direction: wp.vec3):
+def matter_color(table: RowTable, grid: VoxelGrid, g: wp.vec3, slope: wp.vec3, direction: wp.vec3):
     """Colour before the clamp at zero, at node coordinates g, seen along `slope`, or `direction` where that is nought.
     Neither has a length of its own."""
     length = wp.length(slope)
@@ -85,7 +85,7 @@ def matter_colour(table: RowTable, grid: VoxelGrid, g: wp.vec3, slope: wp.vec3, 
     j = int(wp.floor(g[1]))
     k = int(wp.floor(g[2]))
     offset = g - wp.vec3(float(i), float(j), float(k))
-    return row_colour(grid.sh, table.packed, table.columns, i, j, k, offset, sh_basis(along))
+    return row_color(grid.sh, table.packed, table.columns, i, j, k, offset, sh_basis(along))
 
 
 @wp.func
@@ -353,22 +353,22 @@ class FoundMatter:
 
 
 @wp.func
-def with_colour(table: RowTable, grid: VoxelGrid, line: EditLine, found: FoundMatter, ray: MarchedRay, weight: float):
+def with_color(table: RowTable, grid: VoxelGrid, line: EditLine, found: FoundMatter, ray: MarchedRay, weight: float):
     """A ray with the colour of a sample, which waits for the next one's until they weigh enough together."""
     ray.pending += weight
     if ray.pending > PENDING_WEIGHT:
-        colour = matter_colour(table, grid, found.g, found.slope, line.rate)
-        ray.seen.colour += ray.pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+        color = matter_color(table, grid, found.g, found.slope, line.rate)
+        ray.seen.color += ray.pending * wp.max(color, wp.vec3(0.0, 0.0, 0.0))
         ray.pending = float(0.0)
     return ray
 
 
 @wp.func
-def with_colour(  # noqa: F811 (a Warp overload)
+def with_color(  # noqa: F811 (a Warp overload)
     table: LaidShades, grid: VoxelGrid, line: EditLine, found: FoundMatter, ray: MarchedRay, weight: float
 ):
-    colour = wp.vec3(found.matter[0] + 0.5, found.matter[1] + 0.5, found.matter[2] + 0.5)
-    ray.seen.colour += weight * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+    color = wp.vec3(found.matter[0] + 0.5, found.matter[1] + 0.5, found.matter[2] + 0.5)
+    ray.seen.color += weight * wp.max(color, wp.vec3(0.0, 0.0, 0.0))
     return ray
 
 
@@ -407,7 +407,7 @@ def gather_matter(
                 ray.seen.cleared_transmittance *= kept
         else:
             weight = ray.seen.transmittance * (1.0 - kept)
-            ray = with_colour(table, grid, line, found, ray, weight)
+            ray = with_color(table, grid, line, found, ray, weight)
             ray.seen.depth += weight * t
             ray.seen.transmittance *= kept
             if (at.look & CELL_FOLDED) != 0 and found.mapped == 1 and weight > FOLD_MIN_WEIGHT:

@@ -129,7 +129,7 @@ auto begin_ray = [&](int lane) {
 };
 for (int ray = 0; ray < 32; ++ray)
     for (int n = 0; n < 3; ++n)
-        colours[ray][n] = before.data[ray][n];
+        colors[ray][n] = before.data[ray][n];
 for (int lane = 0; lane < lane_count; ++lane)
     begin_ray(lane);
 
@@ -353,10 +353,10 @@ while (live)
     j = done ? (lanes)0.0f : (acts ? next_part : j);
     t = (k + 0.5f + ((j + 0.5f) / higher_of(count, (lanes)1.0f) - 0.5f)) * step;
 }
-ask_for_colours();
-add_colours();
+ask_for_colors();
+add_colors();
 for (int ray = 0; ray < 32; ++ray)
     for (int n = 0; n < 3; ++n)
-        seen.data[ray][n] = colours[ray][n];
+        seen.data[ray][n] = colors[ray][n];
 #endif
 return seen;

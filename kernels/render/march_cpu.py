@@ -94,7 +94,7 @@ def render_edit_tiles(
     """As the kernels of deform/render_single, render_sides, render_part and render_part_sides, on a CPU alone: one item
     per tile. A single edit's part is the first and the last."""
     tile = first + wp.tid()
-    start = (camera.centre - edit.lower) * edit.inverse_spacing
+    start = (camera.center - edit.lower) * edit.inverse_spacing
     counts = edit.node_counts
     corner = wp.vec3(float(counts[0] - 1), float(counts[1] - 1), float(counts[2] - 1))
     rays = tile_rays()
@@ -104,13 +104,13 @@ def render_edit_tiles(
         rays[r, 7] = -1.0
         if column < camera.width and row < camera.height:
             direction = pixel_direction(camera, column, row)
-            end = part_end(part, camera.centre, direction)
+            end = part_end(part, camera.center, direction)
             rays[r, 9] = end
             if end > 0.0:
                 ray = ray_state(part, row * camera.width + column)
                 seen = ray.seen
                 for axis in range(3):
-                    values[r, axis] = seen.colour[axis]
+                    values[r, axis] = seen.color[axis]
                 values[r, 3] = seen.transmittance
                 values[r, 4] = seen.depth
                 values[r, 5] = seen.cleared_transmittance
@@ -121,7 +121,7 @@ def render_edit_tiles(
                 if seen.transmittance > options.stop:
                     rate = direction * edit.inverse_spacing
                     box = box_span(start, rate, wp.vec3(0.0, 0.0, 0.0), corner)
-                    span = grid_span(grid, camera.centre, direction)
+                    span = grid_span(grid, camera.center, direction)
                     near = float(1.0e30)
                     far = float(-1.0)
                     if box[0] < box[1]:
@@ -147,7 +147,7 @@ def render_edit_tiles(
             ray = ray_start()
             if end > 0.0:
                 seen = DeformedRadiance()
-                seen.colour = wp.vec3(values[r, 0], values[r, 1], values[r, 2])
+                seen.color = wp.vec3(values[r, 0], values[r, 1], values[r, 2])
                 seen.transmittance = values[r, 3]
                 seen.depth = values[r, 4]
                 seen.cleared_transmittance = values[r, 5]

@@ -8,7 +8,7 @@ from ..edits.structs import CELL_STEEP, CLEARED, CUT_LENGTH, MAPPED, ClosedFormE
 from ..edits.trace import CanonicalPoint, canonical_direction, canonical_point, canonical_step, is_folded
 from ..field.grid import (
     VoxelGrid,
-    cell_colour,
+    cell_color,
     cell_density,
     cell_sample,
     empty_distance,
@@ -172,8 +172,8 @@ def march_deformed(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.v
                         seen.cleared_transmittance *= kept
                     else:
                         weight = seen.transmittance * (1.0 - kept)
-                        colour = wp.max(cell_colour(grid, cell, sh_basis(along)), wp.vec3(0.0, 0.0, 0.0))
-                        seen.colour += weight * colour
+                        color = wp.max(cell_color(grid, cell, sh_basis(along)), wp.vec3(0.0, 0.0, 0.0))
+                        seen.color += weight * color
                         seen.depth += weight * t_sub
                         seen.transmittance *= kept
                         if point.region == MAPPED and weight > FOLD_MIN_WEIGHT:

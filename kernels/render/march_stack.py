@@ -34,8 +34,8 @@ from ..field.grid import (
     sample_index_after,
 )
 from ..field.harmonics import sh_basis
-from ..field.march import PENDING_WEIGHT, pending_colour
-from ..field.rows import RowTable, row_colour
+from ..field.march import PENDING_WEIGHT, pending_color
+from ..field.rows import RowTable, row_color
 from ..lattice.cage_map import side_position
 from ..view.rays import box_span
 from .rays import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
@@ -411,8 +411,8 @@ def make_stack_march(is_simple: bool) -> Any:
                     pending += weight
                     if pending > PENDING_WEIGHT:
                         along = wp.where(stretch > 1.0e-6, slope / stretch, direction)
-                        colour = row_colour(grid.sh, table.packed, table.columns, gi, gj, gk, offset, sh_basis(along))
-                        seen.colour += pending * wp.max(colour, wp.vec3(0.0, 0.0, 0.0))
+                        color = row_color(grid.sh, table.packed, table.columns, gi, gj, gk, offset, sh_basis(along))
+                        seen.color += pending * wp.max(color, wp.vec3(0.0, 0.0, 0.0))
                         pending = float(0.0)
                     seen.depth += weight * t
                     seen.transmittance *= kept
@@ -431,7 +431,7 @@ def make_stack_march(is_simple: bool) -> Any:
                 j = int(0)
             parts = wp.max(count, 1)
             t = (float(k) + 0.5 + ((float(j) + 0.5) / float(parts) - 0.5)) * step
-        seen.colour += pending_colour(seen.colour, seen.transmittance, pending)
+        seen.color += pending_color(seen.color, seen.transmittance, pending)
         return seen
 
     return march_stack

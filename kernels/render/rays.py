@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from ..field.march import pending_colour, visible_depth
+from ..field.march import pending_color, visible_depth
 from ..view.tile_order import TileOrder
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -31,7 +31,7 @@ class MarchOptions:
 class DeformedRadiance:
     """What a march through a deformed scene gathered along a ray."""
 
-    colour: wp.vec3  # sum of w_k c_k, without background
+    color: wp.vec3  # sum of w_k c_k, without background
     transmittance: float  # what is left for the background
     depth: float  # sum of w_k t_k
     cleared_transmittance: float  # what the cleared matter would have let through
@@ -57,7 +57,7 @@ class Picture:
 @wp.func
 def fill_pixel(picture: Picture, pixel: int, seen: DeformedRadiance, background: wp.vec3):
     """Write what a march saw to a pixel."""
-    picture.rgb[pixel] = seen.colour + seen.transmittance * background
+    picture.rgb[pixel] = seen.color + seen.transmittance * background
     opacity = 1.0 - seen.transmittance
     picture.alpha[pixel] = opacity
     picture.depth[pixel] = visible_depth(seen.depth, opacity)
@@ -92,7 +92,7 @@ class ScenePart:
     is_last: int  # 1: rays are followed to their end, those beside the box too
     # (rays,) each, as three times as many may be more than an array holds; unset for the first and only part
     progress: wp.array(dtype=wp.vec4)  # light that is left, distance reached, light left by what is cleared, pending
-    colours: wp.array(dtype=wp.vec4)  # colour and depth; not set before a ray has reached anything
+    colors: wp.array(dtype=wp.vec4)  # colour and depth; not set before a ray has reached anything
     masks: wp.array(dtype=wp.vec4)  # reveal, fold, outside; likewise
 
 
@@ -111,7 +111,7 @@ def ray_start():
 def finished(state: RayState):
     """What a ray has seen that has come to its end."""
     seen = state.seen
-    seen.colour += pending_colour(seen.colour, seen.transmittance, state.pending)
+    seen.color += pending_color(seen.color, seen.transmittance, state.pending)
     return seen
 
 
@@ -138,13 +138,13 @@ def ray_state(part: ScenePart, n: int):
     if part.is_first == 0:
         progress = part.progress[n]
         if progress[1] > 0.0:
-            colour = part.colours[n]
+            color = part.colors[n]
             masks = part.masks[n]
             seen = DeformedRadiance()
             seen.transmittance = progress[0]
             seen.cleared_transmittance = progress[2]
-            seen.colour = wp.vec3(colour[0], colour[1], colour[2])
-            seen.depth = colour[3]
+            seen.color = wp.vec3(color[0], color[1], color[2])
+            seen.depth = color[3]
             seen.reveal = masks[0]
             seen.fold = masks[1]
             seen.outside = masks[2]
@@ -160,5 +160,5 @@ def leave_ray(part: ScenePart, n: int, state: RayState):
     seen = state.seen
     part.progress[n] = wp.vec4(seen.transmittance, state.reached, seen.cleared_transmittance, state.pending)
     if state.reached > 0.0:
-        part.colours[n] = wp.vec4(seen.colour[0], seen.colour[1], seen.colour[2], seen.depth)
+        part.colors[n] = wp.vec4(seen.color[0], seen.color[1], seen.color[2], seen.depth)
         part.masks[n] = wp.vec4(seen.reveal, seen.fold, seen.outside, 0.0)

@@ -6,7 +6,7 @@ import warp as wp
 from ..edits.nodes import node_blend, node_slope, side_slope
 from ..field.grid import VoxelGrid
 from ..field.harmonics import sh_basis
-from ..field.shades import ShadedGrid, own_row, row_place, shade_colour
+from ..field.shades import ShadedGrid, own_row, row_place, shade_color
 from ..lattice.cage_map import CageMap, map_distance
 from .volume import CARRIED_LAYER, PLAIN_LAYER, LaidShades, write_laid_shade
 
@@ -43,7 +43,7 @@ def keep_cage(first: int, cage: AimedCage, index: int, cages: wp.array(dtype=Aim
 
 
 @wp.kernel
-def aim_nodes(first: int, cages: wp.array(dtype=AimedCage), centre: wp.vec3):
+def aim_nodes(first: int, cages: wp.array(dtype=AimedCage), center: wp.vec3):
     """Canonical view direction at each node of each rest lattice, 0 where no pose takes it anywhere, and its signed
     distance to the rest cage: the aims of each cage. centre: of the camera. One item a node, cage by cage."""
     n = first + wp.tid()
@@ -65,7 +65,7 @@ def aim_nodes(first: int, cages: wp.array(dtype=AimedCage), centre: wp.vec3):
         for axis in range(3):
             cell[axis] = wp.min(int(seat[axis]), counts[axis] - 2)
         f = seat - wp.vec3(float(cell[0]), float(cell[1]), float(cell[2]))
-        rate = seat - (centre - cage.posed_lower) * cage.posed_inverse_spacing
+        rate = seat - (center - cage.posed_lower) * cage.posed_inverse_spacing
         corner = cell[0] * nyz + cell[1] * nz + cell[2]
         slope = node_slope(cage.posed_nodes, corner, nyz, nz, f, rate)
         entry = int(0)
@@ -165,10 +165,10 @@ def shade_carried_rows(
     n = wp.min(item, nodes.shape[0] - 1)
     row = own_row(shaded, n)
     x = row_place(grid, shaded.columns.node_counts, nodes[n])
-    seen = row_view(cages, x, wp.normalize(x - shaded.centre))
-    colour = shade_colour(grid.sh, row, sh_basis(seen.along))
+    seen = row_view(cages, x, wp.normalize(x - shaded.center))
+    color = shade_color(grid.sh, row, sh_basis(seen.along))
     if item < nodes.shape[0]:
-        shade = wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step)
+        shade = wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step)
         if seen.is_plain == 1:
             write_laid_shade(laid, nodes[n], PLAIN_LAYER, shade)
         if seen.is_carried == 1:
@@ -191,15 +191,15 @@ def shade_wall_rows(
     n = wall_rows[wp.min(item, wall_rows.shape[0] - 1)]
     row = own_row(shaded, n)
     x = row_place(grid, shaded.columns.node_counts, nodes[n])
-    plain = wp.normalize(x - shaded.centre)
+    plain = wp.normalize(x - shaded.center)
     along = plain
     layer = PLAIN_LAYER
     if row_view(cages, x, plain).carried == 0:
         along = nearest_view(cages, x, plain)
         layer = CARRIED_LAYER
-    colour = shade_colour(grid.sh, row, sh_basis(along))
+    color = shade_color(grid.sh, row, sh_basis(along))
     if item < wall_rows.shape[0]:
-        shade = wp.vec4(colour[0], colour[1], colour[2], grid.density[row] * shaded.step)
+        shade = wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step)
         write_laid_shade(laid, nodes[n], layer, shade)
 
 

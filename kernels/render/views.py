@@ -91,7 +91,7 @@ def view_kernel(shaded: bool, has_sides: bool, *, large: bool = False) -> Any:
         if column < camera.width and row < camera.height:
             direction = pixel_direction(camera, column, row)
             start = begun_ray(ray_start(), picture, place)
-            ray = march(edit, grid, table, camera.centre, direction, options, start, RAY_END)
+            ray = march(edit, grid, table, camera.center, direction, options, start, RAY_END)
             fill_pixel(picture, row * camera.width + column, finished(ray), background)
             note_ticks(picture.order, place, begin)
 
@@ -136,12 +136,12 @@ def part_kernel(shaded: bool, has_sides: bool) -> Any:
         if column < camera.width and row < camera.height:
             pixel = row * camera.width + column
             direction = pixel_direction(camera, column, row)
-            end = part_end(part, camera.centre, direction)
+            end = part_end(part, camera.center, direction)
             if end > 0.0:
                 ray = ray_state(part, pixel)
                 if ray.seen.transmittance > options.stop:
                     ray = begun_ray(ray, picture, place)
-                    ray = march(edit, grid, table, camera.centre, direction, options, ray, end)
+                    ray = march(edit, grid, table, camera.center, direction, options, ray, end)
                     if part.is_last == 0:
                         leave_ray(part, pixel, ray)
                 if part.is_last == 1:
@@ -188,7 +188,7 @@ def stack_kernel(is_simple: bool) -> Any:
         column, row = tile_pixel(first + wp.tid(), camera.width)
         if column < camera.width and row < camera.height:
             direction = pixel_direction(camera, column, row)
-            seen = march(edits, grid, table, camera.centre, direction, options)
+            seen = march(edits, grid, table, camera.center, direction, options)
             fill_pixel(picture, row * camera.width + column, seen, background)
 
     return render
@@ -212,7 +212,7 @@ def exact_kernel() -> Any:
         """One thread per pixel, tile by tile."""
         column, row = tile_pixel(first + wp.tid(), camera.width)
         if column < camera.width and row < camera.height:
-            seen = march_deformed(edits, grid, camera.centre, pixel_direction(camera, column, row), options)
+            seen = march_deformed(edits, grid, camera.center, pixel_direction(camera, column, row), options)
             fill_pixel(picture, row * camera.width + column, seen, background)
 
     return render

@@ -24,7 +24,7 @@ def drawn_pixel(
     inside: int,
     stop: float,
 ) -> vec5:
-    """Red, green, blue and depth, weighted, and what is left of the light, of a pixel with its centre at x, y.
+    """Red, green, blue and depth, weighted, and what is left of the light, of a pixel with its center at x, y.
     All lanes of a warp, which has 8x4 pixels, row by row; blocks of up to 256 threads."""
     ...
 
@@ -82,11 +82,11 @@ def add_pixel_slopes(
     y: float,
     inside: int,
     stop: float,
-    colour: wp.vec3,
+    color: wp.vec3,
     slope: wp.vec3,
     sums: wp.array(dtype=wp.float32),
 ):
-    """Add the sums of a pixel with its centre at x, y: its colour, with what is behind the splats, and the slope by it.
+    """Add the sums of a pixel with its center at x, y: its color, with what is behind the splats, and the slope by it.
     All lanes of a warp, which has 8x4 pixels, row by row; blocks of up to 256 threads."""
     ...
 
@@ -113,11 +113,11 @@ def add_slopes(
     column = (tile % tiles.columns) * TILE_SIDE + (block % across) * 8 + lane % 8
     row = (tiles.first_row + tile // tiles.columns) * TILE_SIDE + (block // across) * 4 + lane // 8
     inside = 0
-    colour = wp.vec3()
+    color = wp.vec3()
     slope = wp.vec3()
     if column < tiles.width and row < tiles.height:
         inside = 1
-        colour = rgb[row * tiles.width + column]
+        color = rgb[row * tiles.width + column]
         slope = slopes[row * tiles.width + column]
     add_pixel_slopes(
         view,
@@ -128,7 +128,7 @@ def add_slopes(
         float(row) + 0.5,
         inside,
         stop,
-        colour,
+        color,
         slope,
         sums,
     )

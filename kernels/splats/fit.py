@@ -82,18 +82,18 @@ def deposit_splats(
     thin = wp.sqrt(wp.max(smallest_eigenvalue(wide), 0.2 * side * side))
     inverse = wp.inverse(wide)
     peak = -wp.log(1.0 - opacity) / (2.5066282746310002 * thin)
-    centre = (splats.centres[n] - lower) / side
+    center = (splats.centers[n] - lower) / side
     lows = wp.vec3i()
     highs = wp.vec3i()
     shape = wp.vec3i(density.shape[0], density.shape[1], density.shape[2])
     for axis in range(3):
         reach = REACH * wp.sqrt(wide[axis, axis]) / side
-        lows[axis] = int(wp.clamp(wp.ceil(centre[axis] - reach), 0.0, float(shape[axis])))
-        highs[axis] = int(wp.clamp(wp.floor(centre[axis] + reach) + 1.0, 0.0, float(shape[axis])))
+        lows[axis] = int(wp.clamp(wp.ceil(center[axis] - reach), 0.0, float(shape[axis])))
+        highs[axis] = int(wp.clamp(wp.floor(center[axis] + reach) + 1.0, 0.0, float(shape[axis])))
     for i in range(lows[0], highs[0]):
         for j in range(lows[1], highs[1]):
             for k in range(lows[2], highs[2]):
-                d = side * (wp.vec3(float(i), float(j), float(k)) - centre)
+                d = side * (wp.vec3(float(i), float(j), float(k)) - center)
                 far = wp.dot(d, inverse * d)
                 if far < REACH * REACH:
                     wp.atomic_add(density, i, j, k, peak * wp.exp(-0.5 * far))
@@ -183,7 +183,7 @@ def slope_of_picture(
     errors: wp.array(dtype=wp.float32),
 ):
     """slopes, as `drawn` (h * side * width * side,): of the sum over all pixels; errors (h * width,): mean square of
-    the colours' differences. One item per pixel of the picture (h * width,) that should be seen."""
+    the colors' differences. One item per pixel of the picture (h * width,) that should be seen."""
     # side: parts along each side of a pixel. width: of the picture, pixels. squared: 1 for d^2 / 2.
     n = first + wp.tid()
     mean = wp.vec3()

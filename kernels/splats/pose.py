@@ -77,10 +77,10 @@ class CarriedSplats:
 
 
 @wp.kernel
-def start_splats(first: int, centres: wp.array(dtype=wp.vec3), carried: CarriedSplats):
+def start_splats(first: int, centers: wp.array(dtype=wp.vec3), carried: CarriedSplats):
     """All splats to their places at rest, centres (n,)."""
     n = first + wp.tid()
-    carried.positions[n] = centres[n]
+    carried.positions[n] = centers[n]
     carried.jacobians[n] = wp.identity(n=3, dtype=float)
 
 
@@ -134,7 +134,7 @@ def finish_splats(
     rest_opacities: wp.array(dtype=float),
     hidden: wp.array(dtype=wp.uint8),
     carried: CarriedSplats,
-    centres: wp.array(dtype=wp.vec3),
+    centers: wp.array(dtype=wp.vec3),
     covariances: wp.array2d(dtype=float),
     opacities: wp.array(dtype=float),
     turns: wp.array(dtype=wp.quat),
@@ -142,7 +142,7 @@ def finish_splats(
     """Posed splats (n,) of what has been carried. hidden (n,): 1 where a splat is not drawn in this pose, or (0,)."""
     n = first + wp.tid()
     jacobian = carried.jacobians[n]
-    centres[n] = carried.positions[n]
+    centers[n] = carried.positions[n]
     rest = wp.mat33(
         rest_covariances[n, 0],
         rest_covariances[n, 1],

@@ -22,7 +22,7 @@
 import warp as wp
 
 from ..view.rays import PinholeCamera
-from .splats import Splats, splat_colour, splat_covariance
+from .splats import Splats, splat_color, splat_covariance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -72,7 +72,7 @@ def project_splats(
     axis_x = wp.vec3(camera.rotation[0, 0], camera.rotation[1, 0], camera.rotation[2, 0])
     axis_y = wp.vec3(camera.rotation[0, 1], camera.rotation[1, 1], camera.rotation[2, 1])
     axis_z = wp.vec3(camera.rotation[0, 2], camera.rotation[1, 2], camera.rotation[2, 2])
-    offset = splats.centres[n] - camera.centre
+    offset = splats.centers[n] - camera.center
     z = wp.dot(offset, axis_z)
     opacity = splats.opacities[n]
     if not (z >= lens.near and opacity >= LEAST_ALPHA):  # so that it is left out where it is not a number
@@ -118,11 +118,11 @@ def project_splats(
     l2 = ROOT_SCALE / wp.sqrt(rr)
     along_column = wp.dot(direction, by_column)
     along_row = wp.dot(direction, by_row)
-    colour = splat_colour(splats, n, direction)
+    color = splat_color(splats, n, direction)
     view[3 * n] = wp.vec4(column, row, strength, l0)
-    view[3 * n + 1] = wp.vec4(l1, l2, colour[0], colour[1])
+    view[3 * n + 1] = wp.vec4(l1, l2, color[0], color[1])
     view[3 * n + 2] = wp.vec4(
-        colour[2],
+        color[2],
         distance,
         (rr * along_column - cr * along_row) / blurred,
         (cc * along_row - cr * along_column) / blurred,

@@ -22,7 +22,7 @@ LN_2 = wp.constant(0.6931471805599453)
 class ValueSlopes:
     """Slopes by the values of n splats."""
 
-    centres: wp.array(dtype=wp.vec3)  # (n,)
+    centers: wp.array(dtype=wp.vec3)  # (n,)
     log_scales: wp.array(dtype=wp.vec3)  # (n,)
     quaternions: wp.array(dtype=wp.vec4)  # (n,) w x y z
     logits: wp.array(dtype=wp.float32)  # (n,)
@@ -67,7 +67,7 @@ def basis_slope(d: wp.vec3, g: vec16):
 
 
 @wp.func
-def colour_slope(splats: Splats, n: int, direction: wp.vec3, colour: wp.vec3, slopes: ValueSlopes):
+def color_slope(splats: Splats, n: int, direction: wp.vec3, color: wp.vec3, slopes: ValueSlopes):
     """Slope by a unit direction from that by the colour seen along it; writes the slopes by the harmonics."""
     basis = sh_basis(direction)
     count = (splats.degree + 1) * (splats.degree + 1)
@@ -79,7 +79,7 @@ def colour_slope(splats: Splats, n: int, direction: wp.vec3, colour: wp.vec3, sl
         green += basis[b] * splats.harmonics[n, 3 * b + 1]
         blue += basis[b] * splats.harmonics[n, 3 * b + 2]
     g = wp.vec3(
-        wp.where(red > 0.0, colour[0], 0.0), wp.where(green > 0.0, colour[1], 0.0), wp.where(blue > 0.0, colour[2], 0.0)
+        wp.where(red > 0.0, color[0], 0.0), wp.where(green > 0.0, color[1], 0.0), wp.where(blue > 0.0, color[2], 0.0)
     )
     weights = vec16()
     for b in range(count):
@@ -136,9 +136,9 @@ def find_value_slopes(
     n = first + wp.tid()
     by_place = wp.vec3(sums[9 * n], sums[9 * n + 1], sums[9 * n + 2])
     by_shape = wp.vec3(-2.0 * sums[9 * n + 3], -2.0 * sums[9 * n + 4], -2.0 * sums[9 * n + 5])
-    by_colour = wp.vec3(sums[9 * n + 6], sums[9 * n + 7], sums[9 * n + 8])
-    if wp.length_sq(by_place) + wp.length_sq(by_shape) + wp.length_sq(by_colour) == 0.0:
-        slopes.centres[n] = wp.vec3()
+    by_color = wp.vec3(sums[9 * n + 6], sums[9 * n + 7], sums[9 * n + 8])
+    if wp.length_sq(by_place) + wp.length_sq(by_shape) + wp.length_sq(by_color) == 0.0:
+        slopes.centers[n] = wp.vec3()
         slopes.log_scales[n] = wp.vec3()
         slopes.quaternions[n] = wp.vec4()
         slopes.logits[n] = 0.0
@@ -156,7 +156,7 @@ def find_value_slopes(
     axis_x = wp.vec3(camera.rotation[0, 0], camera.rotation[1, 0], camera.rotation[2, 0])
     axis_y = wp.vec3(camera.rotation[0, 1], camera.rotation[1, 1], camera.rotation[2, 1])
     axis_z = wp.vec3(camera.rotation[0, 2], camera.rotation[1, 2], camera.rotation[2, 2])
-    offset = splats.centres[n] - camera.centre
+    offset = splats.centers[n] - camera.center
     z = wp.dot(offset, axis_z)
     x = wp.dot(offset, axis_x) / z
     y = wp.dot(offset, axis_y) / z
@@ -208,6 +208,6 @@ def find_value_slopes(
     by_z = -(wp.dot(slope_column, to_column) + wp.dot(slope_row, to_row) + by_x * x + by_y * y) / z
     distance = wp.length(offset)
     direction = offset / distance
-    by_direction = colour_slope(splats, n, direction, by_colour, slopes)
+    by_direction = color_slope(splats, n, direction, by_color, slopes)
     seen = (by_direction - wp.dot(by_direction, direction) * direction) / distance
-    slopes.centres[n] = (by_x / z) * axis_x + (by_y / z) * axis_y + by_z * axis_z + seen
+    slopes.centers[n] = (by_x / z) * axis_x + (by_y / z) * axis_y + by_z * axis_z + seen

@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 @wp.struct
 class Splats:
-    centres: wp.array(dtype=wp.vec3)  # (n,) world units
+    centers: wp.array(dtype=wp.vec3)  # (n,) world units
     covariances: wp.array2d(dtype=wp.float32)  # (n, 6) xx xy xz yy yz zz, world units squared
     opacities: wp.array(dtype=wp.float32)  # (n,) 0 to 1; 0 where there is nothing (a splat that is cleared away)
     harmonics: wp.array2d(dtype=wp.float32)  # (rows, 3 (degree + 1)^2) coefficient-major, red green blue last
@@ -40,7 +40,7 @@ def rest_direction(splats: Splats, n: int, direction: wp.vec3):
 
 
 @wp.func
-def splat_colour(splats: Splats, n: int, direction: wp.vec3):
+def splat_color(splats: Splats, n: int, direction: wp.vec3):
     """Colour of splat n seen along a unit direction, from the camera into the scene; not below 0."""
     row = harmonics_row(splats, n)
     basis = sh_basis(rest_direction(splats, n, direction))
@@ -177,7 +177,7 @@ def is_near_box(x: wp.vec3, covariance: wp.mat33, lower: wp.vec3, upper: wp.vec3
 @wp.kernel
 def measure_shares(
     first: int,
-    centres: wp.array(dtype=wp.vec3),
+    centers: wp.array(dtype=wp.vec3),
     covariances: wp.array2d(dtype=float),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
@@ -190,7 +190,7 @@ def measure_shares(
     """shares (n,) of splats inside a cage at rest, 0 to 1, and anchors (n,): the centre, or where it lies outside or
     nearer to a wall than `depth`, the place at that depth behind the wall. lower, upper: box of the cage."""
     n = first + wp.tid()
-    x = centres[n]
+    x = centers[n]
     covariance = covariance_of(covariances, n)
     shares[n] = 0.0
     anchors[n] = x
@@ -207,7 +207,7 @@ def cover_staying(
     first: int,
     members: wp.array(dtype=int),
     outside: wp.array(dtype=float),
-    centres: wp.array(dtype=wp.vec3),
+    centers: wp.array(dtype=wp.vec3),
     covariances: wp.array2d(dtype=float),
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),
@@ -222,7 +222,7 @@ def cover_staying(
     lane = item % lane_count()
     n = members[m]
     left = outside[m]
-    x = centres[n]
+    x = centers[n]
     covariance = covariance_of(covariances, n)
     if is_near_box(x, covariance, lower, upper):
         wall = nearest_wall_of_lanes(x, vertices, faces, lane)

@@ -13,12 +13,12 @@ DIFFERENCE = wp.constant(2.0e-3)
 
 @wp.kernel
 def fade_carried(
-    first: int, members: wp.array(dtype=int), centres: wp.array(dtype=wp.vec3), walls: Walls, carried: CarriedSplats
+    first: int, members: wp.array(dtype=int), centers: wp.array(dtype=wp.vec3), walls: Walls, carried: CarriedSplats
 ):
     """Splats members (m,), carried from centres (n,) at rest by one edit."""
     m = first + wp.tid()
     n = members[m]
-    x = centres[n]
+    x = centers[n]
     h = DIFFERENCE * walls.width
     share = walls_share(walls, x)
     slope = wp.vec3(

@@ -11,15 +11,15 @@ NOT_FINITE = wp.constant(2)
 
 
 @wp.kernel
-def round_colours(
-    first: int, colours: wp.array(dtype=wp.vec3), packed: wp.array2d(dtype=wp.uint8), state: wp.array(dtype=wp.int32)
+def round_colors(
+    first: int, colors: wp.array(dtype=wp.vec3), packed: wp.array2d(dtype=wp.uint8), state: wp.array(dtype=wp.int32)
 ):
     """colours: (n,), [0, 1] is the range of a byte. packed: (n, 3), rounded half to even, to the bit as NumPy does it.
     state: (1,), DONE beforehand."""
     n = first + wp.tid()
-    colour = colours[n]
+    color = colors[n]
     for channel in range(3):
-        value = colour[channel]
+        value = color[channel]
         if wp.isfinite(value):
             packed[n, channel] = wp.uint8(wp.int32(wp.rint(wp.clamp(value, 0.0, 1.0) * 255.0)))
         else:
@@ -36,15 +36,13 @@ def part_index(n: int, part: int, side: int, width: int):
 
 
 @wp.kernel
-def average_colours(
-    first: int, side: int, width: int, parts: wp.array(dtype=wp.vec3), colours: wp.array(dtype=wp.vec3)
-):
+def average_colors(first: int, side: int, width: int, parts: wp.array(dtype=wp.vec3), colors: wp.array(dtype=wp.vec3)):
     """parts: (h * side * width * side,). colours: (h * width,)."""
     n = first + wp.tid()
     total = wp.vec3()
     for part in range(side * side):
         total += parts[part_index(n, part, side, width)]
-    colours[n] = total / float(side * side)
+    colors[n] = total / float(side * side)
 
 
 @wp.kernel
@@ -81,18 +79,18 @@ def average_depths(
 
 
 @wp.func
-def colour_byte(value: float):
+def color_byte(value: float):
     """A colour in [0, 1] as a byte, rounded half up."""
     return wp.uint8(wp.int32(wp.clamp(value, 0.0, 1.0) * 255.0 + 0.5))
 
 
 @wp.kernel
-def pack_colours(first: int, colours: wp.array(dtype=wp.vec3), packed: wp.array2d(dtype=wp.uint8)):
+def pack_colors(first: int, colors: wp.array(dtype=wp.vec3), packed: wp.array2d(dtype=wp.uint8)):
     """colours: (n,) in [0, 1]. packed: (n, 3)."""
     n = first + wp.tid()
-    colour = colours[n]
+    color = colors[n]
     for channel in range(3):
-        packed[n, channel] = colour_byte(colour[channel])
+        packed[n, channel] = color_byte(color[channel])
 
 
 @wp.kernel

@@ -14,7 +14,7 @@ TILE_SIZE = wp.constant(32)
 class PinholeCamera:
     """OpenCV axes; the centre of the first pixel is (0.5, 0.5). Same origin and units as the scene's positions."""
 
-    centre: wp.vec3
+    center: wp.vec3
     rotation: wp.mat33  # camera axes, one per column
     focal: wp.vec2  # pixels
     principal_point: wp.vec2  # pixels

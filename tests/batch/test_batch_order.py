@@ -76,7 +76,7 @@ def test_a_fit_takes_every_tile_once_before_any_twice(device, scene):
     assert keys[0] != keys[1]
 
 
-def test_random_colours_come_first_and_stay_now_and_then(device, scene, monkeypatch):
+def test_random_colors_come_first_and_stay_now_and_then(device, scene, monkeypatch):
     """They supervise opacity alone early on; later most steps see the pictures as they are."""
     behind = []
     accumulate = FieldOptimizer._accumulate_gradients

@@ -148,7 +148,7 @@ def test_an_inline_camera_and_cage_are_those_of_files(files, tmp_path):
         ({"background": "transparent", "overlay": True}, ["--background", "transparent", "--overlay"]),
         ({"background": [0.2, 0.3, 0.4], "falloff": 0.2, "held": "still"}, None),
     ],
-    ids=["preset", "keyframe", "transparent", "colour"],
+    ids=["preset", "keyframe", "transparent", "color"],
 )
 def test_words_mean_what_the_options_of_render_mean(files, tmp_path, more, words):
     rest = Cage.load(files / "cage.obj")

@@ -320,8 +320,8 @@ def test_cameras_that_are_made_see_all_poses_whole(files, tmp_path, cameras):
         assert (camera.width, camera.height) == (60, 40)
         pixels, depth = camera.project(poses[item.extra["pose"]])
         assert (depth > 0).all() and (pixels >= 0).all() and (pixels <= (60, 40)).all()
-    centres = {tuple(camera.centre) for camera in made}
-    assert len(centres) == (3 if "orbit" in cameras else 6)  # random ones are others for each pose
+    centers = {tuple(camera.center) for camera in made}
+    assert len(centers) == (3 if "orbit" in cameras else 6)  # random ones are others for each pose
     again = tmp_path / "again.jsonl"
     succeed(files, *SWEEP, *words, "-o", again)
     assert [item.camera for item in items_of(again)] == [

@@ -258,7 +258,7 @@ def test_contains_refuses_bad_points_and_open_cages():
         Cage(cage.vertices, cage.faces[1:]).contains([[0, 0, 0]])
 
 
-def test_intersections_are_found_and_neighbours_are_not():
+def test_intersections_are_found_and_neighbors_are_not():
     box = Cage.box([0, 0, 0], [1, 1, 1])
     assert len(intersecting_faces(box.vertices, box.faces)) == 0
     other = Cage.box([0.5, 0.4, 0.3], [1.5, 1.4, 1.3])
@@ -307,7 +307,7 @@ def test_a_large_cage_is_checked_without_looking_at_all_pairs_of_faces(monkeypat
     assert len(sphere.faces) < sum(looked) < 200 * len(sphere.faces)  # all pairs: 10,000 for each face
 
 
-def test_intersections_in_one_plane_and_between_neighbours():
+def test_intersections_in_one_plane_and_between_neighbors():
     flat = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0.3, 0.3, 0], [2.3, 0.3, 0], [0.3, 2.3, 0], [-1, 0, 0]], float)
     assert len(intersecting_faces(flat, [[0, 1, 2], [3, 4, 5]])) == 1
     assert len(intersecting_faces(flat, [[0, 1, 2], [0, 2, 6]])) == 0

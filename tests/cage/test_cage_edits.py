@@ -15,9 +15,9 @@ def side_view():
     return Camera.look_at([0.0, -4.0, 0.5], (0, 0, 0), width=48, height=48, fov_degrees=35)
 
 
-def balls(*centres, device):
+def balls(*centers, device):
     def density(x):
-        return sum(ellipsoid(x, centre, (0.2, 0.2, 0.2)) for centre in centres)
+        return sum(ellipsoid(x, center, (0.2, 0.2, 0.2)) for center in centers)
 
     return make_field(density, plain([0.8, 0.3, 0.1]), device=device)
 

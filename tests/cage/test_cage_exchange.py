@@ -75,7 +75,7 @@ def test_trimesh_reads_our_gltf_y_up(tmp_path):
 @pytest.mark.parametrize("ending", ["obj", "ply", "off", "glb", "gltf"])
 @pytest.mark.parametrize("axis", ["y", "z", None])
 def test_up_turns_there_and_back(tmp_path, ending, axis):
-    cage = Cage.icosphere([0, 0, 1], 1.0).scale([1.0, 2.0, 4.0], centre=[0, 0, 0])
+    cage = Cage.icosphere([0, 0, 1], 1.0).scale([1.0, 2.0, 4.0], center=[0, 0, 0])
     cage.save(tmp_path / f"c.{ending}", up=axis)
     back = Cage.load(tmp_path / f"c.{ending}", up=axis)
     assert np.allclose(back.vertices, cage.vertices, atol=1e-6) and np.array_equal(back.faces, cage.faces)

@@ -67,7 +67,7 @@ def test_a_byte_order_mark_is_no_text(tmp_path, ending):
     assert np.array_equal(Cage.load(tmp_path / f"c.{ending}").vertices, cage.vertices)
 
 
-def test_off_with_comments_and_colours(tmp_path):
+def test_off_with_comments_and_colors(tmp_path):
     (tmp_path / "c.off").write_text(
         "OFF # head\n# note\n4 2 0\n0 0 0\n1 0 0\n\n1 1 0\n0 1 0\n4 0 1 2 3 255 0 0\n3 0 1 2\n"
     )

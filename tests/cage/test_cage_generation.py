@@ -95,15 +95,15 @@ def test_cages_of_fields_enclose_every_visible_node(recorded):
     field = GridField(density, weights=weights)
     cage = Cage.from_field(field, 60, method="shell" if recorded else "voxel")
     visible = np.argwhere(density > 1.0)
-    centres = field.bounds[0] + (visible + 0.5) * field.voxel_size
+    centers = field.bounds[0] + (visible + 0.5) * field.voxel_size
     assert abs(len(cage.vertices) - 60) <= 6
-    assert (winding(centres[:: len(centres) // 500], cage.vertices, cage.faces) > 0.99).all()
+    assert (winding(centers[:: len(centers) // 500], cage.vertices, cage.faces) > 0.99).all()
     assert cage.check(field=field).field_enclosed == 1.0
     haze = field.bounds[0] + (np.argwhere(density == np.float32(0.002)) + 0.5) * field.voxel_size
     assert len(haze) > 1000 and cage.contains(haze).mean() < 0.05
     # a voxel of room around the boxes of the visible voxels
     samples = np.einsum("sk,fki->fsi", np.random.default_rng(0).dirichlet([1, 1, 1], 20), cage.vertices[cage.faces])
-    beyond = np.abs(samples.reshape(-1, 1, 3) - centres[::3]) - 0.5 * field.voxel_size
+    beyond = np.abs(samples.reshape(-1, 1, 3) - centers[::3]) - 0.5 * field.voxel_size
     assert np.linalg.norm(np.maximum(beyond, 0.0), axis=2).min() >= field.voxel_size[0]
 
 

@@ -61,12 +61,12 @@ def test_symmetrise(axis):
     assert mirrored(even, uneven.bounds[:, along].mean()).max() < 1e-12
     middle = box.bounds[:, along].mean()
     for keep, sign in (("+", 1), ("-", -1)):
-        half = uneven.symmetrise(axis, centre=middle, keep=keep)
+        half = uneven.symmetrise(axis, center=middle, keep=keep)
         assert mirrored(half, middle).max() < 1e-12
         side = sign * (box.vertices[:, along] - middle) > 0.1
         assert np.array_equal(half.vertices[side], uneven.vertices[side])
     with pytest.raises(ValueError, match="no partner"):
-        box.symmetrise(axis, centre=box.bounds[1, along] + 0.2)
+        box.symmetrise(axis, center=box.bounds[1, along] + 0.2)
     with pytest.raises(ValueError, match="keep"):
         box.symmetrise(axis, keep="left")
 
@@ -77,18 +77,18 @@ def test_move_with_falloff():
     assert moved[5].tolist() == [5, 2, 0] and np.array_equal(moved[[0, 1, 9, 10]], line[[0, 1, 9, 10]])
     assert moved[7, 1] == pytest.approx(1.0) and (np.diff(moved[5:10, 1]) < 0).all()
     assert np.allclose(moved[:, 1], moved[::-1, 1]) and np.array_equal(moved[:, 0], line[:, 0])
-    assert np.allclose(poses.move(line, [0, 2, 0], centre=[5, 0, 0], radius=4.0), moved)
+    assert np.allclose(poses.move(line, [0, 2, 0], center=[5, 0, 0], radius=4.0), moved)
     alone = poses.move(line, [0, 2, 0], group=[2, 3])
     assert np.flatnonzero(alone[:, 1]).tolist() == [2, 3]
     cage = Cage.box([0, 0, 0], [1, 1, 1])
     assert cage.move([1, 0, 0], group=[0]).faces is cage.faces
     for options in (
         {},
-        {"group": [0], "centre": [0, 0, 0]},
+        {"group": [0], "center": [0, 0, 0]},
         {"group": [11]},
         {"group": []},
         {"group": [0.5]},
-        {"centre": [0, 0, 0]},
+        {"center": [0, 0, 0]},
         {"group": [0], "radius": 0.0},
     ):
         with pytest.raises(ValueError):

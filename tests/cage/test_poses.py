@@ -9,7 +9,7 @@ rod = np.array([[0, 0, 0], [0, 0, 1], [0, 0, 2], [0.1, 0, 2], [0, 0.1, 2], [0, 0
 
 def test_bend_of_a_quarter_circle_by_hand():
     radius = 4 / (np.pi / 2)
-    bent = poses.bend(rod, 90, axis="z", towards="x", centre=[0, 0, 0])
+    bent = poses.bend(rod, 90, axis="z", towards="x", center=[0, 0, 0])
     half = np.pi / 4
     middle = [radius * (1 - np.cos(half)), 0, radius * np.sin(half)]
     normal = np.array([np.cos(half), 0, -np.sin(half)])
@@ -43,7 +43,7 @@ def test_small_bends_approach_the_identity_without_dividing_by_zero():
 
 def test_bend_is_locally_rigid_across_the_line():
     slice_ = np.array([[x, y, 2.0] for x in (-0.2, 0.2) for y in (-0.1, 0.3)])
-    bent = poses.bend(np.concatenate([rod, slice_]), 50, centre=[0, 0, 0])[len(rod) :]
+    bent = poses.bend(np.concatenate([rod, slice_]), 50, center=[0, 0, 0])[len(rod) :]
     before = np.linalg.norm(slice_[:, None] - slice_[None], axis=2)
     assert np.allclose(np.linalg.norm(bent[:, None] - bent[None], axis=2), before)
 
@@ -73,10 +73,10 @@ def test_taper_scales_across_and_stretch_along():
 def test_scale_translate_rotate():
     box = Cage.box([0, 0, 0], [2, 2, 2])
     assert box.scale(2).bounds.tolist() == [[-1, -1, -1], [3, 3, 3]]
-    assert box.scale([1, 2, 3], centre=[0, 0, 0]).bounds.tolist() == [[0, 0, 0], [2, 4, 6]]
+    assert box.scale([1, 2, 3], center=[0, 0, 0]).bounds.tolist() == [[0, 0, 0], [2, 4, 6]]
     assert box.translate([1, 2, 3]).bounds.tolist() == [[1, 2, 3], [3, 4, 5]]
-    assert np.allclose(poses.rotate([[1, 0, 0]], 90, centre=[0, 0, 0]), [[0, 1, 0]])
-    assert np.allclose(poses.rotate([[1, 0, 0]], 120, axis=[1, 1, 1], centre=[0, 0, 0]), [[0, 1, 0]])
+    assert np.allclose(poses.rotate([[1, 0, 0]], 90, center=[0, 0, 0]), [[0, 1, 0]])
+    assert np.allclose(poses.rotate([[1, 0, 0]], 120, axis=[1, 1, 1], center=[0, 0, 0]), [[0, 1, 0]])
     assert box.rotate(33, axis=[1, 2, 3]).volume == pytest.approx(8)
     assert np.allclose(box.rotate(33, axis="y").bounds.mean(axis=0), [1, 1, 1])
 
@@ -114,7 +114,7 @@ def test_bounds_pose_a_part_along_with_the_whole():
         lambda c: c.translate([1, 2]),
         lambda c: c.translate([1, 2, np.nan]),
         lambda c: c.rotate(20, axis=[0, 0, 0]),
-        lambda c: c.rotate(20, centre=[0, 0]),
+        lambda c: c.rotate(20, center=[0, 0]),
     ],
 )
 def test_poses_refuse_what_makes_no_sense(pose):

@@ -180,23 +180,23 @@ def test_random_numbers_are_even():
 def test_a_bend_and_a_twist_are_those_of_the_poses():
     vertices = Cage.icosphere([1, 2, 3], 2.0, 2).vertices
     box = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-    centre, t = box.mean(axis=0), 0.7
+    center, t = box.mean(axis=0), 0.7
     for way in random_ways(["twist"], vertices=vertices):
         axis, amount = way._twist
-        length = np.abs((vertices - centre) @ axis).max()
-        ends = centre + np.outer([-length, length], axis)
+        length = np.abs((vertices - center) @ axis).max()
+        ends = center + np.outer([-length, length], axis)
         # that turns nothing at its lower limit, this one nothing in the middle
         degrees = math.degrees(t * math.copysign(random_poses._TWIST, amount))  # a mode alone gets to its end
-        turned = poses.rotate(vertices, -0.5 * degrees, axis=axis, centre=centre)
-        expected = poses.twist(turned, degrees, axis=axis, centre=centre, bounds=np.repeat(ends, 2, 0))
+        turned = poses.rotate(vertices, -0.5 * degrees, axis=axis, center=center)
+        expected = poses.twist(turned, degrees, axis=axis, center=center, bounds=np.repeat(ends, 2, 0))
         assert_same_but_for_a_shift(way.at(t), expected)
     for way in random_ways(["bend"], vertices=vertices):
         axis, towards, amount = way._bend
-        length = np.abs((vertices - centre) @ axis).max()
-        ends = centre + np.outer([-length, length], axis)
+        length = np.abs((vertices - center) @ axis).max()
+        ends = center + np.outer([-length, length], axis)
         degrees = math.degrees(t * math.copysign(random_poses._BEND, amount))
         expected = poses.bend(
-            vertices, degrees, axis=axis, towards=towards, centre=centre, bounds=np.repeat(ends, 2, 0)
+            vertices, degrees, axis=axis, towards=towards, center=center, bounds=np.repeat(ends, 2, 0)
         )
         # the one leaves its lower end in place, the other its middle: distances tell no difference
         assert_congruent(way.at(t), expected)

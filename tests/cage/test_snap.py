@@ -37,7 +37,7 @@ def test_turned_cages_and_walls_without_a_gap(field):
     snapped = snap_to_gaps(cage, field, 0.1)
     assert snapped.bounds[0, 2] == -0.75
     assert snapped.bounds[0, 0] == 0.3  # no gap in reach: where it was
-    turned = cage.rotate(10, axis="z", centre=[0.3, 0, 0])
+    turned = cage.rotate(10, axis="z", center=[0.3, 0, 0])
     assert cut_matter(snap_to_gaps(turned, field, 0.3), field) < 0.6 * cut_matter(turned, field)
     free = Cage.box([-0.95, -0.7, -0.95], [0.95, 0.7, 0.7])
     np.testing.assert_array_equal(snap_to_gaps(free, field, 0.1).vertices, free.vertices)

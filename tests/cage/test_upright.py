@@ -189,8 +189,8 @@ def test_a_cage_that_holds_all_either_way_is_kept_and_doubted(tmp_path):
 
 LARGE = {
     "rotate:90:x": lambda cage: cage.rotate(90, axis="x"),
-    "about the origin": lambda cage: cage.rotate(90, axis="x", centre=(0, 0, 0)),
-    "the other way": lambda cage: cage.rotate(-90, axis="x", centre=(0, 0, 0)),
+    "about the origin": lambda cage: cage.rotate(90, axis="x", center=(0, 0, 0)),
+    "the other way": lambda cage: cage.rotate(-90, axis="x", center=(0, 0, 0)),
     "turned and moved": lambda cage: cage.rotate(90, axis="x").translate((1, 2, 3)),
     "turned and scaled": lambda cage: cage.rotate(-90, axis="x").scale(1.5),
     "a half turn": lambda cage: cage.rotate(180, axis="y"),
@@ -232,7 +232,7 @@ def test_a_turn_of_everything_is_kept_and_said(tmp_path):
     rest.save(tmp_path / "rest.obj", up="y")
     with pytest.warns(UserWarning, match="another axis up: y instead of z"):
         kept = Cage.load(tmp_path / "rest.obj", reference=rest)
-    np.testing.assert_allclose(kept.vertices, rest.rotate(-90, axis="x", centre=(0, 0, 0)).vertices, atol=1e-12)
+    np.testing.assert_allclose(kept.vertices, rest.rotate(-90, axis="x", center=(0, 0, 0)).vertices, atol=1e-12)
 
 
 def test_load_in_a_program(files):

@@ -52,7 +52,7 @@ def test_a_captured_scene_stands_upright_around_its_object(walk):
     np.testing.assert_allclose(scene.bounds.mean(axis=0), 0, atol=1e-3)
     first = poses[0, :3, 3]
     assert abs(first[0]) < 0.05 * abs(first[1]) and first[1] < 0
-    lows = [camera.centre[2] / np.linalg.norm(camera.centre) for camera in scene.cameras]
+    lows = [camera.center[2] / np.linalg.norm(camera.center) for camera in scene.cameras]
     assert min(lows) > 0  # the phone was above the table
 
 
@@ -63,15 +63,15 @@ def test_points_of_a_capture_project_to_where_they_were_seen(walk):
     scene = warpcage.load_scene(walk[0], split="all")
     points, _ = read_ply(walk[0] / "points.ply")
     raw = (walk[0] / "points.ply").read_bytes().split(b"end_header\n", 1)[1]
-    colours = np.frombuffer(raw, np.uint8).reshape(-1, 15)[:, 12:] / 255.0
+    colors = np.frombuffer(raw, np.uint8).reshape(-1, 15)[:, 12:] / 255.0
     near = []
     for image, camera in list(zip(scene.images, scene.cameras, strict=True))[::5]:
         pixels, depth = camera.project(points)
         u, v = np.floor(pixels).astype(int).T
         there = (depth > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-        near.append(np.abs(image[v[there], u[there]] - colours[there]).mean(axis=1))
+        near.append(np.abs(image[v[there], u[there]] - colors[there]).mean(axis=1))
     near = np.concatenate(near)
-    shuffled = np.abs(colours[np.random.default_rng(0).permutation(len(colours))] - colours).mean()
+    shuffled = np.abs(colors[np.random.default_rng(0).permutation(len(colors))] - colors).mean()
     assert np.median(near) < 0.4 * shuffled
 
 
@@ -82,8 +82,8 @@ def test_a_fit_with_found_cameras_is_as_good_as_one_with_true_ones(walk):
     held = np.arange(len(numbers)) % 8 == 0
     train, test = (warpcage.load_scene(folder, split=split, downscale=4) for split in ("train", "test"))
     rotation, scale, shift = similarity(
-        np.array([each.centre for each in warpcage.load_scene(folder, split="all", downscale=4).cameras]),
-        np.array([true[number].centre for number in numbers]),
+        np.array([each.center for each in warpcage.load_scene(folder, split="all", downscale=4).cameras]),
+        np.array([true[number].center for number in numbers]),
     )
     corners = (
         scale * np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, train.bounds[1], train.bounds[0]) @ rotation.T

@@ -199,7 +199,7 @@ def test_cameras_are_keyed_beside_poses(files, tmp_path, capsys):
     file = PoseFile.load(poses)
     assert [(key.name, key.time, key.easing) for key in file.cameras] == [("front", 0, "linear"), ("side", 1, "smooth")]
     # half-way it stands at the corner, as far away as before
-    np.testing.assert_allclose(file.camera_at(0.5).centre, 3 * np.sqrt(0.5) * np.array([1, -1, 0]), atol=1e-9)
+    np.testing.assert_allclose(file.camera_at(0.5).center, 3 * np.sqrt(0.5) * np.array([1, -1, 0]), atol=1e-9)
     succeed(files, "info", poses)
     lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
     assert lines[-5] == "film 1 s, 4 frames a second"

@@ -36,7 +36,7 @@ def test_a_cage_is_made_and_checked(folder, capsys):
     assert main(["cage", "scene.ply", "-o", "wrapped.obj", "--vertices", "60", "--method", "voxel"]) == 0
     cage = warpcage.Cage.load("wrapped.obj")
     field = warpcage.SplatField.load("scene.ply", device="cpu")
-    assert cage.contains(field.contents.centres).mean() > 0.99
+    assert cage.contains(field.contents.centers).mean() > 0.99
     assert main(["check", "wrapped.obj", "--object", "scene.ply"]) == 0
     assert "visible matter enclosed" in said(capsys)
     assert main(["cage", "scene.ply", "-o", "part.obj", "--box", "--in-box", "0", "-1", "-1", "1", "1", "1"]) == 0
@@ -54,7 +54,7 @@ def test_a_pose_is_baked(ending, folder, capsys):
     field = warpcage.SplatField.load("scene.ply", device="cpu")
     cage = warpcage.Cage.load("cage.obj")
     expected = warpcage.Deformer(field, cage, coordinates="mean_value").pose(cage.twist(40)).baked()
-    np.testing.assert_allclose(posed.contents.centres, expected.contents.centres, atol=2e-3)
+    np.testing.assert_allclose(posed.contents.centers, expected.contents.centers, atol=2e-3)
 
 
 def test_a_sequence_of_files(folder, capsys):
@@ -68,7 +68,7 @@ def test_a_sequence_of_files(folder, capsys):
     field = warpcage.SplatField.load("scene.ply", device="cpu")
     expected = warpcage.Deformer(field, cage, coordinates="mean_value").pose(cage.twist(40)).baked()
     last = warpcage.SplatField.load("walk_03.ply", device="cpu")
-    np.testing.assert_allclose(last.contents.centres, expected.contents.centres, atol=1e-6)
+    np.testing.assert_allclose(last.contents.centers, expected.contents.centers, atol=1e-6)
 
 
 def test_a_shorter_sequence_says_what_is_left_of_a_longer_one(folder, capsys):

@@ -84,7 +84,7 @@ def test_films_go_along_the_keys_of_a_file(files, tmp_path):
     assert all(is_same(found[index].camera, ring[index]) for index in range(3)) and is_same(found[6].camera, ring[3])
     assert [key.time for key in found] == [index / 24 for index in range(7)] and found.fps == 24
     for key in found:
-        np.testing.assert_allclose(np.linalg.norm(key.camera.centre), 4.0)
+        np.testing.assert_allclose(np.linalg.norm(key.camera.center), 4.0)
 
     view = ["render", "@ball.npz", *SMALL]
     succeed(files, *view, "-o", tmp_path / "given", "--cameras", "given", "--scene", tmp_path / "path.json")

@@ -129,16 +129,16 @@ def whole(**options):
 
 def sampled():
     points, directions = points_and_directions()
-    return dict(zip(("colour", "density"), made_field().sample(points, directions), strict=True))
+    return dict(zip(("color", "density"), made_field().sample(points, directions), strict=True))
 
 
 def field_values(field):
     """Values of a field at some points, and a picture of it."""
     low, high = field.bounds
     points, directions = points_and_directions()
-    colour, density = field.sample(0.5 * (low + high) + 0.5 * (high - low) * points, directions)
+    color, density = field.sample(0.5 * (low + high) + 0.5 * (high - low) * points, directions)
     camera = Camera.look_at(field.center + (2.6, 1.0, 1.3), field.center, width=20, height=16)
-    return {"colour": colour, "density": density, **frame_parts(field.render(camera))}
+    return {"color": color, "density": density, **frame_parts(field.render(camera))}
 
 
 def brick_views(count, size):

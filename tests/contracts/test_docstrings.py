@@ -139,12 +139,11 @@ PAGES = sorted((pathlib.Path(__file__).parents[2] / "docs").glob("*.md"))
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_tests_that_pages_name_exist(page):
     """Promises name the tests that hold them: `test_file` or `test_file::test_name`."""
-    folder = pathlib.Path(__file__).parent
+    sources = {path.stem: path for path in pathlib.Path(__file__).parents[1].rglob("test_*.py")}
     for file, _, test in re.findall(r"`(test_\w+)(\.py)?(?:::(test_\w+))?`", page.read_text(encoding="utf-8")):
-        source = folder / f"{file}.py"
-        assert source.is_file(), f"{page.name} names {file}.py"
+        assert file in sources, f"{page.name} names {file}.py"
         if test:
-            assert f"def {test}(" in source.read_text(encoding="utf-8"), f"{page.name} names {file}::{test}"
+            assert f"def {test}(" in sources[file].read_text(encoding="utf-8"), f"{page.name} names {file}::{test}"
 
 
 def test_the_page_of_promises_names_tests():

@@ -144,7 +144,7 @@ def test_edit_dtu_on_a_room(tmp_path, device, monkeypatch):
 
 def test_edit_fox_on_a_head_on_a_wall(tmp_path, device, monkeypatch):
     """A block on a pole out of a wall; up is +z, and the wall looks along +x."""
-    vertices, faces, colours = joined(
+    vertices, faces, colors = joined(
         [
             box((-0.9, -0.9, -0.8), (-0.7, 0.9, 0.8), (0.6, 0.5, 0.3)),
             box((-0.7, 0.5, -0.6), (-0.6, 0.7, -0.3), (0.2, 0.3, 0.8)),
@@ -155,7 +155,7 @@ def test_edit_fox_on_a_head_on_a_wall(tmp_path, device, monkeypatch):
     random = np.random.default_rng(0)
     eyes = [np.array([1.0, *random.uniform(-0.8, 0.8, 2)]) for _ in range(28)]
     cameras = [Camera.look_at(3 * eye / np.linalg.norm(eye), (-0.3, 0, 0), width=44, height=44) for eye in eyes]
-    rgba = render_mesh_views(vertices, faces, colours, cameras, samples=2, device=device)
+    rgba = render_mesh_views(vertices, faces, colors, cameras, samples=2, device=device)
     (tmp_path / "head").mkdir()
     write_transforms(tmp_path / "head", Pictures(np.round(255 * rgba).astype(np.uint8), cameras))
     pixel = cameras[1].project(np.array([[0.3, 0.0, 0.05]]))[0][0] / 44

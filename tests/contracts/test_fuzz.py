@@ -320,10 +320,10 @@ def test_pictures(tmp_path_factory, kind):
     from test_images import write_deep_png
 
     path = tmp_path_factory.mktemp("pictures") / kind
-    colour = np.random.default_rng(0).integers(0, 65536, (12, 17, 3), dtype=np.uint16)
-    picture = Image.fromarray((colour >> 8).astype(np.uint8))
+    color = np.random.default_rng(0).integers(0, 65536, (12, 17, 3), dtype=np.uint16)
+    picture = Image.fromarray((color >> 8).astype(np.uint8))
     if kind == "16.png":
-        write_deep_png(path, colour)
+        write_deep_png(path, color)
     else:
         {"palette.png": picture.convert("P"), "grey.jpg": picture.convert("L")}.get(kind, picture).save(path)
     whole = path.read_bytes()

@@ -127,11 +127,11 @@ def test_threads_read_as_many_pictures_as_there_is_memory_for(tmp_path, monkeypa
 def test_rows_are_those_of_the_whole_picture(tmp_path):
     from PIL import Image
 
-    colour = noise(33, 21, 3)
-    Image.fromarray(colour).convert("P").save(tmp_path / "palette.png")
-    Image.fromarray(colour).save(tmp_path / "colour.jpg")
-    Image.fromarray(colour[..., 0]).save(tmp_path / "grey.png")
-    write_deep_png(tmp_path / "deep.png", colour.astype(np.uint16) * 257)
+    color = noise(33, 21, 3)
+    Image.fromarray(color).convert("P").save(tmp_path / "palette.png")
+    Image.fromarray(color).save(tmp_path / "colour.jpg")
+    Image.fromarray(color[..., 0]).save(tmp_path / "grey.png")
+    write_deep_png(tmp_path / "deep.png", color.astype(np.uint16) * 257)
     for name in ("palette.png", "colour.jpg", "grey.png", "deep.png"):
         whole, rows = read_image(tmp_path / name), read_rows(tmp_path / name)
         for first, last in ((0, 5), (5, 21), (20, 400), (0, None)):

@@ -44,7 +44,7 @@ FIXED = {
     "warpcage.view.opacity": {"rgba_picture": "function"},
     "warpcage.view.overlay": {"draw_cage": "function"},
     "warpcage.view.pictures": {
-        "colour_disparity": "function",
+        "color_disparity": "function",
         "contact_sheet": "function",
         "disparity_range": "function",
         "read_image": "function",

@@ -111,7 +111,9 @@ def hammer(device, kind):
 
 
 def subprocess_of(program, *arguments, **options):
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(pathlib.Path(__file__).parents[1] / "support"), *sys.path[1:]])}
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(pathlib.Path(__file__).parents[1] / "support"), *sys.path[1:]])
+    }
     environment |= options.pop("env", {})
     return subprocess.run(
         [sys.executable, "-c", program, *map(str, arguments)],

@@ -304,7 +304,7 @@ def test_no_points_are_no_error(device):
 def test_weights_too_large_for_the_device_are_refused(monkeypatch, device):
     cage, points = cage_and_points("box")
     monkeypatch.setattr(memory, "free_bytes", lambda device: 1 << 10)
-    harmonic = lambda points, cage, device: harmonic_coordinates(points, cage, 16, device)  # noqa: E731
+    harmonic = lambda points, cage, device: harmonic_coordinates(points, cage, 16, device=device)  # noqa: E731
     for call in (mean_value_coordinates, green_coordinates, harmonic):
         with pytest.raises(ValueError, match=r"weights of 10000 points.*GiB.*: take fewer points at a time"):
             call(points, cage, device=device)

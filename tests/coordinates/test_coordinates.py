@@ -27,11 +27,11 @@ class Foreign:
         return (2, 0) if self.array.device.is_cuda else (1, 0)
 
 
-def cage_and_points(name="icosphere", count=300, centre=(0.0, 0.0, 0.0), scale=1.0):
+def cage_and_points(name="icosphere", count=300, center=(0.0, 0.0, 0.0), scale=1.0):
     """A cage of oracles.CAGES and points inside it, scaled and then moved."""
     vertices, faces = oracles.cage(name)
     points = oracles.inside_points(vertices, faces, count)
-    return Cage(vertices * scale + centre, faces), points * scale + centre
+    return Cage(vertices * scale + center, faces), points * scale + center
 
 
 def rotation(degrees=50.0, axis=(1.0, 2.0, -0.5)):
@@ -59,8 +59,8 @@ def test_weights_match_oracles(name, device):
     "centre, scale",
     [((1e4, -2e4, 5e3), 1.0), ((0, 0, 0), 1e3), ((0, 0, 0), 1e-3), ((300.0, 0, -40.0), 1e-2), ((0, 0, 0), 1e12)],
 )
-def test_weights_do_not_depend_on_place_and_scale(centre, scale, device):
-    cage, points = cage_and_points(centre=centre, scale=scale)
+def test_weights_do_not_depend_on_place_and_scale(center, scale, device):
+    cage, points = cage_and_points(center=center, scale=scale)
     near, near_points = cage_and_points()
     weights = coordinates.mean_value_coordinates(points, cage, device=device)
     assert np.abs(weights - coordinates.mean_value_coordinates(near_points, near, device=device)).max() < 1e-5
@@ -105,7 +105,7 @@ def test_no_points_give_no_rows(given, device):
 
 @pytest.mark.parametrize("name", ["icosphere", "concave", "two boxes"])
 def test_mean_value_reproduces_affine_maps(name, device):
-    rest, points = cage_and_points(name, centre=(50.0, -20.0, 1e3), scale=3.0)
+    rest, points = cage_and_points(name, center=(50.0, -20.0, 1e3), scale=3.0)
     points = np.concatenate([points, rest.vertices, rest.vertices[rest.faces].mean(axis=1), points + 2.0])
     matrix, offset = rotation() @ np.array([[1, 0.7, 0], [0, 2.0, 0.1], [0, 0, 0.4]]), [1e3, 0, 5]
     deformed = rest.with_vertices(rest.vertices @ matrix.T + offset)
@@ -117,7 +117,7 @@ def test_mean_value_reproduces_affine_maps(name, device):
 @pytest.mark.parametrize("name", ["icosphere", "concave", "two boxes"])
 @pytest.mark.parametrize("factor", [1.0, 5.0, 0.2])
 def test_green_reproduces_similarities(name, factor, device):
-    rest, points = cage_and_points(name, centre=(50.0, -20.0, 1e3), scale=3.0)
+    rest, points = cage_and_points(name, center=(50.0, -20.0, 1e3), scale=3.0)
     points = np.concatenate([points, rest.vertices, rest.vertices[rest.faces].mean(axis=1)])
     matrix, offset = factor * rotation(), [1e3, 0, 5]
     deformed = rest.with_vertices(rest.vertices @ matrix.T + offset)
@@ -256,7 +256,7 @@ def test_harmonic_matches_boundary_elements(device):
 
 def test_harmonic_moves_points_and_refuses_those_outside(device, monkeypatch):
     monkeypatch.setattr("warpcage.coordinates.coordinates.HARMONIC_RESOLUTION", 32)
-    rest, points = cage_and_points("concave", centre=(1e3, 0, 0), scale=2.0)
+    rest, points = cage_and_points("concave", center=(1e3, 0, 0), scale=2.0)
     matrix = rotation() @ np.diag([1.0, 2.0, 0.5])
     deformed = rest.with_vertices(rest.vertices @ matrix.T)
     moved = coordinates.deform_points(points, rest, deformed, "harmonic", device=device)

@@ -13,7 +13,7 @@ from warpcage.view import to_uint8
 SIDE = 37
 
 
-def colours(seed=0):
+def colors(seed=0):
     """Colours in and out of range, and all that lie halfway between two bytes."""
     rng = np.random.default_rng(seed)
     found = rng.uniform(-0.2, 1.2, (SIDE, SIDE, 3)).astype(np.float32)
@@ -30,19 +30,19 @@ def frame_of(rgb, device, alpha=1.0):
 
 
 @pytest.mark.parametrize("early", [True, False])
-def test_bytes_are_those_of_the_colours(device, early):
-    frame = frame_of(colours(), device)
+def test_bytes_are_those_of_the_colors(device, early):
+    frame = frame_of(colors(), device)
     if early:
         frame.begin_copies("rgb_bytes")
     assert frame.rgb_bytes.dtype == np.uint8
-    np.testing.assert_array_equal(frame.rgb_bytes, to_uint8(colours()))
+    np.testing.assert_array_equal(frame.rgb_bytes, to_uint8(colors()))
     assert frame.rgb_bytes is frame.rgb_bytes
-    np.testing.assert_array_equal(frame.rgb, colours())
+    np.testing.assert_array_equal(frame.rgb, colors())
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
 def test_bytes_of_what_is_not_finite_are_refused(device, wrong):
-    rgb = colours()
+    rgb = colors()
     rgb[3, 4, 1] = wrong
     frame = frame_of(rgb, device)
     for _ in range(2):
@@ -51,7 +51,7 @@ def test_bytes_of_what_is_not_finite_are_refused(device, wrong):
 
 
 def test_copies_hold_what_was_there_when_they_were_begun(device):
-    first, second = colours(1), colours(2)
+    first, second = colors(1), colors(2)
     frame = frame_of(first, device, alpha=0.25)
     if not wp.get_device(device).is_cuda:
         frame.begin_copies("rgb", "alpha", "rgb_bytes")  # nothing to copy
@@ -72,24 +72,24 @@ def test_memory_of_copies_is_used_again_and_what_somebody_holds_is_not(device, r
     arrays._staging.cache_clear()
     held = []
     for seed in range(12):
-        frame = frame_of(colours(seed), device)
+        frame = frame_of(colors(seed), device)
         frame.begin_copies("rgb", "rgb_bytes", "alpha")
         if seed % 3 == 0:
             held.append((seed, frame.rgb, frame.rgb_bytes))
         elif seed % 3 == 1:
-            np.testing.assert_array_equal(frame.rgb, colours(seed))
+            np.testing.assert_array_equal(frame.rgb, colors(seed))
         del frame  # every third one that nobody waited for
     gc.collect()
     for seed, rgb, packed in held:
-        np.testing.assert_array_equal(rgb, colours(seed))
-        np.testing.assert_array_equal(packed, to_uint8(colours(seed)))
+        np.testing.assert_array_equal(rgb, colors(seed))
+        np.testing.assert_array_equal(packed, to_uint8(colors(seed)))
     if wp.get_device(device).is_cuda:
         assert arrays._staging(0)._made <= room
     arrays._staging.cache_clear()
 
 
 def test_a_frame_of_other_arrays_has_bytes_too():
-    rgb = colours()
+    rgb = colors()
     frame = Frame(SIDE, SIDE, rgb, np.ones((SIDE, SIDE)), np.ones((SIDE, SIDE)))
     frame.begin_copies("rgb", "rgb_bytes", "depth")
     np.testing.assert_array_equal(frame.rgb_bytes, to_uint8(rgb))

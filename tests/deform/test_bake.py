@@ -11,7 +11,7 @@ from deformed_scenes import BOX, KINDS, ellipsoid, make_field, plain, psnr, rota
 from warpcage import Cage, CageEdit, Deformer, VoxelField, bake
 
 
-def voxel_centres(field):
+def voxel_centers(field):
     """World positions (n, 3) of voxels that hold values, without those at the border, where a sample may lie beside."""
     nodes = np.argwhere(field.grid.links.numpy()[1:-1, 1:-1, 1:-1] >= 0) + 1
     return field.bounds[0] + (nodes + 0.5) * field.voxel_size
@@ -29,7 +29,7 @@ def test_voxels_hold_what_a_turned_scene_shows(kind, device):
     source = shiny_field(device)
     pose = BOX.with_vertices(BOX.vertices @ turn.T + offset)
     baked = bake(Deformer(source, BOX, coordinates=kind, resolution=32).pose(pose))
-    points = voxel_centres(baked)
+    points = voxel_centers(baked)
     directions = unit_directions(len(points))
     rgb, density = baked.sample(points, directions)
     back = (points - offset) @ turn
@@ -50,7 +50,7 @@ def test_density_follows_the_deformer(density, device):
     )
     cage = Cage.box([-0.6] * 3, [0.6] * 3)
     deformer = Deformer(source, cage, coordinates="mean_value", resolution=32, density=density)
-    baked = bake(deformer.pose(cage.scale(2.0, centre=(0, 0, 0))))
+    baked = bake(deformer.pose(cage.scale(2.0, center=(0, 0, 0))))
     middle = np.zeros((1, 3))
     expected = 4.0 * (0.5 if density == "opacity" else 1.0)
     assert baked.sample(middle, [[0, 0, 1.0]])[1][0] == pytest.approx(expected, rel=1e-3)
@@ -87,15 +87,15 @@ def test_baked_harmonics_are_turned(numbers, device):
     d = np.random.default_rng(1).normal(size=(200, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     points = np.random.default_rng(2).uniform(-0.3, 0.3, (200, 3))
-    expected = np.maximum(oracle.colours(np.broadcast_to(sh, (200, *numbers)), d @ turn), 0)
+    expected = np.maximum(oracle.colors(np.broadcast_to(sh, (200, *numbers)), d @ turn), 0)
     np.testing.assert_allclose(baked.sample(points, d)[0], expected, atol=2e-3)
     np.testing.assert_allclose(baked.sample(10 * points + 9, d)[1], 0)
 
 
 def test_edits_and_what_is_not_deformed_are_baked_too(device):
-    def balls(*centres):
+    def balls(*centers):
         return make_field(
-            lambda x: sum(ellipsoid(x, c, (0.2, 0.2, 0.2)) for c in centres), plain([0.8, 0.3, 0.1]), device=device
+            lambda x: sum(ellipsoid(x, c, (0.2, 0.2, 0.2)) for c in centers), plain([0.8, 0.3, 0.1]), device=device
         )
 
     left, right = (Cage.box([x - 0.34, -0.34, -0.34], [x + 0.34, 0.34, 0.34]) for x in (-0.6, 0.6))

@@ -35,7 +35,7 @@ from warpcage.render import MarchedView
 from warpcage.view import camera_struct
 
 LEFT, MIDDLE, RIGHT = (box_around(x, 0, 0, half=0.3) for x in (-0.7, 0.0, 0.7))
-HIGH, SLOTTED = box_around(0, 0, 0.85, half=0.14), slotted(0.4).scale(0.5, centre=(0, 0, 0)).translate((0, 0, -0.2))
+HIGH, SLOTTED = box_around(0, 0, 0.85, half=0.14), slotted(0.4).scale(0.5, center=(0, 0, 0)).translate((0, 0, -0.2))
 
 
 @pytest.fixture(params=MARCHES)
@@ -49,7 +49,7 @@ def shiny_balls(device):
 
     def density(x):
         return sum(
-            ball(x, centre) for centre in ((-0.7, 0, 0), (0, 0.05, -0.1), (0.65, 0, 0), (0, 0, 0.85), (0, 0.7, 0))
+            ball(x, center) for center in ((-0.7, 0, 0), (0, 0.05, -0.1), (0.65, 0, 0), (0, 0, 0.85), (0, 0.7, 0))
         )
 
     return make_field(density, shiny, device=device)
@@ -57,7 +57,7 @@ def shiny_balls(device):
 
 def turned():
     """Each turned, the one in the middle squeezed, so that samples are cut."""
-    squeezed = MIDDLE.scale((0.4, 1.0, 1.0), centre=(0, 0, 0))
+    squeezed = MIDDLE.scale((0.4, 1.0, 1.0), center=(0, 0, 0))
     return [LEFT, MIDDLE, RIGHT], [LEFT.rotate(30, axis="x"), squeezed, RIGHT.twist(40, axis="x")]
 
 
@@ -70,7 +70,7 @@ def of_all_sorts():
 
 def with_a_slot():
     """A slot that closes to less than a cell, between two boxes."""
-    closed = slotted(0.02).scale(0.5, centre=(0, 0, 0)).translate((0, 0, -0.2))
+    closed = slotted(0.02).scale(0.5, center=(0, 0, 0)).translate((0, 0, -0.2))
     boxes = [box_around(x, 0, 0, half=0.2) for x in (-0.75, 0.75)]
     return [boxes[0], SLOTTED, boxes[1]], [boxes[0].rotate(10, axis="y"), closed, boxes[1].rotate(20, axis="x")]
 
@@ -155,7 +155,7 @@ def test_folds_and_what_is_revealed_are_kept_from_part_to_part(march, device):
     """The nearer of two maps is mirrored by hand, so that all it shows folds; the other part shrinks."""
     deformer = Deformer(shiny_balls(device), [LEFT, RIGHT], coordinates="mean_value", resolution=32)
     alter_map(deformer, lambda positions: np.float32([-1.4, 0, 0]) + mirrored(positions))
-    deformer.pose([LEFT, RIGHT.scale((1, 0.5, 0.5), centre=(0.7, 0, 0))])
+    deformer.pose([LEFT, RIGHT.scale((1, 0.5, 0.5), center=(0.7, 0, 0))])
     by_parts, at_once, marched = both(deformer, view((-2.5, 0.4, 0.6)))
     assert len(marched) == 2 and at_once.fold.max() > 0.9 and at_once.reveal.max() > 0.1
     assert_alike(by_parts, at_once, is_shaded(marched))
@@ -224,11 +224,11 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
     marched = MarchedView(deformer.field, None, [], camera, wp.vec3(), options, None, 0, 1.0)
     kernels = [part_kernel(False, has_sides) for has_sides in (False, True)]
     edits._parts._rays = Untouched()
-    parts = edits.scene_parts(camera.centre, options.step)
+    parts = edits.scene_parts(camera.center, options.step)
     edits._parts.render(edits, marched, parts, kernels, [None, None], [None, None])
     assert [(part.is_first, part.is_last) for part in marched_parts] == [(1, 0), (0, 1)]
     for part in marched_parts:
-        arrays = part.progress, part.colours, part.masks
+        arrays = part.progress, part.colors, part.masks
         assert [array.shape for array in arrays] == 3 * [(width * height,)]
         assert [array.ptr - dot.ptr for array in arrays] == [16 * row * width * height for row in range(3)]
 
@@ -294,7 +294,7 @@ def test_bars_that_hide_each_other_in_a_circle_are_marched_at_once():
     circle = [view(eye, size=8) for eye in itertools.product((-3.0, 3.0), repeat=3)]
     found = [len(marches_for(bars(), bars(), camera)) for camera in circle]
     assert set(found) == {1, 3}
-    assert found == [1 if order_by_rays(boxes_of(bars()), camera.centre) is None else 3 for camera in circle]
+    assert found == [1 if order_by_rays(boxes_of(bars()), camera.center) is None else 3 for camera in circle]
 
 
 # -- Boxes
@@ -311,14 +311,14 @@ def spans(boxes, origins, directions):
     return np.stack([np.maximum(ends.min(axis=2).max(axis=-1), 0.0), ends.max(axis=2).min(axis=-1)], axis=-1)
 
 
-def pairs_by_rays(boxes, centre, count=4000):
+def pairs_by_rays(boxes, center, count=4000):
     """Pairs (i, j) of which rays from a point meet box i before box j: rays through points of each."""
     random = np.random.default_rng(5)
     found = set()
     for lower, upper in boxes:
         targets = random.uniform(lower, upper, (count, 3))
-        directions = targets - centre
-        times = spans(boxes, np.broadcast_to(centre, targets.shape), directions)
+        directions = targets - center
+        times = spans(boxes, np.broadcast_to(center, targets.shape), directions)
         for i, j in itertools.permutations(range(len(boxes)), 2):
             met = (times[:, [i, j], 0] < times[:, [i, j], 1]).all(axis=1)
             if (met & (times[:, i, 0] < times[:, j, 0])).any():
@@ -326,9 +326,9 @@ def pairs_by_rays(boxes, centre, count=4000):
     return found
 
 
-def order_by_rays(boxes, centre):
+def order_by_rays(boxes, center):
     """Any order that agrees with rays, by trying all; None where none does."""
-    pairs = pairs_by_rays(boxes, centre)
+    pairs = pairs_by_rays(boxes, center)
     for order in itertools.permutations(range(len(boxes))):
         if all(order.index(i) < order.index(j) for i, j in pairs):
             return list(order)
@@ -351,11 +351,11 @@ def test_orders_agree_with_rays(seed):
     random = np.random.default_rng(seed)
     boxes = random_boxes(random, 5)
     inside = boxes[1, 0] + 0.3 * (boxes[1, 1] - boxes[1, 0])
-    for centre in (*random.uniform(-2, 2, (4, 3)), inside):
-        order = front_to_back(boxes, centre)
-        pairs = pairs_by_rays(boxes, centre, count=1500)
+    for center in (*random.uniform(-2, 2, (4, 3)), inside):
+        order = front_to_back(boxes, center)
+        pairs = pairs_by_rays(boxes, center, count=1500)
         if order is None:
-            assert order_by_rays(boxes, centre) is None
+            assert order_by_rays(boxes, center) is None
         else:
             assert sorted(order) == list(range(5))
             assert all(order.index(i) < order.index(j) for i, j in pairs)

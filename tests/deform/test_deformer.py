@@ -60,7 +60,7 @@ def test_a_rigid_pose_is_a_moved_camera(kind, resolution, device):
 @pytest.mark.parametrize("scale", [0.5, 1.7])
 def test_a_scaled_pose_is_a_nearer_or_farther_camera(kind, scale, device):
     field, camera = shiny_field(device), view()
-    scaled = BOX.scale(scale, centre=(0, 0, 0))
+    scaled = BOX.scale(scale, center=(0, 0, 0))
     frame = Deformer(field, BOX, coordinates=kind, resolution=48).pose(scaled).render(camera)
     pose = camera.camera_to_world.copy()
     pose[:3, 3] /= scale
@@ -110,7 +110,7 @@ def test_matter_beside_a_deformed_cage_stays(device):
     """A ball in a corner of the box of the pose's lattice that the pose itself leaves free."""
     field = make_field(lambda x: ellipsoid(x, (0.42, 0.42, 0), (0.1, 0.1, 0.1)), shiny, device=device)
     cage = Cage.box([-0.2] * 3, [0.2] * 3)
-    pose = cage.rotate(45).scale(2.0, centre=(0, 0, 0))
+    pose = cage.rotate(45).scale(2.0, center=(0, 0, 0))
     frame = Deformer(field, cage, resolution=32).pose(pose).render(view())
     assert psnr(frame.rgb, field.render(view()).rgb) > 60
 
@@ -123,7 +123,7 @@ def test_a_compressed_thin_sheet_is_not_jumped_over(device):
 
     field = make_field(sheet, plain([0.2, 0.4, 0.8]), device=device)
     cage = Cage.box([-0.9, -1.1, -1.1], [0.9, 1.1, 1.1])
-    pose = cage.scale([1 / 12, 1, 1], centre=(0, 0, 0))
+    pose = cage.scale([1 / 12, 1, 1], center=(0, 0, 0))
     camera = Camera.look_at([3.0, 0.1, 0.05], (0, 0, 0), width=24, height=24, fov_degrees=12)
     frame = Deformer(field, cage, coordinates="mean_value", resolution=64).pose(pose).render(camera)
     thickness = 40 * 0.05 * 2  # two voxels of 0.05 in canonical arc length, trilinear ramps included
@@ -150,7 +150,7 @@ def test_optical_depth_of_a_stretched_part(density, stretched_along, factor, dev
     camera = Camera.look_at([4.0, 0.02, 0.03], (0, 0.02, 0.03), width=4, height=4, fov_degrees=2)
     frame = (
         Deformer(field, cage, coordinates="mean_value", resolution=32, density=density)
-        .pose(cage.scale(sizes, centre=(0, 0, 0)))
+        .pose(cage.scale(sizes, center=(0, 0, 0)))
         .render(camera)
     )
     np.testing.assert_allclose(-np.log1p(-frame.alpha), 1.5 * 0.8 * factor, rtol=0.01)
@@ -167,14 +167,14 @@ def test_what_moves_away_reveals_what_lies_behind(device):
     def back_ball(x):
         return ellipsoid(x, (-0.35, 0, 0), (0.25, 0.25, 0.25))
 
-    colour = plain([0.8, 0.3, 0.1])
-    field = make_field(two_balls, colour, device=device)
+    color = plain([0.8, 0.3, 0.1])
+    field = make_field(two_balls, color, device=device)
     camera = Camera.look_at([4.0, 0, 0], (0, 0, 0), width=48, height=48, fov_degrees=30)
     cage = Cage.box([0.3, -0.3, -0.3], [0.9, 0.3, 0.3])
     frame = Deformer(field, cage, resolution=32).pose(cage.translate([0, 0, 5.0])).render(camera)
-    expected = make_field(back_ball, colour, device=device).render(camera)
+    expected = make_field(back_ball, color, device=device).render(camera)
     assert psnr(frame.rgb, expected.rgb) > 50
-    front = make_field(lambda x: ellipsoid(x, (0.6, 0, 0), (0.2, 0.2, 0.2)), colour, device=device).render(camera)
+    front = make_field(lambda x: ellipsoid(x, (0.6, 0, 0), (0.2, 0.2, 0.2)), color, device=device).render(camera)
     np.testing.assert_allclose(frame.reveal, front.alpha, atol=5e-3)
     # seen from the other side the ball that stays is in front: it hides what was cleared behind it
     behind = Camera.look_at([-4.0, 0, 0], (0, 0, 0), width=48, height=48, fov_degrees=30)
@@ -222,8 +222,8 @@ def test_to_canonical_of_a_bend_against_float64_weights(resolution, device):
     """Positions by the half-angle form in extended precision, directions by differences of those."""
     deformed = BOX.bend(50, axis="x", towards="z")
     deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=resolution).pose(deformed)
-    centre = deformed.vertices.mean(axis=0)
-    points = centre + 0.8 * (oracles.inside_points(deformed.vertices, deformed.faces, 200) - centre)
+    center = deformed.vertices.mean(axis=0)
+    points = center + 0.8 * (oracles.inside_points(deformed.vertices, deformed.faces, 200) - center)
     directions = np.random.default_rng(0).normal(size=points.shape)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     inside = oracles.winding_numbers(points, deformed.vertices, deformed.faces) > 0.5
@@ -303,8 +303,8 @@ def test_samples_that_leave_the_rest_cage_are_empty_and_marked(device):
         phi, psi = oracles.green_weights(points, stretched.vertices, stretched.faces)
         exact = phi @ BOX.vertices + psi @ stretched_normals(stretched, BOX)
         margin = 0.03
-        centre = stretched.bounds.mean(axis=0)
-        deep = (np.abs(points - centre) < 0.5 * np.ptp(stretched.bounds, axis=0) - margin).all(axis=1)
+        center = stretched.bounds.mean(axis=0)
+        deep = (np.abs(points - center) < 0.5 * np.ptp(stretched.bounds, axis=0) - margin).all(axis=1)
         leaves, stays = deep & ~in_box(exact, margin), deep & in_box(exact, -margin)
         assert leaves.sum() > 20
         assert (outside[leaves] == 1).all() and (region[leaves] == 1).all()

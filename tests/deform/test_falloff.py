@@ -14,7 +14,7 @@ from warpcage.edits import walls_share
 WIDTH = 0.25
 #: Around the right half of a bar along x: its wall at x = 0 cuts the bar.
 HALF = Cage.box([0.0, -0.5, -0.5], [0.97, 0.5, 0.5], segments=2)
-RAISED = HALF.stretch(1.2, axis="x", centre=[0, 0, 0]).translate([0, 0, 0.12]).twist(15, axis="x")
+RAISED = HALF.stretch(1.2, axis="x", center=[0, 0, 0]).translate([0, 0, 0.12]).twist(15, axis="x")
 ON_WALL = np.flatnonzero(HALF.vertices[:, 0] == 0.0)
 
 
@@ -136,11 +136,11 @@ def test_a_band_that_folds_is_told(field):
     with pytest.warns(
         UserWarning, match="edit 0 turns matter inside out in its falloff band of 0.3: make the band wider"
     ):
-        deformer = Deformer(field, edit, resolution=48).pose(HALF.stretch(4.0, axis="x", centre=[0, 0, 0]))
+        deformer = Deformer(field, edit, resolution=48).pose(HALF.stretch(4.0, axis="x", center=[0, 0, 0]))
     assert deformer.render(view(size=24)).fold.max() > 0.1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        deformer.pose(HALF.stretch(1.5, axis="x", centre=[0, 0, 0]))
+        deformer.pose(HALF.stretch(1.5, axis="x", center=[0, 0, 0]))
 
 
 def test_shares_of_walls_that_meet_multiply():

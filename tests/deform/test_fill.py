@@ -19,7 +19,7 @@ CAMERA = Camera.look_at([0, -4, 0], (0, 0, 0), width=64, height=64, fov_degrees=
 SIDE = 48
 
 
-def colours(fog):
+def colors(fog):
     """(nodes, 4) an even gradient at infinity; behind the ball random colours, as fits leave them there."""
     places = surface_points(SIDE) / SIDE * 2.0 - 1.0
     values = np.ones((len(places), 4))
@@ -36,13 +36,13 @@ def ball(device, around="layers", fog=True):
     field = make_field(lambda x: ellipsoid(x, radii=(0.4, 0.4, 0.4)), plain([0.8, 0.3, 0.1]), device=device)
     if around is None:
         return field
-    values = np.stack([np.zeros_like(colours(fog)), colours(fog)])
+    values = np.stack([np.zeros_like(colors(fog)), colors(fog)])
     if around == "layers":
         background = LayeredBackground((0, 0, 0), 1.5, SIDE, values, device=device)
     else:
         links = np.full((8, 8, 8), -1, np.int32)
         half = 0.5 * (field.bounds[1] - field.bounds[0])
-        background = OuterField((0, 0, 0), half, links, np.zeros((0, 4)), sky=colours(fog)[:, :3], device=device)
+        background = OuterField((0, 0, 0), half, links, np.zeros((0, 4)), sky=colors(fog)[:, :3], device=device)
     return warpcage.VoxelField(
         field.bounds, field.grid.links, field.grid.density, harmonics_on_host(field.grid.sh),
         background_model=background, device=device,

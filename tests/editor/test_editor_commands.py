@@ -99,8 +99,8 @@ def test_presets_start_from_the_pose_and_move_the_chosen_alone():
     np.testing.assert_array_equal(stretched[chosen, 1:], edit.posed[chosen, 1:])
     turned = preset_pose(edit, None, {"preset": "twist", "amount": 90.0, "axis": "z"})
     np.testing.assert_array_equal(turned[:, 2], edit.posed[:, 2])
-    centre = (edit.posed.min(axis=0) + edit.posed.max(axis=0))[:2] / 2
-    radii = [np.linalg.norm(array[:, :2] - centre, axis=1) for array in (turned, edit.posed)]
+    center = (edit.posed.min(axis=0) + edit.posed.max(axis=0))[:2] / 2
+    radii = [np.linalg.norm(array[:, :2] - center, axis=1) for array in (turned, edit.posed)]
     np.testing.assert_allclose(*radii, atol=1e-12)
     assert preset_pose(edit, None, {"preset": "bend", "amount": 0, "axis": "x"}) is edit.posed
     assert high[0] > low[0]

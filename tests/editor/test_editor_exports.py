@@ -221,10 +221,10 @@ def test_opacity_puts_a_film_before_any_background(field, overlay, tmp_path):
     export_film(shown, field, tmp_path / "clear", Film(40, 30, overlay, transparent=True))
     (clear,) = (picture / 255.0 for picture in pictures_of(tmp_path / "clear"))
     assert clear.shape == (30, 40, 4) and clear[..., 3].min() == 0.0 and clear[..., 3].max() > 0.99
-    for colour in ((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.2, 0.9, 0.4)):
-        solid = dataclasses.replace(shown, settings=dataclasses.replace(SMALL, background=colour))
+    for color in ((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.2, 0.9, 0.4)):
+        solid = dataclasses.replace(shown, settings=dataclasses.replace(SMALL, background=color))
         (expected,) = film_pictures(solid, field, Film(40, 30, overlay))
-        composited = clear[..., :3] * clear[..., 3:] + (1.0 - clear[..., 3:]) * np.array(colour)
+        composited = clear[..., :3] * clear[..., 3:] + (1.0 - clear[..., 3:]) * np.array(color)
         np.testing.assert_allclose(composited, expected, atol=2.1 / 255)
 
 

@@ -60,7 +60,7 @@ return { bad: [...new Set(bad)], texts, colour: getComputedStyle(document.body).
 @pytest.mark.parametrize(("width", "height"), [(1024, 768), (1440, 900), (820, 1180)])
 def test_everything_can_be_seen_in_light_and_dark(window: Window, browser: Any, width: int, height: int) -> None:
     metrics = {"width": width, "height": height, "deviceScaleFactor": 0.5, "mobile": False}
-    colours = set()
+    colors = set()
     try:
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
         window.wait("innerWidth === arguments[0]", "the window is resized", width)
@@ -79,8 +79,8 @@ def test_everything_can_be_seen_in_light_and_dark(window: Window, browser: Any, 
             until(lambda: not window.get("document.getAnimations().length"), "nothing fades any more")
             found = browser.execute_script(LAYOUT)
             assert "\n".join(found["bad"]) == "" and found["texts"] > 40
-            colours.add(found["colour"])
-        assert len(colours) == 2
+            colors.add(found["color"])
+        assert len(colors) == 2
     finally:
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
         metrics |= {"width": 1024, "height": 768}

@@ -51,11 +51,11 @@ def frame(device):
     return Frame(37, 23, **held)
 
 
-def test_colours_are_rounded_to_bytes(frame):
+def test_colors_are_rounded_to_bytes(frame):
     pixels = frame_pixels(frame, "rgb", NEAR, FAR, 8, 6)
     expected = np.floor(np.clip(frame.rgb, 0.0, 1.0) * 255.0 + 0.5)
-    assert pixels.colours.dtype == np.uint8 and pixels.colours.shape == (23, 37, 3)
-    np.testing.assert_array_equal(pixels.colours, expected)
+    assert pixels.colors.dtype == np.uint8 and pixels.colors.shape == (23, 37, 3)
+    np.testing.assert_array_equal(pixels.colors, expected)
 
 
 @pytest.mark.parametrize("depths", [5, 16, 37, 64])
@@ -77,11 +77,11 @@ def test_depths_are_those_of_pixels_and_come_back(frame, depths):
 
 
 def test_other_parts_of_a_frame_are_shown(frame):
-    disparity, alpha = (frame_pixels(frame, show, NEAR, FAR, 8, 6).colours for show in ("disparity", "alpha"))
+    disparity, alpha = (frame_pixels(frame, show, NEAR, FAR, 8, 6).colors for show in ("disparity", "alpha"))
     assert disparity.shape == alpha.shape == (23, 37, 3)
     np.testing.assert_array_equal(alpha[..., 0], np.floor(frame.alpha * 255.0 + 0.5))
     assert (
-        frame_pixels(frame, "masks", NEAR, FAR, 8, 6).colours == frame_pixels(frame, "rgb", NEAR, FAR, 8, 6).colours
+        frame_pixels(frame, "masks", NEAR, FAR, 8, 6).colors == frame_pixels(frame, "rgb", NEAR, FAR, 8, 6).colors
     ).all()
 
 
@@ -91,7 +91,7 @@ def test_bands_make_the_whole_picture(device):
     whole = camera(view, 30, 22)
     parts = [field.render(band_camera(whole, first, min(first + 5, 22))) for first in range(0, 22, 5)]
     joined = joined_pixels([frame_pixels(part, "rgb", NEAR, FAR, 8, 6) for part in parts])
-    np.testing.assert_array_equal(joined.colours, frame_pixels(field.render(whole), "rgb", NEAR, FAR, 8, 6).colours)
+    np.testing.assert_array_equal(joined.colors, frame_pixels(field.render(whole), "rgb", NEAR, FAR, 8, 6).colors)
 
 
 @pytest.mark.parametrize("quality", [60, 95])
@@ -104,7 +104,7 @@ def test_messages_hold_header_jpeg_and_depths(frame, quality):
     begin = 16 + words + (-words) % 8
     assert begin % 8 == 0
     decoded = simplejpeg.decode_jpeg(message[begin : begin + jpeg])
-    assert decoded.shape == pixels.colours.shape
+    assert decoded.shape == pixels.colors.shape
     assert (depths, message[len(message) - depths :]) == (pixels.depths.nbytes, pixels.depths.tobytes())
     assert (len(message) - depths) % 8 == 0
 

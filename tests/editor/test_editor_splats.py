@@ -22,9 +22,9 @@ def splats():
     rng = np.random.default_rng(0)
     places = rng.normal(size=(400, 3))
     places *= 0.5 / np.linalg.norm(places, axis=1, keepdims=True)
-    colours = np.where(places[:, 2:] > 0, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])[:, None]
+    colors = np.where(places[:, 2:] > 0, [1.5, -1.5, -1.5], [-1.5, -1.5, 1.5])[:, None]
     turns = np.tile([1.0, 0, 0, 0], (400, 1))
-    return SplatField(places, np.full((400, 3), np.log(0.03)), turns, np.full(400, 3.0), colours, up=(0, 0, 1))
+    return SplatField(places, np.full((400, 3), np.log(0.03)), turns, np.full(400, 3.0), colors, up=(0, 0, 1))
 
 
 def posed_document(field, cage):
@@ -72,8 +72,8 @@ def test_baked_splats_are_splats(splats, tmp_path):
     baked = export_baked(document, splats, tmp_path / "bent.ply", lambda _, text: told.append(text))
     again = load_field(tmp_path / "bent.ply")
     assert field_size(baked) == "400 splats" and "400 splats" in told[-1] and len(again) == 400
-    expected = splats.contents.centres @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-    assert np.abs(again.contents.centres - expected).max() < 1e-3
+    expected = splats.contents.centers @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    assert np.abs(again.contents.centers - expected).max() < 1e-3
     with pytest.raises(ValueError, match=r"\.ply"):
         export_baked(document, splats, tmp_path / "bent.npz")
 

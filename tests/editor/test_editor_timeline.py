@@ -275,7 +275,7 @@ def test_pose_files_hold_the_cameras_too(tmp_path):
     assert file.fps == 12.0 and file.length == 2.0 and [key.time for key in file.cameras] == [0.0, 2.0]
     for time in (0.0, 0.7, 2.0):
         view, looking = state_at(made, time)[1], file.camera_at(time)
-        np.testing.assert_allclose(looking.centre, view.eye, atol=1e-9)
+        np.testing.assert_allclose(looking.center, view.eye, atol=1e-9)
         ahead = np.subtract(view.target, view.eye) / np.linalg.norm(np.subtract(view.target, view.eye))
         np.testing.assert_allclose(looking.rotation[:, 2], ahead, atol=1e-9)
     assert looking.height / looking.fy == pytest.approx(2 * np.tan(np.radians(30.0)))

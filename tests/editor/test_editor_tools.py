@@ -111,7 +111,7 @@ def matrix(faces: np.ndarray, count: int) -> np.ndarray:
     return out
 
 
-def test_edges_neighbours_and_parts(two_parts: tuple[np.ndarray, np.ndarray, Any]) -> None:
+def test_edges_neighbors_and_parts(two_parts: tuple[np.ndarray, np.ndarray, Any]) -> None:
     points, faces, made = two_parts
     adjacent = matrix(faces, len(points))
     edges = np.reshape(made["edges"]["int32"], (-1, 2))

@@ -27,11 +27,11 @@ def rays_of(count, seed=0, reach=4.0):
     return random.uniform(-reach, reach, (count, 3)), directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def test_colours_match_numpy(device):
+def test_colors_match_numpy(device):
     background, values = oracle.random_background(device)
     origins, directions = rays_of(300)
     rays = list(zip(origins, directions, strict=True))
-    expected = [oracle.ray_colour(background, values, *ray) for ray in rays]
+    expected = [oracle.ray_color(background, values, *ray) for ray in rays]
     np.testing.assert_allclose(background.sample(origins, directions), expected, atol=2e-5)
     assert any(place is None for ray in rays for place in oracle.layer_points(background, *ray))  # some pass a cube by
     with pytest.raises(ValueError, match="as many directions as origins, got 299 for 300"):
@@ -110,7 +110,7 @@ def test_gradients_match_finite_differences(device):
             origins, directions = camera.rays()
             for row, column in np.ndindex(6, 8):
                 ray = origins[row, column], directions[row, column]
-                far = oracle.ray_colour(background, values, *ray)
+                far = oracle.ray_color(background, values, *ray)
                 rgb, _, _ = field_oracles.render_ray(field, density, sh, *ray, field.step, far, length=6.0)
                 total += scale * ((rgb - image[row, column]) ** 2).sum()
         return total
@@ -216,7 +216,7 @@ def test_a_room_is_seen_from_new_places(rooms, masks):
         assert warpcage.psnr(alone, test.images) > 19
 
 
-def test_a_colour_instead_of_layers(rooms):
+def test_a_color_instead_of_layers(rooms):
     scene, field = rooms["split"]
     camera = scene.cameras[0]
     plain, seen = field.render(camera, background="black"), field.render(camera)
@@ -434,10 +434,10 @@ def test_voxels_that_few_cameras_see_stay_empty(device):
     mask = wp.ones((9, 8, 7), dtype=wp.uint8, device=device)
     keep_seen([[-4, -4, -4], [4, 4, 4]], scene.cameras, 6, mask)
     low, size = np.array([-4, -4, -4]), 8 / np.array([9, 8, 7])
-    centres = low + (np.indices((9, 8, 7)).reshape(3, -1).T + 0.5) * size
-    counts = np.zeros(len(centres), int)
+    centers = low + (np.indices((9, 8, 7)).reshape(3, -1).T + 0.5) * size
+    counts = np.zeros(len(centers), int)
     for camera in scene.cameras:
-        pixels, depth = camera.project(centres)
+        pixels, depth = camera.project(centers)
         counts += (depth > 0) & (pixels >= 0).all(axis=1) & (pixels <= 16).all(axis=1)
     np.testing.assert_array_equal(mask.numpy().ravel(), counts >= 6)
     assert 0 < (counts >= 6).sum() < counts.size

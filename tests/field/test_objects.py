@@ -77,7 +77,7 @@ def test_depths_of_views_choose_what_they_show(table, device):
     field = table.field.to(device)
     turns = np.arange(8) * np.pi / 4
     cameras = [table.camera((2.9 * np.cos(a), 2.9 * np.sin(a), 1.7), 80) for a in turns]
-    distance = np.stack([np.linalg.norm(table.cells - camera.centre, axis=1) for camera in cameras])
+    distance = np.stack([np.linalg.norm(table.cells - camera.center, axis=1) for camera in cameras])
     lamp = table.labels == LAMP
     near, far = distance[:, lamp].min() - VOXEL, distance[:, lamp].max() + VOXEL
     chosen = select_object(field, depth=(near, far), cameras=cameras, parts=1)
@@ -151,7 +151,7 @@ def test_a_pixel_shows_the_place_in_front(scene, device):
     clicked = np.floor(camera.project(table_top[None])[0][0]).astype(int)
     origins, rays = camera.rays()
     ray = rays[clicked[1], clicked[0]]
-    exact = camera.centre + ray * ((table_top - camera.centre) @ up) / (ray @ up)
+    exact = camera.center + ray * ((table_top - camera.center) @ up) / (ray @ up)
     assert np.linalg.norm(pick_point(field, camera, clicked) - exact) < 2.5 * VOXEL
     for label in (LAMP, BALL):
         place = pick_point(field, camera, scene.pixel_of(camera, label))

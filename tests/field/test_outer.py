@@ -44,7 +44,7 @@ def test_the_oracle_contracts_as_published():
     np.testing.assert_allclose(oracle.contract(face * 1.000001), face, atol=2e-6)
 
 
-def test_colours_match_numpy(device):
+def test_colors_match_numpy(device):
     """To the cells of the seams: rays from within the box, around it, along its faces, and straight along axes."""
     outer, values = oracle.random_outer(device, center=(0.3, -0.2, 0.5), half=HALF)
     origins, directions = rays_of(250)
@@ -56,8 +56,8 @@ def test_colours_match_numpy(device):
         outer.sample(origins, directions[1:])
     expected = []
     for origin, direction in zip(origins, directions, strict=True):
-        colour, light = oracle.march(outer, values, origin, direction)
-        expected.append(colour + light * oracle.sky_colour(outer, direction))
+        color, light = oracle.march(outer, values, origin, direction)
+        expected.append(color + light * oracle.sky_color(outer, direction))
     error = np.abs(seen - expected).max(axis=1)
     # where a length is a whole number of steps, float32 may take one sample more
     assert np.quantile(error, 0.97) < 3e-5 and error.max() < 2e-2
@@ -84,7 +84,7 @@ def test_views_are_put_between_what_is_before_and_behind(device):
         cut = depth[n] if alpha[n] > 0 else 0.0
         front, light = oracle.march(outer, values, origins[n], directions[n], 0.0, cut)
         back, left = oracle.march(outer, values, origins[n], directions[n], cut)
-        expected = front + light * (rgb[n] + (1 - alpha[n]) * (back + left * oracle.sky_colour(outer, directions[n])))
+        expected = front + light * (rgb[n] + (1 - alpha[n]) * (back + left * oracle.sky_color(outer, directions[n])))
         errors.append(np.abs(arrays[0].numpy()[n] - expected).max())
         assert arrays[1].numpy()[n] == pytest.approx(light * alpha[n], abs=5e-3)
         assert arrays[3].numpy()[n] == pytest.approx(light * mask[n], abs=5e-3)
@@ -205,14 +205,14 @@ def test_the_sky_follows_what_is_behind_the_box(device):
                 _, light = oracle.march(outer, whole.values, *ray, 0.0, between)
             _, opacity, _ = field_oracles.render_ray(field, whole.density, whole.sh, *ray, field.step, black, 6.0)
             back, left = oracle.march(outer, whole.values, *ray, between)
-            terms.append((ray[1], light * (1 - opacity), back + left * oracle.sky_colour(outer, ray[1])))
+            terms.append((ray[1], light * (1 - opacity), back + left * oracle.sky_color(outer, ray[1])))
 
     def loss(changed):
         outer.grid.sky.values.assign(np.pad(changed, ((0, 0), (0, 1))).astype(np.float32)[None])
-        skies = [oracle.sky_colour(outer, direction) for direction, _, _ in terms]
+        skies = [oracle.sky_color(outer, direction) for direction, _, _ in terms]
         return sum(
-            0.5 * by_sky * light * ((colour - behind) ** 2).sum()
-            for colour, (_, light, behind) in zip(skies, terms, strict=True)
+            0.5 * by_sky * light * ((color - behind) ** 2).sum()
+            for color, (_, light, behind) in zip(skies, terms, strict=True)
         )
 
     found = whole.grad_sky[:, :3] - without.grad_sky[:, :3]
@@ -234,7 +234,7 @@ def test_a_black_sky_becomes_lighter_again(device):
     np.testing.assert_allclose(black, dark, atol=1e-4 * np.abs(dark).max())
 
 
-def test_colours_stay_where_files_keep_them(device):
+def test_colors_stay_where_files_keep_them(device):
     """Steps beyond 0 and 1 end there, and come back; densities have no upper end."""
     numbers = np.array([[0.99, 0.01, 0.5, 3.0]])
     values, moments = (wp.array(each, dtype=wp.vec4, device=device) for each in (numbers, np.zeros((1, 4))))
@@ -285,7 +285,7 @@ def test_voxels_that_may_hold_matter(device):
     u = oracle.expand(places)
     seen, front, near = np.zeros(len(u), int), np.zeros(len(u), bool), np.full(len(u), np.inf)
     for camera in cameras:
-        local = (u * HALF - camera.centre) @ camera.rotation
+        local = (u * HALF - camera.center) @ camera.rotation
         near = np.minimum(near, np.linalg.norm(local, axis=1))
         ahead = local[:, 2] > 0
         pixel = local[:, :2] / np.where(ahead, local[:, 2], 1)[:, None] * [camera.fx, camera.fy] + [
@@ -294,7 +294,7 @@ def test_voxels_that_may_hold_matter(device):
         ]
         shown = ahead & (pixel >= 0).all(axis=1) & (pixel < 20).all(axis=1)
         seen += shown
-        front |= shown & (np.linalg.norm(local, axis=1) < 0.8 * np.linalg.norm(camera.centre))
+        front |= shown & (np.linalg.norm(local, axis=1) < 0.8 * np.linalg.norm(camera.center))
     least = np.where(front, 3, 1)
     size = np.abs(places)
     in_slabs = (size.max(axis=1) > 1 - 4 / side) & ((size > 1 + 4 / side).sum(axis=1) < 2)
@@ -335,7 +335,7 @@ def test_the_room_is_its_object_before_its_walls():
         alphas = views.object.alphas
         assert 0.1 < alphas.mean() < 0.7 and views.whole.alphas is None
         np.testing.assert_allclose(views.whole.images[alphas == 1], views.object.images[alphas == 1], atol=1e-6)
-        places = np.array([camera.centre for camera in views.whole.cameras])
+        places = np.array([camera.center for camera in views.whole.cameras])
         assert (np.abs(places[:, :2]) < ROOM_HALF).all() and (places[:, 2] > FLOOR).all()
         assert (np.abs(places[:, :2]).max(axis=1) > OBJECT_BOX[1, 0]).all()
     vertices = object_model()[0]

@@ -69,6 +69,6 @@ def test_camera_struct_subtracts_the_origin_before_float32():
     far = np.array([1e7, -3e7, 5e6])
     camera = Camera.look_at(far + [0.25, 0.5, -2.0], far, width=7, height=5)
     struct = camera_struct(camera, far)
-    np.testing.assert_allclose(list(struct.centre), [0.25, 0.5, -2.0], atol=1e-7)
+    np.testing.assert_allclose(list(struct.center), [0.25, 0.5, -2.0], atol=1e-7)
     np.testing.assert_allclose(np.array(struct.rotation).reshape(3, 3), camera.rotation, atol=1e-7)
     assert (struct.width, struct.height) == (7, 5)

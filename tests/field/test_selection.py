@@ -57,11 +57,11 @@ def test_masks_of_several_views_cut_the_object_out():
         Camera.look_at(eye, (0, 0, 0), width=64, height=48, fov_degrees=50)
         for eye in ((4, 0, 0), (0, -3, 2.5), (-3, -3, 1))
     ]
-    centres = nodes((32,) * 3)
+    centers = nodes((32,) * 3)
     masks = []
     for camera in views:
         mask = np.zeros((48, 64))
-        pixels, _ = camera.project(centres[truth["block"]])
+        pixels, _ = camera.project(centers[truth["block"]])
         column, row = np.floor(pixels).astype(int).T
         for i, j in np.ndindex(3, 3):  # without holes between the projected nodes
             mask[np.clip(row + i - 1, 0, 47), np.clip(column + j - 1, 0, 63)] = 255

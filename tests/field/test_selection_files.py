@@ -222,7 +222,7 @@ def lamp_on_a_table(offset=(0, 0, 0)):
         cylinder((0, 0, -0.3), (0, 0, 0.2), 0.1, (0.9, 0.8, 0.2), segments=16),
         box((-0.25, -0.15, 0.15), (0.25, 0.15, 0.4), (0.8, 0.1, 0.5)),
     ]
-    return joined(still + [(vertices + np.asarray(offset), faces, colour) for vertices, faces, colour in lamp])
+    return joined(still + [(vertices + np.asarray(offset), faces, color) for vertices, faces, color in lamp])
 
 
 def seen(camera, cage):

@@ -24,9 +24,9 @@ def nodes(shape, lower=(-1, -1, -1), upper=(1, 1, 1)):
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def ball(count=40, radius=0.6, density=200.0, centre=(0.1, 0, 0)):
+def ball(count=40, radius=0.6, density=200.0, center=(0.1, 0, 0)):
     """A ball whose density falls from 2 * density to 0 over four voxels around its radius."""
-    distance = np.linalg.norm(nodes((count,) * 3) - centre, axis=-1) - radius
+    distance = np.linalg.norm(nodes((count,) * 3) - center, axis=-1) - radius
     return density * np.clip(1.0 - distance / (4.0 / count), 0.0, 2.0)
 
 
@@ -72,7 +72,7 @@ def test_surface_density_is_half_opacity_or_between_two_fogs():
 
 
 def test_largest_part_drops_floaters_and_cavities():
-    density = ball(centre=(0, 0, 0))
+    density = ball(center=(0, 0, 0))
     density[np.linalg.norm(nodes((40,) * 3), axis=-1) < 0.3] = 0.0
     density[1:3, 1:3, 1:3] = 400.0
     field = GridField(density)

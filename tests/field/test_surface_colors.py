@@ -44,7 +44,7 @@ def check_halves(colors, height):
     assert np.abs(colors[height > 0.1] - RED).max() < 0.01 and np.abs(colors[height < -0.1] - BLUE).max() < 0.01
 
 
-def test_glb_has_colours_by_default_and_y_up(files, tmp_path, capsys):
+def test_glb_has_colors_by_default_and_y_up(files, tmp_path, capsys):
     path = tmp_path / "ball.glb"
     assert run(files, "mesh", "@ball.npz", "-o", path) == 0
     assert "with colours" in capsys.readouterr().out
@@ -65,19 +65,19 @@ def len_of(path):
 
 
 @pytest.mark.parametrize("ending", ["ply", "obj"])
-def test_other_formats_have_colours_when_asked(files, tmp_path, ending):
+def test_other_formats_have_colors_when_asked(files, tmp_path, ending):
     path = tmp_path / f"ball.{ending}"
     assert run(files, "mesh", "@ball.npz", "-o", path, "--colors") == 0
     mesh = trimesh.load(path, force="mesh", process=False)
     check_halves(np.asarray(mesh.visual.vertex_colors)[:, :3] / 255.0, np.asarray(mesh.vertices)[:, 2])
 
 
-def test_formats_without_colours_say_so(files, tmp_path, capsys):
+def test_formats_without_colors_say_so(files, tmp_path, capsys):
     assert run(files, "mesh", "@ball.npz", "-o", tmp_path / "ball.stl", "--colors") == 2
     assert ".stl has no colours" in capsys.readouterr().err and not (tmp_path / "ball.stl").exists()
 
 
-def test_colours_are_those_seen_from_straight_ahead(device):
+def test_colors_are_those_seen_from_straight_ahead(device):
     def shine(x):
         sh = np.zeros((*x.shape[:3], 9, 3))
         sh[..., 1:4, :] = np.array([[0.5, 0, 0.2], [0, 0.5, -0.2], [-0.3, 0.2, 0.4]])

@@ -87,7 +87,7 @@ def seen_around(function, camera, reach, order):
 
 
 @pytest.mark.parametrize("numbers", [(9, 3), (24,)], ids=["rgb", "luminance"])
-@pytest.mark.parametrize("around", ["colour", "behind", "front"])
+@pytest.mark.parametrize("around", ["color", "behind", "front"])
 def test_camera_slopes_match_finite_differences(device, numbers, around):
     """Of a float64 render, by turns, shifts and focal length, with colours around the field that change too."""
     field, density, sh = oracle.random_field(
@@ -99,7 +99,7 @@ def test_camera_slopes_match_finite_differences(device, numbers, around):
     image = random.random((1, 6, 8, 3)).astype(np.float16).astype(np.float64)
     rays = training_rays([camera], image, np.ones((1, 6, 8)), field, device)
     rays.order = -1
-    has_behind, has_front = around != "colour", around == "front"
+    has_behind, has_front = around != "color", around == "front"
 
     def behind(*ray):
         return sky(*ray) if has_behind else np.array([0.3, 0.6, 0.1])

@@ -193,10 +193,10 @@ def test_an_opaque_scene_is_fitted_without_silhouettes():
 @pytest.mark.parametrize("bounds", [[[-1.2] * 3, [1.2] * 3], None])
 def test_cameras_inside_what_they_see(bounds):
     """A hollow ball around all cameras; they look across its middle."""
-    centres = np.stack(np.meshgrid(*[(np.arange(32) + 0.5) / 16 - 1] * 3, indexing="ij"), axis=-1)
-    radius = np.linalg.norm(centres, axis=-1)
+    centers = np.stack(np.meshgrid(*[(np.arange(32) + 0.5) / 16 - 1] * 3, indexing="ij"), axis=-1)
+    radius = np.linalg.norm(centers, axis=-1)
     sh = np.zeros((32, 32, 32, 9, 3))
-    sh[..., 0, :] = centres
+    sh[..., 0, :] = centers
     shell = VoxelField.from_dense(np.where(radius > 0.8, 40.0, 0.0), sh, [[-1] * 3, [1] * 3])
     cameras = [
         Camera.look_at(

@@ -61,7 +61,7 @@ def test_scarcity_by_hand():
     assert scarcity(cameras, np.zeros(3), 0.001) == MOST_SCARCE
 
 
-def test_shrinking_leaves_the_mean_colour(device):
+def test_shrinking_leaves_the_mean_color(device):
     random = np.random.default_rng(0)
     values = random.normal(size=(5, 24)).astype(np.float32)
     held = wp.array(values, dtype=wp.float32, device=device)
@@ -93,10 +93,10 @@ def test_batches_are_large_where_steps_are_many(quality, millions, passes, rays)
 
 @pytest.mark.parametrize("model", MODELS)
 def test_models_are_meshes(model):
-    vertices, faces, colours = MODELS[model]()
+    vertices, faces, colors = MODELS[model]()
     assert vertices.shape[1] == 3 and np.abs(vertices).max() < 1.4
-    assert faces.shape == colours.shape and faces.min() == 0 and faces.max() == len(vertices) - 1
-    assert 0 <= colours.min() and colours.max() <= 1
+    assert faces.shape == colors.shape and faces.min() == 0 and faces.max() == len(vertices) - 1
+    assert 0 <= colors.min() and colors.max() <= 1
     area = np.linalg.norm(np.cross(*(vertices[faces[:, i]] - vertices[faces[:, 0]] for i in (1, 2))), axis=1)
     assert area.min() > 0
 

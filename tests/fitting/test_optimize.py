@@ -79,8 +79,8 @@ def test_bounds_hold_the_object():
     scene = blob_scene(count=10, offset=(1.0, 2.0, -0.5))
     box = object_bounds(scene, resolve_device())
     half = np.array([5 / 12, 1 / 3, 1 / 2])
-    centre = np.array([1.0, 2.0, -0.5])
-    assert (box[0] <= centre - half).all() and (box[1] >= centre + half).all()
+    center = np.array([1.0, 2.0, -0.5])
+    assert (box[0] <= center - half).all() and (box[1] >= center + half).all()
     assert (box[1] - box[0]).max() < 2.0  # a third of what the cameras see
 
 

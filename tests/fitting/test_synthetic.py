@@ -81,26 +81,26 @@ def test_highlight_depends_on_the_view(device):
         [Camera.look_at(eye, (0, 0, 0), width=9, height=9) for eye in eyes],
         device=device,
     )
-    centre = views[:, 4, 4, :3].mean(axis=-1)
-    assert centre[0] - centre[1] > 0.05
+    center = views[:, 4, 4, :3].mean(axis=-1)
+    assert center[0] - center[1] > 0.05
 
 
 @pytest.mark.parametrize("change, message", [
-    ({"faces": [[0, 1, 8]]}, "faces"), ({"colours": np.ones((3, 3))}, "per face"), ({"cameras": []}, "camera"),
+    ({"faces": [[0, 1, 8]]}, "faces"), ({"colors": np.ones((3, 3))}, "per face"), ({"cameras": []}, "camera"),
     ({"vertices": np.full((8, 3), np.nan)}, "vertices"), ({"samples": 0}, "samples"),
 ])  # fmt: skip
 def test_render_mesh_views_refuses(change, message):
-    arguments = {"vertices": BOX_VERTICES, "faces": BOX_FACES, "colours": np.ones((12, 3)), "samples": 1,
+    arguments = {"vertices": BOX_VERTICES, "faces": BOX_FACES, "colors": np.ones((12, 3)), "samples": 1,
                  "cameras": [Camera.look_at((0, -3, 0), (0, 0, 0), width=4, height=4)]} | change  # fmt: skip
     with pytest.raises(ValueError, match=message):
         render_mesh_views(**arguments)
 
 
-def test_brick_model_is_closed_centred_and_in_the_box():
-    vertices, faces, colours = brick_model()
-    assert faces.dtype == np.int32 and colours.shape == faces.shape
-    assert 0.0 <= colours.min() and colours.max() <= 1.0
-    assert len(np.unique(colours, axis=0)) >= 8
+def test_brick_model_is_closed_centered_and_in_the_box():
+    vertices, faces, colors = brick_model()
+    assert faces.dtype == np.int32 and colors.shape == faces.shape
+    assert 0.0 <= colors.min() and colors.max() <= 1.0
+    assert len(np.unique(colors, axis=0)) >= 8
     np.testing.assert_allclose(vertices.min(axis=0), -vertices.max(axis=0), atol=1e-12)
     assert 0.9 < np.abs(vertices).max() < 1.2
     # closed and consistently wound: every directed edge is met once in the other direction

@@ -34,8 +34,8 @@ def look_up(position_map, points):
 
 
 def inside_points(cage, count=300):
-    centre = cage.bounds.mean(axis=0)
-    return oracles.inside_points(cage.vertices - centre, cage.faces, count) + centre
+    center = cage.bounds.mean(axis=0)
+    return oracles.inside_points(cage.vertices - center, cage.faces, count) + center
 
 
 def points_up_to(cage, count=200):

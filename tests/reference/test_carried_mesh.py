@@ -47,11 +47,11 @@ def test_a_rigid_pose_is_what_the_counter_moved_camera_sees(device):
 
 
 def test_lights_that_stay_light_a_moved_mesh_as_if_it_had_been_there(device):
-    vertices, faces, colours = chair_model()
+    vertices, faces, colors = chair_model()
     turned = vertices @ np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    mesh = CarriedMesh(vertices, faces, colours, texture=(0.0, 1.0), device=device)
+    mesh = CarriedMesh(vertices, faces, colors, texture=(0.0, 1.0), device=device)
     relit, _ = mesh.render([view()], posed=turned, light_stays=True, samples=2)
-    expected = render_mesh_views(turned, faces, colours, [view()], samples=2, device=device)
+    expected = render_mesh_views(turned, faces, colors, [view()], samples=2, device=device)
     # reach and offset of the light follow the size of the mesh's box, which a turn leaves nearly as it is
     assert np.mean(np.abs(relit - expected).max(axis=-1) > 2e-2) < 0.01
 
@@ -71,20 +71,20 @@ def test_texture_is_of_the_place_at_rest(device):
 def test_models_are_closed_and_face_out(name):
     import trimesh
 
-    vertices, faces, colours = subdivided_model(name, 0.3)
+    vertices, faces, colors = subdivided_model(name, 0.3)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     assert mesh.is_watertight and mesh.volume > 0.05
-    assert colours.shape == faces.shape and colours.min() >= 0 and colours.max() <= 1
+    assert colors.shape == faces.shape and colors.min() >= 0 and colors.max() <= 1
     assert np.linalg.norm(vertices[faces] - vertices[np.roll(faces, 1, axis=1)], axis=2).max() <= 0.3 + 1e-9
     assert np.abs(vertices.min(axis=0) + vertices.max(axis=0)).max() < 1e-6
     assert 1.7 < np.ptp(vertices, axis=0).max() < 2.4
 
 
 def test_refuses_what_does_not_fit():
-    vertices, faces, colours = chair_model()
-    with pytest.raises(ValueError, match="colour"):
-        CarriedMesh(vertices, faces, colours[:-1])
-    mesh = CarriedMesh(vertices, faces, colours)
+    vertices, faces, colors = chair_model()
+    with pytest.raises(ValueError, match="color"):
+        CarriedMesh(vertices, faces, colors[:-1])
+    mesh = CarriedMesh(vertices, faces, colors)
     with pytest.raises(ValueError, match="posed"):
         mesh.render([view()], posed=vertices[:-1])
     with pytest.raises(ValueError, match="not known"):
@@ -103,11 +103,11 @@ def test_points_are_shaded_as_they_are_seen(device):
     away = points - EYE
     distance = np.linalg.norm(away, axis=1)
     towards = away / distance[:, None]
-    colours = mesh.shade(faces, corners[:, :2], np.stack([towards, -towards], axis=1))
+    colors = mesh.shade(faces, corners[:, :2], np.stack([towards, -towards], axis=1))
     seen = np.abs(depth[:, 0] - distance) < 1e-4
-    wrong = np.abs(colours[:, 0] - rgba[:, :3])[seen].max(axis=1) > 5e-3
+    wrong = np.abs(colors[:, 0] - rgba[:, :3])[seen].max(axis=1) > 5e-3
     assert seen.sum() > 40 and wrong.mean() < 0.05  # beside the rim of a shadow, or where faces touch
-    assert np.abs(colours[:, 1] - colours[:, 0]).max() > 0.1  # from the other side it is another colour
+    assert np.abs(colors[:, 1] - colors[:, 0]).max() > 0.1  # from the other side it is another colour
 
 
 def test_distances_are_those_of_a_union_of_boxes(device):

@@ -106,7 +106,7 @@ def test_directions_of_affine_poses(kind, device):
     ((_, _, cage),) = deformer._edits._shades._posed
     aims = cage.aims.numpy().reshape(*taken.shape, 4)
     x = np.array(edit.rest.lower) + edit.rest.spacing * np.argwhere(taken) + deformer.field.center
-    along = x - np.linalg.solve(matrix, camera.centre - offset)
+    along = x - np.linalg.solve(matrix, camera.center - offset)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     inside = distance[taken] < 0
     assert inside.sum() > 500
@@ -116,7 +116,7 @@ def test_directions_of_affine_poses(kind, device):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_views_are_those_of_colours_looked_up_at_each_sample(kind, device):
+def test_views_are_those_of_colors_looked_up_at_each_sample(kind, device):
     deformer = Deformer(shiny_field(device), BOX, coordinates=kind, resolution=40)
     for pose, least in ((BOX, 65), (TURN, 65), (BEND, 62), (BOX.twist(80, axis="x"), 60)):
         for eye in ((2.6, 0.9, 1.2), (-1.2, 2.4, -1.5)):
@@ -165,7 +165,7 @@ def test_gaps_whose_cells_have_sides(device):
 
 
 @pytest.mark.filterwarnings("ignore:a cage has gaps narrower")
-def test_matter_in_a_notch_narrower_than_a_voxel_keeps_its_own_colours(device):
+def test_matter_in_a_notch_narrower_than_a_voxel_keeps_its_own_colors(device):
     """All nodes around it lie in the cage."""
     field = make_field(lambda x: np.full(x.shape[:3], 4.0), shiny, resolution=20, device=device)
     cage = slotted(0.04)

@@ -91,7 +91,7 @@ def test_nothing_is_before_a_begin(case, place, march, device, monkeypatch):
         tile = tile[tile >= 0]
         if begin > 1e29:
             assert (frame.alpha.reshape(-1)[tile] == 0).all()
-            begin = np.linalg.norm(camera.centre) + 6.0
+            begin = np.linalg.norm(camera.center) + 6.0
         t = random.uniform(max(0.0, begin - 6.0), begin, (len(tile), 60))
         if begin > 0:
             along = origins[tile][:, None] - field.center + t[..., None] * directions[tile][:, None]

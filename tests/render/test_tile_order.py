@@ -14,7 +14,7 @@ from warpcage.kernels.view.tile_order import MOST_TICKS, TileOrder, count_tiles,
 from warpcage.render import BalancedTiles, tile_order
 
 MOST = int(MOST_TICKS)
-CENTRES = (-0.7, 0.0, 0.7)
+CENTERS = (-0.7, 0.0, 0.7)
 
 #: Ticks of so many tiles by name.
 TICKS = {
@@ -120,8 +120,8 @@ def test_no_order_changes_a_view(march, size, device, monkeypatch):
 def test_no_order_changes_a_view_of_several_edits(march, device, monkeypatch):
     """Rays keep their state from launch to launch, each of which has its own order."""
     use_march(march, device, monkeypatch)
-    boxes = [box_around(x, 0, 0, half=0.22) for x in CENTRES]
-    field = make_field(lambda x: sum(ball(x, (c, 0, 0)) for c in CENTRES), shiny, device=device)
+    boxes = [box_around(x, 0, 0, half=0.22) for x in CENTERS]
+    field = make_field(lambda x: sum(ball(x, (c, 0, 0)) for c in CENTERS), shiny, device=device)
     deformer = Deformer(field, boxes, coordinates="mean_value", resolution=16)
     deformer.pose([box.rotate(40, axis="x") for box in boxes])
     expected = "views.shades+part" if march == "shaded" else "views.rows+part"

@@ -38,7 +38,7 @@ def test_loader_composites_and_reads_cameras(tmp_path):
     camera = scene.cameras[0]
     assert camera.fx == camera.fy == pytest.approx(0.5 * 12 / np.tan(0.4))
     assert (camera.cx, camera.cy, camera.width, camera.height) == (6, 4, 12, 8)
-    np.testing.assert_allclose(camera.centre, [1, 2, 3])
+    np.testing.assert_allclose(camera.center, [1, 2, 3])
     # Blender looks along -z with +y up
     np.testing.assert_allclose(camera.rotation @ [0, 0, 1], [0, 0, -1], atol=1e-12)
     np.testing.assert_allclose(camera.rotation @ [0, 1, 0], [0, -1, 0], atol=1e-12)
@@ -46,7 +46,7 @@ def test_loader_composites_and_reads_cameras(tmp_path):
 
 
 @pytest.mark.parametrize("factor", [2, 4, 3])
-def test_downscale_averages_premultiplied_colour(tmp_path, factor):
+def test_downscale_averages_premultiplied_color(tmp_path, factor):
     image = rgba()
     write_folder(tmp_path, [image])
     scene = load_scene(tmp_path, downscale=factor, background="black")
@@ -72,7 +72,7 @@ def test_opaque_images_have_no_alphas(tmp_path):
 def test_real_scene(real_data):
     scene = load_scene(real_data / "lego_800", split="test", downscale=8)
     assert scene.images.shape == (13, 100, 100, 3)
-    np.testing.assert_allclose([np.linalg.norm(c.centre) for c in scene.cameras], 4.0311, atol=1e-3)
+    np.testing.assert_allclose([np.linalg.norm(c.center) for c in scene.cameras], 4.0311, atol=1e-3)
 
 
 def damaged(folder, kind):
@@ -173,10 +173,10 @@ def test_camera_resized_and_moved():
 
 def test_turntable_goes_round():
     cameras = turntable([1, 2, 3], 4.0, 20, 8)
-    centres = np.stack([c.centre for c in cameras]) - [1, 2, 3]
-    np.testing.assert_allclose(np.linalg.norm(centres, axis=1), 4.0)
-    np.testing.assert_allclose(centres[:, 2], 4 * np.sin(np.radians(20)))
-    np.testing.assert_allclose(centres[0, :2], -centres[4, :2], atol=1e-12)
+    centers = np.stack([c.center for c in cameras]) - [1, 2, 3]
+    np.testing.assert_allclose(np.linalg.norm(centers, axis=1), 4.0)
+    np.testing.assert_allclose(centers[:, 2], 4 * np.sin(np.radians(20)))
+    np.testing.assert_allclose(centers[0, :2], -centers[4, :2], atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -28,8 +28,8 @@ def bricks():
 
 
 @pytest.fixture(scope="module")
-def centred():
-    return brick_pictures(6, centred=True)
+def centered():
+    return brick_pictures(6, centered=True)
 
 
 def require_equal(scene, pictures, *, tolerance=1e-5, image_tolerance=1e-6):
@@ -60,18 +60,18 @@ def require_held_out_splits(folder, pictures, **options):
 
 
 @pytest.mark.parametrize("format", [None, "blender"])
-def test_blender(tmp_path, centred, format):
-    write_blender(tmp_path, centred)
-    require_equal(load(tmp_path, format=format), centred)
+def test_blender(tmp_path, centered, format):
+    write_blender(tmp_path, centered)
+    require_equal(load(tmp_path, format=format), centered)
 
 
 @pytest.mark.parametrize("style", ["4x4", "lines"])
-def test_nsvf(tmp_path, centred, style):
-    write_nsvf(tmp_path, centred, "001122", style=style)
+def test_nsvf(tmp_path, centered, style):
+    write_nsvf(tmp_path, centered, "001122", style=style)
     for split, indices in {"train": [0, 1], "val": [2, 3], "test": [4, 5]}.items():
-        require_equal(load(tmp_path, split=split), centred.pick(indices))
+        require_equal(load(tmp_path, split=split), centered.pick(indices))
     np.testing.assert_array_equal(load(tmp_path).bounds, [[-1.5] * 3, [1.5] * 3])
-    require_equal(load(tmp_path, format="nsvf"), centred.pick([0, 1]))
+    require_equal(load(tmp_path, format="nsvf"), centered.pick([0, 1]))
 
 
 def test_nsvf_matrix_keeps_both_focal_lengths_and_splits_say_what_there_is(tmp_path, bricks):
@@ -154,8 +154,8 @@ def test_transforms_splits_of_its_own(tmp_path, bricks):
     assert len(load(tmp_path / "files", split="test")) == 2
 
 
-def test_transforms_with_angles_instead_of_focal_lengths(tmp_path, centred):
-    write_transforms(tmp_path, centred)
+def test_transforms_with_angles_instead_of_focal_lengths(tmp_path, centered):
+    write_transforms(tmp_path, centered)
     content = json.loads((tmp_path / "transforms.json").read_text())
     for name in ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_model"):
         del content[name]
@@ -163,7 +163,7 @@ def test_transforms_with_angles_instead_of_focal_lengths(tmp_path, centred):
     for frame in content["frames"]:
         frame["transform_matrix"] = frame["transform_matrix"][:3]
     (tmp_path / "transforms.json").write_text(json.dumps(content))
-    require_equal(load(tmp_path, split="all"), centred)
+    require_equal(load(tmp_path, split="all"), centered)
     content["camera_angle_y"] = 2 * np.arctan(10 / 25.0)
     (tmp_path / "transforms.json").write_text(json.dumps(content))
     assert load(tmp_path).cameras[0].fy == pytest.approx(25.0)
@@ -271,13 +271,13 @@ def picture_of(camera, pixels):
     return 0.5 + 0.4 * np.sin(world @ np.array([[3.0, 1, 2], [1, 4, -2], [2, -1, 3]]))
 
 
-def pixel_centres(camera):
+def pixel_centers(camera):
     return np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), axis=-1)
 
 
 def seen_through(camera, coefficients):
     """The same sky through a lens: its pixels traced back to the pinhole by fixed-point iteration."""
-    pixels = pixel_centres(camera)
+    pixels = pixel_centers(camera)
     target = (pixels - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
     pinhole = target.copy()
     for _ in range(200):
@@ -302,7 +302,7 @@ def require_undistorted(scene, pictures):
         assert 1.0 <= zoom < 1.1 and read.fy / written.fy == pytest.approx(zoom)
         assert (read.cx, read.cy) == (written.cx, written.cy)
         np.testing.assert_allclose(read.camera_to_world, written.camera_to_world, atol=1e-9)
-        error = np.abs(image - picture_of(read, pixel_centres(read)))
+        error = np.abs(image - picture_of(read, pixel_centers(read)))
         assert error[1:-1, 1:-1].max() < 0.008 and error.max() < 0.015  # half a pixel at the edge is repeated
 
 
@@ -409,8 +409,8 @@ def require_same_as_colmap(scene, theirs):
         np.testing.assert_allclose(
             [camera.fx, camera.fy, camera.cx, camera.cy], theirs.cameras[image.camera_id].params, rtol=1e-12
         )
-        np.testing.assert_allclose(camera.centre, image.projection_center(), atol=1e-9)
-        point = camera.centre + camera.rotation @ [0.3, -0.2, 2.0]
+        np.testing.assert_allclose(camera.center, image.projection_center(), atol=1e-9)
+        point = camera.center + camera.rotation @ [0.3, -0.2, 2.0]
         pixel = image.camera.img_from_cam(image.cam_from_world() * point)
         np.testing.assert_allclose(camera.project(point[None])[0][0], np.ravel(pixel), atol=1e-6)
 
@@ -421,13 +421,13 @@ def test_projections_are_split_as_opencv_does(bricks, tmp_path):
     matrices = np.load(tmp_path / "cameras_sphere.npz")
     for i, camera in enumerate(load(tmp_path, split="all").cameras):
         projection = (matrices[f"world_mat_{i}"] @ matrices[f"scale_mat_{i}"])[:3]
-        k, rotation, centre = cv2.decomposeProjectionMatrix(projection * np.sign(np.linalg.det(projection[:, :3])))[:3]
+        k, rotation, center = cv2.decomposeProjectionMatrix(projection * np.sign(np.linalg.det(projection[:, :3])))[:3]
         k = k / k[2, 2]
         np.testing.assert_allclose(
             [k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5], [camera.fx, camera.fy, camera.cx, camera.cy], rtol=1e-9
         )
         np.testing.assert_allclose(rotation.T, camera.rotation, atol=1e-9)
-        np.testing.assert_allclose(centre[:3, 0] / centre[3, 0], camera.centre, atol=1e-9)
+        np.testing.assert_allclose(center[:3, 0] / center[3, 0], camera.center, atol=1e-9)
 
 
 def test_lens_is_that_of_opencv():
@@ -448,8 +448,8 @@ def test_dtu_scan(real_data):
         pytest.skip(f"no {folder}")
     train, test = (load_scene(folder, split=split, downscale=8) for split in ("train", "test"))
     assert (len(train), len(test)) == (42, 7) and train.images.shape[1:] == (75, 100, 3)
-    centres = np.array([camera.centre for camera in train.cameras])
-    assert (np.linalg.norm(centres, axis=1) > 1.5).all()  # outside the unit sphere, which they look at
+    centers = np.array([camera.center for camera in train.cameras])
+    assert (np.linalg.norm(centers, axis=1) > 1.5).all()  # outside the unit sphere, which they look at
     for camera in train.cameras:
         assert 0 < camera.project(np.zeros((1, 3)))[0][0][0] < camera.width
     # silhouettes of cameras that fit meet in space: what lies in all training masks lies in the held-out ones

@@ -17,21 +17,21 @@ def test_kinds_of_png(tmp_path, kind):
     write_transforms(tmp_path, brick_pictures(10))
     rng = np.random.default_rng(0)
     levels, alpha = rng.integers(0, 65536, (2, 20, 24), dtype=np.uint16)
-    colour = rng.integers(0, 65536, (20, 24, 3), dtype=np.uint16)
+    color = rng.integers(0, 65536, (20, 24, 3), dtype=np.uint16)
     bits = 255.0 if kind in ("8 bit grey", "grey and alpha", "palette") else 65535.0
     expected, opacity = np.repeat(levels[..., None], 3, axis=-1) / 65535.0, np.ones((20, 24, 1))
     for i in range(10):
         path = tmp_path / "images" / f"view_{i:02d}.png"
         if kind == "16 bit":
-            expected = colour / bits
-            write_deep_png(path, colour)
+            expected = color / bits
+            write_deep_png(path, color)
         elif kind == "16 bit grey":
             write_deep_png(path, levels[..., None])
         elif kind == "16 bit alpha":
             opacity = alpha[..., None] / bits
             write_deep_png(path, np.stack([levels, levels, levels, alpha], axis=-1))
         elif kind == "palette":
-            expected = np.round(colour[:1, :4] / 65535 * 255).repeat(20, axis=0).repeat(6, axis=1) / 255
+            expected = np.round(color[:1, :4] / 65535 * 255).repeat(20, axis=0).repeat(6, axis=1) / 255
             Image.fromarray(np.round(expected * 255).astype(np.uint8)).convert("P", palette=1, colors=16).save(path)
         else:
             byte = (levels >> 8).astype(np.uint8)

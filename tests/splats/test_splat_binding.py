@@ -160,7 +160,7 @@ def test_shared_ways():
     assert len(tree.rows) == 2 + 3 + 9
     nodes = np.append(np.arange(14), 1)  # the last is a copy of the second splat
     bound = np.arange(15) + 3
-    leaders, others = shared_ways(tree, nodes, bound, tree.centres, 20)
+    leaders, others = shared_ways(tree, nodes, bound, tree.centers, 20)
     ways = []
     for leader in leaders:
         way = [bound[leader]]
@@ -169,10 +169,10 @@ def test_shared_ways():
         ways.append(way)
     assert sorted(splat for way in ways for splat in way) == bound.tolist()
     for way in ways:
-        assert len({tuple(tree.centres[nodes[splat - 3]]) for splat in way}) == 1
+        assert len({tuple(tree.centers[nodes[splat - 3]]) for splat in way}) == 1
     # splat, its middle piece and that one's; the pieces at the sides and theirs; the other splat and its copy
     assert sorted(map(len, ways)) == [1] * 6 + [2] * 3 + [3]
-    anchors = tree.centres.copy()
+    anchors = tree.centers.copy()
     anchors[tree.pieces[0]] += 1e-3
     leaders, others = shared_ways(tree, nodes, bound, anchors, 20)
     assert others[3] == -1 and len(leaders) == 12
@@ -191,5 +191,5 @@ def test_an_edit_at_rest_after_one_that_moved(device):
             posed, fresh = (
                 each.pose(cages).posed_splats() for each in (used, Deformer(field, edits, coordinates="mean_value"))
             )
-            for name in ("centres", "covariances", "opacities", "turns"):
+            for name in ("centers", "covariances", "opacities", "turns"):
                 np.testing.assert_array_equal(getattr(posed, name).numpy(), getattr(fresh, name).numpy())

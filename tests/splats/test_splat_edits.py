@@ -15,8 +15,8 @@ TINY = (-9.0, -8.0)
 
 def rows_at(field, low, high):
     """The splats whose centre is in a box."""
-    centres = field.contents.centres
-    return np.flatnonzero(((centres > low) & (centres < high)).all(axis=1))
+    centers = field.contents.centers
+    return np.flatnonzero(((centers > low) & (centers < high)).all(axis=1))
 
 
 def test_the_three_cases(device):
@@ -24,18 +24,18 @@ def test_the_three_cases(device):
     field = splats_in_box(device, half=2.0, count=600, scales=TINY)
     cage = Cage.box((-1, -1, -1), (0, 1, 1))
     deformer = Deformer(field, cage, coordinates="mean_value").pose(cage.translate((1.5, 0, 0)))
-    rows, centres, _, opacities = drawn(deformer)
+    rows, centers, _, opacities = drawn(deformer)
     inside, covered = rows_at(field, (-1, -1, -1), (0, 1, 1)), rows_at(field, (0.5, -1, -1), (1.5, 1, 1))
     stays = np.setdiff1d(np.arange(600), np.concatenate([inside, covered]))
     np.testing.assert_array_equal(np.sort(rows), np.sort(np.concatenate([inside, stays])))
-    place = dict(zip(rows, centres, strict=True))
-    rest = field.contents.centres
+    place = dict(zip(rows, centers, strict=True))
+    rest = field.contents.centers
     np.testing.assert_allclose([place[row] for row in inside], rest[inside] + [1.5, 0, 0], atol=1e-5)
     posed = deformer.posed_splats()
     clear = np.min([np.abs(rest - wall).min(axis=1) for wall in (-1.0, 0.0, 0.5, 1.0, 1.5)], axis=0) > 1e-2
     stays = stays[clear[stays]]
     assert len(stays) > 300
-    np.testing.assert_array_equal(posed.centres.numpy()[stays], field.splats.centres.numpy()[stays])
+    np.testing.assert_array_equal(posed.centers.numpy()[stays], field.splats.centers.numpy()[stays])
     np.testing.assert_array_equal(posed.covariances.numpy()[stays], field.splats.covariances.numpy()[stays])
     np.testing.assert_array_equal(posed.opacities.numpy()[stays], field.splats.opacities.numpy()[stays])
     np.testing.assert_array_equal(posed.turns.numpy()[stays], np.tile([0, 0, 0, 1], (len(stays), 1)))
@@ -45,13 +45,13 @@ def test_a_copy_and_a_removal(device):
     field = splats_in_box(device, half=0.9, count=200, scales=TINY)
     inside = rows_at(field, (-1, -1, -1), (0, 1, 1))
     copied = Deformer(field, CageEdit(LEFT_BOX, keep_source=True), coordinates="mean_value")
-    rows, centres, _, _ = drawn(copied.pose(LEFT_BOX.translate((5, 0, 0))))
+    rows, centers, _, _ = drawn(copied.pose(LEFT_BOX.translate((5, 0, 0))))
     np.testing.assert_array_equal(np.sort(rows), np.sort(np.concatenate([np.arange(200), inside])))
-    away = centres[:, 0] > 2.0
-    np.testing.assert_allclose(centres[away], field.contents.centres[rows[away]] + [5, 0, 0], atol=1e-5)
+    away = centers[:, 0] > 2.0
+    np.testing.assert_allclose(centers[away], field.contents.centers[rows[away]] + [5, 0, 0], atol=1e-5)
     np.testing.assert_array_equal(np.sort(rows[away]), inside)
     # half over itself: what the copy covers of the source is gone
-    rows, centres, _, _ = drawn(copied.pose(LEFT_BOX.translate((0.5, 0, 0))))
+    rows, centers, _, _ = drawn(copied.pose(LEFT_BOX.translate((0.5, 0, 0))))
     hidden = rows_at(field, (-0.5, -1, -1), (0.5, 1, 1))
     np.testing.assert_array_equal(np.bincount(rows, minlength=200)[hidden], np.isin(hidden, inside))
     removed = Deformer(field, CageEdit(LEFT_BOX, remove=True), coordinates="mean_value").pose([None])
@@ -65,11 +65,11 @@ def test_several_edits_are_those_of_points(kind, device):
     third = Cage.box((1.5, -1.5, -1.5), (4.5, 1.5, 1.5))
     deformer = Deformer(field, [LEFT_BOX, RIGHT_BOX, third], coordinates=kind, resolution=24)
     poses = [LEFT_BOX.translate((3.5, 0, 0)), RIGHT_BOX.rotate(20, axis="x"), third.translate((0, 6, 0)).twist(30)]
-    rows, centres, _, opacities = drawn(deformer.pose(poses))
+    rows, centers, _, opacities = drawn(deformer.pose(poses))
     np.testing.assert_array_equal(np.sort(rows), np.arange(150))
-    rest = field.contents.centres.astype(float)
+    rest = field.contents.centers.astype(float)
     left = rows_at(field, (-1, -1, -1), (0, 1, 1))
-    place = centres[np.argsort(rows)]
+    place = centers[np.argsort(rows)]
     through = warpcage.deform_points(rest[left] + [3.5, 0, 0], third, poses[2], kind, device)
     np.testing.assert_allclose(place[left], through, atol=3e-2 if kind == "harmonic" else 1e-3)
     right = np.setdiff1d(np.arange(150), left)
@@ -103,25 +103,25 @@ def test_a_splat_at_a_wall_goes_and_stays_by_its_shares(offset, device):
     """Optical depths are those of the shares of a Gaussian on both sides of a flat wall, and together the whole."""
     field = one_splat(device, (offset, 0.1, 0.0), (0.05, 0.01, 0.01), 0.8)
     deformer = Deformer(field, LEFT_BOX, coordinates="mean_value").pose(LEFT_BOX.translate((-1e-5, 0, 0)))
-    _, centres, _, opacities = drawn(deformer)
+    _, centers, _, opacities = drawn(deformer)
     share = norm.cdf(-offset / 0.05)
     expected = [1.0 - 0.2**each for each in (share, 1.0 - share) if 0.0014 < each < 0.9986]
     if len(expected) == 2:
         np.testing.assert_allclose(np.sort(opacities), np.sort(expected), rtol=2e-3)
     assert 1.0 - np.prod(1.0 - opacities) == pytest.approx(0.8, abs=1e-3)
-    assert np.abs(centres - field.contents.centres).max() < 1e-4
+    assert np.abs(centers - field.contents.centers).max() < 1e-4
 
 
 def test_a_torn_splat_goes_in_pieces(device):
     """A large one across a wall: what lies left of it is taken along, what lies right stays, and nothing is lost."""
     field = one_splat(device, (0.0, 0.0, 0.0), (0.15, 0.05, 0.05), 0.5)
     deformer = Deformer(field, LEFT_BOX, coordinates="mean_value").pose(LEFT_BOX.translate((-3, 0, 0)))
-    _, centres, covariances, opacities = drawn(deformer)
-    assert len(centres) > 3
-    goes = centres[:, 0] < -2.0
+    _, centers, covariances, opacities = drawn(deformer)
+    assert len(centers) > 3
+    goes = centers[:, 0] < -2.0
     widths = np.sqrt(covariances[:, 0, 0])
     # how far pieces of either part reach over the wall, by the share that is left of them
-    assert (centres[goes, 0] + 3.0 <= 3.0 * widths[goes]).all() and (centres[~goes, 0] >= -3.0 * widths[~goes]).all()
+    assert (centers[goes, 0] + 3.0 <= 3.0 * widths[goes]).all() and (centers[~goes, 0] >= -3.0 * widths[~goes]).all()
     depth = -np.log(1.0 - opacities) * widths
     assert depth[goes].sum() == pytest.approx(depth[~goes].sum(), rel=1e-3)  # as many on each side
 
@@ -133,7 +133,7 @@ def test_a_falloff_holds_a_wall(device):
     posed = cage.with_vertices(cage.vertices + [0.0, 0.0, 0.4] * (cage.vertices[:, 2:] > 0.0))
     still = Deformer(field, CageEdit(cage, falloff=0.5, held="still"), coordinates="mean_value").pose(posed)
     free = Deformer(field, cage, coordinates="mean_value").pose(posed)
-    rest = field.contents.centres.astype(float)
+    rest = field.contents.centers.astype(float)
     held, loose = (drawn(each)[1] for each in (still, free))
     low = rest[:, 2] < -0.9
     assert np.abs(held[low] - rest[low]).max() < 1e-2 < np.abs(loose[low] - rest[low]).max()

@@ -66,7 +66,7 @@ def test_foreign_layouts_are_kept_to_the_bit(order, tmp_path):
     path = tmp_path / "foreign.ply"
     path.write_bytes(data)
     field = warpcage.SplatField.load(path, device="cpu")
-    np.testing.assert_array_equal(field.contents.centres, np.stack([table[axis] for axis in "xyz"], axis=1))
+    np.testing.assert_array_equal(field.contents.centers, np.stack([table[axis] for axis in "xyz"], axis=1))
     np.testing.assert_array_equal(field.contents.quaternions[:, 3], table["rot_3"].astype(np.float32))
     # channel-major: the second harmonic of blue is f_rest_7 of nine
     np.testing.assert_array_equal(field.contents.harmonics[:, 2, 2], table["f_rest_7"].astype(np.float32))
@@ -84,7 +84,7 @@ def test_the_usual_layout_and_any_degree(degree, tmp_path):
     contents = some_splats(degree=degree)
     field_of(contents).save(tmp_path / "splats.ply")
     again = warpcage.SplatField.load(tmp_path / "splats.ply", device="cpu").contents
-    for name in ("centres", "log_scales", "quaternions", "logits", "harmonics"):
+    for name in ("centers", "log_scales", "quaternions", "logits", "harmonics"):
         np.testing.assert_array_equal(getattr(again, name), getattr(contents, name))
 
 
@@ -96,16 +96,16 @@ def test_the_usual_layout_and_any_degree(degree, tmp_path):
         (".spz", 1.3e-4, 3.2e-2, 2.5e-3, 2e-3, 1.4e-2, 4e-3),
     ],
 )
-def test_quantised_formats_hold_what_they_can(ending, place, scale, turn, opacity, colour, further, tmp_path):
+def test_quantised_formats_hold_what_they_can(ending, place, scale, turn, opacity, color, further, tmp_path):
     field = field_of(some_splats())
     field.save(tmp_path / f"a{ending}")
     again = warpcage.SplatField.load(tmp_path / f"a{ending}", device="cpu")
     old, new = field.contents, again.contents
-    assert np.abs(new.centres - old.centres).max() <= place
+    assert np.abs(new.centers - old.centers).max() <= place
     assert np.abs(new.log_scales - old.log_scales).max() <= scale
     assert np.abs(again.rotations - field.rotations).max() <= 2 * turn
     assert np.abs(again.opacities - field.opacities).max() <= opacity
-    assert np.abs(new.harmonics[:, 0] - old.harmonics[:, 0]).max() <= colour
+    assert np.abs(new.harmonics[:, 0] - old.harmonics[:, 0]).max() <= color
     if further is None:
         assert again.degree == 0
     else:
@@ -119,7 +119,7 @@ def test_supersplats_own_file(tmp_path):
     assert np.allclose(np.linalg.norm(field.contents.quaternions, axis=1), 1.0, atol=1e-6)
     field.save(tmp_path / "again.compressed.ply")
     again = warpcage.SplatField.load(tmp_path / "again.compressed.ply", device="cpu")
-    np.testing.assert_array_equal(again.contents.centres, field.contents.centres)
+    np.testing.assert_array_equal(again.contents.centers, field.contents.centers)
     np.testing.assert_array_equal(again.contents.log_scales, field.contents.log_scales)
     np.testing.assert_array_equal(again.contents.harmonics, field.contents.harmonics)
     np.testing.assert_array_equal(again.contents.logits, field.contents.logits)
@@ -141,7 +141,7 @@ def test_words_of_a_compressed_file_by_hand(tmp_path):
         "\n".join([*lines, "end_header", ""]).encode() + chunk.tobytes() + np.array(words, "<u4").tobytes()
     )
     field = warpcage.SplatField.load(path, device="cpu")
-    np.testing.assert_allclose(field.contents.centres, [[1, -2, 3]])
+    np.testing.assert_allclose(field.contents.centers, [[1, -2, 3]])
     np.testing.assert_allclose(field.contents.log_scales, [[-6, -6, -6]])
     np.testing.assert_allclose(field.rotations[0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=3e-3)
     np.testing.assert_allclose(field.opacities, [0.2], atol=1e-6)
@@ -161,7 +161,7 @@ def test_spz_is_turned_over_and_back(tmp_path):
     np.testing.assert_allclose(seen_turned, seen, atol=1e-6)
     half_turn = np.diag([1.0, -1.0, -1.0])
     np.testing.assert_allclose(field_of(turned).covariances, half_turn @ field_of(contents).covariances @ half_turn)
-    for name in ("centres", "quaternions", "harmonics"):
+    for name in ("centers", "quaternions", "harmonics"):
         np.testing.assert_array_equal(getattr(turned_over(turned), name), getattr(contents, name))
 
 
@@ -177,7 +177,7 @@ def test_spz_of_version_2(tmp_path):
     body += bytes([128]) + bytes([255, 128, 0]) + bytes([160, 144, 128]) + bytes([128, 128, 255])
     (tmp_path / "old.spz").write_bytes(gzip.compress(header + body))
     field = warpcage.SplatField.load(tmp_path / "old.spz", device="cpu")
-    np.testing.assert_allclose(field.contents.centres, [[1.0, 2.0, 0.0]])  # y down
+    np.testing.assert_allclose(field.contents.centers, [[1.0, 2.0, 0.0]])  # y down
     np.testing.assert_allclose(field.contents.log_scales, [[0.0, -1.0, -2.0]])
     np.testing.assert_allclose(field.contents.quaternions, [[0.0, 0.0, 0.0, -1.0]], atol=6e-3)
     np.testing.assert_allclose(field.opacities, [128 / 255], atol=1e-6)
@@ -218,7 +218,7 @@ def test_files_of_no_splats(tmp_path):
     with pytest.raises(ValueError, match="no 3DGS splats: the vertices lack f_dc_0"):
         warpcage.SplatField.load(tmp_path / "cage.ply")
     far = some_splats(3)
-    far.centres[1, 2] = 1e8
+    far.centers[1, 2] = 1e8
     with pytest.raises(ValueError, match="holds positions up to"):
         field_of(far).save(tmp_path / "far.spz")
     assert list(tmp_path.glob("*far*")) == []
@@ -263,11 +263,11 @@ def test_damaged_files_are_refused_or_read(ending, data, tmp_path_factory):
         ({"harmonics": np.zeros((4, 5, 3))}, "1, 4, 9, 16"),
         ({"logits": np.zeros(3)}, "logits of 4 splats"),
         ({"log_scales": np.full((4, 3), 60.0)}, "float32 cannot hold"),
-        ({"centres": np.full((4, 3), np.inf)}, "splat 0 has centres that are not finite"),
+        ({"centers": np.full((4, 3), np.inf)}, "splat 0 has centres that are not finite"),
     ],
 )
 def test_values_that_do_not_fit(values, said):
-    whole = {"centres": np.zeros((4, 3)), "log_scales": np.zeros((4, 3)), "quaternions": np.ones((4, 4))}
+    whole = {"centers": np.zeros((4, 3)), "log_scales": np.zeros((4, 3)), "quaternions": np.ones((4, 4))}
     whole |= {"logits": np.zeros(4), "harmonics": np.zeros((4, 1, 3))}
     with pytest.raises(ValueError, match=said):
         warpcage.SplatField(**(whole | values), device="cpu")
@@ -279,7 +279,7 @@ def test_values_on_the_device(device):
     field = warpcage.SplatField.from_contents(contents, device=device)
     np.testing.assert_array_equal(field.rotations[3], np.eye(3))
     splats = field.splats
-    np.testing.assert_allclose(splats.centres.numpy() + field.center, contents.centres, atol=1e-6)
+    np.testing.assert_allclose(splats.centers.numpy() + field.center, contents.centers, atol=1e-6)
     held = splats.covariances.numpy()[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
     np.testing.assert_allclose(held, field.covariances, rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(np.linalg.eigvalsh(field.covariances), np.sort(field.scales**2, axis=1), rtol=1e-6)

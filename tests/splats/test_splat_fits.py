@@ -8,7 +8,7 @@ import pytest
 import warpcage
 from warpcage import Camera, SplatField, SplatRates, fit_splats, turntable
 
-VALUES = ("centres", "log_scales", "quaternions", "logits", "harmonics")
+VALUES = ("centers", "log_scales", "quaternions", "logits", "harmonics")
 
 
 def some_field(device, count=300, seed=0, degree=2):
@@ -27,7 +27,7 @@ def some_field(device, count=300, seed=0, degree=2):
 def perturbed(field, share=1.0, seed=1):
     """The field with noise on all its values."""
     rng, held = np.random.default_rng(seed), field.contents
-    noise = {"centres": 0.02, "log_scales": 0.2, "quaternions": 0.1, "logits": 0.5, "harmonics": 0.1}
+    noise = {"centers": 0.02, "log_scales": 0.2, "quaternions": 0.1, "logits": 0.5, "harmonics": 0.1}
     values = [getattr(held, name) + share * noise[name] * rng.normal(size=getattr(held, name).shape) for name in VALUES]
     return SplatField(*values, device=field.device, **field.view_options())
 
@@ -55,7 +55,7 @@ def test_a_perturbed_field_is_found_again(options, device):
     fitted = fit_splats(begin, train, images, steps=600, progress=False, **options)
     assert before < 26 and psnr(fitted, test, others, **options) > before + 10
     assert psnr(fitted, train, images, **options) > before + 12
-    assert (begin.contents.centres == perturbed(field).contents.centres).all()
+    assert (begin.contents.centers == perturbed(field).contents.centers).all()
 
 
 @pytest.mark.parametrize("name", VALUES)
@@ -67,7 +67,7 @@ def test_one_kind_of_values_is_found_again(name, device):
     begin = SplatField(*values.values(), device=field.device, **field.view_options())
     train = views(8)
     images = pictures(field, train)
-    kinds = {"harmonics": ("colours", "harmonics")}.get(name, (name,))
+    kinds = {"harmonics": ("colors", "harmonics")}.get(name, (name,))
     rates = {each.name: each.default * (each.name in kinds) for each in dataclasses.fields(SplatRates)}
     rates = {each: 5 * rate for each, rate in rates.items()} | {"last": 0.05}
     fitted = fit_splats(begin, train, images, steps=400, rates=SplatRates(**rates), progress=False)
@@ -88,7 +88,7 @@ def test_the_loss_of_absolute_differences(device):
 def test_splats_grow_as_far_as_they_may(device):
     field = some_field(device)
     small = SplatField(
-        field.contents.centres,
+        field.contents.centers,
         field.contents.log_scales - 1.0,
         *(getattr(field.contents, name) for name in VALUES[2:]),
         device=field.device,
@@ -108,7 +108,7 @@ def test_fits_are_the_same_on_a_cpu(two_threads):
     begin, train = perturbed(field), views(5, 33)
     images = pictures(field, train)
     fits = [fit_splats(begin, train, images, steps=12, seed=seed, progress=False).contents for seed in (3, 3, 4)]
-    assert (fits[0].harmonics == fits[1].harmonics).all() and (fits[0].centres == fits[1].centres).all()
+    assert (fits[0].harmonics == fits[1].harmonics).all() and (fits[0].centers == fits[1].centers).all()
     assert (fits[0].harmonics != fits[2].harmonics).any()
 
 
@@ -161,7 +161,7 @@ def test_bad_input(device):
             fit_splats(*arguments, **{"steps": 1, "progress": False, **options})
 
 
-@pytest.mark.parametrize("bad", [{"centres": -1}, {"colours": np.nan}, {"logits": "high"}, {"last": 0}, {"last": 2}])
+@pytest.mark.parametrize("bad", [{"centers": -1}, {"colors": np.nan}, {"logits": "high"}, {"last": 0}, {"last": 2}])
 def test_bad_rates(bad):
     with pytest.raises(ValueError, match=next(iter(bad))):
         SplatRates(**bad)

@@ -27,11 +27,11 @@ def values_of(count, scale, degree, seed=0, half=1.0):
 
 def reference(values, camera, near, **options):
     """The picture of the equations."""
-    centres, logs, quaternions, logits, harmonics = values
+    centers, logs, quaternions, logits, harmonics = values
     factors = rotation_matrices(quaternions) * np.exp(logs)[:, None, :]
     covariances = factors @ factors.transpose(0, 2, 1)
     opacities = 1 / (1 + np.exp(-logits))
-    return reference_view(centres, covariances, opacities, harmonics, camera, BACKGROUND, near=near, **options)[0]
+    return reference_view(centers, covariances, opacities, harmonics, camera, BACKGROUND, near=near, **options)[0]
 
 
 def slopes_on(device, values, camera, weights, *, antialias=False, blur=0.3):

@@ -13,13 +13,13 @@ from warpcage.splats import PIECE, pieces_of, sh_basis, split_tree, turned_harmo
 BOX = Cage.box((-1, -1, -1), (1, 1, 1), segments=2)
 
 
-def picture(centres, covariances, opacities, axes, half=0.6, side=81):
+def picture(centers, covariances, opacities, axes, half=0.6, side=81):
     """Alphas composited of splats seen from afar along the third of some axes, float64."""
     u, v = np.meshgrid(*[np.linspace(-half, half, side)] * 2, indexing="ij")
     light = np.ones_like(u)
-    for centre, covariance, opacity in zip(centres, covariances, opacities, strict=True):
+    for center, covariance, opacity in zip(centers, covariances, opacities, strict=True):
         inverse = np.linalg.inv((axes @ covariance @ axes.T)[:2, :2])
-        du, dv = u - (axes @ centre)[0], v - (axes @ centre)[1]
+        du, dv = u - (axes @ center)[0], v - (axes @ center)[1]
         far = inverse[0, 0] * du * du + 2 * inverse[0, 1] * du * dv + inverse[1, 1] * dv * dv
         light *= 1.0 - opacity * np.exp(-0.5 * far)
     return 1.0 - light
@@ -28,12 +28,12 @@ def picture(centres, covariances, opacities, axes, half=0.6, side=81):
 @pytest.mark.parametrize("opacity", [0.05, 0.3, 0.7, 0.99])
 def test_an_unmoved_split_cannot_be_seen(opacity):
     """Three pieces against the whole, seen from the side and aslant."""
-    centre, factor = np.zeros((1, 3)), np.diag([0.15, 0.08, 0.05])[None]
-    places, factors, opacities = pieces_of(centre, factor, np.array([opacity]))
+    center, factor = np.zeros((1, 3)), np.diag([0.15, 0.08, 0.05])[None]
+    places, factors, opacities = pieces_of(center, factor, np.array([opacity]))
     covariances = factors[0] @ factors[0].transpose(0, 2, 1)
     assert np.sqrt(covariances[0, 0, 0]) == pytest.approx(PIECE * 0.15)
     for turn in (np.eye(3), Rotation.from_euler("xyz", [0.4, 0.6, 0.3]).as_matrix()):
-        whole = picture(centre, factor @ factor, [opacity], turn)
+        whole = picture(center, factor @ factor, [opacity], turn)
         split = picture(places[0], covariances, opacities[0], turn)
         off = np.abs(split - whole)[whole > 0.01 * opacity]
         assert np.sqrt((off**2).mean()) < 0.02 * opacity and off.max() < 0.07 * opacity
@@ -41,10 +41,10 @@ def test_an_unmoved_split_cannot_be_seen(opacity):
 
 def test_a_split_of_full_opacity_of_each_piece_is_seen():
     """What the table is for: pieces as opaque as the whole are off ten times as much."""
-    centre, factor = np.zeros((1, 3)), np.diag([0.15, 0.08, 0.05])[None]
-    places, factors, opacities = pieces_of(centre, factor, np.array([0.5]))
+    center, factor = np.zeros((1, 3)), np.diag([0.15, 0.08, 0.05])[None]
+    places, factors, opacities = pieces_of(center, factor, np.array([0.5]))
     covariances = factors[0] @ factors[0].transpose(0, 2, 1)
-    whole = picture(centre, factor @ factor, [0.5], np.eye(3))
+    whole = picture(center, factor @ factor, [0.5], np.eye(3))
     ours = np.abs(picture(places[0], covariances, opacities[0], np.eye(3)) - whole).max()
     naive = np.abs(picture(places[0], covariances, [0.5] * 3, np.eye(3)) - whole).max()
     assert ours < 0.02 and naive > 10 * ours
@@ -60,7 +60,7 @@ def test_the_tree_of_pieces():
     for parent in parents:
         children = tree.pieces[parent] + np.arange(3)
         assert (tree.parents[children] == parent).all() and (tree.rows[children] == tree.rows[parent]).all()
-        np.testing.assert_allclose(tree.centres[children].mean(axis=0), tree.centres[parent], atol=1e-12)
+        np.testing.assert_allclose(tree.centers[children].mean(axis=0), tree.centers[parent], atol=1e-12)
     widest = np.sqrt((tree.factors**2).sum(axis=1).max(axis=1))
     depth = np.array([0 if p < 0 else 1 for p in tree.parents])
     assert (widest[(tree.pieces < 0) & (depth == 0)] <= 0.1).all()
@@ -76,25 +76,25 @@ def test_bent_splats_are_drawn_in_pieces_that_follow(device):
     bent = cage.bend(110)
     field = one_splat(device, (0.0, 0.0, 0.0), (0.01, 0.01, 0.25), 0.4)
     deformer = Deformer(field, cage, coordinates="mean_value").pose(bent)
-    _, centres, covariances, opacities = drawn(deformer)
-    assert 3 <= len(centres) <= 81
+    _, centers, covariances, opacities = drawn(deformer)
+    assert 3 <= len(centers) <= 81
     # samples of the matter, moved by the map, are near the posed splats' axes
     heights = np.linspace(-0.4, 0.4, 41)
     matter = warpcage.deform_points(np.outer(heights, [0, 0, 1.0]), cage, bent, "mean_value", device)
-    away = np.linalg.norm(matter[:, None] - centres[None], axis=2).min(axis=1)
+    away = np.linalg.norm(matter[:, None] - centers[None], axis=2).min(axis=1)
     spread = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
     assert away.max() < 1.2 * spread.max() < 0.25
-    reach = [(m - c) @ np.linalg.inv(s) @ (m - c) for m in matter[::4] for c, s in [nearest(m, centres, covariances)]]
+    reach = [(m - c) @ np.linalg.inv(s) @ (m - c) for m in matter[::4] for c, s in [nearest(m, centers, covariances)]]
     assert np.sqrt(max(reach)) < 2.0
     # a small pose needs none, and an affine one never
     for pose in (cage.bend(1), cage.with_vertices(cage.vertices @ np.diag([3.0, 0.5, 2.0]))):
         assert len(drawn(deformer.pose(pose))[0]) == 1
 
 
-def nearest(point, centres, covariances):
+def nearest(point, centers, covariances):
     """The splat whose Gaussian a point lies deepest in."""
-    far = [(point - c) @ np.linalg.inv(s) @ (point - c) for c, s in zip(centres, covariances, strict=True)]
-    return centres[np.argmin(far)], covariances[np.argmin(far)]
+    far = [(point - c) @ np.linalg.inv(s) @ (point - c) for c, s in zip(centers, covariances, strict=True)]
+    return centers[np.argmin(far)], covariances[np.argmin(far)]
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -119,9 +119,9 @@ def test_a_baked_pose_is_a_file_of_its_own(tmp_path, device):
     assert isinstance(baked, warpcage.SplatField)
     baked.save(tmp_path / "posed.ply")
     again = warpcage.SplatField.load(tmp_path / "posed.ply", device=device)
-    rows, centres, covariances, opacities = drawn(deformer)
+    rows, centers, covariances, opacities = drawn(deformer)
     assert len(rows) > 120  # some are in pieces
-    np.testing.assert_allclose(again.contents.centres, centres, atol=1e-6)
+    np.testing.assert_allclose(again.contents.centers, centers, atol=1e-6)
     scale = np.abs(covariances).max(axis=(1, 2), keepdims=True)
     assert (np.abs(again.covariances - covariances) / scale).max() < 5e-6
     np.testing.assert_allclose(again.opacities, opacities, atol=1e-6)
@@ -138,10 +138,10 @@ def test_a_baked_pose_is_a_file_of_its_own(tmp_path, device):
 def test_what_does_not_move_is_baked_to_the_bit(device):
     field = splats_in_box(device, half=2.0, count=300, scales=(-9.0, -8.0))
     baked = Deformer(field, BOX, coordinates="mean_value").pose(BOX.twist(30)).baked()
-    outside = np.flatnonzero((np.abs(field.contents.centres) > 1.5).any(axis=1))
+    outside = np.flatnonzero((np.abs(field.contents.centers) > 1.5).any(axis=1))
     assert len(outside) > 50
-    place = {tuple(centre): row for row, centre in enumerate(baked.contents.centres)}
-    same = [place[tuple(centre)] for centre in field.contents.centres[outside]]
+    place = {tuple(center): row for row, center in enumerate(baked.contents.centers)}
+    same = [place[tuple(center)] for center in field.contents.centers[outside]]
     for name in ("log_scales", "quaternions", "logits", "harmonics"):
         np.testing.assert_array_equal(getattr(baked.contents, name)[same], getattr(field.contents, name)[outside])
 

@@ -73,10 +73,10 @@ def test_affine_poses_are_exact(kind, way, device):
     deformer = Deformer(field, BOX, coordinates=kind, resolution=24, map=way)
     for matrix in (TURN, 1.3 * TURN if kind == "green" else AFFINE):
         posed = deformer.pose(BOX.with_vertices(BOX.vertices @ matrix.T + [0.2, -0.1, 3.0])).posed_splats()
-        rows, centres, covariances, opacities = drawn(deformer)
+        rows, centers, covariances, opacities = drawn(deformer)
         np.testing.assert_array_equal(rows, np.arange(field.splat_count))
-        expected = field.contents.centres.astype(np.float64) @ matrix.T + [0.2, -0.1, 3.0]
-        np.testing.assert_allclose(centres, expected, atol=2e-6)
+        expected = field.contents.centers.astype(np.float64) @ matrix.T + [0.2, -0.1, 3.0]
+        np.testing.assert_allclose(centers, expected, atol=2e-6)
         expected = matrix @ field.covariances @ matrix.T
         scale = np.abs(expected).max(axis=(1, 2), keepdims=True)
         assert (np.abs(covariances - expected) / scale).max() < (1e-6 if way == "forward" else 2e-4)
@@ -105,10 +105,10 @@ def test_a_twist_against_float64(kind, device):
     field = splats_in_box(device, count=60, scales=(-6.0, -5.0))
     twisted = BOX.twist(70).with_vertices(1.2 * BOX.twist(70).vertices)
     deformer = Deformer(field, BOX, coordinates=kind).pose(twisted)
-    points = field.contents.centres.astype(np.float64)
-    rows, centres, covariances, _ = drawn(deformer)
+    points = field.contents.centers.astype(np.float64)
+    rows, centers, covariances, _ = drawn(deformer)
     np.testing.assert_array_equal(rows, np.arange(60))
-    np.testing.assert_allclose(centres, forward_map(kind, points, BOX, twisted), atol=3e-6)
+    np.testing.assert_allclose(centers, forward_map(kind, points, BOX, twisted), atol=3e-6)
     h = 1e-5
     columns = [
         (forward_map(kind, points + h * e, BOX, twisted) - forward_map(kind, points - h * e, BOX, twisted)) / (2 * h)
@@ -127,7 +127,7 @@ def test_harmonic_splats_go_where_points_go(device):
     field = splats_in_box(device)
     twisted = BOX.twist(60)
     deformer = Deformer(field, BOX, resolution=32).pose(twisted)
-    weights = warpcage.harmonic_coordinates(field.contents.centres, BOX, 32, device)
+    weights = warpcage.harmonic_coordinates(field.contents.centers, BOX, 32, device)
     np.testing.assert_allclose(drawn(deformer)[1], weights @ twisted.vertices, atol=1e-4)
 
 
@@ -162,10 +162,10 @@ def test_rotations_of_any_jacobian(device):
     np.testing.assert_allclose(found[told], nearest[told], atol=2e-3)
 
 
-def alpha_of_ray(centre, covariance, opacity, origin, direction):
+def alpha_of_ray(center, covariance, opacity, origin, direction):
     """Opacity of a splat to a ray, the largest along it: 3DGS' in the limit of a far camera."""
     inverse = np.linalg.inv(covariance)
-    off = origin - centre
+    off = origin - center
     t = -(off @ inverse @ direction) / (direction @ inverse @ direction)
     nearest = off + t * direction
     return opacity * np.exp(-0.5 * nearest @ inverse @ nearest)
@@ -177,12 +177,12 @@ def test_the_law_of_opacity(matrix, device):
     density="paper": the optical depth grows with the root mean square of the stretch."""
     field = one_splat(device, (0.1, 0.0, -0.1), (0.02, 0.01, 0.005), 0.6, quaternion=(1, 0.4, 0.2, 0))
     posed = BOX.with_vertices(BOX.vertices @ matrix.T)
-    _, [centre], [covariance], [opacity] = drawn(Deformer(field, BOX, coordinates="mean_value").pose(posed))
+    _, [center], [covariance], [opacity] = drawn(Deformer(field, BOX, coordinates="mean_value").pose(posed))
     rng = np.random.default_rng(4)
     for _ in range(20):
-        origin, direction = field.contents.centres[0] + 0.01 * rng.normal(size=3), rng.normal(size=3)
-        at_rest = alpha_of_ray(field.contents.centres[0], field.covariances[0], 0.6, origin, direction)
-        gone_along = alpha_of_ray(centre, covariance, opacity, matrix @ origin, matrix @ direction)
+        origin, direction = field.contents.centers[0] + 0.01 * rng.normal(size=3), rng.normal(size=3)
+        at_rest = alpha_of_ray(field.contents.centers[0], field.covariances[0], 0.6, origin, direction)
+        gone_along = alpha_of_ray(center, covariance, opacity, matrix @ origin, matrix @ direction)
         assert gone_along == pytest.approx(at_rest, abs=2e-5)
     paper = Deformer(field, BOX, coordinates="mean_value", density="paper").pose(posed)
     stretch = np.sqrt(np.trace(matrix.T @ matrix) / 3.0)
@@ -192,9 +192,9 @@ def test_the_law_of_opacity(matrix, device):
 def test_far_origins_keep_their_digits(device):
     near, shift = splats_in_box(device, count=30), np.array([3000.0, -2000.0, 500.0])
     held = near.contents
-    centres = held.centres.astype(np.float64) + shift
+    centers = held.centers.astype(np.float64) + shift
     values = (held.log_scales, held.quaternions, held.logits, held.harmonics)
-    far = warpcage.SplatField(centres, *values, device=device)
+    far = warpcage.SplatField(centers, *values, device=device)
     cage = BOX.translate(shift)
     for kind in KINDS:
         one = drawn(Deformer(near, BOX, coordinates=kind, resolution=16).pose(BOX.twist(40)))
@@ -217,17 +217,17 @@ def test_backward_splats_lie_where_voxels_are(kind, device):
     field = splats_in_box(device, count=80, half=0.85)
     twisted = BOX.bend(50)
     deformer = Deformer(field, BOX, coordinates=kind, resolution=32, map="backward").pose(twisted)
-    rows, centres, covariances, _ = drawn(deformer)
+    rows, centers, covariances, _ = drawn(deformer)
     found = deformer._edits.missed_count
     assert found <= 4
     looking = Deformer(random_field(device)[0], BOX, coordinates=kind, resolution=32).pose(twisted)
-    back, _, region = looking.to_canonical(centres, np.ones_like(centres))
-    error = np.linalg.norm(back - field.contents.centres[rows], axis=1)
+    back, _, region = looking.to_canonical(centers, np.ones_like(centers))
+    error = np.linalg.norm(back - field.contents.centers[rows], axis=1)
     assert (region == 2).sum() >= len(rows) - found
     assert np.sort(error)[: len(rows) - found].max() < 2e-4
     # the forward map is another one
     forward = drawn(Deformer(field, BOX, coordinates=kind, resolution=32).pose(twisted))[1]
-    assert np.abs(forward - centres).max() > 1e-3
+    assert np.abs(forward - centers).max() > 1e-3
 
 
 @pytest.mark.parametrize(

@@ -43,9 +43,9 @@ def quaternions(matrices):
 
 
 def on_device(parts, device, *, turns=None, rows=None):
-    centres, covariances, opacities, harmonics = parts
+    centers, covariances, opacities, harmonics = parts
     splats = Splats()
-    splats.centres = wp.array(centres, dtype=wp.vec3, device=device)
+    splats.centers = wp.array(centers, dtype=wp.vec3, device=device)
     six = covariances[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     splats.covariances = wp.array(six, dtype=wp.float32, device=device)
     splats.opacities = wp.array(opacities, dtype=wp.float32, device=device)
@@ -64,8 +64,8 @@ def camera(width=75, height=60, eye=(2.0, -3.0, 1.0), **options):
 
 
 def assert_is_reference(frame, reference, *, least=75.0):
-    colour, opacity, depth = reference
-    assert psnr(frame.rgb, colour) > least and psnr(frame.alpha, opacity) > least
+    color, opacity, depth = reference
+    assert psnr(frame.rgb, color) > least and psnr(frame.alpha, opacity) > least
     assert (np.isfinite(frame.depth) == np.isfinite(depth)).mean() > 0.999  # alpha beside its limit
     both = np.isfinite(frame.depth) & np.isfinite(depth) & (opacity > 0.01)
     assert both.any() and np.abs(frame.depth[both] / depth[both] - 1).max() < 1e-3
@@ -76,7 +76,7 @@ def assert_is_reference(frame, reference, *, least=75.0):
 def test_views_are_those_of_the_equations(count, scale, degree, antialias, device):
     parts = random_parts(count, scale, degree=degree)
     view = camera()
-    frame = SplatRenderer(device).render(on_device(parts, device), view, colour=(1, 0.5, 0.2), antialias=antialias)
+    frame = SplatRenderer(device).render(on_device(parts, device), view, color=(1, 0.5, 0.2), antialias=antialias)
     assert_is_reference(frame, reference_view(*parts, view, (1, 0.5, 0.2), antialias=antialias))
 
 
@@ -90,11 +90,11 @@ def test_a_camera_among_the_splats(device):
 
 
 def test_splats_that_are_turned_and_share_rows(device):
-    centres, covariances, opacities, harmonics = random_parts(300, 0.1)
+    centers, covariances, opacities, harmonics = random_parts(300, 0.1)
     rng = np.random.default_rng(1)
     turns, rows = random_rotations(300, rng), rng.integers(0, 20, 300).astype(np.int32)
-    splats = on_device((centres, covariances, opacities, harmonics[:20]), device, turns=turns, rows=rows)
-    reference = reference_view(centres, covariances, opacities, harmonics[rows], camera(), turns=turns)
+    splats = on_device((centers, covariances, opacities, harmonics[:20]), device, turns=turns, rows=rows)
+    reference = reference_view(centers, covariances, opacities, harmonics[rows], camera(), turns=turns)
     assert_is_reference(SplatRenderer(device).render(splats, camera()), reference)
 
 
@@ -122,19 +122,19 @@ def test_views_of_real_files(name, device, real_data):
         pytest.skip(f"no {path}")
     field = SplatField.load(path, device=device)
     if len(field) > 10_000:  # its head
-        field = field.chosen(field.contents.centres[:, 1] < -2.75)
-    middle = np.median(field.contents.centres, axis=0)
-    radius = np.percentile(np.linalg.norm(field.contents.centres - middle, axis=1), 90)
+        field = field.chosen(field.contents.centers[:, 1] < -2.75)
+    middle = np.median(field.contents.centers, axis=0)
+    radius = np.percentile(np.linalg.norm(field.contents.centers - middle, axis=1), 90)
     view = Camera.look_at(middle + radius * np.array([2, 0.5, -2]), middle, up=field.up, width=32, height=28)
     held = field.contents
-    parts = (held.centres, field.covariances, field.opacities, held.harmonics)
+    parts = (held.centers, field.covariances, field.opacities, held.harmonics)
     reference = reference_view(*parts, view, WHITE, near=field.near)
     assert_is_reference(field.render(view, background="white"), reference, least=70)
 
 
-def ball(place=(0.0, 0.0, 0.0), size=0.3, opacity=0.8, colour=(0.9, 0.3, 0.1)):
+def ball(place=(0.0, 0.0, 0.0), size=0.3, opacity=0.8, color=(0.9, 0.3, 0.1)):
     """One splat without a view-dependent colour."""
-    harmonics = (np.array(colour) - 0.5) / 0.28209479177387814
+    harmonics = (np.array(color) - 0.5) / 0.28209479177387814
     covariance = np.diag([size * size] * 3)
     return tuple(np.array(part, np.float32)[None] for part in (place, covariance, opacity, harmonics[None]))
 
@@ -147,7 +147,7 @@ def test_one_splat_over_another(device):
     """In the middle of each the colour is that of its opacity, and the depth the mean of both distances."""
     view = Camera.look_at((0, -4, 0), (0, 0, 0), width=33, height=33)
     parts = join(ball((0, 1, 0), 0.6, 0.5, (0, 0, 1)), ball((0, 0, 0), 0.3, 0.8, (1, 0, 0)))
-    frame = SplatRenderer(device).render(on_device(parts, device), view, colour=WHITE)
+    frame = SplatRenderer(device).render(on_device(parts, device), view, color=WHITE)
     assert np.allclose(frame.rgb[16, 16], 0.8 * np.array([1, 0, 0]) + 0.1 * np.array([0, 0, 1]) + 0.1, atol=2e-6)
     assert np.isclose(frame.alpha[16, 16], 0.9, atol=2e-6)
     assert np.isclose(frame.depth[16, 16], (0.8 * 4 + 0.1 * 5) / 0.9, rtol=1e-5)
@@ -191,7 +191,7 @@ def test_degenerate_splats(change, seen, device):
     """They are drawn or left out, and what is behind them stays as it is."""
     view = Camera.look_at((0, -4, 0), (0, 0, 0), width=33, height=33)
     renderer = SplatRenderer(device)
-    frame = renderer.render(on_device(ball(**change), device), view, colour=WHITE)
+    frame = renderer.render(on_device(ball(**change), device), view, color=WHITE)
     assert np.isfinite(frame.rgb).all() and (0 <= frame.alpha).all() and (frame.alpha <= 1).all()
     assert not np.isnan(frame.depth).any() and (frame.depth > 0).all()
     assert (frame.alpha.max() > 0.5) == seen
@@ -207,7 +207,7 @@ def test_views_of_nothing(device):
     none = tuple(part[:0] for part in ball())
     away = ball((0, 0, 90))
     for parts in (none, away):
-        frame = renderer.render(on_device(parts, device), camera(20, 10), colour=(0.2, 0.4, 0.6))
+        frame = renderer.render(on_device(parts, device), camera(20, 10), color=(0.2, 0.4, 0.6))
         assert np.allclose(frame.rgb, (0.2, 0.4, 0.6)) and (frame.alpha == 0).all() and np.isinf(frame.depth).all()
 
 
@@ -216,7 +216,7 @@ def test_pictures_of_any_size(width, height, device):
     parts = random_parts(100, 0.2, degree=0)
     view = camera(width, height)
     assert_is_reference(
-        SplatRenderer(device).render(on_device(parts, device), view, colour=WHITE), reference_view(*parts, view, WHITE)
+        SplatRenderer(device).render(on_device(parts, device), view, color=WHITE), reference_view(*parts, view, WHITE)
     )
 
 
@@ -262,10 +262,10 @@ def test_several_rays_for_a_pixel(antialias, device):
     renderer = SplatRenderer(device)
     view = camera(40, 30)
     fine = reference_view(*parts, camera(120, 90), WHITE, blur=0.3 * 9, antialias=antialias)
-    frame = renderer.render(on_device(parts, device), view, colour=WHITE, supersampling=3, antialias=antialias)
+    frame = renderer.render(on_device(parts, device), view, color=WHITE, supersampling=3, antialias=antialias)
     assert psnr(frame.rgb, fine[0].reshape(30, 3, 40, 3, 3).mean(axis=(1, 3))) > 75
     assert psnr(frame.alpha, fine[1].reshape(30, 3, 40, 3).mean(axis=(1, 3))) > 75
-    assert psnr(frame.rgb, renderer.render(on_device(parts, device), view, colour=WHITE, antialias=antialias).rgb) > 30
+    assert psnr(frame.rgb, renderer.render(on_device(parts, device), view, color=WHITE, antialias=antialias).rgb) > 30
 
 
 def test_antialiasing_keeps_the_light_of_small_splats(device):
@@ -293,7 +293,7 @@ def test_a_field_renders(device):
     )
     view = Camera.look_at(field.center + (2, -3, 1), field.center, width=50, height=40)
     held = field.contents
-    parts = (held.centres, field.covariances, field.opacities, held.harmonics)
+    parts = (held.centers, field.covariances, field.opacities, held.harmonics)
     assert_is_reference(field.render(view), reference_view(*parts, view, WHITE, near=field.near), least=65)
     frame = field.render(view, background=(0.1, 0.2, 0.3), supersampling=2, antialias=True)
     assert frame.rgb.shape == (40, 50, 3) and frame.arrays["rgb"].device == field.device

@@ -62,16 +62,16 @@ def bilinear(values, place, side):
     return total
 
 
-def ray_colour(background, values, origin, direction):
+def ray_color(background, values, origin, direction):
     """(3,) what a ray sees; values (layers, nodes, 4) float64, direction of unit length."""
     points = surface_points(background.side)
-    colour, transmittance = np.zeros(3), 1.0
+    color, transmittance = np.zeros(3), 1.0
     for layer, place in enumerate(layer_points(background, origin, direction)):
         if place is None:
             continue
         table = {tuple(point): value for point, value in zip(points, values[layer], strict=True)}
         value = bilinear(table, place, background.side)
         kept = np.exp(-max(value[3], 0.0)) if layer < len(values) - 1 else 0.0
-        colour += transmittance * (1 - kept) * value[:3]
+        color += transmittance * (1 - kept) * value[:3]
         transmittance *= kept
-    return colour
+    return color

@@ -12,7 +12,7 @@ from warpcage.reference import brick_model, render_mesh_views
 ROOM = 9.0
 
 
-def room_colour(origins, directions):
+def room_color(origins, directions):
     """(..., 3) of the walls where rays from inside the room meet them: smooth paint, unlike on every side."""
     with np.errstate(divide="ignore"):
         distance = (np.where(directions > 0, ROOM, -ROOM) - origins) / directions
@@ -33,7 +33,7 @@ def room_pictures(count, size, turn=0.0):
     """Pictures of the model in straight alpha, and (n, h, w, 3) uint8 of them before the walls."""
     cameras = room_cameras(count, size, turn)
     rgba = render_mesh_views(*brick_model(), cameras, samples=2)
-    walls = np.stack([room_colour(*camera.rays()) for camera in cameras])
+    walls = np.stack([room_color(*camera.rays()) for camera in cameras])
     whole = rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:]) * walls
     return Pictures(np.rint(255 * rgba).astype(np.uint8), cameras), np.rint(255 * whole).astype(np.uint8)
 
@@ -45,7 +45,7 @@ def room_scene(count, size, *, masks, turn=0.0):
     if not masks:
         return Scene(whole, None, pictures.cameras)
     alphas = pictures.rgba[..., 3] / 255.0
-    walls = np.stack([room_colour(*camera.rays()) for camera in pictures.cameras])
+    walls = np.stack([room_color(*camera.rays()) for camera in pictures.cameras])
     around = (1 - alphas[..., None]) * walls
     return Scene(whole - around + 1 - alphas[..., None], alphas, pictures.cameras, surroundings=around)
 

@@ -29,8 +29,8 @@ def make_field(density, sh, bounds=((-1, -1, -1), (1, 1, 1)), device=None, resol
     return VoxelField.from_dense(density(x), np.broadcast_to(sh(x), (*x.shape[:3], 9, 3)), bounds, device=device)
 
 
-def ellipsoid(x, centre=(0, 0, 0), radii=(0.55, 0.35, 0.25), sigma=30.0):
-    return sigma * np.clip((1.15 - np.linalg.norm((x - centre) / np.array(radii), axis=-1)) / 0.3, 0, 1)
+def ellipsoid(x, center=(0, 0, 0), radii=(0.55, 0.35, 0.25), sigma=30.0):
+    return sigma * np.clip((1.15 - np.linalg.norm((x - center) / np.array(radii), axis=-1)) / 0.3, 0, 1)
 
 
 def shiny(x):
@@ -43,10 +43,10 @@ def shiny(x):
     return sh
 
 
-def plain(colour):
+def plain(color):
     def sh(x):
         result = np.zeros((*x.shape[:3], 9, 3))
-        result[..., 0, :] = (np.asarray(colour) - 0.5) / 0.28209479177387814
+        result[..., 0, :] = (np.asarray(color) - 0.5) / 0.28209479177387814
         return result
 
     return sh
@@ -71,8 +71,8 @@ def slotted(width):
     return Cage(vertices, np.concatenate([top[:, ::-1], top + 8, sides]))
 
 
-def ball(x, centre, radius=0.2):
-    return ellipsoid(x, centre, (radius, radius, radius))
+def ball(x, center, radius=0.2):
+    return ellipsoid(x, center, (radius, radius, radius))
 
 
 def two_balls(device):
@@ -82,8 +82,8 @@ def two_balls(device):
     return make_field(density, plain([0.8, 0.3, 0.1]), device=device)
 
 
-def box_around(*centre, half=0.3):
-    return Cage.box(np.array(centre) - half, np.array(centre) + half)
+def box_around(*center, half=0.3):
+    return Cage.box(np.array(center) - half, np.array(center) + half)
 
 
 def psnr(a, b):
@@ -109,9 +109,9 @@ def march_in_numpy(field, deformer, camera, with_directions=True):
     origins, directions = (v.reshape(-1, 3) for v in camera.rays())
     step = field.step
     middle, half = field.center, 0.5 * np.ptp(field.bounds, axis=0)
-    far = np.linalg.norm(camera.centre - middle) + 1.5 * np.linalg.norm(half)
+    far = np.linalg.norm(camera.center - middle) + 1.5 * np.linalg.norm(half)
     times = (np.arange(int(far / step)) + 0.5) * step
-    colour, light = np.zeros((len(origins), 3)), np.ones(len(origins))
+    color, light = np.zeros((len(origins), 3)), np.ones(len(origins))
     for t in times:
         x = origins + t * directions
         here, along, region = deformer.to_canonical(x, directions, step=step)
@@ -119,9 +119,9 @@ def march_in_numpy(field, deformer, camera, with_directions=True):
         length = np.where((region == 2) & (region_ahead == 2), np.linalg.norm(ahead - here, axis=1), step)
         rgb, density = field.sample(here, along if with_directions else directions)
         alpha = 1 - np.exp(-np.where(region == 1, 0, density) * length)
-        colour += (light * alpha)[:, None] * rgb
+        color += (light * alpha)[:, None] * rgb
         light *= 1 - alpha
-    return (colour + light[:, None]).reshape(camera.height, camera.width, 3)
+    return (color + light[:, None]).reshape(camera.height, camera.width, 3)
 
 
 def alter_map(deformer, alter):

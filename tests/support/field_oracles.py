@@ -54,7 +54,7 @@ def basis(directions, degrees=3):
     return np.stack(columns, axis=-1)
 
 
-def colours(sh, directions):
+def colors(sh, directions):
     """(n, 3) colours before the clamp of rows (n, 9, 3), or (n, 24) of Y, O and G: Y + O - G/2, Y + G, Y - O - G/2."""
     if sh.ndim == 3:
         return np.einsum("nbc,nb->nc", sh, basis(directions)) + 0.5
@@ -82,18 +82,18 @@ def interpolate(dense, node_coordinates):
 
 def sample(field, density, sh, points, directions):
     g = (points - field.bounds[0]) / field.voxel_size - 0.5
-    colour = colours(interpolate(sh, g), directions)
-    return np.maximum(colour, 0), np.maximum(interpolate(density, g), 0)
+    color = colors(interpolate(sh, g), directions)
+    return np.maximum(color, 0), np.maximum(interpolate(density, g), 0)
 
 
 def render_ray(field, density, sh, origin, direction, step, background, length=20.0):
     """(rgb, alpha, depth) of one ray by brute force: every sample t_k = (k + 1/2) step up to `length`."""
     t = (np.arange(int(length / step)) + 0.5) * step
     points = origin + t[:, None] * direction
-    colour, sigma = sample(field, density, sh, points, np.broadcast_to(direction, points.shape))
+    color, sigma = sample(field, density, sh, points, np.broadcast_to(direction, points.shape))
     alpha = 1 - np.exp(-sigma * step)
     transmittance = np.concatenate([[1], np.cumprod(1 - alpha)])
     weight = transmittance[:-1] * alpha
-    rgb = weight @ colour + transmittance[-1] * np.asarray(background)
+    rgb = weight @ color + transmittance[-1] * np.asarray(background)
     opacity = 1 - transmittance[-1]
     return rgb, opacity, weight @ t / opacity if opacity > 1e-3 else np.inf

@@ -283,8 +283,8 @@ def harmonic_oracle(vertices, faces, boundary_values, points, subdivisions: int 
     """
     vertices, values = np.asarray(vertices, np.float64), np.asarray(boundary_values, np.float64)
     size = np.ptp(vertices, axis=0).max()
-    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    corners, data = ((vertices - centre) / size)[faces], values[faces]  # (f, 3, 3), (f, 3, k)
+    center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    corners, data = ((vertices - center) / size)[faces], values[faces]  # (f, 3, 3), (f, 3, k)
     if graded is not None:
         corners, data = _graded(corners, graded), _graded(data, graded)
     for _ in range(0 if graded is not None else subdivisions):
@@ -292,7 +292,7 @@ def harmonic_oracle(vertices, faces, boundary_values, points, subdivisions: int 
     middles = corners.mean(axis=1)
     single, boundary = _layers(middles, corners, data, own=True)
     flux = np.linalg.solve(single, data.mean(axis=1) - boundary)
-    single, boundary = _layers((np.asarray(points, np.float64) - centre) / size, corners, data)
+    single, boundary = _layers((np.asarray(points, np.float64) - center) / size, corners, data)
     return boundary + single @ flux
 
 

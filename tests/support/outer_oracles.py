@@ -96,7 +96,7 @@ def pieces(outer, origin, direction, begin, end):
 def march(outer, values, origin, direction, begin=0.0, end=1e30, samples_per_voxel=2):
     """(colour (3,), light that is left) of a ray's way outside the box."""
     links, side = outer.grid.links.numpy(), outer.side
-    colour, light = np.zeros(3), 1.0
+    color, light = np.zeros(3), 1.0
     for start, stop in pieces(outer, origin, direction, begin, end):
         length = np.linalg.norm(stop - start)
         count = int(np.ceil(length * side / 4 * samples_per_voxel))
@@ -105,16 +105,16 @@ def march(outer, values, origin, direction, begin=0.0, end=1e30, samples_per_vox
         places = start + (np.arange(count) + 0.5)[:, None] / count * (stop - start)
         for value in interpolate(links, values, places):
             kept = np.exp(-max(value[3], 0.0) * length / count)
-            colour += light * (1 - kept) * np.maximum(value[:3], 0.0)
+            color += light * (1 - kept) * np.maximum(value[:3], 0.0)
             light *= kept
-    return colour, light
+    return color, light
 
 
-def sky_colour(outer, direction):
+def sky_color(outer, direction):
     """(3,) of the sky's cube in a direction."""
     sky = outer.sky.astype(float)
     side = outer.grid.sky.side
-    table = {tuple(point): colour for point, colour in zip(surface_points(side), sky, strict=True)}
+    table = {tuple(point): color for point, color in zip(surface_points(side), sky, strict=True)}
     return bilinear(table, direction, side)
 
 
@@ -133,4 +133,4 @@ def surrounded(outer, values, origin, direction, inner):
     between = front_end(outer, origin, direction)
     front, light = march(outer, values, origin, direction, 0.0, between) if between > 0 else (np.zeros(3), 1.0)
     back, left = march(outer, values, origin, direction, between)
-    return front + light * inner(back + left * sky_colour(outer, direction)), 1 - light
+    return front + light * inner(back + left * sky_color(outer, direction)), 1 - light

@@ -34,14 +34,16 @@ class Pictures:
         return values[..., :3] * alpha + (1 - alpha) * np.asarray(background), alpha[..., 0]
 
 
-def spiral_cameras(count, *, width=24, height=20, centred=False, radius=4.0):
+def spiral_cameras(count, *, width=24, height=20, centered=False, radius=4.0):
     """Cameras all around, with unlike focal lengths and a principal point off the middle unless `centred`."""
     cameras = []
     for i in range(count):
         turn, lift = 2.4 * i, np.sin(1.3 * i)
         eye = radius * np.array([np.cos(turn) * np.cos(lift), np.sin(turn) * np.cos(lift), np.sin(lift)])
         pose = Camera.look_at(eye, [0.1, 0.0, -0.05], up=[0.1, 0.2, 1.0]).camera_to_world
-        intrinsics = (30.0, 30.0, width / 2, height / 2) if centred else (31.0, 29.5, width / 2 + 0.7, height / 2 - 0.4)
+        intrinsics = (
+            (30.0, 30.0, width / 2, height / 2) if centered else (31.0, 29.5, width / 2 + 0.7, height / 2 - 0.4)
+        )
         cameras.append(Camera(*intrinsics, width, height, pose))
     return cameras
 

@@ -34,7 +34,7 @@ def harmonics_basis(d):
 
 
 def reference_view(
-    centres,
+    centers,
     covariances,
     opacities,
     harmonics,
@@ -47,7 +47,7 @@ def reference_view(
 ):
     """Colour (h, w, 3), opacity (h, w) and depth (h, w) of splats. centres (n, 3), covariances (n, 3, 3), opacities
     (n,), harmonics (n, (degree + 1)^2, 3), turns (n, 3, 3) rotations from rest or None."""
-    offset = np.asarray(centres, np.float64) - camera.centre
+    offset = np.asarray(centers, np.float64) - camera.center
     local = offset @ camera.rotation
     kept = (local[:, 2] >= near) & (np.asarray(opacities) >= 1 / 255)
     index = np.flatnonzero(kept)
@@ -75,22 +75,22 @@ def reference_view(
     if turns is not None:
         direction = np.einsum("nji,nj->ni", np.asarray(turns)[index], direction)
     rows = np.asarray(harmonics, np.float64)[index]
-    colour = np.maximum(0, 0.5 + np.einsum("nb,nbc->nc", harmonics_basis(direction)[:, : rows.shape[1]], rows))
+    color = np.maximum(0, 0.5 + np.einsum("nb,nbc->nc", harmonics_basis(direction)[:, : rows.shape[1]], rows))
 
     pixels = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), -1).reshape(-1, 2)
-    centre = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
+    center = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
     left = np.ones(len(pixels))
     total, depth = np.zeros((len(pixels), 3)), np.zeros(len(pixels))
     chunk = max(1, 4_000_000 // len(pixels))
     for begin in range(0, len(z), chunk):
         part = slice(begin, begin + chunk)
-        d = pixels[:, None] - centre[None, part]
+        d = pixels[:, None] - center[None, part]
         power = -0.5 * np.einsum("pni,nij,pnj->pn", d, inverse[part], d)
         alpha = np.minimum(0.999, strength[part] * np.exp(power))
         alpha[alpha < 1 / 255] = 0
         kept_light = np.cumprod(1 - alpha, axis=1)
         weight = alpha * left[:, None] * np.hstack([np.ones((len(pixels), 1)), kept_light[:, :-1]])
-        total += weight @ colour[part]
+        total += weight @ color[part]
         depth += (weight * (distance[part] + np.einsum("pni,ni->pn", d, slope[part]))).sum(axis=1)
         left = left * kept_light[:, -1]
     opacity = 1 - left

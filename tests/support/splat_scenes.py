@@ -18,10 +18,10 @@ def splats_in_box(device, count=200, half=0.7, scales=(-6.0, -4.0), degree=3, se
     )
 
 
-def one_splat(device, centre=(0, 0, 0), scales=(0.1, 0.1, 0.1), opacity=0.5, degree=0, quaternion=(1, 0, 0, 0)):
+def one_splat(device, center=(0, 0, 0), scales=(0.1, 0.1, 0.1), opacity=0.5, degree=0, quaternion=(1, 0, 0, 0)):
     """One splat of a given opacity."""
     return warpcage.SplatField(
-        [centre],
+        [center],
         np.log([scales]),
         [quaternion],
         [np.log(opacity / (1 - opacity))],
@@ -41,5 +41,5 @@ def drawn(deformer):
     opacities = splats.opacities.numpy()
     seen = np.flatnonzero(opacities > 0.0)
     rows = splats.rows.numpy()[seen] if splats.rows.size else seen
-    centres = splats.centres.numpy()[seen].astype(np.float64) + deformer.field.center
-    return rows, centres, covariances_of(splats)[seen], opacities[seen]
+    centers = splats.centers.numpy()[seen].astype(np.float64) + deformer.field.center
+    return rows, centers, covariances_of(splats)[seen], opacities[seen]

@@ -12,7 +12,7 @@ TABLE_TOP, FLOOR_TOP = -0.2, -0.8
 
 #: Density of matter, per world unit, and the colours of what there is.
 DENSITY = 60.0
-COLOURS = {
+COLORS = {
     FLOOR: (0.4, 0.4, 0.5),
     TABLE: (0.6, 0.4, 0.2),
     LAMP: (0.8, 0.1, 0.1),
@@ -62,8 +62,8 @@ class TableScene:
         self.cells, self.labels, self.count = cells, label, count
         density = np.where(label > 0, DENSITY, 0.0).reshape((count,) * 3)
         sh = np.zeros((*density.shape, 9, 3), np.float32)
-        for number, colour in COLOURS.items():
-            sh[(label == number).reshape(density.shape), 0] = (np.array(colour) - 0.5) / 0.28209479
+        for number, color in COLORS.items():
+            sh[(label == number).reshape(density.shape), 0] = (np.array(color) - 0.5) / 0.28209479
         self.field = VoxelField.from_dense(density, sh, self.bounds, device=device)
 
     def world(self, point):

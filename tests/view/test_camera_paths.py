@@ -109,7 +109,7 @@ def test_between_keys_of_a_turntable_lie_its_own_cameras():
     smooth = [dataclasses.replace(key, easing="smooth") for key in keys]
     for time in np.linspace(0.1, 5.9, 17):
         camera = camera_at(smooth, time)
-        np.testing.assert_allclose(np.linalg.norm(camera.centre - target), 3.0)  # without cutting corners
+        np.testing.assert_allclose(np.linalg.norm(camera.center - target), 3.0)  # without cutting corners
         np.testing.assert_allclose(camera.project(target[None])[0], [[30, 20]], atol=1e-6)
 
 
@@ -118,9 +118,9 @@ def test_a_pan_keeps_its_eye_and_a_flight_its_way():
     ahead = [axis_rotation([0, 0, 1.0], angle) @ [0.0, 1.0, -0.2] for angle in (0.0, 0.8, 1.6)]
     keys = timed_keys([CameraKey(Camera.look_at(eye, eye + each, **LENS)) for each in ahead])
     for time in np.linspace(0, 2, 9):
-        np.testing.assert_allclose(camera_at(keys, time).centre, eye, atol=1e-12)
+        np.testing.assert_allclose(camera_at(keys, time).center, eye, atol=1e-12)
     flight = [CameraKey(Camera.look_at((0, y, 1), (0, y + 1, 1), **LENS)) for y in (0.0, 1.0, 5.0)]
-    places = np.array([camera.centre for camera in path_cameras(flight, 21)])
+    places = np.array([camera.center for camera in path_cameras(flight, 21)])
     np.testing.assert_allclose(places[:, [0, 2]], [[0, 1]] * 21, atol=1e-9)
     assert (np.diff(places[:, 1]) >= -1e-12).all() and places[-1, 1] == 5.0
 
@@ -154,4 +154,4 @@ def test_paths_that_cannot_be():
     assert [key.time for key in timed_keys([CameraKey(one), CameraKey(two)], 8.0)] == [0.0, 8.0]
     opposite = [CameraKey(Camera.look_at((0, y, 0), (0, 0, 0), **LENS)) for y in (-2, 2)]
     middle = camera_at(timed_keys(opposite), 0.5)  # half a turn: around the target, not through it
-    np.testing.assert_allclose(np.linalg.norm(middle.centre), 2.0)
+    np.testing.assert_allclose(np.linalg.norm(middle.center), 2.0)

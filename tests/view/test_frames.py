@@ -121,7 +121,7 @@ def raise_density(field):
     field.grid.density.assign(np.abs(field.grid.density.numpy()) + 2.0)
 
 
-def change_colours(field):
+def change_colors(field):
     field.grid.sh.assign(-field.grid.sh.numpy())
 
 
@@ -137,7 +137,7 @@ def put_other_arrays(field):
     field.grid.density = wp.full(field.voxel_count, 2.5, dtype=wp.float32, device=field.device)
 
 
-CHANGES = (lower_density, raise_density, change_colours, write_by_a_view, put_other_arrays)
+CHANGES = (lower_density, raise_density, change_colors, write_by_a_view, put_other_arrays)
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
@@ -188,8 +188,8 @@ def test_densities_beyond_any_half(value, path, device):
         assert frame.alpha.max() == pytest.approx(1.0 if value > 1 else 0.0, abs=2e-3)
         hit = frame.alpha > 0.99
         if value > 1:
-            colour = frame.rgb[hit] / frame.alpha[hit][:, None]
-            assert np.abs(colour - [0.5 + 0.2821, 0.5 + 0.141, 0.5 - 0.141]).max() < 4e-3
+            color = frame.rgb[hit] / frame.alpha[hit][:, None]
+            assert np.abs(color - [0.5 + 0.2821, 0.5 + 0.141, 0.5 - 0.141]).max() < 4e-3
     assert seen.max() > 0.1
 
 

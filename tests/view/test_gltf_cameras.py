@@ -40,7 +40,7 @@ def test_nodes_above_a_camera_place_it(tmp_path):
     writer.nodes.append({"children": [1], "rotation": [0, half, 0, half], "translation": [1, 2, 3], "scale": [2, 2, 2]})
     camera = Camera.load(writer.save(tmp_path / "a.gltf"))
     # turned by 90 degrees about y: (0, 0, 5) doubled lands on x
-    np.testing.assert_allclose(camera.centre, [11, -3, 2], atol=1e-9)
+    np.testing.assert_allclose(camera.center, [11, -3, 2], atol=1e-9)
     np.testing.assert_allclose(camera.rotation[:, 2], [-1, 0, 0], atol=1e-9)
 
 
@@ -50,12 +50,12 @@ def test_a_camera_that_moves_comes_frame_for_frame(tmp_path):
     writer.animate((1, "translation", times + 0.04, places, "LINEAR"))
     file = CameraFile.load(writer.save(tmp_path / "a.gltf"))
     np.testing.assert_allclose([key.time for key in file], times, atol=1e-6)
-    np.testing.assert_allclose([key.camera.centre for key in file], places[:, [0, 2, 1]] * [1, -1, 1], atol=1e-6)
+    np.testing.assert_allclose([key.camera.center for key in file], places[:, [0, 2, 1]] * [1, -1, 1], atol=1e-6)
     middle = camera_at(file.path("eye"), 0.5 / 25)
-    np.testing.assert_allclose(middle.centre, [0.5, -1, 0], atol=1e-5)
+    np.testing.assert_allclose(middle.center, [0.5, -1, 0], atol=1e-5)
     with pytest.raises(ValueError, match="'eye' moves through 5 keys: take one by its number, 0 to 4"):
         Camera.load(tmp_path / "a.gltf")
-    np.testing.assert_allclose(Camera.load(tmp_path / "a.gltf", "2").centre, [2, -1, 0], atol=1e-6)
+    np.testing.assert_allclose(Camera.load(tmp_path / "a.gltf", "2").center, [2, -1, 0], atol=1e-6)
     writer.nodes.append({"camera": 0, "name": "other"})
     writer.animate((2, "translation", times, places, "LINEAR"))
     two = CameraFile.load(writer.save(tmp_path / "two.gltf"))
@@ -99,7 +99,7 @@ def test_commands_take_them(tmp_path, capsys):
     film = ["animate", "@ball.npz", "-o", tmp_path / "film", "--quiet", "--size", 40, 25]
     words = ["--cameras", "@moving.gltf:eye", "--frames", 3, "--save-camera", tmp_path / "path.json"]
     succeed(files, *film, *words)
-    places = [key.camera.centre for key in CameraFile.load(tmp_path / "path.json")]
+    places = [key.camera.center for key in CameraFile.load(tmp_path / "path.json")]
     np.testing.assert_allclose(places, [[0, -4, 0], [0.5, -4, 0], [1, -4, 0]], atol=1e-6)
     capsys.readouterr()
     assert run(files, *render, *SMALL, "--camera", "@cage.obj") == 2

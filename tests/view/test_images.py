@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from warpcage.view import (
-    colour_disparity,
+    color_disparity,
     contact_sheet,
     disparity_range,
     image_size,
@@ -142,18 +142,18 @@ def test_contact_sheet_refuses(images):
         contact_sheet(images)
 
 
-def luminance(colour):
-    return colour @ np.array([0.2126, 0.7152, 0.0722])
+def luminance(color):
+    return color @ np.array([0.2126, 0.7152, 0.0722])
 
 
-def test_disparity_colours_rise_in_lightness_and_show_nothing_as_black():
+def test_disparity_colors_rise_in_lightness_and_show_nothing_as_black():
     disparity = np.linspace(0.2, 0.5, 64)[None].repeat(3, axis=0)
     disparity[0] = 0.0
-    colour = colour_disparity(disparity)
-    np.testing.assert_array_equal(colour[0], 0.0)
-    assert (np.diff(luminance(colour[1]))[2:-2] > 0).all()
-    assert colour.min() >= 0 and colour.max() <= 1
-    assert luminance(colour[1, 0]) > 0.01  # the farthest thing still differs from nothing
+    color = color_disparity(disparity)
+    np.testing.assert_array_equal(color[0], 0.0)
+    assert (np.diff(luminance(color[1]))[2:-2] > 0).all()
+    assert color.min() >= 0 and color.max() <= 1
+    assert luminance(color[1, 0]) > 0.01  # the farthest thing still differs from nothing
 
 
 def test_disparity_scale_ignores_a_few_wild_pixels():
@@ -166,16 +166,16 @@ def test_disparity_scale_ignores_a_few_wild_pixels():
 
 
 def test_disparity_of_an_empty_view_and_of_one_depth():
-    np.testing.assert_array_equal(colour_disparity(np.zeros((2, 3))), 0.0)
-    assert np.isfinite(colour_disparity(np.full((2, 3), 0.25))).all()
-    half = colour_disparity(np.full((2, 3), 0.25), alpha=np.full((2, 3), 0.5), scale=(0.0, 1.0))
-    np.testing.assert_allclose(half, 0.5 * colour_disparity(np.full((2, 3), 0.25), scale=(0.0, 1.0)), rtol=1e-6)
+    np.testing.assert_array_equal(color_disparity(np.zeros((2, 3))), 0.0)
+    assert np.isfinite(color_disparity(np.full((2, 3), 0.25))).all()
+    half = color_disparity(np.full((2, 3), 0.25), alpha=np.full((2, 3), 0.5), scale=(0.0, 1.0))
+    np.testing.assert_allclose(half, 0.5 * color_disparity(np.full((2, 3), 0.25), scale=(0.0, 1.0)), rtol=1e-6)
     with pytest.raises(ValueError, match="alpha"):
-        colour_disparity(np.ones((2, 2)), alpha=np.ones((2, 3)))
+        color_disparity(np.ones((2, 2)), alpha=np.ones((2, 3)))
     with pytest.raises(ValueError, match="scale"):
-        colour_disparity(np.ones((2, 2)), scale=(1.0, 0.0))
+        color_disparity(np.ones((2, 2)), scale=(1.0, 0.0))
     with pytest.raises(ValueError, match=r"\(h, w\)"):
-        colour_disparity(np.ones((2, 2, 3)))
+        color_disparity(np.ones((2, 2, 3)))
 
 
 def film(count=6, height=32, width=48):
@@ -256,7 +256,7 @@ def test_video_cuts_odd_sizes(tmp_path):
     assert iio.imread(tmp_path / "odd.mp4", plugin="pyav").shape == (2, 32, 48, 3)
 
 
-def test_gif_keeps_frames_and_colours(tmp_path):
+def test_gif_keeps_frames_and_colors(tmp_path):
     path = tmp_path / "film.gif"
     write_gif(path, film(), fps=10)
     back = iio.imread(path)[..., :3] / 255.0
@@ -266,7 +266,7 @@ def test_gif_keeps_frames_and_colours(tmp_path):
     noise = [np.clip(0.97 + 0.03 * picture(40, 40, seed=seed), 0, 1) for seed in range(3)]
     for frame in noise:
         frame[:, :20] = 1.0
-    write_gif(tmp_path / "white.gif", noise, colours=8)
+    write_gif(tmp_path / "white.gif", noise, colors=8)
     assert (iio.imread(tmp_path / "white.gif")[:, :, :20] == 255).all()  # the background is not mixed with its like
     properties = iio.immeta(path)
     assert properties["duration"] == pytest.approx(100) and properties["loop"] == 0

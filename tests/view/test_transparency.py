@@ -12,7 +12,7 @@ from warpcage.view import (
     read_exr,
     read_image,
     rgba_picture,
-    with_spread_colours,
+    with_spread_colors,
     write_exr,
     write_film,
 )
@@ -38,20 +38,18 @@ def read_film(path):
     return np.array([one.reformat(format="rgba64le", src_colorspace="ITU709").to_ndarray() for one in whole]) / 65535
 
 
-def over(rgba, colour):
+def over(rgba, color):
     """Straight colours before a background, as a screen mixes them."""
-    return rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:]) * np.asarray(colour, float)
+    return rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:]) * np.asarray(color, float)
 
 
-def test_a_still_with_opacity_lies_over_any_colour(files, tmp_path):
-    for colour in ("transparent", "white", "black"):
-        succeed(
-            files, "render", "@ball.npz", "-o", tmp_path / f"{colour}.png", *DEFORMED, *VIEW, "--background", colour
-        )
+def test_a_still_with_opacity_lies_over_any_color(files, tmp_path):
+    for color in ("transparent", "white", "black"):
+        succeed(files, "render", "@ball.npz", "-o", tmp_path / f"{color}.png", *DEFORMED, *VIEW, "--background", color)
     rgba = read_image(tmp_path / "transparent.png")
     assert rgba.shape == (40, 40, 4) and rgba[0, 0, 3] == 0 and rgba[20, 20, 3] == 1
-    for name, colour in (("white", 1.0), ("black", 0.0)):
-        assert np.abs(over(rgba, [colour] * 3) - read_image(tmp_path / f"{name}.png")).max() < 2.5 / 255
+    for name, color in (("white", 1.0), ("black", 0.0)):
+        assert np.abs(over(rgba, [color] * 3) - read_image(tmp_path / f"{name}.png")).max() < 2.5 / 255
     succeed(files, "render", "@ball.npz", "-o", tmp_path / "same.png", *DEFORMED, *VIEW, "--transparent")
     assert (tmp_path / "same.png").read_bytes() == (tmp_path / "transparent.png").read_bytes()
 
@@ -94,8 +92,8 @@ def test_a_film_with_opacity_opened_again(files, tmp_path, ending):
     film = read_film(tmp_path / f"film.{ending}")
     assert film.shape == frames.shape == (3, 49, 65, 4)
     assert np.abs(film[..., 3] - frames[..., 3]).mean() < (0.002 if ending == "mov" else 0.01)
-    for colour in ([0, 0, 0], [1, 1, 1], [0, 1, 0]):
-        error = over(film, colour) - over(frames, colour)
+    for color in ([0, 0, 0], [1, 1, 1], [0, 1, 0]):
+        error = over(film, color) - over(frames, color)
         assert 10 * np.log10(1 / np.mean(error**2)) > (45 if ending == "mov" else 29)
     assert np.abs(frames[1] - frames[0]).mean() > 0.01
 
@@ -117,19 +115,19 @@ def test_a_folder_of_exr_files_goes_on_where_it_was_left(files, tmp_path, capsys
     assert read_exr(tmp_path / "views" / "view_0001.exr")["RGBA"].shape == (24, 24, 4)
 
 
-def test_colours_go_on_beyond_an_edge():
+def test_colors_go_on_beyond_an_edge():
     rgba = np.zeros((9, 9, 4), np.float32)
     rgba[4, 4] = [0.2, 0.4, 0.6, 1.0]
-    spread = with_spread_colours(rgba, reach=2)
+    spread = with_spread_colors(rgba, reach=2)
     np.testing.assert_array_equal(spread[..., 3], rgba[..., 3])
     np.testing.assert_allclose(spread[4, 2, :3], [0.2, 0.4, 0.6])
     assert (spread[0, 0] == 0).all()
-    np.testing.assert_array_equal(with_spread_colours(np.zeros((2, 2, 4))), np.zeros((2, 2, 4)))
+    np.testing.assert_array_equal(with_spread_colors(np.zeros((2, 2, 4))), np.zeros((2, 2, 4)))
 
 
-def test_straight_colours_of_a_frame():
-    colours = np.array([[[0.2, 0.1, 0.0], [0.0, 0.0, 0.0]]])
-    rgba = rgba_picture(Frame(2, 1, colours, np.array([[0.5, 0.0]]), np.ones((1, 2))))
+def test_straight_colors_of_a_frame():
+    colors = np.array([[[0.2, 0.1, 0.0], [0.0, 0.0, 0.0]]])
+    rgba = rgba_picture(Frame(2, 1, colors, np.array([[0.5, 0.0]]), np.ones((1, 2))))
     np.testing.assert_allclose(rgba, [[[0.4, 0.2, 0.0, 0.5], [0, 0, 0, 0]]], atol=1e-6)
     np.testing.assert_allclose(linear_light([0.0, 0.5, 1.0]), [0.0, 0.21404, 1.0], atol=1e-5)
 

@@ -23,7 +23,7 @@ def test_orbit_holds_every_point_and_wastes_no_room(width, height, up):
         filled.append(share.max())
         # the same distance and height all around
         up_unit = np.asarray(up) / np.linalg.norm(up)
-        assert (camera.centre - cameras[0].centre) @ up_unit == pytest.approx(0, abs=1e-6)
+        assert (camera.center - cameras[0].center) @ up_unit == pytest.approx(0, abs=1e-6)
     assert max(filled) == pytest.approx(0.9, abs=1e-6)
 
 

@@ -92,14 +92,14 @@ def background(value: Any, word: str) -> Any:
     if isinstance(value, str) and value in (*BACKGROUNDS, TRANSPARENT):
         return value
     if isinstance(value, list | tuple):
-        colour = numbers(value, word, 3)
-        if min(colour) >= 0.0 and max(colour) <= 1.0:
-            return colour
+        color = numbers(value, word, 3)
+        if min(color) >= 0.0 and max(color) <= 1.0:
+            return color
     known = ", ".join((*BACKGROUNDS, TRANSPARENT))
     raise ValueError(f"{word} must be one of {known}, or three numbers in [0, 1], got {shown(value)}")
 
 
-def colour(value: Any, word: str) -> Any:
+def color(value: Any, word: str) -> Any:
     """A colour."""
     if value == TRANSPARENT:
         raise ValueError(f"{word} must be a colour, got {value!r}")

@@ -10,7 +10,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import PointsLike
-from ..core.checks import warn_caller
+from ..core.checks import device_by_name, renamed, warn_caller
 from ..core.files import PathLike
 from ..field.selection import NodeSelection
 from ..field.voxel_field import VoxelField
@@ -80,10 +80,11 @@ class Cage(PosableMesh):
         require_usable(self, name)
 
     @overload
-    def contains(self, points: wp.array, device: wp.DeviceLike = None) -> wp.array: ...
+    def contains(self, points: wp.array, *, device: wp.DeviceLike = None) -> wp.array: ...
     @overload
-    def contains(self, points: PointsLike, device: wp.DeviceLike = None) -> np.ndarray: ...
-    def contains(self, points: PointsLike, device: wp.DeviceLike = None) -> np.ndarray | wp.array:
+    def contains(self, points: PointsLike, *, device: wp.DeviceLike = None) -> np.ndarray: ...
+    @device_by_name
+    def contains(self, points: PointsLike, *, device: wp.DeviceLike = None) -> np.ndarray | wp.array:
         """Whether points are inside, by winding number. Points within 1e-5 of the cage's size of its surface are.
 
         Args:
@@ -209,13 +210,14 @@ class Cage(PosableMesh):
         return cls(*box(lower, upper, segments))
 
     @classmethod
+    @renamed(center="centre")
     def cylinder(
-        cls, centre: ArrayLike, radius: float, height: float, *, axis: str = "z", sides: int = 12, rings: int = 1
+        cls, center: ArrayLike, radius: float, height: float, *, axis: str = "z", sides: int = 12, rings: int = 1
     ) -> Cage:
         """A closed cylinder around an axis: (rings + 1) * sides vertices, and one in the middle of each cap.
 
         Args:
-            centre: (3,) the point on the axis at half the height, world units.
+            center: (3,) the point on the axis at half the height, world units.
             radius: Radius of the circle through the vertices, world units. The flat sides lie radius * cos(pi / sides)
                 from the axis.
             height: Length along the axis, world units.
@@ -229,14 +231,15 @@ class Cage(PosableMesh):
         Raises:
             ValueError: For a radius or height that is not positive, fewer sides or rings, or another axis.
         """
-        return cls(*cylinder(centre, radius, height, axis, sides, rings))
+        return cls(*cylinder(center, radius, height, axis, sides, rings))
 
     @classmethod
-    def icosphere(cls, centre: ArrayLike, radius: float, subdivisions: int = 1) -> Cage:
+    @renamed(center="centre")
+    def icosphere(cls, center: ArrayLike, radius: float, subdivisions: int = 1) -> Cage:
         """A divided icosahedron with its vertices on a sphere. The middles of its faces lie inside the sphere.
 
         Args:
-            centre: (3,) centre of the sphere, world units.
+            center: (3,) centre of the sphere, world units.
             radius: Radius of the sphere, world units.
             subdivisions: How often each face is cut in four, 0 to 6: 12, 42, 162, ... vertices.
 
@@ -246,7 +249,7 @@ class Cage(PosableMesh):
         Raises:
             ValueError: For a radius that is not positive, or another number of subdivisions.
         """
-        return cls(*icosphere(centre, radius, subdivisions))
+        return cls(*icosphere(center, radius, subdivisions))
 
     # -- Generation
 
@@ -374,12 +377,13 @@ class Cage(PosableMesh):
         """
         return Cage(*simplified(self, vertex_count, field=field, mesh=mesh, margin=margin))
 
-    def symmetrise(self, axis: str = "x", *, centre: float | None = None, keep: str = "both") -> Cage:
+    @renamed(center="centre")
+    def symmetrise(self, axis: str = "x", *, center: float | None = None, keep: str = "both") -> Cage:
         """Make a nearly symmetric cage its own mirror image across a plane. Faces stay as they are.
 
         Args:
             axis: "x", "y" or "z", the normal of the plane.
-            centre: Where the plane crosses the axis, world units. None is the middle of the bounding box.
+            center: Where the plane crosses the axis, world units. None is the middle of the bounding box.
             keep: "both" takes the mean of both halves, "+" or "-" copies the half on that side to the other.
 
         Returns:
@@ -388,4 +392,4 @@ class Cage(PosableMesh):
         Raises:
             ValueError: Where a vertex has no partner across the plane, or for other names.
         """
-        return self.with_vertices(symmetrised(self, axis, centre=centre, keep=keep))
+        return self.with_vertices(symmetrised(self, axis, center=center, keep=keep))

@@ -291,8 +291,8 @@ def _nearest_faces(cage: ClosedMesh, outside: list[np.ndarray], most: int = 500)
     if not len(points):
         return ()
     points = points[:: -(-len(points) // most)]
-    centres = cage.vertices[cage.faces].mean(axis=1)
-    nearest = np.argmin(((points[:, None] - centres[None]) ** 2).sum(axis=2), axis=1)
+    centers = cage.vertices[cage.faces].mean(axis=1)
+    nearest = np.argmin(((points[:, None] - centers[None]) ** 2).sum(axis=2), axis=1)
     faces, counts = np.unique(nearest, return_counts=True)
     order = np.argsort(-counts, kind="stable")
     return tuples(np.stack([faces[order], counts[order]], axis=1))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.arrays import PointsLike, as_host_points
-from ..core.checks import AXES, axis_index, checked_number, checked_positive, checked_vector, real_array, shown
+from ..core.checks import AXES, axis_index, checked_number, checked_positive, checked_vector, real_array, renamed, shown
 from ..mesh.mesh import ClosedMesh, own_axis, principal_axes
 from . import random_poses
 
@@ -52,18 +52,18 @@ def bend(
     axis: str | ArrayLike = "z",
     towards: str | ArrayLike = "x",
     limits: Sequence[float] = (0.0, 1.0),
-    centre: ArrayLike | None = None,
+    center: ArrayLike | None = None,
     bounds: ArrayLike | None = None,
 ) -> np.ndarray:
     """Bend the straight line through the centre along an axis into a circular arc towards another axis.
     `towards` may be "-x", against an axis, or a direction (3,), of which what is across the axis counts."""
     if not (isinstance(axis, str) and isinstance(towards, str)):
-        return _along(bend, vertices, degrees, axis, towards, limits=limits, centre=centre, bounds=bounds)
+        return _along(bend, vertices, degrees, axis, towards, limits=limits, center=center, bounds=bounds)
     angle, along = np.deg2rad(checked_number(degrees, "degrees")), axis_index(axis)
     sign, across = signed_axis(towards)
     if across == along:
         raise ValueError(f"bend needs two different axes, got axis {axis!r} and towards {towards!r}")
-    rest, box, middle = _prepared(vertices, bounds, centre)
+    rest, box, middle = _prepared(vertices, bounds, center)
     start, length = _limits(limits, box, along)
 
     # With the curvature k = angle / (w1 - w0), phi = k s, r = w - w0 - s the part beyond the limits, and d = u - c_u
@@ -91,15 +91,15 @@ def twist(
     *,
     axis: str | ArrayLike = "z",
     limits: Sequence[float] = (0.0, 1.0),
-    centre: ArrayLike | None = None,
+    center: ArrayLike | None = None,
     bounds: ArrayLike | None = None,
 ) -> np.ndarray:
     """Turn each slice across an axis about the line through the centre by t * degrees.
     The angle is anticlockwise seen against the axis."""
     if not isinstance(axis, str):
-        return _along(twist, vertices, degrees, axis, limits=limits, centre=centre, bounds=bounds)
+        return _along(twist, vertices, degrees, axis, limits=limits, center=center, bounds=bounds)
     angle, along = np.deg2rad(checked_number(degrees, "degrees")), axis_index(axis)
-    rest, box, middle = _prepared(vertices, bounds, centre)
+    rest, box, middle = _prepared(vertices, bounds, center)
     turn = angle * _share(rest, limits, box, along)
     u, v = (along + 1) % 3, (along + 2) % 3
     du, dv = rest[:, u] - middle[u], rest[:, v] - middle[v]
@@ -115,14 +115,14 @@ def taper(
     *,
     axis: str | ArrayLike = "z",
     limits: Sequence[float] = (0.0, 1.0),
-    centre: ArrayLike | None = None,
+    center: ArrayLike | None = None,
     bounds: ArrayLike | None = None,
 ) -> np.ndarray:
     """Scale each slice across an axis about the line through the centre by 1 + (factor - 1) t."""
     if not isinstance(axis, str):
-        return _along(taper, vertices, factor, axis, limits=limits, centre=centre, bounds=bounds)
+        return _along(taper, vertices, factor, axis, limits=limits, center=center, bounds=bounds)
     factor, along = checked_positive(factor, "factor"), axis_index(axis)
-    rest, box, middle = _prepared(vertices, bounds, centre)
+    rest, box, middle = _prepared(vertices, bounds, center)
     share = _share(rest, limits, box, along)
     across = np.arange(3) != along
     tapered = rest.copy()
@@ -138,16 +138,16 @@ def stretch(
     axis: str | ArrayLike = "z",
     limits: Sequence[float] = (0.0, 1.0),
     keep_volume: bool = False,
-    centre: ArrayLike | None = None,
+    center: ArrayLike | None = None,
     bounds: ArrayLike | None = None,
 ) -> np.ndarray:
     """Make what lies between the limits longer: w' = w + (factor - 1) s.
     `keep_volume` scales across the axis by 1 / sqrt(factor), about the line, and needs the limits (0, 1)."""
     if not isinstance(axis, str):
         kept = {"keep_volume": keep_volume, "limits": limits}
-        return _along(stretch, vertices, factor, axis, centre=centre, bounds=bounds, **kept)
+        return _along(stretch, vertices, factor, axis, center=center, bounds=bounds, **kept)
     factor, along = checked_positive(factor, "factor"), axis_index(axis)
-    rest, box, middle = _prepared(vertices, bounds, centre)
+    rest, box, middle = _prepared(vertices, bounds, center)
     start, length = _limits(limits, box, along)
     stretched = rest.copy()
     stretched[:, along] += (factor - 1.0) * np.clip(rest[:, along] - start, 0.0, length)
@@ -160,13 +160,13 @@ def stretch(
 
 
 def scale(
-    vertices: PointsLike, factor: ArrayLike, *, centre: ArrayLike | None = None, bounds: ArrayLike | None = None
+    vertices: PointsLike, factor: ArrayLike, *, center: ArrayLike | None = None, bounds: ArrayLike | None = None
 ) -> np.ndarray:
     """Scale about the centre by one positive factor, or by one for each axis (3,): x' = c + factor (x - c)."""
     factors = np.asarray(factor, dtype=np.float64)
     if factors.shape not in ((), (3,)) or not np.isfinite(factors).all() or (factors <= 0.0).any():
         raise ValueError(f"scale needs one positive factor or three, got {factor}")
-    rest, _, middle = _prepared(vertices, bounds, centre)
+    rest, _, middle = _prepared(vertices, bounds, center)
     return middle + (rest - middle) * factors
 
 
@@ -180,13 +180,13 @@ def rotate(
     degrees: float,
     *,
     axis: str | ArrayLike = "z",
-    centre: ArrayLike | None = None,
+    center: ArrayLike | None = None,
     bounds: ArrayLike | None = None,
 ) -> np.ndarray:
     """Turn by `degrees` about the line through the centre along an axis, anticlockwise seen against it."""
     angle = np.deg2rad(checked_number(degrees, "degrees"))
     k = np.eye(3)[axis_index(axis)] if isinstance(axis, str) else direction(axis, "axis")
-    rest, _, middle = _prepared(vertices, bounds, centre)
+    rest, _, middle = _prepared(vertices, bounds, center)
     y = rest - middle
     # Rodrigues' formula
     return middle + np.cos(angle) * y + np.sin(angle) * np.cross(k, y) + (1.0 - np.cos(angle)) * np.outer(y @ k, k)
@@ -197,19 +197,19 @@ def move(
     offset: ArrayLike,
     *,
     group: ArrayLike | None = None,
-    centre: ArrayLike | None = None,
+    center: ArrayLike | None = None,
     radius: float | None = None,
 ) -> np.ndarray:
     """Move a group (k,) of vertices, or what is near a centre, by an offset (3,), and the surroundings less and less.
     `radius` is where the effect ends, world units; None moves the group alone."""
     rest, step = as_host_points(vertices, name="vertices"), checked_vector(offset, "offset")
-    if (group is None) == (centre is None):
+    if (group is None) == (center is None):
         raise ValueError("move needs either a group of vertices or a centre")
     reach = None if radius is None else checked_positive(radius, "radius")
-    if centre is not None:
+    if center is not None:
         if reach is None:
             raise ValueError("move about a centre needs a radius")
-        distance = np.linalg.norm(rest - checked_vector(centre, "centre"), axis=1)
+        distance = np.linalg.norm(rest - checked_vector(center, "center"), axis=1)
     else:
         moved = np.atleast_1d(np.asarray(group))
         whole = moved.dtype.kind in "iu" and moved.ndim == 1 and len(moved)
@@ -233,11 +233,11 @@ def _along(
     towards: str | ArrayLike | None = None,
     *,
     bounds: ArrayLike | None,
-    centre: ArrayLike | None,
+    center: ArrayLike | None,
     **options: Any,
 ) -> np.ndarray:
     """A pose along any direction: that along z, towards x, in axes that lie so."""
-    rest, box, middle = _prepared(vertices, bounds, centre)
+    rest, box, middle = _prepared(vertices, bounds, center)
     frame = frame_along(axis, towards)
     points = rest if bounds is None else np.asarray(bounds, dtype=np.float64)
     if bounds is not None and len(points) == 2:
@@ -245,12 +245,12 @@ def _along(
     local = points @ frame.T
     extent = np.stack([local.min(axis=0), local.max(axis=0)])
     across = {} if towards is None else {"towards": "x"}
-    posed = pose(rest @ frame.T, amount, axis="z", bounds=extent, centre=frame @ middle, **across, **options)
+    posed = pose(rest @ frame.T, amount, axis="z", bounds=extent, center=frame @ middle, **across, **options)
     return posed @ frame
 
 
 def _prepared(
-    vertices: PointsLike, bounds: ArrayLike | None, centre: ArrayLike | None
+    vertices: PointsLike, bounds: ArrayLike | None, center: ArrayLike | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Vertices, bounds and centre as float64, with their defaults."""
     rest = as_host_points(vertices, name="vertices")
@@ -264,7 +264,7 @@ def _prepared(
     # unlike checked_bounds: a flat cage can be posed along its own plane
     if box.shape != (2, 3) or not np.isfinite(box).all() or (box[1] < box[0]).any():
         raise ValueError(f"bounds must be (2, 3), the lower corner first, got {box.tolist()}")
-    return rest, box, box.mean(axis=0) if centre is None else checked_vector(centre, "centre")
+    return rest, box, box.mean(axis=0) if center is None else checked_vector(center, "center")
 
 
 def _limits(limits: Sequence[float], bounds: np.ndarray, along: int) -> tuple[float, float]:
@@ -297,6 +297,7 @@ class PosableMesh(ClosedMesh):
 
     __slots__ = ()
 
+    @renamed(center="centre")
     def bend(
         self: Posed,
         degrees: float,
@@ -304,7 +305,7 @@ class PosableMesh(ClosedMesh):
         axis: str | ArrayLike = "z",
         towards: str | ArrayLike = "x",
         limits: Sequence[float] = (0.0, 1.0),
-        centre: ArrayLike | None = None,
+        center: ArrayLike | None = None,
     ) -> Posed:
         """Bend the mesh along an axis into a circular arc; see `warpcage.cage.poses.bend`.
 
@@ -316,7 +317,7 @@ class PosableMesh(ClosedMesh):
                 is across the axis counts.
             limits: (2,) where the arc begins and ends, as shares of the bounding box along the axis. What is beyond
                 follows rigidly.
-            centre: (3,) a point on the line that is bent, world units. None is the middle of the bounding box.
+            center: (3,) a point on the line that is bent, world units. None is the middle of the bounding box.
 
         Returns:
             The pose.
@@ -324,15 +325,16 @@ class PosableMesh(ClosedMesh):
         Raises:
             ValueError: For values that are not finite, and for other axes or limits.
         """
-        return self._posed(bend, degrees, axis=axis, towards=towards, limits=limits, centre=centre)
+        return self._posed(bend, degrees, axis=axis, towards=towards, limits=limits, center=center)
 
+    @renamed(center="centre")
     def twist(
         self: Posed,
         degrees: float,
         *,
         axis: str | ArrayLike = "z",
         limits: Sequence[float] = (0.0, 1.0),
-        centre: ArrayLike | None = None,
+        center: ArrayLike | None = None,
     ) -> Posed:
         """Turn the mesh about an axis by an angle that grows along it; see `warpcage.cage.poses.twist`.
 
@@ -340,7 +342,7 @@ class PosableMesh(ClosedMesh):
             degrees: Angle at the upper limit, anticlockwise seen against the axis.
             axis: "x", "y", "z", "long", "middle", "short", or a direction (3,).
             limits: (2,) where the angle begins and ends to grow, as shares of the bounding box along the axis.
-            centre: (3,) a point on the line that it turns about, world units. None is the middle of the bounding box.
+            center: (3,) a point on the line that it turns about, world units. None is the middle of the bounding box.
 
         Returns:
             The pose.
@@ -348,15 +350,16 @@ class PosableMesh(ClosedMesh):
         Raises:
             ValueError: For values that are not finite, and for other axes or limits.
         """
-        return self._posed(twist, degrees, axis=axis, limits=limits, centre=centre)
+        return self._posed(twist, degrees, axis=axis, limits=limits, center=center)
 
+    @renamed(center="centre")
     def taper(
         self: Posed,
         factor: float,
         *,
         axis: str | ArrayLike = "z",
         limits: Sequence[float] = (0.0, 1.0),
-        centre: ArrayLike | None = None,
+        center: ArrayLike | None = None,
     ) -> Posed:
         """Scale the mesh across an axis by a factor that changes along it; see `warpcage.cage.poses.taper`.
 
@@ -364,7 +367,7 @@ class PosableMesh(ClosedMesh):
             factor: Factor at the upper limit, positive; it is 1 at the lower.
             axis: "x", "y", "z", "long", "middle", "short", or a direction (3,).
             limits: (2,) where the factor begins and ends to change, as shares of the bounding box along the axis.
-            centre: (3,) a point on the line that it scales about, world units. None is the middle of the bounding box.
+            center: (3,) a point on the line that it scales about, world units. None is the middle of the bounding box.
 
         Returns:
             The pose.
@@ -372,8 +375,9 @@ class PosableMesh(ClosedMesh):
         Raises:
             ValueError: For a factor that is not positive and finite, and for other axes or limits.
         """
-        return self._posed(taper, factor, axis=axis, limits=limits, centre=centre)
+        return self._posed(taper, factor, axis=axis, limits=limits, center=center)
 
+    @renamed(center="centre")
     def stretch(
         self: Posed,
         factor: float,
@@ -381,7 +385,7 @@ class PosableMesh(ClosedMesh):
         axis: str | ArrayLike = "z",
         limits: Sequence[float] = (0.0, 1.0),
         keep_volume: bool = False,
-        centre: ArrayLike | None = None,
+        center: ArrayLike | None = None,
     ) -> Posed:
         """Make the mesh longer along an axis; see `warpcage.cage.poses.stretch`.
 
@@ -391,7 +395,7 @@ class PosableMesh(ClosedMesh):
             limits: (2,) what is stretched, as shares of the bounding box along the axis. What is beyond moves along.
             keep_volume: Whether to make it thinner across the axis by the square root of the factor. This needs the
                 limits (0, 1).
-            centre: (3,) a point on the line that it gets thinner about, world units. None is the middle of the
+            center: (3,) a point on the line that it gets thinner about, world units. None is the middle of the
                 bounding box.
 
         Returns:
@@ -400,14 +404,15 @@ class PosableMesh(ClosedMesh):
         Raises:
             ValueError: For a factor that is not positive and finite, and for other axes or limits.
         """
-        return self._posed(stretch, factor, axis=axis, limits=limits, keep_volume=keep_volume, centre=centre)
+        return self._posed(stretch, factor, axis=axis, limits=limits, keep_volume=keep_volume, center=center)
 
-    def scale(self: Posed, factor: ArrayLike, *, centre: ArrayLike | None = None) -> Posed:
+    @renamed(center="centre")
+    def scale(self: Posed, factor: ArrayLike, *, center: ArrayLike | None = None) -> Posed:
         """Scale the mesh about a point.
 
         Args:
             factor: One positive number, or (3,) one for each axis.
-            centre: (3,) the point that stays, world units. None is the middle of the bounding box.
+            center: (3,) the point that stays, world units. None is the middle of the bounding box.
 
         Returns:
             The pose.
@@ -415,7 +420,7 @@ class PosableMesh(ClosedMesh):
         Raises:
             ValueError: For factors that are not positive and finite.
         """
-        return self._posed(scale, factor, centre=centre)
+        return self._posed(scale, factor, center=center)
 
     def translate(self: Posed, offset: ArrayLike) -> Posed:
         """Move the mesh.
@@ -431,13 +436,14 @@ class PosableMesh(ClosedMesh):
         """
         return self.with_vertices(translate(self.vertices, offset))
 
-    def rotate(self: Posed, degrees: float, *, axis: str | ArrayLike = "z", centre: ArrayLike | None = None) -> Posed:
+    @renamed(center="centre")
+    def rotate(self: Posed, degrees: float, *, axis: str | ArrayLike = "z", center: ArrayLike | None = None) -> Posed:
         """Turn the mesh about an axis.
 
         Args:
             degrees: Angle, anticlockwise seen against the axis.
             axis: "x", "y", "z", "long", "middle", "short", or a direction (3,) of any length.
-            centre: (3,) a point on the axis, world units. None is the middle of the bounding box.
+            center: (3,) a point on the axis, world units. None is the middle of the bounding box.
 
         Returns:
             The pose.
@@ -445,14 +451,15 @@ class PosableMesh(ClosedMesh):
         Raises:
             ValueError: For values that are not finite, and for another axis.
         """
-        return self._posed(rotate, degrees, axis=axis, centre=centre)
+        return self._posed(rotate, degrees, axis=axis, center=center)
 
+    @renamed(center="centre")
     def move(
         self: Posed,
         offset: ArrayLike,
         *,
         group: ArrayLike | None = None,
-        centre: ArrayLike | None = None,
+        center: ArrayLike | None = None,
         radius: float | None = None,
     ) -> Posed:
         """Move some vertices, and their surroundings less and less; see `warpcage.cage.poses.move`.
@@ -460,7 +467,7 @@ class PosableMesh(ClosedMesh):
         Args:
             offset: (3,) world units.
             group: (k,) numbers of the vertices that are moved. None moves what is near `centre`.
-            centre: (3,) the point about which vertices are moved, world units. None where there is a group.
+            center: (3,) the point about which vertices are moved, world units. None where there is a group.
             radius: Distance from the group or the centre where the effect ends, world units. None moves the group
                 alone.
 
@@ -471,7 +478,7 @@ class PosableMesh(ClosedMesh):
             ValueError: Without a group and a centre or with both, for a centre without a radius, for a radius that is
                 not positive, or numbers of no vertices.
         """
-        return self.with_vertices(move(self.vertices, offset, group=group, centre=centre, radius=radius))
+        return self.with_vertices(move(self.vertices, offset, group=group, center=center, radius=radius))
 
     def random_pose(
         self: Posed,

@@ -71,8 +71,8 @@ class PoseWay:
 
     def __init__(self, vertices: np.ndarray, random: RandomNumbers, modes: Sequence[str] = POSE_MODES):
         low, high = vertices.min(axis=0), vertices.max(axis=0)
-        self._centre, self._size = 0.5 * (low + high), float((high - low).max())
-        places = (vertices - self._centre) / self._size
+        self._center, self._size = 0.5 * (low + high), float((high - low).max())
+        places = (vertices - self._center) / self._size
         self._places: Columns = tuple(np.ascontiguousarray(places[:, k]) for k in range(3))
         # at least one mode acts, each with a probability of one half; amounts are drawn evenly between nothing and the
         # ends of their modes, in both senses
@@ -117,7 +117,7 @@ class PoseWay:
         # math.fsum rounds the exact sum: it has no order
         shifts = [math.fsum((new - old).tolist()) / len(old) for new, old in zip(x, rest, strict=True)]
         moved = np.stack([new - shift for new, shift in zip(x, shifts, strict=True)], axis=1)
-        return self._centre + self._size * moved
+        return self._center + self._size * moved
 
     def _bumped(self, x: Columns, t: float) -> Columns:
         """Surroundings of a vertex move along: w(d / r) of an offset, w(s) = (1 - s)^2 (1 + 2 s)."""

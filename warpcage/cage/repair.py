@@ -62,11 +62,11 @@ def _wound_alike(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> n
     topology = MeshTopology(len(vertices), faces)
     if not len(topology.clashing_edges):
         return faces
-    neighbours: dict[tuple[int, int], list] = {}
+    neighbors: dict[tuple[int, int], list] = {}
     for row, face in enumerate(faces.tolist()):
         for k in range(3):
             a, b = face[k], face[(k + 1) % 3]
-            neighbours.setdefault((min(a, b), max(a, b)), []).append((row, a < b))
+            neighbors.setdefault((min(a, b), max(a, b)), []).append((row, a < b))
     flip = np.full(len(faces), -1)
     for seed in range(len(faces)):
         if flip[seed] >= 0:
@@ -75,7 +75,7 @@ def _wound_alike(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> n
         for row in queue:
             a, b, c = faces[row].tolist()
             for edge in ((a, b), (b, c), (c, a)):
-                both = neighbours[min(edge), max(edge)]
+                both = neighbors[min(edge), max(edge)]
                 if len(both) != 2:
                     continue
                 (one, forward), (two, other) = both if both[0][0] == row else both[::-1]
@@ -186,14 +186,14 @@ def cut_in_four(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
     return np.concatenate([vertices, vertices[edges].mean(axis=1)]), np.concatenate(divided)
 
 
-def symmetrised(cage: ClosedMesh, axis: str = "x", *, centre: float | None = None, keep: str = "both") -> np.ndarray:
+def symmetrised(cage: ClosedMesh, axis: str = "x", *, center: float | None = None, keep: str = "both") -> np.ndarray:
     """Vertices (v, 3) of a nearly symmetric cage, its own mirror image across a plane at `centre`, world units.
     `keep`: "both" takes the mean of both halves, "+" or "-" copies the half on that side to the other."""
     # Faces stay, so squares may be cut along other diagonals on both sides.
     along = axis_index(axis)
     if keep not in ("both", "+", "-"):
         raise ValueError(f"keep must be 'both', '+' or '-', got {keep!r}")
-    middle = float(cage.bounds[:, along].mean()) if centre is None else checked_number(centre, "centre")
+    middle = float(cage.bounds[:, along].mean()) if center is None else checked_number(center, "center")
     own = cage.vertices
     mirrored = own.copy()
     mirrored[:, along] = 2.0 * middle - mirrored[:, along]

@@ -54,10 +54,10 @@ def box(
 
 
 def cylinder(
-    centre: ArrayLike, radius: float, height: float, axis: str = "z", sides: int = 12, rings: int = 1
+    center: ArrayLike, radius: float, height: float, axis: str = "z", sides: int = 12, rings: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rings of vertices around an axis, and two caps with a vertex in the middle; see `Cage.cylinder`."""
-    middle = checked_vector(centre, "centre")
+    middle = checked_vector(center, "center")
     radius, height = checked_positive(radius, "cylinder radius"), checked_positive(height, "cylinder height")
     sides, rings = checked_whole(sides, "cylinder sides", 3), checked_whole(rings, "cylinder rings", 1)
     w = axis_index(axis)
@@ -86,9 +86,9 @@ def cylinder(
     return vertices + middle, faces
 
 
-def icosphere(centre: ArrayLike, radius: float, subdivisions: int = 1) -> tuple[np.ndarray, np.ndarray]:
+def icosphere(center: ArrayLike, radius: float, subdivisions: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """A divided icosahedron; see `Cage.icosphere`."""
-    middle, radius = checked_vector(centre, "centre"), checked_positive(radius, "icosphere radius")
+    middle, radius = checked_vector(center, "center"), checked_positive(radius, "icosphere radius")
     subdivisions = checked_whole(subdivisions, "icosphere subdivisions", 0, 6)
     golden = (1.0 + np.sqrt(5.0)) / 2.0
     rectangle = np.array([[-1, golden, 0], [1, golden, 0], [-1, -golden, 0], [1, -golden, 0]])

@@ -38,19 +38,19 @@ class Found:
     poses: np.ndarray  # (k, 4, 4) float64, camera to world, OpenCV axes
     lenses: list[Lens]  # k; pictures of one camera share theirs
     points: np.ndarray  # (m, 3) float64, world units
-    colours: np.ndarray  # (m, 3) uint8
+    colors: np.ndarray  # (m, 3) uint8
     views: np.ndarray  # (m,) int64, pictures that each point was found in
     counts: np.ndarray  # (k,) int64, points that each picture shows
     # (k,) float64, mean distance between where a picture shows its points and where they project to, pixels
     errors: np.ndarray
     error: float  # the same over all pictures
 
-    def moved(self, rotation: np.ndarray, centre: np.ndarray, scale: float) -> Found:
+    def moved(self, rotation: np.ndarray, center: np.ndarray, scale: float) -> Found:
         """The same in other coordinates, x -> scale * rotation @ (x - centre): rotation (3, 3), centre (3,)."""
         poses = self.poses.copy()
         poses[:, :3, :3] = rotation @ self.poses[:, :3, :3]
-        poses[:, :3, 3] = scale * (self.poses[:, :3, 3] - centre) @ rotation.T
-        return dataclasses.replace(self, poses=poses, points=scale * (self.points - centre) @ rotation.T)
+        poses[:, :3, 3] = scale * (self.poses[:, :3, 3] - center) @ rotation.T
+        return dataclasses.replace(self, poses=poses, points=scale * (self.points - center) @ rotation.T)
 
 
 def found_of(model: Any, names: Sequence[str]) -> Found:
@@ -114,7 +114,7 @@ RATIO = 0.85
 LEAST_ALIKE = 5
 
 #: Frames of a video are compared with this many after them, and besides with those at powers of two.
-NEIGHBOURS = 10
+NEIGHBORS = 10
 
 #: Other pictures that each one is compared with, where not all are.
 MOST_ALIKE = 20
@@ -145,9 +145,9 @@ def likeness(first: np.ndarray, second: np.ndarray) -> int:
     return int((near < RATIO * next_one).sum())
 
 
-def neighbour_pairs(count: int) -> list[tuple[int, int]]:
+def neighbor_pairs(count: int) -> list[tuple[int, int]]:
     """Pairs of indices of frames, the smaller first: each with those that follow, and with some farther on."""
-    steps = [*range(1, NEIGHBOURS + 1)]
+    steps = [*range(1, NEIGHBORS + 1)]
     while steps[-1] * 2 < count:
         steps.append(steps[-1] * 2)
     return [(k, k + step) for k in range(count) for step in steps if k + step < count]
@@ -165,7 +165,7 @@ def chosen_pairs(features: list[np.ndarray], *, video: bool) -> list[tuple[int, 
     alike = np.zeros((count, count), np.int32)
     for a, b in every:
         alike[a, b] = alike[b, a] = likeness(features[a], features[b])
-    pairs = set(neighbour_pairs(count)) if video else set()
+    pairs = set(neighbor_pairs(count)) if video else set()
     most = MOST_ALIKE // 2 if video else MOST_ALIKE
     for a in range(count):
         best = np.argsort(-alike[a], kind="stable")[:most]
@@ -187,7 +187,7 @@ PICTURES_FOR_LENS = 10
 LEAST_GAIN = 0.002
 
 #: The principal point lies within this share of the picture's sides of its middle, or it is left there.
-MOST_OFF_CENTRE = 0.1
+MOST_OFF_CENTER = 0.1
 
 #: Up to so many pictures the mapping runs on one thread, which takes hardly longer and always gives the same cameras.
 MOST_ON_ONE_THREAD = 200
@@ -449,8 +449,8 @@ def mean_square(model: Any) -> float:
 def _is_central(model: Any) -> bool:
     """Whether the principal points of a Reconstruction lie near the middle of their pictures."""
     return all(
-        abs(camera.principal_point_x / camera.width - 0.5) < MOST_OFF_CENTRE
-        and abs(camera.principal_point_y / camera.height - 0.5) < MOST_OFF_CENTRE
+        abs(camera.principal_point_x / camera.width - 0.5) < MOST_OFF_CENTER
+        and abs(camera.principal_point_y / camera.height - 0.5) < MOST_OFF_CENTER
         for camera in model.cameras.values()
     )
 

@@ -167,7 +167,7 @@ def write_points(path: pathlib.Path, found: Found) -> None:
     for axis, name in enumerate("xyz"):
         rows[name] = found.points[:, axis]
     for channel, name in enumerate(("red", "green", "blue")):
-        rows[name] = found.colours[:, channel]
+        rows[name] = found.colors[:, channel]
     properties = "".join(f"property {'float' if kind == '<f4' else 'uchar'} {name}\n" for name, kind in kinds)
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{properties}end_header\n"
     path.write_bytes(header.encode() + rows.tobytes())
@@ -203,8 +203,8 @@ def placed(found: Found) -> Found:
     # the origin and its longest side two units.
     upright = rotation_to(common_up(_cameras(found)), np.array([0.0, 0.0, 1.0]))
     turned = found.moved(np.eye(3) if upright is None else upright[:3, :3], np.zeros(3), 1.0)
-    centre = object_box(turned).mean(axis=0)
-    x, y = (turned.poses[0, :3, 3] - centre)[:2]
+    center = object_box(turned).mean(axis=0)
+    x, y = (turned.poses[0, :3, 3] - center)[:2]
     turn = -0.5 * np.pi - np.arctan2(y, x)
     about = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
     turned = turned.moved(about, np.zeros(3), 1.0)

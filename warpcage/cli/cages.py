@@ -168,11 +168,11 @@ def _cylinder_around(mesh: trimesh.Trimesh, args: argparse.Namespace) -> Cage:
     margin, axis, sides = _margin(mesh, args), args.axis or "z", args.sides or 12
     if sides < 3:
         raise ValueError(f"a cylinder needs at least 3 sides, got {sides}")
-    centre = mesh.bounds.mean(axis=0)
+    center = mesh.bounds.mean(axis=0)
     along = "xyz".index(axis)
-    reach = np.linalg.norm(np.delete(mesh.vertices - centre, along, axis=1), axis=1).max() + margin
+    reach = np.linalg.norm(np.delete(mesh.vertices - center, along, axis=1), axis=1).max() + margin
     height = mesh.extents[along] + 2 * margin
-    return Cage.cylinder(centre, reach / np.cos(np.pi / sides), height, axis=axis, sides=sides, rings=args.rings or 4)
+    return Cage.cylinder(center, reach / np.cos(np.pi / sides), height, axis=axis, sides=sides, rings=args.rings or 4)
 
 
 def run_check(args: argparse.Namespace) -> int:

@@ -179,7 +179,7 @@ def _cameras(path: pathlib.Path) -> Rows:
     rows: Rows = [("kind", "cameras"), ("cameras", len(cameras)), ("file", _file_size(path))]
     for index, key in enumerate(cameras):
         camera = key.camera
-        place = f"{camera.width}x{camera.height} from {camera.centre.round(4).tolist()}"
+        place = f"{camera.width}x{camera.height} from {camera.center.round(4).tolist()}"
         rows.append((f"camera {key.name or index!r}", place + _moment(key.time)))
     return rows
 
@@ -226,17 +226,17 @@ def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | N
     form = args.format or detect_format(path)
     scene = load_scene(path, split=args.split, format=form)
     camera = scene.cameras[0]
-    centres = np.stack([each.centre for each in scene.cameras])
+    centers = np.stack([each.center for each in scene.cameras])
     focal = np.array([[each.fx, each.fy] for each in scene.cameras])
     rows = [
         ("kind", "scene"),
         ("format", form),
         ("split", args.split),
         ("pictures", f"{len(scene)} of {camera.width}x{camera.height}"),
-        ("colours", _range(scene.images, "of 1")),
+        ("colors", _range(scene.images, "of 1")),
         ("opacity", "no" if scene.alphas is None else f"yes, {100 * float(scene.alphas.mean()):.1f} % covered"),
         ("focal length", _range(focal, "pixels")),
-        ("cameras in", _box(centres.min(axis=0), centres.max(axis=0))),
+        ("cameras in", _box(centers.min(axis=0), centers.max(axis=0))),
         ("up", scene.up.round(3).tolist()),
         ("bounds", "not given" if scene.bounds is None else _box(*scene.bounds)),
         ("memory", f"{(scene.images.nbytes + (0 if scene.alphas is None else scene.alphas.nbytes)) / 1e6:.0f} MB"),

@@ -28,7 +28,7 @@ from .films import FilmFrame
 from .shared import Deformation
 
 
-def colours(frame: Frame, camera: Camera, cages: Sequence[ClosedMesh], transparent: bool) -> np.ndarray:
+def colors(frame: Frame, camera: Camera, cages: Sequence[ClosedMesh], transparent: bool) -> np.ndarray:
     """The colours of a frame, (h, w, 3), or with straight opacity (h, w, 4); the edges of cages are drawn into it."""
     if transparent:
         return rgba_picture(frame, camera, cages)
@@ -152,7 +152,7 @@ class Shot:
                 self.shares.setdefault(name, []).append(share)
         drawn = cages if self.args.overlay else ()
         if self.args.show == "rgb":
-            return colours(frame, camera, drawn, shared.is_transparent(self.args))
+            return colors(frame, camera, drawn, shared.is_transparent(self.args))
         return frame_parts.picture(frame, self.args.show, camera, drawn, self.scale)
 
     def _scale(self) -> tuple[float, float]:

@@ -255,7 +255,7 @@ def _options(name: str, cage: Cage, args: argparse.Namespace) -> dict:
     """Keyword arguments of the step's method of Cage."""
     if name == "translate":
         return {}
-    chosen = {"centre": args.centre}
+    chosen = {"center": args.center}
     if name != "scale":
         chosen["axis"] = axis_of(with_up(args.axis, args.up))
     if name == "bend":

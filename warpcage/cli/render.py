@@ -66,7 +66,7 @@ def run_flight(args: argparse.Namespace) -> None:
     def pictures() -> Iterator[tuple[np.ndarray, Frame, Camera]]:
         for camera in cameras:
             frame = shared.render_view(renderer, camera, args)
-            yield outputs.colours(frame, camera, drawn, transparent), frame, camera
+            yield outputs.colors(frame, camera, drawn, transparent), frame, camera
 
     shared.save_cameras(args, cameras)
     _write(output, pictures(), args.format or "png")
@@ -138,7 +138,7 @@ def run_many_poses(args: argparse.Namespace) -> None:
                 raise ValueError(f"pose {number} of {count}: {error}") from error
             frame = shared.render_view(deformer, camera, args)
             drawn = shared.drawn_cages(deformer, deformation) if args.overlay else ()
-            picture = outputs.colours(frame, camera, drawn, transparent)
+            picture = outputs.colors(frame, camera, drawn, transparent)
             path = folder / f"pose_{number:0{digits}d}.{kind}"
             beside.run(*outputs.picture_task(path, picture, frame, camera))
     shared.save_cameras(args, [camera])
@@ -189,7 +189,7 @@ def run_render(args: argparse.Namespace) -> None:
     renderer = shared.posed_renderer(field, deformation, args)
     frame = shared.render_view(renderer, camera, args)
     drawn = shared.drawn_cages(renderer, deformation) if args.overlay else ()
-    write, _ = outputs.picture_task(output, outputs.colours(frame, camera, drawn, transparent), frame, camera)
+    write, _ = outputs.picture_task(output, outputs.colors(frame, camera, drawn, transparent), frame, camera)
     write()
     for kind, path in extra.items():
         write_png(path, frame_parts.picture(frame, kind))

@@ -83,8 +83,8 @@ def run_fit(args: argparse.Namespace) -> None:
 
     is_kind = args.background in FIT_BACKGROUNDS
     kind = args.background if is_kind else "auto"
-    colour = "white" if is_kind or args.background is None else args.background
-    scene = shared.read_scene(args, colour, orient="up" if args.straighten else None)
+    color = "white" if is_kind or args.background is None else args.background
+    scene = shared.read_scene(args, color, orient="up" if args.straighten else None)
     names = ("resolution", "epochs", "variation", "max_memory")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
     if args.bounds is not None:

@@ -469,7 +469,7 @@ def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
     if args.eye is not None and args.view is not None:
         raise ValueError("--view cannot be combined with --eye: both say where the camera stands")
     target = chosen_target(args, points)
-    eye = framed.centre + target - middle(points) if args.eye is None else args.eye
+    eye = framed.center + target - middle(points) if args.eye is None else args.eye
     return Camera.look_at(eye, target, **view)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import PointsLike, as_host_points, as_points, empty_array, is_device_array, points_in_turn
+from ..core.checks import device_by_name
 from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
 from ..core.names import agreed, require_coordinates
@@ -56,13 +57,13 @@ class _Local:
 
 
 def _localise(
-    points: PointsLike, centre: np.ndarray, size: float, device: wp.DeviceLike, *, check: bool = True
+    points: PointsLike, center: np.ndarray, size: float, device: wp.DeviceLike, *, check: bool = True
 ) -> _Local:
     """Points relative to a cage. check: refuse points of a device that are not finite at once, which waits for it."""
     if not is_device_array(points):
         host = as_host_points(points)
         single = isinstance(points, np.ndarray) and points.dtype == np.float32
-        local = (host - centre) / size
+        local = (host - center) / size
         bad = not (np.abs(local) < local_points.FARTHEST).all()
         with np.errstate(over="ignore"):
             local = wp.array(local.astype(np.float32), dtype=wp.vec3, device=resolve_device(device))
@@ -74,7 +75,7 @@ def _localise(
     launch(
         local_points.localise_points,
         len(world),
-        [world, wp.vec3d(*centre), wp.float64(size)],
+        [world, wp.vec3d(*center), wp.float64(size)],
         [local, bad],
         device=world.device,
     )
@@ -100,19 +101,19 @@ def _require_near(local: _Local, cage: ClosedMesh) -> None:
         )
 
 
-def _restore(moved: wp.array, local: _Local, centre: np.ndarray, size: float):
+def _restore(moved: wp.array, local: _Local, center: np.ndarray, size: float):
     """Local results in world units, in the form the points came in."""
     if local.on_device:
         world = wp.empty_like(moved)
         launch(
             local_points.restore_points,
             local.count,
-            [moved, wp.vec3d(*centre), wp.float64(size)],
+            [moved, wp.vec3d(*center), wp.float64(size)],
             [world],
             device=local.device,
         )
         return world
-    world = moved.numpy().astype(np.float64).reshape(-1, 3) * size + centre
+    world = moved.numpy().astype(np.float64).reshape(-1, 3) * size + center
     return world.astype(np.float32) if local.single else world
 
 
@@ -164,11 +165,13 @@ def _as_given(array, local: _Local):
 
 
 @points_in_turn
+@device_by_name
 def deform_points(
     points: PointsLike,
     rest: ClosedMesh,
     deformed: ClosedMesh,
     coordinates: str = "mean_value",
+    *,
     device: wp.DeviceLike = None,
 ) -> np.ndarray | wp.array:
     """Move points, such as the vertices of a mesh, as the cage around them moves.
@@ -204,8 +207,8 @@ def deform_points(
         _require_inside(local, rest, coordinates)
         return _deform_harmonic(local, rest, deformed)
 
-    centre = deformed.bounds.mean(axis=0)
-    targets = ((deformed.vertices - centre) / rest.size).astype(np.float32)
+    center = deformed.bounds.mean(axis=0)
+    targets = ((deformed.vertices - center) / rest.size).astype(np.float32)
     targets = wp.array(targets, dtype=wp.vec3, device=local.device)
     moved = empty_array(local.count, wp.vec3, local.device)
     vertices, _ = _cage_arrays(rest, local)
@@ -219,7 +222,7 @@ def deform_points(
         launch(green.map_green_inside, local.count, inputs, [moved, local.bad], device=local.device, work=work)
     else:
         launch(mean_value.map_mean_value, local.count, [*inputs, 1.0], [moved], device=local.device, work=work)
-    world = _restore(moved, local, centre, rest.size)
+    world = _restore(moved, local, center, rest.size)
     if int(local.bad.numpy()[0]):  # read once, after all is under way
         _require_finite(local)
         if coordinates == "green":
@@ -241,19 +244,22 @@ def _deform_harmonic(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -> n
     require_usable(deformed, "deformed cage")
     # the map runs from the cage it is posed to, here the rest cage, to the one it is made of; both about the origin, as
     # float32 keeps few digits of a map between cages that are far apart
-    centre = deformed.bounds.mean(axis=0)
-    target = deformed.with_vertices((deformed.vertices - centre) / rest.size)
+    center = deformed.bounds.mean(axis=0)
+    target = deformed.with_vertices((deformed.vertices - center) / rest.size)
     source = rest.with_vertices((rest.vertices - rest.bounds.mean(axis=0)) / rest.size)
     position_map = PositionMap(
         target, coordinates="harmonic", resolution=HARMONIC_RESOLUTION, origin=np.zeros(3), device=local.device
     ).pose(source)
     moved, distance = wp.empty_like(local.points), empty_array(local.count, float, local.device)
     launch(cage_map.sample_map, local.count, [position_map.data, local.points], [moved, distance], device=local.device)
-    return _restore(moved, local, centre, rest.size)
+    return _restore(moved, local, center, rest.size)
 
 
 @points_in_turn
-def mean_value_coordinates(points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike = None) -> np.ndarray | wp.array:
+@device_by_name
+def mean_value_coordinates(
+    points: PointsLike, cage: ClosedMesh, *, device: wp.DeviceLike = None
+) -> np.ndarray | wp.array:
     """Mean value coordinates of points in a cage.
 
     On the cage, to 1e-6 of its size, they interpolate the face linearly. Outside they extend the map smoothly. Weights
@@ -288,8 +294,9 @@ def mean_value_coordinates(points: PointsLike, cage: ClosedMesh, device: wp.Devi
 
 
 @points_in_turn
+@device_by_name
 def green_coordinates(
-    points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike = None, *, outside: str = "raise"
+    points: PointsLike, cage: ClosedMesh, *, device: wp.DeviceLike = None, outside: str = "raise"
 ) -> tuple[np.ndarray | wp.array, np.ndarray | wp.array]:
     """Green coordinates of points inside a cage.
 
@@ -340,8 +347,9 @@ def green_coordinates(
 
 
 @points_in_turn
+@device_by_name
 def harmonic_coordinates(
-    points: PointsLike, cage: ClosedMesh, resolution: int = HARMONIC_RESOLUTION, device: wp.DeviceLike = None
+    points: PointsLike, cage: ClosedMesh, resolution: int = HARMONIC_RESOLUTION, *, device: wp.DeviceLike = None
 ) -> np.ndarray | wp.array:
     """Harmonic coordinates of points inside a cage.
 

@@ -72,10 +72,10 @@ def harmonic_weights(
     weights = empty_array((len(host), vertex_count), float, device)
     if len(host):
         # size one about the origin: weights do not depend on units
-        centre = cage.bounds.mean(axis=0)
-        local = cage.with_vertices((cage.vertices - centre) / cage.size)
+        center = cage.bounds.mean(axis=0)
+        local = cage.with_vertices((cage.vertices - center) / cage.size)
         lattice = CageLattice(local, resolution, device=device)
-        places = ((host - centre) / cage.size - lattice.lower) / lattice.spacing
+        places = ((host - center) / cage.size - lattice.lower) / lattice.spacing
         places = wp.array(places.astype(np.float32), dtype=wp.vec3, device=device)
         solver = HarmonicSolver(lattice, tolerance=tolerance)
         solver.prepare()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
 import os
 import pathlib
 import sys
 import warnings
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +28,9 @@ AXES = "xyz"
 
 #: Letters of a value or a name that a message shows.
 MOST_SHOWN = 60
+
+
+Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
 
 def require_type(value: object, kind: type, what: str) -> None:
@@ -208,3 +213,43 @@ def warn_caller(message: str) -> None:
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         depth, frame = depth + 1, frame.f_back
     warnings.warn(message, stacklevel=depth + 1)
+
+
+def renamed(**names: str) -> Callable[[Decorated], Decorated]:
+    """Decorates a function or class whose arguments have new names: center="centre" takes centre= too, this release."""
+
+    def decorate(thing: Any) -> Any:  # a function or a class
+        function = thing.__init__ if isinstance(thing, type) else thing
+
+        @functools.wraps(function)
+        def accepting(*values: Any, **options: Any) -> Any:
+            for new, old in names.items():
+                if old in options:
+                    if new in options:
+                        raise TypeError(f"{old} is the old name of {new}: give one of them")
+                    warn_caller(f"{old}= is called {new}= now: the next version knows that name alone")
+                    options[new] = options.pop(old)
+            return function(*values, **options)
+
+        if isinstance(thing, type):
+            thing.__init__ = accepting
+            return thing
+        return accepting
+
+    return decorate
+
+
+def device_by_name(function: Decorated) -> Decorated:
+    """Decorates a function whose `device` is named now: as its last value by place it is taken too, for one release."""
+    call: Any = function
+    kinds = [parameter.kind for parameter in inspect.signature(function).parameters.values()]
+    most = sum(kind is inspect.Parameter.POSITIONAL_OR_KEYWORD for kind in kinds)
+
+    @functools.wraps(function)
+    def accepting(*values: Any, **options: Any) -> Any:
+        if len(values) == most + 1 and "device" not in options:
+            warn_caller("give the device by its name, device=: the next version takes it so alone")
+            values, options["device"] = values[:-1], values[-1]
+        return call(*values, **options)
+
+    return accepting  # pyright: ignore[reportReturnType]

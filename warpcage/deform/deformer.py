@@ -327,23 +327,23 @@ class Deformer:
         if checked_flag(antialias, "antialias"):
             raise ValueError("antialias is for splats: voxels take more rays a pixel (supersampling)")
         march_step, work = self.field.march_step(step, camera)
-        field, centre = self.field, wp.vec3(*(camera.centre - self.field.center).tolist())
+        field, center = self.field, wp.vec3(*(camera.center - self.field.center).tolist())
 
         def begin() -> March:
             edits = posed_edits()
             require_short_march(self._spans, march_step)
-            edits.begin_view(field, centre, march_step)
+            edits.begin_view(field, center, march_step)
             field.marching.begin()
-            tables = edits.row_tables(field, centre, march_step)
+            tables = edits.row_tables(field, center, march_step)
 
-            def march(threads: int, pinhole: Any, colour: wp.vec3, make_arrays: MakeArrays) -> None:
+            def march(threads: int, pinhole: Any, color: wp.vec3, make_arrays: MakeArrays) -> None:
                 options = self._march_options(march_step)
                 picture = Picture()
                 for name, array in make_arrays().items():
                     setattr(picture, name, array)
                 grid = field.marching.grid()
                 edits.prepare(grid, march_step)
-                edits.render(MarchedView(field, grid, tables, pinhole, colour, options, picture, threads, work))
+                edits.render(MarchedView(field, grid, tables, pinhole, color, options, picture, threads, work))
 
             return march
 
@@ -599,7 +599,7 @@ class SplatDeformer(Deformer):
         return field.renderer.render(
             posed_edits().posed,
             camera,
-            colour=field.background if background is None else parse_background(background),
+            color=field.background if background is None else parse_background(background),
             origin=field.center,
             near=field.near,
             supersampling=1 if supersampling is None else supersampling,

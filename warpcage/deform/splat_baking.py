@@ -46,12 +46,12 @@ def baked_field(field: SplatField, posed: Any, edits: SplatEdits) -> SplatField:
     held = field.contents
 
     # what is a splat of the file, and did not move
-    places = posed.centres.numpy()[kept]
+    places = posed.centers.numpy()[kept]
     whole = edits.tree.parents[nodes] < 0
-    still = whole & (jacobians == np.eye(3)).all(axis=(1, 2)) & (places == edits.centres.numpy()[kept]).all(axis=1)
+    still = whole & (jacobians == np.eye(3)).all(axis=(1, 2)) & (places == edits.centers.numpy()[kept]).all(axis=1)
     same = whole & (posed.opacities.numpy()[kept] == field.opacities[rows].astype(np.float32))
 
-    centres = np.where(still[:, None], held.centres[rows], (places.astype(np.float64) + edits.origin))
+    centers = np.where(still[:, None], held.centers[rows], (places.astype(np.float64) + edits.origin))
     axes, scales, _ = np.linalg.svd(jacobians @ edits.tree.factors[nodes])
     axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
     log_scales = np.log(np.maximum(scales, np.finfo(np.float32).tiny)).astype(np.float32)
@@ -59,7 +59,7 @@ def baked_field(field: SplatField, posed: Any, edits: SplatEdits) -> SplatField:
     harmonics = held.harmonics[rows]
     harmonics[~still] = turned_harmonics(harmonics[~still], _matrices(turns[~still]))
     contents = SplatContents(
-        centres.astype(held.centres.dtype),
+        centers.astype(held.centers.dtype),
         np.where(still[:, None], held.log_scales[rows], log_scales),
         np.where(still[:, None], held.quaternions[rows], quaternions_of(axes)).astype(np.float32),
         np.where(same, held.logits[rows], logits_of(np.minimum(opacities[kept], 1.0 - 1e-7))),

@@ -58,14 +58,14 @@ class BoundEdit:
         self.faces = wp.array(edit.cage.faces, dtype=wp.vec3i, device=device)
         bound = members[BOUND]
         nodes = owner.instances.nodes[bound]
-        centres = owner.tree.centres[nodes]
+        centers = owner.tree.centers[nodes]
         leaders, others = shared_ways(owner.tree, nodes, bound, owner.anchors[index], len(owner.instances.nodes))
         anchors = owner.anchors[index][nodes[leaders]]
         if len(bound):
             kind, resolution = owner.coordinates, owner.resolution
             # not there where nothing is bound
             self.binding = CageBinding(anchors, edit.cage, kind, origin, device, resolution or RESOLUTION)
-        offsets = (centres[leaders] - anchors).astype(np.float32)
+        offsets = (centers[leaders] - anchors).astype(np.float32)
         #: what the binding carries: leaders, who goes their way, where the map is taken, and from there to them
         self.carriers = (
             wp.array(bound[leaders], dtype=wp.int32, device=device),
@@ -73,7 +73,7 @@ class BoundEdit:
             owner.local(anchors),
             wp.array(offsets, dtype=wp.vec3, device=device),
         )
-        self.targets = owner.local(centres)
+        self.targets = owner.local(centers)
         self.missed = wp.zeros(len(bound), dtype=wp.uint8, device=device)
         self._bends(bound, nodes)
 
@@ -85,7 +85,7 @@ class BoundEdit:
         cut = np.flatnonzero((tree.pieces[nodes] >= 0) & (member_of[nodes] == bound))
         wholes = nodes[cut]
         pieces = tree.pieces[wholes][:, None] + np.arange(3)
-        offsets = tree.centres[pieces] - tree.centres[wholes][:, None]
+        offsets = tree.centers[pieces] - tree.centers[wholes][:, None]
         at_wall = self.owner.shares[self.index][wholes] < 1.0
         self.bends = [
             wp.array(bound[cut], dtype=wp.int32, device=device),
@@ -117,12 +117,12 @@ class BoundEdit:
             if (band := owner.bands[self.index]) is not None:
                 walls = band.on_device(cage, owner.origin, owner.device)
                 if walls.width > 0.0:
-                    inputs = [bound, owner.centres, walls, carried]
+                    inputs = [bound, owner.centers, walls, carried]
                     launch(fade.fade_carried, bound.size, inputs, device=owner.device)
             if (position_map := owner.maps[self.index]) is not None:
                 self._invert(position_map, cage, carried)
         if split is not None and self.bends[0].size:
-            inputs = [*self.bends, owner.centres, BEND_TOLERANCE * edit.cage.size, carried]
+            inputs = [*self.bends, owner.centers, BEND_TOLERANCE * edit.cage.size, carried]
             launch(splits.measure_bends, self.bends[0].size, inputs, [split], device=owner.device)
         self._launch_in(cage, inside.cover_staying, LEFT, [self.outside], carried, vertices)
         if self.members[FOLLOWED].size:
@@ -145,7 +145,7 @@ class BoundEdit:
         if vertices is None:
             vertices = owner.local(inside_cage.vertices)
         order = [vertices, self.faces, wp.vec3(*low), wp.vec3(*high)]
-        matter = [owner.centres, owner.covariances] if kind == LEFT else []  # others go as their centres do
+        matter = [owner.centers, owner.covariances] if kind == LEFT else []  # others go as their centres do
         inputs = [members, *extra, *matter, *order, carried]
         count = members.size * (lane_count(owner.device) if kind == LEFT else 1)
         launch(kernel, count, inputs, device=owner.device, work=len(inside_cage.faces))
@@ -198,7 +198,7 @@ class SplatEdits:
         count, device = len(instances.nodes), self.device
         nodes = instances.nodes
         six = self.tree.covariances[nodes][:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-        self.centres = self.local(self.tree.centres[nodes])
+        self.centers = self.local(self.tree.centers[nodes])
         self.covariances = wp.array(six.astype(np.float32), dtype=wp.float32, device=device)
         self._opacities = wp.array(self.tree.opacities[nodes].astype(np.float32), dtype=wp.float32, device=device)
         self._shares = wp.array(instances.shares, dtype=wp.float32, device=device)
@@ -211,7 +211,7 @@ class SplatEdits:
         self._carried.positions = empty_array(count, wp.vec3, device)
         self._carried.jacobians = empty_array(count, wp.mat33, device)
         self._carried.shares = empty_array(count, wp.float32, device)
-        launch(pose.start_splats, count, [self.centres, self._carried], device=device)
+        launch(pose.start_splats, count, [self.centers, self._carried], device=device)
         self._ready = False
         self._bound = [BoundEdit(edit, self, index) for index, edit in enumerate(edits)]
         self._posed = self._empty_splats(count)
@@ -221,29 +221,29 @@ class SplatEdits:
     def _cut(self, edits: list[CageEdit]) -> None:
         """The tree of pieces, and which share of each node is in each cage, and where the map is taken for it."""
         field = self.field
-        centres = field.contents.centres.astype(np.float64)
+        centers = field.contents.centers.astype(np.float64)
         factors = field.rotations * field.scales[:, None, :]
-        shares, anchors = self._measure(edits, centres, field.covariances)
-        largest = np.full(len(centres), np.inf)
+        shares, anchors = self._measure(edits, centers, field.covariances)
+        largest = np.full(len(centers), np.inf)
         for edit, share in zip(edits, shares, strict=True):
             if not edit.remove:
                 largest[share > 0.0] = np.minimum(largest[share > 0.0], 0.5 * LARGE * edit.cage.size)
-        count = len(centres)
+        count = len(centers)
         most = count * (1 + PIECES_A_SPLAT) + FREE_PIECES
-        self.tree = split_tree(centres, factors, field.opacities, largest, most=most)
+        self.tree = split_tree(centers, factors, field.opacities, largest, most=most)
         if len(self.tree.rows) > count:
-            more, places = self._measure(edits, self.tree.centres[count:], self.tree.covariances[count:])
+            more, places = self._measure(edits, self.tree.centers[count:], self.tree.covariances[count:])
             shares, anchors = np.concatenate([shares, more], axis=1), np.concatenate([anchors, places], axis=1)
         self.shares, self.anchors = shares, anchors
 
     def _measure(
-        self, edits: list[CageEdit], centres: np.ndarray, covariances: np.ndarray
+        self, edits: list[CageEdit], centers: np.ndarray, covariances: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """(edits, n) shares inside the cages at rest, and (edits, n, 3) anchors, world units."""
-        device, count = self.device, len(centres)
+        device, count = self.device, len(centers)
         six = covariances[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].astype(np.float32)
         six = wp.array(six, dtype=wp.float32, device=device)
-        local = self.local(centres)
+        local = self.local(centers)
         found = []
         for edit in edits:
             share, anchor = empty_array(count, wp.float32, device), empty_array(count, wp.vec3, device)
@@ -253,7 +253,7 @@ class SplatEdits:
             inputs.append(DEPTH * edit.cage.size)
             launch(inside.measure_shares, count, inputs, [share, anchor], device=device, work=len(edit.cage.faces))
             moved = np.any(anchor.numpy() != local.numpy(), axis=1)
-            places = np.where(moved[:, None], anchor.numpy().astype(np.float64) + self.origin, centres)
+            places = np.where(moved[:, None], anchor.numpy().astype(np.float64) + self.origin, centers)
             found.append((share.numpy(), places))
         shares, anchors = zip(*found, strict=True)
         return np.stack(shares), np.stack(anchors)
@@ -265,7 +265,7 @@ class SplatEdits:
     def _empty_splats(self, count: int) -> Any:
         """The Splats that poses are written to."""
         splats, rest, device = Splats(), self.field.splats, self.device
-        splats.centres, splats.turns = empty_array(count, wp.vec3, device), empty_array(count, wp.quat, device)
+        splats.centers, splats.turns = empty_array(count, wp.vec3, device), empty_array(count, wp.quat, device)
         splats.covariances = empty_array((count, 6), wp.float32, device)
         splats.opacities = empty_array(count, wp.float32, device)
         splats.harmonics, splats.degree = rest.harmonics, rest.degree
@@ -295,7 +295,7 @@ class SplatEdits:
         if not self._ready:
             self._rewind()
         if not all(moving):  # what another pose has moved is at rest, and nothing writes its place anew
-            launch(pose.start_splats, count, [self.centres, self._carried], device=device)
+            launch(pose.start_splats, count, [self.centers, self._carried], device=device)
         self._ready = False
         for bound, cage in zip(self._bound, cages, strict=True):
             bound.carry(cage, self._carried, self._split)
@@ -304,7 +304,7 @@ class SplatEdits:
             launch(splits.hide_splats, count, inputs, [self._hidden], device=device)
         out = self._posed
         inputs = [self._law, self.covariances, self._opacities, self._hidden, self._carried]
-        outputs = [out.centres, out.covariances, out.opacities, out.turns]
+        outputs = [out.centers, out.covariances, out.opacities, out.turns]
         launch(pose.finish_splats, count, inputs, outputs, device=device)
         self.posed = out
         self._rewind()

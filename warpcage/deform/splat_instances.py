@@ -87,7 +87,7 @@ def shared_ways(
     whole = np.flatnonzero(tree.pieces >= 0)
     # the middle piece of a splat lies where the splat does, and copies where their source does
     middle = tree.pieces[whole]
-    same = (anchors[middle] == anchors[whole]) & (tree.centres[middle] == tree.centres[whole])
+    same = (anchors[middle] == anchors[whole]) & (tree.centers[middle] == tree.centers[whole])
     source[middle[same.all(axis=1)]] = whole[same.all(axis=1)]
     while not np.array_equal(source, above := source[source]):  # middle pieces of middle pieces
         source = above

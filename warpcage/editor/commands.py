@@ -116,15 +116,15 @@ def add_edit(document: Document, message: Message) -> Step:
     """A new edit with a simple cage between two corners."""
     kind = checked_choice(message.get("kind", "move"), KINDS, "kind")
     low, high = (frozen_vertices([message[name]])[0] for name in ("lower", "upper"))
-    shape, centre, size = message.get("shape", "box"), (low + high) / 2, high - low
+    shape, center, size = message.get("shape", "box"), (low + high) / 2, high - low
     if not (size > 0).all():
         raise ValueError("a cage needs a lower corner below its upper corner")
     if shape == "box":
         cage = Cage.box(low, high, segments=2)
     elif shape == "cylinder":
-        cage = Cage.cylinder(centre, 0.5 * float(np.hypot(size[0], size[1])), float(size[2]), rings=3)
+        cage = Cage.cylinder(center, 0.5 * float(np.hypot(size[0], size[1])), float(size[2]), rings=3)
     elif shape == "icosphere":
-        cage = Cage.icosphere(centre, 0.5 * float(np.linalg.norm(size)), 1)
+        cage = Cage.icosphere(center, 0.5 * float(np.linalg.norm(size)), 1)
     else:
         raise ValueError("shape must be one of box, cylinder, icosphere")
     return with_new_edit(document, cage, kind)

@@ -140,7 +140,7 @@ HIDING_ALPHA = 0.5
 class Pixels:
     """A frame on the host, as it is sent."""
 
-    colours: np.ndarray  # (h, w, 3) uint8
+    colors: np.ndarray  # (h, w, 3) uint8
     depths: np.ndarray  # (rows, columns) uint16, see kernels/view/pictures.py
     near: float  # distances that the depths 1 and 65535 stand for, world units
     far: float
@@ -163,19 +163,19 @@ def frame_pixels(frame: Frame, show: str, near: float, far: float, columns: int,
         launch(pictures.sample_depths, rows * columns, inputs, [sampled], device=rgb.device)
         if show == "rgb":
             packed = empty_array((width * height, 3), wp.uint8, rgb.device)
-            launch(pictures.pack_colours, width * height, [rgb], [packed], device=rgb.device)
-            colours = packed.numpy().reshape(height, width, 3)
+            launch(pictures.pack_colors, width * height, [rgb], [packed], device=rgb.device)
+            colors = packed.numpy().reshape(height, width, 3)
         else:
             shown = picture(frame, "rgb" if show == "masks" and frame.reveal is None else show)
             shown = np.repeat(shown[..., None], 3, axis=-1) if shown.ndim == 2 else shown
-            colours = (np.clip(shown, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
-        return Pixels(np.ascontiguousarray(colours), sampled.numpy().reshape(rows, columns), near, far)
+            colors = (np.clip(shown, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+        return Pixels(np.ascontiguousarray(colors), sampled.numpy().reshape(rows, columns), near, far)
 
 
 def joined_pixels(bands: list[Pixels]) -> Pixels:
     """Bands of one picture, from the top, as one."""
-    colours, depths = (np.concatenate([getattr(band, name) for band in bands]) for name in ("colours", "depths"))
-    return Pixels(colours, depths, bands[0].near, bands[0].far)
+    colors, depths = (np.concatenate([getattr(band, name) for band in bands]) for name in ("colors", "depths"))
+    return Pixels(colors, depths, bands[0].near, bands[0].far)
 
 
 def band_camera(camera: Camera, first: int, last: int) -> Camera:
@@ -191,7 +191,7 @@ def packed_frame(header: dict[str, Any], pixels: Pixels | None, quality: int) ->
     jpeg, depths = b"", b""
     if pixels is not None:
         sampling = "444" if quality >= 90 else "420"  # from 90 on colours keep their full resolution
-        jpeg = simplejpeg.encode_jpeg(pixels.colours, quality=quality, colorspace="RGB", colorsubsampling=sampling)
+        jpeg = simplejpeg.encode_jpeg(pixels.colors, quality=quality, colorspace="RGB", colorsubsampling=sampling)
         depths = pixels.depths.astype("<u2").tobytes()
     words = json.dumps(header, allow_nan=False).encode()
     parts = [struct.pack("<4I", FRAME, len(words), len(jpeg), len(depths))]

@@ -418,7 +418,7 @@ def new_document(field: AnyField, cages: Iterable[Cage] = (), resolution: int = 
     up = np.asarray(field.up, np.float64)
     camera = framing_orbit(points, 1, up=up, elevation_degrees=ELEVATION, start_degrees=AZIMUTH, fov_degrees=FOV)[0]
     target = (low + high) / 2
-    view = View(_triple(camera.centre), _triple(target), _triple(up / np.linalg.norm(up)), FOV)
+    view = View(_triple(camera.center), _triple(target), _triple(up / np.linalg.norm(up)), FOV)
     selection = Selection(edits[0].id if edits else None)
     return Document(edits, selection, Settings(resolution=resolution), view, Timeline(), next_id=len(edits) + 1)
 

@@ -75,15 +75,15 @@ def box_gaps(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
     return np.maximum(beyond, before).max(axis=-1)
 
 
-def front_to_back(boxes: np.ndarray, centre: ArrayLike) -> list[int] | None:
+def front_to_back(boxes: np.ndarray, center: ArrayLike) -> list[int] | None:
     """An order in which each ray from `centre`, in a box or not, enters those of the boxes (n, 2, 3) that it meets.
     No two boxes may overlap. None where there is no order, as boxes hide each other in a circle."""
-    lower, upper, centre = boxes[:, 0], boxes[:, 1], np.asarray(centre)
+    lower, upper, center = boxes[:, 0], boxes[:, 1], np.asarray(center)
     below = upper[:, None] < lower[None, :]  # (n, n, 3)
     # A ray goes one way along each axis. So it does not meet first the lower and then the upper of two boxes with a gap
     # between them if it starts above the lower one's top, and not the other way round if it starts under the upper
     # one's bottom.
-    never = below & (centre > upper)[:, None] | below.swapaxes(0, 1) & (centre < lower)[:, None]
+    never = below & (center > upper)[:, None] | below.swapaxes(0, 1) & (center < lower)[:, None]
     first = ~never.any(axis=-1)
     np.fill_diagonal(first, False)
     order, left = [], list(range(len(boxes)))

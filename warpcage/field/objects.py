@@ -14,7 +14,7 @@ from ..core.names import PLANES, require_name
 from ..mesh.mesh import ClosedMesh
 from ..view.camera import Camera
 from .planes import Plane, find_planes, plane_below, plane_through
-from .selection import SEED_VOXELS, NodeSelection, _centres, root_field, select_nodes
+from .selection import SEED_VOXELS, NodeSelection, _centers, root_field, select_nodes
 from .surface import DensityField, node_grid, surface_density
 from .surroundings import OuterField
 
@@ -43,13 +43,13 @@ def pick_point(field: VoxelField, camera: Camera, pixel: ArrayLike) -> np.ndarra
     direction = camera.rotation @ (in_camera / np.linalg.norm(in_camera))
     nothing = f"the click at pixel {column} {row} is on nothing: the field is not half opaque there"
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = (field.bounds - camera.centre) / direction
+        ends = (field.bounds - camera.center) / direction
     along = np.where(np.isnan(ends), [[-np.inf], [np.inf]], np.sort(ends, axis=0))
     near, far = max(float(along[0].max()), 0.0), float(along[1].min())
     if not near < far:
         raise ValueError(nothing)
     distance = near + field.step * (np.arange(int(np.ceil((far - near) / field.step))) + 0.5)
-    points = camera.centre + distance[:, None] * direction
+    points = camera.center + distance[:, None] * direction
     _, density = field.sample(points, np.broadcast_to(direction, points.shape))
     depth = np.cumsum(np.asarray(density, np.float64)) * field.step
     there = int(np.searchsorted(depth, -np.log(PICKED_TRANSMITTANCE)))
@@ -180,11 +180,11 @@ class _Matter:
         densities, self._voxel = node_grid(root_field(region))
         self._solid = self.visible & (densities >= surface_density(densities, self._voxel))
         self._cells = np.argwhere(self._solid)
-        self._places = _centres(region, self._cells)
+        self._places = _centers(region, self._cells)
 
     def places(self, mask: np.ndarray) -> np.ndarray:
         """(n, 3) world positions of the nodes of a mask."""
-        return _centres(self.region, np.argwhere(mask))
+        return _centers(self.region, np.argwhere(mask))
 
     def holds(self, points: np.ndarray) -> np.ndarray:
         """Which points (n, 3), positions of nodes, are visible and in the region, (n,) bool."""
@@ -204,7 +204,7 @@ class _Matter:
         import skimage.measure
 
         cells = np.argwhere(mask)
-        places = _centres(self.region, cells)
+        places = _centers(self.region, cells)
         labels = np.asarray(skimage.measure.label(mask, connectivity=1))
         chosen = set()
         for click in clicks:
@@ -229,7 +229,7 @@ class _Matter:
         free = self.visible[block] & ~self._solid[block]
         if floor is not None:
             fringe = np.argwhere(free)
-            under = floor.heights(_centres(self.region, fringe + low)) <= 0.0
+            under = floor.heights(_centers(self.region, fringe + low)) <= 0.0
             free[tuple(fringe[under].T)] = False
         own, other = mask[block], self._solid[block] & ~mask[block]
         cube = np.ones((3, 3, 3), bool)

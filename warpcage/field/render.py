@@ -35,7 +35,7 @@ def render_frame(
     camera: Camera,
     *,
     origin: ArrayLike,
-    colour: np.ndarray,
+    color: np.ndarray,
     layers: LayeredBackground | OuterField | None,
     supersampling: int,
     device: wp.Device,
@@ -52,7 +52,7 @@ def render_frame(
         arrays.update(picture_arrays(count, (*PART_NAMES, *masks), device, spare))
         return arrays
 
-    march(tile_threads(fine), camera_struct(fine, origin), wp.vec3(*map(float, colour)), made_arrays)
+    march(tile_threads(fine), camera_struct(fine, origin), wp.vec3(*map(float, color)), made_arrays)
     if layers is not None:
         dimmed = [arrays[name] for name in masks]
         layers.add_around(fine, arrays["rgb"], arrays["alpha"], arrays["depth"], dimmed)

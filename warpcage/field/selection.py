@@ -131,7 +131,7 @@ def in_depths(points: np.ndarray, field: VoxelField, cameras: list[Camera], dept
         small = camera.resized(*(max(1, round(shrink * side)) for side in (camera.width, camera.height)))
         frame = field.render(small, background="black", supersampling=1)
         ahead, row, column = _fallen(points, small)
-        distance = np.linalg.norm(points[ahead] - small.centre, axis=1)
+        distance = np.linalg.norm(points[ahead] - small.center, axis=1)
         opaque = frame.alpha[row, column] >= 0.5
         behind = distance - np.where(opaque, frame.depth[row, column], np.inf)
         # in front of what it shows a view looks through haze, behind it there is what it cannot see
@@ -172,7 +172,7 @@ SEED_VOXELS = 4
 
 def visible_nodes(field: DensityField, threshold: float | None = None) -> np.ndarray:
     """Positions (n, 3) float64, world units, of the nodes of a field that can be seen, as `visible_mask` tells."""
-    return _centres(field, np.argwhere(visible_mask(field, threshold)))
+    return _centers(field, np.argwhere(visible_mask(field, threshold)))
 
 
 def some_visible_nodes(field: DensityField, count: int = 20_000) -> np.ndarray:
@@ -195,7 +195,7 @@ def some_visible_nodes(field: DensityField, count: int = 20_000) -> np.ndarray:
             seen = densities >= -np.log1p(-VISIBLE_OPACITY) / np.prod(field.voxel_size) ** (1.0 / 3.0)
         else:
             seen = (weights.numpy()[rows] >= VISIBLE_OPACITY) & (densities > 0.0)
-        points = _centres(field, step * cells[seen])
+        points = _centers(field, step * cells[seen])
     chosen = np.random.default_rng(0).permutation(len(points))[:count]
     return points[np.sort(chosen)]
 
@@ -267,7 +267,7 @@ class NodeSelection:
     @property
     def points(self) -> np.ndarray:
         """(n, 3) float64 world positions of the chosen nodes."""
-        return _centres(self.field, np.argwhere(self.mask))
+        return _centers(self.field, np.argwhere(self.mask))
 
     def __repr__(self) -> str:
         return f"NodeSelection({np.count_nonzero(self.mask)} of {self.mask.size} nodes)"
@@ -413,7 +413,7 @@ def select_nodes(
         raise ValueError("cameras and masks go together, one mask per camera; so do cameras and depth")
     if cameras is not None and masks is not None:
         cells = np.argwhere(mask)
-        inside = in_masks(_centres(field, cells), cameras, list(masks))
+        inside = in_masks(_centers(field, cells), cameras, list(masks))
         mask = _kept(mask, _scattered(mask, cells, inside), notes, "outside the masks")
     if cameras is not None and depth is not None:
         where = "not shown by the views at these distances"
@@ -463,7 +463,7 @@ def _require_some(mask: np.ndarray, complaint: str) -> None:
         raise ValueError(f"nothing is selected: {complaint}")
 
 
-def _centres(field: DensityField, cells: np.ndarray) -> np.ndarray:
+def _centers(field: DensityField, cells: np.ndarray) -> np.ndarray:
     """(n, 3) world positions of nodes (n, 3)."""
     return np.asarray(field.bounds, dtype=np.float64)[0] + (cells + 0.5) * np.asarray(field.voxel_size)
 
@@ -478,7 +478,7 @@ def _scattered(mask: np.ndarray, cells: np.ndarray, values: np.ndarray) -> np.nd
 def _in_box(field: DensityField, mask: np.ndarray, box: ArrayLike) -> np.ndarray:
     low, high = checked_bounds(box, "box")
     cells = np.argwhere(mask)
-    points = _centres(field, cells)
+    points = _centers(field, cells)
     return _scattered(mask, cells, ((points >= low) & (points <= high)).all(axis=1))
 
 
@@ -487,13 +487,13 @@ def _in_sphere(field: DensityField, mask: np.ndarray, sphere: ArrayLike) -> np.n
     if not (np.isfinite(values).all() and values[3] > 0.0):
         raise ValueError(f"sphere must be a centre and a positive radius, four numbers, got {shown(sphere)}")
     cells = np.argwhere(mask)
-    return _scattered(mask, cells, np.linalg.norm(_centres(field, cells) - values[:3], axis=1) <= values[3])
+    return _scattered(mask, cells, np.linalg.norm(_centers(field, cells) - values[:3], axis=1) <= values[3])
 
 
 def _in_mesh(field: DensityField, mask: np.ndarray, cage: ClosedMesh) -> np.ndarray:
     require_type(cage, ClosedMesh, "to select what is inside takes")
     cells = np.argwhere(mask)
-    return _scattered(mask, cells, inside_mesh(_centres(field, cells), cage, device=getattr(field, "device", "cpu")))
+    return _scattered(mask, cells, inside_mesh(_centers(field, cells), cage, device=getattr(field, "device", "cpu")))
 
 
 def _in_views(field: DensityField, mask: np.ndarray, cameras: list[Camera], depth: ArrayLike) -> np.ndarray:
@@ -501,7 +501,7 @@ def _in_views(field: DensityField, mask: np.ndarray, cameras: list[Camera], dept
     if not hasattr(whole, "render"):
         raise ValueError("depth needs a field that can be rendered")
     cells = np.argwhere(mask)
-    return _scattered(mask, cells, in_depths(_centres(field, cells), cast(VoxelField, whole), cameras, depth))
+    return _scattered(mask, cells, in_depths(_centers(field, cells), cast(VoxelField, whole), cameras, depth))
 
 
 def _grown(field: DensityField, mask: np.ndarray, seed: ArrayLike, reach: float | None) -> np.ndarray:
@@ -510,7 +510,7 @@ def _grown(field: DensityField, mask: np.ndarray, seed: ArrayLike, reach: float 
     if reach is not None:
         reach = checked_positive(reach, "reach")
     cells = np.argwhere(mask)
-    distance = np.linalg.norm(_centres(field, cells) - start, axis=1)
+    distance = np.linalg.norm(_centers(field, cells) - start, axis=1)
     nearest = int(np.argmin(distance))
     if distance[nearest] > SEED_VOXELS * float(np.max(field.voxel_size)):
         raise ValueError(

@@ -276,12 +276,12 @@ def sky_layers(sky: Any, device: wp.Device) -> Any:
     """BackgroundLayers of one layer, which begins at infinity, of a sky: one colour (3,), or (6 s^2 + 2, 3) of a cube.
     These in the order of kernels/field/background; or a Warp array (1, 6 s^2 + 2) of vec4."""
     if not isinstance(sky, wp.array):
-        colours = np.asarray(sky, np.float32)
-        if colours.shape == (3,):
-            colours = np.broadcast_to(colours, (surface_node_count(2), 3))
-        if colours.ndim != 2 or colours.shape[1] != 3 or not np.isfinite(colours).all():
-            raise ValueError(f"an outer field's sky must be finite (3,) or (6 s^2 + 2, 3), got {colours.shape}")
-        values = np.concatenate([colours, np.ones((len(colours), 1), np.float32)], axis=1)[None]
+        colors = np.asarray(sky, np.float32)
+        if colors.shape == (3,):
+            colors = np.broadcast_to(colors, (surface_node_count(2), 3))
+        if colors.ndim != 2 or colors.shape[1] != 3 or not np.isfinite(colors).all():
+            raise ValueError(f"an outer field's sky must be finite (3,) or (6 s^2 + 2, 3), got {colors.shape}")
+        values = np.concatenate([colors, np.ones((len(colors), 1), np.float32)], axis=1)[None]
         sky = wp.array(np.ascontiguousarray(values), dtype=wp.vec4, device=device)
     nodes = sky.shape[-1]
     side = math.isqrt(max(0, (nodes - 2) // 6))

@@ -122,7 +122,7 @@ class ColumnTable:
     def _new_row_shades(self) -> wp.array:
         return empty_array((self.nodes.shape[0], shade_words(self._device)), wp.uint32, self._device)
 
-    def shaded(self, centre: wp.vec3, step: float) -> Any:
+    def shaded(self, center: wp.vec3, step: float) -> Any:
         """A ShadedGrid of kernels/field/shades that is to be filled for a camera, centre relative to the grid's origin.
         On CUDA the same for all cameras, whose frames take turns."""
         shaded = self._shaded
@@ -131,7 +131,7 @@ class ColumnTable:
             shaded.columns = self.columns
             if self._device.is_cuda:
                 self._shaded = shaded
-        shaded.centre, shaded.step = centre, step
+        shaded.center, shaded.step = center, step
         return shaded
 
     def shade_texture(self, layers: int) -> wp.Texture3D:
@@ -190,10 +190,10 @@ def row_table(grid: Any, table: ColumnTable) -> Any:
     return result
 
 
-def shaded_grid(grid: Any, table: ColumnTable, centre: wp.vec3, step: float) -> Any:
+def shaded_grid(grid: Any, table: ColumnTable, center: wp.vec3, step: float) -> Any:
     """The rows of a grid as a camera sees them: a ShadedGrid of the values that the grid has now.
-    centre: of the camera, relative to the grid's origin; step: world units."""
-    shaded = table.shaded(centre, step)
+    center: of the camera, relative to the grid's origin; step: world units."""
+    shaded = table.shaded(center, step)
     shades = table.row_shades()
     if shaded.shades is not shades:
         shaded.shades = shades
@@ -257,15 +257,15 @@ class MarchTables:
         """The rows as they are now: a RowTable of kernels/field/rows.py."""
         return row_table(self._grid, self.columns)
 
-    def begin_image(self, centre: wp.vec3, step: float, work: float) -> March:
+    def begin_image(self, center: wp.vec3, step: float, work: float) -> March:
         """Start on a view of the grid and return what launches the rest; step: world units.
-        centre: of the camera, relative to the grid's origin; work: steps that a ray may take, as `launch` has them."""
-        kernel, inputs, rays = self._image_kernel(centre, step)
+        center: of the camera, relative to the grid's origin; work: steps that a ray may take, as `launch` has them."""
+        kernel, inputs, rays = self._image_kernel(center, step)
 
-        def march(threads: int, pinhole: Any, colour: wp.vec3, make_arrays: MakeArrays) -> None:
+        def march(threads: int, pinhole: Any, color: wp.vec3, make_arrays: MakeArrays) -> None:
             arrays = make_arrays()
             outputs = [arrays[name] for name in PART_NAMES]
-            view = [pinhole, colour, step, STOP_TRANSMITTANCE]
+            view = [pinhole, color, step, STOP_TRANSMITTANCE]
             passing = len(view) + len(outputs)
             self._launch_of(kernel)(threads // rays, [*inputs, *view], outputs, passing=passing, work=rays * work)
 
@@ -277,12 +277,12 @@ class MarchTables:
             self._launches[kernel] = RepeatedLaunch(kernel, self._grid.links.device)
         return self._launches[kernel]
 
-    def _image_kernel(self, centre: wp.vec3, step: float) -> tuple[Kernel, list[Any], int]:
+    def _image_kernel(self, center: wp.vec3, step: float) -> tuple[Kernel, list[Any], int]:
         """A kernel that renders views of the grid, its first inputs, and the rays that one of its items follows.
-        centre: of the camera, relative to the grid's origin; step: world units."""
+        center: of the camera, relative to the grid's origin; step: world units."""
         self.begin()
-        if self.is_shaded(centre):
-            shaded = shaded_grid(self._grid, self.columns, centre, step)
+        if self.is_shaded(center):
+            shaded = shaded_grid(self._grid, self.columns, center, step)
             return image_kernel(True), [self.grid(), shaded], 1
         rows = self.rows()
         if self.by_tiles:
@@ -300,12 +300,12 @@ class MarchTables:
         with self._lock:
             return self._cells.cells(grid.density, grid.skip, self._matter.version)
 
-    def is_shaded(self, centre: wp.vec3, others: Sequence[Sequence[Sequence[float]]] = ()) -> bool:
+    def is_shaded(self, center: wp.vec3, others: Sequence[Sequence[Sequence[float]]] = ()) -> bool:
         """Whether voxels are shaded for a camera: where none is near it, nor to others: boxes (2, 3) they are moved
         into. centre: of the camera, relative to the grid's origin, as boxes are."""
         if self._grid.links.device.is_cpu and not SHADES_ON_CPU:
             return False
-        near, place = NEAR_VOXELS * self._longest, (centre[0], centre[1], centre[2])
+        near, place = NEAR_VOXELS * self._longest, (center[0], center[1], center[2])
         return all(box_distance(lower, upper, place) > near for lower, upper in (self._box, *others))
 
 

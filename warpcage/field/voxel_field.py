@@ -12,7 +12,14 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_points, as_points, empty_array, is_device_array
-from ..core.checks import checked_bounds, checked_direction, checked_march, require_ordinary_side, require_type
+from ..core.checks import (
+    checked_bounds,
+    checked_direction,
+    checked_march,
+    device_by_name,
+    require_ordinary_side,
+    require_type,
+)
 from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..kernels.field.grid import VoxelGrid, sample_field
@@ -258,10 +265,10 @@ class VoxelField:
                 a camera so far away that float32 cannot tell steps there, or supersampling out of range.
         """
         step, work = self.march_step(step, camera)
-        centre = wp.vec3(*(camera.centre - self._center))
+        center = wp.vec3(*(camera.center - self._center))
 
         def begin() -> March:
-            return self.marching.begin_image(centre, step, work)
+            return self.marching.begin_image(center, step, work)
 
         return self.render_by(begin, camera, background=background, supersampling=supersampling)
 
@@ -279,7 +286,7 @@ class VoxelField:
             ValueError: As `render`.
         """
         require_type(camera, Camera, "render needs")
-        step = checked_march(step, self.step, self._diagonal, math.dist(camera.centre, self._center))
+        step = checked_march(step, self.step, self._diagonal, math.dist(camera.center, self._center))
         return step, self._diagonal / step
 
     @in_turn
@@ -309,13 +316,13 @@ class VoxelField:
             ValueError: For a background that is not known, or supersampling out of range.
         """
         require_type(camera, Camera, "render needs")
-        colour, layers = self.chosen_background(background)
+        color, layers = self.chosen_background(background)
         supersampling = checked_supersampling(self.supersampling if supersampling is None else supersampling)
         return render_frame(
             begin(),
             camera,
             origin=self.center,
-            colour=colour,
+            color=color,
             layers=layers,
             supersampling=supersampling,
             device=self.device,
@@ -421,12 +428,13 @@ class VoxelField:
         """
         held = load_field(path, scene_scale=scene_scale)
         try:
-            return cls.from_contents(held, device)
+            return cls.from_contents(held, device=device)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 
     @classmethod
-    def from_contents(cls, contents: FieldContents, device: wp.DeviceLike = None) -> VoxelField:
+    @device_by_name
+    def from_contents(cls, contents: FieldContents, *, device: wp.DeviceLike = None) -> VoxelField:
         """A field of values as files have them.
 
         Args:

@@ -200,14 +200,14 @@ class CameraRefinement:
     def uploaded(self, number: int | None = None, change: float = 0.0) -> wp.array:
         """(n,) PinholeCamera as they are, or with one of their numbers larger by `change`."""
         rows = np.zeros(len(self), np.dtype(cast(Any, PinholeCamera).numpy_dtype()))
-        rotations, centres, zooms = self.poses[:, :3, :3], self.poses[:, :3, 3] - self.center, self.zooms[self.lenses]
+        rotations, centers, zooms = self.poses[:, :3, :3], self.poses[:, :3, 3] - self.center, self.zooms[self.lenses]
         if number is not None and number < 3:
             rotations = turned(rotations, np.tile(change * np.eye(3)[number], (len(self), 1)))
         elif number is not None and number < 6:
-            centres = centres + self.reach * change * rotations[:, :, number - 3]
+            centers = centers + self.reach * change * rotations[:, :, number - 3]
         elif number is not None:
             zooms = zooms + change
-        rows["centre"], rows["rotation"] = centres, rotations
+        rows["center"], rows["rotation"] = centers, rotations
         rows["focal"] = np.array([[c.fx, c.fy] for c in self.given]) * np.exp(zooms)[:, None]
         rows["principal_point"] = [[c.cx, c.cy] for c in self.given]
         rows["width"], rows["height"] = [c.width for c in self.given], [c.height for c in self.given]
@@ -406,11 +406,11 @@ def tuned_scene(field: VoxelField, scene: Scene) -> Scene:
         around = field.background_model if behind is None else None
         has_front = isinstance(around, OuterField)
 
-        def gather(rays: Any, colours: wp.array, front: wp.array | None) -> None:
+        def gather(rays: Any, colors: wp.array, front: wp.array | None) -> None:
             if isinstance(around, OuterField):
-                launch(gather_outer, colours.size, [around.grid, rays], [front, colours], device=device)
+                launch(gather_outer, colors.size, [around.grid, rays], [front, colors], device=device)
             elif around is not None:
-                launch(gather_background, colours.size, [around.layers, rays], [colours], device=device)
+                launch(gather_background, colors.size, [around.layers, rays], [colors], device=device)
 
         for step in range(STEPS):
             batches.rays.cameras = refinement.uploaded()

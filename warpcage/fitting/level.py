@@ -126,9 +126,9 @@ class Level:
         self.field, self.nodes = _started(mask, self.field.bounds, self.field.background)
         self.allocate()
 
-    def paint(self, colour: np.ndarray) -> None:
+    def paint(self, color: np.ndarray) -> None:
         """Give all rows one colour (3,), from all directions."""
-        red, green, blue = (np.asarray(colour, np.float64) - 0.5) / CONSTANT_HARMONIC
+        red, green, blue = (np.asarray(color, np.float64) - 0.5) / CONSTANT_HARMONIC
         orange, difference = 0.5 * (red - blue), (green - 0.5 * (red + blue)) / 1.5
         row = np.zeros(COEFFICIENTS, np.float32)
         row[[0, 16, 20]] = green - difference, orange, difference

@@ -36,7 +36,7 @@ from .surroundings import (
     OuterOptimizer,
     chosen_background,
     layers_that_fit,
-    mean_colour,
+    mean_color,
 )
 
 #: The cells per node of the first level are those of this grid: its own resolution follows from the memory.
@@ -130,7 +130,7 @@ class FieldOptimizer:
         del mask
         self.has_around = around is not None
         if around == "outer":  # which begins with this colour too, and would explain all if the field did not
-            self.current.paint(mean_colour(scene))
+            self.current.paint(mean_color(scene))
         self._activate_tiles()
         batch_tiles, level_steps = plan_batches(
             self.options, math.prod(scene.images.shape[:3]), self.batches.active_tiles
@@ -143,7 +143,7 @@ class FieldOptimizer:
             if side is None:
                 side = min(max(self.planned[-1]), self.options.max_outer_resolution)
             self.background = OuterOptimizer(
-                mean_colour(scene),
+                mean_color(scene),
                 self.bounds,
                 scene.cameras,
                 self.options,
@@ -155,7 +155,7 @@ class FieldOptimizer:
             )
         if around == "layers":
             self.background = BackgroundOptimizer(
-                mean_colour(scene),
+                mean_color(scene),
                 scene.surroundings is not None,
                 self.bounds,
                 self.options,

@@ -120,17 +120,17 @@ def plan_batches(options: FitOptions, pixels: int, active_tiles: int) -> tuple[i
     return batch_tiles, [max(1, round(float(share) * steps)) for share in shares]
 
 
-def pixel_size(cameras: list[Camera], centre: np.ndarray) -> float:
+def pixel_size(cameras: list[Camera], center: np.ndarray) -> float:
     """Median over the views of the width of a pixel at `centre` (3,), world units."""
-    return float(np.median([np.linalg.norm(camera.centre - centre) / camera.fx for camera in cameras]))
+    return float(np.median([np.linalg.norm(camera.center - center) / camera.fx for camera in cameras]))
 
 
-def scarcity(cameras: list[Camera], centre: np.ndarray, voxel: float, supersampling: int = 1) -> float:
+def scarcity(cameras: list[Camera], center: np.ndarray, voxel: float, supersampling: int = 1) -> float:
     """How few rays see a voxel, relative to PLENTY: 1 where there are as many or more, 2 where there are half as many.
-    centre: (3,) of the object, voxel: side of one of the last level, world units."""
+    center: (3,) of the object, voxel: side of one of the last level, world units."""
     # A prior has to be weighed against the evidence, and the photometric loss is a mean. Where fewer pixels show each
     # voxel, the weight of the total variation must grow as much, or the field matches these views and little else.
-    seen = len(cameras) * (supersampling * voxel / pixel_size(cameras, centre)) ** 2
+    seen = len(cameras) * (supersampling * voxel / pixel_size(cameras, center)) ** 2
     return float(np.clip(PLENTY / max(seen, 1e-9), 1.0, MOST_SCARCE))
 
 

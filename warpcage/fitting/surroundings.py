@@ -47,7 +47,7 @@ LAYER_NODE_BYTES, LAYER_COLOR_BYTES = 16, 12
 UNMET_DIFFERENCE = 1e-6
 
 #: Every how many pixels the mean colour takes one.
-COLOUR_STRIDE = 8
+COLOR_STRIDE = 8
 
 
 def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
@@ -102,7 +102,7 @@ class BackgroundOptimizer:
 
     def __init__(
         self,
-        colour: np.ndarray,
+        color: np.ndarray,
         # False for whole pictures, whose every ray the field and the layers explain together; True for split ones,
         # whose surroundings the layers explain alone
         split: bool,
@@ -120,7 +120,7 @@ class BackgroundOptimizer:
         # cells along a layer's edge in each level
         self.sides = [max(2, round(side / 2 ** (options.levels - 1 - level))) for level in range(options.levels)]
         self.start = np.empty(4, np.float32)  #: of each node
-        self.start[:3] = colour
+        self.start[:3] = color
         self.start[3] = -math.log(1.0 - START_OPACITY) / (options.background_layers - 1)
         self.layers = self._untouched(0)
         # (layers, nodes) vec4 for each shard, as the second moments
@@ -162,8 +162,8 @@ class BackgroundOptimizer:
     @property
     def held_bytes(self) -> int:
         """Device memory of the layers of this level, and of the colours behind a batch."""
-        colours = self.batch_rays * (1 if self.behind is None else 2)
-        return LAYER_NODE_BYTES * self.layers.values.size * (2 + self.shards) + LAYER_COLOR_BYTES * colours
+        colors = self.batch_rays * (1 if self.behind is None else 2)
+        return LAYER_NODE_BYTES * self.layers.values.size * (2 + self.shards) + LAYER_COLOR_BYTES * colors
 
     @property
     def grad_behind(self) -> wp.array | None:
@@ -256,9 +256,9 @@ class BackgroundOptimizer:
         )
 
 
-def mean_colour(scene: Scene) -> np.ndarray:
+def mean_color(scene: Scene) -> np.ndarray:
     """(3,) mean colour of a scene's pictures, or of what masks split off them."""
-    thinned = slice(None), slice(None, None, COLOUR_STRIDE), slice(None, None, COLOUR_STRIDE)
+    thinned = slice(None), slice(None, None, COLOR_STRIDE), slice(None, None, COLOR_STRIDE)
     if scene.surroundings is None or scene.alphas is None:
         return scene.images[thinned].reshape(-1, 3).mean(axis=0)
     share = (1.0 - scene.alphas[thinned]).sum()
@@ -292,7 +292,7 @@ SKY_NAMES = ("outer_sky", "outer_sky_moments")
 EPSILON = 1e-12
 
 #: Bytes of a value, a gradient or a moment; of a row's place; of a node's row and skip; of a ray's front; of a colour.
-VALUE_BYTES, PLACE_BYTES, NODE_BYTES, FRONT_BYTES, COLOUR_BYTES = 16, 12, 5, 16, 12
+VALUE_BYTES, PLACE_BYTES, NODE_BYTES, FRONT_BYTES, COLOR_BYTES = 16, 12, 5, 16, 12
 
 
 class OuterOptimizer:
@@ -301,7 +301,7 @@ class OuterOptimizer:
 
     def __init__(
         self,
-        colour: np.ndarray,
+        color: np.ndarray,
         bounds: np.ndarray,
         cameras: list[Camera],
         options: FitOptions,
@@ -318,7 +318,7 @@ class OuterOptimizer:
         self.batch_rays = batch_rays
         self.center, self.half = bounds.mean(axis=0), 0.5 * (bounds[1] - bounds[0])
         # of all voxels at the start, and of the sky
-        self.colour = np.asarray(colour, np.float32)
+        self.color = np.asarray(color, np.float32)
         self.cameras = cameras
         unit = 2 ** (options.levels - 1)
         # voxels along a side in each level; made coarser during the fit where memory is short
@@ -332,8 +332,8 @@ class OuterOptimizer:
         self.moments = wp.zeros(0, dtype=wp.vec4, device=device)
         # grid indices of each row
         self.nodes = wp.zeros(0, dtype=wp.vec3i, device=device)
-        colours = np.broadcast_to(self.colour, (surface_node_count(SKY_SIDE), 3))
-        self.outer = self._started(self.possible(self.sides[0]), sky_layers(colours, device).values)
+        colors = np.broadcast_to(self.color, (surface_node_count(SKY_SIDE), 3))
+        self.outer = self._started(self.possible(self.sides[0]), sky_layers(colors, device).values)
         self._allocate()
         # what is before and behind the box for each ray of a batch; a front also has the light that passes. The field's
         # march leaves the gradients of the loss by both.
@@ -342,8 +342,8 @@ class OuterOptimizer:
 
     def possible(self, side: int) -> wp.array:
         """(side, side, side) uint8 mask of voxels that may hold anything, by where cameras stand and look."""
-        centres = np.stack([camera.centre for camera in self.cameras]) - self.center
-        nearest = NEAREST_SHARE * float(np.linalg.norm(centres, axis=1).min())
+        centers = np.stack([camera.center for camera in self.cameras]) - self.center
+        nearest = NEAREST_SHARE * float(np.linalg.norm(centers, axis=1).min())
         least = max(1, math.ceil(FRONT_SHARE * len(self.cameras)))
         mask = empty_array((side, side, side), wp.uint8, self.device)
         cameras = camera_array(self.cameras, self.center, self.device)
@@ -354,7 +354,7 @@ class OuterOptimizer:
     def _started(self, mask: wp.array, sky: wp.array) -> OuterField:
         """An outer field as it starts, of a mask's voxels, which become `nodes`, and a sky."""
         links, self.nodes = link_mask(mask)
-        start = wp.vec4(*map(float, self.colour), START_DEPTH)
+        start = wp.vec4(*map(float, self.color), START_DEPTH)
         values = wp.full(self.nodes.shape[0], start, dtype=wp.vec4, device=self.device)
         return OuterField(self.center, self.half, links, values, sky=sky, device=self.device)
 
@@ -384,7 +384,7 @@ class OuterOptimizer:
         rows, side = self.nodes.shape[0], self.outer.side
         grid = row_bytes(self.shards) * rows + 4 * side**3 + (side - 1) ** 3
         sky = VALUE_BYTES * (3 + self.shards) * self.sky_moments.size
-        return grid + sky + 2 * (FRONT_BYTES + COLOUR_BYTES) * self.batch_rays
+        return grid + sky + 2 * (FRONT_BYTES + COLOR_BYTES) * self.batch_rays
 
     def _memory(self) -> FitMemory:
         """What other levels take."""
@@ -548,8 +548,8 @@ class OuterOptimizer:
             raise ValueError("the sky holds values that cannot be")
         self.sides = sides
         self._release()
-        colours = wp.array(np.ascontiguousarray(sky[None], np.float32), dtype=wp.vec4, device=self.device)
-        self.outer = self._started(wp.array(occupied, dtype=wp.uint8, device=self.device), colours)
+        colors = wp.array(np.ascontiguousarray(sky[None], np.float32), dtype=wp.vec4, device=self.device)
+        self.outer = self._started(wp.array(occupied, dtype=wp.uint8, device=self.device), colors)
         self._allocate()
         self.sky_moments.assign(np.ascontiguousarray(sky_moments[None], np.float32))
         self.outer.grid.values.assign(values.astype(np.float32))

@@ -39,7 +39,7 @@ class ClosedFormSolver(MapSolver):
         # indices of these faces stay in here: all others mean the lattice's
         self._faces = wp.array(lattice.cage.topology.fans.faces, dtype=wp.vec3i, device=self.device)
         self._fans = empty_array(2 * self._faces.size, wp.vec4, self.device)
-        self._vertices = lattice.constants.centred.array
+        self._vertices = lattice.constants.centered.array
         self._size = float(lattice.resolution)  # of the cage, node units
 
     def clear(self, sizes: PoseSizes) -> None:

@@ -210,10 +210,10 @@ class HarmonicSolver(MapSolver):
         require_loaded(cycle_coarse_levels, self.device, BLOCK_THREADS)
         wp.launch(cycle_coarse_levels, dim=threads, inputs=inputs, device=self.device, block_dim=BLOCK_THREADS)
 
-    def _relax(self, level: int, colour: int, half_sweeps: int, inside: np.ndarray) -> None:
+    def _relax(self, level: int, color: int, half_sweeps: int, inside: np.ndarray) -> None:
         """Launch half sweeps, the colours in turn."""
         for half in range(half_sweeps):
-            at = (colour + half) % 2
+            at = (color + half) % 2
             self._sweep(relax_laplace, int(inside[level, at]), [level, at, self._system])
 
     def _measure(self, kernel, count: int) -> None:

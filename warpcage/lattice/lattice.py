@@ -188,7 +188,7 @@ class LatticeConstants(PoseConstants):
         # flags: (FLAGS,) zeros, see PoseFlags; scales: (1,) world units per cell; shapes: (L, 3) nodes along each axis
         # of each level; first_node, first_column: (L + 1,) where each level's begin; vertices: (v, 3) the cage's, node
         # units; centred: (v, 3) the same, from the middle of the lattice
-        (self.flags, self.scales, self.shapes, self.first_node, self.first_column, self.vertices, self.centred) = (
+        (self.flags, self.scales, self.shapes, self.first_node, self.first_column, self.vertices, self.centered) = (
             self.slots
         )
 
@@ -262,7 +262,7 @@ class CageLattice:
         constants.first_node.host[:] = layout.first_node
         constants.first_column.host[:] = layout.first_column
         constants.vertices.host[:] = scaled
-        constants.centred.host[:] = scaled - (np.array(shape) - 1) // 2
+        constants.centered.host[:] = scaled - (np.array(shape) - 1) // 2
 
     @in_turn
     def measure(self) -> CageLattice:

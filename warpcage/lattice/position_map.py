@@ -439,12 +439,12 @@ def fit_affine(source: ClosedMesh, target: ClosedMesh) -> tuple[np.ndarray, np.n
     # Nearest by least squares. Vertices that no face uses do not count.
     unused = source.topology.unused_vertices
     a, b = (np.delete(cage.vertices, unused, axis=0) if len(unused) else cage.vertices for cage in (source, target))
-    centre, middle = a.mean(axis=0), b.mean(axis=0)
-    a, b = a - centre, b - middle
+    center, middle = a.mean(axis=0), b.mean(axis=0)
+    a, b = a - center, b - middle
     spread = a.T @ a
     if np.linalg.det(spread) > 1e-18 * np.trace(spread) ** 3:
         matrix = np.linalg.solve(spread, a.T @ b).T
     else:  # almost flat: leave out directions that the vertices do not span
         size = source.size
         matrix = np.linalg.lstsq(a / size, b, rcond=1e-9)[0].T / size
-    return matrix, middle - matrix @ centre
+    return matrix, middle - matrix @ center

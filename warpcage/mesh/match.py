@@ -163,7 +163,7 @@ class _Mesh:
     vertices: np.ndarray
     faces: np.ndarray
     twin: np.ndarray
-    colour: np.ndarray  # (v,) uint64, equal for vertices that look the same up to a few edges away
+    color: np.ndarray  # (v,) uint64, equal for vertices that look the same up to a few edges away
     part: np.ndarray  # (f,)
     part_count: int
 
@@ -177,18 +177,18 @@ class _Mesh:
         twin = np.where(keys[order][place] == back, order[place], len(keys))
         has = np.flatnonzero(twin < len(keys))
         part, count = connected_parts(len(faces), has // 3, twin[has] // 3)
-        return cls(vertices, faces, np.append(twin, len(keys)), _colours(len(vertices), start, end), part, count)
+        return cls(vertices, faces, np.append(twin, len(keys)), _colors(len(vertices), start, end), part, count)
 
 
-def _colours(count: int, start: np.ndarray, end: np.ndarray, rounds: int = 6) -> np.ndarray:
+def _colors(count: int, start: np.ndarray, end: np.ndarray, rounds: int = 6) -> np.ndarray:
     """(v,) uint64 by colour refinement (Weisfeiler and Leman 1968) over neighbours, the same for any numbering."""
-    colour = np.bincount(start, minlength=count).astype(np.uint64)
+    color = np.bincount(start, minlength=count).astype(np.uint64)
     for _ in range(rounds):
         total = np.zeros(count, dtype=np.uint64)
-        np.add.at(total, start, _mixed(colour)[end])
-        np.add.at(total, end, _mixed(colour + np.uint64(7))[start])
-        colour = _mixed(colour ^ (total * np.uint64(0x9E3779B97F4A7C15)))
-    return colour
+        np.add.at(total, start, _mixed(color)[end])
+        np.add.at(total, end, _mixed(color + np.uint64(7))[start])
+        color = _mixed(color ^ (total * np.uint64(0x9E3779B97F4A7C15)))
+    return color
 
 
 def _mixed(value: np.ndarray) -> np.ndarray:
@@ -233,8 +233,8 @@ def _correspondence(rest: _Mesh, pose: _Mesh) -> np.ndarray | None:
 def _walk(mesh: _Mesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """An order of the part's faces in which each is entered over an edge of an earlier one: the half-edge (n,) over
     which each is entered, and where it came from (n, 2): place in this list and corner."""
-    corner = mesh.colour[mesh.faces[faces]].reshape(-1)
-    kind = _mixed(corner * np.uint64(3) + np.roll(mesh.colour[mesh.faces[faces]], -1, axis=1).reshape(-1))
+    corner = mesh.color[mesh.faces[faces]].reshape(-1)
+    kind = _mixed(corner * np.uint64(3) + np.roll(mesh.color[mesh.faces[faces]], -1, axis=1).reshape(-1))
     _, which, count = np.unique(kind, return_inverse=True, return_counts=True)
     # the half-edge whose ends are the least like others
     first = int(np.argmin(count[which]))
@@ -260,7 +260,7 @@ def _replayed(
     vertices, first = np.unique(trail, return_index=True)
     halves = np.flatnonzero(np.repeat(pose.part == part, 3))
     begins = pose.faces.reshape(-1)[_corners(halves)[:, :2]]
-    halves = halves[(pose.colour[begins] == rest.colour[trail[:2]]).all(axis=1)]
+    halves = halves[(pose.color[begins] == rest.color[trail[:2]]).all(axis=1)]
     found = []
     for block in (halves[k : k + _WALKS] for k in range(0, len(halves), _WALKS)):
         image = np.empty((len(block), len(entered)), dtype=np.int64)

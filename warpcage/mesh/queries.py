@@ -53,15 +53,15 @@ def inside_mesh(
 def _inside(points: np.ndarray, mesh: ClosedMesh, tolerance: float, device: wp.Device) -> np.ndarray:
     # float32 relative to the mesh's middle, so that a mesh far from the origin keeps its digits, and to its size, so
     # that products of lengths stay in range
-    centre, size = mesh.bounds.mean(axis=0), mesh.size
+    center, size = mesh.bounds.mean(axis=0), mesh.size
     inside = np.zeros(len(points), dtype=bool)
     reach = tolerance * size
     near = np.flatnonzero(((points >= mesh.bounds[0] - reach) & (points <= mesh.bounds[1] + reach)).all(axis=1))
-    vertices = wp.array(((mesh.vertices - centre) / size).astype(np.float32), dtype=wp.vec3, device=device)
+    vertices = wp.array(((mesh.vertices - center) / size).astype(np.float32), dtype=wp.vec3, device=device)
     faces = wp.array(mesh.faces, dtype=wp.vec3i, device=device)
 
     def measure(kernel: Kernel, rows: np.ndarray) -> np.ndarray:
-        local = wp.array(((points[rows] - centre) / size).astype(np.float32), dtype=wp.vec3, device=device)
+        local = wp.array(((points[rows] - center) / size).astype(np.float32), dtype=wp.vec3, device=device)
         values = wp.empty(len(rows), dtype=wp.float32, device=device)  # pyright: ignore[reportArgumentType]
         launch(kernel, len(rows), [local, vertices, faces], [values], device=device, work=len(mesh.faces))
         return values.numpy()

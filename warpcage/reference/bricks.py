@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .solids import Colour, Model, Part, box, centred, cylinder, joined, turned
+from .solids import Color, Model, Part, box, centered, cylinder, joined, turned
 
 STUD = 0.17  # world units from one stud to the next
 STUD_RADIUS, STUD_HEIGHT = 0.3, 0.2  # of that pitch, as on the real toy
@@ -20,8 +20,8 @@ GREEN, GLASS, ORANGE = (0.12, 0.55, 0.25), (0.50, 0.76, 0.90), (0.98, 0.48, 0.06
 def brick_model() -> Model:
     """An excavator built of bricks, about 2 units long, centred at the origin, z up, its arm towards +x.
     Every part is a closed surface, counterclockwise seen from outside; parts touch and overlap."""
-    vertices, faces, colours = joined([*_tracks(), *_house(), *_cabin(), *_arm()])
-    return centred(vertices) * STUD, faces, colours
+    vertices, faces, colors = joined([*_tracks(), *_house(), *_cabin(), *_arm()])
+    return centered(vertices) * STUD, faces, colors
 
 
 # The model in studs: +x ahead, +y to the left, z = 0 on the ground.
@@ -113,17 +113,17 @@ def _arm() -> Iterator[Part]:
     yield from _bucket(wrist)
 
 
-def _limb(start: np.ndarray, end: np.ndarray, half: float, colour: Colour) -> Iterator[Part]:
+def _limb(start: np.ndarray, end: np.ndarray, half: float, color: Color) -> Iterator[Part]:
     """A beam of bricks from start to end with studs along its upper side."""
     along = end - start
     length, angle = float(np.linalg.norm(along)), float(np.degrees(np.arctan2(along[2], along[0])))
     flip = -1.0 if angle < -90 or angle > 90 else 1.0
     whole = int(length)
     edge = (length - whole) / 2
-    yield turned(box((0, -0.8, -half), (length, 0.8, half), colour), angle, start)
+    yield turned(box((0, -0.8, -half), (length, 0.8, half), color), angle, start)
     for i in range(whole):
         foot = (edge + i + 0.5, 0.0, half * flip)
-        stud = cylinder(foot, (foot[0], 0.0, foot[2] + flip * 1.2 * STUD_HEIGHT), STUD_RADIUS, colour, segments=12)
+        stud = cylinder(foot, (foot[0], 0.0, foot[2] + flip * 1.2 * STUD_HEIGHT), STUD_RADIUS, color, segments=12)
         yield turned(stud, angle, start)
     for y in (-0.86, 0.8):  # a dark stripe on either side
         yield turned(box((0.9, y, -0.22), (length - 0.9, y + 0.06, 0.22), DARK), angle, start)
@@ -144,13 +144,13 @@ def _bucket(wrist: np.ndarray) -> Iterator[Part]:
         yield turned(box((1.9, y, -0.85), (2.4, y + 0.5, -0.65), SILVER), turn, foot)
 
 
-def _brick(corner: ArrayLike, size: ArrayLike, colour: Colour, studs: bool = True) -> Iterator[Part]:
+def _brick(corner: ArrayLike, size: ArrayLike, color: Color, studs: bool = True) -> Iterator[Part]:
     """A brick of size (studs, studs, height), with studs on top unless it is to be smooth."""
     corner, size = np.asarray(corner, np.float64), np.asarray(size, np.float64)
     gap = np.array([SEAM, SEAM, 0.0])
-    yield box(corner + gap, corner + size - gap, colour)
+    yield box(corner + gap, corner + size - gap, color)
     if studs:
         top = corner[2] + size[2]
         for x in corner[0] + 0.5 + np.arange(int(size[0])):
             for y in corner[1] + 0.5 + np.arange(int(size[1])):
-                yield cylinder((x, y, top), (x, y, top + STUD_HEIGHT), STUD_RADIUS, colour, segments=12)
+                yield cylinder((x, y, top), (x, y, top + STUD_HEIGHT), STUD_RADIUS, color, segments=12)

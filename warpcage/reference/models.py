@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .bricks import brick_model
-from .solids import Model, Part, ball, box, centred, cylinder, joined
+from .solids import Model, Part, ball, box, centered, cylinder, joined
 
 #: Cells along the longest side of the box in which its surface is found.
 ANIMAL_CELLS = 110
@@ -29,9 +29,9 @@ def animal_model() -> Model:
         _smooth_union(nodes, limbs), 0.0, spacing=(spacing,) * 3, gradient_direction="ascent"
     )
     vertices = vertices + low
-    colours = _animal_colours(vertices[faces].mean(axis=1))
-    vertices = centred(vertices)
-    return vertices, _facing_out(vertices, faces.astype(np.int32)), colours.astype(np.float32)
+    colors = _animal_colors(vertices[faces].mean(axis=1))
+    vertices = centered(vertices)
+    return vertices, _facing_out(vertices, faces.astype(np.int32)), colors.astype(np.float32)
 
 
 def _animal_limbs() -> Iterator[tuple[float, ...]]:
@@ -63,15 +63,15 @@ def _smooth_union(points: np.ndarray, limbs: np.ndarray, blend: float = 0.025) -
     return -blend * np.log(np.maximum(total, 1e-300))
 
 
-def _animal_colours(places: np.ndarray) -> np.ndarray:
+def _animal_colors(places: np.ndarray) -> np.ndarray:
     """Brown above, pale below, dark hooves, stripes across the back."""
     height = places[:, 2:]
     pale = 1 / (1 + np.exp((height + 0.12) / 0.04))
-    colours = (1 - pale) * np.array([0.66, 0.38, 0.16]) + pale * np.array([0.86, 0.78, 0.64])
+    colors = (1 - pale) * np.array([0.66, 0.38, 0.16]) + pale * np.array([0.86, 0.78, 0.64])
     stripe = np.clip(2.5 * np.sin(22 * places[:, :1] + 3 * height) - 1.2, 0, 1) * np.clip(6 * (height + 0.05), 0, 1)
-    colours = (1 - 0.75 * stripe) * colours + 0.75 * stripe * np.array([0.92, 0.88, 0.78])
+    colors = (1 - 0.75 * stripe) * colors + 0.75 * stripe * np.array([0.92, 0.88, 0.78])
     hoof = 1 / (1 + np.exp((height + 0.80) / 0.01))
-    return (1 - hoof) * colours + hoof * np.array([0.14, 0.12, 0.11])
+    return (1 - hoof) * colors + hoof * np.array([0.14, 0.12, 0.11])
 
 
 def _facing_out(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -83,8 +83,8 @@ def _facing_out(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def chair_model() -> Model:
     """A chair of rods: legs of 0.05 units, a back of spindles half as thick, a slatted seat; 2 units high, z up.
     Every part is a closed surface, counterclockwise seen from outside; parts overlap."""
-    vertices, faces, colours = joined(_chair_parts())
-    return centred(vertices), faces, colours
+    vertices, faces, colors = joined(_chair_parts())
+    return centered(vertices), faces, colors
 
 
 def _chair_parts() -> Iterator[Part]:
@@ -121,14 +121,14 @@ def globe_model() -> Model:
     parts, rod = [], 0.02
     turn = 2 * np.pi * np.arange(28) / 28
 
-    def ring(points, colour):
+    def ring(points, color):
         for start, end in zip(points, np.roll(points, -1, axis=0), strict=True):
-            parts.append(cylinder(start, end, rod, colour, segments=8))
+            parts.append(cylinder(start, end, rod, color, segments=8))
 
     globe = np.array([0.0, 0.0, 0.35])
-    for tilt, colour in ((0, (0.8, 0.15, 0.1)), (60, (0.1, 0.3, 0.75)), (120, (0.15, 0.55, 0.25))):
+    for tilt, color in ((0, (0.8, 0.15, 0.1)), (60, (0.1, 0.3, 0.75)), (120, (0.15, 0.55, 0.25))):
         c, s = np.cos(np.radians(tilt)), np.sin(np.radians(tilt))
-        ring(globe + 0.62 * np.stack([c * np.cos(turn), s * np.cos(turn), np.sin(turn)], axis=1), colour)
+        ring(globe + 0.62 * np.stack([c * np.cos(turn), s * np.cos(turn), np.sin(turn)], axis=1), color)
     ring(globe + 0.62 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1), (0.9, 0.7, 0.1))
     feet = np.array([[0.3, 0.3], [-0.3, 0.3], [-0.3, -0.3], [0.3, -0.3]])
     levels = ((-0.95, 1.0), (-0.6, 0.7), (-0.27, 0.3))
@@ -164,10 +164,10 @@ def textured_model() -> Model:
     block = _quilted_box((-0.75, -0.55, -0.7), (0.75, 0.55, 0.2))
     ball_vertices, ball_faces, _ = ball((0.1, 0.0, 0.5), 0.45, (1, 1, 1), subdivisions=3)
     vertices, faces, _ = joined([block, (ball_vertices, ball_faces, (1, 1, 1))])
-    colours = random.uniform(0.05, 0.95, faces.shape).astype(np.float32)
+    colors = random.uniform(0.05, 0.95, faces.shape).astype(np.float32)
     quilted = len(block[1])
-    colours[1:quilted:2] = colours[:quilted:2]  # both triangles of a square
-    return vertices, faces, colours
+    colors[1:quilted:2] = colors[:quilted:2]  # both triangles of a square
+    return vertices, faces, colors
 
 
 def _quilted_box(low: ArrayLike, high: ArrayLike) -> Part:
@@ -209,6 +209,6 @@ def subdivided_model(name: str, longest_edge: float) -> Model:
 
     if name not in MODELS:
         raise ValueError(f"model {name!r} is not known: {', '.join(MODELS)}")
-    vertices, faces, colours = MODELS[name]()
+    vertices, faces, colors = MODELS[name]()
     vertices, faces, source = trimesh.remesh.subdivide_to_size(vertices, faces, longest_edge, return_index=True)  # pyright: ignore[reportAssignmentType]
-    return np.asarray(vertices), faces.astype(np.int32), colours[source]
+    return np.asarray(vertices), faces.astype(np.int32), colors[source]

@@ -105,9 +105,9 @@ def table_scene() -> Model:
     """The excavator of bricks on a table with a patchwork cloth and things around it, in a room of coloured panels.
     +z is up, the excavator around the origin."""
     rng = np.random.default_rng(5)
-    vertices, faces, colours = brick_model()
+    vertices, faces, colors = brick_model()
     vertices = vertices * np.array([1.0, 1.0, 1.0]) + [0.0, 0.0, TOP - vertices[:, 2].min()]
-    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = [(vertices, faces, colours)]
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = [(vertices, faces, colors)]
     parts.append(_patchwork([-TABLE, -TABLE, TOP], [2 * TABLE, 0, 0], [0, 2 * TABLE, 0], 30, rng))
     for k in range(4):  # walls, seen from inside
         turn = 0.5 * np.pi * k
@@ -132,8 +132,8 @@ def _patchwork(corner, side, other, count: int, rng: np.random.Generator) -> Mod
     place = np.arange((count + 1) ** 2).reshape(count + 1, count + 1)
     a, b, c, d = (place[:-1, :-1], place[:-1, 1:], place[1:, 1:], place[1:, :-1])
     faces = np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=2).reshape(-1, 3)
-    colours = np.repeat(rng.uniform(0.15, 0.95, (count * count, 3)), 2, axis=0)
-    return vertices, faces.astype(np.int32), colours.astype(np.float32)
+    colors = np.repeat(rng.uniform(0.15, 0.95, (count * count, 3)), 2, axis=0)
+    return vertices, faces.astype(np.int32), colors.astype(np.float32)
 
 
 def _things(rng: np.random.Generator) -> Iterator[Part]:

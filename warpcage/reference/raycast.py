@@ -23,7 +23,7 @@ HIGHLIGHT, SHININESS = 0.22, 18.0
 def render_mesh_views(
     vertices: ArrayLike,  # (v, 3) world units
     faces: ArrayLike,  # (f, 3) indices of vertices
-    colours: ArrayLike,  # (f, 3) in [0, 1]
+    colors: ArrayLike,  # (f, 3) in [0, 1]
     cameras: Sequence[Camera],  # of one image size
     *,
     samples: int = 3,  # rays along each side of a pixel
@@ -33,19 +33,19 @@ def render_mesh_views(
 ) -> np.ndarray:
     """Ray cast a mesh, lit from above (+z), from each camera: (n, h, w, 4) float32, straight alpha.
     The colour is 0 where alpha is 0."""
-    vertices, faces, colours = checked_mesh(vertices, faces, colours)
+    vertices, faces, colors = checked_mesh(vertices, faces, colors)
     cameras = list(cameras)
     width, height = common_size(cameras)
     require_samples(samples)
     device = resolve_device(device)
     origin = vertices.mean(axis=0)
     mesh = device_mesh(vertices, faces, origin, device)
-    face_colours = wp.array(colours, dtype=wp.vec3, device=device)
+    face_colors = wp.array(colors, dtype=wp.vec3, device=device)
     lighting = mesh_lighting(float(np.ptp(vertices, axis=0).max()), highlight, shininess)
     rgba = wp.zeros(width * height, dtype=wp.vec4, device=device)
     views = np.empty((len(cameras), height, width, 4), np.float32)
     for view, camera in zip(views, cameras, strict=True):
-        inputs = [mesh.id, face_colours, lighting, camera_struct(camera, origin), samples]
+        inputs = [mesh.id, face_colors, lighting, camera_struct(camera, origin), samples]
         launch(cast_mesh_rays, width * height, inputs, [rgba], device=device)
         view[...] = rgba.numpy().reshape(height, width, 4)
     return views
@@ -56,11 +56,11 @@ def mesh_lighting(size: float, highlight: float = HIGHLIGHT, shininess: float = 
     lighting = MeshLighting()
     lighting.highlight, lighting.shininess = highlight, shininess
     lighting.key_direction = wp.normalize(wp.vec3(0.45, -0.6, 0.9))  # pyright: ignore[reportCallIssue, reportArgumentType]
-    lighting.key_colour = wp.vec3(0.66, 0.64, 0.59)
+    lighting.key_color = wp.vec3(0.66, 0.64, 0.59)
     lighting.fill_direction = wp.normalize(wp.vec3(-0.6, 0.7, 0.25))  # pyright: ignore[reportCallIssue, reportArgumentType]
-    lighting.fill_colour = wp.vec3(0.24, 0.26, 0.29)
-    lighting.sky_colour = wp.vec3(0.60, 0.62, 0.66)
-    lighting.ground_colour = wp.vec3(0.46, 0.43, 0.40)
+    lighting.fill_color = wp.vec3(0.24, 0.26, 0.29)
+    lighting.sky_color = wp.vec3(0.60, 0.62, 0.66)
+    lighting.ground_color = wp.vec3(0.46, 0.43, 0.40)
     lighting.reach, lighting.offset = 0.15 * size, 1e-4 * size
     return lighting
 
@@ -75,21 +75,19 @@ def device_mesh(
     return wp.Mesh(points=points, indices=indices, support_winding_number=winding)
 
 
-def checked_mesh(
-    vertices: ArrayLike, faces: ArrayLike, colours: ArrayLike
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def checked_mesh(vertices: ArrayLike, faces: ArrayLike, colors: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """vertices (v, 3) float64, faces (f, 3) int32, colours (f, 3) float32. Raises ValueError where they do not fit."""
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int32)
-    colours = np.asarray(colours, np.float32)
+    colors = np.asarray(colors, np.float32)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
         raise ValueError(f"vertices must be finite (v, 3), got shape {vertices.shape}")
     if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
         raise ValueError(f"faces must be (f, 3), got shape {faces.shape}")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError(f"faces must be indices from 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}")
-    if colours.shape != faces.shape:
-        raise ValueError(f"colours must hold one colour per face, {faces.shape}, got {colours.shape}")
-    return vertices, faces, colours
+    if colors.shape != faces.shape:
+        raise ValueError(f"colours must hold one colour per face, {faces.shape}, got {colors.shape}")
+    return vertices, faces, colors
 
 
 def common_size(cameras: Sequence[Camera]) -> tuple[int, int]:
@@ -116,7 +114,7 @@ class CarriedMesh:
         self,
         vertices: ArrayLike,  # (v, 3) world units
         faces: ArrayLike,  # (f, 3) indices of vertices
-        colours: ArrayLike,  # (f, 3) in [0, 1]
+        colors: ArrayLike,  # (f, 3) in [0, 1]
         *,
         # amplitude of the noise over the colours (0 leaves them plain), frequency per world unit
         texture: tuple[float, float] = (0.35, 9.0),
@@ -124,9 +122,9 @@ class CarriedMesh:
         shininess: float = SHININESS,  # exponent of the specular term
         device: wp.DeviceLike = None,
     ):
-        self.vertices, self.faces, colours = checked_mesh(vertices, faces, colours)
+        self.vertices, self.faces, colors = checked_mesh(vertices, faces, colors)
         self.device = resolve_device(device)
-        self._colours = wp.array(colours, dtype=wp.vec3, device=self.device)
+        self._colors = wp.array(colors, dtype=wp.vec3, device=self.device)
         self._texture = SolidTexture()
         self._texture.amplitude, self._texture.frequency = map(float, texture)
         self._lighting = mesh_lighting(float(np.ptp(self.vertices, axis=0).max()), highlight, shininess)
@@ -158,25 +156,25 @@ class CarriedMesh:
         directions = wp.array(np.ascontiguousarray(matrices, np.float32), dtype=wp.mat33, device=self.device)
         rgba = wp.empty(height * width, dtype=wp.vec4, device=self.device)  # pyright: ignore[reportArgumentType]
         depth = wp.empty(height * width, dtype=wp.float32, device=self.device)  # pyright: ignore[reportArgumentType]
-        colours = np.empty((len(cameras), height, width, 4), np.float32)
+        colors = np.empty((len(cameras), height, width, 4), np.float32)
         distances = np.empty((len(cameras), height, width), np.float32)
-        scene = [mesh.id, self._rest.id, self._colours, directions, self._texture, self._lighting, int(light_stays)]
+        scene = [mesh.id, self._rest.id, self._colors, directions, self._texture, self._lighting, int(light_stays)]
         for view, camera in enumerate(cameras):
             inputs = [*scene, camera_struct(camera, origin), samples]
             launch(cast_carried_rays, len(rgba), inputs, [rgba, depth], device=self.device)
-            colours[view] = rgba.numpy().reshape(height, width, 4)
+            colors[view] = rgba.numpy().reshape(height, width, 4)
             distances[view] = depth.numpy().reshape(height, width)
-        return colours, distances
+        return colors, distances
 
     def shade(self, faces: ArrayLike, corners: ArrayLike, directions: ArrayLike) -> np.ndarray:
         """Colours (n, m, 3) float32 of points of the mesh at rest, from m sides each, as if nothing was between."""
         # unit vectors (n, m, 3) from the eye to the point
         towards = wp.array(np.ascontiguousarray(directions, np.float32), dtype=wp.vec3, device=self.device)
         numbers = np.asarray(faces, np.int32)  # (n,) the face that each point lies on
-        colours = empty_array(towards.shape, wp.vec3, self.device)
+        colors = empty_array(towards.shape, wp.vec3, self.device)
         inputs = [
             self._rest.id,
-            self._colours,
+            self._colors,
             self._texture,
             self._lighting,
             wp.array(numbers, dtype=wp.int32, device=self.device),
@@ -185,8 +183,8 @@ class CarriedMesh:
             towards,
         ]
         work = 100 * towards.shape[1]
-        launch(shade_surface_points, len(numbers), inputs, [colours], device=self.device, work=work)
-        return colours.numpy()
+        launch(shade_surface_points, len(numbers), inputs, [colors], device=self.device, work=work)
+        return colors.numpy()
 
     def signed_distances(self, points: ArrayLike) -> np.ndarray:
         """How far points (n, 3) are from the mesh at rest: (n,) float32, world units, negative inside.

@@ -64,14 +64,14 @@ def synthetic_scene(
         raise ValueError(f"scene kind {kind!r} is not known: {', '.join(KINDS)}")
     require_counts(train_views, test_views, size)
     chosen = KINDS[kind]
-    vertices, faces, colours = MODELS[chosen.model]()
+    vertices, faces, colors = MODELS[chosen.model]()
     vertices = chosen.scale * (vertices + chosen.shift + chosen.aside)
     target = chosen.scale * np.asarray(chosen.shift, np.float64)
     light = LIGHTS.get(chosen.model, {})
 
     def scene(eyes: np.ndarray) -> Scene:
         cameras = reference_cameras(target + chosen.scale * eyes, target, size)
-        rgba = render_mesh_views(vertices, faces, colours, cameras, samples=samples, device=device, **light)
+        rgba = render_mesh_views(vertices, faces, colors, cameras, samples=samples, device=device, **light)
         alphas = rgba[..., 3]
         images = rgba[..., :3] * alphas[..., None] + (1.0 - alphas[..., None])
         return Scene(images, alphas if alpha else None, cameras)
@@ -158,10 +158,10 @@ def room_cameras(count: int, size: int, seed: int) -> list[Camera]:
 
 def object_model() -> Model:
     """Bricks on the top of a table: vertices, faces and a colour for each face."""
-    vertices, faces, colours = MODELS["bricks"]()
+    vertices, faces, colors = MODELS["bricks"]()
     vertices = OBJECT_SCALE * (vertices - [0.0, 0.0, vertices[:, 2].min()]) + [0.0, 0.0, TABLE_TOP]
     low, high = [-TABLE_HALF] * 2 + [TABLE_BOTTOM], [TABLE_HALF] * 2 + [TABLE_TOP]
-    return _joined([(vertices, faces, colours), _box(low, high, _wood)])
+    return _joined([(vertices, faces, colors), _box(low, high, _wood)])
 
 
 def room_model() -> Model:
@@ -207,8 +207,8 @@ def _box(low, high, paint) -> Model:
 def _joined(parts: list[Model]) -> Model:
     counts = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
     faces = [part[1] + count for part, count in zip(parts, counts, strict=False)]
-    vertices, colours = (np.concatenate([part[n] for part in parts]) for n in (0, 2))
-    return vertices, np.concatenate(faces).astype(np.int32), colours.astype(np.float32)
+    vertices, colors = (np.concatenate([part[n] for part in parts]) for n in (0, 2))
+    return vertices, np.concatenate(faces).astype(np.int32), colors.astype(np.float32)
 
 
 def _noise(places: np.ndarray, waves: int, seed: int) -> np.ndarray:
@@ -239,12 +239,12 @@ def _paper(places: np.ndarray) -> np.ndarray:
     """Wallpaper with flowers, and a picture with a frame."""
     u, v = places[:, 0], places[:, 2]
     flower = np.hypot((u % 1.1) - 0.55, (v % 0.9) - 0.45)
-    colour = _mixed(0.5 + 0.3 * _noise(places, 5, 2), (0.75, 0.78, 0.66), (0.85, 0.84, 0.76))
-    colour = np.where((flower < 0.24)[:, None], _mixed(flower / 0.24, (0.75, 0.2, 0.25), (0.9, 0.6, 0.55)), colour)
+    color = _mixed(0.5 + 0.3 * _noise(places, 5, 2), (0.75, 0.78, 0.66), (0.85, 0.84, 0.76))
+    color = np.where((flower < 0.24)[:, None], _mixed(flower / 0.24, (0.75, 0.2, 0.25), (0.9, 0.6, 0.55)), color)
     frame = np.maximum(np.abs(u - 1.2) / 1.5, np.abs(v - 1.0) / 1.0)
     painting = _mixed(0.5 + 0.5 * _noise(2 * places, 8, 3), (0.1, 0.3, 0.5), (0.9, 0.8, 0.4))
-    colour = np.where((frame < 1)[:, None], (0.2, 0.14, 0.1), colour)
-    return np.where((frame < 0.88)[:, None], painting, colour)
+    color = np.where((frame < 1)[:, None], (0.2, 0.14, 0.1), color)
+    return np.where((frame < 0.88)[:, None], painting, color)
 
 
 def _bricks(places: np.ndarray) -> np.ndarray:
@@ -253,8 +253,6 @@ def _bricks(places: np.ndarray) -> np.ndarray:
     course = np.floor(v / 0.36)
     joint = (np.abs(v / 0.36 - course - 0.5) > 0.4) | (np.abs((u / 0.8 + 0.5 * (course % 2)) % 1 - 0.5) > 0.44)
     shade = 0.5 + 0.4 * np.sin(7.3 * np.floor(u / 0.8 + 0.5 * (course % 2)) + 3.1 * course)
-    colour = np.where(joint[:, None], (0.72, 0.7, 0.66), _mixed(shade, (0.5, 0.22, 0.16), (0.7, 0.38, 0.28)))
+    color = np.where(joint[:, None], (0.72, 0.7, 0.66), _mixed(shade, (0.5, 0.22, 0.16), (0.7, 0.38, 0.28)))
     door = (np.abs(u + 1.5) < 0.9) & (v < 1.4)
-    return np.where(
-        door[:, None], _mixed(0.5 + 0.4 * _noise(places, 5, 4), (0.15, 0.25, 0.3), (0.3, 0.45, 0.5)), colour
-    )
+    return np.where(door[:, None], _mixed(0.5 + 0.4 * _noise(places, 5, 4), (0.15, 0.25, 0.3), (0.3, 0.45, 0.5)), color)

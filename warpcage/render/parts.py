@@ -68,6 +68,6 @@ def scene_part(box: list[list[float]], is_first: bool, is_last: bool, states: wp
     part.is_first, part.is_last = int(is_first), int(is_last)
     if states is not None:
         rays = states.shape[1]
-        for row, name in enumerate(("progress", "colours", "masks")):
+        for row, name in enumerate(("progress", "colors", "masks")):
             setattr(part, name, array_view(states, wp.vec4, rays, offset=row * rays * STATE_BYTES))
     return part

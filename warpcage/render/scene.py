@@ -112,14 +112,14 @@ class LatticeEdits(PosedEdits):
         self._parts = PartsInTurn(device)
         self._tiles, self._begins = BalancedTiles(device), TileBegins(self._side)
 
-    def begin_view(self, field: VoxelField, centre: wp.vec3, step: float) -> None:
+    def begin_view(self, field: VoxelField, center: wp.vec3, step: float) -> None:
         self._side.mark()
         if self._flat:
-            self._plan = self._planned(field, centre, step)
+            self._plan = self._planned(field, center, step)
             if self._plan.is_shaded and self._shades.is_posed and not self._shades.is_known_folded:
-                self._shades.aim(centre)
+                self._shades.aim(center)
 
-    def row_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
+    def row_tables(self, field: VoxelField, center: wp.vec3, step: float) -> list[Any]:
         if not self._flat:
             return []  # where a new pose leads to is not known yet
         if not self._plan.is_shaded:
@@ -128,23 +128,23 @@ class LatticeEdits(PosedEdits):
             return []
         if self._shades.is_known_folded:
             return self._unshaded_tables(field)
-        return [self._shades.shades(field.grid, field.marching.columns, centre, step)]
+        return [self._shades.shades(field.grid, field.marching.columns, center, step)]
 
     def _unshaded_tables(self, field: VoxelField) -> list[Any]:
         """Rows, as the pose turns matter over."""
         self._plan = Plan(self._plan.parts, False)
         return [field.marching.rows()]
 
-    def _planned(self, field: VoxelField, centre: wp.vec3, step: float) -> Plan:
+    def _planned(self, field: VoxelField, center: wp.vec3, step: float) -> Plan:
         """How a view is marched."""
-        parts = self.scene_parts(centre, step)
+        parts = self.scene_parts(center, step)
         # where each voxel is seen from one direction only, which hardly changes over it, and where there is memory
         is_shaded = (
             not self._by_tiles
             and not self._has_crumbs
             and (self._is_single or parts is not None)
             and all(flat.nodes.shape[0] < MOST_LATTICE_NODES for flat in self._flat)
-            and field.marching.is_shaded(centre, self._lattice_boxes)
+            and field.marching.is_shaded(center, self._lattice_boxes)
             and shade_texture_bytes(field.marching.columns) <= self._most_shades
         )
         return Plan(parts, is_shaded)
@@ -175,11 +175,11 @@ class LatticeEdits(PosedEdits):
             return
         self.pose([None if edit.remove else edit.cage for edit in self._edits])
         low, high = field.bounds
-        centre = wp.vec3(*(FAR * (high - low)).tolist())
-        seen = SeenView(field, field.marching.grid(), centre, field.step)
+        center = wp.vec3(*(FAR * (high - low)).tolist())
+        seen = SeenView(field, field.marching.grid(), center, field.step)
         self._look_ahead(seen)
         if self._plan.is_shaded:
-            self._shades.aim(centre)
+            self._shades.aim(center)
             self._shades.walls(seen.grid, field.marching.columns)
         self._seen = seen  # by which the first pose goes
 
@@ -187,7 +187,7 @@ class LatticeEdits(PosedEdits):
         """Launch what the next view is likely to ask for: who saw the last pose will see this one, and the device would
         wait for the host between. A view of something else finds its own."""
         self.prepare(seen.grid, seen.step)
-        self._plan = self._planned(seen.field, seen.centre, seen.step)
+        self._plan = self._planned(seen.field, seen.center, seen.step)
         has_begun = self._begin_tables(seen.grid)
         if self._plan.is_shaded:
             self._find_places(seen.grid)
@@ -250,17 +250,17 @@ class LatticeEdits(PosedEdits):
         self._shades.pose(self._flat, [struct.cells for struct, _ in self.lattices.posed()], grid)
 
     def render(self, view: MarchedView) -> None:
-        field, centre, step = view.field, view.pinhole.centre, view.options.step
+        field, center, step = view.field, view.pinhole.center, view.options.step
         is_new = not view.rows or (self._plan.is_shaded and not self._shades.is_posed)
         rows = view.rows
         if is_new:
-            self.begin_view(field, centre, step)
-            rows = self.row_tables(field, centre, step)
+            self.begin_view(field, center, step)
+            rows = self.row_tables(field, center, step)
         has_begun = self._begin_tables(view.grid)
         begins = self._tile_begins(view)
         if is_new and self._plan.is_shaded:
             self._find_places(view.grid)
-            rows = self.row_tables(field, centre, step)
+            rows = self.row_tables(field, center, step)
         if has_begun:
             self._end_tables()
         else:
@@ -268,7 +268,7 @@ class LatticeEdits(PosedEdits):
         if self._plan.is_shaded and self._shades.is_folded():  # asked behind all that is launched for others
             rows = self._unshaded_tables(field)
         if self._looks_ahead:
-            self._seen = SeenView(field, view.grid, centre, step)
+            self._seen = SeenView(field, view.grid, center, step)
         view = dataclasses.replace(view, rows=rows)
         (parts, is_shaded), tiles = self._plan, view.threads // TILE_SIZE
         if parts is not None:
@@ -302,7 +302,7 @@ class LatticeEdits(PosedEdits):
         has_sides = needs_general_map(self._flat[0])
         return view_kernel(True, has_sides, large=view.threads >= LARGE_PICTURE and not has_sides)
 
-    def scene_parts(self, centre: wp.vec3, step: float) -> list[tuple[Any, np.ndarray]] | None:
+    def scene_parts(self, center: wp.vec3, step: float) -> list[tuple[Any, np.ndarray]] | None:
         """The FlatEdit of each edit and its box (2, 3), front to back from `centre`, relative to the edits' origin, as
         a view takes them one by one. None where one kernel takes the whole scene."""
         # One kernel takes one edit on CUDA, crumbs, edits that may meet each other, and boxes that hide each other in a
@@ -317,7 +317,7 @@ class LatticeEdits(PosedEdits):
         boxes = self._apart[1]
         if boxes is None:
             return None
-        order = front_to_back(boxes, tuple(centre))
+        order = front_to_back(boxes, tuple(center))
         return None if order is None else [(self._flat[index], boxes[index]) for index in order]
 
     def flat_array(self) -> wp.array:

@@ -117,21 +117,21 @@ class CarriedShades:
             self._is_folded = bool(self._folds.wait())
         return self._is_folded
 
-    def aim(self, centre: wp.vec3) -> None:
+    def aim(self, center: wp.vec3) -> None:
         """Find from where a camera sees what the pose moves: what `shades` of that camera begins with.
         `centre` is relative to the grid's origin; `shades` knows it as the same object."""
         if self._posed:
-            self._launch(aim_nodes, sum(places.size for _, places, _ in self._posed), [self._cages, centre])
-        self._aimed = centre
+            self._launch(aim_nodes, sum(places.size for _, places, _ in self._posed), [self._cages, center])
+        self._aimed = center
 
-    def shades(self, grid: Any, table: ColumnTable, centre: wp.vec3, step: float) -> Any:
+    def shades(self, grid: Any, table: ColumnTable, center: wp.vec3, step: float) -> Any:
         """The LaidShades of a field, of the values that its VoxelGrid has now, as a camera sees them in the pose.
         table: of the grid's links; centre: relative to the grid's origin; step: of the march, world units."""
         device, rows, walls = self._device, table.nodes.shape[0], self.walls(grid, table)
-        if self._aimed is not centre:
-            self.aim(centre)
+        if self._aimed is not center:
+            self.aim(center)
         self._aimed = None
-        shaded, laid = table.shaded(centre, step), self._laid_shades(table)
+        shaded, laid = table.shaded(center, step), self._laid_shades(table)
         inputs = [grid, table.nodes, self._cages, shaded, laid]
         self._launch(shade_carried_rows, whole_warps(rows, device), inputs)
         inputs = [grid, table.nodes, walls, self._cages, shaded, laid]

@@ -49,12 +49,12 @@ class PosedEdits(abc.ABC):
         self.sample_work = 1
         self._launches: RepeatedLaunches | None = None
 
-    def begin_view(self, field: VoxelField, centre: wp.vec3, step: float) -> None:
+    def begin_view(self, field: VoxelField, center: wp.vec3, step: float) -> None:
         """Start on what a view takes of the pose alone, so that the device is at work as early as can be.
-        centre: of the camera, relative to the field's origin; step: of the march, world units."""
+        center: of the camera, relative to the field's origin; step: of the march, world units."""
         return
 
-    def row_tables(self, field: VoxelField, centre: wp.vec3, step: float) -> list[Any]:
+    def row_tables(self, field: VoxelField, center: wp.vec3, step: float) -> list[Any]:
         """Start on what the render kernel takes of a field beside its VoxelGrid, before that is waited for; behind
         `begin_view`. Returns arguments of the kernel; none where `render` is to find them."""
         return []
@@ -102,7 +102,7 @@ class SeenView(NamedTuple):
     # its VoxelGrid as it was marched
     grid: Any
     # of the camera, relative to the field's origin
-    centre: wp.vec3
+    center: wp.vec3
     # of the march, world units
     step: float
 

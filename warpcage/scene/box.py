@@ -21,7 +21,7 @@ MAX_CONDITION = 1e6
 MIN_POINTS = 8
 
 #: A point is no outlier where so many others are within this share of the diagonal of the bulk of them.
-NEIGHBOURS, NEIGHBOUR_RADIUS = 5, 0.03
+NEIGHBORS, NEIGHBOR_RADIUS = 5, 0.03
 
 #: A box reaches upwards along axes with more of the direction up than this.
 UPWARD = 0.5
@@ -34,21 +34,21 @@ def view_box(cameras: Sequence[Camera]) -> np.ndarray:
     """A cube around what cameras look at: (2, 3) float64 lower and upper corner, world units."""
     # Its centre is the point nearest to all optical axes (least squares; ahead of the cameras where those are
     # parallel), its half side the largest radius that most cameras see whole, at most their distance to the centre.
-    centres = np.stack([camera.centre for camera in cameras])
+    centers = np.stack([camera.center for camera in cameras])
     axes = np.stack([camera.rotation[:, 2] for camera in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     system = across.sum(axis=0)
     if np.linalg.cond(system) < MAX_CONDITION:
-        centre = np.linalg.solve(system, (across @ centres[:, :, None])[..., 0].sum(axis=0))
+        center = np.linalg.solve(system, (across @ centers[:, :, None])[..., 0].sum(axis=0))
     else:  # one camera, or parallel ones: nothing says how far the object is, so go by how far apart they are
-        spread = float(np.ptp(centres, axis=0).max())
-        centre = (centres + axes * (PARALLEL_DISTANCE * spread if spread > 0 else 1.0)).mean(axis=0)
-    distance = np.linalg.norm(centres - centre, axis=1)
+        spread = float(np.ptp(centers, axis=0).max())
+        center = (centers + axes * (PARALLEL_DISTANCE * spread if spread > 0 else 1.0)).mean(axis=0)
+    distance = np.linalg.norm(centers - center, axis=1)
     tangent = np.array([max(camera.width / camera.fx, camera.height / camera.fy) / 2 for camera in cameras])
     # an object that fills the image's longer side at that distance
     half = float(np.median(distance * tangent / np.sqrt(1 + tangent**2))) * BOX_ROOM
     half = min(half, MOST_OF_DISTANCE * float(distance.min())) if distance.min() > 0 else half
-    return np.stack([centre - half, centre + half])
+    return np.stack([center - half, center + half])
 
 
 def scene_box(cameras: Sequence[Camera], bounds: np.ndarray | None = None) -> np.ndarray:
@@ -57,7 +57,7 @@ def scene_box(cameras: Sequence[Camera], bounds: np.ndarray | None = None) -> np
     if bounds is not None:
         return bounds
     box = view_box(cameras)
-    away = sum((box.mean(axis=0) - camera.centre) @ camera.rotation[:, 2] <= 0 for camera in cameras)
+    away = sum((box.mean(axis=0) - camera.center) @ camera.rotation[:, 2] <= 0 for camera in cameras)
     if 2 * away > len(cameras):
         raise ValueError(
             f"{away} of {len(cameras)} cameras {agreed(away, 'looks', 'look')} away from what the views "
@@ -86,7 +86,7 @@ def bulk_box(points: np.ndarray, seen_box: np.ndarray, up: np.ndarray) -> np.nda
     margin = 0.1 * float((high - low).max())
     if not (np.isfinite(margin) and margin > 0):
         return None
-    radius = NEIGHBOUR_RADIUS * float(np.linalg.norm(high - low))
+    radius = NEIGHBOR_RADIUS * float(np.linalg.norm(high - low))
     # Above the bulk the box also holds points that have others near them: an arm or an ear has few, beside each other,
     # and mistakes of the reconstruction are alone.
     together = bulk[are_inliers(bulk, radius)] if is_seen else bulk[:0]
@@ -100,9 +100,9 @@ def are_inliers(points: np.ndarray, radius: float) -> np.ndarray:
     """Which points (n, 3) have NEIGHBOURS others within a radius, world units (radius outlier removal)."""
     from scipy.spatial import KDTree
 
-    if len(points) <= NEIGHBOURS:
+    if len(points) <= NEIGHBORS:
         return np.zeros(len(points), bool)
-    distances = np.asarray(KDTree(points).query(points, NEIGHBOURS + 1)[0])  # the first is the point itself
+    distances = np.asarray(KDTree(points).query(points, NEIGHBORS + 1)[0])  # the first is the point itself
     return distances[:, -1] <= radius
 
 

@@ -99,8 +99,8 @@ def load_scene(
     motion = None if orient is None or isinstance(orient, str) else rigid_motion(orient, "orient")
 
     def read(name: str) -> Scene:
-        colour = parse_background(background)
-        return READERS[format].read(folder, split=name, downscale=int(downscale), background=colour, masks=masks)
+        color = parse_background(background)
+        return READERS[format].read(folder, split=name, downscale=int(downscale), background=color, masks=masks)
 
     scene = read(split)
     if isinstance(orient, str):

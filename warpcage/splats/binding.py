@@ -38,8 +38,8 @@ class PoseFit:
         if not self._green:
             used[rest.topology.unused_vertices] = False  # they may lie anywhere
         self._mean = used / used.sum()
-        self._centre = self._mean @ self._local
-        spread = np.where(used[:, None], self._local - self._centre, 0.0)
+        self._center = self._mean @ self._local
+        spread = np.where(used[:, None], self._local - self._center, 0.0)
         self._spread, self._square_sum = spread, (spread**2).sum()
         # directions that the vertices of an almost flat cage do not span are left out
         self._inverse = np.linalg.pinv(spread / self._size, rcond=1e-9) / self._size
@@ -67,8 +67,8 @@ class PoseFit:
             matrix = (self._inverse @ around).T
         out[:count] = posed
         # relative to the centres, so that nothing is lost far from the origin
-        out[count : 2 * count] = around - (self._local - self._centre) @ matrix.T
-        return matrix - np.eye(3), middle - matrix @ self._centre
+        out[count : 2 * count] = around - (self._local - self._center) @ matrix.T
+        return matrix - np.eye(3), middle - matrix @ self._center
 
     def _tilts(self, vertices: np.ndarray) -> np.ndarray:
         """(3, f) stretched normals of posed faces times the size; as `stretched_normals`, in few array calls."""
@@ -98,10 +98,10 @@ def nearest_similarity(a: np.ndarray, b: np.ndarray, square_sum: float) -> np.nd
 
 def fit_similarity(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The similarity that takes points (v, 3) nearest to others: rotation times scale (3, 3) and offset (3,)."""
-    centre, middle = source.mean(axis=0), target.mean(axis=0)
-    a = source - centre
+    center, middle = source.mean(axis=0), target.mean(axis=0)
+    a = source - center
     matrix = nearest_similarity(a, target - middle, (a**2).sum())
-    return matrix, middle - matrix @ centre
+    return matrix, middle - matrix @ center
 
 
 #: Points that are bound in one launch: their sums in float64 take 32 bytes a vertex.
@@ -158,9 +158,9 @@ class CageBinding:
             self._bind_lattice(points, resolution or RESOLUTION, rows)
             self._pack(0, rows, count)
             return
-        centre = cage.bounds.mean(axis=0)
-        local = wp.array((points - centre) / cage.size, dtype=wp.vec3d, device=device)
-        vertices = wp.array((cage.vertices - centre) / cage.size, dtype=wp.vec3d, device=device)
+        center = cage.bounds.mean(axis=0)
+        local = wp.array((points - center) / cage.size, dtype=wp.vec3d, device=device)
+        vertices = wp.array((cage.vertices - center) / cage.size, dtype=wp.vec3d, device=device)
         faces = wp.array(cage.faces, dtype=wp.vec3i, device=device)
         scratch = _columns(corners, max(chunk, 1), wp.vec4d, device)
         kernel = bind.bind_green if coordinates == "green" else bind.bind_mean_value
@@ -179,10 +179,10 @@ class CageBinding:
     def _bind_lattice(self, points: np.ndarray, resolution: int, rows: wp.array) -> None:
         """Rows of harmonic coordinates."""
         cage, device = self._cage, self._device
-        centre = cage.bounds.mean(axis=0)
-        local = cage.with_vertices((cage.vertices - centre) / cage.size)
+        center = cage.bounds.mean(axis=0)
+        local = cage.with_vertices((cage.vertices - center) / cage.size)
         lattice = CageLattice(local, resolution, device=device)
-        places = ((points - centre) / cage.size - lattice.lower) / lattice.spacing
+        places = ((points - center) / cage.size - lattice.lower) / lattice.spacing
         places = wp.array(places.astype(np.float32), dtype=wp.vec3, device=device)
         solver = HarmonicSolver(lattice)
         solver.prepare()
@@ -317,7 +317,7 @@ class SplitTree:
     rows: np.ndarray  # (nodes,) the splat that each node is, or is a piece of
     parents: np.ndarray  # (nodes,) the node that each is a piece of, -1 for splats
     pieces: np.ndarray  # (nodes,) the first of the three pieces of each node, -1 for those that are not cut
-    centres: np.ndarray  # (nodes, 3) world units
+    centers: np.ndarray  # (nodes, 3) world units
     factors: np.ndarray  # (nodes, 3, 3) axes times standard deviations, one per column
     opacities: np.ndarray  # (nodes,) 0 to 1
 
@@ -328,25 +328,25 @@ class SplitTree:
 
 
 def pieces_of(
-    centres: np.ndarray, factors: np.ndarray, opacities: np.ndarray
+    centers: np.ndarray, factors: np.ndarray, opacities: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Three pieces of each splat along its longest axis, the middle one first, which together look like it.
     Arrays as in `SplitTree`, (n, ...); those returned are centres (n, 3, 3), factors (n, 3, 3, 3), opacities (n, 3)."""
     middle, side, distance, across = (np.interp(opacities, _TABLE[:, 0], column) for column in _TABLE[:, 1:].T)
     longest = np.argmax((factors**2).sum(axis=1), axis=1)
-    rows = np.arange(len(centres))
+    rows = np.arange(len(centers))
     axis = factors[rows, :, longest] * distance[:, None]
     cut = factors * across[:, None, None]
     cut[rows, :, longest] = PIECE * factors[rows, :, longest]
     return (
-        np.stack([centres, centres - axis, centres + axis], axis=1),
+        np.stack([centers, centers - axis, centers + axis], axis=1),
         np.repeat(cut[:, None], 3, axis=1),
         np.stack([middle, side, side], axis=1),
     )
 
 
 def split_tree(
-    centres: np.ndarray,
+    centers: np.ndarray,
     factors: np.ndarray,
     opacities: np.ndarray,
     largest: np.ndarray,
@@ -355,8 +355,8 @@ def split_tree(
 ) -> SplitTree:
     """Splats, the first n nodes, and pieces of those, or of pieces, of a standard deviation above `largest` (n,).
     Arrays as in `SplitTree`; cuts: how often at most; most: nodes at most, the largest are cut first."""
-    count = len(centres)
-    nodes = [(np.arange(count), np.full(count, -1), centres, factors, opacities)]
+    count = len(centers)
+    nodes = [(np.arange(count), np.full(count, -1), centers, factors, opacities)]
     pieces = [np.full(count, -1)]
     begin, total = 0, count
     for _ in range(cuts):

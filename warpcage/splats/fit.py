@@ -12,7 +12,15 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import array_view, empty_array
-from ..core.checks import checked_flag, checked_number, checked_positive, checked_whole, require_type
+from ..core.checks import (
+    checked_flag,
+    checked_number,
+    checked_positive,
+    checked_whole,
+    renamed,
+    require_type,
+    warn_caller,
+)
 from ..core.devices import launch
 from ..core.locks import device_turn
 from ..kernels.splats import composite, composite_cpu, fit, project_slopes, tiles
@@ -36,7 +44,7 @@ from .splat_field import SplatField
 
 #: Names of the values, and the types of those that kernels read by rows.
 VALUE_TYPES = {
-    "centres": wp.vec3,
+    "centers": wp.vec3,
     "log_scales": wp.vec3,
     "quaternions": wp.vec4,
     "logits": wp.float32,
@@ -50,8 +58,8 @@ class SplatParameters:
     def __init__(self, field: SplatField):
         self.field, held, count = field, field.contents, len(field)
         host = {name: np.asarray(getattr(held, name), np.float64) for name in VALUE_TYPES}
-        host["centres"] = host["centres"] - field.center
-        self._first_centres = host["centres"].astype(np.float32)
+        host["centers"] = host["centers"] - field.center
+        self._first_centers = host["centers"].astype(np.float32)
         # By name (VALUE_TYPES), (n, width) float32 each, centres relative to the field's `center`; and derivatives of a
         # loss by each of them.
         self.values: dict[str, wp.array] = {}
@@ -62,7 +70,7 @@ class SplatParameters:
             self.slopes[name] = wp.zeros(rows.shape, dtype=wp.float32, device=field.device)
         # What `refresh` makes of the values.
         self.splats: Any = Splats()
-        self.splats.centres = self.by_rows("centres", self.values)
+        self.splats.centers = self.by_rows("centers", self.values)
         self.splats.covariances = empty_array((count, 6), wp.float32, field.device)
         self.splats.opacities = empty_array(count, wp.float32, field.device)
         self.splats.harmonics, self.splats.degree = self.values["harmonics"], field.degree
@@ -89,10 +97,10 @@ class SplatParameters:
         """A field of the values as they are now, with what else the file of the first one says."""
         held, count = self.field.contents, len(self.field)
         host = {name: array.numpy() for name, array in self.values.items()}
-        moved = host["centres"].astype(np.float64) - self._first_centres  # from where the file has them, to the bit
-        centres = (held.centres + moved).astype(held.centres.dtype)
+        moved = host["centers"].astype(np.float64) - self._first_centers  # from where the file has them, to the bit
+        centers = (held.centers + moved).astype(held.centers.dtype)
         return SplatField(
-            centres,
+            centers,
             host["log_scales"],
             host["quaternions"],
             host["logits"].reshape(count),
@@ -120,7 +128,7 @@ class SplatGradients(SplatRenderer):
         self._rgb, self._parts = pool.buffer(wp.vec3), pool.buffer(wp.float32)
         self._drawn: tuple[Any, ...] = ()
 
-    def draw(self, parameters: SplatParameters, camera: Camera, lens: Any, colour: wp.vec3) -> wp.array:
+    def draw(self, parameters: SplatParameters, camera: Camera, lens: Any, color: wp.vec3) -> wp.array:
         """The picture (h * w,) vec3, one ray a pixel, valid until the next one; `parameters` are refreshed before.
         lens: of `splat_lens`, of the same camera; colour: behind the splats."""
         grid, pixels = tile_grid(camera), camera.width * camera.height
@@ -133,7 +141,7 @@ class SplatGradients(SplatRenderer):
         starts = self._sort(grid, total, keys, members)
         rgb, parts = self._rgb.take(pixels), self._parts.take((2, pixels))
         inputs = [seen[1], members, starts, grid]
-        self._composite(grid, [*inputs, colour, STOP_TRANSMITTANCE], [rgb, parts[0], parts[1]])
+        self._composite(grid, [*inputs, color, STOP_TRANSMITTANCE], [rgb, parts[0], parts[1]])
         self._drawn = parameters, lens, grid, seen, inputs, sources, total, rgb
         return rgb
 
@@ -174,7 +182,7 @@ class SplatGradients(SplatRenderer):
 LOSSES = ("l1", "l2")
 
 #: Colours that a picture may have. Renders of splats go beyond 1 where harmonics do, pictures of 8 bits farther.
-LARGEST_COLOUR = 8.0
+LARGEST_COLOR = 8.0
 
 #: Steps between two figures of the bar.
 SHOWN_EVERY = 50
@@ -183,6 +191,7 @@ SHOWN_EVERY = 50
 BETAS, EPSILON = (0.9, 0.999), 1e-8
 
 
+@renamed(centers="centres", colors="colours")
 @dataclasses.dataclass(frozen=True)
 class SplatRates:
     """How far a step takes each kind of values at most, about.
@@ -192,11 +201,11 @@ class SplatRates:
     (benchmarks/NOTES-splats.md).
 
     Args:
-        centres: Share of the median standard deviation of the splats.
+        centers: Share of the median standard deviation of the splats.
         log_scales: Of their logarithms.
         quaternions: Of unit quaternions.
         logits: Of opacities.
-        colours: Of the harmonics of degree 0.
+        colors: Of the harmonics of degree 0.
         harmonics: Of the others.
         last: All rates fall to this share of themselves, above 0 and at most 1, exponentially, until the last step.
 
@@ -204,13 +213,25 @@ class SplatRates:
         ValueError: For rates that are negative or not finite, and another share.
     """
 
-    centres: float = 0.02
+    centers: float = 0.02
     log_scales: float = 5e-3
     quaternions: float = 1e-3
     logits: float = 2.5e-2
-    colours: float = 5e-3
+    colors: float = 5e-3
     harmonics: float = 2e-3
     last: float = 0.05
+
+    @property
+    def centres(self) -> float:
+        """The old name of `centers`, for one release."""
+        warn_caller("SplatRates.centres is called centers now: the next version knows that name alone")
+        return self.centers
+
+    @property
+    def colours(self) -> float:
+        """The old name of `colors`, for one release."""
+        warn_caller("SplatRates.colours is called colors now: the next version knows that name alone")
+        return self.colors
 
     def __post_init__(self) -> None:
         for name, rate in dataclasses.asdict(self).items():
@@ -332,7 +353,7 @@ def checked_pictures(
             raise ValueError(f"picture {number} must be {size} as its camera says, got {picture.shape}")
         if not np.isfinite(picture).all():
             raise ValueError(f"picture {number} has values that are not finite")
-        if np.abs(picture).max() > LARGEST_COLOUR:
+        if np.abs(picture).max() > LARGEST_COLOR:
             raise ValueError(
                 f"picture {number} has values from {picture.min():g} to {picture.max():g}: they must lie in [0, 1] "
                 "(8-bit pictures divided by 255)"
@@ -384,11 +405,11 @@ class SplatOptimizer:
         self._squares = {name: wp.zeros_like(array) for name, array in values.items()}
         size = float(np.exp(np.median(field.contents.log_scales)))
         self._kinds = {  # numbers that come first in a row, their rate, and that of the others
-            "centres": (0, 0.0, rates.centres * size),
+            "centers": (0, 0.0, rates.centers * size),
             "log_scales": (0, 0.0, rates.log_scales),
             "quaternions": (0, 0.0, rates.quaternions),
             "logits": (0, 0.0, rates.logits),
-            "harmonics": (3, rates.colours, rates.harmonics),
+            "harmonics": (3, rates.colors, rates.harmonics),
         }
         self._growth = math.log(growth)
         self._first_scales = wp.clone(values["log_scales"]) if math.isfinite(growth) else None

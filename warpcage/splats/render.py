@@ -60,7 +60,7 @@ class SplatRenderer:
         splats: WarpStruct,
         camera: Camera,
         *,
-        colour: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),  # (3,) behind the splats, in [0, 1]
+        color: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),  # (3,) behind the splats, in [0, 1]
         origin: ArrayLike = (0.0, 0.0, 0.0),  # (3,) world point that the splats' centres are relative to
         near: float = 0.0,  # splats whose centre is less than this before the camera are left out, world units
         supersampling: int = 1,  # rays along each side of a pixel
@@ -75,13 +75,13 @@ class SplatRenderer:
             arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device, self._spare)
             seen = self._project(splats, lens)
             self.entry_count = 0
-            inputs = [wp.vec3(*map(float, colour)), STOP_TRANSMITTANCE]
+            inputs = [wp.vec3(*map(float, color)), STOP_TRANSMITTANCE]
             self._draw(tile_grid(fine), seen, inputs, [arrays[name] for name in PART_NAMES])
             return average_frame(Frame(fine.width, fine.height, **arrays), side)
 
     def _project(self, splats: WarpStruct, lens: Any) -> tuple[int, wp.array, wp.array, wp.array]:
         """Number of splats, their view, their sorted depths, and their order."""
-        count = splats.centres.shape[0]
+        count = splats.centers.shape[0]
         view = self._view.take(3 * count)
         depths, order = self._depths.take(2 * count), self._order.take(2 * count)
         outputs = [view, depths, order]
@@ -143,11 +143,11 @@ class SplatRenderer:
         return int(self._total.numpy()[0])
 
 
-def near_distance(centres: np.ndarray) -> float:
+def near_distance(centers: np.ndarray) -> float:
     """How near a camera draws the splats of a field with centres (n, 3), world units; 0 for fewer than two places."""
-    if not len(centres):
+    if not len(centers):
         return 0.0
-    places = np.asarray(centres, np.float64)
+    places = np.asarray(centers, np.float64)
     # Those nearer would fill the picture with one flat colour.
     return NEAR_SHARE * float(np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1)))
 

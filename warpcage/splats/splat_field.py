@@ -12,7 +12,15 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import empty_array
-from ..core.checks import checked_bounds, checked_direction, checked_flag, checked_whole, real_array, require_type
+from ..core.checks import (
+    checked_bounds,
+    checked_direction,
+    checked_flag,
+    checked_whole,
+    real_array,
+    renamed,
+    require_type,
+)
 from ..core.devices import launch, resolve_device
 from ..core.files import PathLike
 from ..core.locks import in_turn
@@ -97,7 +105,7 @@ class SplatField:
     References: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023).
 
     Args:
-        centres: (n, 3) float32 or float64, world units.
+        centers: (n, 3) float32 or float64, world units.
         log_scales: (n, 3) natural logarithms of the standard deviations along each splat's own axes, world units.
         quaternions: (n, 4) w x y z, rotations of those axes, of any length. One of length zero turns nothing.
         logits: (n,) logarithms of opacity / (1 - opacity).
@@ -124,9 +132,10 @@ class SplatField:
     #: What messages call a node of `node_densities`.
     node_name = "cell"
 
+    @renamed(centers="centres")
     def __init__(
         self,
-        centres: ArrayLike,
+        centers: ArrayLike,
         log_scales: ArrayLike,
         quaternions: ArrayLike,
         logits: ArrayLike,
@@ -137,13 +146,13 @@ class SplatField:
         up: ArrayLike = (0.0, -1.0, 0.0),
         device: wp.DeviceLike = None,
     ):
-        held = np.asarray(centres)
-        places = held if held.dtype in (np.float32, np.float64) else real_array(held, "centres", np.float32)
+        held = np.asarray(centers)
+        places = held if held.dtype in (np.float32, np.float64) else real_array(held, "centers", np.float32)
         others = {"log_scales": log_scales, "quaternions": quaternions, "logits": logits, "harmonics": harmonics}
-        scales, turns, opacities, colours = (real_array(each, name, np.float32) for name, each in others.items())
-        if places.ndim != 2 or colours.ndim != 3:
-            raise ValueError(f"centres must be (n, 3) and harmonics (n, b, 3), got {places.shape}, {colours.shape}")
-        self.contents = checked_contents(SplatContents(places, scales, turns, opacities, colours, layout))
+        scales, turns, opacities, colors = (real_array(each, name, np.float32) for name, each in others.items())
+        if places.ndim != 2 or colors.ndim != 3:
+            raise ValueError(f"centres must be (n, 3) and harmonics (n, b, 3), got {places.shape}, {colors.shape}")
+        self.contents = checked_contents(SplatContents(places, scales, turns, opacities, colors, layout))
         self.device = resolve_device(device)
         self.background = parse_background(background)
         self.up = checked_direction(up, "up")
@@ -182,7 +191,7 @@ class SplatField:
             ValueError: As the constructor.
         """
         values = (contents.log_scales, contents.quaternions, contents.logits, contents.harmonics)
-        return cls(contents.centres, *values, layout=contents.layout, **options)
+        return cls(contents.centers, *values, layout=contents.layout, **options)
 
     def save(self, path: str | os.PathLike) -> None:
         """Write the splats to a file, whole or not at all.
@@ -245,9 +254,9 @@ class SplatField:
         if not len(seen):
             return whole_voxels(np.array([np.full(3, -0.5), np.full(3, 0.5)]), RESOLUTION)[0]
         reach = REACH * np.sqrt(np.einsum("nii->ni", self.covariances)[seen])
-        centres = self.contents.centres[seen].astype(np.float64)
-        low, high = (centres - reach).min(axis=0), (centres + reach).max(axis=0)
-        size = max(float((high - low).max()), 1e-9 * float(np.abs(centres).max()), 1e-9)
+        centers = self.contents.centers[seen].astype(np.float64)
+        low, high = (centers - reach).min(axis=0), (centers + reach).max(axis=0)
+        size = max(float((high - low).max()), 1e-9 * float(np.abs(centers).max()), 1e-9)
         box = np.array([np.minimum(low, high - 1e-6 * size), np.maximum(high, low + 1e-6 * size)])
         return whole_voxels(box, RESOLUTION)[0]
 
@@ -259,7 +268,7 @@ class SplatField:
         seen = self.opacities >= LEAST_OPACITY
         if not seen.any():
             return self.bounds
-        low, high = np.quantile(self.contents.centres[seen].astype(np.float64), [0.01, 0.99], axis=0)
+        low, high = np.quantile(self.contents.centers[seen].astype(np.float64), [0.01, 0.99], axis=0)
         reach = 2.0 * float(np.median(self.scales[seen].max(axis=1)))
         return np.array([np.maximum(low - reach, self.bounds[0]), np.minimum(high + reach, self.bounds[1])])
 
@@ -292,10 +301,10 @@ class SplatField:
     def _on_device(self) -> Any:
         splats = Splats()
         device = self.device
-        centres = (self.contents.centres.astype(np.float64) - self.center).astype(np.float32)
+        centers = (self.contents.centers.astype(np.float64) - self.center).astype(np.float32)
         covariances = self.covariances[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].astype(np.float32)
         harmonics = np.ascontiguousarray(self.contents.harmonics.reshape(self.splat_count, -1))
-        splats.centres = wp.array(centres, dtype=wp.vec3, device=device)
+        splats.centers = wp.array(centers, dtype=wp.vec3, device=device)
         splats.covariances = wp.array(covariances, dtype=wp.float32, device=device)
         splats.opacities = wp.array(self.opacities.astype(np.float32), dtype=wp.float32, device=device)
         splats.harmonics = wp.array(harmonics, dtype=wp.float32, device=device)
@@ -343,7 +352,7 @@ class SplatField:
         held = self.contents
         values = (held.log_scales, held.quaternions, held.logits, held.harmonics)
         return SplatField(
-            held.centres[rows],
+            held.centers[rows],
             *(each[rows] for each in values),
             layout=chosen_layout(held.layout, rows),
             device=self.device,
@@ -376,11 +385,11 @@ class SplatField:
             ValueError: For a background that is not known, or supersampling out of range.
         """
         require_type(camera, Camera, "render needs")
-        colour = self.background if background is None else parse_background(background)
+        color = self.background if background is None else parse_background(background)
         return self.renderer.render(
             self.splats,
             camera,
-            colour=colour,
+            color=color,
             origin=self.center,
             near=self.near,
             supersampling=1 if supersampling is None else supersampling,
@@ -395,7 +404,7 @@ class SplatField:
     @functools.cached_property
     def near(self) -> float:
         """How far before a camera a splat's centre must be to be drawn, world units."""
-        return near_distance(self.contents.centres)
+        return near_distance(self.contents.centers)
 
     def view_options(self) -> dict[str, Any]:
         """What views of the field depend on besides its splats, by the constructor's names."""
@@ -452,7 +461,7 @@ def read_field(path: PathLike, *, scene_scale: float = 1.0) -> Callable[[wp.Devi
 def _voxels_of(contents: FieldContents, path: PathLike, device: wp.DeviceLike) -> VoxelField:
     """The field of what was read of a file, which a ValueError names."""
     try:
-        return VoxelField.from_contents(contents, device)
+        return VoxelField.from_contents(contents, device=device)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 

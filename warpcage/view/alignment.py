@@ -37,8 +37,8 @@ def aligning_similarity(poses: np.ndarray, targets: np.ndarray, *, scaled: bool 
     # It minimises sum |s R c + t - c'|^2 over the places, with R that of sum |s0 R c - c'|^2 + r^2 |R Q - Q'|^2: places
     # relative to their means, axes Q weighed by the spread r of the places, so that cameras on a line or in one place
     # are aligned by their axes (Umeyama 1991 for places; Horn 1987).
-    centres, goals = poses[:, :3, 3], targets[:, :3, 3]
-    spread, goal_spread = centres - centres.mean(axis=0), goals - goals.mean(axis=0)
+    centers, goals = poses[:, :3, 3], targets[:, :3, 3]
+    spread, goal_spread = centers - centers.mean(axis=0), goals - goals.mean(axis=0)
     size, goal_size = (float(np.sqrt((part**2).sum() / len(part))) for part in (spread, goal_spread))
     weight = goal_size**2 if goal_size > 0 and size > 0 else 1.0
     factor = goal_size / size if goal_size > 0 and size > 0 else 1.0
@@ -51,7 +51,7 @@ def aligning_similarity(poses: np.ndarray, targets: np.ndarray, *, scaled: bool 
     if scaled and size > 0 and goal_size > 0:
         scale = float(np.einsum("ni,ij,nj->", goal_spread, rotation, spread) / (spread**2).sum())
         scale = scale if scale > 0 else 1.0
-    return Similarity(scale, rotation, goals.mean(axis=0) - scale * rotation @ centres.mean(axis=0))
+    return Similarity(scale, rotation, goals.mean(axis=0) - scale * rotation @ centers.mean(axis=0))
 
 
 #: Steps of Gauss-Newton by which an alignment of pictures is found, and largest slope at which a point counts.

@@ -20,6 +20,7 @@ from ..core.checks import (
     listed,
     real_array,
     require_type,
+    warn_caller,
 )
 from ..core.files import DAMAGED, PathLike, damage, require_file
 from ..core.names import EASINGS, LOOPS, require_name
@@ -158,9 +159,15 @@ class Camera:
             raise ValueError(f"{path}: {error}") from None
 
     @property
-    def centre(self) -> np.ndarray:
+    def center(self) -> np.ndarray:
         """(3,) the centre of projection in world units."""
         return self.camera_to_world[:3, 3]
+
+    @property
+    def centre(self) -> np.ndarray:
+        """The old name of `center`, for one release."""
+        warn_caller("Camera.centre is called center now: the next version knows that name alone")
+        return self.center
 
     @property
     def rotation(self) -> np.ndarray:
@@ -209,7 +216,7 @@ class Camera:
         local = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1)
         directions = local @ self.rotation.T
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        return np.broadcast_to(self.centre, directions.shape).copy(), directions
+        return np.broadcast_to(self.center, directions.shape).copy(), directions
 
     def project(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Where points fall in the picture.
@@ -223,7 +230,7 @@ class Camera:
         places = real_array(points, "points")
         if places.ndim != 2 or places.shape[1] != 3:
             raise ValueError(f"points must be (n, 3), got {places.shape}")
-        local = (places - self.centre) @ self.rotation
+        local = (places - self.center) @ self.rotation
         with np.errstate(divide="ignore", invalid="ignore"):
             u = self.fx * local[:, 0] / local[:, 2] + self.cx
             v = self.fy * local[:, 1] / local[:, 2] + self.cy
@@ -369,7 +376,7 @@ def camera_struct(camera: Camera, origin: ArrayLike) -> Any:
     struct = PinholeCamera()
     # the difference is taken in float64, so that float32 kernels see small numbers however far from zero the scene is;
     # in plain floats: NumPy's own take Warp several times as long
-    struct.centre = wp.vec3(*(camera.centre - np.asarray(origin, np.float64)).tolist())
+    struct.center = wp.vec3(*(camera.center - np.asarray(origin, np.float64)).tolist())
     struct.rotation = wp.mat33(*np.asarray(camera.rotation, np.float64).ravel().tolist())
     struct.focal = wp.vec2(camera.fx, camera.fy)
     struct.principal_point = wp.vec2(camera.cx, camera.cy)

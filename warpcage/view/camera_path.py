@@ -101,7 +101,7 @@ def _track(
 ) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
     """What goes from key to key: points (1, 3), angles with the logarithm of the distance (4,), lenses (4,)."""
     cameras = [key.camera for key in keys]
-    points = np.array([camera.centre for camera in cameras])
+    points = np.array([camera.center for camera in cameras])
     reach = np.zeros(len(keys))
     if distances is not None:
         points = points + distances[:, None] * np.array([camera.rotation[:, 2] for camera in cameras])
@@ -135,16 +135,16 @@ def _held(azimuth: float, elevation: float, roll: float) -> np.ndarray:
 
 def _target_distances(keys: Sequence[CameraKey]) -> np.ndarray | None:
     """(n,) distance of each camera's target ahead of it, None where the cameras look at nothing in common."""
-    centres = np.stack([key.camera.centre for key in keys])
+    centers = np.stack([key.camera.center for key in keys])
     axes = np.stack([key.camera.rotation[:, 2] for key in keys])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     system = across.sum(axis=0)
-    middle = centres.mean(axis=0)  # where the axes say nothing of a direction, the point is as far along as this
-    pull = (across @ (centres - middle)[:, :, None])[..., 0].sum(axis=0)
+    middle = centers.mean(axis=0)  # where the axes say nothing of a direction, the point is as far along as this
+    pull = (across @ (centers - middle)[:, :, None])[..., 0].sum(axis=0)
     # the target lies on the optical axis, nearest to the point that the key names, or to the one that is nearest to the
     # axes of all cameras (least squares)
     common = middle + np.linalg.pinv(system, rcond=_LEAST_CONDITION, hermitian=True) @ pull
-    offsets = np.array([common if key.target is None else key.target for key in keys]) - centres
+    offsets = np.array([common if key.target is None else key.target for key in keys]) - centers
     distances = (offsets * axes).sum(axis=1)
     least = _LEAST_SHARE * float(np.median(np.linalg.norm(offsets, axis=1)))
     return distances if distances.min() > max(least, 0.0) else None

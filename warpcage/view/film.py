@@ -19,7 +19,7 @@ from ..core.files import atomic_path, read_npz, require_numbers
 from ..core.memory import require_host_memory
 from ..core.overlap import stream
 from .motion import MAX_DENOMINATOR
-from .opacity import with_spread_colours
+from .opacity import with_spread_colors
 from .pictures import as_rgb, path_with_ending, read_image, to_uint8
 
 #: How names of films end, and those of films with opacity.
@@ -33,7 +33,7 @@ VIDEO_RATES, GIF_RATES = (Fraction(1, 100), Fraction(1000)), (Fraction(1, 100), 
 MAX_STILL = 655350
 
 #: Colours of a GIF's palette.
-MIN_COLOURS, MAX_COLOURS = 2, 256
+MIN_COLORS, MAX_COLORS = 2, 256
 
 #: Frames that a GIF's palette is chosen from.
 PALETTE_FRAMES = 12
@@ -152,7 +152,7 @@ def deep_pixels(pixels: np.ndarray) -> np.ndarray:
         return pixels
     if pixels.ndim == 3 and pixels.shape[-1] == 4:
         scale = np.float32(255.0) if pixels.dtype == np.uint8 else np.float32(1.0)
-        image = with_spread_colours(pixels / scale)
+        image = with_spread_colors(pixels / scale)
     else:
         image = as_rgb(pixels)
     if not np.isfinite(image).all():
@@ -217,7 +217,7 @@ def write_gif(
     frames: Iterable[ArrayLike],
     fps: float | Fraction = 15.0,
     *,
-    colours: int = 128,
+    colors: int = 128,
     loop: bool = True,
 ) -> None:
     """Write an animated GIF with one palette, kept small, whole or not at all, of frames (h, w, 3), in [0, 1] or uint8.
@@ -226,14 +226,14 @@ def write_gif(
 
     path = path_with_ending(path, ".gif")
     rate = checked_rate(fps, ".gif")
-    colours = checked_whole(colours, "colours", MIN_COLOURS, MAX_COLOURS)
+    colors = checked_whole(colors, "colors", MIN_COLORS, MAX_COLORS)
     images: list[np.ndarray] = []
     stream(_own(frames), _byte_pixels, lambda ready: images.extend(_that_fit(_of_one_size(ready))))
     # one palette for all frames, from a thinned strip of them, so that still regions stay still
     strip = np.concatenate(images[:: max(1, len(images) // PALETTE_FRAMES)])
-    palette = Image.fromarray(strip).quantize(colours - 1, method=Image.Quantize.MEDIANCUT)
+    palette = Image.fromarray(strip).quantize(colors - 1, method=Image.Quantize.MEDIANCUT)
     # median cut mixes the background with similar colours: it gets an entry of its own
-    entries, background = (palette.getpalette() or [])[: 3 * (colours - 1)], _most_frequent_colour(strip)
+    entries, background = (palette.getpalette() or [])[: 3 * (colors - 1)], _most_frequent_color(strip)
     flat = []
     for frame in images:
         indices = np.array(Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE))
@@ -264,7 +264,7 @@ def _gif_durations(images: Sequence[Any], rate: Fraction) -> list[int]:
     return durations
 
 
-def _most_frequent_colour(pixels: np.ndarray) -> np.ndarray:
+def _most_frequent_color(pixels: np.ndarray) -> np.ndarray:
     """(3,) uint8, the colour that most of the pixels (..., 3) have: usually the background."""
     codes = pixels.reshape(-1, 3).astype(np.int64) @ (65536, 256, 1)
     values, counts = np.unique(codes, return_counts=True)

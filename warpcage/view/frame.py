@@ -218,13 +218,13 @@ def _comes_from_cuda(array: Any) -> bool:
     return array.is_contiguous and array.dtype in (wp.vec3, wp.float32)
 
 
-def _copy_bytes(colours: wp.array) -> HostCopy:
+def _copy_bytes(colors: wp.array) -> HostCopy:
     """A copy of (n,) vec3 as (n, 3) bytes."""
-    assert colours.device is not None
-    with device_turn(colours.device):
-        packed = empty_array((colours.size, 3), wp.uint8, colours.device)
-        state = wp.full(1, int(pictures.DONE), dtype=wp.int32, device=colours.device)
-        launch(pictures.round_colours, colours.size, [colours, packed, state], device=colours.device)
+    assert colors.device is not None
+    with device_turn(colors.device):
+        packed = empty_array((colors.size, 3), wp.uint8, colors.device)
+        state = wp.full(1, int(pictures.DONE), dtype=wp.int32, device=colors.device)
+        launch(pictures.round_colors, colors.size, [colors, packed, state], device=colors.device)
         return HostCopy(packed, state)
 
 
@@ -261,7 +261,7 @@ def average_frame(frame: Frame, side: int) -> Frame:
         kernel = pictures.average_values
         inputs = [side, width, parts]
         if name == "rgb":
-            kernel = pictures.average_colours
+            kernel = pictures.average_colors
         elif name == "depth":
             kernel = pictures.average_depths
             inputs.append(frame.arrays["alpha"])
@@ -283,7 +283,7 @@ def parse_background(background: str | ArrayLike) -> np.ndarray:
                 f"background {shown(background)} is not known: {', '.join(BACKGROUNDS)} or 3 numbers in [0, 1]"
             )
         background = BACKGROUNDS[background]
-    colour = real_array(background, "a background that is no colour name", np.float32)
-    if colour.shape != (3,) or not np.isfinite(colour).all() or colour.min() < 0 or colour.max() > 1:
+    color = real_array(background, "a background that is no colour name", np.float32)
+    if color.shape != (3,) or not np.isfinite(color).all() or color.min() < 0 or color.max() > 1:
         raise ValueError(f"background must be a colour name or three numbers in [0, 1], got {shown(background)}")
-    return colour
+    return color

@@ -10,7 +10,7 @@ from ..mesh.mesh import ClosedMesh
 from .camera import Camera
 from .frame import Frame
 from .overlay import draw_cage
-from .pictures import colour_disparity, disparity_range
+from .pictures import color_disparity, disparity_range
 
 #: Mask -> its colour in the picture, and what a warning says of the share that it marks.
 MASKS = {
@@ -39,7 +39,7 @@ def picture(
     if kind == "alpha":
         shown = frame.alpha
     elif kind == "disparity":
-        shown = colour_disparity(frame.disparity, alpha=frame.alpha, scale=scale)
+        shown = color_disparity(frame.disparity, alpha=frame.alpha, scale=scale)
     elif kind == "depth":
         low, high = disparity_range(frame.disparity) if scale is None else scale
         near, far = 1.0 / high, 1.0 / max(low, 0.05 * high)
@@ -66,11 +66,11 @@ def mask_values(frame: Frame, name: str) -> np.ndarray | None:
 def mask_picture(frame: Frame) -> np.ndarray:
     """(h, w, 3) float32, the frame in grey with its masks in colour over it."""
     shown = np.repeat(0.35 + 0.65 * frame.rgb.mean(axis=-1, keepdims=True), 3, axis=-1)
-    for name, (colour, _) in MASKS.items():
+    for name, (color, _) in MASKS.items():
         values = mask_values(frame, name)
         if values is not None:
             share = 0.8 * np.clip(values / (5.0 if name == "outside" else 1.0), 0.0, 1.0)[..., None]
-            shown = (1.0 - share) * shown + share * np.array(colour)
+            shown = (1.0 - share) * shown + share * np.array(color)
     return shown.astype(np.float32)
 
 

@@ -224,7 +224,7 @@ def _camera_at(cameras: Sequence[Camera], place: float, interpolation: str) -> C
     begin = min(int(place), max(0, len(cameras) - 2))
     end = min(begin + 1, len(cameras) - 1)
     pose = np.eye(4)
-    pose[:3, 3] = value_along([camera.centre[None] for camera in cameras], place, interpolation)
+    pose[:3, 3] = value_along([camera.center[None] for camera in cameras], place, interpolation)
     pose[:3, :3] = _rotation_between(cameras[begin].rotation, cameras[end].rotation, place - begin)
     names = ("fx", "fy", "cx", "cy")
     lenses = [np.array([getattr(camera, name) for name in names]) for camera in cameras]

@@ -22,18 +22,18 @@ CLEAR = 0.5 / 255.0
 def rgba_picture(frame: Frame, camera: Camera | None = None, cages: Sequence[ClosedMesh] = ()) -> np.ndarray:
     """Straight colours and opacity (h, w, 4) float32 in [0, 1] of a frame rendered on black; black for nothing seen.
     Edges of cages, drawn into it, need the camera."""
-    colours = np.maximum(frame.rgb, 0.0)
+    colors = np.maximum(frame.rgb, 0.0)
     clear = np.repeat(1.0 - np.clip(frame.alpha, 0.0, 1.0)[..., None], 3, axis=-1)
     for cage in cages:
         assert camera is not None
-        colours = draw_cage(colours, camera, cage)
+        colors = draw_cage(colors, camera, cage)
         clear = draw_cage(clear, camera, cage, color=(0.0, 0.0, 0.0))  # what is behind, through the same lines
     alpha = 1.0 - clear[..., :1]
-    straight = np.divide(colours, alpha, out=np.zeros_like(colours), where=alpha > 0.0)
+    straight = np.divide(colors, alpha, out=np.zeros_like(colors), where=alpha > 0.0)
     return np.concatenate([np.clip(straight, 0.0, 1.0), alpha], axis=-1).astype(np.float32)
 
 
-def with_spread_colours(rgba: ArrayLike, reach: int = REACH) -> np.ndarray:
+def with_spread_colors(rgba: ArrayLike, reach: int = REACH) -> np.ndarray:
     """A picture (h, w, 4), in [0, 1], whose colours go on where it is clear, each from the nearest place that is not.
     They are straight, and go on for `reach` pixels."""
     # Codecs keep colours and opacity apart, colours often at half the size: the black behind a clear pixel would show
@@ -51,7 +51,7 @@ def with_spread_colours(rgba: ArrayLike, reach: int = REACH) -> np.ndarray:
     return spread
 
 
-def linear_light(colours: ArrayLike) -> np.ndarray:
+def linear_light(colors: ArrayLike) -> np.ndarray:
     """Light, float32, of colours as screens take them (sRGB, IEC 61966-2-1): 0 is black, 1 white, more is brighter."""
-    coded = np.maximum(np.asarray(colours, np.float32), 0.0)
+    coded = np.maximum(np.asarray(colors, np.float32), 0.0)
     return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)

@@ -58,7 +58,7 @@ def _line_coverage(camera: Camera, cage: ClosedMesh, width: float, depth) -> tup
     """(h, w) coverage in [0, 1] by edges in front and by edges behind."""
     front = np.zeros((camera.height, camera.width))
     back = np.zeros_like(front)
-    local = (cage.vertices - camera.centre) @ camera.rotation
+    local = (cage.vertices - camera.center) @ camera.rotation
     edges = cage.edges
     start, end, kept = _clipped(camera, local[edges[:, 0]], local[edges[:, 1]], cage.size, margin=width + 1.0)
     if not len(kept):

@@ -254,7 +254,7 @@ def disparity_range(disparity: ArrayLike, *, percentiles: tuple[float, float] = 
     return low - FAR_ROOM * (high - low), high
 
 
-def colour_disparity(
+def color_disparity(
     disparity: ArrayLike, *, alpha: ArrayLike | None = None, scale: tuple[float, float] | None = None
 ) -> np.ndarray:
     """Disparity (h, w) in colour (h, w, 3): near is light, far is dark, nothing seen (0) is black.
@@ -270,7 +270,7 @@ def colour_disparity(
     seen = np.isfinite(values) & (values > 0)
     level = np.clip((np.where(seen, values, low) - low) / max(high - low, 1e-12), 0.0, 1.0)
     place = level * (len(_WARM) - 1)
-    colour = np.stack([np.interp(place, np.arange(len(_WARM)), channel) for channel in _WARM.T], axis=-1)
+    color = np.stack([np.interp(place, np.arange(len(_WARM)), channel) for channel in _WARM.T], axis=-1)
     # opacity fades what is hardly there: a frame has a depth for the faintest haze
     share = seen if alpha is None else seen * np.asarray(alpha, np.float32)
-    return (share[..., None] * colour).astype(np.float32)
+    return (share[..., None] * color).astype(np.float32)

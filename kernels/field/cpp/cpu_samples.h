@@ -1,9 +1,9 @@
-// What marches on a CPU share: rays side by side, densities of a cell, and colours that wait for their memory.
+// What marches on a CPU share: rays side by side, densities of a cell, and colors that wait for their memory.
 //
 // A step of one ray waits for the one before, and where it leads is not foreseen; sixteen rays go on together without
 // branches, and a lane whose ray has ended takes the next ray of the tile. Densities of a cell come from one line of the
-// cache. A colour reads eight rows of some hundred bytes, which few caches hold: a sample asks for them, the march goes
-// on, and they are added up when the queue is full. The colours of a ray are added in the order of its samples.
+// cache. A color reads eight rows of some hundred bytes, which few caches hold: a sample asks for them, the march goes
+// on, and they are added up when the queue is full. The colors of a ray are added in the order of its samples.
 //
 // Takes `grid`, `table`, MatterCells `cells`, `turns`, which says whether each sample has a direction `along`, and
 // `bases`: of each ray that does not turn, the basis between zeros, from its eighth number on.
@@ -59,7 +59,7 @@ auto blended_density = [](const float* corners, float x, float y, float z) {
     return along_y.x + x * (along_y.y - along_y.x);
 };
 
-// samples at a place in a cell whose colours wait to be added to `colours` of 32 rays
+// samples at a place in a cell whose colors wait to be added to `colors` of 32 rays
 const int queue_length = 24;
 struct Waiting
 {
@@ -71,13 +71,13 @@ struct Waiting
 };
 Waiting queue[queue_length];
 int queued = 0;
-four colours[32] = {};
+four colors[32] = {};
 const float none[32] = {}; // the row of a node without one
 const int width = grid.sh.shape[1];
 const float* numbers = grid.sh.data;
 const int* order = table.columns.order.data;
 
-auto wait_for_colour = [&](int ray, int i, int j, int k, float x, float y, float z, float weight) -> Waiting& {
+auto wait_for_color = [&](int ray, int i, int j, int k, float x, float y, float z, float weight) -> Waiting& {
     const auto& columns = table.columns;
 #include "cell_place.h"
     Waiting& sample = queue[queued++];
@@ -116,7 +116,7 @@ auto wait_for_colour = [&](int ray, int i, int j, int k, float x, float y, float
     return sample;
 };
 
-auto add_colours = [&]() {
+auto add_colors = [&]() {
     for (int n = 0; n < queued; ++n)
     {
         const Waiting& sample = queue[n];
@@ -166,12 +166,12 @@ auto add_colours = [&]() {
             seen = (four){grey + seen.y, seen.x + seen.z, grey - seen.y, 0.0f};
         }
         seen += 0.5f;
-        colours[sample.ray] += sample.weight * (seen > 0.0f ? seen : (four)0.0f);
+        colors[sample.ray] += sample.weight * (seen > 0.0f ? seen : (four)0.0f);
     }
     queued = 0;
 };
 
-// samples whose colours are asked for while the densities of the next ones are on the way
+// samples whose colors are asked for while the densities of the next ones are on the way
 struct Shown
 {
     int ray, i, j, k;
@@ -179,20 +179,20 @@ struct Shown
 };
 Shown shown[lane_count];
 int shown_count = 0;
-auto ask_for_colours = [&]() {
+auto ask_for_colors = [&]() {
     for (int n = 0; n < shown_count; ++n)
     {
         const Shown& each = shown[n];
         if (queued == queue_length)
-            add_colours();
-        Waiting& sample = wait_for_colour(each.ray, each.i, each.j, each.k, each.x, each.y, each.z, each.weight);
+            add_colors();
+        Waiting& sample = wait_for_color(each.ray, each.i, each.j, each.k, each.x, each.y, each.z, each.weight);
         for (int axis = 0; turns && axis < 3; ++axis)
             sample.along[axis] = each.along[axis];
     }
     shown_count = 0;
 };
 
-// `sigma` of the lanes in `filled`, at the places x, y, z of the cells i, j, k; colours of the samples before are asked
+// `sigma` of the lanes in `filled`, at the places x, y, z of the cells i, j, k; colors of the samples before are asked
 // for while these densities are on the way
 auto add_densities = [&](unsigned filled, ints i, ints j, ints k, lanes x, lanes y, lanes z, lanes& sigma) {
     const float* records[lane_count];
@@ -202,7 +202,7 @@ auto add_densities = [&](unsigned filled, ints i, ints j, ints k, lanes x, lanes
         records[lane] = cell_densities(i[lane], j[lane], k[lane]);
         __builtin_prefetch(records[lane]);
     }
-    ask_for_colours();
+    ask_for_colors();
     for (unsigned left = filled; left; left &= left - 1u)
     {
         const int lane = __builtin_ctz(left);

@@ -102,10 +102,10 @@ while (live)
     k = ((empty > 0) & (after > k)) ? after : k;
     t = (k + 0.5f) * step;
 }
-ask_for_colours();
-add_colours();
+ask_for_colors();
+add_colors();
 for (int ray = 0; ray < 32; ++ray)
     for (int n = 0; n < 3; ++n)
-        seen.data[ray][n] = colours[ray][n];
+        seen.data[ray][n] = colors[ray][n];
 #endif
 return seen;

@@ -60,16 +60,16 @@ for (int e = begin; e < end; ++e)
         }
     }
 }
-float* colours = reinterpret_cast<float*>(rgb.data);
+float* colors = reinterpret_cast<float*>(rgb.data);
 for (int y = 0; y < height; ++y)
     for (int x = 0; x < width; ++x)
     {
         const int part = x >> 3, lane = x & 7;
         const size_t at = (size_t)(y0 + y) * tiles.width + x0 + x;
         const float rest = left[y][part][lane], opacity = 1.0f - rest;
-        colours[3 * at] = red[y][part][lane] + rest * background.c[0];
-        colours[3 * at + 1] = green[y][part][lane] + rest * background.c[1];
-        colours[3 * at + 2] = blue[y][part][lane] + rest * background.c[2];
+        colors[3 * at] = red[y][part][lane] + rest * background.c[0];
+        colors[3 * at + 1] = green[y][part][lane] + rest * background.c[1];
+        colors[3 * at + 2] = blue[y][part][lane] + rest * background.c[2];
         alpha.data[at] = opacity;
         depth.data[at] = opacity > 1.0e-3f ? far[y][part][lane] / opacity : INFINITY;
     }

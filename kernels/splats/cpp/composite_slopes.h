@@ -9,7 +9,7 @@ const int* member = reinterpret_cast<const int*>(members.data);
 float* sum_of = reinterpret_cast<float*>(sums.data);
 const float left = x - (float)(lane & 7), top = y - (float)(lane >> 3);
 const float low = top - 0.002f, high = top + 3.002f, right = left + 7.002f;
-float T = inside ? 1.0f : 0.0f, behind = colour.c[0] * gx + colour.c[1] * gy + colour.c[2] * gz;
+float T = inside ? 1.0f : 0.0f, behind = color.c[0] * gx + color.c[1] * gy + color.c[2] * gz;
 for (int base = begin; base < end; base += 32)
 {
     if (__ballot_sync(0xffffffffu, T > stop) == 0u)

@@ -7,7 +7,7 @@ lanes left[16][2], behind[16][2], slope[3][16][2];
 const int x0 = (tile % tiles.columns) * 16, y0 = (tiles.first_row + tile / tiles.columns) * 16;
 const int width = tiles.width - x0 < 16 ? tiles.width - x0 : 16;
 const int height = tiles.height - y0 < 16 ? tiles.height - y0 : 16;
-const float* colours = reinterpret_cast<const float*>(rgb.data);
+const float* colors = reinterpret_cast<const float*>(rgb.data);
 const float* given = reinterpret_cast<const float*>(slopes.data);
 for (int y = 0; y < 16; ++y)
     for (int x = 0; x < 16; ++x)
@@ -20,7 +20,7 @@ for (int y = 0; y < 16; ++y)
         {
             const float g = there ? given[at + c] : 0.0f;
             slope[c][y][part][lane] = g;
-            rest += there ? g * colours[at + c] : 0.0f;
+            rest += there ? g * colors[at + c] : 0.0f;
         }
         behind[y][part][lane] = rest;
         left[y][part][lane] = there ? 1.0f : 0.0f;

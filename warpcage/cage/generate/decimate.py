@@ -165,13 +165,13 @@ def _apart(edges, costs, faces, count, most) -> np.ndarray:
     """Indices of the cheapest edges, at most so many, whose faces share no vertex."""
     one = faces.reshape(-1)
     order = np.argsort(one, kind="stable")
-    neighbours = np.roll(faces, -1, axis=1).reshape(-1)[order].tolist()
+    neighbors = np.roll(faces, -1, axis=1).reshape(-1)[order].tolist()
     last = np.cumsum(np.bincount(one, minlength=count)).tolist()
     taken, chosen = set(), []
     for k in np.argsort(costs, kind="stable").tolist():
         touched = set(edges[k].tolist())
         for end in edges[k].tolist():
-            touched.update(neighbours[last[end - 1] if end else 0 : last[end]])
+            touched.update(neighbors[last[end - 1] if end else 0 : last[end]])
         if taken.isdisjoint(touched):
             taken |= touched
             chosen.append(k)

@@ -65,8 +65,8 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
 
 def principal_frame(points: np.ndarray) -> np.ndarray:
     """(3, 3) right-handed, columns the axes of the points' covariance, each as near as may be to a world axis."""
-    centred = points - points.mean(axis=0)
-    spreads, axes = np.linalg.eigh(np.matmul(centred.T, centred))
+    centered = points - points.mean(axis=0)
+    spreads, axes = np.linalg.eigh(np.matmul(centered.T, centered))
     # equal spreads leave their axes open, as those of a ball or a square plate do: they are turned towards the world's
     group = np.cumsum(np.diff(spreads, prepend=spreads[0]) > _EQUAL_SPREAD * spreads[-1])
     choices = []

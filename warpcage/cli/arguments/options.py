@@ -26,7 +26,7 @@ PICTURE_KINDS = ("rgb", "alpha", "depth", "disparity", "masks")
 VIEWS = ("corner", "front", "back", "left", "right", "top", "bottom")
 
 #: Colours behind pictures, for help texts.
-COLOUR_NAMES = ", ".join(BACKGROUNDS)
+COLOR_NAMES = ", ".join(BACKGROUNDS)
 
 #: The word for no background: pictures with opacity.
 TRANSPARENT = "transparent"
@@ -132,9 +132,9 @@ def add_background(parser: Arguments, default_text: str, more: str = "") -> None
     """The colour behind pictures; default_text: what it is by default, more: what the help says besides."""
     parser.add_argument(
         "--background",
-        type=colour,
+        type=color,
         metavar="COLOUR",
-        help=f"{COLOUR_NAMES}, or three numbers in [0, 1] such as 0.2,0.3,0.4 (default: {default_text}){more}",
+        help=f"{COLOR_NAMES}, or three numbers in [0, 1] such as 0.2,0.3,0.4 (default: {default_text}){more}",
     )
 
 
@@ -363,7 +363,7 @@ def lattice_resolution(text: str) -> int | str | None:
     return text if text == BY_SIZE else None if text == "precise" else positive_int(text)
 
 
-def colour(text: str) -> str | tuple[float, ...]:
+def color(text: str) -> str | tuple[float, ...]:
     """A name, or numbers between commas. The library checks them."""
     parts = text.split(",")
     if len(parts) == 1:

@@ -139,6 +139,7 @@ def add_pose_arguments(parser: argparse.ArgumentParser) -> None:
     )
     where.add_argument(
         "--centre",
+        dest="center",
         type=number,
         nargs=3,
         metavar=("X", "Y", "Z"),

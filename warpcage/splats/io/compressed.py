@@ -48,19 +48,19 @@ def read_compressed_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
         with np.errstate(over="ignore", invalid="ignore"):  # found by the check of what is finite
             return low * (1.0 - values) + high * values
 
-    colours = _bytes(vertex["packed_color"])
-    opacities = np.clip(colours[:, 3], _ALPHA_EDGE, 1.0 - _ALPHA_EDGE)
-    colours = colours[:, :3]
+    colors = _bytes(vertex["packed_color"])
+    opacities = np.clip(colors[:, 3], _ALPHA_EDGE, 1.0 - _ALPHA_EDGE)
+    colors = colors[:, :3]
     named = chunk.dtype.names or ()
     if "min_r" in named:
         lacking = [f"{end}_{c}" for end in ("min", "max") for c in "rgb" if f"{end}_{c}" not in named]
         if lacking:
             raise ValueError(f"{path}: packed splats lack {listed(lacking)}")
-        colours = within(colours, "", "rgb")
+        colors = within(colors, "", "rgb")
     further = _further(path, parts, len(vertex))
     harmonics = np.zeros((len(vertex), 1 + further.shape[1], 3), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
-        harmonics[:, 0] = (colours - 0.5) / Y0
+        harmonics[:, 0] = (colors - 0.5) / Y0
         harmonics[:, 1:] = further
         return SplatContents(
             within(_thirds(vertex["packed_position"]), "", "xyz").astype(np.float32),
@@ -76,10 +76,10 @@ def write_compressed_ply(contents: SplatContents) -> bytes:
     count = contents.count
     begins = np.arange(0, count, CHUNK)
     scales = np.clip(contents.log_scales.astype(np.float64), -MOST_LOG_SCALE, MOST_LOG_SCALE)
-    colours = 0.5 + Y0 * contents.harmonics[:, 0].astype(np.float64)
-    named = {"": contents.centres.astype(np.float64), "scale_": scales}
+    colors = 0.5 + Y0 * contents.harmonics[:, 0].astype(np.float64)
+    named = {"": contents.centers.astype(np.float64), "scale_": scales}
     ranges, placed = {}, {}
-    for what, values, axes in (*((what, values, "xyz") for what, values in named.items()), ("c", colours, "rgb")):
+    for what, values, axes in (*((what, values, "xyz") for what, values in named.items()), ("c", colors, "rgb")):
         low, high = (
             ends.reduceat(values, begins, axis=0).astype("<f4") if count else np.zeros((0, 3), "<f4")
             for ends in (np.minimum, np.maximum)

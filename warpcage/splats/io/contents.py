@@ -35,7 +35,7 @@ class PlyLayout:
 class SplatContents:
     """Splats as files hold them."""
 
-    centres: np.ndarray  # (n, 3) float32 or float64, world units
+    centers: np.ndarray  # (n, 3) float32 or float64, world units
     log_scales: np.ndarray  # (n, 3) float32, natural logarithms of the standard deviations along the splat's own axes
     quaternions: np.ndarray  # (n, 4) float32 w x y z, of any length; of length zero where the splat is not turned
     logits: np.ndarray  # (n,) float32, logarithm of opacity / (1 - opacity); infinite for 0 and 1
@@ -45,7 +45,7 @@ class SplatContents:
     @property
     def count(self) -> int:
         """Number of splats."""
-        return len(self.centres)
+        return len(self.centers)
 
     @property
     def degree(self) -> int:
@@ -55,9 +55,9 @@ class SplatContents:
 
 def checked_contents(contents: SplatContents) -> SplatContents:
     """Splats whose arrays fit together and are finite; ValueError with the row of the first that is not."""
-    count = len(contents.centres)
+    count = len(contents.centers)
     shapes = {
-        "centres": (count, 3),
+        "centers": (count, 3),
         "log_scales": (count, 3),
         "quaternions": (count, 4),
         "logits": (count,),

@@ -138,7 +138,7 @@ def chosen_layout(layout: PlyLayout | None, rows: np.ndarray) -> PlyLayout | Non
 def _properties(contents: SplatContents) -> dict[str, np.ndarray]:
     """The values of splats by the names of their properties."""
     rest = contents.harmonics.shape[1] - 1
-    values = {name: contents.centres[:, k] for k, name in enumerate("xyz")}
+    values = {name: contents.centers[:, k] for k, name in enumerate("xyz")}
     values |= {f"f_dc_{k}": contents.harmonics[:, 0, k] for k in range(3)}
     values |= {f"f_rest_{c * rest + k}": contents.harmonics[:, 1 + k, c] for c in range(3) for k in range(rest)}
     values |= {"opacity": contents.logits}

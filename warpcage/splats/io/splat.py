@@ -9,7 +9,7 @@ import numpy as np
 from ...core.files import read_limited
 from .contents import Y0, SplatContents, logits_of, opacities_of
 
-_ROW = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("rotation", "u1", 4)])
+_ROW = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
 
 _ROOM = 8
 
@@ -26,7 +26,7 @@ def read_splat(path: pathlib.Path) -> SplatContents:
     if not (np.isfinite(scales).all() and (scales > 0.0).all()):
         row = int(np.argwhere(~(np.isfinite(scales) & (scales > 0.0)))[0][0])
         raise ValueError(f"{path}: splat {row} has a scale that is not positive: {scales[row].tolist()}")
-    shares = table["colour"] / 255.0
+    shares = table["color"] / 255.0
     return SplatContents(
         table["position"].astype(np.float32),
         np.log(scales).astype(np.float32),
@@ -39,11 +39,11 @@ def read_splat(path: pathlib.Path) -> SplatContents:
 def write_splat(contents: SplatContents) -> bytes:
     """A .splat file. Harmonics of degree 1 and up, which it has no place for, are left out."""
     table = np.zeros(contents.count, _ROW)
-    table["position"] = contents.centres
+    table["position"] = contents.centers
     table["scale"] = np.exp(contents.log_scales.astype(np.float64))
-    colour = 0.5 + Y0 * contents.harmonics[:, 0].astype(np.float64)
-    shares = np.column_stack([colour, opacities_of(contents.logits)])
-    table["colour"] = np.clip(np.round(255.0 * shares), 0, 255)
+    color = 0.5 + Y0 * contents.harmonics[:, 0].astype(np.float64)
+    shares = np.column_stack([color, opacities_of(contents.logits)])
+    table["color"] = np.clip(np.round(255.0 * shares), 0, 255)
     length = np.linalg.norm(contents.quaternions.astype(np.float64), axis=1, keepdims=True)
     unit = np.where(length > 0.0, contents.quaternions / np.where(length > 0.0, length, 1.0), [1.0, 0.0, 0.0, 0.0])
     table["rotation"] = np.clip(np.round(128.0 * unit + 128.0), 0, 255)

@@ -20,7 +20,7 @@ _MAGIC = 0x5053474E
 _ALPHA_EDGE = 0.25 / 255.0
 
 #: What the colours of a file are scaled by, and bits after the point of the positions that are written.
-COLOUR_SCALE, FRACTIONAL_BITS = 0.15, 12
+COLOR_SCALE, FRACTIONAL_BITS = 0.15, 12
 
 #: The most that a position of 24 bits holds, in its units.
 _MOST = (1 << 23) - 1
@@ -53,12 +53,12 @@ def read_spz(path: pathlib.Path) -> SplatContents:
     for width in widths:
         parts.append(np.frombuffer(data, np.uint8, count * width, position).reshape(count, width))
         position += count * width
-    places, alphas, colours, scales, turns, octets = parts
+    places, alphas, colors, scales, turns, octets = parts
     words = places.reshape(count, 3, 3).astype(np.int32)
     fixed = words[..., 0] | words[..., 1] << 8 | words[..., 2] << 16
     fixed = np.where(fixed > _MOST, fixed - (1 << 24), fixed)
     harmonics = np.empty((count, 1 + further, 3), np.float32)
-    harmonics[:, 0] = (colours / 255.0 - 0.5) / COLOUR_SCALE
+    harmonics[:, 0] = (colors / 255.0 - 0.5) / COLOR_SCALE
     harmonics[:, 1:] = (octets.reshape(count, further, 3) - 128.0) / 128.0
     quaternions = _three_bytes(turns) if version == 2 else _four_bytes(turns)
     contents = SplatContents(
@@ -75,20 +75,20 @@ def write_spz(contents: SplatContents) -> bytes:
     """An .spz file of version 3; ValueError for splats too far from the origin for 24 bits."""
     contents = turned_over(contents)
     count = contents.count
-    reach = float(np.abs(contents.centres).max()) if count else 0.0
+    reach = float(np.abs(contents.centers).max()) if count else 0.0
     bits = FRACTIONAL_BITS
     while bits > 0 and reach * (1 << bits) > _MOST:
         bits -= 1
     if reach * (1 << bits) > _MOST:
         raise ValueError(f"an .spz file holds positions up to {_MOST}, a splat is {reach:.4g} away: move or scale it")
-    fixed = np.round(contents.centres.astype(np.float64) * (1 << bits)).astype(np.int32)
+    fixed = np.round(contents.centers.astype(np.float64) * (1 << bits)).astype(np.int32)
     places = np.stack([(fixed >> shift) & 255 for shift in (0, 8, 16)], axis=-1)
     alphas = np.round(255.0 * opacities_of(contents.logits))
-    colours = 255.0 * (contents.harmonics[:, 0].astype(np.float64) * COLOUR_SCALE + 0.5)
+    colors = 255.0 * (contents.harmonics[:, 0].astype(np.float64) * COLOR_SCALE + 0.5)
     scales = 16.0 * (contents.log_scales.astype(np.float64) + 10.0)
     octets = 128.0 * contents.harmonics[:, 1:].astype(np.float64) + 128.0
     header = _HEADER.pack(_MAGIC, 3, count, DEGREES[contents.harmonics.shape[1]], bits, 0, 0)
-    body = [np.clip(np.round(part), 0, 255).astype(np.uint8).tobytes() for part in (places, alphas, colours, scales)]
+    body = [np.clip(np.round(part), 0, 255).astype(np.uint8).tobytes() for part in (places, alphas, colors, scales)]
     body += [_turn_bytes(contents.quaternions), np.clip(np.round(octets), 0, 255).astype(np.uint8).tobytes()]
     packer = zlib.compressobj(9, zlib.DEFLATED, 31)
     return packer.compress(header + b"".join(body)) + packer.flush()
@@ -101,7 +101,7 @@ def turned_over(contents: SplatContents) -> SplatContents:
     flipped = FLIPPED[: harmonics.shape[1] - 1]
     harmonics[:, 1:][:, flipped] *= np.float32(-1.0)
     quaternions = contents.quaternions * np.array([1.0, 1.0, -1.0, -1.0], np.float32)
-    return SplatContents(contents.centres * signs, contents.log_scales, quaternions, contents.logits, harmonics)
+    return SplatContents(contents.centers * signs, contents.log_scales, quaternions, contents.logits, harmonics)
 
 
 def _unpacked(path: pathlib.Path, data: bytes) -> bytes:

@@ -114,6 +114,6 @@ float c[27];
 *reinterpret_cast<lanes*>(c + 16) = sum[2];
 if (width == 27)
     *reinterpret_cast<lanes*>(c + 19) = sum[3];
-#include "colour_of_row.h"
+#include "color_of_row.h"
 return wp::vec_t<3, wp::float32>(red + 0.5f, green + 0.5f, blue + 0.5f);
 #endif

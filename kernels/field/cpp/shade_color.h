@@ -5,7 +5,7 @@ if (whole)
 {
     const float* c = own;
     const int width = 24;
-#include "colour_of_row.h"
+#include "color_of_row.h"
     return wp::vec_t<3, wp::float32>(red, green, blue);
 }
 #include "staged_rows.h"
@@ -13,5 +13,5 @@ const float* c = rows + lane * stride;
 #else
 const float* c = sh.data + (size_t)row * width;
 #endif
-#include "colour_of_row.h"
+#include "color_of_row.h"
 return wp::vec_t<3, wp::float32>(red, green, blue);

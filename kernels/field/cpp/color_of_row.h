@@ -1,4 +1,4 @@
-// colour = numbers . basis of a row c of `width` numbers
+// color = numbers . basis of a row c of `width` numbers
 float red = 0.0f, green = 0.0f, blue = 0.0f;
 if (width == 24)
 {
