@@ -15,7 +15,7 @@ from ..core.loads import byte_entry, cell_byte, row_has_zero, vec4_entry
 from ..field.grid import VoxelGrid, grid_position
 from ..lattice.cage_map import map_distance
 from .nodes import node_blend
-from .structs import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, LOOK_SKIP, FlatEdit, entry_of_sides
+from .structs import CELL_FOLDED, CELL_INSIDE, CELL_OUTSIDE, CELL_STAYS, CELL_STEEP, LOOK_SKIP, EditData, entry_of_sides
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
@@ -104,7 +104,7 @@ class FineEdges:
 
 
 @wp.func
-def fine_edges(edit: FlatEdit, n: int, y: float, z: float):
+def fine_edges(edit: EditData, n: int, y: float, z: float):
     """Of the row of fine cells that begins at places y and z, 0 to 1, of axes 1 and 2 of the cell above node n."""
     nz = edit.node_counts[2]
     nyz = edit.node_counts[1] * nz
@@ -168,8 +168,8 @@ def fine_bounds(edges: FineEdges, x: float):
 
 
 @wp.func
-def corners_stay(edit: FlatEdit, n: int, low: wp.vec3):
-    """Whether the map leads a fine cell's corners into the rest cage, as far as that reaches (FlatEdit.slack)."""
+def corners_stay(edit: EditData, n: int, low: wp.vec3):
+    """Whether the map leads a fine cell's corners into the rest cage, as far as that reaches (EditData.slack)."""
     nz = edit.node_counts[2]
     stay = bool(True)
     corner = int(0)
@@ -188,7 +188,7 @@ def fine_place(fine: int):
 
 
 @wp.func
-def fine_flags(grid: VoxelGrid, edit: FlatEdit, step: float, n: int, fine: int, bounds: FineBounds, cell_flags: int):
+def fine_flags(grid: VoxelGrid, edit: EditData, step: float, n: int, fine: int, bounds: FineBounds, cell_flags: int):
     """The CELL_... flags of a fine cell of the cell above node n, LOOK_SKIP where it holds nothing. Out of the posed
     cage CELL_STAYS says that all of it is in the rest cage, and cleared."""
     low = fine_place(fine)
@@ -233,7 +233,7 @@ def fine_flags(grid: VoxelGrid, edit: FlatEdit, step: float, n: int, fine: int, 
 @wp.func
 def fine_bits(
     grid: VoxelGrid,
-    edit: FlatEdit,
+    edit: EditData,
     step: float,
     n: int,
     cell_flags: int,
@@ -271,7 +271,7 @@ def fine_bits(
 def mark_fine_cells(
     first: int,
     grid: VoxelGrid,
-    edit: FlatEdit,
+    edit: EditData,
     step: float,
     looks: wp.array(dtype=wp.uint64),
     fine_look: wp.array(dtype=wp.uint8),
@@ -410,7 +410,7 @@ def bytes_of(bits: wp.uint64, word: int):
 
 @wp.kernel
 def spread_fine_cells(
-    first: int, edit: FlatEdit, looks: wp.array(dtype=wp.uint64), fine_look: wp.array(dtype=wp.uint32)
+    first: int, edit: EditData, looks: wp.array(dtype=wp.uint64), fine_look: wp.array(dtype=wp.uint32)
 ):
     """How far each fine cell is from the nearest that a march must look at; an item a cell, in whole groups of lanes.
     looks: (nodes,) bits; fine_look: (FINE_WORDS * nodes,) of four bytes, LOOK_SKIP + distance where there is no bit."""

@@ -5,7 +5,7 @@ import warp as wp
 
 from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..lattice.cage_map import corner_share
-from .structs import CELL_OUTSIDE, FlatEdit, entry_of_sides
+from .structs import CELL_OUTSIDE, EditData, entry_of_sides
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
 
@@ -25,14 +25,14 @@ mat83 = wp.types.matrix(shape=(8, 3), dtype=wp.float32)
 
 
 @wp.func
-def corner_node(edit: FlatEdit, n: int, corner: int):
+def corner_node(edit: EditData, n: int, corner: int):
     """Node of the posed lattice at a corner of the cell above node n."""
     nz = edit.node_counts[2]
     return n + (corner >> 2) * edit.node_counts[1] * nz + ((corner >> 1) & 1) * nz + (corner & 1)
 
 
 @wp.func
-def cell_corners(edit: FlatEdit, n: int, entry: int, side: int):
+def cell_corners(edit: EditData, n: int, entry: int, side: int):
     """Images of the corners of the cell above node n of the posed lattice, in cells of the rest lattice."""
     corners = mat83()
     for c in range(8):
@@ -89,7 +89,7 @@ def place_in_cell(corners: mat83, target: wp.vec3):
 
 
 @wp.func
-def side_distance(edit: FlatEdit, n: int, entry: int, side: int, f: wp.vec3):
+def side_distance(edit: EditData, n: int, entry: int, side: int, f: wp.vec3):
     """Signed distance to the posed cage, as one side of the cell above node n has it, at a place f of the cell."""
     total = float(0.0)
     for c in range(8):
@@ -101,7 +101,7 @@ def side_distance(edit: FlatEdit, n: int, entry: int, side: int, f: wp.vec3):
 
 
 @wp.func
-def met_place(edit: FlatEdit, n: int, entry: int, side: int, corners: mat83, target: wp.vec3):
+def met_place(edit: EditData, n: int, entry: int, side: int, corners: mat83, target: wp.vec3):
     """The place of the cell above node n that the map takes to `target`, in cells of the rest lattice, and its signed
     distance to the posed cage; 1e6 where there is none. The nearest side of a cell tells where its map leads."""
     f = place_in_cell(corners, target)
@@ -115,7 +115,7 @@ def met_place(edit: FlatEdit, n: int, entry: int, side: int, corners: mat83, tar
 
 
 @wp.func
-def has_matter_near(grid: VoxelGrid, edit: FlatEdit, node: wp.vec3):
+def has_matter_near(grid: VoxelGrid, edit: EditData, node: wp.vec3):
     """Whether there is matter within a cell of the rest lattice around one of its nodes."""
     size = grid.voxel_size
     empty = empty_distance(grid, grid_position(grid, edit.rest.lower + edit.rest.spacing * node))
@@ -125,7 +125,7 @@ def has_matter_near(grid: VoxelGrid, edit: FlatEdit, node: wp.vec3):
 @wp.kernel(cuda_max_registers=128)
 def claim_nodes(
     first: int,
-    edit: FlatEdit,
+    edit: EditData,
     cells: wp.array3d(dtype=wp.uint8),
     grid: VoxelGrid,
     owners: wp.array3d(dtype=int),
@@ -176,7 +176,7 @@ def claim_nodes(
 
 
 @wp.kernel(cuda_max_registers=128)
-def settle_nodes(first: int, edit: FlatEdit, owners: wp.array3d(dtype=int), places: wp.array3d(dtype=wp.vec4)):
+def settle_nodes(first: int, edit: EditData, owners: wp.array3d(dtype=int), places: wp.array3d(dtype=wp.vec4)):
     """Where each node of the rest lattice is in the posed scene, in cells of the posed lattice, with 1; 0 where no cell
     of the posed lattice leads to it. places: as owners, which become NO_CELL again."""
     item = first + wp.tid()

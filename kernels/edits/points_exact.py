@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from .structs import ClosedFormEdit
+from .structs import ExactEdit
 from .trace import canonical_ray
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -11,7 +11,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 @wp.kernel
 def map_points_precisely(
     first: int,
-    edits: wp.array(dtype=ClosedFormEdit),
+    edits: wp.array(dtype=ExactEdit),
     origin: wp.vec3,
     points: wp.array(dtype=wp.vec3),
     directions: wp.array(dtype=wp.vec3),

@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
 @wp.struct
-class CrumbCells:
+class FragmentCells:
     """The cells between voxels that crumbs lie in. `marks` without entries: there are none."""
 
     lower: wp.vec3  # position of the voxel at the lower corner of cell (0, 0, 0)
@@ -19,7 +19,7 @@ class CrumbCells:
 
 
 @wp.func
-def in_crumbs(crumbs: CrumbCells, x: wp.vec3):
+def in_fragments(crumbs: FragmentCells, x: wp.vec3):
     """Whether a point of the scene at rest lies in a cell that holds any of a crumb."""
     if crumbs.marks.shape[0] == 0:
         return False
@@ -75,7 +75,7 @@ class LatticeEdit:
     slack: float  # a mapped point counts as inside the rest cage up to this distance
     keeps_source: int  # 1: the rest cage is not cleared
     removes: int  # 1: nothing is drawn in the deformed cage
-    crumbs: CrumbCells  # they count as in the rest cage
+    crumbs: FragmentCells  # they count as in the rest cage
     cells: wp.array3d(dtype=wp.uint8)  # lattice cell -> CELL_... flags of the cases that it settles as a whole
     skip: wp.array3d(dtype=wp.uint8)  # lattice cell -> Chebyshev distance to the nearest that may hold anything
 
@@ -91,7 +91,7 @@ class CellTable:
 
 
 @wp.struct
-class ClosedFormEdit:
+class ExactEdit:
     """An edit whose coordinates are evaluated at every point."""
 
     deformed_vertices: wp.array(dtype=wp.vec3)
@@ -102,7 +102,7 @@ class ClosedFormEdit:
     deformed_cells: CellTable
     rest_cells: CellTable  # its `skip` is not used
     walls: Walls  # the map fades to the identity towards them
-    crumbs: CrumbCells  # they count as in the rest cage
+    crumbs: FragmentCells  # they count as in the rest cage
     carried: CageMap  # the map on a lattice, where cells carry crumbs
     size: float  # longest side of the deformed cage
     is_green: int  # 1: Green, 0: mean value
@@ -117,7 +117,7 @@ LOOK_SKIP = wp.constant(64)
 
 
 @wp.struct
-class FlatEdit:
+class EditData:
     """A LatticeEdit with flat arrays: node (i, j, k), and the cell above it, is at (i * ny + j) * nz + k."""
 
     lower: wp.vec3  # position of node (0, 0, 0)
@@ -144,11 +144,11 @@ class FlatEdit:
     removes: int
     all_outside: int  # CELL_OUTSIDE if no place is mapped, as the edit removes; else 0
     carried_below: float  # rest distance of what shades have in the layer of matter that goes with the pose
-    crumbs: CrumbCells  # only the march through several edits knows them
+    crumbs: FragmentCells  # only the march through several edits knows them
 
 
 @wp.func
-def entry_of_sides(edit: FlatEdit, n: int):
+def entry_of_sides(edit: EditData, n: int):
     """Entry of the table of sides for the cell above node n, 0 for none; see lattice/cage_map."""
     entry = int(0)
     if edit.has_sides == 1:
@@ -157,7 +157,7 @@ def entry_of_sides(edit: FlatEdit, n: int):
 
 
 @wp.func
-def rest_distance(edit: FlatEdit, x: wp.vec3):
+def rest_distance(edit: EditData, x: wp.vec3):
     """lattice/cage_map.map_distance of the rest cage."""
     rest = edit.rest
     return trilinear_entry(rest.distance, (x - rest.lower) * rest.inverse_spacing, 4.0 * rest.spacing)
@@ -195,10 +195,10 @@ def lattice_upper(edit: LatticeEdit):
 
 
 @wp.func
-def lattice_lower(edit: ClosedFormEdit):  # noqa: F811 (a Warp overload)
+def lattice_lower(edit: ExactEdit):  # noqa: F811 (a Warp overload)
     return edit.deformed_cells.lower
 
 
 @wp.func
-def lattice_upper(edit: ClosedFormEdit):  # noqa: F811
+def lattice_upper(edit: ExactEdit):  # noqa: F811
     return table_upper(edit.deformed_cells)

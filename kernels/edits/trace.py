@@ -20,9 +20,9 @@ from .structs import (
     MAPPED,
     UNCHANGED,
     CellTable,
-    ClosedFormEdit,
+    ExactEdit,
     LatticeEdit,
-    in_crumbs,
+    in_fragments,
 )
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -124,7 +124,7 @@ def edit_point(edit: LatticeEdit, x: wp.vec3):
             position = side_position(edit.deformed.sides, sides, cell.offset)
         stays = (cell.flags & CELL_STAYS) != 0
         if not stays:
-            stays = in_crumbs(edit.crumbs, position) or (inside and in_rest_cage(edit, position, edit.slack))
+            stays = in_fragments(edit.crumbs, position) or (inside and in_rest_cage(edit, position, edit.slack))
         if inside or stays:
             result.mapped = 1
             result.flags = cell.flags
@@ -167,7 +167,7 @@ def in_cage(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype
 
 
 @wp.func
-def in_rest_cage(edit: ClosedFormEdit, x: wp.vec3, slack: float):  # noqa: F811
+def in_rest_cage(edit: ExactEdit, x: wp.vec3, slack: float):  # noqa: F811
     """Whether a point lies in the rest cage of an edit, or within `slack` of it."""
     flags = table_flags(edit.rest_cells, x)
     if (flags & (CELL_INSIDE | CELL_OUTSIDE)) != 0:
@@ -176,7 +176,7 @@ def in_rest_cage(edit: ClosedFormEdit, x: wp.vec3, slack: float):  # noqa: F811
 
 
 @wp.func(inline=False)
-def edit_position(edit: ClosedFormEdit, x: wp.vec3):
+def edit_position(edit: ExactEdit, x: wp.vec3):
     """The map of an edit, from its deformed into its rest cage."""
     mapped = x
     if edit.is_green == 1:
@@ -189,7 +189,7 @@ def edit_position(edit: ClosedFormEdit, x: wp.vec3):
 
 
 @wp.func
-def edit_point(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
+def edit_point(edit: ExactEdit, x: wp.vec3):  # noqa: F811
     """Whether a point is in the deformed cage of an edit, and where the map leads; an edit that removes leaves nothing
     there."""
     result = EditPoint()
@@ -206,11 +206,11 @@ def edit_point(edit: ClosedFormEdit, x: wp.vec3):  # noqa: F811
         result.flags = flags
         result.position = edit_position(edit, x)
         if (flags & CELL_STAYS) == 0:
-            stays = in_rest_cage(edit, result.position, edit.slack) or in_crumbs(edit.crumbs, result.position)
+            stays = in_rest_cage(edit, result.position, edit.slack) or in_fragments(edit.crumbs, result.position)
             result.leaves = wp.where(stays, 0, 1)
     elif case == CELL_CARRIES:
         position = map_position(edit.carried, x)
-        if in_crumbs(edit.crumbs, position):
+        if in_fragments(edit.crumbs, position):
             result.mapped = 1
             result.flags = CELL_CARRIES | CELL_STEEP  # a lattice's map, which is not asked whether it folds over
             result.position = position
@@ -237,7 +237,7 @@ def traced_point(edits: Any, x: wp.vec3):
                 result.vacant = 1
                 result.outside = 1 - cleared
             position = place.position
-        elif edit.keeps_source == 0 and (in_rest_cage(edit, position, 0.0) or in_crumbs(edit.crumbs, position)):
+        elif edit.keeps_source == 0 and (in_rest_cage(edit, position, 0.0) or in_fragments(edit.crumbs, position)):
             result.vacant = cleared  # what is cleared cannot be cleared again
             cleared = 1
         e -= 1
@@ -253,7 +253,7 @@ def canonical_point(edits: Any, x: wp.vec3):
 
 
 @wp.func(inline=False)  # as slow as the closed forms in it: halves what a march takes to compile
-def canonical_point(edits: wp.array(dtype=ClosedFormEdit), x: wp.vec3):  # noqa: F811
+def canonical_point(edits: wp.array(dtype=ExactEdit), x: wp.vec3):  # noqa: F811
     """What edits by closed forms say of a point: see traced_point."""
     return traced_point(edits, x)
 
@@ -315,7 +315,7 @@ def canonical_direction(step: wp.vec3, dt: float, direction: wp.vec3):
 
 
 @wp.func
-def difference_determinant(edit: ClosedFormEdit, x: wp.vec3, h: float):
+def difference_determinant(edit: ExactEdit, x: wp.vec3, h: float):
     """det of the central differences of an edit's map."""
     dx = edit_position(edit, x + wp.vec3(h, 0.0, 0.0)) - edit_position(edit, x - wp.vec3(h, 0.0, 0.0))
     dy = edit_position(edit, x + wp.vec3(0.0, h, 0.0)) - edit_position(edit, x - wp.vec3(0.0, h, 0.0))
@@ -324,7 +324,7 @@ def difference_determinant(edit: ClosedFormEdit, x: wp.vec3, h: float):
 
 
 @wp.func
-def turns_over(edit: ClosedFormEdit, x: wp.vec3):
+def turns_over(edit: ExactEdit, x: wp.vec3):
     """Whether the map of an edit turns space over around a point (det J <= 0), by differences; not next to the cage,
     beyond which Green coordinates hold no map."""
     h = CLOSED_FORM_DIFFERENCE * edit.size
@@ -334,13 +334,13 @@ def turns_over(edit: ClosedFormEdit, x: wp.vec3):
 
 
 @wp.func
-def is_folded(edits: Any, x: wp.vec3, point: CanonicalPoint):
+def has_inverted_cells(edits: Any, x: wp.vec3, point: CanonicalPoint):
     """Whether any of the maps that a point x goes through turns space over there: what the lattice cells say."""
     return (point.flags & CELL_FOLDED) != 0
 
 
 @wp.func
-def is_folded(edits: wp.array(dtype=ClosedFormEdit), x: wp.vec3, point: CanonicalPoint):  # noqa: F811
+def has_inverted_cells(edits: wp.array(dtype=ExactEdit), x: wp.vec3, point: CanonicalPoint):  # noqa: F811
     """The same without lattices, whose cells only say where that is possible."""
     position = x
     rest_of_path = point.path

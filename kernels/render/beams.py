@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..core.loads import byte_entry, cell_byte, near_reciprocal, near_root
-from ..edits.structs import LOOK_SKIP, FlatEdit
+from ..edits.structs import LOOK_SKIP, EditData
 from ..field.grid import VoxelGrid, grid_position
 from ..view.rays import TILE_SIZE, TILE_WIDTH, PinholeCamera, tile_pixel
 
@@ -110,7 +110,7 @@ def leave_cube(beam: Beam, cell: wp.vec3i, reach: int, s: float):
 
 
 @wp.func
-def fine_reach(edit: FlatEdit, cell: wp.vec3i):
+def fine_reach(edit: EditData, cell: wp.vec3i):
     """Distance in fine cells from one to the nearest that a march must look at, 0 or less there."""
     bits = edit.fine_bits
     rest = (1 << bits) - 1
@@ -121,7 +121,7 @@ def fine_reach(edit: FlatEdit, cell: wp.vec3i):
 
 
 @wp.func
-def is_covered(edit: FlatEdit, grid: VoxelGrid, size: wp.vec3):
+def is_covered(edit: EditData, grid: VoxelGrid, size: wp.vec3):
     """Whether a field's grid lies in an edit's lattice as a whole: places in it are known of the lattice alone."""
     cells = wp.vec3(float(grid.skip.shape[0]), float(grid.skip.shape[1]), float(grid.skip.shape[2]))
     lower = (grid.lower - edit.lower) * edit.inverse_fine_size
@@ -130,7 +130,7 @@ def is_covered(edit: FlatEdit, grid: VoxelGrid, size: wp.vec3):
 
 
 @wp.func
-def beam_begin(edit: FlatEdit, grid: VoxelGrid, origin: wp.vec3, low: wp.vec3, high: wp.vec3):
+def beam_begin(edit: EditData, grid: VoxelGrid, origin: wp.vec3, low: wp.vec3, high: wp.vec3):
     """Distance from `origin` up to which no ray of a tile can meet anything; NEVER where none meets anything at all."""
     last = edit.last_fine
     size = wp.vec3(float(last[0] + 1), float(last[1] + 1), float(last[2] + 1))
@@ -168,7 +168,7 @@ def beam_begin(edit: FlatEdit, grid: VoxelGrid, origin: wp.vec3, low: wp.vec3, h
 
 
 @wp.kernel
-def find_tile_begins(first: int, grid: VoxelGrid, edit: FlatEdit, camera: PinholeCamera, begins: wp.array(dtype=float)):
+def find_tile_begins(first: int, grid: VoxelGrid, edit: EditData, camera: PinholeCamera, begins: wp.array(dtype=float)):
     """Distance up to which no ray of a tile meets anything. begins: (tiles,). One item a tile."""
     tile = first + wp.tid()
     low, high = tile_directions(camera, tile)
@@ -180,7 +180,7 @@ def find_tile_begins_of_edits(
     first: int,
     tiles: int,
     grid: VoxelGrid,
-    edits: wp.array(dtype=FlatEdit),
+    edits: wp.array(dtype=EditData),
     camera: PinholeCamera,
     begins: wp.array(dtype=float),
 ):

@@ -15,7 +15,7 @@ from ..edits.structs import (
     CELL_STEEP,
     CUT_LENGTH,
     LOOK_SKIP,
-    FlatEdit,
+    EditData,
     entry_of_sides,
     rest_distance,
 )
@@ -27,7 +27,7 @@ from ..field.rows import RowTable, row_color
 from ..lattice.cage_map import side_position
 from ..view.rays import box_span
 from .rays import BEGUN, FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions, RayState
-from .volume import CARRIED_LAYER, PLAIN_LAYER, LaidShades, laid_shade
+from .volume import CARRIED_LAYER, PLAIN_LAYER, ShadedVolume, laid_shade
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -53,7 +53,7 @@ def empty_at(grid: VoxelGrid, g: wp.vec3):
 @wp.func
 def matter_at(table: RowTable, grid: VoxelGrid, g: wp.vec3, layer: int, step: float):
     """Color, if it comes with the rest, and optical depth of a step at node coordinates g; 0 where there is nothing.
-    layer: of deform/laid_shades."""
+    layer: of deform/shaded_volume."""
     i = int(wp.floor(g[0]))
     j = int(wp.floor(g[1]))
     k = int(wp.floor(g[2]))
@@ -68,7 +68,7 @@ def matter_at(table: RowTable, grid: VoxelGrid, g: wp.vec3, layer: int, step: fl
 
 
 @wp.func
-def matter_at(table: LaidShades, grid: VoxelGrid, g: wp.vec3, layer: int, step: float):  # noqa: F811 (a Warp overload)
+def matter_at(table: ShadedVolume, grid: VoxelGrid, g: wp.vec3, layer: int, step: float):  # noqa: F811 (a Warp overload)
     low = g[0] >= 0.0 and g[1] >= 0.0 and g[2] >= 0.0
     if not (low and g[0] < table.cells[0] and g[1] < table.cells[1] and g[2] < table.cells[2]):
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -148,7 +148,7 @@ class MappedPlace:
 
 
 @wp.func
-def polynomial_place(edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
+def polynomial_place(edit: EditData, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
     """Where a sample at a place f, 0 to 1, in its lattice cell is in canonical space: `place` where the posed cage does
     not hold it."""
     there = cell_place_slope(edit.polynomials, at.n, f, rate)
@@ -163,7 +163,7 @@ def polynomial_place(edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3
 
 
 @wp.func
-def node_place(edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
+def node_place(edit: EditData, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
     """The same of an edit without polynomials."""
     nz = edit.node_counts[2]
     node = node_blend_slope(edit.nodes, at.n, edit.node_counts[1] * nz, nz, f, rate)
@@ -181,7 +181,7 @@ def node_place(edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3, plac
 
 
 @wp.func
-def edit_line(edit: FlatEdit, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
+def edit_line(edit: EditData, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
     """A ray as a march through an edit knows it."""
     line = EditLine()
     line.start = (origin - edit.lower) * edit.inverse_fine_size
@@ -226,7 +226,7 @@ def first_sample(t: float, inverse_step: float):
 
 
 @wp.func
-def lattice_place(edit: FlatEdit, grid: VoxelGrid, line: EditLine, t: float):
+def lattice_place(edit: EditData, grid: VoxelGrid, line: EditLine, t: float):
     """Where the ray is in the lattice at a distance."""
     at = LatticePlace()
     at.fine = line.start + t * line.rate
@@ -249,7 +249,7 @@ def lattice_place(edit: FlatEdit, grid: VoxelGrid, line: EditLine, t: float):
 
 
 @wp.func
-def current_place(edit: FlatEdit, grid: VoxelGrid, line: EditLine, sample: RaySample, foreseen: LatticePlace, t: float):
+def current_place(edit: EditData, grid: VoxelGrid, line: EditLine, sample: RaySample, foreseen: LatticePlace, t: float):
     """Where a sample at distance t is in the lattice."""
     if sample.share > 0.0:
         return foreseen
@@ -263,7 +263,7 @@ def is_empty(at: LatticePlace):
 
 
 @wp.func
-def distance_to_rest(edit: FlatEdit, place: MappedPlace, look: int):
+def distance_to_rest(edit: EditData, place: MappedPlace, look: int):
     """Signed distance of a sample to the rest cage; a number of that sign where its fine cell knows, or nobody asks."""
     if (look & CELL_STAYS) != 0 and (place.mapped == 1 or (look & CELL_OUTSIDE) != 0):
         return float(-1.0e30)
@@ -273,7 +273,7 @@ def distance_to_rest(edit: FlatEdit, place: MappedPlace, look: int):
 
 
 @wp.func
-def shade_layer(edit: FlatEdit, mapped: int, distance: float):
+def shade_layer(edit: EditData, mapped: int, distance: float):
     """The layer of shades that a sample reads: what goes with a pose is in one of them only."""
     if mapped == 1 or distance <= edit.carried_below:
         return CARRIED_LAYER
@@ -308,7 +308,7 @@ def up_to_box(line: EditLine, t: float, leave: float):
 
 
 @wp.func
-def leave_empty(edit: FlatEdit, grid: VoxelGrid, line: EditLine, at: LatticePlace, t: float):
+def leave_empty(edit: EditData, grid: VoxelGrid, line: EditLine, at: LatticePlace, t: float):
     """Distance up to which a ray certainly meets nothing from an empty place on."""
     if at.n >= 0:
         return wp.min(t + exit_of_fine_cell(at.fine, line.inverse, at.look - LOOK_SKIP), line.box[1])
@@ -322,7 +322,7 @@ def leave_empty(edit: FlatEdit, grid: VoxelGrid, line: EditLine, at: LatticePlac
 
 @wp.func
 def next_sample(
-    edit: FlatEdit,
+    edit: EditData,
     grid: VoxelGrid,
     options: MarchOptions,
     line: EditLine,
@@ -365,7 +365,7 @@ def with_color(table: RowTable, grid: VoxelGrid, line: EditLine, found: FoundMat
 
 @wp.func
 def with_color(  # noqa: F811 (a Warp overload)
-    table: LaidShades, grid: VoxelGrid, line: EditLine, found: FoundMatter, ray: MarchedRay, weight: float
+    table: ShadedVolume, grid: VoxelGrid, line: EditLine, found: FoundMatter, ray: MarchedRay, weight: float
 ):
     color = wp.vec3(found.matter[0] + 0.5, found.matter[1] + 0.5, found.matter[2] + 0.5)
     ray.seen.color += weight * wp.max(color, wp.vec3(0.0, 0.0, 0.0))
@@ -374,7 +374,7 @@ def with_color(  # noqa: F811 (a Warp overload)
 
 @wp.func
 def gather_matter(
-    edit: FlatEdit,
+    edit: EditData,
     grid: VoxelGrid,
     table: Any,
     options: MarchOptions,
@@ -422,7 +422,7 @@ def make_edit_march(has_sides: bool) -> Any:
     # the functions of sides are calls, around which a GPU keeps more registers: edits without have a march of their own
 
     @wp.func
-    def cell_place(edit: FlatEdit, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
+    def cell_place(edit: EditData, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace):
         """The same, whatever the edit's cells have."""
         if wp.static(has_sides):
             if edit.by_nodes == 1:
@@ -438,7 +438,7 @@ def make_edit_march(has_sides: bool) -> Any:
         return place
 
     @wp.func
-    def mapped_place(edit: FlatEdit, at: LatticePlace, line: EditLine):
+    def mapped_place(edit: EditData, at: LatticePlace, line: EditLine):
         """Where a sample is in canonical space (Eq. 4): mapped inside the posed cage, else where it is."""
         result = MappedPlace()
         result.position = edit.lower + edit.fine_size * at.fine
@@ -453,7 +453,7 @@ def make_edit_march(has_sides: bool) -> Any:
         return cell_place(edit, at, f, line.rate, result)
 
     @wp.func
-    def found_matter(edit: FlatEdit, grid: VoxelGrid, table: Any, line: EditLine, at: LatticePlace, step: float):
+    def found_matter(edit: EditData, grid: VoxelGrid, table: Any, line: EditLine, at: LatticePlace, step: float):
         """What a sample holds."""
         found = FoundMatter()
         if is_empty(at):  # which is asked again before any of it is read
@@ -473,7 +473,7 @@ def make_edit_march(has_sides: bool) -> Any:
 
     @wp.func
     def march_edit(
-        edit: FlatEdit,
+        edit: EditData,
         grid: VoxelGrid,
         table: Any,
         origin: wp.vec3,

@@ -11,7 +11,7 @@ from ..edits.structs import (
     CELL_STEEP,
     CUT_LENGTH,
     LOOK_SKIP,
-    FlatEdit,
+    EditData,
 )
 from ..field.grid import VoxelGrid, grid_span
 from ..field.march import PENDING_WEIGHT
@@ -61,7 +61,7 @@ CONSTANTS = "".join(
 
 @wp.func_native(CONSTANTS + native_source(__file__, "march_cpu.h"))
 def march_tile(
-    edit: FlatEdit,
+    edit: EditData,
     grid: VoxelGrid,
     table: RowTable,
     cells: MatterCells,
@@ -84,7 +84,7 @@ def render_edit_tiles(
     grid: VoxelGrid,
     table: RowTable,
     cells: MatterCells,
-    edit: FlatEdit,
+    edit: EditData,
     part: ScenePart,
     camera: PinholeCamera,
     background: wp.vec3,

@@ -4,8 +4,8 @@ from typing import Any
 
 import warp as wp
 
-from ..edits.structs import CELL_STEEP, CLEARED, CUT_LENGTH, MAPPED, ClosedFormEdit, lattice_lower, lattice_upper
-from ..edits.trace import CanonicalPoint, canonical_direction, canonical_point, canonical_step, is_folded
+from ..edits.structs import CELL_STEEP, CLEARED, CUT_LENGTH, MAPPED, ExactEdit, lattice_lower, lattice_upper
+from ..edits.trace import CanonicalPoint, canonical_direction, canonical_point, canonical_step, has_inverted_cells
 from ..field.grid import (
     VoxelGrid,
     cell_color,
@@ -41,7 +41,7 @@ def empty_reach_of_cells(
 
 
 @wp.func
-def empty_reach(edit: ClosedFormEdit, x: wp.vec3, direction: wp.vec3):
+def empty_reach(edit: ExactEdit, x: wp.vec3, direction: wp.vec3):
     """empty_reach_of_cells of an edit's table."""
     table = edit.deformed_cells
     return empty_reach_of_cells(table.skip, table.lower, 1.0 / table.spacing, x, direction)
@@ -177,7 +177,7 @@ def march_deformed(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.v
                         seen.depth += weight * t_sub
                         seen.transmittance *= kept
                         if point.region == MAPPED and weight > FOLD_MIN_WEIGHT:
-                            if is_folded(edits, x_sub, point):
+                            if has_inverted_cells(edits, x_sub, point):
                                 seen.fold += weight
         k += 1
     return seen

@@ -18,9 +18,9 @@ from ..edits.structs import (
     CUT_LENGTH,
     LATTICE_BORDER,
     LOOK_SKIP,
-    FlatEdit,
+    EditData,
     cell_exit,
-    in_crumbs,
+    in_fragments,
     rest_distance,
 )
 from ..field.densities import early_density, late_density
@@ -53,7 +53,7 @@ class LatticePlace:
 
 
 @wp.func
-def lattice_place(edit: FlatEdit, x: wp.vec3):
+def lattice_place(edit: EditData, x: wp.vec3):
     """Where a point is."""
     result = LatticePlace()
     g = (x - edit.lower) * edit.inverse_spacing
@@ -84,7 +84,7 @@ class TracedPoint:
 
 
 @wp.func
-def rest_span(edit: FlatEdit, origin: wp.vec3, direction: wp.vec3):
+def rest_span(edit: EditData, origin: wp.vec3, direction: wp.vec3):
     """Distances (near, far) at which a ray is in the box around an edit's rest cage."""
     rest = edit.rest
     counts = wp.vec3i(rest.distance.shape[0], rest.distance.shape[1], rest.distance.shape[2])
@@ -120,7 +120,7 @@ def make_trace(is_simple: bool) -> Any:
     """Functions that follow a point through the edits: its position, and the derivative of that."""
 
     @wp.func
-    def side_entry(edit: FlatEdit, cell: int):
+    def side_entry(edit: EditData, cell: int):
         """Entry of an edit's table of sides for a cell of its lattice, 0 for none."""
         entry = int(0)
         if wp.static(not is_simple):
@@ -129,7 +129,7 @@ def make_trace(is_simple: bool) -> Any:
         return entry
 
     @wp.func
-    def mapped_position(edit: FlatEdit, entry: int, offset: wp.vec3, node: wp.vec4):
+    def mapped_position(edit: EditData, entry: int, offset: wp.vec3, node: wp.vec4):
         """Where a place in a cell, whose corners alone say `node`, is mapped to."""
         position = wp.vec3(node[0], node[1], node[2])
         if wp.static(not is_simple):
@@ -138,7 +138,7 @@ def make_trace(is_simple: bool) -> Any:
         return position
 
     @wp.func
-    def mapped_slope(edit: FlatEdit, entry: int, place: LatticePlace, rate: wp.vec3):
+    def mapped_slope(edit: EditData, entry: int, place: LatticePlace, rate: wp.vec3):
         """Derivative of mapped_position where the place moves at `rate`, cells."""
         if wp.static(not is_simple):
             if entry != 0:
@@ -146,15 +146,15 @@ def make_trace(is_simple: bool) -> Any:
         return node_slope(edit.nodes, place.cell, place.nodes[0], place.nodes[1], place.offset, rate)
 
     @wp.func
-    def is_in_crumbs(edit: FlatEdit, x: wp.vec3):
+    def is_in_fragments(edit: EditData, x: wp.vec3):
         """Whether crumbs of an edit are at a point of the scene at rest."""
         if wp.static(is_simple):
             return False
         else:
-            return in_crumbs(edit.crumbs, x)
+            return in_fragments(edit.crumbs, x)
 
     @wp.func
-    def trace_stack(edits: wp.array(dtype=FlatEdit), asked: int, x: wp.vec3):
+    def trace_stack(edits: wp.array(dtype=EditData), asked: int, x: wp.vec3):
         """Trace a point to canonical space as deform/edits.traced_point does. Bit e of `asked`: edit e may have it in
         its posed cage or in its rest cage; where an edit maps it to, the ones before are asked in any case."""
         result = TracedPoint()
@@ -178,14 +178,16 @@ def make_trace(is_simple: bool) -> Any:
                         if case != CELL_OUTSIDE:
                             node = node_blend(edit.nodes, place.cell, place.nodes[0], place.nodes[1], place.offset)
                             source = mapped_position(edit, side_entry(edit, place.cell), place.offset, node)
-                            is_crumb = bool(False)
+                            is_fragment = bool(False)
                             if (flags & CELL_STAYS) == 0:
-                                is_crumb = is_in_crumbs(edit, source)
+                                is_fragment = is_in_fragments(edit, source)
                             if result.path == 0 and case != CELL_INSIDE:
                                 # the trilinear distance changes by less than twice the way
                                 result.room = wp.where(case == CELL_CARRIES, 0.0, 0.5 * wp.abs(node[3]))
                             mapped = (
-                                case == CELL_INSIDE or node[3] <= edit.tolerance or (case == CELL_CARRIES and is_crumb)
+                                case == CELL_INSIDE
+                                or node[3] <= edit.tolerance
+                                or (case == CELL_CARRIES and is_fragment)
                             )
                             if mapped:
                                 position = source
@@ -194,14 +196,14 @@ def make_trace(is_simple: bool) -> Any:
                                     flags = flags | CELL_STEEP  # each may be gentle, but not both together
                                 result.path = result.path | (1 << e)
                                 result.flags = result.flags | flags
-                                if (flags & CELL_STAYS) == 0 and not is_crumb:
+                                if (flags & CELL_STAYS) == 0 and not is_fragment:
                                     staying = 0.5 * (edit.slack - rest_distance(edit, position))
                                     result.room = wp.min(result.room, staying)
                                     if staying < 0.0:
                                         result.vacant = 1
                                         result.outside = 1 - result.cleared
                 if not mapped and edit.keeps_source == 0:
-                    if rest_distance(edit, position) <= 0.0 or is_in_crumbs(edit, position):
+                    if rest_distance(edit, position) <= 0.0 or is_in_fragments(edit, position):
                         result.vacant = result.cleared  # what is cleared cannot be cleared again
                         result.cleared = 1
                 if alone:
@@ -211,7 +213,7 @@ def make_trace(is_simple: bool) -> Any:
         return result
 
     @wp.func
-    def traced_slope(edits: wp.array(dtype=FlatEdit), x: wp.vec3, direction: wp.vec3, path: int):
+    def traced_slope(edits: wp.array(dtype=EditData), x: wp.vec3, direction: wp.vec3, path: int):
         """Derivative of the canonical position along a direction, by the edits of a path."""
         position = x
         slope = direction
@@ -239,7 +241,7 @@ def make_spans(is_simple: bool) -> Any:
     """Functions that find where a ray meets anything, and where it enters and leaves boxes of edits."""
 
     @wp.func
-    def has_crumbs(edit: FlatEdit):
+    def has_fragments(edit: EditData):
         """Whether crumbs go with an edit."""
         if wp.static(is_simple):
             return False
@@ -247,11 +249,11 @@ def make_spans(is_simple: bool) -> Any:
             return edit.crumbs.marks.shape[0] > 0
 
     @wp.func
-    def posed_span(edit: FlatEdit, origin: wp.vec3, direction: wp.vec3):
+    def posed_span(edit: EditData, origin: wp.vec3, direction: wp.vec3):
         """Distances (near, far) at which a ray is in the box around an edit's posed cage, or around its lattice where
         that carries crumbs."""
         border = float(LATTICE_BORDER)
-        if has_crumbs(edit):
+        if has_fragments(edit):
             border = float(0.0)
         low = wp.vec3(border, border, border)
         counts = edit.node_counts
@@ -260,7 +262,7 @@ def make_spans(is_simple: bool) -> Any:
         return box_span(start, direction * edit.inverse_spacing, low, high)
 
     @wp.func
-    def scene_span(edits: wp.array(dtype=FlatEdit), grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
+    def scene_span(edits: wp.array(dtype=EditData), grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3):
         """Distances (near, far) between which a ray can meet anything: the grid and the boxes of all edits."""
         near = float(1.0e30)
         far = float(-1.0)
@@ -276,7 +278,7 @@ def make_spans(is_simple: bool) -> Any:
         return wp.vec2(near, far)
 
     @wp.func
-    def ray_part(edits: wp.array(dtype=FlatEdit), origin: wp.vec3, direction: wp.vec3, t: float):
+    def ray_part(edits: wp.array(dtype=EditData), origin: wp.vec3, direction: wp.vec3, t: float):
         """The stretch from distance t on."""
         part = RayPart()
         part.holder = -1
@@ -295,7 +297,7 @@ def make_spans(is_simple: bool) -> Any:
                             part.holder = e
                     else:
                         part.end = wp.min(part.end, span[0])
-            if has_crumbs(edit):
+            if has_fragments(edit):
                 part.asked = part.asked | (1 << e)
         return part
 
@@ -310,7 +312,7 @@ def make_stack_march(is_simple: bool) -> Any:
 
     @wp.func
     def march_stack(
-        edits: wp.array(dtype=FlatEdit),
+        edits: wp.array(dtype=EditData),
         grid: VoxelGrid,
         table: RowTable,
         origin: wp.vec3,

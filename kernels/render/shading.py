@@ -8,7 +8,7 @@ from ..field.grid import VoxelGrid
 from ..field.harmonics import sh_basis
 from ..field.shades import ShadedGrid, own_row, row_place, shade_color
 from ..lattice.cage_map import CageMap, map_distance
-from .volume import CARRIED_LAYER, PLAIN_LAYER, LaidShades, write_laid_shade
+from .volume import CARRIED_LAYER, PLAIN_LAYER, ShadedVolume, write_shaded_volume
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -17,14 +17,14 @@ LATTICE_MARGIN = wp.constant(2.0)
 
 
 @wp.struct
-class AimedCage:
-    """A rest cage's lattice, the pose of its edit, and what `aim_nodes` found at its nodes."""
+class ViewDirectionCage:
+    """A rest cage's lattice, the pose of its edit, and what `find_view_directions` found at its nodes."""
 
     lower: wp.vec3  # position of node (0, 0, 0)
     inverse_spacing: float
     node_counts: wp.vec3i
     distance: wp.array(dtype=float)  # (nodes,) signed distance to the rest cage
-    places: wp.array(dtype=wp.vec4)  # (nodes,) where the pose takes each, of deform/posed_places
+    places: wp.array(dtype=wp.vec4)  # (nodes,) where the pose takes each, of deform/inverse_map
     aims: wp.array(dtype=wp.vec4)  # (nodes,) canonical view direction or 0, and signed distance to the rest cage
     depth: float  # rows up to so deep in the rest cage are read by samples of both layers
     height: float  # and those up to so far out of it
@@ -37,13 +37,13 @@ class AimedCage:
 
 
 @wp.kernel
-def keep_cage(first: int, cage: AimedCage, index: int, cages: wp.array(dtype=AimedCage)):
+def keep_cage(first: int, cage: ViewDirectionCage, index: int, cages: wp.array(dtype=ViewDirectionCage)):
     """Put a cage into an array: an argument takes the host less time than a copy. One item."""
     cages[first + wp.tid() + index] = cage
 
 
 @wp.kernel
-def aim_nodes(first: int, cages: wp.array(dtype=AimedCage), center: wp.vec3):
+def find_view_directions(first: int, cages: wp.array(dtype=ViewDirectionCage), center: wp.vec3):
     """Canonical view direction at each node of each rest lattice, 0 where no pose takes it anywhere, and its signed
     distance to the rest cage: the aims of each cage. centre: of the camera. One item a node, cage by cage."""
     n = first + wp.tid()
@@ -88,7 +88,7 @@ class RowView:
 
 
 @wp.func
-def aim_at(cage: AimedCage, g: wp.vec3):
+def aim_at(cage: ViewDirectionCage, g: wp.vec3):
     """Blended aims at node coordinates g among the nodes: direction of any length, and signed distance."""
     counts = cage.node_counts
     cell = wp.vec3i()
@@ -100,7 +100,7 @@ def aim_at(cage: AimedCage, g: wp.vec3):
 
 
 @wp.func
-def row_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
+def row_view(cages: wp.array(dtype=ViewDirectionCage), x: wp.vec3, plain: wp.vec3):
     """How a row at x is seen: as the pose has it of the rest cage that it is in, else from `plain`."""
     seen = RowView()
     seen.along = plain
@@ -122,7 +122,7 @@ def row_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
 
 
 @wp.func
-def nearest_view(cages: wp.array(dtype=AimedCage), x: wp.vec3, plain: wp.vec3):
+def nearest_view(cages: wp.array(dtype=ViewDirectionCage), x: wp.vec3, plain: wp.vec3):
     """How a row at x, not far out of a rest cage, would be seen if it went with it: as what lies just in the cage."""
     along = plain
     least = float(1.0e30)
@@ -155,9 +155,9 @@ def shade_carried_rows(
     first: int,
     grid: VoxelGrid,
     nodes: wp.array(dtype=wp.int32),
-    cages: wp.array(dtype=AimedCage),
+    cages: wp.array(dtype=ViewDirectionCage),
     shaded: ShadedGrid,
-    laid: LaidShades,
+    laid: ShadedVolume,
 ):
     """Shades of rows as they are seen, in the layers of samples that may read them; a thread per row, in whole warps.
     nodes: (rows,); cages: (edits,) that do not meet; shaded: tells the camera and how long a step is."""
@@ -170,9 +170,9 @@ def shade_carried_rows(
     if item < nodes.shape[0]:
         shade = wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step)
         if seen.is_plain == 1:
-            write_laid_shade(laid, nodes[n], PLAIN_LAYER, shade)
+            write_shaded_volume(laid, nodes[n], PLAIN_LAYER, shade)
         if seen.is_carried == 1:
-            write_laid_shade(laid, nodes[n], CARRIED_LAYER, shade)
+            write_shaded_volume(laid, nodes[n], CARRIED_LAYER, shade)
 
 
 @wp.kernel
@@ -181,9 +181,9 @@ def shade_wall_rows(
     grid: VoxelGrid,
     nodes: wp.array(dtype=wp.int32),
     wall_rows: wp.array(dtype=wp.int32),
-    cages: wp.array(dtype=AimedCage),
+    cages: wp.array(dtype=ViewDirectionCage),
     shaded: ShadedGrid,
-    laid: LaidShades,
+    laid: ShadedVolume,
 ):
     """Of rows near a rest cage, how samples on the other side of it see them, in the layer of those. One thread for
     each of wall_rows (m,), in whole warps."""
@@ -200,7 +200,7 @@ def shade_wall_rows(
     color = shade_color(grid.sh, row, sh_basis(along))
     if item < wall_rows.shape[0]:
         shade = wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step)
-        write_laid_shade(laid, nodes[n], layer, shade)
+        write_shaded_volume(laid, nodes[n], layer, shade)
 
 
 @wp.func

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..core.variants import declared_once, variant_module
-from ..edits.structs import ClosedFormEdit, FlatEdit
+from ..edits.structs import EditData, ExactEdit
 from ..field.grid import VoxelGrid
 from ..field.rows import RowTable
 from ..view.rays import TILE_SIZE, PinholeCamera, pixel_direction, tile_pixel
@@ -26,7 +26,7 @@ from .rays import (
     ray_start,
     ray_state,
 )
-from .volume import LaidShades
+from .volume import ShadedVolume
 
 #: The registers that each variant may take. Measured on an H200: parts and sides wait less with more of them, and large
 #: pictures have rays enough to keep a GPU busy, so that more in flight, of fewer registers each, take less time.
@@ -70,8 +70,8 @@ def begun_ray(state: RayState, picture: Picture, item: int):
 
 @declared_once
 def view_kernel(shaded: bool, has_sides: bool, *, large: bool = False) -> Any:
-    """The kernel for one edit, by a RowTable or LaidShades. has_sides: of march_single; large: for many pixels."""
-    table_type = LaidShades if shaded else RowTable
+    """The kernel for one edit, by a RowTable or ShadedVolume. has_sides: of march_single; large: for many pixels."""
+    table_type = ShadedVolume if shaded else RowTable
     march = make_edit_march(has_sides)
 
     @wp.func
@@ -79,7 +79,7 @@ def view_kernel(shaded: bool, has_sides: bool, *, large: bool = False) -> Any:
         item: int,
         grid: VoxelGrid,
         table: table_type,
-        edit: FlatEdit,
+        edit: EditData,
         camera: PinholeCamera,
         background: wp.vec3,
         options: MarchOptions,
@@ -100,7 +100,7 @@ def view_kernel(shaded: bool, has_sides: bool, *, large: bool = False) -> Any:
         first: int,
         grid: VoxelGrid,
         table: table_type,
-        edit: FlatEdit,
+        edit: EditData,
         camera: PinholeCamera,
         background: wp.vec3,
         options: MarchOptions,
@@ -115,7 +115,7 @@ def view_kernel(shaded: bool, has_sides: bool, *, large: bool = False) -> Any:
 @declared_once
 def part_kernel(shaded: bool, has_sides: bool) -> Any:
     """The kernel for one edit of several that cannot meet each other: the same through a part of the scene."""
-    table_type = LaidShades if shaded else RowTable
+    table_type = ShadedVolume if shaded else RowTable
     march = make_edit_march(has_sides)
 
     @wp.func
@@ -123,7 +123,7 @@ def part_kernel(shaded: bool, has_sides: bool) -> Any:
         item: int,
         grid: VoxelGrid,
         table: table_type,
-        edit: FlatEdit,
+        edit: EditData,
         part: ScenePart,
         camera: PinholeCamera,
         background: wp.vec3,
@@ -155,7 +155,7 @@ def part_kernel(shaded: bool, has_sides: bool) -> Any:
         first: int,
         grid: VoxelGrid,
         table: table_type,
-        edit: FlatEdit,
+        edit: EditData,
         part: ScenePart,
         camera: PinholeCamera,
         background: wp.vec3,
@@ -178,7 +178,7 @@ def stack_kernel(is_simple: bool) -> Any:
         first: int,
         grid: VoxelGrid,
         table: RowTable,
-        edits: wp.array(dtype=FlatEdit),
+        edits: wp.array(dtype=EditData),
         camera: PinholeCamera,
         background: wp.vec3,
         options: MarchOptions,
@@ -203,7 +203,7 @@ def exact_kernel() -> Any:
     def render(
         first: int,
         grid: VoxelGrid,
-        edits: wp.array(dtype=ClosedFormEdit),
+        edits: wp.array(dtype=ExactEdit),
         camera: PinholeCamera,
         background: wp.vec3,
         options: MarchOptions,

@@ -16,7 +16,7 @@ SHADE_LAYERS = wp.constant(2)
 
 
 @wp.struct
-class LaidShades:
+class ShadedVolume:
     """Shades at the nodes of a grid, 0 where a node has no row."""
 
     node_counts: wp.vec3i
@@ -42,7 +42,7 @@ class LaidShades:
 #endif
 """
 )
-def write_laid_shade(laid: LaidShades, node: wp.int32, layer: wp.int32, value: wp.vec4):
+def write_shaded_volume(laid: ShadedVolume, node: wp.int32, layer: wp.int32, value: wp.vec4):
     """Keep red, green, blue less 0.5 and optical depth of a node in a layer."""
     ...
 
@@ -71,6 +71,6 @@ def write_laid_shade(laid: LaidShades, node: wp.int32, layer: wp.int32, value: w
 #endif
 """
 )
-def laid_shade(laid: LaidShades, at: wp.vec3, layer: wp.int32) -> wp.vec4:
+def laid_shade(laid: ShadedVolume, at: wp.vec3, layer: wp.int32) -> wp.vec4:
     """Trilinear shade at node coordinates that lie in a cell of the grid; the colour still lacks its 0.5."""
     ...

@@ -1,4 +1,4 @@
-"""Who makes what: lots, deaths, retries and stragglers, under a virtual clock. The code is that of real runs."""
+"""Who makes what: chunks, deaths, retries and stragglers, under a virtual clock. The code is that of real runs."""
 
 import collections
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from batch_simulation import Conditions, SimulatedEngine
 
-from warpcage.batch import Dispatcher, LotReport, Lots, drive
+from warpcage.batch import ChunkQueue, ChunkReport, Dispatcher, drive
 
 
 def simulated(count=2000, workers=8, group_count=5, retries=2, aim=10.0, progress=None, **words):
@@ -15,7 +15,7 @@ def simulated(count=2000, workers=8, group_count=5, retries=2, aim=10.0, progres
     words.setdefault("item_seconds", np.full(count, 0.5))
     words.setdefault("speeds", np.ones(workers))
     engine = SimulatedEngine(Conditions(groups=groups, **words))
-    dispatcher = Dispatcher(Lots(np.arange(count), groups, aim=aim), retries=retries)
+    dispatcher = Dispatcher(ChunkQueue(np.arange(count), groups, aim=aim), retries=retries)
     for number in range(workers):
         dispatcher.add_worker(str(number))
 
@@ -47,7 +47,7 @@ def test_every_item_is_made_once():
 @pytest.mark.parametrize("write_seconds", [0.0, 2.0])
 @pytest.mark.parametrize("seed", range(12))
 def test_nothing_is_lost_or_made_twice_whatever_happens(seed, write_seconds):
-    """Files that take longer than most items: workers have several lots, and die with all of them."""
+    """Files that take longer than most items: workers have several chunks, and die with all of them."""
     random = np.random.default_rng(seed)
     count, workers = int(random.integers(1, 3000)), int(random.integers(2, 40))
     some = random.permutation(count)
@@ -89,98 +89,98 @@ def test_workers_stay_with_what_they_have_loaded():
 
 def test_small_groups_go_together():
     dispatcher, engine, _ = simulated(20_000, 4, 20_000, item_seconds=np.full(20_000, 0.001))
-    assert engine.lots < 400 and (engine.made == 1).all()
+    assert engine.chunks < 400 and (engine.made == 1).all()
 
 
-def test_lots_follow_what_items_take():
-    """Ten seconds a lot: a few slow items, or many quick ones, at most 256, as the first is; and few at the end."""
+def test_chunks_follow_what_items_take():
+    """Ten seconds a chunk: a few slow items, or many quick ones, at most 256, as the first is; and few at the end."""
     sizes = {}
     for seconds in (0.01, 1.0, 30.0):
         taken = []
-        lots = Lots(np.arange(100_000), np.zeros(100_000))
+        chunks = ChunkQueue(np.arange(100_000), np.zeros(100_000))
         for _ in range(50):
-            taken.append(len(lots.take(0, 10)[0]))
-            lots.note(0, seconds)
+            taken.append(len(chunks.take(0, 10)[0]))
+            chunks.note(0, seconds)
         sizes[seconds] = taken
     assert {taken[0] for taken in sizes.values()} == {256} and set(sizes[0.01][1:]) == {256}
     assert set(sizes[1.0][1:]) == {10} and set(sizes[30.0][1:]) == {1}
     for seconds, first in ((0.1, 13), (0.001, 50)):
-        lots = Lots(np.arange(100), np.zeros(100))
-        lots.note(0, seconds)
+        chunks = ChunkQueue(np.arange(100), np.zeros(100))
+        chunks.note(0, seconds)
         taken = []
-        while lots.left:
-            taken.append(len(lots.take(0, 2)[0]))
+        while chunks.left:
+            taken.append(len(chunks.take(0, 2)[0]))
         assert taken[0] == first and taken[-1] == 1 and sum(taken) == 100 and taken == sorted(taken, reverse=True)
 
 
-def test_the_last_lots_are_as_short_as_all_can_have_and_no_shorter():
-    """A worker waits for its files at the end of each: few lots, whose last ones end together."""
+def test_the_last_chunks_are_as_short_as_all_can_have_and_no_shorter():
+    """A worker waits for its files at the end of each: few chunks, whose last ones end together."""
     count, workers = 2000, 2
-    lots = Lots(np.arange(count), np.zeros(count), aim=2.0)
-    lots.note(0, 0.01)
+    chunks = ChunkQueue(np.arange(count), np.zeros(count), aim=2.0)
+    chunks.note(0, 0.01)
     free, taken = [0.0] * workers, []
-    while lots.left:
+    while chunks.left:
         name = int(np.argmin(free))
-        taken.append(len(lots.take(0, workers)[0]))
+        taken.append(len(chunks.take(0, workers)[0]))
         free[name] += 0.07 + 0.01 * taken[-1]
     assert len(taken) < 40 and max(free) - min(free) < 0.1
     assert all(size >= 50 for size in taken[:-8])
 
 
-def test_a_lot_of_which_nothing_is_known_ends_with_its_time():
-    """An hour an item or a millisecond: what is not begun within the seconds of a lot goes to others."""
+def test_a_chunk_of_which_nothing_is_known_ends_with_its_time():
+    """An hour an item or a millisecond: what is not begun within the seconds of a chunk goes to others."""
     for seconds, made in ((3600.0, 1), (1.0, 10), (0.01, 250)):
-        lots = Lots(np.arange(1000), np.zeros(1000), aim=9.5)
+        chunks = ChunkQueue(np.arange(1000), np.zeros(1000), aim=9.5)
         dispatcher, engine = (
-            Dispatcher(lots),
+            Dispatcher(chunks),
             SimulatedEngine(
                 Conditions(np.full(1000, seconds), np.zeros(1000), np.ones(2), load_seconds=min(seconds, 0.5))
             ),
         )
         dispatcher.add_worker("0")
-        lot = dispatcher.next_lot("0", 0.0)
-        assert len(lot.items) == 250 and lot.seconds == 9.5
-        engine.give("0", lot)
+        chunk = dispatcher.next_chunk("0", 0.0)
+        assert len(chunk.items) == 250 and chunk.seconds == 9.5
+        engine.give("0", chunk)
         report = engine.wait(1e6)[0].report
         assert report.loading and report.done == list(range(made)) and report.left == list(range(made, 250))
         dispatcher.reported("0", report, 1e6)
-        following = dispatcher.next_lot("0", 1e6)
+        following = dispatcher.next_chunk("0", 1e6)
         assert following.seconds is None and following.items[0] == made and dispatcher.left == 1000 - made
 
 
-def test_one_item_alone_says_little_beside_a_lot_and_what_was_loaded_nothing():
-    """The first item loads its field until the time of its lot is over; one that is made alone waits for its files."""
-    dispatcher = Dispatcher(Lots(np.arange(10_000), np.zeros(10_000), aim=2.0))
+def test_one_item_alone_says_little_beside_a_chunk_and_what_was_loaded_nothing():
+    """The first item loads its field until its chunk's time is over; one that is made alone waits for its files."""
+    dispatcher = Dispatcher(ChunkQueue(np.arange(10_000), np.zeros(10_000), aim=2.0))
     dispatcher.add_worker("a")
     sizes = []
     for step in range(6):
-        lot = dispatcher.next_lot("a", 0.0)
-        made = lot.items if step else lot.items[:1]
+        chunk = dispatcher.next_chunk("a", 0.0)
+        made = chunk.items if step else chunk.items[:1]
         sizes.append(len(made))
         each = 4.0 if not step else 0.1 if len(made) == 1 else 0.01
-        report = LotReport(list(made), [each] * len(made), left=list(lot.items[len(made) :]), loading=not step)
+        report = ChunkReport(list(made), [each] * len(made), left=list(chunk.items[len(made) :]), loading=not step)
         dispatcher.reported("a", report, 0.0)
     assert sizes[:2] == [1, 1] and sizes[2] in (19, 20) and sizes[-1] >= 180
-    before = dispatcher.lots.seconds(0)
-    lot = dispatcher.next_lot("a", 0.0)
-    dispatcher.reported("a", LotReport(done=lot.items[:1], seconds=[5.0], left=lot.items[1:], loading=True), 0.0)
-    assert dispatcher.lots.seconds(0) == before
+    before = dispatcher.chunks.seconds(0)
+    chunk = dispatcher.next_chunk("a", 0.0)
+    dispatcher.reported("a", ChunkReport(done=chunk.items[:1], seconds=[5.0], left=chunk.items[1:], loading=True), 0.0)
+    assert dispatcher.chunks.seconds(0) == before
 
 
 def test_what_is_thought_of_items_and_workers_stays_near_the_truth():
-    """However many lots there are, and however much what they take varies."""
+    """However many chunks there are, and however much what they take varies."""
     random, workers = np.random.default_rng(0), 20
-    dispatcher = Dispatcher(Lots(np.arange(60_000), np.zeros(60_000), largest=1))
+    dispatcher = Dispatcher(ChunkQueue(np.arange(60_000), np.zeros(60_000), largest=1))
     for number in range(workers):
         dispatcher.add_worker(str(number))
     for turn in range(50_000):
         name = str(turn % workers)
-        lot = dispatcher.next_lot(name, 0.0)
+        chunk = dispatcher.next_chunk(name, 0.0)
         slow = 6.0 if name == "3" else 1.0
-        dispatcher.reported(name, LotReport(done=lot.items, seconds=[slow * random.lognormal(0.0, 1.0)]), 0.0)
+        dispatcher.reported(name, ChunkReport(done=chunk.items, seconds=[slow * random.lognormal(0.0, 1.0)]), 0.0)
         if turn > 1000 and turn % 100 == 3:
             speeds = [worker.speed for worker in dispatcher._workers.values()]
-            assert 0.3 < dispatcher.lots.seconds(0) < 30 and 0.02 < min(speeds) and max(speeds) < 100
+            assert 0.3 < dispatcher.chunks.seconds(0) < 30 and 0.02 < min(speeds) and max(speeds) < 100
     assert dispatcher.done == 50_000
 
 
@@ -198,76 +198,76 @@ def test_a_straggler_gives_back_what_it_has_not_begun():
 
 
 def test_a_failed_item_is_tried_elsewhere():
-    lots = Lots(np.arange(6), np.zeros(6))
-    dispatcher = Dispatcher(lots, retries=1)
+    chunks = ChunkQueue(np.arange(6), np.zeros(6))
+    dispatcher = Dispatcher(chunks, retries=1)
     for name in "ab":
         dispatcher.add_worker(name)
-    first = dispatcher.next_lot("a", 0.0)
-    dispatcher.reported("a", LotReport(errors=[(first.items[0], "out of memory")]), 1.0)
+    first = dispatcher.next_chunk("a", 0.0)
+    dispatcher.reported("a", ChunkReport(errors=[(first.items[0], "out of memory")]), 1.0)
     tried = []
-    while (lot := dispatcher.next_lot("a", 2.0)) is not None:
-        tried += lot.items
-        dispatcher.reported("a", LotReport(done=list(lot.items), seconds=[1.0] * len(lot.items)), 3.0)
+    while (chunk := dispatcher.next_chunk("a", 2.0)) is not None:
+        tried += chunk.items
+        dispatcher.reported("a", ChunkReport(done=list(chunk.items), seconds=[1.0] * len(chunk.items)), 3.0)
     assert first.items[0] not in tried and len(tried) == 5 and dispatcher.left == 1
-    again = dispatcher.next_lot("b", 4.0)
+    again = dispatcher.next_chunk("b", 4.0)
     assert (again.items, again.attempts) == ([first.items[0]], [1])
-    dispatcher.reported("b", LotReport(failed=[(again.items[0], "out of memory")]), 5.0)
+    dispatcher.reported("b", ChunkReport(failed=[(again.items[0], "out of memory")]), 5.0)
     assert dispatcher.finished and dispatcher.failures == {first.items[0]: "out of memory"}
 
 
 def test_the_item_that_was_begun_last_is_charged_and_the_others_are_made_alone():
-    dispatcher = Dispatcher(Lots(np.arange(100), np.zeros(100)), retries=2)
+    dispatcher = Dispatcher(ChunkQueue(np.arange(100), np.zeros(100)), retries=2)
     for name in "ab":
         dispatcher.add_worker(name)
-    lot = dispatcher.next_lot("a", 0.0)
-    dispatcher.reported("a", LotReport(done=list(lot.items), seconds=[0.01]), 0.01)
-    lot = dispatcher.next_lot("a", 0.1)
-    begun = lot.items[2:5]
-    assert dispatcher.died("a", LotReport(done=lot.items[:2], seconds=[0.01] * 2), begun, "killed") == []
+    chunk = dispatcher.next_chunk("a", 0.0)
+    dispatcher.reported("a", ChunkReport(done=list(chunk.items), seconds=[0.01]), 0.01)
+    chunk = dispatcher.next_chunk("a", 0.1)
+    begun = chunk.items[2:5]
+    assert dispatcher.died("a", ChunkReport(done=chunk.items[:2], seconds=[0.01] * 2), begun, "killed") == []
     assert [dispatcher.attempts(item) for item in begun] == [0, 0, 1]
     alone = collections.Counter()
-    while (lot := dispatcher.next_lot("b", 1.0)) is not None:
-        alone.update({item: len(lot.items) for item in lot.items})
-        dispatcher.reported("b", LotReport(done=list(lot.items), seconds=[0.01] * len(lot.items)), 2.0)
+    while (chunk := dispatcher.next_chunk("b", 1.0)) is not None:
+        alone.update({item: len(chunk.items) for item in chunk.items})
+        dispatcher.reported("b", ChunkReport(done=list(chunk.items), seconds=[0.01] * len(chunk.items)), 2.0)
     assert [alone[item] for item in begun] == [1, 1, 1] and dispatcher.done == 100
 
 
 def test_a_place_whose_workers_die_before_they_begin_is_given_up():
-    dispatcher = Dispatcher(Lots(np.arange(3), np.zeros(3)))
+    dispatcher = Dispatcher(ChunkQueue(np.arange(3), np.zeros(3)))
     dispatcher.add_worker("a")
     for _ in range(2):
-        dispatcher.died("a", LotReport(), [], "no module named warpcage")
+        dispatcher.died("a", ChunkReport(), [], "no module named warpcage")
         assert not dispatcher.given_up("a")
-    dispatcher.died("a", LotReport(), [], "no module named warpcage")
+    dispatcher.died("a", ChunkReport(), [], "no module named warpcage")
     assert dispatcher.given_up("a") and dispatcher.workers == 0 and dispatcher.left == 3
 
 
-def test_a_lot_that_ends_while_it_is_asked_back_is_counted_once():
+def test_a_chunk_that_ends_while_it_is_asked_back_is_counted_once():
     for report_first in (True, False):
-        dispatcher = Dispatcher(Lots(np.arange(40), np.zeros(40), aim=100.0))
-        dispatcher.lots.note(0, 1.0)
+        dispatcher = Dispatcher(ChunkQueue(np.arange(40), np.zeros(40), aim=100.0))
+        dispatcher.chunks.note(0, 1.0)
         for name in "ab":
             dispatcher.add_worker(name)
-        lot = dispatcher.next_lot("a", 0.0)
-        made, back = lot.items[:2], lot.items[2:]
+        chunk = dispatcher.next_chunk("a", 0.0)
+        made, back = chunk.items[:2], chunk.items[2:]
         answers = [
             lambda d=dispatcher, made=made, back=back: d.reported(
-                "a", LotReport(done=made, seconds=[1, 1], left=back), 5.0
+                "a", ChunkReport(done=made, seconds=[1, 1], left=back), 5.0
             ),
-            lambda d=dispatcher, lot=lot, back=back: d.returned("a", lot.number, back),
+            lambda d=dispatcher, chunk=chunk, back=back: d.returned("a", chunk.number, back),
         ]
         for answer in answers if report_first else reversed(answers):
             answer()
-        assert dispatcher.left == 38 == dispatcher.lots.left
+        assert dispatcher.left == 38 == dispatcher.chunks.left
 
 
 def test_after_a_full_disk_nothing_is_handed_out():
-    dispatcher = Dispatcher(Lots(np.arange(10), np.zeros(10)))
+    dispatcher = Dispatcher(ChunkQueue(np.arange(10), np.zeros(10)))
     for name in "ab":
         dispatcher.add_worker(name)
-    lot = dispatcher.next_lot("a", 0.0)
-    dispatcher.next_lot("b", 0.0)
-    dispatcher.reported("a", LotReport(left=list(lot.items), halt="no space left on device"), 1.0)
-    assert dispatcher.next_lot("a", 2.0) is None and not dispatcher.finished
-    dispatcher.reported("b", LotReport(done=[1], seconds=[1.0]), 3.0)
+    chunk = dispatcher.next_chunk("a", 0.0)
+    dispatcher.next_chunk("b", 0.0)
+    dispatcher.reported("a", ChunkReport(left=list(chunk.items), halt="no space left on device"), 1.0)
+    assert dispatcher.next_chunk("a", 2.0) is None and not dispatcher.finished
+    dispatcher.reported("b", ChunkReport(done=[1], seconds=[1.0]), 3.0)
     assert dispatcher.finished and dispatcher.left == 9 and not dispatcher.failures

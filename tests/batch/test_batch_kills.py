@@ -94,8 +94,8 @@ class Late(Making):
         return self.pool.submit(write)
 
 
-def test_a_worker_killed_between_two_lots_loses_nothing(address, job, whole, tmp_path):
-    """While it makes items of a lot and writes files of the one before."""
+def test_a_worker_killed_between_two_chunks_loses_nothing(address, job, whole, tmp_path):
+    """While it makes items of a chunk and writes files of the one before."""
     out, lines = tmp_path / "out", []
     assert run_with(job, out, Late, workers=2, cluster=address, warn=lines.append).complete
     assert len(lines) == 1 and "its worker died" in lines[0] and left_over(out) == ["died"]

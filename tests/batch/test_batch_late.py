@@ -12,7 +12,7 @@ import pytest
 from batch_runs import Making, write_frames
 
 import warpcage
-from warpcage.batch import JobFile, LateItems, LotOrder, LotRunner, OutputFolder, Place
+from warpcage.batch import ChunkOrder, ChunkRunner, JobFile, LateItems, OutputFolder, Place
 from warpcage.batch.fingerprints import Begun
 
 
@@ -55,10 +55,10 @@ def test_the_item_that_is_under_way_for_longest_is_known(files, tmp_path):
     maker, folder = Held(tmp_path), OutputFolder(tmp_path / "out")
     folder.prepare()
     with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
-        runner = LotRunner(maker, job.reader.item, lambda item: Begun("", []), notes, Place("0", "here", "cpu"))
+        runner = ChunkRunner(maker, job.reader.item, lambda item: Begun("", []), notes, Place("0", "here", "cpu"))
         lines = [(job.data(index), job.line(index)) for index in (3, 7)]
         assert runner.oldest(1) is None
-        working = threading.Thread(target=runner.run, args=[LotOrder(1, [3, 7], lines, [0, 0])])
+        working = threading.Thread(target=runner.run, args=[ChunkOrder(1, [3, 7], lines, [0, 0])])
         working.start()
         assert maker.begun.acquire(timeout=60)
         index, first = runner.oldest(1)
@@ -106,10 +106,10 @@ class Timed(Making):
         return made
 
 
-def test_a_lot_ends_with_its_time_and_loading_is_told_apart(files, tmp_path, monkeypatch):
+def test_a_chunk_ends_with_its_time_and_loading_is_told_apart(files, tmp_path, monkeypatch):
     """The first item loads, and its hash is there late: those behind it wait for nothing, and last what they took."""
     clock = types.SimpleNamespace(passed=0.0, perf_counter=lambda: clock.passed)
-    monkeypatch.setattr("warpcage.batch.lot_runner.time", clock)
+    monkeypatch.setattr("warpcage.batch.chunk_runner.time", clock)
     folder = OutputFolder(tmp_path / "out")
     folder.prepare()
 
@@ -124,11 +124,11 @@ def test_a_lot_ends_with_its_time_and_loading_is_told_apart(files, tmp_path, mon
 
     with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
         maker = Timed(clock, [2.0, 0.25, 0.25, 0.25, 5.0, 0.25, 8.0, 0.25])
-        runner = LotRunner(maker, job.reader.item, lambda item: Inputs(), notes, Place("0", "here", "cpu"))
+        runner = ChunkRunner(maker, job.reader.item, lambda item: Inputs(), notes, Place("0", "here", "cpu"))
 
         def run(number, indices, seconds):
             lines = [(job.data(index), job.line(index)) for index in indices]
-            return runner.run(LotOrder(number, indices, lines, [0] * len(indices), seconds=seconds))
+            return runner.run(ChunkOrder(number, indices, lines, [0] * len(indices), seconds=seconds))
 
         first = run(1, [0, 1, 2, 3, 4, 5, 6], 7.9)
         assert first.loading and first.done == [0, 1, 2, 3, 4, 5] and first.left == [6]

@@ -1,4 +1,4 @@
-"""Lots that overlap: items of one are made while files of the one before are being written; and early reading."""
+"""Chunks that overlap: items of one are made while files of the one before are being written; and early reading."""
 
 import concurrent.futures
 import contextlib
@@ -15,18 +15,18 @@ from batch_runs import Making, number_of, records, run_with, write_frames
 
 from warpcage import VoxelField
 from warpcage.batch import (
+    Chunk,
+    ChunkOrder,
+    ChunkQueue,
+    ChunkReport,
+    ChunkRunner,
     Dispatcher,
-    ExpectedField,
     Fingerprints,
     Finished,
     JobFile,
-    Lot,
-    LotOrder,
-    LotReport,
-    LotRunner,
-    Lots,
     OutputFolder,
     Place,
+    PrefetchedField,
     RayEngine,
     RunnerSettings,
     Share,
@@ -35,7 +35,7 @@ from warpcage.batch import (
     runners,
 )
 from warpcage.batch.fingerprints import Begun
-from warpcage.batch.loop import Begun as LotBegun
+from warpcage.batch.loop import Begun as ChunkBegun
 from warpcage.core import file_stamp
 
 
@@ -69,16 +69,16 @@ def runner_of(files, out, maker, **options):
     folder.prepare()
     with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
         place = Place("0", "here", "cpu")
-        runner = LotRunner(maker, job.reader.item, lambda item: Begun("", []), notes, place, **options)
+        runner = ChunkRunner(maker, job.reader.item, lambda item: Begun("", []), notes, place, **options)
 
         def order(number, *indices):
             lines = [(job.data(index), job.line(index)) for index in indices]
-            return LotOrder(number, list(indices), lines, [0] * len(indices))
+            return ChunkOrder(number, list(indices), lines, [0] * len(indices))
 
         yield runner, order
 
 
-def test_items_of_a_lot_are_made_while_files_of_the_one_before_are_written(files, tmp_path):
+def test_items_of_a_chunk_are_made_while_files_of_the_one_before_are_written(files, tmp_path):
     maker = Writing()
     with runner_of(files, tmp_path / "out", maker) as (runner, order):
         told = threading.Thread(target=runner.wait_until_begun, args=[1])
@@ -89,7 +89,7 @@ def test_items_of_a_lot_are_made_while_files_of_the_one_before_are_written(files
         second = runner.begin(order(2, 2, 3, 4))
         assert set(maker.futures) == {0, 1, 2, 3, 4} and not first.report.done
         assert (runner.oldest(1)[0], runner.oldest(2)[0]) == (0, 2) and runner.recall(1, 1.0) == []
-        maker.write(2, 3, 4)  # those of the second lot are there first
+        maker.write(2, 3, 4)  # those of the second chunk are there first
         report = runner.settle(second)
         assert (report.done, report.left) == ([2, 3, 4], []) and runner.oldest(2) is None and runner.oldest(1)[0] == 0
         maker.write(1)
@@ -100,8 +100,8 @@ def test_items_of_a_lot_are_made_while_files_of_the_one_before_are_written(files
     assert [note.get("lot") for note in notes[:5]] == [1, 1, 2, 2, 2] and len(notes) == 10
 
 
-def test_a_device_that_is_lost_ends_the_lot_that_is_made_too(files, tmp_path):
-    """The files of a lot say it, while the next one is being made: that one begins nothing more."""
+def test_a_device_that_is_lost_ends_the_chunk_that_is_made_too(files, tmp_path):
+    """The files of a chunk say it, while the next one is being made: that one begins nothing more."""
     maker = Writing()
 
     def lost():
@@ -115,39 +115,41 @@ def test_a_device_that_is_lost_ends_the_lot_that_is_made_too(files, tmp_path):
         assert report.left == [1, 2] and set(maker.futures) == {0}
 
 
-def test_a_worker_has_two_lots_and_not_three():
-    dispatcher = Dispatcher(Lots(np.arange(100), np.zeros(100), largest=10))
+def test_a_worker_has_two_chunks_and_not_three():
+    dispatcher = Dispatcher(ChunkQueue(np.arange(100), np.zeros(100), largest=10))
     dispatcher.add_worker("a")
-    first = dispatcher.next_lot("a", 0.0)
+    first = dispatcher.next_chunk("a", 0.0)
     assert not dispatcher.takes("a") and not dispatcher.begun("a", 99) and dispatcher.begun("a", first.number)
-    second = dispatcher.next_lot("a", 0.1)
+    second = dispatcher.next_chunk("a", 0.1)
     assert not dispatcher.begun("a", second.number) and not dispatcher.takes("a") and dispatcher.left == 100
-    dispatcher.reported("a", LotReport(done=second.items, seconds=[0.1] * 10), 0.2, second.number)
+    dispatcher.reported("a", ChunkReport(done=second.items, seconds=[0.1] * 10), 0.2, second.number)
     assert dispatcher.takes("a") and dispatcher.left == 90 and not dispatcher.finished
     dispatcher.stop()
     assert not dispatcher.finished  # the files of the first
     dispatcher.reported(
-        "a", LotReport(done=first.items[:9], seconds=[0.1] * 9, left=first.items[9:]), 0.3, first.number
+        "a", ChunkReport(done=first.items[:9], seconds=[0.1] * 9, left=first.items[9:]), 0.3, first.number
     )
-    assert dispatcher.finished and dispatcher.done == 19 and dispatcher.left == 81 == dispatcher.lots.left
+    assert dispatcher.finished and dispatcher.done == 19 and dispatcher.left == 81 == dispatcher.chunks.left
 
 
 @pytest.mark.parametrize("begun_of_second", [0, 2])
-def test_a_worker_dies_with_two_lots(begun_of_second):
-    """What it began last is charged, in whichever lot that is; the others are made again, and each once."""
-    dispatcher = Dispatcher(Lots(np.arange(40), np.repeat([0, 1], 20), largest=10), retries=2)
+def test_a_worker_dies_with_two_chunks(begun_of_second):
+    """What it began last is charged, in whichever chunk that is; the others are made again, and each once."""
+    dispatcher = Dispatcher(ChunkQueue(np.arange(40), np.repeat([0, 1], 20), largest=10), retries=2)
     for name in "ab":
         dispatcher.add_worker(name)
-    lots = [dispatcher.next_lot("a", 0.0)]
-    assert dispatcher.begun("a", lots[0].number)
-    lots.append(dispatcher.next_lot("a", 0.1))
-    done, begun = lots[0].items[:-3], [*lots[0].items[-3:], *lots[1].items[:begun_of_second]]
-    assert dispatcher.died("a", LotReport(done=done, seconds=[0.1] * len(done)), begun, "killed") == []
+    chunks = [dispatcher.next_chunk("a", 0.0)]
+    assert dispatcher.begun("a", chunks[0].number)
+    chunks.append(dispatcher.next_chunk("a", 0.1))
+    done, begun = chunks[0].items[:-3], [*chunks[0].items[-3:], *chunks[1].items[:begun_of_second]]
+    assert dispatcher.died("a", ChunkReport(done=done, seconds=[0.1] * len(done)), begun, "killed") == []
     assert [dispatcher.attempts(item) for item in begun] == [0] * (len(begun) - 1) + [1]
     made = list(done)
-    while (lot := dispatcher.next_lot("b", 1.0)) is not None:
-        made += lot.items
-        dispatcher.reported("b", LotReport(done=list(lot.items), seconds=[0.1] * len(lot.items)), 2.0, lot.number)
+    while (chunk := dispatcher.next_chunk("b", 1.0)) is not None:
+        made += chunk.items
+        dispatcher.reported(
+            "b", ChunkReport(done=list(chunk.items), seconds=[0.1] * len(chunk.items)), 2.0, chunk.number
+        )
     assert sorted(made) == list(range(40)) and dispatcher.done == 40 and dispatcher.finished
 
 
@@ -185,9 +187,9 @@ def engine(files, tmp_path):
         likely = tuple((job.data(index), job.line(index)) for index in (4, 5))
         settings = RunnerSettings(str(files), job.reader, str(folder.path), "run", likely=likely)
 
-        def order(lot):
-            lines = [(job.data(index), job.line(index)) for index in lot.items]
-            return LotOrder(lot.number, list(lot.items), lines, list(lot.attempts))
+        def order(chunk):
+            lines = [(job.data(index), job.line(index)) for index in chunk.items]
+            return ChunkOrder(chunk.number, list(chunk.items), lines, list(chunk.attempts))
 
         yield RayEngine(fake, settings, Share(2, 0, 0, 1, "cpu"), folder, order, False, 100.0), actors, asked, folder
 
@@ -201,37 +203,37 @@ def test_one_that_takes_the_place_of_a_worker_that_died_reads_nothing_beforehand
     assert [actor.settings.likely for actor in actors] == [likely[:1], likely[1:], ()]
 
 
-def test_lots_beside_one_whose_device_is_lost_are_as_they_were_noted(engine):
+def test_chunks_beside_one_whose_device_is_lost_are_as_they_were_noted(engine):
     engine, _, asked, folder = engine
     engine.launch("0")
-    engine.give("0", Lot(1, [0, 1], [0, 0], 0))
+    engine.give("0", Chunk(1, [0, 1], [0, 0], 0))
     asked["begun", 1].set_result(None)
-    assert engine.wait(1.0) == [LotBegun("0", 1)]
-    engine.give("0", Lot(2, [2, 3, 4], [0, 0, 0], 0))
+    assert engine.wait(1.0) == [ChunkBegun("0", 1)]
+    engine.give("0", Chunk(2, [2, 3, 4], [0, 0, 0], 0))
     notes = folder.new_notes("run-0-1")
-    for number, lot, state in [(0, 1, "started"), (2, 2, "started"), (3, 2, "started"), (2, 2, "done")]:
+    for number, chunk, state in [(0, 1, "started"), (2, 2, "started"), (3, 2, "started"), (2, 2, "done")]:
         note = {"id": f"shot/f{number:04d}", "state": state} | (
-            {"lot": lot} if state == "started" else {"seconds": 1.0}
+            {"lot": chunk} if state == "started" else {"seconds": 1.0}
         )
         notes.append(note)
     notes.close()
-    asked["run", 1].set_result(LotReport(errors=[(0, "x")], left=[1], broken="no device"))
+    asked["run", 1].set_result(ChunkReport(errors=[(0, "x")], left=[1], broken="no device"))
     other, broken = engine.wait(1.0)
     assert isinstance(other, Finished) and (other.number, broken.number) == (2, 1) and broken.report.broken
     assert (other.report.done, other.report.left) == ([2], [3, 4]) and not engine.places
 
 
-def test_a_worker_that_is_ended_tells_of_both_lots_and_whose_item_was_late(engine, monkeypatch):
+def test_a_worker_that_is_ended_tells_of_both_chunks_and_whose_item_was_late(engine, monkeypatch):
     engine, _, asked, folder = engine
     now = [0.0]
     monkeypatch.setattr(engine, "now", lambda: now[0])
     engine.launch("0")
-    engine.give("0", Lot(1, [0, 1], [0, 0], 0))
+    engine.give("0", Chunk(1, [0, 1], [0, 0], 0))
     now[0] = 60.0
-    engine.give("0", Lot(2, [2, 3], [0, 0], 0))
+    engine.give("0", Chunk(2, [2, 3], [0, 0], 0))
     notes = folder.new_notes("run-0-1")
-    for number, lot in [(0, 1), (1, 1), (2, 2)]:
-        notes.append({"id": f"shot/f{number:04d}", "state": "started", "lot": lot})
+    for number, chunk in [(0, 1), (1, 1), (2, 2)]:
+        notes.append({"id": f"shot/f{number:04d}", "state": "started", "lot": chunk})
     notes.close()
     now[0] = 101.0
     assert engine.wait(0.0) == [] and ("oldest", 1) in asked and ("oldest", 2) not in asked
@@ -251,8 +253,8 @@ class Late(Making):
 
 
 @pytest.mark.parametrize("slow", [0.5, 0.0])
-def test_one_worker_alone_makes_the_next_lot_meanwhile(tmp_path, monkeypatch, slow):
-    """Unless its items are slow: who watches wants to know of each lot before the next one is made."""
+def test_one_worker_alone_makes_the_next_chunk_meanwhile(tmp_path, monkeypatch, slow):
+    """Unless its items are slow: who watches wants to know of each chunk before the next one is made."""
     monkeypatch.setattr("warpcage.batch.local_engine.SLOW", slow)
     events: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
 
@@ -268,7 +270,7 @@ def test_one_worker_alone_makes_the_next_lot_meanwhile(tmp_path, monkeypatch, sl
     report = run_with(write_frames(tmp_path / "job", 20), tmp_path / "out", Told)
     told = [events.get() for _ in range(40)]
     assert report.complete and len(records(tmp_path / "out")) == 20
-    # lots of 5, 4, 3: the second is made before the files of the first are there
+    # chunks of 5, 4, 3: the second is made before the files of the first are there
     assert (told.index(("made", 5)) < told.index(("there", 0))) == (slow > 0.0)
 
 
@@ -292,7 +294,7 @@ def test_a_worker_reads_its_first_field_once_and_early(files, tmp_path, monkeypa
 def test_a_field_that_was_replaced_since_is_read_anew(files, tmp_path):
     path = tmp_path / "ball.npz"
     path.write_bytes((files / "ball.npz").read_bytes())
-    expected = ExpectedField(str(path), 1.0)
+    expected = PrefetchedField(str(path), 1.0)
     stamp = file_stamp(path)
     assert expected.take(str(tmp_path / "other.npz"), stamp, 1.0) is None
     assert expected.take(str(path), stamp, 2.0) is None
@@ -300,7 +302,7 @@ def test_a_field_that_was_replaced_since_is_read_anew(files, tmp_path):
     assert found.voxel_count == VoxelField.load(path, device="cpu").voxel_count
     os.utime(path, ns=(1, 1))
     assert expected.take(str(path), file_stamp(path), 1.0) is None
-    assert ExpectedField(str(files / "broken.npz"), 1.0).take(str(files / "broken.npz"), stamp, 1.0) is None
+    assert PrefetchedField(str(files / "broken.npz"), 1.0).take(str(files / "broken.npz"), stamp, 1.0) is None
 
 
 def test_a_field_that_changes_while_it_is_read_is_not_taken(files, tmp_path, monkeypatch):
@@ -314,7 +316,7 @@ def test_a_field_that_changes_while_it_is_read_is_not_taken(files, tmp_path, mon
         return found
 
     monkeypatch.setattr(fields, "read_field", changing)
-    expected = ExpectedField(str(path), 1.0)
+    expected = PrefetchedField(str(path), 1.0)
     assert expected.take(str(path), before, 1.0) is None and expected.take(str(path), file_stamp(path), 1.0) is None
 
 
@@ -349,7 +351,7 @@ def test_a_worker_begins_with_what_is_likely_and_fails_with_the_item_alone(files
         )
         OutputFolder(tmp_path / "out").prepare()
         runner = runners.make_runner(settings)
-        order = LotOrder(1, [0, 4], [(job.data(index), job.line(index)) for index in (0, 4)], [0, 0])
+        order = ChunkOrder(1, [0, 4], [(job.data(index), job.line(index)) for index in (0, 4)], [0, 0])
         report = runner.run(order)
         runner.close()
     assert report.done == [4] and "broken.npz is not an .npz field file" in report.failed[0][1]

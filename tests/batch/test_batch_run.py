@@ -415,7 +415,7 @@ def test_a_kill_while_a_shard_is_packed_loses_nothing(tmp_path, step):
     whole = pictures(out)
     shutil.rmtree(out)
     place, name = {
-        "before it is packed": ("lot_runner", "pack_shard"),
+        "before it is packed": ("chunk_runner", "pack_shard"),
         "while it is packed": ("webdataset", "_add"),
         "before its files are deleted": ("webdataset", "shutil"),
     }[step]
@@ -479,7 +479,7 @@ def test_a_shard_that_cannot_be_packed_is_told(tmp_path, monkeypatch):
                 raise RuntimeError("no tar today")
             return pack_shard(folder, shard, records)
 
-        patch.setattr("warpcage.batch.lot_runner.pack_shard", fails)
+        patch.setattr("warpcage.batch.chunk_runner.pack_shard", fails)
         report = run_with(path, out)
     assert report.failed == {"shard-000001.tar": "RuntimeError: no tar today"} and report.made == 12
     assert run_with(path, out).complete and len(list(out.glob("*.tar"))) == 3 and left_over(out) == []

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from deformed_scenes import make_field, plain
-from test_crumbs import boxes
+from test_fragments import boxes
 
 from warpcage import Cage
 from warpcage.cage import cut_matter, snap_to_gaps

@@ -111,7 +111,7 @@ def test_a_part_fades_to_rest_in_a_band(files, tmp_path):
     assert (drawn & rest).sum() > 5  # the held wall
 
 
-def test_crumbs_go_with_the_part(files, tmp_path):
+def test_fragments_go_with_the_part(files, tmp_path):
     """A cap of the ball that a cage cuts off is a crumb of half its size."""
     Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.45)).save(tmp_path / "most.obj")
     cut = f"{tmp_path / 'most.obj'}:remove"

@@ -17,7 +17,7 @@ from deformed_scenes import BOX, KINDS, MARCHES, shiny_field, use_march, view
 from warpcage import CageEdit, Deformer, PositionMap, Scene, bake, deform_points, fit, turntable
 from warpcage.core import (
     PART_SECONDS,
-    RepeatedLaunch,
+    RecordedLaunch,
     device_turn,
     launch,
     limit_threads,
@@ -345,7 +345,7 @@ def test_what_an_interrupt_leaves_half_prepared_is_prepared_again(what, march, d
         with monkeypatch.context() as patch:
             for module in (maps, shading):
                 patch.setattr(module, "launch", interruptible(launch))
-            patch.setattr(RepeatedLaunch, "__call__", interruptible(RepeatedLaunch.__call__))
+            patch.setattr(RecordedLaunch, "__call__", interruptible(RecordedLaunch.__call__))
             try:
                 if what == "view":
                     deformer.render(CAMERA, step=long)

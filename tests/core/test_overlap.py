@@ -11,7 +11,7 @@ from cli_runs import DEFORMED, SMALL, run, succeed, write_files
 
 import warpcage.view.film as film
 from warpcage import Deformer
-from warpcage.core import SPARE, Beside, stream
+from warpcage.core import SPARE, BackgroundWriter, stream
 from warpcage.view import pictures, write_film
 
 #: Seconds until a test that hangs fails.
@@ -137,7 +137,7 @@ def test_tasks_run_beside_the_block_and_are_done_at_its_end():
         assert second.wait(PATIENCE)
         done.append(1)
 
-    with Beside(threads=2) as beside:
+    with BackgroundWriter(threads=2) as beside:
         beside.run(first)
         second.set()  # the block goes on meanwhile
         for number in range(20):
@@ -153,7 +153,7 @@ def test_few_tasks_are_under_way():
         assert go.wait(PATIENCE)
 
     def hand_over():
-        with Beside(threads=2, room=100) as beside:
+        with BackgroundWriter(threads=2, room=100) as beside:
             for number in range(10):
                 beside.run(task, 30)
                 handed.append(number)
@@ -177,7 +177,7 @@ def test_after_an_error_no_task_begins(where):
             raise OSError("full")
         done.append(number)
 
-    with pytest.raises(OSError, match="full"), Beside(threads=1) as beside:
+    with pytest.raises(OSError, match="full"), BackgroundWriter(threads=1) as beside:
         for number in range(1000):
             beside.run(lambda number=number: task(number))
             if where == "block" and number == 3:

@@ -3,12 +3,12 @@
 import numpy as np
 import warp as wp
 
-from warpcage.core import MEASURED_EVERY, Recent, array_bytes
+from warpcage.core import MEASURED_EVERY, LRUCache, array_bytes
 
 
 def test_those_that_were_used_last_are_kept():
     dropped = []
-    kept = Recent(2, dropped=dropped.append)
+    kept = LRUCache(2, dropped=dropped.append)
     for key in "abacb":
         assert kept.get(key, lambda key=key: key.upper()) == key.upper()
     assert [key for key, _ in kept.items()] == ["c", "b"] and dropped == ["B", "A"]
@@ -26,7 +26,7 @@ def test_things_that_grow_are_measured_again_and_drive_others_out():
         measured.append(thing)
         return len(thing)
 
-    kept = Recent(9, most_bytes=100, measure=measure)
+    kept = LRUCache(9, most_bytes=100, measure=measure)
     first, second = (kept.get(key, lambda: bytearray(30)) for key in "ab")
     assert kept.held_bytes == 60
     second.extend(bytes(80))
@@ -41,7 +41,7 @@ def test_things_that_grow_are_measured_again_and_drive_others_out():
 
 
 def test_what_cannot_be_made_is_not_kept():
-    kept = Recent(1)
+    kept = LRUCache(1)
     kept.get("a", lambda: 1)
     try:
         kept.get("b", lambda: 1 / 0)

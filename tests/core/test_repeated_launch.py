@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpcage.core import RepeatedLaunch, RepeatedLaunches, kernel_label, launch, recorded_launches
+from warpcage.core import RecordedLaunch, RecordedLaunches, kernel_label, launch, recorded_launches
 from warpcage.kernels.field.march import image_kernel
 from warpcage.kernels.render.views import part_kernel, stack_kernel
 from warpcage.kernels.view.tile_order import sort_tiles
@@ -42,7 +42,7 @@ def line_of(values, slope, device):
 def test_follows_what_changes(device):
     """Numbers, vectors, arrays, structs that are other objects, structs that hold something else, and counts."""
     random = np.random.default_rng(0)
-    repeated = RepeatedLaunch(follow_line, device)
+    repeated = RecordedLaunch(follow_line, device)
     line, found = line_of(np.arange(9.0), 2.0, device), wp.zeros(9, dtype=float, device=device)
     shift, begin, count = wp.vec3(1.0, 2.0, 3.0), 1.0, 9
     for turn in range(60):
@@ -69,7 +69,7 @@ def test_follows_what_changes(device):
 
 def test_goes_on_after_one_that_failed(device):
     """Of a launch that ended before it was made, nothing is left."""
-    repeated, found = RepeatedLaunch(follow_line, device), wp.zeros(4, dtype=float, device=device)
+    repeated, found = RecordedLaunch(follow_line, device), wp.zeros(4, dtype=float, device=device)
     line, other = (line_of([0.0, 1, 2, 3], slope, device) for slope in (1.0, 5.0))
     none = wp.vec3(0.0, 0.0, 0.0)
     repeated(4, [line, none, 0.0], [found])
@@ -80,7 +80,7 @@ def test_goes_on_after_one_that_failed(device):
 
 
 def test_keeps_nothing_alive_that_passes(device):
-    repeated, line, none = RepeatedLaunch(follow_line, device), line_of([2.0, 3], 1.0, device), wp.vec3(0.0, 0.0, 0.0)
+    repeated, line, none = RecordedLaunch(follow_line, device), line_of([2.0, 3], 1.0, device), wp.vec3(0.0, 0.0, 0.0)
     for begin in (0.0, 1.0, 1.0, 5.0):
         found = wp.zeros(2, dtype=float, device=device)
         alive = weakref.ref(found)
@@ -94,7 +94,7 @@ def test_keeps_nothing_alive_that_passes(device):
 def test_two_take_turns_with_others(device):
     found = [wp.zeros(3, dtype=float, device=device) for _ in range(3)]
     line, none = line_of([1.0, 2, 3], 1.0, device), wp.vec3(0.0, 0.0, 0.0)
-    one, two = RepeatedLaunch(follow_line, device), RepeatedLaunch(follow_line, device)
+    one, two = RecordedLaunch(follow_line, device), RecordedLaunch(follow_line, device)
     for turn in range(3):
         one(3, [line, none, float(turn)], [found[0]])
         two(3, [line, none, 10.0 + turn], [found[1]])
@@ -104,7 +104,7 @@ def test_two_take_turns_with_others(device):
 
 def test_launches_of_an_owner_by_kernel_and_number(device):
     """Each keeps its own arguments; counts go up and down."""
-    launches = RepeatedLaunches(device)
+    launches = RecordedLaunches(device)
     found = [wp.zeros(5, dtype=float, device=device) for _ in range(2)]
     lines, none = [line_of(np.arange(5.0), slope, device) for slope in (1.0, 3.0)], wp.vec3(0.0, 0.0, 0.0)
     for turn, count in enumerate((3, 5, 0, 2)):
@@ -125,7 +125,7 @@ def test_records_what_is_launched(device):
     """Once each, in their order: whoever launches, in however many pieces a CPU takes it, but not what is nothing."""
     line, none = line_of(np.arange(1000.0), 1.0, device), wp.vec3(0.0, 0.0, 0.0)
     found, order = wp.zeros(1000, dtype=float, device=device), wp.zeros(4, dtype=wp.int32, device=device)
-    label, repeated = "test_repeated_launch.follow_line", RepeatedLaunch(follow_line, device)
+    label, repeated = "test_repeated_launch.follow_line", RecordedLaunch(follow_line, device)
     inputs = [line, none, 0.0]
     launch(follow_line, 1000, inputs, [found], device=device)
     with recorded_launches() as launched:

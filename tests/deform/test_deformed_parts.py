@@ -31,7 +31,7 @@ from warpcage.edits import EditBoxes, box_gaps, edit_boxes, front_to_back
 from warpcage.field import tables
 from warpcage.kernels.render.rays import MarchOptions
 from warpcage.kernels.render.views import part_kernel
-from warpcage.render import MarchedView
+from warpcage.render import ViewRequest
 from warpcage.view import camera_struct
 
 LEFT, MIDDLE, RIGHT = (box_around(x, 0, 0, half=0.3) for x in (-0.7, 0.0, 0.7))
@@ -221,7 +221,7 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
     options = MarchOptions()
     options.step = deformer.field.step
     options.inverse_step = 1.0 / options.step
-    marched = MarchedView(deformer.field, None, [], camera, wp.vec3(), options, None, 0, 1.0)
+    marched = ViewRequest(deformer.field, None, [], camera, wp.vec3(), options, None, 0, 1.0)
     kernels = [part_kernel(False, has_sides) for has_sides in (False, True)]
     edits._parts._rays = Untouched()
     parts = edits.scene_parts(camera.center, options.step)

@@ -182,7 +182,7 @@ def removing():
 
 
 @pytest.mark.parametrize("scene", [into_each_other, removing])
-def test_several_edits_without_crumbs_and_gaps_are_seen_as_with(scene, device):
+def test_several_edits_without_fragments_and_gaps_are_seen_as_with(scene, device):
     rests, posed = scene()
     deformer = Deformer(two_balls(device), rests, resolution=24).pose(posed)
     with recorded_launches() as launched:

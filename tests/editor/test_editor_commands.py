@@ -402,7 +402,7 @@ def test_history_goes_back_and_forth_through_the_same_documents():
     assert history.summary() == {"undo": DEPTH, "redo": 0, "undo_label": f"step {DEPTH + 49}", "redo_label": None}
 
 
-def test_walls_and_crumbs_of_an_edit_are_changed_kept_and_checked():
+def test_walls_and_fragments_of_an_edit_are_changed_kept_and_checked():
     start = document()
     after = done(start, do="edit.change", id=1, falloff=0.25, held="still", crumbs=0.5)
     edit = after.edits[0]

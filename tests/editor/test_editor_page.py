@@ -332,7 +332,7 @@ def test_the_keyboard_alone_poses_keys_and_exports(window: Window, editor: Any, 
     assert window.get("document.activeElement.id") == "export-gif"  # where the person was
 
 
-def test_walls_and_crumbs_are_set_on_the_page(window: Window, editor: Any) -> None:
+def test_walls_and_fragments_are_set_on_the_page(window: Window, editor: Any) -> None:
     looks_cheap(window)
     assert window.get('document.querySelector("#edit-held").closest(".field").hidden')  # nothing is held yet
     window.fill("#edit-falloff", "0.25\n")

@@ -16,7 +16,7 @@ from editor_pages import nothing_logged as _nothing_logged  # noqa: F401 (a fixt
 from table_scene import LAMP, TableScene
 
 from warpcage import Cage
-from warpcage.cage import Standing
+from warpcage.cage import UpAxis
 from warpcage.editor import (
     Document,
     Session,
@@ -417,7 +417,7 @@ def test_a_page_is_heard_while_its_file_is_read(tmp_path, monkeypatch):
     def load(*_, **__):
         started.set()
         assert go.wait(WAIT)
-        return BOX, Standing("z")
+        return BOX, UpAxis("z")
 
     monkeypatch.setattr(tasks, "load_standing", load)
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import warp as wp
 from deformed_scenes import make_field, plain, shiny_field
-from test_crumbs import INSIDE, NUB, PART, boxes
 from test_fill import BOX, ball
+from test_fragments import INSIDE, NUB, PART, boxes
 
 import warpcage
 from warpcage import Frame
@@ -307,7 +307,7 @@ def sharp(field, document, **settings):
     return header, simplejpeg.decode_jpeg(message[begin : begin + jpeg]) / 255.0
 
 
-def test_falloffs_and_crumbs_of_the_document_are_in_the_picture(device):
+def test_falloffs_and_fragments_of_the_document_are_in_the_picture(device):
     field = make_field(boxes(INSIDE, NUB), plain([0.8, 0.3, 0.1]), device=device)
     scene = new_document(field, [PART], 16)
     lifted = dataclasses.replace(scene.edits[0], posed=PART.translate([-0.5, 0, -0.3]).vertices)

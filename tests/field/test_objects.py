@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from outer_oracles import random_outer
-from table_scene import BALL, CRUMB, LAMP, TABLE, TableScene
+from table_scene import BALL, FRAGMENT, LAMP, TABLE, TableScene
 from test_surface import GridField
 
 from warpcage import Cage, Camera, NodeSelection, VoxelField, select_nodes, select_object
@@ -52,8 +52,8 @@ def ways(scene):
 @pytest.mark.parametrize("way", ["pixel", "point", "box", "sphere", "cage"])
 def test_the_lamp_without_the_table(scene, way):
     chosen = select_object(scene.field, **ways(scene)[way])
-    mask = belongs(scene, chosen, LAMP, others=(CRUMB,))
-    assert np.count_nonzero(mask & (scene.labels == CRUMB)) <= 3  # those that touch it
+    mask = belongs(scene, chosen, LAMP, others=(FRAGMENT,))
+    assert np.count_nonzero(mask & (scene.labels == FRAGMENT)) <= 3  # those that touch it
     assert any("above the ground plane" in note for note in chosen.notes)
 
 
@@ -92,7 +92,7 @@ def test_depths_of_views_choose_what_they_show(table, device):
 def test_a_click_on_the_table_takes_the_table_off_the_floor(scene):
     chosen = select_object(scene.field, point=scene.world((0.5, 0.3, -0.22)))
     taken = set(np.unique(scene.labels[chosen.mask.ravel()]).tolist())
-    assert {TABLE, LAMP, BALL} <= taken <= {TABLE, LAMP, BALL, CRUMB}
+    assert {TABLE, LAMP, BALL} <= taken <= {TABLE, LAMP, BALL, FRAGMENT}
 
 
 def test_planes_that_are_named(scene):
@@ -104,7 +104,7 @@ def test_planes_that_are_named(scene):
     own = scene.labels == BALL
     assert np.array_equal(ball.mask.ravel() & own, own & (scene.heights() > 2 * VOXEL))
     both = select_object(scene.field, point=[scene.world((0.4, -0.3, 0)), scene.world((-0.15, 0.1, 0.2))])
-    assert {LAMP, BALL} <= set(scene.labels[both.mask.ravel()].tolist()) <= {LAMP, BALL, CRUMB}
+    assert {LAMP, BALL} <= set(scene.labels[both.mask.ravel()].tolist()) <= {LAMP, BALL, FRAGMENT}
     alone = select_object(scene.field, box=[[-1] * 3, [1] * 3], plane=None)
     assert alone.floor is None and {TABLE, LAMP, BALL} <= set(scene.labels[alone.mask.ravel()].tolist())
 

@@ -25,7 +25,7 @@ from deformed_scenes import (
 from warpcage import Cage, CageEdit, Deformer
 from warpcage.core import launch, recorded_launches
 from warpcage.field import tables
-from warpcage.kernels.render.volume import SHADE_LAYERS, LaidShades, write_laid_shade
+from warpcage.kernels.render.volume import SHADE_LAYERS, ShadedVolume, write_shaded_volume
 
 TURN = BOX.rotate(35, axis="z").translate([0.2, -0.1, 0.15])
 BEND = BOX.bend(60, axis="x", towards="z")
@@ -336,10 +336,10 @@ def test_frames_read_no_shade_that_they_do_not_write(how, device):
 def spoil_shades(deformer, patch):
     """Let frames begin with shades of thick white matter at all rows, in both layers."""
     shades = deformer._edits._shades
-    laid_shades = shades._laid_shades
+    shaded_volume = shades._laid_shades
 
     def spoiled(table):
-        laid = laid_shades(table)
+        laid = shaded_volume(table)
         launch(whiten, table.nodes.shape[0], [table.nodes, laid], device=deformer.device)
         return laid
 
@@ -347,10 +347,10 @@ def spoil_shades(deformer, patch):
 
 
 @wp.kernel(module="unique")
-def whiten(first: int, nodes: wp.array(dtype=wp.int32), laid: LaidShades):
+def whiten(first: int, nodes: wp.array(dtype=wp.int32), laid: ShadedVolume):
     node = nodes[first + wp.tid()]
     for layer in range(SHADE_LAYERS):
-        write_laid_shade(laid, node, layer, wp.vec4(0.5, 0.5, 0.5, 100.0))
+        write_shaded_volume(laid, node, layer, wp.vec4(0.5, 0.5, 0.5, 100.0))
 
 
 def test_numbers_of_a_field_may_change_between_frames(device):

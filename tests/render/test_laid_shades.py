@@ -9,26 +9,26 @@ from deformed_scenes import BOX, shiny_field, view
 from warpcage import Deformer
 from warpcage.core import half_texture
 from warpcage.field import ColumnTable
-from warpcage.kernels.render.volume import SHADE_LAYERS, LaidShades, laid_shade, write_laid_shade
+from warpcage.kernels.render.volume import SHADE_LAYERS, ShadedVolume, laid_shade, write_shaded_volume
 
 COUNTS = (5, 7, 6)
 LAYERS = int(SHADE_LAYERS)
 
 
 @wp.kernel
-def write_all(laid: LaidShades, values: wp.array2d(dtype=wp.vec4)):
+def write_all(laid: ShadedVolume, values: wp.array2d(dtype=wp.vec4)):
     layer, node = wp.tid()
-    write_laid_shade(laid, node, layer, values[layer, node])
+    write_shaded_volume(laid, node, layer, values[layer, node])
 
 
 @wp.kernel
-def read_all(laid: LaidShades, places: wp.array(dtype=wp.vec3), layer: int, found: wp.array(dtype=wp.vec4)):
+def read_all(laid: ShadedVolume, places: wp.array(dtype=wp.vec3), layer: int, found: wp.array(dtype=wp.vec4)):
     found[wp.tid()] = laid_shade(laid, places[wp.tid()], layer)
 
 
 def written(values, device):
-    """LaidShades of values (layers, nodes, 4), and what must be kept alive."""
-    laid, texture = LaidShades(), None
+    """ShadedVolume of values (layers, nodes, 4), and what must be kept alive."""
+    laid, texture = ShadedVolume(), None
     laid.node_counts = wp.vec3i(*COUNTS)
     if wp.get_device(device).is_cpu:
         laid.shades = wp.zeros(values.shape[0] * values.shape[1], dtype=wp.vec4, device=device)

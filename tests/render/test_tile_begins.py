@@ -10,7 +10,7 @@ from warpcage.core import recorded_launches
 from warpcage.kernels.edits.structs import LOOK_SKIP
 from warpcage.kernels.render.beams import NEVER
 from warpcage.kernels.view.rays import TILE_HEIGHT, TILE_WIDTH
-from warpcage.render import TileBegins, scene
+from warpcage.render import TileStarts, scene
 
 SLAB = Cage.box([-0.3, -0.9, -0.9], [0.9, 0.9, 0.9], segments=2)
 CASES = {
@@ -38,14 +38,14 @@ def march(request, device, monkeypatch):
 
 
 def kept_begins(monkeypatch):
-    """Lists, one a view, of what TileBegins found from now on."""
-    found, find = [], TileBegins.find
+    """Lists, one a view, of what TileStarts found from now on."""
+    found, find = [], TileStarts.find
 
     def noted(self, edits, grid, *rest):
         found.append([(edit, grid, begins) for edit, begins in zip(edits, find(self, edits, grid, *rest), strict=True)])
         return [begins for _, _, begins in found[-1]]
 
-    monkeypatch.setattr(TileBegins, "find", noted)
+    monkeypatch.setattr(TileStarts, "find", noted)
     return found
 
 
@@ -130,7 +130,7 @@ def compare(deformer, camera, monkeypatch):
         return [wp.zeros(tiles, dtype=wp.float32, device=deformer.device) for _ in edits]
 
     with monkeypatch.context() as patch:
-        patch.setattr(TileBegins, "find", from_the_camera)
+        patch.setattr(TileStarts, "find", from_the_camera)
         whole = deformer.render(camera)
     for name in ("rgb", "alpha", "depth", "reveal", "fold", "outside"):
         assert np.array_equal(getattr(frame, name), getattr(whole, name), equal_nan=True), name

@@ -8,7 +8,7 @@ import warp as wp
 from deformed_scenes import BOX, ball, box_around, make_field, marches, shiny, shiny_field, use_march, view
 
 from warpcage import Deformer
-from warpcage.core import RepeatedLaunch, limit_threads, recorded_launches
+from warpcage.core import RecordedLaunch, limit_threads, recorded_launches
 from warpcage.kernels.view.rays import TILE_SIZE
 from warpcage.kernels.view.tile_order import MOST_TICKS, TileOrder, count_tiles, sort_tiles
 from warpcage.render import BalancedTiles, tile_order
@@ -196,7 +196,7 @@ def test_orders_of_views_that_follow_each_other(balanced):
 @pytest.mark.parametrize("kernel", [count_tiles, sort_tiles])
 def test_an_interrupted_sort_leaves_no_order(kernel, balanced, monkeypatch):
     followed(balanced.begin(2, 40))
-    whole = RepeatedLaunch.__call__
+    whole = RecordedLaunch.__call__
 
     def interrupted_launch(launched, *arguments, **options):
         whole(launched, *arguments, **options)
@@ -204,7 +204,7 @@ def test_an_interrupted_sort_leaves_no_order(kernel, balanced, monkeypatch):
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(RepeatedLaunch, "__call__", interrupted_launch)
+        patch.setattr(RecordedLaunch, "__call__", interrupted_launch)
         with pytest.raises(KeyboardInterrupt):
             balanced.end()
     balanced.end()

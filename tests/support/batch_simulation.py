@@ -7,7 +7,7 @@ import heapq
 
 import numpy as np
 
-from warpcage.batch import Died, Event, Finished, Lot, LotReport, Ready, Returned
+from warpcage.batch import Chunk, ChunkReport, Died, Event, Finished, Ready, Returned
 from warpcage.batch.loop import Begun
 
 
@@ -25,13 +25,13 @@ class Conditions:
     load_seconds: float = 0.0
     # after so long the files of an item are there, once it is made
     write_seconds: float = 0.0
-    # whether workers tell when all items of a lot are begun, before their files are there
+    # whether workers tell when all items of a chunk are begun, before their files are there
     overlapping: bool = False
     # what starting a worker's process takes
     start_seconds: float = 2.0
     # seconds on the way of a message
     latency: float = 0.0005
-    # seconds of the driver for a lot, and for each of its items; for a report, and for each of its items
+    # seconds of the driver for a chunk, and for each of its items; for a report, and for each of its items
     send_cost: tuple[float, float] = (0.0, 0.0)
     receive_cost: tuple[float, float] = (0.0, 0.0)
     # of each worker at work, by chance
@@ -42,18 +42,18 @@ class Conditions:
     bad: frozenset[int] = frozenset()
     # share of the tries that fail by chance
     flaky: float = 0.0
-    # share of the lots during which a worker becomes slow, and how much
+    # share of the chunks during which a worker becomes slow, and how much
     stalls: tuple[float, float] = (0.0, 10.0)
     seed: int = 0
 
 
 @dataclasses.dataclass
 class _Work:
-    """A lot that a worker has."""
+    """A chunk that a worker has."""
 
     number: int
     items: list[int]
-    left: list[int]  # that are not begun, as the time of the lot is over
+    left: list[int]  # that are not begun, as the time of the chunk is over
     starts: np.ndarray
     ends: np.ndarray
     death: float  # when the worker dies, infinity where it does not
@@ -71,8 +71,8 @@ class SimulatedEngine:
         self.made = np.zeros(len(conditions.item_seconds), np.int16)
         # seconds that the driver worked, and that workers made items and loaded what those need
         self.busy = self.worked = 0.0
-        # workers that died; lots, reports and recalls; lots alone
-        self.deaths = self.messages = self.lots = 0
+        # workers that died; chunks, reports and recalls; chunks alone
+        self.deaths = self.messages = self.chunks = 0
         self._random = np.random.default_rng(conditions.seed)
         self._time = 0.0
         self._queue: list[tuple[float, int, str, str, int]] = []  # when, order, what, worker, version
@@ -90,11 +90,11 @@ class SimulatedEngine:
         self._loaded.pop(worker, None)
         self._later(self._time + self.conditions.start_seconds, "ready", worker, 0)
 
-    def give(self, worker: str, lot: Lot) -> None:
-        """A worker gets a lot."""
-        self._spend(self.conditions.send_cost, len(lot.items))
-        self.lots += 1
-        self._set_out(worker, lot)
+    def give(self, worker: str, chunk: Chunk) -> None:
+        """A worker gets a chunk."""
+        self._spend(self.conditions.send_cost, len(chunk.items))
+        self.chunks += 1
+        self._set_out(worker, chunk)
 
     def recall(self, worker: str, number: int, share: float) -> None:
         """A worker is asked for items."""
@@ -158,16 +158,16 @@ class SimulatedEngine:
         return Finished(worker, self._report(work, len(work.items)), work.number)
 
     def _making(self, worker: str) -> _Work | None:
-        """The lot of which a worker makes items."""
+        """The chunk of which a worker makes items."""
         return next((work for work in self._works.get(worker, []) if not work.begun), None)
 
-    def _set_out(self, worker: str, lot: Lot) -> None:
-        """Decide what will happen to a lot."""
+    def _set_out(self, worker: str, chunk: Chunk) -> None:
+        """Decide what will happen to a chunk."""
         given, number = self.conditions, int(worker)
-        items = np.asarray(lot.items, np.int64)
+        items = np.asarray(chunk.items, np.int64)
         stalled = given.stalls[1] if self._random.random() < given.stalls[0] else 1.0
         seconds = given.item_seconds[items] * given.speeds[number] * stalled
-        seconds[[item in given.bad for item in lot.items] if given.bad else []] = 0.001
+        seconds[[item in given.bad for item in chunk.items] if given.bad else []] = 0.001
         groups = given.groups[items]
         changes = np.diff(groups, prepend=self._loaded.get(worker, -1)) != 0
         ends = self._time + given.latency + np.cumsum(seconds + changes * given.load_seconds)
@@ -175,18 +175,18 @@ class SimulatedEngine:
         death = np.inf
         if given.deaths_per_hour:
             death = starts[0] + self._random.exponential(3600.0 / given.deaths_per_hour)
-        for place, item in enumerate(lot.items if given.poison else ()):
+        for place, item in enumerate(chunk.items if given.poison else ()):
             if item in given.poison:
                 death = min(death, 0.5 * (starts[place] + ends[place]))
-        begun = len(items) if lot.seconds is None else int(np.count_nonzero(starts - starts[0] <= lot.seconds))
-        made, left = list(lot.items[:begun]), list(lot.items[begun:])
+        begun = len(items) if chunk.seconds is None else int(np.count_nonzero(starts - starts[0] <= chunk.seconds))
+        made, left = list(chunk.items[:begun]), list(chunk.items[begun:])
         loading, self._loaded[worker] = bool(changes[0]), int(groups[begun - 1])
-        work = _Work(lot.number, made, left, starts[:begun], ends[:begun], death, loading, 0)
+        work = _Work(chunk.number, made, left, starts[:begun], ends[:begun], death, loading, 0)
         self._works.setdefault(worker, []).append(work)
         self._schedule(worker, work)
 
     def _shorten(self, worker: str, work: _Work, keep: int) -> list[int]:
-        """Leave a worker the first items of its lot; returns the others."""
+        """Leave a worker the first items of its chunk; returns the others."""
         back = work.items[keep:]
         if back:
             work.items, work.starts, work.ends = work.items[:keep], work.starts[:keep], work.ends[:keep]
@@ -206,19 +206,19 @@ class SimulatedEngine:
 
     def _died(self, worker: str, death: float, works: list[_Work]) -> Died:
         self.deaths += 1
-        report, begun = LotReport(), []
+        report, begun = ChunkReport(), []
         for work in works:
             settled = int(np.count_nonzero(work.ends + self.conditions.write_seconds <= death))
-            of_lot = self._report(work, settled)
+            of_chunk = self._report(work, settled)
             for name in ("done", "seconds", "failed", "errors"):
-                getattr(report, name).extend(getattr(of_lot, name))
+                getattr(report, name).extend(getattr(of_chunk, name))
             begun += work.items[settled : int(np.count_nonzero(work.starts < death))]
             self.worked += float(np.maximum(np.minimum(work.ends, death) - work.starts, 0.0)[settled:].sum())
         return Died(worker, report, begun, "killed")
 
-    def _report(self, work: _Work, settled: int) -> LotReport:
-        """What becomes of the first items of a lot."""
-        report, given = LotReport(left=work.left, loading=work.loading), self.conditions
+    def _report(self, work: _Work, settled: int) -> ChunkReport:
+        """What becomes of the first items of a chunk."""
+        report, given = ChunkReport(left=work.left, loading=work.loading), self.conditions
         taken = (work.ends - work.starts)[:settled]
         self.worked += float(taken.sum())
         flaky = self._random.random(settled) < given.flaky if given.flaky else np.zeros(settled, bool)

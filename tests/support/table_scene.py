@@ -5,7 +5,7 @@ import numpy as np
 from warpcage import Camera, VoxelField
 
 #: What a node belongs to.
-EMPTY, FLOOR, TABLE, LAMP, BALL, CRUMB = range(6)
+EMPTY, FLOOR, TABLE, LAMP, BALL, FRAGMENT = range(6)
 
 #: Height of the table's top, and of the floor, in the scene's own axes.
 TABLE_TOP, FLOOR_TOP = -0.2, -0.8
@@ -17,7 +17,7 @@ COLORS = {
     TABLE: (0.6, 0.4, 0.2),
     LAMP: (0.8, 0.1, 0.1),
     BALL: (0.1, 0.2, 0.8),
-    CRUMB: (0, 0, 0),
+    FRAGMENT: (0, 0, 0),
 }
 
 
@@ -58,7 +58,7 @@ class TableScene:
         if crumbs:
             random = np.random.default_rng(1)
             free = np.flatnonzero((label == EMPTY) & (z > -0.1))
-            label[random.choice(free, 30)] = CRUMB
+            label[random.choice(free, 30)] = FRAGMENT
         self.cells, self.labels, self.count = cells, label, count
         density = np.where(label > 0, DENSITY, 0.0).reshape((count,) * 3)
         sh = np.zeros((*density.shape, 9, 3), np.float32)

@@ -10,7 +10,7 @@ import warp as wp
 
 from ..core.arrays import array_bytes
 from ..core.files import file_stamp
-from ..core.memory import Recent, free_bytes
+from ..core.memory import LRUCache, free_bytes
 from ..splats.splat_field import AnyField, read_field
 from .references import References
 
@@ -18,7 +18,7 @@ from .references import References
 OnDevice = Callable[[wp.DeviceLike], AnyField]
 
 
-class ExpectedField:
+class PrefetchedField:
     """A field whose file a thread reads before anybody asks for it, beside whatever else a worker begins with."""
 
     def __init__(self, path: str, scene_scale: float):
@@ -57,14 +57,14 @@ class LoadedFields:
         references: References,
         device: wp.Device,
         memory: int | None = None,
-        expected: ExpectedField | None = None,
+        expected: PrefetchedField | None = None,
     ):
         self.references, self.device, self.read_count = references, device, 0
         # called with a field that is let go, before it is
         self.dropped: Callable[[AnyField], Any] = lambda field: None
         self._expected = expected
         limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
-        self._fields: Recent[AnyField] = Recent(MOST_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
+        self._fields: LRUCache[AnyField] = LRUCache(MOST_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
 
     @property
     def held_bytes(self) -> int:

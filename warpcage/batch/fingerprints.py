@@ -13,7 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from ..core.files import NpyFile, PathLike, file_stamp
-from ..core.memory import Recent
+from ..core.memory import LRUCache
 from .items import EvaluateItem, FitItem, FrameItem, Item, canonical
 from .words import split_reference
 
@@ -76,9 +76,9 @@ class Fingerprints:
     def __init__(self, base: PathLike, out: PathLike | None = None):
         self.base = pathlib.Path(base)
         self._out = None if out is None else os.path.realpath(out)
-        self._hashes: Recent[str | LargeHash] = Recent(MOST_FILES)
+        self._hashes: LRUCache[str | LargeHash] = LRUCache(MOST_FILES)
         self._thread: ThreadPoolExecutor | None = None
-        self._arrays: Recent[NpyFile] = Recent(32)
+        self._arrays: LRUCache[NpyFile] = LRUCache(32)
 
     def of(self, item: Item) -> str:
         """The fingerprint of an item, hexadecimal digits."""

@@ -7,7 +7,7 @@ import pathlib
 
 import warp as wp
 
-from ..core.memory import Recent
+from ..core.memory import LRUCache
 from ..field.voxel_field import VoxelField
 from ..fitting.cameras import tuned_scene
 from ..fitting.evaluation import evaluation_report, in_world_of
@@ -17,7 +17,7 @@ from ..scene.scene import Scene
 from .fields import LoadedFields
 from .fingerprints import Fingerprints
 from .items import EvaluateItem, FitItem
-from .manifest import Made, Writer
+from .manifest import MadeItem, Writer
 from .references import References
 
 
@@ -27,13 +27,13 @@ class FitMaker:
 
     def __init__(self, references: References, fingerprints: Fingerprints, device: wp.Device):
         self.references, self.fingerprints, self.device, self.read_count = references, fingerprints, device, 0
-        self._scenes: Recent[Scene] = Recent(1)
+        self._scenes: LRUCache[Scene] = LRUCache(1)
 
     def forget(self) -> None:
         """Let go of the scene."""
         self._scenes.clear()
 
-    def make(self, item: FitItem, checkpoint: pathlib.Path | None = None) -> Made:
+    def make(self, item: FitItem, checkpoint: pathlib.Path | None = None) -> MadeItem:
         """Fit a field to the pictures of a scene, as `warpcage fit` does; what is made writes its outputs.
         checkpoint: file (.npz) that holds the progress, from which a fit goes on whose worker died; None keeps none."""
         scene = self._scene(item)
@@ -44,7 +44,7 @@ class FitMaker:
         refined = field.refined_cameras
         if refined is not None:
             writers[item.outputs["cameras"]] = refined.save
-        return Made(writers)
+        return MadeItem(writers)
 
     def _scene(self, item: FitItem) -> Scene:
         words = item.split, item.downscale, item.format, item.background, item.masks, item.straighten
@@ -66,7 +66,7 @@ class FitMaker:
         return self._scenes.get(key, load)
 
 
-def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFields) -> Made:
+def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFields) -> MadeItem:
     """Compare a field with pictures of a scene, as `warpcage evaluate` does; what is made writes the report."""
     key, field = fields.get(item.field, item.scene_scale)
     if not isinstance(field, VoxelField):
@@ -94,4 +94,4 @@ def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFi
         **found.to_json(),
     }
     text = json.dumps(content, indent=2) + "\n"
-    return Made({item.outputs["report"]: lambda path: path.write_bytes(text.encode())})
+    return MadeItem({item.outputs["report"]: lambda path: path.write_bytes(text.encode())})

@@ -15,7 +15,7 @@ import numpy as np
 from ..cage.presets import is_preset
 from ..core.devices import resolve_device
 from ..core.files import NpyFile, PathLike, require_file
-from ..core.memory import Recent
+from ..core.memory import LRUCache
 from ..core.threads import cpu_threads, limit_threads
 from .fingerprints import Fingerprints, references_of
 from .items import Item
@@ -34,7 +34,7 @@ class Missing:
 
     def __init__(self, base: PathLike):
         self.base = base
-        self._files: Recent[NpyFile | str | None] = Recent(MOST_FILES)
+        self._files: LRUCache[NpyFile | str | None] = LRUCache(MOST_FILES)
 
     def of(self, item: Item) -> str | None:
         """One line on the first that an item names and is not there; None where all is there."""

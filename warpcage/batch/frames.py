@@ -13,7 +13,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..core.arrays import array_bytes
-from ..core.memory import Recent, free_bytes
+from ..core.memory import LRUCache, free_bytes
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
 from ..edits.edits import CageEdit, picture_cells
@@ -30,7 +30,7 @@ from ..view.opacity import rgba_picture
 from ..view.pictures import write_jpeg, write_png
 from .fields import MEMORY_SHARE, LoadedFields
 from .items import FrameItem, canonical
-from .manifest import Made, Writer, array_data, write_array
+from .manifest import MadeItem, Writer, array_data, write_array
 from .records import frame_record, pose_array
 from .references import References, RestCage
 from .words import TRANSPARENT
@@ -84,7 +84,7 @@ class FrameMaker:
         self.references, self.fields, self.counts = references, fields, Counts()
         limit = int(MEMORY_SHARE * free_bytes(fields.device)) // 2 if memory is None else memory
         self._kernels: dict[str, Future[None] | None] = {}  # by coordinates; None once they were waited for
-        self._bound: Recent[Bound] = Recent(MOST_DEFORMERS, limit, _bound_bytes)
+        self._bound: LRUCache[Bound] = LRUCache(MOST_DEFORMERS, limit, _bound_bytes)
         fields.dropped = self._drop_bound_to
 
     @property
@@ -102,7 +102,7 @@ class FrameMaker:
             if bound.deformer.field is field:
                 self._bound.drop(key)
 
-    def make(self, item: FrameItem) -> Made:
+    def make(self, item: FrameItem) -> MadeItem:
         """Render a frame; what is made writes its outputs."""
         self.begin_kernels(item)
         field_key, field = self.fields.get(item.field, item.scene_scale)
@@ -123,7 +123,7 @@ class FrameMaker:
         writers = frame_writers(item, frame, camera, drawn) | _record_writers(item, camera, posed)
         self.fields.settle(field_key)
         self._bound.settle(bound_key)
-        return Made(writers, sum(_host_bytes(frame, name) for name in needed_arrays(item, frame)))
+        return MadeItem(writers, sum(_host_bytes(frame, name) for name in needed_arrays(item, frame)))
 
     def begin_kernels(self, item: FrameItem) -> None:
         """Let a thread load the kernels that a frame needs, once for each kind of coordinates."""

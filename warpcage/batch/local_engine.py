@@ -7,24 +7,24 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
+from .chunk_runner import ChunkOrder, ChunkRunner
 from .loop import Begun, Event, Finished, Ready, Returned
-from .lot_runner import LotOrder, LotRunner
-from .scheduler import MOST_LOTS, Lot, LotReport
+from .scheduler import MOST_CHUNKS, Chunk, ChunkReport
 
-#: Seconds of an item from which on a lot is settled before the next one: this thread tells of it only after that one.
+#: Seconds of an item from which on a chunk is settled before the next one: this thread tells of it only after that one.
 SLOW = 0.5
 
 
 class LocalEngine:
-    """Runs lots in this process, one after the other: items in the thread that waits, while others wait for files."""
+    """Runs chunks in this process, one after the other: items in the thread that waits, while others wait for files."""
 
-    def __init__(self, runner: LotRunner, order: Callable[[Lot], LotOrder]):
+    def __init__(self, runner: ChunkRunner, order: Callable[[Chunk], ChunkOrder]):
         self._runner, self._order = runner, order
-        self._lot: Lot | None = None
+        self._chunk: Chunk | None = None
         self._events: list[Event] = []
         self._launches: list[float] = []
-        self._settling = ThreadPoolExecutor(MOST_LOTS, "warpcage-settling")
-        self._settled: queue.SimpleQueue[tuple[str, int, Future[LotReport]]] = queue.SimpleQueue()
+        self._settling = ThreadPoolExecutor(MOST_CHUNKS, "warpcage-settling")
+        self._settled: queue.SimpleQueue[tuple[str, int, Future[ChunkReport]]] = queue.SimpleQueue()
         self._ending = 0
 
     def now(self) -> float:
@@ -39,12 +39,12 @@ class LocalEngine:
         self._launches.append(self.now())
         self._events.append(Ready(worker))
 
-    def give(self, worker: str, lot: Lot) -> None:
-        """Take a lot; `wait` makes it."""
-        self._lot, self._worker = lot, worker
+    def give(self, worker: str, chunk: Chunk) -> None:
+        """Take a chunk; `wait` makes it."""
+        self._chunk, self._worker = chunk, worker
 
     def recall(self, worker: str, number: int, share: float) -> None:
-        """Nothing comes back: while a lot is made nobody can ask."""
+        """Nothing comes back: while a chunk is made nobody can ask."""
         self._events.append(Returned(worker, number, []))
 
     def lost(self, item: int, error: str, attempts: int) -> None:
@@ -56,10 +56,10 @@ class LocalEngine:
         self._runner.stop()
 
     def wait(self, timeout: float) -> list[Event]:
-        """Make the lot that was given, or wait for one whose files are being written."""
+        """Make the chunk that was given, or wait for one whose files are being written."""
         events, self._events = self._events, []
-        if self._lot is not None:
-            order, self._lot = self._order(self._lot), None
+        if self._chunk is not None:
+            order, self._chunk = self._order(self._chunk), None
             start = self.now()
             begun = self._runner.begin(order)
             if self.now() - start > SLOW * len(order.indices):
@@ -76,7 +76,7 @@ class LocalEngine:
             events.append(Finished(worker, found.result(), number))
         return events
 
-    def _settle(self, worker: str, number: int, found: Future[LotReport]) -> None:
+    def _settle(self, worker: str, number: int, found: Future[ChunkReport]) -> None:
         """Let a report come into the queue."""
         self._ending += 1
         found.add_done_callback(lambda done: self._settled.put((worker, number, done)))

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Generic, Protocol, TypeVar
 
-from .scheduler import Dispatcher, Lot, LotReport
+from .scheduler import Chunk, ChunkReport, Dispatcher
 
 #: Seconds after which the loop looks for stragglers even where nothing happened.
 TICK = 1.0
@@ -21,7 +21,7 @@ class Ready:
 
 @dataclasses.dataclass(frozen=True)
 class Begun:
-    """A worker has begun all items of a lot, whose files are being written. Not every engine tells."""
+    """A worker has begun all items of a chunk, whose files are being written. Not every engine tells."""
 
     worker: str
     number: int
@@ -29,16 +29,16 @@ class Begun:
 
 @dataclasses.dataclass(frozen=True)
 class Finished:
-    """A worker is done with a lot: that of a number, or the one that it makes."""
+    """A worker is done with a chunk: that of a number, or the one that it makes."""
 
     worker: str
-    report: LotReport
+    report: ChunkReport
     number: int | None = None
 
 
 @dataclasses.dataclass(frozen=True)
 class Returned:
-    """A worker gave back items of its lot."""
+    """A worker gave back items of its chunk."""
 
     worker: str
     number: int
@@ -47,10 +47,10 @@ class Returned:
 
 @dataclasses.dataclass(frozen=True)
 class Died:
-    """A worker died: what it had settled of its lots, what it had begun besides, the newest last, and why, one line."""
+    """A worker died: what it had settled of its chunks, what it had begun, the newest last, and why, in a line."""
 
     worker: str
-    report: LotReport
+    report: ChunkReport
     begun: Sequence[int]
     reason: str
 
@@ -69,12 +69,12 @@ class Engine(Protocol):
         """Start the process of a worker, the first one or another after its death; `Ready` or `Died` tells the end."""
         ...
 
-    def give(self, worker: str, lot: Lot) -> None:
-        """Let a worker make a lot."""
+    def give(self, worker: str, chunk: Chunk) -> None:
+        """Let a worker make a chunk."""
         ...
 
     def recall(self, worker: str, number: int, share: float) -> None:
-        """Ask for a share of what a worker has not begun of its lot; `Returned` brings it."""
+        """Ask for a share of what a worker has not begun of its chunk; `Returned` brings it."""
         ...
 
     def lost(self, item: int, error: str, attempts: int) -> None:
@@ -141,10 +141,10 @@ def _hand_out(dispatcher: Dispatcher, engine: Engine, idle: dict[str, None]) -> 
     for name in list(idle):
         if not dispatcher.open:
             break
-        lot = dispatcher.next_lot(name, engine.now())
-        if lot is not None:
+        chunk = dispatcher.next_chunk(name, engine.now())
+        if chunk is not None:
             del idle[name]
-            engine.give(name, lot)
+            engine.give(name, chunk)
     for name, number, share in dispatcher.recalls(len(idle), engine.now()):
         engine.recall(name, number, share)
 
@@ -160,7 +160,7 @@ def _replace(dispatcher: Dispatcher, engine: Engine, name: str, reason: str, war
         raise RuntimeError(f"no worker is left: {reason}")
 
 
-#: A worker, or one of its lots.
+#: A worker, or one of its chunks.
 Key = TypeVar("Key")
 
 #: Seconds within which a worker that is asked must answer: one that does not is taken for hung.
@@ -172,14 +172,14 @@ LEAST = 0.5
 
 @dataclasses.dataclass
 class _Looks:
-    """A lot of a worker: when to look at it next, and since when it owes an answer."""
+    """A chunk of a worker: when to look at it next, and since when it owes an answer."""
 
     next: float
     asked: float | None = None
 
 
 class LateItems(Generic[Key]):
-    """Knows which lots of workers are to be asked about when, so that few are asked often. Times are handed in.
+    """Knows which chunks of workers are to be asked about when, so that few are asked often. Times are handed in.
     limit: seconds that an item may take; patience: seconds within which a worker must answer."""
 
     def __init__(self, limit: float, patience: float):
@@ -187,11 +187,11 @@ class LateItems(Generic[Key]):
         self._workers: dict[Key, _Looks] = {}
 
     def given(self, worker: Key, now: float) -> None:
-        """A worker gets a lot: none of its items can be late before the limit has passed."""
+        """A worker gets a chunk: none of its items can be late before the limit has passed."""
         self._workers[worker] = _Looks(now + self.limit)
 
     def ended(self, worker: Key) -> None:
-        """A worker is done with its lot, or dead."""
+        """A worker is done with its chunk, or dead."""
         self._workers.pop(worker, None)
 
     def due(self, now: float) -> list[Key]:
@@ -202,7 +202,7 @@ class LateItems(Generic[Key]):
         return due
 
     def answered(self, worker: Key, seconds: float | None, now: float) -> bool:
-        """A worker has answered of itself or of a lot; returns whether its oldest item is late.
+        """A worker has answered of itself or of a chunk; returns whether its oldest item is late.
         seconds: how long that takes so far; None where it has none under way."""
         looks = self._workers.get(worker)
         if looks is None:

@@ -94,13 +94,13 @@ def _record(line: bytes) -> dict[str, Any] | None:
     return record if good else None
 
 
-def notes_of_lot(path: PathLike, lot: int) -> tuple[list[dict[str, Any]], list[str]]:
-    """What a worker that died noted of a lot: the records of items that were settled, and the ids of those that were
+def notes_of_chunk(path: PathLike, chunk: int) -> tuple[list[dict[str, Any]], list[str]]:
+    """What a worker that died noted of a chunk: the records of items that were settled, and the ids of those that were
     begun and not settled, the newest last."""
     settled: list[dict[str, Any]] = []
     begun: dict[str, None] = {}
     for _, record in read_lines(path):
-        if record["state"] == STARTED and record.get("lot") == lot:
+        if record["state"] == STARTED and record.get("lot") == chunk:
             begun[record["id"]] = None
         elif record["state"] != STARTED and record["id"] in begun:
             del begun[record["id"]]
@@ -235,7 +235,7 @@ Writer = Callable[[pathlib.Path], object]
 
 
 @dataclasses.dataclass(frozen=True)
-class Made:
+class MadeItem:
     """An item that is made, and not yet written."""
 
     # by the paths of its outputs

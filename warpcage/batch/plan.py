@@ -10,10 +10,10 @@ import numpy as np
 from .items import ITEMS_PER_SHARD, KINDS, WEBDATASET, Item
 from .job_file import JobFile
 from .manifest import DONE, FAILED, Manifest, OutputFolder, id_key
-from .scheduler import Lots
+from .scheduler import ChunkQueue
 from .webdataset import shard_holds, staged_shards
 
-#: Numbers of the kinds of items, for `Lots`.
+#: Numbers of the kinds of items, for `ChunkQueue`.
 KIND_NUMBERS = {kind: number for number, kind in enumerate(KINDS)}
 
 
@@ -44,9 +44,9 @@ class Plan:
         sizes = np.diff(starts, append=len(self.groups))
         return self.items[starts[np.argsort(-sizes, kind="stable")[:most]]].tolist()
 
-    def lots(self, *, aim: float, whole: bool) -> Lots:
+    def chunks(self, *, aim: float, whole: bool) -> ChunkQueue:
         """What is to be made, as workers take it."""
-        return Lots(self.items, self.groups, self.kinds, aim=aim, whole=whole)
+        return ChunkQueue(self.items, self.groups, self.kinds, aim=aim, whole=whole)
 
 
 def make_plan(

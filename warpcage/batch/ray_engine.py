@@ -19,14 +19,14 @@ from typing import Any
 
 from ..core.names import error_line
 from ..core.threads import cpu_threads, limit_threads
+from .chunk_runner import ChunkOrder, ChunkRunner
 from .loop import ANSWER, Begun, Died, Event, Finished, LateItems, Ready, Returned
-from .lot_runner import LotOrder, LotRunner
-from .manifest import DONE, ERROR, FAILED, OutputFolder, notes_of_lot
+from .manifest import DONE, ERROR, FAILED, OutputFolder, notes_of_chunk
 from .runners import RunnerSettings, make_runner
-from .scheduler import MOST_LOTS, Lot, LotReport
+from .scheduler import MOST_CHUNKS, Chunk, ChunkReport
 
 
-class LotActor:
+class ChunkActor:
     """What runs in the process of a worker."""
 
     def __init__(self, settings: RunnerSettings):
@@ -34,18 +34,18 @@ class LotActor:
         self._limits = contextlib.ExitStack()
         if settings.threads:
             self._limits.enter_context(limit_threads(settings.threads))
-        self._runner: LotRunner = make_runner(settings)
+        self._runner: ChunkRunner = make_runner(settings)
 
     def facts(self) -> dict[str, Any]:
         """Where it works, once it can."""
         return {"pid": os.getpid(), "host": platform.node()}
 
-    def run(self, order: LotOrder) -> LotReport:
-        """Make a lot."""
+    def run(self, order: ChunkOrder) -> ChunkReport:
+        """Make a chunk."""
         return self._runner.run(order)
 
     def begun(self, number: int) -> None:
-        """Wait until all items of a lot are begun."""
+        """Wait until all items of a chunk are begun."""
         self._runner.wait_until_begun(number)
 
     def recall(self, number: int, share: float) -> list[int]:
@@ -73,8 +73,8 @@ START_HERE, START_THERE = 120.0, 900.0
 #: Seconds between two looks for whether Ray itself still runs here, while no worker does.
 LOOK = 2.0
 
-#: Workers up to which a driver is told when the items of a lot are begun, so that another one can be under way while
-#: files are written. Lots of more workers take so long that this gains nothing, and costs the driver a message each.
+#: Workers up to which a driver is told when the items of a chunk are begun, so that another one can be under way while
+#: files are written. Chunks of more workers take so long that this gains nothing, and costs the driver a message each.
 MOST_OVERLAPPING = 64
 
 #: Bytes of Ray's store of objects on this machine: messages are small and do not go through it.
@@ -199,7 +199,7 @@ def shares(ray: types.ModuleType, workers: int | None, cluster: bool, device: st
 
 
 class RayEngine:
-    """Runs lots in actors of Ray; cluster: whether they may live on other machines.
+    """Runs chunks in actors of Ray; cluster: whether they may live on other machines.
     item_timeout: seconds that an item may take before its worker is ended; None is no limit."""
 
     def __init__(
@@ -209,23 +209,23 @@ class RayEngine:
         settings: RunnerSettings,
         share: Share,
         folder: OutputFolder,
-        order: Callable[[Lot], LotOrder],
+        order: Callable[[Chunk], ChunkOrder],
         cluster: bool,
         item_timeout: float | None = None,
     ):
         self._ray, self._settings, self._share, self._folder, self._order = ray, settings, share, folder, order
-        # threads: for the lot of which items are made and those that end, one that tells when all of them are begun,
-        # and one that may shorten the lot meanwhile, or tells of its items
+        # threads: for the chunk of which items are made and those that end, one that tells when all of them are begun,
+        # and one that may shorten the chunk meanwhile, or tells of its items
         placing = {"scheduling_strategy": "SPREAD"} if cluster else {}
-        self._actor = ray.remote(LotActor).options(
-            num_gpus=share.gpus, num_cpus=share.cpus, max_concurrency=MOST_LOTS + 2, max_restarts=0, **placing
+        self._actor = ray.remote(ChunkActor).options(
+            num_gpus=share.gpus, num_cpus=share.cpus, max_concurrency=MOST_CHUNKS + 2, max_restarts=0, **placing
         )
         self._patience = START_THERE if cluster else START_HERE
         self._here, self._next_look = not cluster, 0.0
         self._events: queue.SimpleQueue[tuple[str, str, int, Any]] = queue.SimpleQueue()
         self._actors: dict[str, Any] = {}
         self._starts: dict[str, int] = {}  # how often each was started
-        self._orders: dict[str, dict[int, LotOrder]] = {}  # of the lots of each, by number
+        self._orders: dict[str, dict[int, ChunkOrder]] = {}  # of the chunks of each, by number
         self.places: dict[str, dict[str, Any]] = {}  # pid and host of each
         self._waiting_since: float | None = None  # when the first of those that start was asked for
         self._ready: set[str] = set()
@@ -252,25 +252,25 @@ class RayEngine:
             self._waiting_since = self.now()
         self._ask(worker, "ready", actor.facts.remote())
 
-    def give(self, worker: str, lot: Lot) -> None:
-        """Send a lot to an actor."""
-        actor, order = self._actors[worker], self._order(lot)
-        self._orders.setdefault(worker, {})[lot.number] = order
-        self._ask(worker, f"report {lot.number}", actor.run.remote(order))
+    def give(self, worker: str, chunk: Chunk) -> None:
+        """Send a chunk to an actor."""
+        actor, order = self._actors[worker], self._order(chunk)
+        self._orders.setdefault(worker, {})[chunk.number] = order
+        self._ask(worker, f"report {chunk.number}", actor.run.remote(order))
         if self._overlapping:
-            self._ask(worker, f"begun {lot.number}", actor.begun.remote(lot.number))
+            self._ask(worker, f"begun {chunk.number}", actor.begun.remote(chunk.number))
         if self._late is not None:
-            self._late.given((worker, lot.number), self.now())
+            self._late.given((worker, chunk.number), self.now())
 
     def recall(self, worker: str, number: int, share: float) -> None:
-        """Ask an actor for items of its lot."""
+        """Ask an actor for items of its chunk."""
         self._ask(worker, f"recall {number}", self._actors[worker].recall.remote(number, share))
 
     def lost(self, item: int, error: str, attempts: int) -> None:
         """Note an item that failed with its workers."""
         if self._lost_notes is None:
             self._lost_notes = self._folder.new_notes(f"{self._settings.run}-driver")
-        found = self._settings.reader.item(*self._order(Lot(0, [item], [0], 0)).lines[0])
+        found = self._settings.reader.item(*self._order(Chunk(0, [item], [0], 0)).lines[0])
         record = {"id": found.id, "state": FAILED, "kind": found.kind, "attempts": attempts, "error": error}
         self._lost_notes.append(record)
 
@@ -338,7 +338,7 @@ class RayEngine:
     def _oldest(self, worker: str, number: int, found: tuple[int, float] | None) -> Event | None:
         """End a worker whose oldest item is late."""
         if self._late is None or number not in self._orders.get(worker, ()):
-            return None  # of a lot that has ended
+            return None  # of a chunk that has ended
         if not self._late.answered((worker, number), None if found is None else found[1], self.now()) or found is None:
             return None
         died = self._death(worker, f"its worker was ended: the item took longer than {self._late.limit:g} s")
@@ -368,8 +368,8 @@ class RayEngine:
             return [Returned(worker, number, found)]
         return self._reported(worker, number, found)
 
-    def _reported(self, worker: str, number: int, report: LotReport) -> list[Event]:
-        """A worker is done with a lot. One that can make no more is ended; its other lots are as its notes say."""
+    def _reported(self, worker: str, number: int, report: ChunkReport) -> list[Event]:
+        """A worker is done with a chunk. One that can make no more is ended; its other chunks are as its notes say."""
         orders = self._orders[worker]
         del orders[number]
         if not orders:
@@ -389,21 +389,21 @@ class RayEngine:
 
     def _death(self, worker: str, reason: str) -> Died:
         """What is known of an actor that answers no more, or is not to."""
-        report, begun = LotReport(), []
+        report, begun = ChunkReport(), []
         for order in self._end(worker):
-            of_lot, begun_of_lot = self._noted(worker, order)
-            report.done += of_lot.done
-            report.seconds += of_lot.seconds
-            report.failed += of_lot.failed
-            report.errors += of_lot.errors
-            begun += begun_of_lot
+            of_chunk, begun_of_chunk = self._noted(worker, order)
+            report.done += of_chunk.done
+            report.seconds += of_chunk.seconds
+            report.failed += of_chunk.failed
+            report.errors += of_chunk.errors
+            begun += begun_of_chunk
         return Died(worker, report, begun, reason)
 
-    def _noted(self, worker: str, order: LotOrder) -> tuple[LotReport, list[int]]:
-        """What a worker noted of a lot: what it settled, and what it had begun besides, the newest last."""
-        report, read = LotReport(), self._settings.reader.item
+    def _noted(self, worker: str, order: ChunkOrder) -> tuple[ChunkReport, list[int]]:
+        """What a worker noted of a chunk: what it settled, and what it had begun besides, the newest last."""
+        report, read = ChunkReport(), self._settings.reader.item
         indices = {read(*line).id: index for line, index in zip(order.lines, order.indices, strict=True)}
-        settled, begun = notes_of_lot(self._folder.notes / f"{self._notes_name(worker)}.jsonl", order.number)
+        settled, begun = notes_of_chunk(self._folder.notes / f"{self._notes_name(worker)}.jsonl", order.number)
         for record in settled:
             index = indices[record["id"]]
             if record["state"] == DONE:
@@ -413,7 +413,7 @@ class RayEngine:
                 (report.errors if record["state"] == ERROR else report.failed).append((index, record["error"]))
         return report, [indices[each] for each in begun]
 
-    def _end(self, worker: str) -> list[LotOrder]:
+    def _end(self, worker: str) -> list[ChunkOrder]:
         """Make sure that a process is gone whose node may merely not answer; returns what it had, the oldest first."""
         self._ready.discard(worker)
         orders = self._orders.pop(worker, {})

@@ -22,7 +22,7 @@ from ..cage.random_poses import PoseProbe, RandomPoses
 from ..cage.up_axis import load_standing
 from ..core.checks import shown
 from ..core.files import DAMAGED, NpyFile, file_stamp, require_file
-from ..core.memory import Recent
+from ..core.memory import LRUCache
 from ..scene.formats.transforms import TransformsCameras
 from ..splats.splat_field import AnyField
 from ..view.camera import Camera, CameraFile, camera_from_json, fitted
@@ -34,12 +34,12 @@ from .words import RANDOM, split_reference
 MOST_PROBES, MOST_POSES = 8, 16
 
 
-class DrawnPoses:
+class SampledPoses:
     """Draws poses, and keeps the last ones: several cameras show each."""
 
     def __init__(self) -> None:
-        self._probes: Recent[PoseProbe] = Recent(MOST_PROBES)
-        self._poses: Recent[np.ndarray] = Recent(MOST_POSES)
+        self._probes: LRUCache[PoseProbe] = LRUCache(MOST_PROBES)
+        self._poses: LRUCache[np.ndarray] = LRUCache(MOST_POSES)
 
     def vertices(self, posed: dict[str, Any], rest: Cage, rest_hash: str) -> np.ndarray:
         """The vertices (v, 3) float64, world units, of a pose: those of `RandomPoses`, to the bit.
@@ -76,8 +76,8 @@ class References:
 
     def __init__(self, base: str | os.PathLike):
         self.base = pathlib.Path(base)
-        self._files: Recent[Any] = Recent(MOST_FILES)
-        self._drawn = DrawnPoses()
+        self._files: LRUCache[Any] = LRUCache(MOST_FILES)
+        self._drawn = SampledPoses()
 
     def path(self, name: str) -> pathlib.Path:
         """The path of a file."""

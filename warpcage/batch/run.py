@@ -13,18 +13,18 @@ from typing import Any
 from ..core.checks import checked_positive, checked_whole
 from ..core.files import PathLike
 from ..core.names import error_line
+from .chunk_runner import ChunkOrder, Maker, leaves_no_room
 from .fingerprints import Fingerprints
 from .items import FOLDER
 from .job_file import JobFile
 from .local_engine import LocalEngine
 from .loop import Engine, drive
-from .lot_runner import LotOrder, Maker, leaves_no_room
 from .manifest import OutputFolder, Part
 from .plan import Plan, make_plan, open_shards, shard_size, span_of
 from .ray_engine import GRACE, RayEngine, ray_session, shares
 from .records import finish_folder
 from .runners import RunnerSettings, make_runner, run_name
-from .scheduler import AIM, Dispatcher, Lot
+from .scheduler import AIM, Chunk, Dispatcher
 from .webdataset import shard_path
 
 
@@ -75,10 +75,10 @@ class RunReport:
         return not self.failed and not self.left and self.halt is None
 
 
-#: Seconds of a lot where there are few workers, so that progress is seen.
+#: Seconds of a chunk where there are few workers, so that progress is seen.
 LEAST_AIM = 2.0
 
-#: Workers for which a lot takes a second more.
+#: Workers for which a chunk takes a second more.
 WORKERS_PER_SECOND = 100
 
 #: Items between two calls of `progress` while they are checked.
@@ -206,8 +206,8 @@ def _run(
             # there is nothing but shards to be packed
             options = dataclasses.replace(options, workers=1, cluster=None, item_timeout=None)
         with _merged(folder) as merging, _engine(options, settings, folder, orders) as (engine, count):
-            lots = plan.lots(aim=_aim(options, count), whole=shards is not None)
-            dispatcher = orders.dispatcher = Dispatcher(lots, retries=options.retries, shards=shards)
+            chunks = plan.chunks(aim=_aim(options, count), whole=shards is not None)
+            dispatcher = orders.dispatcher = Dispatcher(chunks, retries=options.retries, shards=shards)
             for number in range(max(1, min(count, len(plan.items)))):
                 dispatcher.add_worker(str(number))
 
@@ -228,7 +228,7 @@ def _run(
 
 
 class _Orders:
-    """What workers are sent for lots; unchanged: raises where the job file is no more what it was.
+    """What workers are sent for chunks; unchanged: raises where the job file is no more what it was.
     shard_size: items of a shard; 0 where there are none."""
 
     # knows which items failed
@@ -237,14 +237,14 @@ class _Orders:
     def __init__(self, job: JobFile, unchanged: Callable[[], None], shard_size: int):
         self._job, self._unchanged, self._shard_size = job, unchanged, shard_size
 
-    def __call__(self, lot: Lot) -> LotOrder:
-        """The order of a lot."""
+    def __call__(self, chunk: Chunk) -> ChunkOrder:
+        """The order of a chunk."""
         self._unchanged()
-        if lot.shard is not None:
-            return LotOrder(lot.number, [], [], [], lot.shard, self._packed(lot.shard))
-        lines = [(self._job.data(index), self._job.line(index)) for index in lot.items]
-        shard = lot.items[0] // self._shard_size if self._shard_size else None
-        return LotOrder(lot.number, list(lot.items), lines, list(lot.attempts), shard, seconds=lot.seconds)
+        if chunk.shard is not None:
+            return ChunkOrder(chunk.number, [], [], [], chunk.shard, self._packed(chunk.shard))
+        lines = [(self._job.data(index), self._job.line(index)) for index in chunk.items]
+        shard = chunk.items[0] // self._shard_size if self._shard_size else None
+        return ChunkOrder(chunk.number, list(chunk.items), lines, list(chunk.attempts), shard, seconds=chunk.seconds)
 
     def _packed(self, shard: int) -> list[dict[str, str]]:
         """The outputs of all items of a shard that are there: what was to be made of it is settled."""
@@ -327,7 +327,7 @@ def _merged(folder: OutputFolder) -> Iterator[_Merging]:
 
 @contextlib.contextmanager
 def _engine(
-    options: Options, settings: RunnerSettings, folder: OutputFolder, order: Callable[[Lot], LotOrder]
+    options: Options, settings: RunnerSettings, folder: OutputFolder, order: Callable[[Chunk], ChunkOrder]
 ) -> Iterator[tuple[Engine, int]]:
     """Where the work is done, and by how many. Whatever ends it, nothing works afterwards."""
     with contextlib.ExitStack() as held:

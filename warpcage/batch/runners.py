@@ -14,10 +14,10 @@ import warp as wp
 
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
+from .chunk_runner import ChunkRunner, Maker, Place
 from .fingerprints import Fingerprints
 from .items import EvaluateItem, FrameItem, Item
 from .job_file import ItemReader
-from .lot_runner import LotRunner, Maker, Place
 from .manifest import OutputFolder
 
 
@@ -46,8 +46,8 @@ class RunnerSettings:
     likely: tuple[tuple[bytes, int], ...] = ()
 
 
-def make_runner(settings: RunnerSettings) -> LotRunner:
-    """A runner of lots, in the process that calls; a RuntimeError where this machine does not see the folders of the
+def make_runner(settings: RunnerSettings) -> ChunkRunner:
+    """A runner of chunks, in the process that calls; a RuntimeError where this machine does not see the folders of the
     run."""
     folder = OutputFolder(settings.out)
     for path in (pathlib.Path(settings.base), folder.notes):
@@ -65,7 +65,7 @@ def make_runner(settings: RunnerSettings) -> LotRunner:
     else:
         device = resolve_device(settings.device)
         maker = settings.maker(settings.base, settings.out, device)
-    runner = LotRunner(
+    runner = ChunkRunner(
         maker,
         settings.reader.item,
         fingerprints.begun,
@@ -82,11 +82,11 @@ def make_runner(settings: RunnerSettings) -> LotRunner:
 def _worker(settings: RunnerSettings, first: Item | None) -> tuple[Maker, wp.Device]:
     """What makes items, and its device; the first field is read meanwhile, and the device prepared."""
     # loaded here, as the driver of a cluster needs nothing of it
-    from .fields import ExpectedField
+    from .fields import PrefetchedField
 
     expected = None
     if isinstance(first, FrameItem | EvaluateItem):
-        expected = ExpectedField(os.path.join(settings.base, first.field), first.scene_scale)
+        expected = PrefetchedField(os.path.join(settings.base, first.field), first.scene_scale)
     device = resolve_device(settings.device)
     with ThreadPoolExecutor(1, "warpcage-device") as beside:
         prepared = beside.submit(check_device, device)  # which makes its context

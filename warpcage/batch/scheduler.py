@@ -1,4 +1,4 @@
-"""Lots of items and who gets them: by measured seconds, by what a worker holds already."""
+"""Chunks of items and who gets them: by measured seconds, by what a worker holds already."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 
 from ..core.names import counted
 
-#: Seconds that a lot should take, and most items that it holds.
+#: Seconds that a chunk should take, and most items that it holds.
 AIM, LARGEST = 10.0, 256
 
-#: Lots that each worker should still get of what is left: towards the end they become small, so that all end together.
-LOTS_PER_WORKER = 4
+#: Chunks that each worker should still get of what is left: towards the end they become small, and all end together.
+CHUNKS_PER_WORKER = 4
 
-#: Seconds that a lot should take at least, as far as each worker gets as much: at its end a worker waits until the last
+#: Seconds that a chunk should take at least, as far as each worker gets as much: at its end it waits until the last
 #: files are written.
-LEAST_LOT = 0.5
+LEAST_CHUNK = 0.5
 
-#: Weight of the newest lot in the seconds that an item of a group is taken for, where it has as many items as those
+#: Weight of the newest chunk in the seconds that an item of a group is taken for, where it has as many items as those
 #: before it.
-NEWEST_LOTS = 0.25
+NEWEST_CHUNKS = 0.25
 
 
 @dataclasses.dataclass(frozen=True)
-class Lot:
+class Chunk:
     """Items that one worker takes at once."""
 
     number: int
@@ -36,7 +36,7 @@ class Lot:
     attempts: Sequence[int]
     # what the worker has loaded afterwards
     group: int
-    # to be packed, in a lot without items; None else
+    # to be packed, in a chunk without items; None else
     shard: int | None = None
     # after so many no more of its items are begun; None where it is known what they take
     seconds: float | None = None
@@ -44,22 +44,22 @@ class Lot:
 
 @dataclasses.dataclass
 class _Seconds:
-    """A running mean of what an item takes, and how many items of a lot it is known by."""
+    """A running mean of what an item takes, and how many items of a chunk it is known by."""
 
     mean: float = 0.0
     items: float = 0.0
 
     def note(self, seconds: float, items: int) -> None:
-        """Take in a lot of so many items, each of which counts."""
-        before = (1.0 / NEWEST_LOTS - 1.0) * self.items
+        """Take in a chunk of so many items, each of which counts."""
+        before = (1.0 / NEWEST_CHUNKS - 1.0) * self.items
         weight = items / (items + before) if before else 1.0
         self.mean += weight * (seconds - self.mean)
         self.items += weight * (items - self.items)
 
 
-class Lots:
+class ChunkQueue:
     """What is left to be made, in groups of items that share what a worker loads; items, groups and kinds are (n,).
-    Items of a group follow each other; aim: seconds that a lot should take."""
+    Items of a group follow each other; aim: seconds that a chunk should take."""
 
     # Where nothing is known of a group, its items are taken to last as long as others of their kind.
 
@@ -71,7 +71,7 @@ class Lots:
         *,
         aim: float = AIM,
         largest: int = LARGEST,
-        # whether a lot is all that is left of a group (a shard), however long it takes
+        # whether a chunk is all that is left of a group (a shard), however long it takes
         whole: bool = False,
     ):
         self._items = np.asarray(items, np.int64)
@@ -114,12 +114,12 @@ class Lots:
         return None if found is None else found.mean
 
     def items_behind(self, group: int) -> float:
-        """How many items of a lot `seconds` is known by; 0 where nobody knows."""
+        """How many items of a chunk `seconds` is known by; 0 where nobody knows."""
         found = self._found(group)
         return 0.0 if found is None else found.items
 
     def note(self, group: int, seconds: float, items: int = 1) -> None:
-        """Keep how long an item of a group took; seconds: mean over the items of a lot; items: how many those were."""
+        """Keep how long an item of a group took; seconds: mean over the items of a chunk; items: how many."""
         # One that is made alone takes longer than one among others. 0 is for seconds with what loading takes in them,
         # which hold only until others are known.
         kind = int(self._kinds[group])
@@ -131,7 +131,7 @@ class Lots:
         return self._seconds.get(group, self._kind_seconds.get(int(self._kinds[group])))
 
     def choose(self, loaded: int | None, sharers: dict[int, int]) -> int | None:
-        """The group of which a worker should take its next lot; loaded: that it has; sharers: workers at each group."""
+        """The group of which a worker should take its next chunk; loaded: that it has; sharers: workers at each."""
         # The loaded one as long as there is some of it; else one that nobody has begun, the largest first; else the one
         # with the most left for each worker at it.
         if loaded is not None and self.left_in(loaded):
@@ -145,7 +145,7 @@ class Lots:
         return max(self._open, key=lambda group: self.left_in(group) / (1 + sharers.get(group, 0)), default=None)
 
     def take(self, group: int, workers: int, speed: float = 1.0) -> tuple[list[int], int]:
-        """Cut a lot of a group; returns the items, and the group of the last of them.
+        """Cut a chunk of a group; returns the items, and the group of the last of them.
         speed: seconds that the worker takes for what takes others one."""
         size = self._size(group, workers, speed)
         taken = self._cut(group, size)
@@ -172,12 +172,12 @@ class Lots:
     def _size(self, group: int, workers: int, speed: float) -> int:
         if self.whole:
             return self.left_in(group)
-        fair, equal = (-(-self.left // (lots * max(workers, 1))) for lots in (LOTS_PER_WORKER, 1))
+        fair, equal = (-(-self.left // (chunks * max(workers, 1))) for chunks in (CHUNKS_PER_WORKER, 1))
         seconds = self.seconds(group)
-        if seconds is None:  # the lot ends with its time; its first item may wait long for the hash of what it loads
+        if seconds is None:  # the chunk ends with its time; its first item may wait long for the hash of what it loads
             return min(fair, self._largest)
         each = max(seconds * speed, 1e-9)
-        aimed, least = int(self.aim / each), int(min(self.aim, LEAST_LOT) / each)
+        aimed, least = int(self.aim / each), int(min(self.aim, LEAST_CHUNK) / each)
         return max(1, min(aimed, max(fair, min(least, equal)), self._largest))
 
     def _cut(self, group: int, size: int) -> list[int]:
@@ -203,22 +203,22 @@ class Lots:
 #: Deaths of a worker in a row, none of which made an item, after which its place is given up.
 MOST_BARREN = 3
 
-#: Weight of the newest lot in how fast a worker is taken for, and how far that may be from the others.
+#: Weight of the newest chunk in how fast a worker is taken for, and how far that may be from the others.
 NEWEST, MOST_RATIO = 0.5, 100.0
 
-#: Lots that a worker has at most: one of which it makes items, the others while their last files are being written.
-MOST_LOTS = 2
+#: Chunks that a worker has at most: one of which it makes items, the others while their last files are being written.
+MOST_CHUNKS = 2
 
-#: A lot is shortened for the sake of a worker that has nothing to do where it would take this many more seconds.
+#: A chunk is shortened for the sake of a worker that has nothing to do where it would take this many more seconds.
 LEAST_SHARED = 2.0
 
-#: A worker that takes this many times what its lot should have taken gives back all that it has not begun.
+#: A worker that takes this many times what its chunk should have taken gives back all that it has not begun.
 STRAGGLING = 3.0
 
 
 @dataclasses.dataclass
-class LotReport:
-    """What became of a lot."""
+class ChunkReport:
+    """What became of a chunk."""
 
     done: list[int] = dataclasses.field(default_factory=list)
     # of each of those; where something was loaded, how long the worker was at each
@@ -241,28 +241,28 @@ class LotReport:
 class _Worker:
     """A place where a process works; when that dies, another takes its place."""
 
-    lot: Lot | None = None  # of which items are made
-    ending: dict[int, Lot] = dataclasses.field(default_factory=dict)  # whose files are being written, by number
+    chunk: Chunk | None = None  # of which items are made
+    ending: dict[int, Chunk] = dataclasses.field(default_factory=dict)  # whose files are being written, by number
     began: float = 0.0
     group: int | None = None
     speed: float = 1.0
-    barren: int = 0  # deaths in a row without an item
-    recalled: bool = False  # whether its lot was asked back
+    consecutive_failures: int = 0  # deaths in a row without an item
+    recalled: bool = False  # whether its chunk was asked back
 
     @property
-    def lots(self) -> list[Lot]:
+    def chunks(self) -> list[Chunk]:
         """All that it has, the oldest first."""
-        return [*self.ending.values(), *([] if self.lot is None else [self.lot])]
+        return [*self.ending.values(), *([] if self.chunk is None else [self.chunk])]
 
 
 class Dispatcher:
-    """Hands out lots, and knows when all is settled; retries: how often an item may be tried again.
-    shards: items that are open of each shard, where lots are shards; 0 where it is only to be packed."""
+    """Hands out chunks, and knows when all is settled; retries: how often an item may be tried again.
+    shards: items that are open of each shard, where chunks are shards; 0 where it is only to be packed."""
 
     # Times are handed in: a simulation under a virtual clock runs the very same code (python benchmarks batch-scale).
 
-    def __init__(self, lots: Lots, *, retries: int = 2, shards: dict[int, int] | None = None):
-        self.lots, self.retries = lots, retries
+    def __init__(self, chunks: ChunkQueue, *, retries: int = 2, shards: dict[int, int] | None = None):
+        self.chunks, self.retries = chunks, retries
         self.done = 0
         # items that will not be tried again, with one line each
         self.failures: dict[int, str] = {}
@@ -286,7 +286,7 @@ class Dispatcher:
     @property
     def open(self) -> bool:
         """Whether there is something that nobody has."""
-        return bool(self.lots.left or self._retries or self._packs)
+        return bool(self.chunks.left or self._retries or self._packs)
 
     @property
     def names(self) -> list[str]:
@@ -296,8 +296,8 @@ class Dispatcher:
     @property
     def left(self) -> int:
         """Items that are neither made nor failed."""
-        held = sum(len(lot.items) for name in self._busy for lot in self._workers[name].lots)
-        return self.lots.left + len(self._retries) + held
+        held = sum(len(chunk.items) for name in self._busy for chunk in self._workers[name].chunks)
+        return self.chunks.left + len(self._retries) + held
 
     @property
     def failed(self) -> int:
@@ -314,72 +314,72 @@ class Dispatcher:
         return self._attempts.get(item, 0)
 
     def takes(self, name: str) -> bool:
-        """Whether a worker can make the items of another lot."""
+        """Whether a worker can make the items of another chunk."""
         worker = self._workers[name]
-        return worker.lot is None and len(worker.ending) < MOST_LOTS
+        return worker.chunk is None and len(worker.ending) < MOST_CHUNKS
 
     def add_worker(self, name: str) -> None:
         """A place where work can be done; its process may start later."""
         self._workers[name] = _Worker()
 
-    def next_lot(self, name: str, now: float) -> Lot | None:
-        """The next lot of a worker that makes items of none; None where there is nothing for it at present.
+    def next_chunk(self, name: str, now: float) -> Chunk | None:
+        """The next chunk of a worker that makes items of none; None where there is nothing for it at present.
         now: seconds of any clock that never goes back."""
         worker = self._workers[name]
         if self.stopped:
             return None
-        lot = self._pack(worker) or self._retry(name, worker, loaded_only=True) or self._cut(worker)
-        lot = lot or self._retry(name, worker, loaded_only=False)
-        if lot is None:
+        chunk = self._pack(worker) or self._retry(name, worker, loaded_only=True) or self._cut(worker)
+        chunk = chunk or self._retry(name, worker, loaded_only=False)
+        if chunk is None:
             return None
-        worker.lot, worker.began, worker.recalled = lot, now, False
+        worker.chunk, worker.began, worker.recalled = chunk, now, False
         self._busy.add(name)
-        return lot
+        return chunk
 
     def begun(self, name: str, number: int) -> bool:
-        """A worker has begun all items of a lot; returns whether it takes another one while files are written."""
+        """A worker has begun all items of a chunk; returns whether it takes another one while files are written."""
         worker = self._workers.get(name)
-        if worker is None or worker.lot is None or worker.lot.number != number:
+        if worker is None or worker.chunk is None or worker.chunk.number != number:
             # not what it makes: its report was there before
             return False
-        worker.ending[number], worker.lot = worker.lot, None
+        worker.ending[number], worker.chunk = worker.chunk, None
         return self.takes(name)
 
-    def reported(self, name: str, report: LotReport, now: float, number: int | None = None) -> None:
-        """A worker is done with a lot; number: of the lot, None is the one of which it makes items."""
+    def reported(self, name: str, report: ChunkReport, now: float, number: int | None = None) -> None:
+        """A worker is done with a chunk; number: of the chunk, None is the one of which it makes items."""
         worker = self._workers[name]
-        lot = worker.ending.pop(number, None) if number is not None else None
-        if lot is None:
-            lot, worker.lot = worker.lot, None
-        assert lot is not None and number in (None, lot.number)
-        self._settle(name, [lot], report)
-        if lot.shard is not None and report.pack_error is not None:
-            self._pack_again(lot, report.pack_error)
+        chunk = worker.ending.pop(number, None) if number is not None else None
+        if chunk is None:
+            chunk, worker.chunk = worker.chunk, None
+        assert chunk is not None and number in (None, chunk.number)
+        self._settle(name, [chunk], report)
+        if chunk.shard is not None and report.pack_error is not None:
+            self._pack_again(chunk, report.pack_error)
         if report.done:
-            worker.barren = 0
+            worker.consecutive_failures = 0
             usual = report.seconds[1:] if report.loading else report.seconds
             mean = sum(usual) / len(usual) if usual else report.seconds[0]
-            expected, behind = self.lots.seconds(lot.group), self.lots.items_behind(lot.group)
+            expected, behind = self.chunks.seconds(chunk.group), self.chunks.items_behind(chunk.group)
             if expected and behind and usual:
                 ratio = min(max(mean / expected, 1.0 / MOST_RATIO), MOST_RATIO)
-                # few items say little, as those at the end of a lot wait for their files
+                # few items say little, as those at the end of a chunk wait for their files
                 share = min(1.0, len(usual) / behind)
                 worker.speed += NEWEST * share * (ratio - worker.speed)
             # of all workers together, as they are: two unknowns that explain each other would drift away together
-            self.lots.note(lot.group, mean, len(usual))
+            self.chunks.note(chunk.group, mean, len(usual))
         elif report.broken is not None:
-            worker.barren += 1
+            worker.consecutive_failures += 1
         if report.halt is not None:
             self.stop()
 
-    def died(self, name: str, report: LotReport, begun: Sequence[int], reason: str) -> list[tuple[int, str]]:
+    def died(self, name: str, report: ChunkReport, begun: Sequence[int], reason: str) -> list[tuple[int, str]]:
         """A worker died; report: what it had settled; begun: items begun and not settled, the newest last.
         Returns the newest, with its error, where that is not tried again."""
         worker = self._workers[name]
         self._move(worker, None)  # what takes its place has nothing loaded
-        worker.barren = 0 if report.done else worker.barren + (not begun)
-        lots, worker.lot, worker.ending = worker.lots, None, {}
-        if not lots:
+        worker.consecutive_failures = 0 if report.done else worker.consecutive_failures + (not begun)
+        chunks, worker.chunk, worker.ending = worker.chunks, None, {}
+        if not chunks:
             return []
         lost: list[tuple[int, str]] = []
         # the item that it began last is charged an attempt
@@ -391,69 +391,69 @@ class Dispatcher:
         elif charged is not None:
             report.errors.append((charged, reason))
         settled = {*report.done, *(item for item, _ in [*report.failed, *report.errors]), *begun}
-        report.left = [item for lot in lots for item in lot.items if item not in settled]
-        self._settle(name, lots, report)
-        groups = {item: lot.group for lot in lots for item in lot.items}
+        report.left = [item for chunk in chunks for item in chunk.items if item not in settled]
+        self._settle(name, chunks, report)
+        groups = {item: chunk.group for chunk in chunks for item in chunk.items}
         # those whose files were being written are made again alone, so that one that kills its worker is known by that
         self._retries.extend((item, groups[item], "") for item in begun[:-1])
-        for lot in lots:
-            if lot.shard is not None:
-                self._pack_again(lot, reason)
+        for chunk in chunks:
+            if chunk.shard is not None:
+                self._pack_again(chunk, reason)
         return lost
 
     def given_up(self, name: str) -> bool:
         """Whether a worker's place is not filled again, as it dies before it makes anything; it is forgotten then."""
-        if self._workers[name].barren < MOST_BARREN:
+        if self._workers[name].consecutive_failures < MOST_BARREN:
             return False
         del self._workers[name]
         return True
 
     def recalls(self, idle: int, now: float) -> list[tuple[str, int, float]]:
-        """Lots that are to be shortened, so that `idle` workers that have nothing to do get some of them.
-        Returns workers, numbers of their lots, and the share of what each has not begun that it should give back."""
-        if self.stopped or not idle or self.lots.left:
+        """Chunks that are to be shortened, so that `idle` workers that have nothing to do get some of them.
+        Returns workers, numbers of their chunks, and the share of what each has not begun that it should give back."""
+        if self.stopped or not idle or self.chunks.left:
             return []
         late = []
         for name in self._busy:
             worker = self._workers[name]
-            lot = worker.lot
-            if lot is None or worker.recalled or len(lot.items) < 2:
+            chunk = worker.chunk
+            if chunk is None or worker.recalled or len(chunk.items) < 2:
                 continue
-            seconds = self.lots.seconds(lot.group)
+            seconds = self.chunks.seconds(chunk.group)
             passed = now - worker.began
-            expected = (seconds or 0.0) * worker.speed * len(lot.items)
+            expected = (seconds or 0.0) * worker.speed * len(chunk.items)
             if passed > STRAGGLING * max(expected, LEAST_SHARED):
-                late.append((passed, name, lot.number, 1.0))
+                late.append((passed, name, chunk.number, 1.0))
             elif expected - passed > LEAST_SHARED:
-                late.append((expected - passed, name, lot.number, 0.5))
+                late.append((expected - passed, name, chunk.number, 0.5))
         late.sort(reverse=True)
         for _, name, _, _ in late[:idle]:
             self._workers[name].recalled = True
         return [(name, number, share) for _, name, number, share in late[:idle]]
 
     def returned(self, name: str, number: int, items: Sequence[int]) -> None:
-        """A worker gave back items of its lot that it had not begun."""
+        """A worker gave back items of its chunk that it had not begun."""
         worker = self._workers.get(name)
-        if worker is None or worker.lot is None or worker.lot.number != number or not items:
-            return  # the lot ended meanwhile, or soon will: its report says what was left
+        if worker is None or worker.chunk is None or worker.chunk.number != number or not items:
+            return  # the chunk ended meanwhile, or soon will: its report says what was left
         back = set(items)
-        kept = [k for k, item in enumerate(worker.lot.items) if item not in back]
-        lot = worker.lot
-        worker.lot = dataclasses.replace(
-            lot, items=[lot.items[k] for k in kept], attempts=[lot.attempts[k] for k in kept]
+        kept = [k for k, item in enumerate(worker.chunk.items) if item not in back]
+        chunk = worker.chunk
+        worker.chunk = dataclasses.replace(
+            chunk, items=[chunk.items[k] for k in kept], attempts=[chunk.attempts[k] for k in kept]
         )
         worker.recalled = False  # what it still holds may be asked for later
-        self.lots.put_back(lot.group, items)
+        self.chunks.put_back(chunk.group, items)
 
     def stop(self) -> None:
         """Hand out no more."""
         self.stopped = True
 
-    def _settle(self, name: str, lots: Sequence[Lot], report: LotReport) -> None:
-        """Count what a report of lots says that a worker has no more, and put the rest where it is handed out again."""
-        if not self._workers[name].lots:
+    def _settle(self, name: str, chunks: Sequence[Chunk], report: ChunkReport) -> None:
+        """Count what a report of chunks says that a worker has no more, and put the rest back to be handed out."""
+        if not self._workers[name].chunks:
             self._busy.discard(name)
-        groups = {item: lot.group for lot in lots for item in lot.items}  # without what it gave back meanwhile
+        groups = {item: chunk.group for chunk in chunks for item in chunk.items}  # without what it gave back meanwhile
         self.done += len(report.done)
         self.failures.update(report.failed)
         settled = [*report.done, *(item for item, _ in report.failed)]
@@ -463,55 +463,55 @@ class Dispatcher:
             self._attempts[item] = self._attempts.get(item, 0) + 1
             self._retries.append((item, groups[item], name))
         for group in dict.fromkeys(groups.values()):
-            self.lots.put_back(group, [item for item in report.left if groups.get(item) == group])
+            self.chunks.put_back(group, [item for item in report.left if groups.get(item) == group])
         if self._shards is not None:
             for group, count in collections.Counter(groups[item] for item in settled).items():
-                shard = self.lots.name(group)
+                shard = self.chunks.name(group)
                 self._shards[shard] -= count
                 if not self._shards[shard]:
                     del self._shards[shard]
                     self._packs.append((shard, 0))
 
-    def _cut(self, worker: _Worker) -> Lot | None:
-        if not self.lots.left:
+    def _cut(self, worker: _Worker) -> Chunk | None:
+        if not self.chunks.left:
             return None
-        group = self.lots.choose(worker.group, self._sharers)
+        group = self.chunks.choose(worker.group, self._sharers)
         if group is None:
             return None
-        items, taken = self.lots.take(group, len(self._workers), worker.speed)
+        items, taken = self.chunks.take(group, len(self._workers), worker.speed)
         self._move(worker, taken)
-        known = self.lots.whole or self.lots.seconds(group) is not None
-        return self._lot(items, taken, None if known else self.lots.aim)
+        known = self.chunks.whole or self.chunks.seconds(group) is not None
+        return self._chunk(items, taken, None if known else self.chunks.aim)
 
-    def _retry(self, name: str, worker: _Worker, loaded_only: bool) -> Lot | None:
+    def _retry(self, name: str, worker: _Worker, loaded_only: bool) -> Chunk | None:
         """An item that failed, alone and elsewhere where there is an elsewhere."""
         for _ in range(len(self._retries)):
             item, group, failed_at = self._retries.popleft()
             elsewhere = failed_at != name or len(self._workers) == 1 or failed_at not in self._workers
             if elsewhere and (group == worker.group or not loaded_only):
                 self._move(worker, group)
-                return self._lot([item], group)
+                return self._chunk([item], group)
             self._retries.append((item, group, failed_at))
         return None
 
-    def _pack(self, worker: _Worker) -> Lot | None:
+    def _pack(self, worker: _Worker) -> Chunk | None:
         if not self._packs:
             return None
         shard, attempts = self._packs.popleft()
         self._number += 1
-        return Lot(self._number, [], [attempts], worker.group or 0, shard)
+        return Chunk(self._number, [], [attempts], worker.group or 0, shard)
 
-    def _pack_again(self, lot: Lot, reason: str) -> None:
-        assert lot.shard is not None
-        if lot.attempts[0] < self.retries:
-            self._packs.append((lot.shard, lot.attempts[0] + 1))
+    def _pack_again(self, chunk: Chunk, reason: str) -> None:
+        assert chunk.shard is not None
+        if chunk.attempts[0] < self.retries:
+            self._packs.append((chunk.shard, chunk.attempts[0] + 1))
         else:
-            self.unpacked.append((lot.shard, reason))
+            self.unpacked.append((chunk.shard, reason))
 
-    def _lot(self, items: list[int], group: int, seconds: float | None = None) -> Lot:
+    def _chunk(self, items: list[int], group: int, seconds: float | None = None) -> Chunk:
         self._number += 1
         attempts = [self._attempts.get(item, 0) for item in items]
-        return Lot(self._number, items, attempts, group, seconds=seconds)
+        return Chunk(self._number, items, attempts, group, seconds=seconds)
 
     def _move(self, worker: _Worker, group: int | None) -> None:
         """Note what a worker has loaded."""

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ..cage.random_poses import POSE_MODES, PoseChance
+from ..cage.random_poses import POSE_MODES, RandomPoseOptions
 from ..core.checks import checked_number, checked_positive, checked_whole, listed, shown
 from ..core.names import BACKGROUNDS
 
@@ -178,7 +178,7 @@ def drawn_pose(value: Any, word: str) -> dict[str, Any]:
     return {RANDOM: {"seed": given.get("seed", 0), "number": given["number"], **_bounds(**bounds)}}
 
 
-def drawn_words(chance: PoseChance, number: int) -> dict[str, Any]:
+def drawn_words(chance: RandomPoseOptions, number: int) -> dict[str, Any]:
     """The "posed" by which a line of a job file names a random pose: without what is usual."""
     usual, found = _bounds(), _bounds(stretch=chance.stretch, reach=chance.reach, modes=chance.modes)
     own = {name: value for name, value in found.items() if value != usual[name]}
@@ -188,5 +188,5 @@ def drawn_words(chance: PoseChance, number: int) -> dict[str, Any]:
 @functools.lru_cache(maxsize=1024)
 def _bounds(**words: Any) -> dict[str, list]:
     """Stretch, reach and modes, checked once for all poses that share them."""
-    chance = PoseChance(**words)
+    chance = RandomPoseOptions(**words)
     return {name: list(getattr(chance, name)) for name in ("stretch", "reach", "modes")}

@@ -14,12 +14,12 @@ from ..core.devices import resolve_device
 from ..core.memory import is_shortage
 from ..core.overlap import SPARE, TASK_THREADS, Gate
 from ..core.threads import cpu_threads
-from .fields import ExpectedField, LoadedFields
+from .fields import LoadedFields, PrefetchedField
 from .fingerprints import Fingerprints
 from .fits import FitMaker, make_evaluation
 from .frames import FrameMaker
 from .items import EvaluateItem, FitItem, FrameItem, Item, digest
-from .manifest import CHECKPOINTS, PARTS, Made, write_outputs
+from .manifest import CHECKPOINTS, PARTS, MadeItem, write_outputs
 from .references import References
 
 
@@ -39,7 +39,7 @@ class Worker:
         # the item that it will probably make first: a thread loads the kernels of that
         first: Item | None = None,
         # the field of that, which is being read
-        expected: ExpectedField | None = None,
+        expected: PrefetchedField | None = None,
     ):
         self.out, self.device = pathlib.Path(out), resolve_device(device)
         self.references = References(base)
@@ -99,14 +99,14 @@ class Worker:
         self._gate.enter(made.held_bytes)
         return self._pool.submit(self._write, made, folder)
 
-    def _write(self, made: Made, folder: pathlib.Path) -> dict[str, int]:
+    def _write(self, made: MadeItem, folder: pathlib.Path) -> dict[str, int]:
         """Write the outputs of an item, in a thread of the pool."""
         try:
             return write_outputs(made.writers, folder, self.out / PARTS)
         finally:
             self._gate.leave(made.held_bytes)
 
-    def _made(self, item: Item) -> Made:
+    def _made(self, item: Item) -> MadeItem:
         """Make an item; where memory is short, once more with nothing else loaded."""
         try:
             return self._made_once(item)
@@ -116,7 +116,7 @@ class Worker:
         self.forget()
         return self._made_once(item)
 
-    def _made_once(self, item: Item) -> Made:
+    def _made_once(self, item: Item) -> MadeItem:
         if isinstance(item, FitItem):
             self._forget_fields()  # a fit plans with the memory that is free
             return self.fits.make(item, self._checkpoint(item))

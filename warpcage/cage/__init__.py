@@ -16,7 +16,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "presets": "Preset is_preset",
         "random_poses": "POSE_MODES PoseProbe PoseWay RandomNumbers",
         "snap": "cut_matter snap_to_gaps",
-        "up_axis": "Standing restood standing_of_rest",
+        "up_axis": "UpAxis restood standing_of_rest",
         "walls": "cut_faces",
     },
 )

@@ -236,7 +236,7 @@ USUAL_REACH = (0.3, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
-class PoseChance:
+class RandomPoseOptions:
     """What `RandomPoses` takes besides the cage."""
 
     seed: int = 0
@@ -444,7 +444,7 @@ class RandomPoses(Generic[Posed]):
     ):
         require_usable(rest, "rest cage")
         self.rest = rest
-        self.chance = chance = PoseChance(seed, stretch, reach, modes)
+        self.chance = chance = RandomPoseOptions(seed, stretch, reach, modes)
         self.seed, self.stretch, self.reach, self.modes = chance.seed, chance.stretch, chance.reach, chance.modes
         if probe is not None and probe.rest is not rest:
             raise ValueError("the probe of random poses must be one of the very cage that they are poses of")

@@ -54,7 +54,7 @@ _SIMILAR = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
-class Standing:
+class UpAxis:
     """How a cage file stands."""
 
     # the axis that points up in the file, "y" or "z"
@@ -79,13 +79,13 @@ def load_standing(
     reference: object = None,
     expected: str | None = None,
     anywhere: bool = False,
-) -> tuple[Mesh, Standing]:
+) -> tuple[Mesh, UpAxis]:
     """Read a cage file, and say how it stands by its `reference`: the cage at rest, or the object that it is around.
     `up` None finds the axis so, else `expected`, else the format's; `anywhere` takes a cage that holds nothing."""
     chosen = up or expected or file_up(path)
     path, vertices, faces = read_mesh(path, chosen)
     try:
-        cage, standing = make(vertices, faces), Standing(chosen)
+        cage, standing = make(vertices, faces), UpAxis(chosen)
         if reference is not None:
             given = up is not None
             if isinstance(reference, ClosedMesh):
@@ -99,35 +99,35 @@ def load_standing(
     return restood(cage, chosen, standing.up), standing
 
 
-def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = False) -> Standing:
+def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = False) -> UpAxis:
     """How a cage at rest, turned from the axis `up` to z, stands by what it holds of a field, a selection or a mesh.
     An axis that the user gave is kept; a cage that cannot be used, or an object that shows nothing, is as expected."""
     if first_problem(cage):
-        return Standing(up)
+        return UpAxis(up)
     points = _object_points(thing, count=max(_LEAST_POINTS, min(_MOST_POINTS, _WORK // len(cage.faces))))
     if not len(points):
-        return Standing(up)
+        return UpAxis(up)
     here, other = _share_inside(cage, points), _other(up)
     turned = restood(cage, up, other)
     if here >= 1.0 - _MISSED:
         snug = _unevenness(turned, points) <= _CLEARLY_LESS * _unevenness(cage, points)
         if given or not snug or _unevenness(cage, points) < _UNEVEN or _share_inside(turned, points) < here:
-            return Standing(up)
-        return Standing(up, note=f"holds the object either way, but would fit it closer with {other} up", doubtful=True)
+            return UpAxis(up)
+        return UpAxis(up, note=f"holds the object either way, but would fit it closer with {other} up", doubtful=True)
     there = _share_inside(turned, points)
     whole = there >= _WHOLE and 1.0 - there <= _CLEARLY_LESS * (1.0 - here)
     if whole or (here < _NOTHING and there >= _SOMETHING):
         held = f"it holds {_percent(there)} of the object so, with {up} up {_percent(here)}"
         if given:
-            return Standing(up, note=f"seems to have {other} up: {held}", doubtful=True)
-        return Standing(other, turned=True, note=f"has {other} up, and is turned: {held}")
+            return UpAxis(up, note=f"seems to have {other} up: {held}", doubtful=True)
+        return UpAxis(other, turned=True, note=f"has {other} up, and is turned: {held}")
     if here < _NOTHING:
         places = f"{_span(*cage.bounds)}, the object {_span(points.min(axis=0), points.max(axis=0))}"
         nothing = f"holds nothing of the object, with z up or with y up: it lies at {places}"
-        return Standing(up, note=nothing, doubtful=True, lost=True)
+        return UpAxis(up, note=nothing, doubtful=True, lost=True)
     more = f"; with {other} up it would hold {_percent(there)}" if there > _MORE * here else ""
     note = f"holds {_percent(here)} of the object, the rest of it stays where it is{more}"
-    return Standing(up, note=note, likelier=there > _FAR_MORE * here)
+    return UpAxis(up, note=note, likelier=there > _FAR_MORE * here)
 
 
 def other_standing(cage: ClosedMesh, thing: object) -> str:
@@ -136,13 +136,13 @@ def other_standing(cage: ClosedMesh, thing: object) -> str:
     return next((each.note for each in found if each.doubtful), "")
 
 
-def standing_of_pose(cage: ClosedMesh, up: str, rest: ClosedMesh, *, given: bool = False) -> Standing:
+def standing_of_pose(cage: ClosedMesh, up: str, rest: ClosedMesh, *, given: bool = False) -> UpAxis:
     """How a posed cage, turned from the axis `up` to z, stands by its rest cage; as expected where they do not match.
     An axis that the user gave is kept, whatever the pose looks like."""
     other = _other(up)
     here, there = (_pose_of(rest, each) for each in (cage, restood(cage, up, other)))
     if here is None or there is None:
-        return Standing(up)
+        return UpAxis(up)
     nearer = there.distance <= _NEARER * here.distance
     on_its_side = nearer and there.turn <= _LEVEL and here.turn >= _ON_ITS_SIDE
     if there.similar:  # a turn of everything would look the same
@@ -150,11 +150,11 @@ def standing_of_pose(cage: ClosedMesh, up: str, rest: ClosedMesh, *, given: bool
     else:
         sure = on_its_side or (there.still >= 0.05 and there.still_count >= 3 and there.still > 4.0 * here.still)
     if sure and not given:
-        return Standing(other, turned=True, note=f"has {other} up, and is turned to its rest cage")
+        return UpAxis(other, turned=True, note=f"has {other} up, and is turned to its rest cage")
     if sure or nearer:
         note = f"would lie much nearer to its rest cage with another axis up: {other} instead of {up}"
-        return Standing(up, note=note, doubtful=True)
-    return Standing(up)
+        return UpAxis(up, note=note, doubtful=True)
+    return UpAxis(up)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 
 from ..core.files import atomic_path
-from ..core.overlap import Beside
+from ..core.overlap import BackgroundWriter
 from ..view.camera import Camera
 from ..view.exr import read_exr
 from ..view.film import read_film_frame
@@ -41,7 +41,7 @@ def write_folder(
     # where that cannot be written. A note without frames binds nobody.
     foreign = _allowed(_other_film(folder, settings), folder, overwrite)
     kept, begun = 0, False
-    with _nothing_left_without_frames(folder), Beside() as beside:
+    with _nothing_left_without_frames(folder), BackgroundWriter() as beside:
         for index in frames:
             path = frame_path(folder, index, settings["format"])
             if not (foreign and not begun) and _holds_picture(path, cameras[index]):

@@ -15,7 +15,7 @@ from ..cage.cage import Cage
 from ..cage.motion import are_numbered, gltf_poses, gltf_shown, numbered_files, sequence_poses
 from ..cage.pose_file import PoseFile
 from ..cage.presets import Preset, is_preset
-from ..cage.up_axis import Standing, load_standing
+from ..cage.up_axis import UpAxis, load_standing
 from ..core.checks import listed
 from ..core.names import EASINGS, counted
 from ..view.camera_path import timed_keys
@@ -39,7 +39,7 @@ def posed_up(args: argparse.Namespace) -> str | None:
     return getattr(args, "posed_up", None) or args.cage_up
 
 
-def say_standing(name: str, standing: Standing, option: str) -> None:
+def say_standing(name: str, standing: UpAxis, option: str) -> None:
     """Print a line on stderr on how a cage file stands, if there is anything to say."""
     if standing.turned:
         before = "z" if standing.up == "y" else "y"

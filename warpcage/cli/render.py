@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..cage.pose_file import PoseFile
 from ..core.files import require_file
 from ..core.names import counted
-from ..core.overlap import Beside
+from ..core.overlap import BackgroundWriter
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
 from ..editor.renderer import view_camera
 from ..editor.session import read_session
@@ -102,7 +102,7 @@ def _write(output: pathlib.Path, pictures: Iterable[tuple[np.ndarray, Frame, Cam
         rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
         write_film(output, (outputs.finished(image) for image, _, _ in pictures), rate)
         return
-    with Beside() as beside:
+    with BackgroundWriter() as beside:
         for index, (image, frame, camera) in enumerate(pictures):
             beside.run(*outputs.picture_task(output / f"view_{index:04d}.{kind}", image, frame, camera))
 
@@ -129,7 +129,7 @@ def run_many_poses(args: argparse.Namespace) -> None:
     deformer = shared.make_deformer(field, deformation, args)
     count = max(1, deformation.pose_count - 1)
     digits = max(4, len(str(count)))
-    with Beside() as beside:
+    with BackgroundWriter() as beside:
         for number in range(1, count + 1):
             cages = deformation.at(float(min(number, deformation.pose_count - 1)))
             try:

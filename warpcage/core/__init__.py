@@ -12,7 +12,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
             "checked_vector checked_whole listed warn_caller"
         ),
         "devices": (
-            "LEAST_SPARE RepeatedLaunch RepeatedLaunches SPARE_FRAMES SpareMemory half_texture "
+            "LEAST_SPARE RecordedLaunch RecordedLaunches SPARE_FRAMES SpareMemory half_texture "
             "kernel_label launch module_block_dim recorded_launches resolve_device"
         ),
         "files": "NpyFile atomic_path file_stamp joined_crc npz_names read_limited read_npz",
@@ -21,10 +21,10 @@ __getattr__, __dir__, __all__ = lazy_exports(
             "kernel_summary native_files"
         ),
         "locks": "device_turn owner_lock",
-        "memory": "MEASURED_EVERY MemoryShortage Recent UNKNOWN free_host_bytes",
+        "memory": "MEASURED_EVERY MemoryShortage LRUCache UNKNOWN free_host_bytes",
         "modules": "load_modules",
         "names": "COORDINATES EASINGS agreed counted error_line",
-        "overlap": "Beside SPARE stream",
+        "overlap": "BackgroundWriter SPARE stream",
         "threads": "PART_SECONDS THREADS_VARIABLE cpu_threads limit_threads run_parallel run_parts",
     },
 )

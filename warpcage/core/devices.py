@@ -86,7 +86,7 @@ def launch(
         run_parts(run, count, threads, first)
 
 
-class RepeatedLaunch:
+class RecordedLaunch:
     """A kernel that frames launch one after the other with mostly the same arguments; on a CPU it is `launch`."""
 
     # To pack all arguments takes the host several times as long as the launch itself. So CUDA launches are recorded: a
@@ -138,12 +138,12 @@ class RepeatedLaunch:
         return recorded
 
 
-class RepeatedLaunches:
-    """The launches that an owner makes once a pose or a frame, each a RepeatedLaunch."""
+class RecordedLaunches:
+    """The launches that an owner makes once a pose or a frame, each a RecordedLaunch."""
 
     def __init__(self, device: wp.DeviceLike):
         self._device = wp.get_device(device)
-        self._launches: dict[tuple[Kernel, int], RepeatedLaunch] = {}
+        self._launches: dict[tuple[Kernel, int], RecordedLaunch] = {}
 
     def __call__(
         self,
@@ -155,10 +155,10 @@ class RepeatedLaunches:
         number: int = 0,
         **how: Any,
     ) -> None:
-        """Launch a kernel; `number` tells launches of the same kernel apart, `how` goes on to RepeatedLaunch."""
+        """Launch a kernel; `number` tells launches of the same kernel apart, `how` goes on to RecordedLaunch."""
         key = kernel, number
         if key not in self._launches:
-            self._launches[key] = RepeatedLaunch(kernel, self._device)
+            self._launches[key] = RecordedLaunch(kernel, self._device)
         self._launches[key](count, inputs, outputs, **how)
 
 

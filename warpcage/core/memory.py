@@ -159,7 +159,7 @@ class _Kept(Generic[Thing]):
     calls: int = 0
 
 
-class Recent(Generic[Thing]):
+class LRUCache(Generic[Thing]):
     """Things by key, of which those that were not used for longest are let go, and `dropped` is called with each.
     The one that is used last stays, whatever bytes it takes by `measure`. None: no limit of bytes, none counted."""
 

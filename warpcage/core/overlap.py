@@ -27,7 +27,7 @@ _Item = TypeVar("_Item")
 _Prepared = TypeVar("_Prepared")
 
 
-class Beside:
+class BackgroundWriter:
     """Runs tasks on a few threads of its own while the caller makes the next ones (`with`); the block ends when all are
     done. The first error of a task is raised by `run` or at the end. `room`: bytes that unfinished tasks may hold."""
 
@@ -47,7 +47,7 @@ class Beside:
         else:
             self._raise()
 
-    def __enter__(self) -> Beside:
+    def __enter__(self) -> BackgroundWriter:
         return self
 
     def __exit__(

@@ -20,7 +20,7 @@ from ..core.locks import owner_lock
 from ..core.names import COORDINATES, DENSITIES, SPLAT_MAPS, STORES, require_coordinates, require_name
 from ..edits.edits import CageEdit, checked_edits
 from ..edits.falloff import FalloffBand
-from ..edits.fragments import CarriedCrumbs
+from ..edits.fragments import CarriedFragments
 from ..field.render import STOP_TRANSMITTANCE, MakeArrays, March
 from ..field.voxel_field import VoxelField
 from ..kernels.edits.structs import MAPPED
@@ -30,12 +30,12 @@ from ..lattice.buffers import StreamOrder
 from ..mesh.match import require_same_faces
 from ..mesh.validity import is_usable, require_usable
 from ..render.scene import LatticeEdits
-from ..render.view import MarchedView, PosedEdits, cage_span, require_short_march
+from ..render.view import PosedEdits, ViewRequest, cage_span, require_short_march
 from ..splats.io import splat_ending
 from ..splats.splat_field import SplatDensity, SplatField
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame, parse_background
-from .exact import ClosedFormEdits
+from .exact import ExactEdits
 from .splat_baking import baked_field, numbered_files, warn_of_others
 from .splat_edits import SplatEdits
 
@@ -129,10 +129,10 @@ class Deformer:
         with self.lock:
             self._order.follow()
             self._bands = [FalloffBand(edit, self.field) if edit.falloff > 0.0 else None for edit in self.edits]
-            self._carried = [found_crumbs(edit, self.field, index) for index, edit in enumerate(self.edits)]
+            self._carried = [found_fragments(edit, self.field, index) for index, edit in enumerate(self.edits)]
             origin, device = self.field.center, self.device
             if resolution is None:
-                self._edits = ClosedFormEdits(self.edits, coordinates, origin, device, self._bands, self._carried)
+                self._edits = ExactEdits(self.edits, coordinates, origin, device, self._bands, self._carried)
             else:
                 kept = store, self._bands, self._carried
                 edits = self._edits = LatticeEdits(self.edits, coordinates, resolution, origin, device, *kept)
@@ -343,7 +343,7 @@ class Deformer:
                     setattr(picture, name, array)
                 grid = field.marching.grid()
                 edits.prepare(grid, march_step)
-                edits.render(MarchedView(field, grid, tables, pinhole, color, options, picture, threads, work))
+                edits.render(ViewRequest(field, grid, tables, pinhole, color, options, picture, threads, work))
 
             return march
 
@@ -390,9 +390,9 @@ class PosedDeformer:
             return shared._render(lambda: shared._hold(self.deformed), camera, *options)
 
 
-def found_crumbs(edit: CageEdit, field: VoxelField, index: int) -> CarriedCrumbs | None:
+def found_fragments(edit: CageEdit, field: VoxelField, index: int) -> CarriedFragments | None:
     """The crumbs that go with an edit, None where there are none; `index` is its number, for messages."""
-    carried = CarriedCrumbs(edit, field, index) if edit.crumbs > 0.0 else None
+    carried = CarriedFragments(edit, field, index) if edit.crumbs > 0.0 else None
     return carried if carried is not None and len(carried.voxels) else None
 
 

@@ -14,10 +14,10 @@ from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand
-from ..edits.fragments import CarriedCrumbs
+from ..edits.fragments import CarriedFragments
 from ..edits.maps import EditLattices, cell_shape
 from ..kernels.edits import cell_tables, points_exact
-from ..kernels.edits.structs import CellTable, ClosedFormEdit
+from ..kernels.edits.structs import CellTable, ExactEdit
 from ..kernels.render.views import exact_kernel
 from ..mesh.fans import prepared_fans
 from ..mesh.queries import SURFACE_TOLERANCE
@@ -33,7 +33,7 @@ CLOSED_FORM_SLACK = 1e-4
 GUIDE_RESOLUTION, GUIDE_MARGIN = 96, 0.5
 
 
-class ClosedFormEdits(PosedEdits):
+class ExactEdits(PosedEdits):
     """Edits whose mean value or Green coordinates are evaluated at every sample ("precise").
     bands, carried: one or None for each edit, () for none at all."""
 
@@ -47,7 +47,7 @@ class ClosedFormEdits(PosedEdits):
         origin: np.ndarray,
         device: wp.Device,
         bands: Sequence[FalloffBand | None] = (),
-        carried: Sequence[CarriedCrumbs | None] = (),
+        carried: Sequence[CarriedFragments | None] = (),
     ):
         super().__init__(points_exact.map_points_precisely, exact_kernel())
         self._edits, self._origin, self._device = edits, origin, device
@@ -70,7 +70,7 @@ class ClosedFormEdits(PosedEdits):
                 self._edits, cages, self._bands, self._rest_cells, self.guide.posed(), strict=True
             )
         ]
-        self.array = self.scene = wp.array(self._structs, dtype=ClosedFormEdit, device=self._device)
+        self.array = self.scene = wp.array(self._structs, dtype=ExactEdit, device=self._device)
 
     def prepare(self, grid: Any, step: float) -> None:
         # half a cell larger, as the lattice's map is only near the exact one
@@ -89,7 +89,7 @@ class ClosedFormEdits(PosedEdits):
         """An edit for kernels, with the tables of its cells. guide: its LatticeEdit. cage: None for a removal."""
         rest, fans = edit.cage, edit.cage.topology.fans
         deformed = rest if cage is None else cage
-        struct = ClosedFormEdit()
+        struct = ExactEdit()
         struct.deformed_vertices = self._local(deformed.vertices)
         struct.rest_vertices = self._local(rest.vertices)
         struct.faces = wp.array(fans.faces, dtype=wp.vec3i, device=self._device)

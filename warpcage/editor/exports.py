@@ -16,7 +16,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..core.checks import checked_whole
 from ..core.files import PathLike
-from ..core.overlap import Beside
+from ..core.overlap import BackgroundWriter
 from ..deform.bake import bake
 from ..splats.io import splat_ending
 from ..splats.splat_field import AnyField, SplatField, field_size
@@ -73,7 +73,7 @@ def export_film(
     if rate is not None:
         write_film(target, pictures, rate, loop=document.timeline.loop != "once")
     else:
-        with atomic_folder(target) as folder, Beside() as beside:
+        with atomic_folder(target) as folder, BackgroundWriter() as beside:
             digits = max(4, len(str(len(times) - 1)))
             for index, picture in enumerate(pictures):
                 path = folder / f"frame_{index:0{digits}d}.png"

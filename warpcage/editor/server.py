@@ -418,7 +418,7 @@ class Server:
         if do in self.tasks.commands:
             if len(client.slow) >= MAX_SLOW:
                 raise ValueError(f"{MAX_SLOW} commands of this page are under way already: wait for them")
-            return self.tasks.obey(message)
+            return self.tasks.handle(message)
         self._touched(client)
         if do == "view":
             self._look(client, message)

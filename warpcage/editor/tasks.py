@@ -19,7 +19,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from ..cage.cage import Cage
-from ..cage.up_axis import Standing, load_standing
+from ..cage.up_axis import UpAxis, load_standing
 from ..core.files import atomic_path
 from ..core.names import PLANES, counted, error_line
 from ..field.objects import select_object
@@ -294,7 +294,7 @@ class Tasks:
         self._made: dict[str, Stamp | None] = {}  # files that the editor wrote, by name
         self._naming, self._closed = threading.Lock(), threading.Event()
         self.field_path = session.field_path
-        # what `obey` carries out, by the word in `do`
+        # what `handle` carries out, by the word in `do`
         self.commands: dict[str, Callable[[dict[str, Any]], Any]] = {
             "files": self._files,
             "cage.generate": self._generate,
@@ -309,7 +309,7 @@ class Tasks:
             "job.clear": lambda message: self.jobs.clear(checked_id(message["id"], "the number of a job")),
         }
 
-    def obey(self, message: dict[str, Any]) -> Any:
+    def handle(self, message: dict[str, Any]) -> Any:
         """Carry out one of `commands`; returns its result, or a coroutine that does, where files are touched."""
         return self.commands[message["do"]](message)
 
@@ -434,7 +434,7 @@ class Tasks:
         if number is not None:
             self.session.document.edit(number)
 
-        def load() -> tuple[Cage, Standing]:
+        def load() -> tuple[Cage, UpAxis]:
             cage, standing = load_standing(Cage, path, up=up, reference=self.session.field, anywhere=True)
             cage.require_usable(f"cage {path.name!r}")
             return cage, standing
@@ -599,7 +599,7 @@ def _film(message: dict[str, Any]) -> exports.Film:
     return exports.Film(**options, **flags)
 
 
-def _loaded(path: pathlib.Path, standing: Standing) -> str:
+def _loaded(path: pathlib.Path, standing: UpAxis) -> str:
     """What loading a cage is called, with the axis that points up in its file where that was found out."""
     return f"load {path.name}" + (f" ({standing.up} up)" if standing.turned else "")
 

@@ -16,7 +16,7 @@ from ..core.memory import require_memory
 from ..field.selection import visible_rows
 from ..field.voxel_field import VoxelField
 from ..kernels.edits import extension
-from ..kernels.edits.structs import CrumbCells
+from ..kernels.edits.structs import FragmentCells
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh.walls import Walls
 from ..lattice.buffers import BufferPool
@@ -82,7 +82,7 @@ FOUND, WELL_FOUND = 0.5, 0.02
 NODE_BYTES = 25
 
 
-class CarriedCrumbs:
+class CarriedFragments:
     """The crumbs of one edit, and the lattices of its poses made as large as to hold them where they go.
     `index` is the number of the edit, for messages."""
 
@@ -90,7 +90,7 @@ class CarriedCrumbs:
         self._edit, self._index, self._device, self._origin = edit, index, field.device, field.center
         # (n, 3) the voxels of crumbs, none where there are no crumbs
         self.voxels = crumbs(field, edit.cage, edit.crumbs) if edit.crumbs > 0.0 else np.zeros((0, 3), int)
-        self.cells = CrumbCells()
+        self.cells = FragmentCells()
         # (2, 3) float64 box of the lattice of the last pose, world units; None before, or where nothing moves
         self.bounds: np.ndarray | None = None
         if not len(self.voxels):

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..cage.cage import Cage
 from ..core.arrays import empty_array
 from ..core.checks import warn_caller
-from ..core.devices import RepeatedLaunches, launch
+from ..core.devices import RecordedLaunches, launch
 from ..core.modules import load_modules
 from ..field.sparse import spread_along
 from ..kernels.edits import cell_tables, extension
@@ -27,7 +27,7 @@ from ..mesh.queries import SURFACE_TOLERANCE
 from ..mesh.validity import require_usable, size_problem
 from .edits import CageEdit
 from .falloff import FalloffBand, faded_map, folded_cells, tell_of_squeezing
-from .fragments import CarriedCrumbs
+from .fragments import CarriedFragments
 
 #: How far the map may lead out of the rest cage before a sample counts as outside, in cells of the rest cage's lattice:
 #: the trilinear signed distance errs by up to half a cell at corners.
@@ -47,7 +47,7 @@ class EditLattices:
         device: wp.Device,
         store: str = "map",
         bands: Sequence[FalloffBand | None] = (),
-        carried: Sequence[CarriedCrumbs | None] = (),
+        carried: Sequence[CarriedFragments | None] = (),
     ):
         # positions on the device are relative to the origin, a world point
         self._edits, self._device, self._origin = edits, device, origin
@@ -75,7 +75,7 @@ class EditLattices:
         self.skips: list[wp.array] = []
         pool = BufferPool(device)  # poses differ in shape, and an allocation takes as long as a launch
         self._cell_buffers, self._skip_buffers = ([pool.buffer(wp.uint8) for _ in edits] for _ in range(2))
-        self._mark_buffer, self._launch = pool.buffer(wp.uint8), RepeatedLaunches(device)
+        self._mark_buffer, self._launch = pool.buffer(wp.uint8), RecordedLaunches(device)
         self._cells: list[wp.array] = []
         self._cages: list[Cage | None] = []
         self._structs: list[Any] = []
@@ -225,7 +225,7 @@ class EditLattices:
 
 
 def posed_struct(
-    edit: CageEdit, rest: Any, deformed: Any, cage: Cage | None, carried: CarriedCrumbs | None = None
+    edit: CageEdit, rest: Any, deformed: Any, cage: Cage | None, carried: CarriedFragments | None = None
 ) -> Any:
     """The LatticeEdit of an edit, without its tables of cells. rest, deformed: the CageMaps of its rest cage, which
     holds distances, and of its posed cage; deformed and cage are None for an edit that removes."""

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import array_view, empty_array
-from ..core.devices import HostFlag, RepeatedLaunch, launch
+from ..core.devices import HostFlag, RecordedLaunch, launch
 from ..kernels.field import occupancy
 from ..kernels.field import occupancy as grid_skip
 from ..kernels.field import refine as grid_halves
@@ -99,7 +99,7 @@ class MatterSkip:
         self._positive: wp.array | None = None
         self._distance: wp.array | None = None
         self._changed: HostFlag | None = None
-        self._note_signs = RepeatedLaunch(grid_skip.note_signs, links.device)
+        self._note_signs = RecordedLaunch(grid_skip.note_signs, links.device)
         self._is_compared = False
         # signs need not be noted where no density has changed
         self._watch = DensityWatch() if wp.get_device(links.device).is_cpu else None
@@ -157,7 +157,7 @@ def _spread(distance: wp.array, spread: wp.array) -> wp.array:
 
 def spread_along(axis: int, source: wp.array, target: wp.array, repeated: Callable[..., None] | None = None) -> None:
     """One pass of the transform that spreads distances (nx, ny, nz) uint8; one along each axis makes them Chebyshev's.
-    repeated: a RepeatedLaunches, for what is spread again and again."""
+    repeated: a RecordedLaunches, for what is spread again and again."""
     device = wp.get_device(source.device)
     run = repeated or functools.partial(launch, device=device)
     if device.is_cpu:  # a line at a time, many cells of it at once

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..core.devices import RepeatedLaunch, half_texture, launch
+from ..core.devices import RecordedLaunch, half_texture, launch
 from ..core.locks import owner_lock
 from ..core.modules import Kernel
 from ..kernels.core.texels import clear_half_texels
@@ -103,7 +103,7 @@ class ColumnTable:
         self._kept: dict[str, tuple[int, Any]] = {}
         self._shaded: Any = None
         # launches the kernel of that name
-        self.shade_rows = RepeatedLaunch(shade_rows, device)
+        self.shade_rows = RecordedLaunch(shade_rows, device)
 
     def laid_densities(self) -> wp.array:
         """(nodes,) float16, one for each node of the grid, made when it is first asked for; 0 without a row."""
@@ -221,7 +221,7 @@ class MarchTables:
         self._grid = grid
         self._columns: ColumnTable | None = None
         self._marched: Any = None
-        self._launches: dict[Kernel, RepeatedLaunch] = {}
+        self._launches: dict[Kernel, RecordedLaunch] = {}
         self._matter = MatterSkip(grid.links)
         self._cells = MatterCellTable(grid.links)
         size, lower = np.array(grid.voxel_size), np.array(grid.lower)
@@ -271,10 +271,10 @@ class MarchTables:
 
         return march
 
-    def _launch_of(self, kernel: Kernel) -> RepeatedLaunch:
+    def _launch_of(self, kernel: Kernel) -> RecordedLaunch:
         """The launch of a kernel that renders views."""
         if kernel not in self._launches:
-            self._launches[kernel] = RepeatedLaunch(kernel, self._grid.links.device)
+            self._launches[kernel] = RecordedLaunch(kernel, self._grid.links.device)
         return self._launches[kernel]
 
     def _image_kernel(self, center: wp.vec3, step: float) -> tuple[Kernel, list[Any], int]:

@@ -8,8 +8,8 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "modules": "load_usual_modules",
         "scene": "LARGE_PICTURE",
         "shading": "CarriedShades",
-        "tables": "FineCells TileBegins",
+        "tables": "FineCells TileStarts",
         "tile_order": "BalancedTiles",
-        "view": "MarchedView",
+        "view": "ViewRequest",
     },
 )

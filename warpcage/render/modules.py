@@ -52,9 +52,9 @@ def load_usual_modules(coordinates: str, device: wp.Device) -> None:
     load_pose_modules(coordinates, render_modules(device), device)
 
 
-def render_modules(device: wp.Device, edit_count: int = 1, has_crumbs: bool = False) -> list[ModuleType | Kernel]:
+def render_modules(device: wp.Device, edit_count: int = 1, has_fragments: bool = False) -> list[ModuleType | Kernel]:
     """What renders views, kernel files and variants; has_crumbs: crumbs go with one of the edits."""
-    if has_crumbs:
+    if has_fragments:
         return [stack_kernel(False)]
     several = [stack_kernel(True), stack_kernel(False)] if edit_count > 1 else []
     if device.is_cpu and tables.TILES_ON_CPU:

@@ -14,7 +14,7 @@ from ..kernels.render.rays import ScenePart
 from ..kernels.view.rays import TILE_SIZE
 from ..lattice.buffers import BufferPool
 from .tables import needs_general_map
-from .view import MarchedView, PosedEdits
+from .view import PosedEdits, ViewRequest
 
 #: One of the three arrays that hold the state of rays takes so much for a ray.
 STATE_BYTES = wp.types.type_size_in_bytes(wp.vec4)
@@ -32,13 +32,13 @@ class PartsInTurn:
     def render(
         self,
         edits: PosedEdits,
-        view: MarchedView,
+        view: ViewRequest,
         parts: Sequence[tuple[Any, np.ndarray]],
         kernels: Sequence[Any],
         orders: Sequence[Any],
         begins: Sequence[wp.array | None],
     ) -> None:
-        """March a view through parts: each edit's FlatEdit and box (2, 3), from the edits' origin, front to back.
+        """March a view through parts: each edit's EditData and box (2, 3), from the edits' origin, front to back.
         kernels: for edits whose map is by polynomials alone, and for any; begins: None where the kernels do not ask."""
         # A box is of what its edit has to do with, half a step more. What is behind the last one goes with it.
         structs = self._scene_parts([box.tolist() for _, box in parts], view.pinhole.width * view.pinhole.height)

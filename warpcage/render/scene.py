@@ -14,17 +14,17 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import struct_array
-from ..core.devices import RepeatedLaunches
+from ..core.devices import RecordedLaunches
 from ..core.memory import free_bytes
 from ..edits.apart import NOWHERE, EditBoxes, edit_boxes, front_to_back, wider
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand
-from ..edits.fragments import CarriedCrumbs
+from ..edits.fragments import CarriedFragments
 from ..edits.maps import EditLattices
 from ..field import tables
 from ..field.voxel_field import VoxelField
 from ..kernels.edits import trace
-from ..kernels.edits.structs import FlatEdit
+from ..kernels.edits.structs import EditData
 from ..kernels.render import march_cpu
 from ..kernels.render.views import part_kernel, stack_kernel, view_kernel
 from ..kernels.view.rays import TILE_SIZE
@@ -35,15 +35,15 @@ from .shading import CarriedShades, shade_texture_bytes
 from .tables import (
     FineCells,
     MapPolynomials,
-    TileBegins,
-    flat_edit,
+    TileStarts,
+    edit_data,
     join_tables,
     lattice_box,
     needs_general_map,
     tell_sides,
 )
 from .tile_order import BalancedTiles
-from .view import MarchedView, PosedEdits, SeenView
+from .view import PosedEdits, SeenView, ViewRequest
 
 #: Rays from which on a view is one of many pixels.
 LARGE_PICTURE = 1 << 20
@@ -67,7 +67,7 @@ MOST_SHADES = 0.25
 class Plan(NamedTuple):
     """How a view is marched."""
 
-    # the FlatEdit of each edit and its box (2, 3), front to back; None where one kernel takes the whole scene
+    # the EditData of each edit and its box (2, 3), front to back; None where one kernel takes the whole scene
     parts: list[tuple[Any, np.ndarray]] | None
     # whether voxels are shaded for the view
     is_shaded: bool
@@ -85,22 +85,22 @@ class LatticeEdits(PosedEdits):
         device: wp.Device,
         store: str = "map",
         bands: Sequence[FalloffBand | None] = (),
-        carried: Sequence[CarriedCrumbs | None] = (),
+        carried: Sequence[CarriedFragments | None] = (),
     ):
         # the marches for one edit alone know no crumbs
         self._edits, self._device, self._origin = edits, device, np.asarray(origin)
-        self._is_single, self._has_crumbs = len(edits) == 1 and not any(carried), any(carried)
+        self._is_single, self._has_fragments = len(edits) == 1 and not any(carried), any(carried)
         self._by_tiles = device.is_cpu and tables.TILES_ON_CPU
         self._looks_ahead = device.is_cuda or LOOKS_AHEAD_ON_CPU
         super().__init__(trace.map_points, None)  # poses choose the other one
-        load_pose_modules(coordinates, render_modules(device, len(edits), self._has_crumbs), device)
+        load_pose_modules(coordinates, render_modules(device, len(edits), self._has_fragments), device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
         self._flat: list[Any] = []
-        self._laid: list[tuple[Any, Any]] = []  # each LatticeEdit and its FlatEdit, once for a pose
+        self._laid: list[tuple[Any, Any]] = []  # each LatticeEdit and its EditData, once for a pose
         self._seen: SeenView | None = None  # the last view, where it was of the last pose
         self._plan, self._lattice_boxes = Plan(None, False), []
         self._shades = CarriedShades(len(edits), device)
-        self._side, self._join = SideStream(device, priority=-1), RepeatedLaunches(device)
+        self._side, self._join = SideStream(device, priority=-1), RecordedLaunches(device)
         self._fine, self._is_fine = FineCells(len(edits), self._side), False
         self._polynomials = MapPolynomials(len(edits), device)
         self._most_shades = math.inf if device.is_cpu else MOST_SHADES * device.total_memory
@@ -110,7 +110,7 @@ class LatticeEdits(PosedEdits):
         self._look_buffers = [pool.buffer(wp.uint8) for _ in edits]
         self._node_buffers = [pool.buffer(wp.vec4) for _ in edits]
         self._parts = PartsInTurn(device)
-        self._tiles, self._begins = BalancedTiles(device), TileBegins(self._side)
+        self._tiles, self._begins = BalancedTiles(device), TileStarts(self._side)
 
     def begin_view(self, field: VoxelField, center: wp.vec3, step: float) -> None:
         self._side.mark()
@@ -141,7 +141,7 @@ class LatticeEdits(PosedEdits):
         # where each voxel is seen from one direction only, which hardly changes over it, and where there is memory
         is_shaded = (
             not self._by_tiles
-            and not self._has_crumbs
+            and not self._has_fragments
             and (self._is_single or parts is not None)
             and all(flat.nodes.shape[0] < MOST_LATTICE_NODES for flat in self._flat)
             and field.marching.is_shaded(center, self._lattice_boxes)
@@ -157,7 +157,7 @@ class LatticeEdits(PosedEdits):
             self._lay_out()
         self.lattices.finish()
         self.array = self.lattices.array
-        if len(self._edits) > 1 and not self._has_crumbs:
+        if len(self._edits) > 1 and not self._has_fragments:
             structs = [struct for struct, _ in self.lattices.posed()]
             tolerances, slacks = ([float(getattr(each, name)) for each in structs] for name in ("tolerance", "slack"))
             self._boxes = edit_boxes(self._edits, cages, self._origin, tolerances, slacks)
@@ -201,7 +201,7 @@ class LatticeEdits(PosedEdits):
         self.scene = scene
 
     def flat_scene(self) -> Any:
-        """The posed edits with what `mark_empty` found, as their render kernel takes them: one FlatEdit, or an array of
+        """The posed edits with what `mark_empty` found, as their render kernel takes them: one EditData, or an array of
         several."""
         posed = self.lattices.posed()
         if [id(edit) for edit, _ in posed] != [id(edit) for edit, _ in self._laid]:
@@ -226,7 +226,7 @@ class LatticeEdits(PosedEdits):
         """Make the FlatEdits of the pose, their tables still to be filled."""
         edits = [edit for edit, _ in self.lattices.posed()]
         buffers = zip(edits, self._look_buffers, self._node_buffers, strict=True)
-        self._laid = [(edit, flat_edit(edit, look, nodes)) for edit, look, nodes in buffers]
+        self._laid = [(edit, edit_data(edit, look, nodes)) for edit, look, nodes in buffers]
 
     def _begin_tables(self, grid: Any) -> bool:
         """Launch the tables of fine cells and the polynomials of cells, where the march knows them: for one edit or
@@ -249,7 +249,7 @@ class LatticeEdits(PosedEdits):
         """Launch what finds where the pose takes matter."""
         self._shades.pose(self._flat, [struct.cells for struct, _ in self.lattices.posed()], grid)
 
-    def render(self, view: MarchedView) -> None:
+    def render(self, view: ViewRequest) -> None:
         field, center, step = view.field, view.pinhole.center, view.options.step
         is_new = not view.rows or (self._plan.is_shaded and not self._shades.is_posed)
         rows = view.rows
@@ -265,7 +265,7 @@ class LatticeEdits(PosedEdits):
             self._end_tables()
         else:
             self._side.join()
-        if self._plan.is_shaded and self._shades.is_folded():  # asked behind all that is launched for others
+        if self._plan.is_shaded and self._shades.has_inverted_cells():  # asked behind all that is launched for others
             rows = self._unshaded_tables(field)
         if self._looks_ahead:
             self._seen = SeenView(field, view.grid, center, step)
@@ -288,7 +288,7 @@ class LatticeEdits(PosedEdits):
             super().render(view)
         self._shades.release()
 
-    def _tile_begins(self, view: MarchedView) -> list[wp.array | None]:
+    def _tile_begins(self, view: ViewRequest) -> list[wp.array | None]:
         """How far the rays of each tile go before they may meet anything, for each edit that is marched by itself; None
         where its kernel does not ask."""
         parts = self._plan.parts
@@ -297,13 +297,13 @@ class LatticeEdits(PosedEdits):
             return [None for _ in marched]
         return [*self._begins.find(marched, view.grid, view.pinhole, view.threads // TILE_SIZE)]
 
-    def _shaded_kernel(self, view: MarchedView) -> Any:
+    def _shaded_kernel(self, view: ViewRequest) -> Any:
         """The kernel that marches a view of shaded voxels through one edit."""
         has_sides = needs_general_map(self._flat[0])
         return view_kernel(True, has_sides, large=view.threads >= LARGE_PICTURE and not has_sides)
 
     def scene_parts(self, center: wp.vec3, step: float) -> list[tuple[Any, np.ndarray]] | None:
-        """The FlatEdit of each edit and its box (2, 3), front to back from `centre`, relative to the edits' origin, as
+        """The EditData of each edit and its box (2, 3), front to back from `centre`, relative to the edits' origin, as
         a view takes them one by one. None where one kernel takes the whole scene."""
         # One kernel takes one edit on CUDA, crumbs, edits that may meet each other, and boxes that hide each other in a
         # circle.
@@ -321,5 +321,5 @@ class LatticeEdits(PosedEdits):
         return None if order is None else [(self._flat[index], boxes[index]) for index in order]
 
     def flat_array(self) -> wp.array:
-        """(edits,) FlatEdit, as the kernel for several edits takes them."""
-        return struct_array(self._flat, FlatEdit, self._device)
+        """(edits,) EditData, as the kernel for several edits takes them."""
+        return struct_array(self._flat, EditData, self._device)

@@ -9,25 +9,25 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..core.devices import HALF_TEXEL_BYTES, MOST_TEXELS, HostFlag, RepeatedLaunches, launch
+from ..core.devices import HALF_TEXEL_BYTES, MOST_TEXELS, HostFlag, RecordedLaunches, launch
 from ..field.tables import ColumnTable, whole_warps
 from ..kernels.edits.inverse import NO_CELL, claim_nodes, settle_nodes
 from ..kernels.render.shading import (
-    AimedCage,
-    aim_nodes,
+    ViewDirectionCage,
+    find_view_directions,
     keep_cage,
     list_rows,
     mark_wall_rows,
     shade_carried_rows,
     shade_wall_rows,
 )
-from ..kernels.render.volume import SHADE_LAYERS, LaidShades
+from ..kernels.render.volume import SHADE_LAYERS, ShadedVolume
 from ..lattice.buffers import BufferPool
 
 #: A trilinear distance changes by at most the root of three per unit of length; rounded up.
 STEEPEST = 1.8
 
-#: Layers of LaidShades.
+#: Layers of ShadedVolume.
 LAYERS = int(SHADE_LAYERS)
 
 
@@ -54,7 +54,7 @@ class CarriedShades:
         self._aimed: wp.vec3 | None = None
         self._folds = HostFlag(device)
         self._is_folded: bool | None = None
-        self._launch = RepeatedLaunches(device)
+        self._launch = RecordedLaunches(device)
         self._laid: Any = None
         self._texture: wp.Texture3D | None = None  # kept alive for kernels, which hold its handle alone
         # whether `pose` was called for the pose that is to be seen; whoever poses anew unsets it
@@ -70,7 +70,7 @@ class CarriedShades:
                 self._find_places(number, edit, flags, grid)
         self._folds.send()
         if self._cages is None:
-            self._cages = empty_array(len(self._posed), AimedCage, self._device)
+            self._cages = empty_array(len(self._posed), ViewDirectionCage, self._device)
         for index, (_, _, cage) in enumerate(self._posed):
             self._launch(keep_cage, 1, [cage, index], [self._cages], number=index)
         self.is_posed = True
@@ -90,10 +90,10 @@ class CarriedShades:
         self._posed.append((edit, found, self._aimed_cage(number, edit, found, grid)))
 
     def _aimed_cage(self, number: int, edit: Any, places: wp.array, grid: Any) -> Any:
-        """The AimedCage of an edit, the same for all poses but for what is of one."""
+        """The ViewDirectionCage of an edit, the same for all poses but for what is of one."""
         cage = self._kept_cages[number]
         if cage is None:
-            cage = self._kept_cages[number] = AimedCage()
+            cage = self._kept_cages[number] = ViewDirectionCage()
             cage.lower, cage.inverse_spacing = edit.rest.lower, edit.rest.inverse_spacing
             cage.node_counts, cage.distance = wp.vec3i(*places.shape), edit.rest.distance.flatten()
             cage.places, cage.aims = places.flatten(), self._aims[number].take(places.size)
@@ -107,10 +107,10 @@ class CarriedShades:
 
     @property
     def is_known_folded(self) -> bool:
-        """Whether `is_folded` has said so of the pose."""
+        """Whether `has_inverted_cells` has said so of the pose."""
         return bool(self._is_folded)
 
-    def is_folded(self) -> bool:
+    def has_inverted_cells(self) -> bool:
         """Whether the pose turns matter over, or squeezes it beyond all use: it may be in several places then, and seen
         from several directions."""
         if self._is_folded is None:
@@ -121,11 +121,11 @@ class CarriedShades:
         """Find from where a camera sees what the pose moves: what `shades` of that camera begins with.
         `centre` is relative to the grid's origin; `shades` knows it as the same object."""
         if self._posed:
-            self._launch(aim_nodes, sum(places.size for _, places, _ in self._posed), [self._cages, center])
+            self._launch(find_view_directions, sum(places.size for _, places, _ in self._posed), [self._cages, center])
         self._aimed = center
 
     def shades(self, grid: Any, table: ColumnTable, center: wp.vec3, step: float) -> Any:
-        """The LaidShades of a field, of the values that its VoxelGrid has now, as a camera sees them in the pose.
+        """The ShadedVolume of a field, of the values that its VoxelGrid has now, as a camera sees them in the pose.
         table: of the grid's links; centre: relative to the grid's origin; step: of the march, world units."""
         device, rows, walls = self._device, table.nodes.shape[0], self.walls(grid, table)
         if self._aimed is not center:
@@ -139,10 +139,10 @@ class CarriedShades:
         return laid
 
     def _laid_shades(self, table: ColumnTable) -> Any:
-        """The LaidShades of a field, 0 at nodes without a row: on CUDA the same for all frames, which take turns."""
+        """The ShadedVolume of a field, 0 at nodes without a row: on CUDA the same for all frames, which take turns."""
         laid = self._laid
         if laid is None or laid.node_counts != table.columns.node_counts:
-            laid = LaidShades()
+            laid = ShadedVolume()
             laid.node_counts = table.columns.node_counts
             laid.cells = wp.vec3(*(float(n - 1) for n in laid.node_counts))
         if self._device.is_cpu:

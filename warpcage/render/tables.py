@@ -9,12 +9,12 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import array_view, empty_array, struct_array
-from ..core.devices import RepeatedLaunches, lane_count
+from ..core.devices import RecordedLaunches, lane_count
 from ..edits.maps import has_sides
 from ..kernels.edits.cell_tables import join_cell_tables, join_nodes
 from ..kernels.edits.fine_cells import FINE_COUNT, FINE_SIDE, FINE_WORDS, mark_fine_cells, spread_fine_cells
 from ..kernels.edits.nodes import CELL_WORDS, expand_map_cells
-from ..kernels.edits.structs import CELL_OUTSIDE, FlatEdit
+from ..kernels.edits.structs import CELL_OUTSIDE, EditData
 from ..kernels.render.beams import find_tile_begins, find_tile_begins_of_edits
 from ..lattice.buffers import Buffer, BufferPool, SideStream
 
@@ -37,7 +37,7 @@ class FineCells:
         pool = BufferPool(device)
         self._words = [pool.buffer(wp.uint32) for _ in range(edit_count)]
         self._looks = [pool.buffer(wp.uint64) for _ in range(edit_count)]
-        self._side, self._launch = side, RepeatedLaunches(device)
+        self._side, self._launch = side, RecordedLaunches(device)
 
     def begin(self, edits: Sequence[Any], grid: Any, step: float) -> None:
         """Let posed FlatEdits, whose cells are marked, tell their fine cells apart, beside what comes until the side
@@ -69,18 +69,18 @@ class FineCells:
 
 
 def tell_fine_cells(edit: Any, bits: int, fine_look: wp.array) -> None:
-    """Let a FlatEdit tell fine cells apart, 2^bits along each side of a cell; fine_look: (8^bits * nodes,) uint8."""
+    """Let a EditData tell fine cells apart, 2^bits along each side of a cell; fine_look: (8^bits * nodes,) uint8."""
     edit.fine_bits, edit.fine_look, side = bits, fine_look, 1 << bits
     edit.last_fine = wp.vec3i(*(side * (count - 1) - 1 for count in edit.node_counts))
     edit.fine_width, edit.fine_size = 1.0 / side, edit.spacing / side
     edit.inverse_fine_size = edit.inverse_spacing * side
 
 
-def flat_edit(edit: Any, look: Buffer, nodes: Buffer) -> Any:
-    """The FlatEdit of a posed LatticeEdit, perhaps without the sides of narrow gaps, its arrays still to be filled.
+def edit_data(edit: Any, look: Buffer, nodes: Buffer) -> Any:
+    """The EditData of a posed LatticeEdit, perhaps without the sides of narrow gaps, its arrays still to be filled.
     look: of uint8, for the table of cells; nodes: of vec4. `tell_sides` and `join_tables` come after."""
     node_count = edit.deformed.distance.size
-    flat = FlatEdit()
+    flat = EditData()
     flat.lower, flat.inverse_spacing = edit.deformed.lower, edit.deformed.inverse_spacing
     flat.spacing = 1.0 / edit.deformed.inverse_spacing
     flat.node_counts = wp.vec3i(*edit.deformed.distance.shape)
@@ -96,14 +96,14 @@ def flat_edit(edit: Any, look: Buffer, nodes: Buffer) -> Any:
 
 
 def tell_sides(flat: Any, edit: Any) -> None:
-    """Let a FlatEdit have the sides of narrow gaps of its posed LatticeEdit."""
+    """Let a EditData have the sides of narrow gaps of its posed LatticeEdit."""
     flat.has_sides = int(has_sides(edit.deformed))
     if flat.has_sides:
         flat.side_index, flat.sides = edit.deformed.side_index, edit.deformed.sides
 
 
 def join_tables(flat: Any, edit: Any, skip: wp.array, launch: Callable[..., None]) -> None:
-    """Launch what fills the arrays of a FlatEdit, of a posed LatticeEdit, by RepeatedLaunches.
+    """Launch what fills the arrays of a EditData, of a posed LatticeEdit, by RecordedLaunches.
     skip: (nx-1, ny-1, nz-1) uint8, how far each cell is from the nearest that may hold anything."""
     count = flat.nodes.size
     launch(join_cell_tables, count, [edit.cells, skip, flat.node_counts], [flat.look])
@@ -112,7 +112,7 @@ def join_tables(flat: Any, edit: Any, skip: wp.array, launch: Callable[..., None
 
 
 def lattice_box(flat: Any) -> list[list[float]]:
-    """Lower and upper corner, (3,) each, of a FlatEdit's lattice over its posed cage, relative to the edits' origin."""
+    """Lower and upper corner, (3,) each, of a EditData's lattice over its posed cage, relative to the edits' origin."""
     lower, counts, spacing = tuple(flat.lower), tuple(flat.node_counts), 1.0 / flat.inverse_spacing
     return [list(lower), [low + (count - 1) * spacing for low, count in zip(lower, counts, strict=True)]]
 
@@ -131,7 +131,7 @@ class MapPolynomials:
         self._most_bytes = math.inf if device.is_cpu else MOST_POLYNOMIALS * device.total_memory
         pool = BufferPool(device)
         self._polynomials = [pool.buffer(wp.vec4) for _ in range(edit_count)]
-        self._launch = RepeatedLaunches(device)
+        self._launch = RecordedLaunches(device)
 
     def expand(self, edits: Sequence[Any]) -> None:
         """Give posed FlatEdits, whose cells are marked, their `polynomials`, where they map anything and there is
@@ -146,7 +146,7 @@ class MapPolynomials:
 
 
 def needs_general_map(edit: Any) -> bool:
-    """Whether a FlatEdit has corner values for each side of narrow gaps, or no polynomials: the faster march knows
+    """Whether a EditData has corner values for each side of narrow gaps, or no polynomials: the faster march knows
     polynomials alone."""
     return bool(edit.has_sides or edit.by_nodes)
 
@@ -158,18 +158,18 @@ MOST_KEPT = 4
 DISTANCE_BYTES = wp.types.type_size_in_bytes(wp.float32)
 
 
-class TileBegins:
+class TileStarts:
     """Looks once for each tile of a view how far its rays go through what is empty.
     It looks on the stream `side`, beside what is launched until that joins."""
 
     def __init__(self, side: SideStream):
-        self._side, self._launch = side, RepeatedLaunches(side.device)
+        self._side, self._launch = side, RecordedLaunches(side.device)
         self._kept: dict[int, Buffer] = {}
         self._edits: tuple[list[Any], wp.array] | None = None
         self._ready: tuple[wp.array | None, wp.array | None] = None, None
 
     def find(self, edits: Sequence[Any], grid: Any, pinhole: Any, tiles: int) -> list[wp.array]:
-        """(tiles,) float of each FlatEdit: distance before which a tile's rays meet nothing, until the stream's next
+        """(tiles,) float of each EditData: distance before which a tile's rays meet nothing, until the stream's next
         view. Fine cells are told by now, or forked; it looks after what came before the side stream's mark."""
         is_single = len(edits) == 1  # an argument takes the host less time than an array
         needed = self._buffer().take(len(edits) * tiles), None if is_single else self._array_of(edits)
@@ -192,7 +192,7 @@ class TileBegins:
         """The edits on the device, once for those of a pose in their order."""
         kept = self._edits
         if kept is None or [id(edit) for edit in kept[0]] != [id(edit) for edit in edits]:
-            self._edits = kept = list(edits), struct_array(edits, FlatEdit, self._side.device)
+            self._edits = kept = list(edits), struct_array(edits, EditData, self._side.device)
         return kept[1]
 
     def _buffer(self) -> Buffer:

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import array_view
-from ..core.devices import RepeatedLaunch
+from ..core.devices import RecordedLaunch
 from ..kernels.view.tile_order import TILE_BINS, TileOrder, count_tiles, sort_tiles
 
 #: Kinds of views that are kept: of a size, through as many launches, on a stream.
@@ -56,7 +56,7 @@ class _SortedTiles:
         self._order = wp.array(order, dtype=wp.int32, device=device)
         self._ticks = wp.zeros(launches * tiles, dtype=wp.int32, device=device)
         self._bins = [wp.zeros(launches * 2 * int(TILE_BINS), dtype=wp.int32, device=device) for _ in range(2)]
-        self._count, self._sort = (RepeatedLaunch(kernel, device) for kernel in (count_tiles, sort_tiles))
+        self._count, self._sort = (RecordedLaunch(kernel, device) for kernel in (count_tiles, sort_tiles))
         self.orders = [self._order_of(number) for number in range(launches)]
 
     def _order_of(self, number: int) -> Any:

@@ -10,12 +10,12 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..core.checks import MOST_SAMPLES
-from ..core.devices import RepeatedLaunches
+from ..core.devices import RecordedLaunches
 from ..field.voxel_field import VoxelField
 
 
 @dataclasses.dataclass(frozen=True)
-class MarchedView:
+class ViewRequest:
     """A view that edits are to be marched for."""
 
     field: VoxelField
@@ -47,7 +47,7 @@ class PosedEdits(abc.ABC):
         self.scene: Any = None
         # steps that one sample takes at most, as `core.devices.launch` has them
         self.sample_work = 1
-        self._launches: RepeatedLaunches | None = None
+        self._launches: RecordedLaunches | None = None
 
     def begin_view(self, field: VoxelField, center: wp.vec3, step: float) -> None:
         """Start on what a view takes of the pose alone, so that the device is at work as early as can be.
@@ -59,13 +59,13 @@ class PosedEdits(abc.ABC):
         `begin_view`. Returns arguments of the kernel; none where `render` is to find them."""
         return []
 
-    def render(self, view: MarchedView) -> None:
+    def render(self, view: ViewRequest) -> None:
         """March a view, once `prepare` has been called for the pose."""
         self.march(view, self.render_kernel, [self.scene])
 
     def march(
         self,
-        view: MarchedView,
+        view: ViewRequest,
         kernel: Any,
         scene: Sequence[Any],
         item_rays: int = 1,
@@ -83,7 +83,7 @@ class PosedEdits(abc.ABC):
         inputs = [view.grid, *view.rows, *scene, *end]
         work = view.work * self.sample_work * item_rays
         if self._launches is None:
-            self._launches = RepeatedLaunches(view.field.device)
+            self._launches = RecordedLaunches(view.field.device)
         self._launches(kernel, view.threads // item_rays, inputs, number=number, passing=len(end), work=work)
 
     @abc.abstractmethod

@@ -38,7 +38,7 @@ def scene(device):
     return field(BODY, INSIDE, NUB, BEAM, SPECK, device=device)
 
 
-def test_crumbs_are_what_the_wall_cuts_off_and_is_small(scene):
+def test_fragments_are_what_the_wall_cuts_off_and_is_small(scene):
     found = crumbs(scene, PART, 0.35)
     x = nodes(40, scene.bounds)
     expected = boxes(NUB)(x) > 0
@@ -61,7 +61,7 @@ def test_a_field_without_matter_has_none(device):
 
 
 @pytest.mark.parametrize(("kind", "resolution"), WAYS)
-def test_crumbs_are_where_a_turn_takes_them_and_not_where_they_were(kind, resolution, scene):
+def test_fragments_are_where_a_turn_takes_them_and_not_where_they_were(kind, resolution, scene):
     """Exact for every pose that the coordinates reproduce, in position and direction."""
     turn, middle, offset = rotation(30, 20), np.array([0.4, 0, 0]), np.array([0.6, 0.3, -0.1])
     posed = PART.with_vertices(1.2 * (PART.vertices - middle) @ turn.T + offset)
@@ -78,7 +78,7 @@ def test_crumbs_are_where_a_turn_takes_them_and_not_where_they_were(kind, resolu
 
 
 @pytest.mark.parametrize(("kind", "resolution"), WAYS)
-def test_crumbs_hang_on_their_part_in_any_pose(kind, resolution, scene):
+def test_fragments_hang_on_their_part_in_any_pose(kind, resolution, scene):
     """A line of the posed scene from the part into a crumb comes from a line without a jump; what is found of the crumb
     is all of it, and nothing of it twice."""
     deformer = Deformer(scene, CageEdit(PART, crumbs=0.35), coordinates=kind, resolution=resolution)
@@ -124,7 +124,7 @@ def test_the_picture_is_that_of_the_moved_matter(device):
             assert psnr(still.rgb, scene.render(camera).rgb) > 50
 
 
-def test_the_part_may_come_to_lie_where_its_crumb_was(scene):
+def test_the_part_may_come_to_lie_where_its_fragment_was(scene):
     deformer = Deformer(scene, CageEdit(PART, crumbs=0.35), resolution=24).pose(PART.translate([0, 0, 0.25]))
     came, _, region = deformer.to_canonical(IN_NUB, ALONG)
     np.testing.assert_array_equal(region, MAPPED)
@@ -134,7 +134,7 @@ def test_the_part_may_come_to_lie_where_its_crumb_was(scene):
     np.testing.assert_allclose(came, IN_NUB, atol=1e-6)
 
 
-def test_matter_two_voxels_from_a_crumb_stays_however_coarse_the_lattice(device):
+def test_matter_two_voxels_from_a_fragment_stays_however_coarse_the_lattice(device):
     other = ([0.35, -0.1, 0.45], [0.9, 0.0, 0.9])  # beside the nub, one voxel between them
     scene = field(INSIDE, NUB, other, device=device)
     near = np.array([[0.33, -0.05, 0.49], [0.34, -0.05, 0.46]])
@@ -146,7 +146,7 @@ def test_matter_two_voxels_from_a_crumb_stays_however_coarse_the_lattice(device)
     np.testing.assert_array_equal(region, MAPPED)
 
 
-def test_a_later_edit_takes_the_crumbs_of_an_earlier_one_along(scene):
+def test_a_later_edit_takes_the_fragments_of_an_earlier_one_along(scene):
     """Each acts on what the one before it left; and where both cages are posed, each crumb is traced through both."""
     first = CageEdit(PART, crumbs=0.35)
     around = PART.translate([0, 0, -0.9]).scale(1.6)
@@ -164,7 +164,7 @@ def test_a_later_edit_takes_the_crumbs_of_an_earlier_one_along(scene):
     np.testing.assert_allclose(frame.pose([posed[0], frame.edits[1].cage]).render(CAMERA).rgb, alone.rgb, atol=2e-3)
 
 
-def test_copies_bring_their_crumbs_and_removals_take_them(scene, device):
+def test_copies_bring_their_fragments_and_removals_take_them(scene, device):
     copied = Deformer(scene, CageEdit(PART, keep_source=True, crumbs=0.35), resolution=24)
     copied.pose(PART.translate([0, 0, -0.95]))
     assert (copied.to_canonical(IN_NUB, ALONG)[2] == UNCHANGED).all()
@@ -176,7 +176,7 @@ def test_copies_bring_their_crumbs_and_removals_take_them(scene, device):
     assert psnr(frame.rgb, left.rgb) > psnr(without.rgb, left.rgb) + 3
 
 
-def test_a_band_that_fades_holds_crumbs_at_its_walls_too(device):
+def test_a_band_that_fades_holds_fragments_at_its_walls_too(device):
     """A crumb at a wall that is held stays; one at another wall goes."""
     side = ([0.6, 0.2, -0.1], [0.7, 0.5, 0.0])  # out of the wall y = 0.4
     scene = field(INSIDE, NUB, side, device=device)
@@ -193,12 +193,12 @@ def test_a_band_that_fades_holds_crumbs_at_its_walls_too(device):
     np.testing.assert_allclose(came, places, atol=1e-5)
 
 
-def test_a_pose_without_a_place_for_crumbs_says_so(scene):
+def test_a_pose_without_a_place_for_fragments_says_so(scene):
     with pytest.warns(UserWarning, match="has no place for [0-9]+ of 48 voxels of crumbs.*move the cage less"):
         Deformer(scene, CageEdit(PART, crumbs=0.35), resolution=16).pose(PART.taper(0.02))
 
 
-def test_a_size_that_finds_no_crumbs_changes_nothing(scene, recwarn):
+def test_a_size_that_finds_no_fragments_changes_nothing(scene, recwarn):
     none = Deformer(scene, CageEdit(PART, crumbs=0.05), resolution=16).pose(PART.translate([0, 0, -0.9]))
     plain = Deformer(scene, CageEdit(PART), resolution=16).pose(PART.translate([0, 0, -0.9]))
     np.testing.assert_array_equal(none.render(CAMERA).rgb, plain.render(CAMERA).rgb)

@@ -1,4 +1,4 @@
-"""The items of a lot, one after the other, in whichever process a worker lives."""
+"""The items of a chunk, one after the other, in whichever process a worker lives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .. import __version__
 from ..core.names import error_line
 from .items import Item
 from .manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes
-from .scheduler import LotReport
+from .scheduler import ChunkReport
 from .webdataset import pack_shard, shard_stage
 
 #: What the same input brings again: there is no use in trying it once more.
@@ -50,8 +50,8 @@ class Maker(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
-class LotOrder:
-    """A lot as it is sent to a worker."""
+class ChunkOrder:
+    """A chunk as it is sent to a worker."""
 
     number: int
     # numbers of its items in the job file
@@ -117,23 +117,23 @@ class _UnderWay:
         return self.future.done() and (self.inputs is None or self.inputs.ready)
 
 
-class LotUnderWay:
-    """A lot of which items are made, or whose files are being written."""
+class ChunkUnderWay:
+    """A chunk of which items are made, or whose files are being written."""
 
-    def __init__(self, order: LotOrder):
-        self.order, self.report = order, LotReport()
-        # places in the lot that were not begun
+    def __init__(self, order: ChunkOrder):
+        self.order, self.report = order, ChunkReport()
+        # places in the chunk that were not begun
         self.waiting: collections.deque[int] = collections.deque(range(len(order.lines)))
         # items that were made and not settled, in that order
         self.line: collections.deque[_UnderWay] = collections.deque()
         self.making: _UnderWay | None = None
 
 
-class LotRunner:
-    """Makes the items of lots, and notes what became of each.
+class ChunkRunner:
+    """Makes the items of chunks, and notes what became of each.
     `begin` makes, in one thread at a time, and `settle` waits and notes, in any."""
 
-    # The files of a lot may still be written while the items of the next one are made.
+    # The files of a chunk may still be written while the items of the next one are made.
 
     def __init__(
         self,
@@ -154,72 +154,76 @@ class LotRunner:
         self._retries, self._check_device, self._out = retries, check_device, out
         self._making, self._lock = threading.Lock(), threading.Lock()
         self._made = threading.Condition(self._lock)
-        self._lots: dict[int, LotUnderWay] = {}
-        self._newest_made = 0  # number of the newest lot whose items are all begun
+        self._chunks: dict[int, ChunkUnderWay] = {}
+        self._newest_made = 0  # number of the newest chunk whose items are all begun
         self._stopped = False
-        # of the newest lot so far
-        self.report, self._settled_at = LotReport(), 0.0
+        # of the newest chunk so far
+        self.report, self._settled_at = ChunkReport(), 0.0
         self._group: str | None = None
         self._held = contextlib.ExitStack()
 
-    def run(self, order: LotOrder) -> LotReport:
-        """Make a lot; returns what became of its items."""
+    def run(self, order: ChunkOrder) -> ChunkReport:
+        """Make a chunk; returns what became of its items."""
         return self.settle(self.begin(order))
 
-    def begin(self, order: LotOrder) -> LotUnderWay:
-        """Make the items of a lot, or pack its shard; files may be written until `settle` has it."""
-        lot = LotUnderWay(order)
+    def begin(self, order: ChunkOrder) -> ChunkUnderWay:
+        """Make the items of a chunk, or pack its shard; files may be written until `settle` has it."""
+        chunk = ChunkUnderWay(order)
         with self._making:
-            self.report = lot.report
+            self.report = chunk.report
             with self._lock:
-                self._lots[order.number] = lot
+                self._chunks[order.number] = chunk
             try:
-                self._make(lot)
+                self._make(chunk)
             except BaseException:  # an interrupt too
-                self.settle(lot)
+                self.settle(chunk)
                 raise
             finally:
                 with self._made:
                     self._newest_made = order.number
                     self._made.notify_all()
-        return lot
+        return chunk
 
-    def settle(self, lot: LotUnderWay) -> LotReport:
-        """Wait for the files of a lot that `begin` returned, and note what became of its items."""
-        report = lot.report
+    def settle(self, chunk: ChunkUnderWay) -> ChunkReport:
+        """Wait for the files of a chunk that `begin` returned, and note what became of its items."""
+        report = chunk.report
         try:
-            while lot.line:
-                self._settle(lot, lot.line[0])
+            while chunk.line:
+                self._settle(chunk, chunk.line[0])
         finally:  # also at an interrupt: what is being written is noted once it is there
-            while lot.line:
-                self._settle(lot, lot.line[0])
+            while chunk.line:
+                self._settle(chunk, chunk.line[0])
         with self._lock:
-            self._lots.pop(lot.order.number, None)
+            self._chunks.pop(chunk.order.number, None)
         settled = {*report.done, *(index for index, _ in [*report.failed, *report.errors])}
-        report.left = [index for index in lot.order.indices if index not in settled]
+        report.left = [index for index in chunk.order.indices if index not in settled]
         return report
 
     def wait_until_begun(self, number: int) -> None:
-        """Wait until all items of a lot, which may not be here yet, are begun or will not be. Any thread may call."""
+        """Wait until all items of a chunk, which may not be here yet, are begun or will not be. Any thread may call."""
         with self._made:
             self._made.wait_for(lambda: self._newest_made >= number)
 
     def recall(self, number: int, share: float) -> list[int]:
-        """Give back a share of the items of a lot that were not begun, from its end: their numbers in the job file.
-        Any thread may call it while a lot runs; one that is not under way gives nothing back."""
+        """Give back a share of the items of a chunk that were not begun, from its end: their numbers in the job file.
+        Any thread may call it while a chunk runs; one that is not under way gives nothing back."""
         with self._lock:
-            lot = self._lots.get(number)
-            if lot is None:
+            chunk = self._chunks.get(number)
+            if chunk is None:
                 return []
-            back = [lot.waiting.pop() for _ in range(int(share * len(lot.waiting)))]
-            return [lot.order.indices[place] for place in reversed(back)]
+            back = [chunk.waiting.pop() for _ in range(int(share * len(chunk.waiting)))]
+            return [chunk.order.indices[place] for place in reversed(back)]
 
     def oldest(self, number: int) -> tuple[int, float] | None:
-        """The item of a lot that has been under way for longest, by its number in the job file, and its seconds so far.
-        None where none is under way, or for a lot that is not. Any thread may call it while a lot runs."""
+        """The item of a chunk that has been under way longest, by its number in the job file, and its seconds so far.
+        None where none is under way, or for a chunk that is not. Any thread may call it while a chunk runs."""
         with self._lock:
-            lot = self._lots.get(number)
-            begun = [] if lot is None else [made for made in (*lot.line, lot.making) if made and not made.future.done()]
+            chunk = self._chunks.get(number)
+            begun = (
+                []
+                if chunk is None
+                else [made for made in (*chunk.line, chunk.making) if made and not made.future.done()]
+            )
         if not begun:
             return None
         first = begun[0]
@@ -229,27 +233,27 @@ class LotRunner:
         """Begin no more items."""
         self._stopped = True
 
-    def _make(self, lot: LotUnderWay) -> None:
-        """Begin all items of a lot; those whose files are there meanwhile are noted."""
-        order, report = lot.order, lot.report
+    def _make(self, chunk: ChunkUnderWay) -> None:
+        """Begin all items of a chunk; those whose files are there meanwhile are noted."""
+        order, report = chunk.order, chunk.report
         if order.packed is not None:
             self._pack(order, report)
             return
         begin = time.perf_counter()
-        while report.halt is None and report.broken is None and (place := self._next(lot)) is not None:
+        while report.halt is None and report.broken is None and (place := self._next(chunk)) is not None:
             if place and order.seconds is not None and time.perf_counter() - begin > order.seconds:
                 return
-            self._begin(lot, place)
-            while lot.line and lot.line[0].ready:
-                self._settle(lot, lot.line[0])
+            self._begin(chunk, place)
+            while chunk.line and chunk.line[0].ready:
+                self._settle(chunk, chunk.line[0])
 
-    def _next(self, lot: LotUnderWay) -> int | None:
+    def _next(self, chunk: ChunkUnderWay) -> int | None:
         with self._lock:
-            return lot.waiting.popleft() if lot.waiting and not self._stopped else None
+            return chunk.waiting.popleft() if chunk.waiting and not self._stopped else None
 
-    def _begin(self, lot: LotUnderWay, place: int) -> None:
+    def _begin(self, chunk: ChunkUnderWay, place: int) -> None:
         """Make an item as far as this thread does it."""
-        order, report = lot.order, lot.report
+        order, report = chunk.order, chunk.report
         item = self._read(*order.lines[place])
         try:
             self._notes.append({"id": item.id, "state": STARTED, "lot": order.number})
@@ -260,7 +264,7 @@ class LotRunner:
             return
         report.loading |= not place and item.group != self._group
         made = _UnderWay(item, order.indices[place], order.attempts[place], time.perf_counter())
-        lot.making = made
+        chunk.making = made
         try:
             made.inputs = self._fingerprint(item)
             made.future = self._maker.submit(item, self._stage(order))
@@ -269,19 +273,19 @@ class LotRunner:
         made.seconds = time.perf_counter() - made.begun
         self._group = item.group
         with self._lock:
-            lot.line.append(made)
-            lot.making = None
+            chunk.line.append(made)
+            chunk.making = None
 
-    def _settle(self, lot: LotUnderWay, made: _UnderWay) -> None:
-        """Note what became of the first item in the line of a lot."""
-        report, error, sizes, inputs = lot.report, None, {}, ""
+    def _settle(self, chunk: ChunkUnderWay, made: _UnderWay) -> None:
+        """Note what became of the first item in the line of a chunk."""
+        report, error, sizes, inputs = chunk.report, None, {}, ""
         try:
             inputs = "" if made.inputs is None else made.inputs()
             sizes = made.future.result()
         except Exception as failure:
             error = failure
         with self._lock:
-            lot.line.popleft()
+            chunk.line.popleft()
             now = time.perf_counter()
             seconds = now - max(made.begun, self._settled_at)  # of items that overlap, what each adds
             self._settled_at = now
@@ -313,7 +317,7 @@ class LotRunner:
                 report.broken = error_line(failure, named=True)
                 self.stop()
 
-    def _halt(self, report: LotReport, error: BaseException) -> None:
+    def _halt(self, report: ChunkReport, error: BaseException) -> None:
         """Begin nothing more, as nothing can be written."""
         report.halt = report.halt or error_line(error, named=True)
         self.stop()
@@ -331,11 +335,11 @@ class LotRunner:
             "finished": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="milliseconds"),
         }
 
-    def _stage(self, order: LotOrder) -> pathlib.Path | None:
+    def _stage(self, order: ChunkOrder) -> pathlib.Path | None:
         """Where the items of a shard stand until it is packed; None: in the folder of the run."""
         return None if order.shard is None or self._out is None else shard_stage(self._out, order.shard)
 
-    def _pack(self, order: LotOrder, report: LotReport) -> None:
+    def _pack(self, order: ChunkOrder, report: ChunkReport) -> None:
         """Pack a shard."""
         assert self._out is not None and order.shard is not None and order.packed is not None
         try:
