@@ -69,7 +69,7 @@ def main() -> int:
             f"  {module['seconds']:7.2f} s  {module['how']:9} {module['name']}"
         )
     if args.json:
-        from results import write_results
+        from common import write_results
 
         write_results(
             args.json,

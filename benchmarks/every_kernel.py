@@ -19,28 +19,22 @@ import sys
 import numpy as np
 import trimesh
 import warp as wp
+from common import ball_field
 from machine_code import kernel_modules
-from soak import ball_field
 
 import warpcage
-from warpcage.core.devices import launch
-from warpcage.core.threads import limit_threads
-from warpcage.deform.lattice_edits import LARGE_PICTURE
-from warpcage.editor.renderer import frame_pixels
-from warpcage.field.sparse import harmonics_on_device
-from warpcage.fitting.optimizer import FieldOptimizer
+from warpcage import FieldOptimizer, PositionMap
+from warpcage.core import launch, limit_threads
+from warpcage.editor import frame_pixels
+from warpcage.field import harmonics_on_device
 from warpcage.kernels.coordinates.green import map_green
 from warpcage.kernels.reference.sample_count import count_samples
-from warpcage.lattice.graph import PoseGraph
-from warpcage.lattice.harmonic import HarmonicSolver
-from warpcage.lattice.position_map import PositionMap
-from warpcage.mesh.fans import prepared_fans
-from warpcage.reference.inverse_map import InverseMap
-from warpcage.reference.raycast import CarriedMesh
-from warpcage.reference.scenes import synthetic_scene
-from warpcage.splats.splat_field import SplatDensity
-from warpcage.view.camera import camera_array
-from warpcage.view.frame import RGB_BYTES
+from warpcage.lattice import HarmonicSolver, PoseGraph
+from warpcage.mesh import prepared_fans
+from warpcage.reference import CarriedMesh, InverseMap, synthetic_scene
+from warpcage.render import LARGE_PICTURE
+from warpcage.splats import SplatDensity
+from warpcage.view import RGB_BYTES, camera_array
 
 #: Kernels that only one kind of device launches.
 CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add_gradients",

@@ -78,7 +78,7 @@ def kernel_modules(only: Sequence[str] = ()) -> list:
     """The Warp modules of all kernel files, and of their variants, that define kernels."""
     import warp as wp
 
-    from warpcage.core.kernel_files import kernel_names
+    from warpcage.core import kernel_names
 
     modules = {}
     for name in kernel_names():

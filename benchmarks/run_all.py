@@ -4,23 +4,67 @@
     python benchmarks/run_all.py --scenes ../shared/data --cage lego_42.obj --gpus 0 1 --seconds 1500 --out results
 
 Each benchmark is a separate process. Its JSON file and its output go to --out (default: a temporary folder). The exit
-status is 1 if one of them fails. The full ones (`full_runs.py`) go over the GPUs of a machine, one process a GPU at a
-time, the most important first; what would not end within --seconds is left out and named. Left out of --quick are
-blender_round_trip.py, which needs Blender, editor_servers.py, which needs servers that warpcage does not use,
-editor_pictures.py, which makes the pictures of the README, select_page.py, which needs the fox's pictures, and those
-whose figures mean nothing at a small size (fit_profile.py and fit_split.py: CUDA events).
+status is 1 if one of them fails. The full ones go over the GPUs of a machine, one process a GPU at a time, the most
+important first; what would not end within --seconds is left out and named. Left out of --quick are `blender`, which
+needs Blender, `servers`, which needs servers that warpcage does not use, `editor pictures`, which makes the pictures of
+the README, `pages select`, which needs the fox's pictures, and those whose figures mean nothing at a small size (`fits
+profile` and `fits split`: CUDA events).
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import os
 import pathlib
+import shlex
+import shutil
+import signal
+import subprocess
 import sys
 import tempfile
+import threading
+import time
 
-from full_runs import Run, full_runs, run_over_gpus
+from common import BENCHMARKS, HERE
 
-HERE = pathlib.Path(__file__).resolve().parent
+#: Name of a quick run -> its words, at a size for a CPU; "prepare" makes the scene that some of them need.
+QUICK = {
+    "prepare": "truth prepare {out}",
+    "captures": "captures --video --device cpu --width 192 --degrees 100 --video-frames 16 --frames 10"
+    " --json {out}/captures.json",
+    "coordinates": "coordinates times --device cpu --resolution 16 24 --runs 1 --points 20000"
+    " --json {out}/coordinates.json",
+    "convergence": "coordinates convergence --device cpu --resolution 12 16 --points 30 --cuts 2 3"
+    " --json {out}/convergence.json",
+    "fits_curve": "fits curve --data {scene} --device cpu --points 1 --option epochs=1.0 resolution=48"
+    " --json {out}/fit_curve.json",
+    "frames": "frames times {of} --device cpu --size 48 --resolution 24 --runs 1 --json {out}/frames.json",
+    "table1": "frames table1 --quick --json {out}/table1.json --figure {out}/table1.jpg",
+    "truth": "truth fields --quick --poses bend --json {out}/ground_truth.json --figures {out}",
+    "compile": "compile.py --device cpu --warm-runs 1 --json {out}/compile.json",
+    "editor": "editor drags {of} --device cpu --size 200 150 --seconds 2 --json {out}/editor.json",
+    "every_kernel": "every_kernel.py --device cpu",
+    "fits_scenes": "fits scenes --kind thin --views 8 --size 24 --option least_steps=9 --worst {out}/worst"
+    " --json {out}/fits.json",
+    "splats": "splats views --device cpu --count 3000 --sizes 80 --json {out}/splats_times.json",
+    "splats_poses": "splats poses --device cpu --kinds mean_value --count 2000 --rounds 2"
+    " --json {out}/splat_poses.json",
+    "splats_truth": "splats-truth --quick --json {out}/splats_truth.json --figures {out}",
+    "page_splats_views": "pages splats-views --results {out} --page {out}/splats_views.md",
+    "page_fits": "pages fits --results {out} --page {out}/fits.md",
+    "page_frames": "pages frames --results {out} --page {out}/frames.md",
+    "page_captures": "pages captures --results {out} --page {out}/captures.md",
+    "soak": "memory soak --poses 20 --fits 4 --refused 200 --json {out}/soak.json",
+    "films": "memory films --frames 200 --timed 8 --size 320 180 --json {out}/film_memory.json",
+    "batch_scale": "batch-scale --items 20_000 --workers 50 --frames 20 --messages 2000"
+    " --json {out}/batch_scale.json --page {out}/batch_scale.md",
+    "batch_gpus": "batch gpus {of} --scene {scene} --frames 12 --size 48 --fits 2 --downscale 4 --workers 1 2"
+    " --device cpu --json {out}/batch_gpus.json",
+    "batch_handing_out": "batch handing-out --items 120 --turns 1 --megabytes 8 --json {out}/handing_out.json",
+    "batch_memory": "memory batch --items 200 --json {out}/batch_memory.json",
+    "page_results": "pages results --results {out} --page {out}/results.md",
+}
 
 
 def main() -> int:
@@ -31,7 +75,7 @@ def main() -> int:
     parser.add_argument("--gpus", nargs="+", default=["0"], help="numbers of the GPUs that runs are given to")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="when all must have ended")
     parser.add_argument("--out", help="folder for results")
-    parser.add_argument("--only", nargs="*", help="names of benchmarks, without .py")
+    parser.add_argument("--only", nargs="*", help="names of runs, as --list says them")
     parser.add_argument("--list", action="store_true", help="say what would be run, and how long it may take")
     args = parser.parse_args()
     if not args.quick and args.scenes is None:
@@ -40,10 +84,7 @@ def main() -> int:
         out = pathlib.Path(args.out or temporary).resolve()
         out.mkdir(parents=True, exist_ok=True)
         if args.quick:
-            runs = [
-                Run(name, [sys.executable, str(HERE / f"{name}.py"), *map(str, options)])
-                for name, options in quick_runs(out).items()
-            ]
+            runs = [Run(name, words_of(words, out)) for name, words in QUICK.items()]
         else:
             runs = full_runs(args.scenes.resolve(), args.cage and pathlib.Path(args.cage).resolve(), out)
         runs = [run for run in runs if not args.only or run.name in args.only]
@@ -54,129 +95,185 @@ def main() -> int:
         return run_over_gpus(runs, [] if args.quick else args.gpus, args.seconds, out)
 
 
-def quick_runs(out: pathlib.Path) -> dict[str, list]:
-    """Options of each benchmark at a size for a CPU; prepare_quick.py makes the scene that two of them need."""
-    scene, field, cage = out / "scene", out / "field.npz", out / "cage.obj"
-    return {
-        "prepare_quick": [out],
-        "capture": [
-            "--video",
-            "--device",
-            "cpu",
-            "--width",
-            192,
-            "--degrees",
-            100,
-            "--video-frames",
-            16,
-            "--frames",
-            10,
-            "--json",
-            out / "captures.json",
-        ],
-        "coordinates": [
-            "--device",
-            "cpu",
-            "--resolution",
-            16,
-            24,
-            "--runs",
-            1,
-            "--points",
-            20000,
-            "--json",
-            out / "coordinates.json",
-        ],
-        "convergence": [
-            "--device",
-            "cpu",
-            "--resolution",
-            12,
-            16,
-            "--points",
-            30,
-            "--cuts",
-            2,
-            3,
-            "--json",
-            out / "convergence.json",
-        ],
-        "fit_curve": [
-            "--data",
-            scene,
-            "--device",
-            "cpu",
-            "--points",
-            1,
-            "--option",
-            "epochs=1.0",
-            "resolution=48",
-            "--json",
-            out / "fit_curve.json",
-        ],
-        "deformed_render": [
-            "--field",
-            field,
-            "--cage",
-            cage,
-            "--device",
-            "cpu",
-            "--size",
-            48,
-            "--resolution",
-            24,
-            "--runs",
-            1,
-            "--json",
-            out / "frames.json",
-        ],
-        "table1": ["--quick", "--json", out / "table1.json", "--figure", out / "table1.jpg"],
-        "ground_truth": ["--quick", "--poses", "bend", "--json", out / "ground_truth.json", "--figures", out],
-        "compile": ["--device", "cpu", "--warm-runs", 1, "--json", out / "compile.json"],
-        "editor": [
-            "--field",
-            field,
-            "--cage",
-            cage,
-            "--device",
-            "cpu",
-            "--size",
-            200,
-            150,
-            "--seconds",
-            2,
-            "--json",
-            out / "editor.json",
-        ],
-        "every_kernel": ["--device", "cpu"],
-        "fit_scenes": [
-            *("--kind", "thin", "--views", 8, "--size", 24, "--option", "least_steps=9"),
-            *("--worst", out / "worst", "--json", out / "fits.json"),
-        ],
-        "splats": ["--device", "cpu", "--count", 3000, "--sizes", 80, "--json", out / "splats_times.json"],
-        "splat_poses": [
-            *("--device", "cpu", "--kinds", "mean_value", "--count", 2000, "--rounds", 2),
-            *("--json", out / "splat_poses.json"),
-        ],
-        "splats_truth": ["--quick", "--json", out / "splats_truth.json", "--figures", out],
-        "splats_page": ["--results", out, "--page", out / "splats.md"],
-        "fits_page": ["--results", out, "--page", out / "fits.md"],
-        "frames_page": ["--results", out, "--page", out / "frames.md"],
-        "captures_page": ["--results", out, "--page", out / "captures.md"],
-        "soak": ["--poses", 20, "--fits", 4, "--refused", 200, "--json", out / "soak.json"],
-        "film_memory": ["--frames", 200, "--timed", 8, "--size", 320, 180, "--json", out / "film_memory.json"],
-        "batch_scale": [
-            *("--items", 20_000, "--workers", 50, "--frames", 20, "--messages", 2000),
-            *("--json", out / "batch_scale.json", "--page", out / "batch_scale.md"),
-        ],
-        "batch_gpus": [
-            *("--field", field, "--cage", cage, "--scene", scene, "--frames", 12, "--size", 48, "--fits", 2),
-            *("--downscale", 4, "--workers", 1, 2, "--device", "cpu", "--json", out / "batch_gpus.json"),
-        ],
-        "batch_handing_out": ["--items", 120, "--turns", 1, "--megabytes", 8, "--json", out / "handing_out.json"],
-        "batch_memory": ["--items", 200, "--json", out / "batch_memory.json"],
-        "page": ["--results", out, "--page", out / "page.md"],
-    }
+def words_of(words: str, out: pathlib.Path) -> list[str]:
+    """The words of a quick run, with its folders."""
+    of = f"--field {out}/field.npz --cage {out}/cage.obj"
+    given = shlex.split(words.format(out=out, scene=out / "scene", of=of))
+    if given[0].endswith(".py"):
+        return [sys.executable, str(HERE / given[0]), *given[1:]]
+    return [*BENCHMARKS, *given]
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A process, whose output goes to a file of its name.
+
+    Args:
+        name: Of the run.
+        command: Its words.
+        seconds: After which it is ended. It is not begun where less time is left.
+        gpus: How many it sees. Those that see several run alone.
+    """
+
+    name: str
+    command: list[str]
+    seconds: float = float("inf")
+    gpus: int = 1
+
+
+def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path) -> list[Run]:
+    """The full runs, the most important first.
+
+    Args:
+        scenes: Folder that holds lego_800, mic_800, dtu_scan24_half, fox and splats; runs of those that are not there
+            are left out.
+        cage: Cage around Lego. None leaves out what needs one.
+        out: Folder of the results.
+    """
+    runs: list[Run] = []
+
+    def add(name: str, command: str, seconds: float, *options, needs: tuple[pathlib.Path, ...] = (), gpus: int = 1):
+        if all(each.exists() for each in needs):
+            runs.append(Run(name, [*BENCHMARKS, *command.split(), *map(str, options)], seconds, gpus))
+
+    def fits(name: str, seconds: float, *options: object, needs: tuple[pathlib.Path, ...] = ()):
+        common = ("--device", "cuda:0", "--warm", "--json", out / f"fits_{name}.json", "--worst", out / f"worst_{name}")
+        add(f"fits_{name}", "fits scenes", seconds, *options, *common, needs=needs)
+
+    lego, mic, dtu, fox = (scenes / name for name in ("lego_800", "mic_800", "dtu_scan24_half", "fox"))
+    # what must be right before any time counts
+    tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "cuda", str(HERE.parent / "tests")]
+    runs.append(Run("tests", tests, 420))
+    sanitizer = ["compute-sanitizer", "--tool", "memcheck", "--error-exitcode", "9"]
+    kernels = [sys.executable, str(HERE / "every_kernel.py"), "--device", "cuda:0", "--no-pool", "--eager"]
+    runs.append(Run("memcheck", [*sanitizer, *kernels], 420))
+    # fields
+    every = ("standard", "fast", "high")  # peaks of memory only rise: that of standard alone is measured
+    fits("lego", 160, "--kind", "--folder", lego, "--quality", *every, needs=(lego,))
+    fits("mic", 120, "--kind", "--folder", mic, "--quality", *every, needs=(mic,))
+    whole = ("--kind", "--room", "--size", 400, "--whole", "--folder", f"{fox}:2", dtu)
+    fits("outer", 240, *whole, "--option", "background='outer'", needs=(fox, dtu))
+    exact = ("--kind", "--folder", lego, mic, "--refine-cameras")
+    fits("refined_exact", 90, *exact, needs=(lego, mic))
+    fits("refined_noise", 60, "--kind", "--folder", lego, "--refine-cameras", "--pose-noise", 0.2, needs=(lego,))
+    fits("refined_jpeg", 60, "--kind", "--folder", lego, "--refine-cameras", "--jpeg", 90, needs=(lego,))
+    # splats
+    files = ("--json", out / "splats_times_cuda.json")
+    add("splats", "splats views", 90, "--device", "cuda:0", *files)
+    add("splats_poses", "splats poses", 60, "--device", "cuda:0", "--json", out / "splat_poses_cuda.json")
+    # frames: of a field that a fit of its own makes
+    field = out / "lego.npz"
+    if lego.exists() and cage is not None:
+        words = ["-m", "warpcage", "fit", str(lego), "-o", str(field), "--device", "cuda:0", "--quiet"]
+        made = " ".join([sys.executable, *words])
+        frames = f"{' '.join(BENCHMARKS)} frames times --field {field} --cage {cage} --profile"
+        wide = f"{frames} --size 1920 1080 --json {out / 'frames_1080p.json'}"
+        runs.append(Run("frames", ["bash", "-c", f"{made} && {frames} --json {out / 'frames.json'} && {wide}"], 180))
+    fits(
+        "others", 120, "--kind", "specular", "bricks", "thin", "textured", "--size", 400, "--folder", dtu, needs=(dtu,)
+    )
+    fits("fox_high", 240, "--kind", "--folder", f"{fox}:1", "--quality", "high", needs=(fox,))
+    for name, option in (("few10", ("--every", 9)), ("few22", ("--every", 4)), ("jpeg", ("--jpeg", 90))):
+        fits(name, 40, "--kind", "--folder", lego, *option, needs=(lego,))
+    edit = [sys.executable, str(HERE.parent / "examples" / "edit_fox.py"), "--data", str(fox), "--no-video"]
+    if fox.exists():
+        runs.append(Run("edit_fox", [*edit, "--out", str(out / "fox"), "--device", "cuda:0"], 180))
+    # two GPUs
+    if lego.exists() and cage is not None:  # of the field that "frames" made
+        words = ("--field", field, "--cage", cage, "--scene", lego, "--json", out / "batch_gpus.json")
+        add("batch_gpus", "batch gpus", 420, *words, gpus=2)
+    add("fits_split", "fits split", 120, "--data", lego, "--json", out / "fit_split.json", needs=(lego,), gpus=2)
+    # the rest
+    for name, command, seconds in (
+        ("coordinates", "coordinates times", 120),
+        ("convergence", "coordinates convergence", 120),
+        ("ground_truth", "truth fields", 200),
+        ("soak", "memory soak", 200),
+    ):
+        files = ("--json", out / f"{name}.json", *(("--figures", out) if name == "ground_truth" else ()))
+        add(name, command, seconds, "--device", "cuda:0", *files)
+    words = [str(HERE / "compile.py"), "--device", "cuda:0", "--json", str(out / "compile.json")]
+    runs.append(Run("compile", [sys.executable, *words], 200))
+    add("films", "memory films", 400, "--json", out / "film_memory.json")
+    if cage is not None:
+        figure = ("--figure", out / "table1.jpg")
+        options = ("--data", lego, "--cage", cage, "--device", "cuda:0", "--json", out / "table1.json", *figure)
+        add("table1", "frames table1", 120, *options, needs=(lego,))
+    return runs
+
+
+def run_over_gpus(runs: list[Run], gpus: list[str], seconds: float, out: pathlib.Path) -> int:
+    """Run them, one a GPU at a time; those that need several GPUs after the others.
+
+    Args:
+        runs: In the order in which they are begun.
+        gpus: Numbers of the GPUs, as CUDA_VISIBLE_DEVICES has them. None of them: one run at a time, as it is.
+        seconds: When all must have ended.
+        out: Folder for their output.
+
+    Returns:
+        0, or 1 where a run failed. Those that there was no time for did not fail.
+    """
+    begin, lock = time.monotonic(), threading.Lock()
+    waiting = [run for run in runs if run.gpus <= 1]
+    failed: list[str] = []
+
+    def left() -> float:
+        return seconds - (time.monotonic() - begin)
+
+    def next_run() -> Run | None:
+        with lock:
+            chosen = next((run for run in waiting if run.seconds <= left() or left() == float("inf")), None)
+            if chosen is not None:
+                waiting.remove(chosen)
+            return chosen
+
+    def work(gpu: str | None) -> None:
+        while (run := next_run()) is not None:
+            if not _run(run, [] if gpu is None else [gpu], out):
+                failed.append(run.name)
+
+    threads = [threading.Thread(target=work, args=(gpu,)) for gpu in (gpus or [None])]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for run in runs:
+        if 1 < run.gpus:
+            if run.gpus > len(gpus) or run.seconds > left():
+                waiting.append(run)
+            elif not _run(run, gpus[: run.gpus], out):
+                failed.append(run.name)
+    for run in waiting:
+        print(f"{run.name:16} left out: no time, or too few GPUs", flush=True)
+    print(f"{len(failed)} failed, {time.monotonic() - begin:.1f} s in all")
+    return 1 if failed else 0
+
+
+def _run(run: Run, gpus: list[str], out: pathlib.Path) -> bool:
+    """Run one; whether its exit status is 0. What it started ends with it."""
+    environment = {**os.environ, "CUDA_VISIBLE_DEVICES": ",".join(gpus)} if gpus else None
+    start, path = time.monotonic(), out / f"{run.name}.txt"
+    if shutil.which(run.command[0]) is None:
+        print(f"{run.name:16} FAILED (there is no {run.command[0]})", flush=True)
+        return False
+    with open(path, "w", encoding="utf-8") as log:
+        process = subprocess.Popen(
+            run.command, stdout=log, stderr=subprocess.STDOUT, env=environment, start_new_session=True
+        )
+        try:
+            status = process.wait(None if run.seconds == float("inf") else run.seconds)
+        except BaseException as error:  # an interrupt too: nothing runs on
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            if not isinstance(error, subprocess.TimeoutExpired):
+                raise
+            status = f"ended after {run.seconds:.0f} s"
+    word = "ok" if status == 0 else f"FAILED ({status})"
+    print(f"{run.name:16} {word} {time.monotonic() - start:7.1f} s", flush=True)
+    if status != 0:
+        print(path.read_text(encoding="utf-8", errors="replace")[-3000:])
+    return status == 0
 
 
 if __name__ == "__main__":

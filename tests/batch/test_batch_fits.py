@@ -5,7 +5,7 @@ import json
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from cli_runs import run, write_files
+from runs import run, write_files
 
 from warpcage import Camera, FieldOptimizer, VoxelField
 from warpcage.batch import CHECKPOINTS, Item, Worker

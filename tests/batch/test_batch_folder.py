@@ -1,7 +1,7 @@
 """The output folder of a run: nothing stays of one that made nothing."""
 
 import pytest
-from batch_runs import write_frames
+from runs import write_frames
 
 import warpcage
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from messages import MESSAGES
 
 from warpcage import CageEdit
 from warpcage.batch import EvaluateItem, FitItem, FrameItem, Item, JobFile, is_job_file, write_jobs
@@ -38,7 +39,7 @@ def test_a_file_written_by_hand(tmp_path):
         '{"format": "warpcage jobs", "version": 1, "defaults": {"field": "lego.npz", "cage": "cage.obj",',
         "",
     )
-    with pytest.raises(ValueError, match=r"jobs.jsonl, line 1: its JSON breaks off or is damaged at column"):
+    with pytest.raises(ValueError, match=MESSAGES["batch.json_breaks_off"]):
         JobFile(path)
     path = written(
         path,

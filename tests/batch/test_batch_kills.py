@@ -15,7 +15,8 @@ import types
 
 import numpy as np
 import pytest
-from batch_runs import Deadly, Making, Moody, left_over, number_of, pictures, records, run_with, write_frames
+from messages import MESSAGES
+from runs import Deadly, Making, Moody, left_over, number_of, pictures, records, run_with, write_frames
 
 import warpcage
 from warpcage.batch import RayEngine, RunnerSettings, Share
@@ -31,9 +32,9 @@ def address():
     """Ray, started once for all tests of this file: its address. Makers of tests are sent by their source."""
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     ray.init(address="local", num_cpus=4, include_dashboard=False, log_to_driver=False, object_store_memory=100 * 2**20)
-    import batch_runs
+    import runs as runs
 
-    ray.cloudpickle.register_pickle_by_value(batch_runs)
+    ray.cloudpickle.register_pickle_by_value(runs)
     ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
     yield ray.get_runtime_context().gcs_address
     ray.shutdown()
@@ -296,7 +297,7 @@ class Hostless(Making):
 
 def test_workers_that_cannot_start_end_the_run_in_one_line(address, tmp_path):
     path = write_frames(tmp_path / "job", 4)
-    with pytest.raises(RuntimeError, match="^no worker is left: its worker could not start: .*no driver of the GPU$"):
+    with pytest.raises(RuntimeError, match=MESSAGES["batch.no_worker_left"]):
         run_with(path, tmp_path / "out", Hostless, workers=2)
     assert run_with(path, tmp_path / "out", Making, workers=2).complete
 
@@ -330,7 +331,7 @@ def test_clusters_that_do_not_answer_are_refused(job, tmp_path, capsys):
 
 @pytest.mark.parametrize("device", ["cuda:1", "gpu"])
 def test_devices_that_several_workers_cannot_share_are_refused(address, job, tmp_path, device):
-    with pytest.raises(ValueError, match="--device of several workers is cpu or cuda"):
+    with pytest.raises(ValueError, match=MESSAGES["batch.devices_of_workers"]):
         warpcage.run_jobs(job, tmp_path / "out", workers=2, device=device)
 
 
@@ -359,7 +360,7 @@ def test_workers_share_the_cores():
     found = shares(gpus, None, False, None)
     assert (found.workers, found.gpus, found.threads, found.device) == (2, 1, 16, "cuda:0")
     assert shares(gpus, 4, False, "cpu").gpus == 0
-    with pytest.raises(ValueError, match="4 workers need as many GPUs, this machine has 2"):
+    with pytest.raises(ValueError, match=MESSAGES["batch.as_many_gpus"]):
         shares(gpus, 4, False, None)
     with pytest.raises(ValueError, match="Ray sees no GPU"):
         shares(two, 2, False, "cuda")
@@ -393,21 +394,21 @@ def test_a_run_ends_in_one_line_when_ray_itself_has_ended_here(monkeypatch):
         if cluster:  # whose machines may come back
             assert engine.wait(0.0) == []
         else:
-            with pytest.raises(RuntimeError, match="^Ray's own processes on this machine have ended: the same command"):
+            with pytest.raises(RuntimeError, match=MESSAGES["batch.ray_ended"]):
                 engine.wait(0.0)
 
 
 LOST_NODE = """\
 import pathlib, sys, threading, time
 sys.path.insert(0, sys.argv[3])
-import batch_runs
+import runs
 import ray
 from ray.cluster_utils import Cluster
 
-ray.cloudpickle.register_pickle_by_value(batch_runs)
+ray.cloudpickle.register_pickle_by_value(runs)
 
 
-class Slow(batch_runs.Making):
+class Slow(runs.Making):
     def before(self, item):
         time.sleep(0.1)
 
@@ -427,8 +428,8 @@ def lose():
 losing = threading.Thread(target=lose)
 losing.start()
 lines = []
-options = batch_runs.Options(2, cluster.address, "cpu", 2)
-report = batch_runs._run(pathlib.Path(sys.argv[1]), out, options, lambda state: None, lines.append, Slow)
+options = runs.Options(2, cluster.address, "cpu", 2)
+report = runs._run(pathlib.Path(sys.argv[1]), out, options, lambda state: None, lines.append, Slow)
 losing.join()
 assert report.complete and report.made == 60, report
 assert len(lines) == 1 and "its worker died" in lines[0], lines
@@ -439,7 +440,7 @@ cluster.shutdown()
 def test_a_lost_machine_costs_an_item_a_try(tmp_path):
     """Two nodes of a cluster on one machine, one of which is killed with all that runs on it."""
     path, out = write_frames(tmp_path / "job", 60), tmp_path / "out"
-    line = [sys.executable, "-c", LOST_NODE, str(path), str(out), str(pathlib.Path(__file__).parents[1] / "support")]
+    line = [sys.executable, "-c", LOST_NODE, str(path), str(out), SUPPORT]
     done = subprocess.run(line, capture_output=True, text=True, env=os.environ | {"RAY_USAGE_STATS_ENABLED": "0"})
     assert done.returncode == 0, done.stderr[-3000:]
     found = records(out)

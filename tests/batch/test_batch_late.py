@@ -9,7 +9,8 @@ import time
 import types
 
 import pytest
-from batch_runs import Making, write_frames
+from messages import MESSAGES
+from runs import Making, write_frames
 
 import warpcage
 from warpcage.batch import ChunkOrder, ChunkRunner, JobFile, LateItems, OutputFolder, Place
@@ -32,7 +33,7 @@ def test_a_limit_of_time_needs_ray_also_for_one_worker(files, tmp_path):
 
 @pytest.mark.parametrize("seconds", [0, -1.0, float("nan"), "soon"])
 def test_limits_of_time_that_cannot_be_are_refused(files, tmp_path, seconds):
-    with pytest.raises(ValueError, match="item_timeout must be positive and finite"):
+    with pytest.raises(ValueError, match=MESSAGES["batch.item_timeout"]):
         warpcage.run_jobs(files / "jobs.jsonl", tmp_path / "out", item_timeout=seconds)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from order_oracle import shuffled
+from oracles import shuffled
 
 from warpcage import FieldOptimizer, fit
 from warpcage.kernels.fitting.shuffle import shuffled_place

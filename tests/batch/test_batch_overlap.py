@@ -11,7 +11,7 @@ import types
 
 import numpy as np
 import pytest
-from batch_runs import Making, number_of, records, run_with, write_frames
+from runs import Making, number_of, records, run_with, write_frames
 
 from warpcage import VoxelField
 from warpcage.batch import (

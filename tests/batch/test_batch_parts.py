@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from batch_runs import RECORDS, Making, left_over, pictures, records, write_frames, write_records
+from runs import RECORDS, Making, left_over, pictures, records, write_frames, write_records
 
 from warpcage import run_jobs
 from warpcage.batch import Options, OutputFolder, Part

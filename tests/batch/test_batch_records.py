@@ -7,7 +7,8 @@ import tarfile
 
 import numpy as np
 import pytest
-from cli_runs import write_files
+from messages import MESSAGES
+from runs import write_files
 
 from warpcage import Cage, CameraFile, RandomPoses, load_scene, turntable
 from warpcage.batch import (
@@ -266,7 +267,7 @@ def test_outputs_follow_from_the_header():
         ({"outputs": {"rgb": "a.png"}}, {"kind": "folder"}, "leave 'outputs' out"),
         ({"kind": "fit", "scene": "scene", "output": "a.npz"}, {"kind": "folder"}, "'records' are of frames"),
         ({"id": "a/transforms"}, {"kind": "folder"}, "has a transforms.json of its own"),
-        ({"id": "a.b"}, {"kind": "webdataset"}, "cuts names at their first dot: call it 'a_b'"),
+        ({"id": "a.b"}, {"kind": "webdataset"}, MESSAGES["batch.dots_in_names"]),
         ({}, {"kind": "webdataset", "image": "jpg"}, "a JPEG has no opacity"),
     ],
 )

@@ -3,6 +3,7 @@
 import json
 import os
 import pathlib
+import re
 import shutil
 import signal
 import subprocess
@@ -11,18 +12,8 @@ import time
 
 import numpy as np
 import pytest
-from batch_runs import (
-    RECORDS,
-    Making,
-    Moody,
-    command,
-    left_over,
-    pictures,
-    records,
-    run_with,
-    write_frames,
-    write_records,
-)
+from messages import MESSAGES
+from runs import RECORDS, Making, Moody, command, left_over, pictures, records, run_with, write_frames, write_records
 
 import warpcage
 from warpcage.batch import OutputFolder, pack_shard, read_shard
@@ -94,7 +85,8 @@ def test_bad_items_are_listed_and_the_rest_is_made(files, tmp_path, capsys):
     found = records(out)
     assert [name for name, each in found.items() if each["state"] == "failed"] == [f"shot/f000{n}" for n in (2, 5, 6)]
     assert all(found[f"shot/f000{place}"]["attempts"] == 1 for place in changes) and len(pictures(out)) == 9
-    assert found["shot/f0006"]["error"] == f"cage file {str(files / 'none.obj')!r} is not there"
+    missing = re.escape(repr(str(files / "none.obj")))
+    assert re.fullmatch(MESSAGES["batch.no_cage_file"].format(path=missing), found["shot/f0006"]["error"])
     write_frames(files, 12, "bad.jsonl")
     assert started(path, out) == 0 and len(pictures(out)) == 12
     assert {each["state"] for each in records(out).values()} == {"done"}
@@ -420,13 +412,13 @@ def test_a_kill_while_a_shard_is_packed_loses_nothing(tmp_path, step):
         "before its files are deleted": ("webdataset", "shutil"),
     }[step]
     program = (
-        "import os, pathlib, signal, sys, types\nsys.path.insert(0, sys.argv[3])\nfrom batch_runs import run_with\n"
+        "import os, pathlib, signal, sys, types\nsys.path.insert(0, sys.argv[3])\nfrom runs import run_with\n"
         f"import warpcage.batch.{place} as place\n"
         "kill = lambda *given, **words: os.kill(os.getpid(), signal.SIGKILL)\n"
         f"place.{name} = {'types.SimpleNamespace(rmtree=kill)' if name == 'shutil' else 'kill'}\n"
         "run_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
     )
-    line = [sys.executable, "-c", program, str(path), str(out), str(pathlib.Path(__file__).parents[1] / "support")]
+    line = [sys.executable, "-c", program, str(path), str(out), SUPPORT]
     assert subprocess.run(line).returncode == -signal.SIGKILL
     report = run_with(path, out)
     assert report.complete and report.kept >= 5 and pictures(out) == whole and left_over(out) == []
@@ -457,12 +449,12 @@ KILLS = {
 def test_a_kill_at_any_step_loses_nothing(files, tmp_path, step):
     path, out = files / "jobs.jsonl", tmp_path / "out"
     program = (
-        "import os, pathlib, signal, sys\nsys.path.insert(0, sys.argv[3])\nfrom batch_runs import run_with\n"
+        "import os, pathlib, signal, sys\nsys.path.insert(0, sys.argv[3])\nfrom runs import run_with\n"
         "import warpcage.batch.manifest as place\n"
         "kill = lambda *given, **words: os.kill(os.getpid(), signal.SIGKILL)\n"
         f"{KILLS[step]}run_with(pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2]))"
     )
-    line = [sys.executable, "-c", program, str(path), str(out), str(pathlib.Path(__file__).parents[1] / "support")]
+    line = [sys.executable, "-c", program, str(path), str(out), SUPPORT]
     assert subprocess.run(line).returncode == -signal.SIGKILL
     report = run_with(path, out)
     noted = {"between files and their note": 4, "in the middle of a note": 0}.get(step, 12)

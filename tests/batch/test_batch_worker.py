@@ -11,7 +11,8 @@ import weakref
 
 import numpy as np
 import pytest
-from cli_runs import run, write_files
+from messages import MESSAGES
+from runs import run, write_files
 from splat_scenes import splats_in_box
 
 from warpcage import Cage, CageEdit, Camera, CameraFile, Deformer, Frame, PoseFile, SplatField, VoxelField, load_scene
@@ -350,11 +351,11 @@ def test_arrays_are_files_of_numpy(tmp_path, shape):
         "an open cage": ({"cage": "open.obj"}, "cage 'open.obj'.*edge"),
         "no pose": ({"posed": "no.npy#1"}, "array file '.*no.npy' is not there"),
         "no row": ({"posed": "poses.npy#99"}, "poses.npy has rows 0 to 2, got 99"),
-        "all rows": ({"posed": "poses.npy"}, "it holds 3 poses, write poses.npy#0 for the first"),
+        "all rows": ({"posed": "poses.npy"}, MESSAGES["batch.poses_by_number"]),
         "a word for a row": ({"posed": "poses.npy#x"}, "names no row: write poses.npy#17"),
-        "a pose of another cage": ({"posed": "other.obj"}, "cage 'other.obj' does not fit its rest cage"),
-        "few vertices": ({"posed": [[0, 0, 0]]}, r"'posed' must be \(26, 3\) as the cage at rest, got \(1, 3\)"),
-        "ragged vertices": ({"posed": [[0, 0, 0], [1]]}, "'posed' must hold numbers, in lists of equal length"),
+        "a pose of another cage": ({"posed": "other.obj"}, MESSAGES["batch.cage_does_not_fit"]),
+        "few vertices": ({"posed": [[0, 0, 0]]}, MESSAGES["batch.posed_shape"]),
+        "ragged vertices": ({"posed": [[0, 0, 0], [1]]}, MESSAGES["batch.posed_lists"]),
         "no preset": ({"posed": "bend:far"}, "pose 'bend:far' is not a preset"),
         "an inverted pose": ({"posed": "inward.obj"}, "deformed cage|does not fit"),
         "no cameras": ({"camera": "no.json#1"}, "camera file '.*no.json' is not there"),
@@ -362,8 +363,8 @@ def test_arrays_are_files_of_numpy(tmp_path, shape):
         "several cameras": ({"camera": "cameras.json"}, "it holds 2 cameras: name one"),
         "no file of cameras": ({"camera": "text.json#1"}, "text.json"),
         "a skew camera": ({"camera": SKEW}, "rigid|rotation"),
-        "a squeezed picture": ({"size": [40, 40]}, "'size' 40 40 would squeeze a 40x32 picture: give 40 32"),
-        "nothing to fill": ({"fill": True}, "'fill': behind this field there is one colour"),
+        "a squeezed picture": ({"size": [40, 40]}, MESSAGES["batch.size_squeezes"]),
+        "nothing to fill": ({"fill": True}, MESSAGES["batch.fill_one_color"]),
     }.values(),
 )
 def test_what_is_wrong_takes_one_line_and_leaves_nothing(files, tmp_path, words, message):

@@ -10,7 +10,7 @@ import textwrap
 import time
 
 import pytest
-from cli_runs import DEFORMED, SMALL, succeed, write_files
+from runs import DEFORMED, SMALL, succeed, write_files
 
 RECIPES = pathlib.Path(__file__).resolve().parents[2] / "examples" / "clusters"
 

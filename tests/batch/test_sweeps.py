@@ -5,7 +5,8 @@ import shutil
 
 import numpy as np
 import pytest
-from cli_runs import run, succeed, write_files
+from messages import MESSAGES
+from runs import run, succeed, write_files
 
 from warpcage import Cage, Camera, CameraFile, PoseFile, RandomPoses, VoxelField, load_scene, run_jobs, turntable
 from warpcage.batch import (
@@ -274,7 +275,7 @@ def test_processes_draw_the_same_poses_in_their_order(monkeypatch):
     poses = RandomPoses(Cage.box([-1] * 3, [1] * 3), seed=6)
     found, expected = (list(RandomSource(poses, 11, True, count).rows()) for count in (2, 1))
     assert len(found) == 11 and np.array_equal(found, expected)
-    with pytest.raises(ValueError, match="no random pose of this cage stretches by"):
+    with pytest.raises(ValueError, match=MESSAGES["cage.random_stretch"]):
         narrow = RandomPoses(poses.rest, stretch=(1 - 1e-12, 1 + 1e-12))
         list(RandomSource(narrow, 11, True, 2).rows())
 
@@ -282,7 +283,7 @@ def test_processes_draw_the_same_poses_in_their_order(monkeypatch):
 def test_a_cage_without_random_poses_is_found_before_the_run(files, tmp_path, capsys):
     words = ["--stretch", 1 - 1e-12, 1 + 1e-12, "--cameras", "@cameras.json", "-o", tmp_path / "sweep.jsonl"]
     assert run(files, *SWEEP, "--poses", "random:5", *words) == 2
-    assert "no random pose of this cage stretches by" in capsys.readouterr().err and not list(tmp_path.iterdir())
+    assert MESSAGES["cage.random_stretch"] in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 
 def test_options_of_pictures_are_those_of_all_items(files, tmp_path):

@@ -4,6 +4,7 @@ import pickle
 import numpy as np
 import pytest
 import trimesh
+from messages import MESSAGES
 
 from warpcage import Cage
 from warpcage.mesh import intersecting_faces, queries, require_same_faces
@@ -208,7 +209,7 @@ def test_what_is_known_of_a_cage_is_not_taken_for_its_poses():
     cage.require_usable()
     flat = cage.with_vertices(cage.vertices * [1, 1, 0])
     for _ in range(2):
-        with pytest.raises(ValueError, match="cage has 4 vertices at the place of another"):
+        with pytest.raises(ValueError, match=MESSAGES["cage.same_places"]):
             flat.require_usable()
     cage.require_usable()
 

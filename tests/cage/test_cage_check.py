@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 import trimesh
-from test_cage_match import shuffled
+from oracles import shuffled_cage
 
 from warpcage import Cage
 from warpcage.cli import main
@@ -50,7 +50,7 @@ def test_a_gentle_bend_stretches_by_its_curvature():
 
 def test_poses_are_matched_first_or_refused():
     cage = rod()
-    assert cage.check(pose=shuffled(cage.bend(30))).pose.inverted_share == 0.0
+    assert cage.check(pose=shuffled_cage(cage.bend(30))).pose.inverted_share == 0.0
     with pytest.raises(ValueError, match="the pose has"):
         cage.check(pose=Cage.box([0, 0, 0], [1, 1, 1]))
 
@@ -78,7 +78,7 @@ def test_cost_counts_the_lattice():
 def test_command_line(tmp_path, capsys):
     cage = rod()
     cage.save(tmp_path / "cage.obj")
-    shuffled(cage.bend(40)).save(tmp_path / "posed.glb")
+    shuffled_cage(cage.bend(40)).save(tmp_path / "posed.glb")
     Cage(cage.vertices, cage.faces[1:]).save(tmp_path / "open.off")
     trimesh.creation.box([0.5, 0.5, 3]).apply_translation([0.5, 0.5, 2]).export(tmp_path / "inside.ply")
     words = ["--object", str(tmp_path / "inside.ply"), "--posed", str(tmp_path / "posed.glb")]

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from deformed_scenes import BOX, ellipsoid, make_field, plain, psnr, shiny_field, view
+from fields import BOX, ellipsoid, make_field, plain, psnr, shiny_field, view
+from messages import MESSAGES
 
 from warpcage import Cage, CageEdit, Camera, Deformer
 
@@ -68,7 +69,7 @@ def test_overlapping_edits_resolve_in_order(device, side_view):
     [
         ({"coordinates": "bilinear"}, "coordinates 'bilinear'"),
         ({"density": "thick"}, "density 'thick'"),
-        ({"resolution": None}, "harmonic coordinates have no closed form"),
+        ({"resolution": None}, MESSAGES["deform.no_closed_form"]),
         ({"resolution": 2}, "resolution"),
         ({"device": "cuda:99"}, "device"),
     ],

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import trimesh
-from test_surface import GridField, ball, nodes
+from fields import GridField, ball_densities, nodes
 
 from warpcage import Cage
 from warpcage.cage import distance_to
@@ -89,8 +89,8 @@ def test_a_wider_margin_is_kept():
 
 @pytest.mark.parametrize("recorded", [False, True])
 def test_cages_of_fields_enclose_every_visible_node(recorded):
-    density = ball(32).astype(np.float32)
-    density[np.abs(nodes((32,) * 3)[..., 0] - 0.1) > 0.9] = 0.002  # haze that nobody sees
+    density = ball_densities(32).astype(np.float32)
+    density[np.abs(nodes(32)[..., 0] - 0.1) > 0.9] = 0.002  # haze that nobody sees
     weights = np.where(density > 1.0, 0.5, 0.001).astype(np.float32) if recorded else None
     field = GridField(density, weights=weights)
     cage = Cage.from_field(field, 60, method="shell" if recorded else "voxel")

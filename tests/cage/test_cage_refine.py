@@ -2,7 +2,7 @@ import json
 
 import numpy as np
 import pytest
-from test_cage_match import shuffled
+from oracles import shuffled_cage
 
 from warpcage import Cage, PoseFile
 from warpcage.cage import cage_hash, poses
@@ -97,7 +97,7 @@ def test_move_with_falloff():
 
 def keyframes():
     rest = Cage.box([0, 0, 0], [1, 1, 4], segments=(1, 1, 4))
-    poses = {"bent": rest.bend(40), "twisted": shuffled(rest.twist(30)), "long": rest.stretch(2).vertices}
+    poses = {"bent": rest.bend(40), "twisted": shuffled_cage(rest.twist(30)), "long": rest.stretch(2).vertices}
     return PoseFile(rest, poses)
 
 
@@ -127,7 +127,7 @@ def test_pose_files_survive(tmp_path):
         assert np.array_equal(back[name].vertices, file[name].vertices)
 
     # the cage was exported anew, in another order
-    other = shuffled(file.rest, seed=5)
+    other = shuffled_cage(file.rest, seed=5)
     again = PoseFile.load(tmp_path / "poses.json", other)
     assert again["bent"].faces is other.faces
     assert again["bent"].volume == pytest.approx(file["bent"].volume)

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import oracles
 import pytest
+from messages import MESSAGES
 
 from warpcage import Cage, RandomPoses
 from warpcage.cage import POSE_MODES, PoseProbe, PoseWay, RandomNumbers, check_pose, poses, random_poses
@@ -229,9 +230,9 @@ def test_ways_begin_at_rest_are_smooth_and_move(mode):
         ({"stretch": 2}, "stretch must be two finite numbers"),
         ({"reach": (0.5, 1.5)}, "reach must be two shares"),
         ({"modes": []}, "at least one mode"),
-        ({"modes": ["melt"]}, "a mode of random poses must be one of bend"),
-        ({"seed": -1}, "seed of random poses must be a whole number"),
-        ({"number": 1.5}, "number of a random pose must be a whole number"),
+        ({"modes": ["melt"]}, MESSAGES["cage.random_mode"]),
+        ({"seed": -1}, MESSAGES["cage.random_seed"]),
+        ({"number": 1.5}, MESSAGES["cage.random_number"]),
     ],
 )
 def test_options_that_cannot_be_are_refused(options, message):
@@ -243,7 +244,7 @@ def test_an_open_cage_and_one_without_room_for_poses_are_refused():
     box = Cage.box([0, 0, 0], [1, 1, 1])
     with pytest.raises(ValueError, match="rest cage is open"):
         RandomPoses(Cage(box.vertices, box.faces[1:]))
-    with pytest.raises(ValueError, match="no random pose of this cage stretches by 1 to 1"):
+    with pytest.raises(ValueError, match=MESSAGES["cage.random_stretch_range"]):
         RandomPoses(box, stretch=(1 - 1e-12, 1 + 1e-12)).vertices(0)
 
 

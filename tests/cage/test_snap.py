@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from deformed_scenes import make_field, plain
-from test_fragments import boxes
+from fields import make_field, plain
+from fields import boxes
 
 from warpcage import Cage
 from warpcage.cage import cut_matter, snap_to_gaps

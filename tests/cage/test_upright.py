@@ -7,7 +7,8 @@ import warnings
 import numpy as np
 import pytest
 import trimesh
-from cli_runs import run, succeed
+from messages import MESSAGES
+from runs import run, succeed
 
 from warpcage import Cage, VoxelField, select_nodes
 from warpcage.cage import restood, standing_of_rest
@@ -236,7 +237,7 @@ def test_a_turn_of_everything_is_kept_and_said(tmp_path):
 
 
 def test_load_in_a_program(files):
-    with pytest.warns(UserWarning, match="rest_y.obj' has y up, and is turned: it holds 100.0 % of the object so"):
+    with pytest.warns(UserWarning, match=MESSAGES["cage.turned_up"]):
         rest = Cage.load(files / "rest_y.obj", up="auto", reference=post())
     np.testing.assert_allclose(rest.vertices, whole().vertices)
     part = select_nodes(post(), box=[[-1, -1, -1], [1, 1, 0]])

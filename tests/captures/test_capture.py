@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from capture_scenes import camera_errors, found_poses, relative_errors, save_pictures, similarity, table_pictures
+from scenes import camera_errors, found_poses, relative_errors, save_pictures, similarity, table_pictures
 
 import warpcage
 from warpcage.reference import PhonePath, write_phone_video

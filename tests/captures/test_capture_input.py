@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from capture_scenes import found_poses, render_table, save_pictures, table_pictures
+from scenes import found_poses, render_table, save_pictures, table_pictures
 from test_capture_video import moving_pictures, write_video
 
 import warpcage

@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+from messages import MESSAGES
 
 from warpcage.captures import FrameScores, motion, pick_frames, scan_video, sharpness, write_frames
 
@@ -123,7 +124,7 @@ def test_broken_frames_are_left_out(tmp_path):
     for at in rng.integers(start + (len(data) - start) // 4, start + (len(data) - start) // 2, 60):
         data[at] = rng.integers(256)
     video.write_bytes(data)
-    with pytest.warns(UserWarning, match=r"\d+ frames of .* cannot be decoded and are left out"):
+    with pytest.warns(UserWarning, match=MESSAGES["captures.frames_left_out"]):
         scores = scan_video(video)
     assert 20 <= len(scores.times) < 40 and scores.broken > 0
 
@@ -132,6 +133,6 @@ def test_broken_frames_are_left_out(tmp_path):
 def test_a_file_that_is_no_video(tmp_path, content):
     file = tmp_path / "v.mp4"
     file.write_bytes(content)
-    with pytest.raises(ValueError, match="cannot be read as a video|no video stream|no frame") as error:
+    with pytest.raises(ValueError, match=MESSAGES["captures.no_video"]) as error:
         scan_video(file)
     assert "\n" not in str(error.value)

@@ -8,7 +8,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 import warp as wp
-from cli_runs import DEFORMED, run, succeed, write_files
+from runs import DEFORMED, run, succeed, write_files
 
 from warpcage import VoxelField
 from warpcage.cli import main

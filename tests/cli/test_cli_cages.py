@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from cli_runs import succeed, write_files
+from runs import succeed, write_files
 
 from warpcage import Cage, VoxelField
 from warpcage.cli import main

@@ -3,6 +3,7 @@
 import asyncio
 import os
 import pathlib
+import re
 import signal
 import subprocess
 import sys
@@ -10,11 +11,12 @@ import webbrowser
 
 import numpy as np
 import pytest
+from messages import MESSAGES
 
 pytest.importorskip("aiohttp")
 
-from cli_runs import run
 from editor_pages import BOX, WAIT, pages, tiny_field
+from runs import run
 
 from warpcage import Cage
 from warpcage.editor import Editor, read_session
@@ -97,7 +99,8 @@ def test_a_missing_extra_is_one_line_before_anything_is_made(files, capsys, monk
     monkeypatch.setattr("warpcage.cli.edit.demo_files", lambda device: pytest.fail("the demo is made"))
     for words in (("@ball.npz",), ("--demo",)):
         assert edit(files, *words) == 2
-        assert error(capsys) == f"warpcage: error: the editor needs {missing}: pip install 'warpcage[edit]'\n"
+        said = MESSAGES["editor.extra_missing"].format(missing=missing)
+        assert re.fullmatch(f"warpcage: error: {said}\n", error(capsys))
 
 
 def test_a_session_is_begun_kept_and_gone_on_with(files, opened, capsys):

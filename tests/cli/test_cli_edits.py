@@ -6,7 +6,8 @@ import shutil
 
 import numpy as np
 import pytest
-from cli_runs import SMALL, run, succeed, write_files
+from messages import MESSAGES
+from runs import SMALL, run, succeed, write_files
 
 from warpcage import Cage, CageEdit, Camera, Deformer, PoseFile, VoxelField
 from warpcage.cli.edit_words import EditWords, parse_edit, read_edits_file, write_edits_file
@@ -241,7 +242,7 @@ def test_all_of_an_edit_is_said():
     [
         ({"cage": "top.obj"}, "edit 1: there is no posed cage"),
         ({"posed": "rest"}, "edit 1: it names no cage"),
-        ({"cage": "top.obj", "posed": "rest", "kept": True}, "edit 1: it has no 'kept', only cage, posed, keep"),
+        ({"cage": "top.obj", "posed": "rest", "kept": True}, MESSAGES["cage.edit_keys"]),
         ({"cage": "top.obj", "posed": "rest", "keep": "yes"}, "edit 1: keep must be true or false"),
         ({"cage": 3, "posed": "rest"}, "edit 1: cage must be a text"),
         ("top.obj:rest", "edit 1: it must be an object"),

@@ -5,7 +5,7 @@ from fractions import Fraction
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from cli_runs import DEFORMED, SMALL, run, succeed, write_files
+from runs import DEFORMED, SMALL, run, succeed, write_files
 
 from warpcage import Cage, PoseFile, VoxelField
 from warpcage.field import harmonics_on_host

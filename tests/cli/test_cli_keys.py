@@ -7,8 +7,8 @@ import av
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from cli_runs import run, succeed, write_files
-from gltf_writer import GltfWriter
+from runs import run, succeed, write_files
+from scene_writers import GltfWriter
 
 from warpcage import Cage, CameraKey, PoseFile, load_scene
 from warpcage.view import read_image

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cli_runs import DEFORMED, SMALL, run, succeed, write_files
+from runs import DEFORMED, SMALL, run, succeed, write_files
 
 from warpcage import Cage, Camera, CameraFile, CameraKey, PoseFile, camera_at, turntable
 from warpcage.view import read_image

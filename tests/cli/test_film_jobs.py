@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from cli_runs import DEFORMED, SMALL, run, succeed, write_files
+from runs import DEFORMED, SMALL, run, succeed, write_files
 
 from warpcage import Cage, PoseFile
 from warpcage.batch import JobFile, Worker

@@ -1,11 +1,13 @@
 """`warpcage animate --workers`: films and folders of one process, to the bit, and runs that go on where they ended."""
 
 import pathlib
+import re
 from fractions import Fraction
 
 import numpy as np
 import pytest
-from cli_runs import DEFORMED, SMALL, run, succeed, write_files
+from messages import MESSAGES
+from runs import DEFORMED, SMALL, run, succeed, write_files
 
 import warpcage.cli.films as films
 from warpcage import Deformer
@@ -183,7 +185,7 @@ def test_a_film_that_cannot_be_written_ends_the_workers(files, tmp_path, capsys,
 
     monkeypatch.setattr("warpcage.view.film._even", full)
     assert run(files, *FILM, "-o", tmp_path / "film.mp4", "--workers", 1) == 2
-    assert capsys.readouterr().err.splitlines()[-1] == "warpcage: error: no space left on device"
+    assert re.fullmatch(MESSAGES["core.no_space"], capsys.readouterr().err.splitlines()[-1])
     assert names(tmp_path) == [".film.mp4.frames"]  # what was made is kept
 
 

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from cli_runs import SMALL, run, succeed, write_files
+from runs import SMALL, run, succeed, write_files
 
 from warpcage import Deformer
 

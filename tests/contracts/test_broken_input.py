@@ -4,15 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from scene_writers import (
-    brick_pictures,
-    write_blender,
-    write_colmap,
-    write_dtu,
-    write_image,
-    write_nsvf,
-    write_transforms,
-)
+from scene_writers import brick_pictures, write_blender, write_colmap, write_dtu, write_image, write_nsvf, write_transforms
 
 from warpcage import load_scene
 
@@ -97,7 +89,7 @@ def test_picture_of_another_size(folder):
 
 @EVERY
 def test_picture_that_claims_a_huge_size(folder):
-    from test_images import png_bytes
+    from scene_writers import png_bytes
 
     picture = a_picture(folder)
     picture.write_bytes(png_bytes(50000, 50000, 8, 2, bytes(100)))

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from background_scenes import write_room
+from scenes import write_room
 from scene_writers import Pictures, write_transforms
 
 from warpcage import Cage, Camera
@@ -212,7 +212,7 @@ def test_splats_are_bent(tmp_path, monkeypatch):
 
 def test_captures_of_a_pose_fit_as_well_as_those_at_rest(tmp_path, monkeypatch):
     """On a two-coloured ball: its field and cage are given."""
-    from cli_runs import write_files
+    from runs import write_files
 
     write_files(tmp_path)
     words = ["--field", "ball.npz", "--cage", "cage.obj", "--out", "out", "--size", 32, "--views", 24, "--poses", 2]

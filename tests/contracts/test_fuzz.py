@@ -317,7 +317,7 @@ def test_fit_checkpoints(folders, tmp_path):
 @pytest.mark.parametrize("kind", ["8.png", "16.png", "palette.png", "colour.jpg", "grey.jpg", "any.webp", "any.bmp"])
 def test_pictures(tmp_path_factory, kind):
     from PIL import Image
-    from test_images import write_deep_png
+    from scene_writers import write_deep_png
 
     path = tmp_path_factory.mktemp("pictures") / kind
     color = np.random.default_rng(0).integers(0, 65536, (12, 17, 3), dtype=np.uint16)

@@ -13,7 +13,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from test_optimize import blob_scene
+from scenes import blob_scene
 
 from warpcage import FieldOptimizer, VoxelField
 from warpcage.cli.cages import read_mesh as read_object

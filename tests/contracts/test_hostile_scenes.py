@@ -8,8 +8,16 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from scene_writers import brick_pictures, write_blender, write_colmap, write_dtu, write_nsvf, write_transforms
-from test_images import write_deep_png
+from messages import MESSAGES
+from scene_writers import (
+    brick_pictures,
+    write_blender,
+    write_colmap,
+    write_deep_png,
+    write_dtu,
+    write_nsvf,
+    write_transforms,
+)
 
 from warpcage import load_scene
 from warpcage.scene import pictures as views
@@ -120,7 +128,7 @@ def test_threads_read_as_many_pictures_as_there_is_memory_for(tmp_path, monkeypa
         load_scene(folder, split="all")
         assert most[0] == expected
     monkeypatch.setattr(views, "free_host_bytes", lambda: flight)
-    with pytest.raises(ValueError, match="reading a picture of 96x64 needs .* are free: shrink the files"):
+    with pytest.raises(ValueError, match=MESSAGES["scene.picture_memory"]):
         load_scene(folder, split="all")
 
 
@@ -220,7 +228,7 @@ def test_masks_poses_and_points_may_not_be_links_out(tmp_path, pictures):
     path = tmp_path / "points" / "transforms.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"ply_file_path": "points.ply"}))
     (tmp_path / "points" / "points.ply").symlink_to(tmp_path / "elsewhere.ply")
-    with pytest.raises(ValueError, match="ply_file_path: 'points.ply' is a link that leads out"):
+    with pytest.raises(ValueError, match=MESSAGES["scene.link_out"]):
         load_scene(tmp_path / "points", split="all")
 
 

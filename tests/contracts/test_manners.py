@@ -5,6 +5,7 @@ import io
 import os
 import pathlib
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import warp as wp
+from messages import MESSAGES
 
 import warpcage
 from warpcage.cli import main
@@ -93,7 +95,7 @@ def test_names_behave_as_if_they_were_imported():
     rooms = [path.parent.name for path in pathlib.Path(warpcage.__file__).parent.glob("*/__init__.py")]
     assert sorted(rooms) == sorted(warpcage._ROOMS)
     assert all(getattr(warpcage, room).__name__ == f"warpcage.{room}" for room in rooms)
-    with pytest.raises(AttributeError, match="^module 'warpcage' has no attribute 'Deformr'$"):
+    with pytest.raises(AttributeError, match=MESSAGES["core.no_attribute"]):
         warpcage.Deformr  # noqa: B018
 
 
@@ -214,7 +216,7 @@ def test_an_output_that_is_lost_on_a_full_disk_is_an_error(command, monkeypatch,
     with open("/dev/full", "w") as full:
         monkeypatch.setattr("sys.stdout", full)
         assert main(["info"]) == 2
-    assert capsys.readouterr().err == "warpcage: error: no space left on device\n"
+    assert re.fullmatch(MESSAGES["core.no_space"] + "\n", capsys.readouterr().err)
 
 
 def test_closed_descriptors_lose_messages_and_nothing_else(tmp_path):

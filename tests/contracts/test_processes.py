@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 import pytest
+from messages import MESSAGES
 
 from warpcage import Cage, PositionMap, deform_points
 from warpcage.core import THREADS_VARIABLE, cpu_threads, limit_threads, run_parallel
@@ -122,5 +123,5 @@ def test_the_environment_limits_threads(monkeypatch):
     assert cpu_threads() == os.cpu_count()
     for wrong in ("0", "-1", "many", "1.5"):
         monkeypatch.setenv(THREADS_VARIABLE, wrong)
-        with pytest.raises(ValueError, match=f"WARPCAGE_THREADS must be a whole number of at least 1, got '{wrong}'"):
+        with pytest.raises(ValueError, match=MESSAGES["core.threads_variable"].format(wrong=wrong)):
             cpu_threads()

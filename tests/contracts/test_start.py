@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from cli_runs import write_files
+from runs import write_files
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 

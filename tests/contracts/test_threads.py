@@ -12,7 +12,8 @@ import time
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, KINDS, MARCHES, shiny_field, use_march, view
+from fields import BOX, KINDS, MARCHES, shiny_field, use_march, view
+from messages import MESSAGES
 
 from warpcage import CageEdit, Deformer, PositionMap, Scene, bake, deform_points, fit, turntable
 from warpcage.core import (
@@ -111,9 +112,7 @@ def hammer(device, kind):
 
 
 def subprocess_of(program, *arguments, **options):
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(pathlib.Path(__file__).parents[1] / "support"), *sys.path[1:]])
-    }
+    environment = os.environ | {"PYTHONPATH": MODULES}
     environment |= options.pop("env", {})
     return subprocess.run(
         [sys.executable, "-c", program, *map(str, arguments)],
@@ -159,7 +158,7 @@ def test_a_pose_leaves_the_pose_of_its_deformer(device):
     solid = bake(shared, resolution=12).node_densities()
     handle.render(CAMERA)
     assert same(bake(shared, resolution=12).node_densities(), solid, device)
-    with pytest.raises(ValueError, match="a pose needs one cage per edit, 1, got 2"):
+    with pytest.raises(ValueError, match=MESSAGES["deform.one_cage_per_edit"]):
         shared.posed([POSES[0], POSES[0]])
     with pytest.raises(ValueError, match="looks inward"):
         shared.posed(BOX.with_vertices(-BOX.vertices))
@@ -272,7 +271,7 @@ import sys, threading
 import numpy as np
 import warp as wp
 wp.config.quiet = True
-from deformed_scenes import BOX, shiny_field, view
+from fields import BOX, shiny_field, view
 from warpcage import Deformer
 field = shiny_field("cpu")
 scene = field if sys.argv[1] == "field" else Deformer(field, BOX, resolution=8, device="cpu").pose(BOX)
@@ -292,7 +291,7 @@ except KeyboardInterrupt:
 @pytest.mark.parametrize("scene", ["field", "deformer"])
 def test_an_interrupt_ends_a_long_render(scene, threads):
     environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join([str(pathlib.Path(__file__).parents[1] / "support"), *sys.path[1:]]),
+        "PYTHONPATH": MODULES,
         "WARPCAGE_THREADS": str(threads),
     }
     program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n" + INTERRUPTED

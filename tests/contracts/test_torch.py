@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, KINDS, rotation, shiny_field
+from fields import BOX, KINDS, rotation, shiny_field
 
 from warpcage import Deformer
 from warpcage.core import as_points

@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from messages import MESSAGES
 
 import warpcage
 
@@ -39,9 +40,9 @@ WRONG = {
     "path as a pose to match": (lambda field: CAGE.match("posed.obj"), "the pose must be a Cage, got str"),
     "vertices as a pose to check": (lambda field: CAGE.check(pose=CAGE.vertices), "a Cage, got ndarray"),
     "path as a rest cage": (lambda field: warpcage.PoseFile("cage.obj"), "the rest cage must be a Cage, got str"),
-    "text as an angle": (lambda field: CAGE.bend("30"), "degrees must be one finite number, got '30'"),
+    "text as an angle": (lambda field: CAGE.bend("30"), MESSAGES["cage.degrees"]),
     "numbers as a factor": (lambda field: CAGE.taper([1, 2]), "factor must be positive and finite, got"),
-    "text as an offset": (lambda field: CAGE.translate("right"), "offset must be 3 finite numbers, got 'right'"),
+    "text as an offset": (lambda field: CAGE.translate("right"), MESSAGES["cage.offset"]),
     "share of a segment": (
         lambda field: warpcage.Cage.box([0] * 3, [1] * 3, segments=1.5),
         "whole number of at least 1",
@@ -57,21 +58,15 @@ WRONG = {
         lambda field: warpcage.fit_splats(SPLATS, [CAMERA], np.zeros((1, 4, 4, 3)), antialias="x", progress=False),
         YES_OR_NO,
     ),
-    "a table as an angle": (lambda field: CAGE.bend(np.zeros((2, 2))), r"degrees must be one finite number, got array"),
-    "a huge number as an angle": (lambda field: CAGE.bend(10**5000), "degrees must be one finite number, got a number"),
+    "a table as an angle": (lambda field: CAGE.bend(np.zeros((2, 2))), MESSAGES["cage.degrees_of_array"]),
+    "a huge number as an angle": (lambda field: CAGE.bend(10**5000), MESSAGES["cage.degrees_of_number"]),
     "a huge number among bounds": (lambda field: field.from_dense(*DENSE, [[-(10**400)] * 3, [1] * 3]), "real numbers"),
     "words as limits": (lambda field: CAGE.bend(10, limits="ab"), "limits must be real numbers, got 'ab'"),
-    "a width of none": (
-        lambda field: CAMERA.resized(None, 4),
-        "width of a picture must be a whole number of at least 1",
-    ),
-    "a width of text": (
-        lambda field: look(width="4"),
-        "width of look_at must be a whole number of at least 1, got '4'",
-    ),
-    "half a pixel": (lambda field: look(height=4.5), "height of look_at must be a whole number of at least 1, got 4.5"),
+    "a width of none": (lambda field: CAMERA.resized(None, 4), MESSAGES["view.picture_width"]),
+    "a width of text": (lambda field: look(width="4"), MESSAGES["view.look_at_width"]),
+    "half a pixel": (lambda field: look(height=4.5), MESSAGES["view.look_at_height"]),
     "a view of 180 degrees": (lambda field: look(fov_degrees=180), "must be between 0 and 180, got 180"),
-    "text as a view": (lambda field: look(fov_degrees="40"), "fov_degrees of look_at must be one finite number"),
+    "text as a view": (lambda field: look(fov_degrees="40"), MESSAGES["view.look_at_degrees"]),
     "text as an eye": (lambda field: warpcage.Camera.look_at("eye", [0, 0, 0]), "eye of look_at must be 3 finite"),
     "text as points of a picture": (lambda field: CAMERA.project("abc"), "points must be real numbers, got 'abc'"),
     "text as a motion": (lambda field: CAMERA.moved("turned"), "must be real numbers, got 'turned'"),
@@ -86,7 +81,7 @@ WRONG = {
     ),
     "a number as a path to read": (lambda field: warpcage.Cage.load(7), "must be a path, got int"),
     "a number as a path to write": (lambda field: CAGE.save(7), "must be a path, got int"),
-    "no path of a field": (lambda field: warpcage.VoxelField.load(None), "the field file must be a path, got NoneType"),
+    "no path of a field": (lambda field: warpcage.VoxelField.load(None), MESSAGES["field.path"]),
     "no path of splats": (lambda field: warpcage.SplatField.load(None), "must be a path, got NoneType"),
     "no path of a scene": (lambda field: warpcage.load_scene(None), "the scene must be a path, got NoneType"),
     "text as a field to cage": (lambda field: warpcage.Cage.from_field("lego.npz"), "a field is needed, .* got str"),
@@ -101,8 +96,8 @@ WRONG = {
     "a list as weights": (lambda field: warpcage.PoseFile(CAGE).blend([1.0]), "weights must be numbers by names"),
     "numbers as the keys of a path": (lambda field: warpcage.camera_at([1, 2], 0.5), "a CameraKey, got int"),
     "a number as a name of a camera": (lambda field: warpcage.CameraFile([CAMERA]).named(1.5), "a str, got float"),
-    "a number as modes": (lambda field: CAGE.random_pose(modes=3), "modes of random poses must be a list of bend"),
-    "a mode alone": (lambda field: CAGE.random_pose(modes="bend"), "modes of random poses must be a list of bend"),
+    "a number as modes": (lambda field: CAGE.random_pose(modes=3), MESSAGES["cage.random_modes"]),
+    "a mode alone": (lambda field: CAGE.random_pose(modes="bend"), MESSAGES["cage.random_modes"]),
     "a list as a frame's picture": (
         lambda field: warpcage.Frame(1, 1, [0] * 3, None, None),
         "must be an array, got list",
@@ -126,13 +121,13 @@ def test_another_kind_of_thing_is_named(name, field):
 
 def test_what_a_device_holds_is_not_pickled(field):
     for held in (field, warpcage.Deformer(field, CAGE, resolution=16)):
-        with pytest.raises(TypeError, match="is held on a device and not copied between processes: "):
+        with pytest.raises(TypeError, match=MESSAGES["core.not_copied"]):
             pickle.dumps(held)
 
 
 def test_cuda_where_there_is_none_is_one_line(capfd, monkeypatch):
     monkeypatch.setattr("warp.is_cuda_available", lambda: False)
     for device in ("cuda", "cuda:0"):
-        with pytest.raises(ValueError, match=f"device '{device}' is not there: this machine has "):
+        with pytest.raises(ValueError, match=MESSAGES["core.no_device"].format(device=device)):
             warpcage.mean_value_coordinates(POINTS, CAGE, device=device)
     assert capfd.readouterr().err == ""

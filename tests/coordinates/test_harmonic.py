@@ -6,9 +6,10 @@ import numpy as np
 import oracles
 import pytest
 import warp as wp
+from messages import MESSAGES
+from oracles import reference_distance
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import spsolve
-from test_containment import reference_distance
 from test_coordinate_accuracy import points_beside_slot, slot_cages
 from trimesh.transformations import rotation_matrix
 
@@ -280,7 +281,7 @@ def test_slivers_of_a_cage_have_weights_too(device):
 
 def test_points_outside_are_refused_by_number_and_first(device):
     cage = Cage(*oracles.cage("box"))
-    with pytest.raises(ValueError, match=r"2 of 3 points are outside the cage, the first is row 1"):
+    with pytest.raises(ValueError, match=MESSAGES["coordinates.rows_outside"]):
         harmonic_weights([[0, 0, 0], [1, 0, 0], [0, 2, 0]], cage, 16, device)
     skin = cage.vertices[0] * (1 + 5e-6)
     weights = harmonic_weights([skin], cage, 16, device)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from messages import MESSAGES
 
 from warpcage.core import (
     axis_index,
@@ -28,10 +29,10 @@ def test_what_is_no_finite_number_is_refused(value):
     checks = [
         (lambda: checked_number(value, "it"), "it must be one finite number, got "),
         (lambda: checked_positive(value, "it"), "it must be positive and finite, got "),
-        (lambda: checked_margin(value), "margin must be finite and not negative, got "),
+        (lambda: checked_margin(value), MESSAGES["core.margin"]),
     ]
     if value is not None:
-        checks.append((lambda: checked_step(value, 1.0), "the march step must be positive and finite, got "))
+        checks.append((lambda: checked_step(value, 1.0), MESSAGES["core.step_positive"]))
     for check, message in checks:
         with pytest.raises(ValueError, match=message):
             check()

@@ -1,13 +1,15 @@
 """Encoding beside rendering: order, what may wait, errors and interrupts of either side, and the same files."""
 
 import os
+import re
 import signal
 import threading
 import weakref
 
 import numpy as np
 import pytest
-from cli_runs import DEFORMED, SMALL, run, succeed, write_files
+from messages import MESSAGES
+from runs import DEFORMED, SMALL, run, succeed, write_files
 
 import warpcage.view.film as film
 from warpcage import Deformer
@@ -216,7 +218,7 @@ def test_films_are_those_that_one_thread_writes(tmp_path, monkeypatch, name, cha
 
 
 def test_frames_of_several_kinds_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"one size: frame 0 is \(4, 4, 3\), frame 1 is \(4, 4, 4\)"):
+    with pytest.raises(ValueError, match=MESSAGES["view.frames_one_size"]):
         write_film(tmp_path / "a.mov", [np.zeros((4, 4, 3)), np.zeros((4, 4, 4))])
     assert list(tmp_path.iterdir()) == []
 
@@ -226,7 +228,7 @@ def test_a_gif_that_memory_cannot_hold_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("warpcage.core.memory.LITTLE", 0)
     monkeypatch.setattr("warpcage.core.memory.free_host_bytes", lambda: 9 * 3 * 34 * 47)
     write_film(tmp_path / "a.gif", moving(9), 10)
-    with pytest.raises(ValueError, match=r"10 frames of a GIF, which are all held \(.mp4 holds few\), need"):
+    with pytest.raises(ValueError, match=MESSAGES["view.gif_held"]):
         write_film(tmp_path / "b.gif", moving(30), 10)
     assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
 
@@ -277,7 +279,7 @@ def test_a_film_that_cannot_be_encoded_ends_the_rendering(files, tmp_path, capsy
     monkeypatch.setattr("warpcage.core.overlap.SPARE", 0)
     monkeypatch.setattr("warpcage.core.overlap.PREPARING_THREADS", 1)
     assert run(files, *ANIMATE, tmp_path / "film.mp4") == 2
-    assert capsys.readouterr().err == "warpcage: error: no space left on device\n"
+    assert re.fullmatch(MESSAGES["core.no_space"] + "\n", capsys.readouterr().err)
     assert list(tmp_path.iterdir()) == [] and len(count) < 8
 
 

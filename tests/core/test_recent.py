@@ -62,7 +62,7 @@ def test_bytes_of_arrays_count_once(device):
 
 
 def test_bytes_of_a_deformer_beside_its_field(device):
-    from deformed_scenes import BOX, shiny_field, view
+    from fields import BOX, shiny_field, view
 
     from warpcage import Deformer
 

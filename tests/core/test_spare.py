@@ -6,7 +6,7 @@ import types
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import shiny_field, view
+from fields import shiny_field, view
 
 from warpcage.core import LEAST_SPARE, SPARE_FRAMES, SpareMemory, devices
 

@@ -5,8 +5,8 @@ import inspect
 import field_oracles as oracle
 import numpy as np
 import pytest
-from background_oracles import random_background
-from deformed_scenes import BOX, KINDS, ellipsoid, make_field, plain, psnr, rotation, shiny_field, view
+from field_oracles import random_background
+from fields import BOX, KINDS, ellipsoid, make_field, plain, psnr, rotation, shiny_field, view
 
 from warpcage import Cage, CageEdit, Deformer, VoxelField, bake
 

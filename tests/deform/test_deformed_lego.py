@@ -1,7 +1,7 @@
 """Lattice, closed forms and baked field agree on a field of real pictures."""
 
 import pytest
-from deformed_scenes import psnr
+from fields import psnr
 
 import warpcage
 

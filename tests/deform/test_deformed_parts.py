@@ -6,24 +6,7 @@ import threading
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import (
-    MARCHES,
-    TILES,
-    alter_map,
-    ball,
-    box_around,
-    general_march,
-    make_field,
-    march_in_numpy,
-    marches,
-    mirrored,
-    psnr,
-    shiny,
-    slotted,
-    two_balls,
-    use_march,
-    view,
-)
+from fields import MARCHES, TILES, alter_map, ball, box_around, general_march, make_field, march_in_numpy, marches, mirrored, psnr, shiny, slotted, two_balls, use_march, view
 
 from warpcage import Cage, CageEdit, Camera, Deformer
 from warpcage.core import recorded_launches

@@ -3,7 +3,7 @@
 import numpy as np
 import oracles
 import pytest
-from deformed_scenes import make_field, plain, shiny_field, view
+from fields import make_field, plain, shiny_field, view
 
 from warpcage import Cage, Deformer, PositionMap
 from warpcage.core import load_modules, module_block_dim

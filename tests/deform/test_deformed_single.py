@@ -2,25 +2,7 @@
 
 import numpy as np
 import pytest
-from deformed_scenes import (
-    BOX,
-    KINDS,
-    MARCHES,
-    TILES,
-    alter_map,
-    box_around,
-    general_march,
-    make_field,
-    marches,
-    mirrored,
-    plain,
-    psnr,
-    shiny_field,
-    slotted,
-    two_balls,
-    use_march,
-    view,
-)
+from fields import BOX, KINDS, MARCHES, TILES, alter_map, box_around, general_march, make_field, marches, mirrored, plain, psnr, shiny_field, slotted, two_balls, use_march, view
 
 from warpcage import Cage, CageEdit, Camera, Deformer
 from warpcage.core import recorded_launches

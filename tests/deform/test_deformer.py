@@ -4,23 +4,7 @@ import numpy as np
 import oracles
 import pytest
 import warp as wp
-from deformed_scenes import (
-    BOX,
-    KINDS,
-    SIZE,
-    alter_map,
-    counter_moved,
-    ellipsoid,
-    make_field,
-    march_in_numpy,
-    mirrored,
-    plain,
-    psnr,
-    rotation,
-    shiny,
-    shiny_field,
-    view,
-)
+from fields import BOX, KINDS, SIZE, alter_map, counter_moved, ellipsoid, make_field, march_in_numpy, mirrored, plain, psnr, rotation, shiny, shiny_field, view
 
 from warpcage import Cage, Camera, Deformer
 from warpcage.coordinates import stretched_normals

@@ -4,7 +4,8 @@ import warnings
 
 import numpy as np
 import pytest
-from deformed_scenes import make_field, shiny, view
+from fields import make_field, shiny, view
+from messages import MESSAGES
 from oracles import mean_value_weights
 
 from warpcage import Cage, CageEdit, Deformer
@@ -133,9 +134,7 @@ def test_a_pose_may_say_which_walls_are_still(field):
 
 def test_a_band_that_folds_is_told(field):
     edit = CageEdit(HALF, falloff=0.3)
-    with pytest.warns(
-        UserWarning, match="edit 0 turns matter inside out in its falloff band of 0.3: make the band wider"
-    ):
+    with pytest.warns(UserWarning, match=MESSAGES["deform.falloff_inside_out"]):
         deformer = Deformer(field, edit, resolution=48).pose(HALF.stretch(4.0, axis="x", center=[0, 0, 0]))
     assert deformer.render(view(size=24)).fold.max() > 0.1
     with warnings.catch_warnings():
@@ -185,6 +184,6 @@ def test_a_cage_that_its_falloff_squeezes_is_told_from_one_with_gaps(field):
         warnings.simplefilter("error")
         Deformer(field, CageEdit(cage), resolution=32).pose(posed)
     squeezed = Deformer(field, CageEdit(cage, falloff=0.2), resolution=32)
-    with pytest.warns(UserWarning, match="faces that pass through each other.*the falloff of edit 0 holds walls"):
+    with pytest.warns(UserWarning, match=MESSAGES["deform.falloff_walls"]):
         squeezed.pose(posed)
     assert len(squeezed.deformed[0].check().intersecting_faces)

@@ -4,9 +4,9 @@ import pickle
 
 import numpy as np
 import pytest
-from background_oracles import surface_points
-from cli_runs import SMALL, run, succeed
-from deformed_scenes import ellipsoid, make_field, plain
+from field_oracles import surface_points
+from runs import SMALL, run, succeed
+from fields import ellipsoid, make_field, plain
 
 import warpcage
 from warpcage import Cage, CageEdit, Camera, Deformer, Frame, fill_unseen
@@ -16,42 +16,15 @@ from warpcage.view import mask_picture, mask_shares, read_image
 
 BOX = Cage.box([-0.6, -0.6, -0.6], [0.6, 0.6, 0.6])
 CAMERA = Camera.look_at([0, -4, 0], (0, 0, 0), width=64, height=64, fov_degrees=40)
-SIDE = 48
 
 
-def colors(fog):
-    """(nodes, 4) an even gradient at infinity; behind the ball random colours, as fits leave them there."""
-    places = surface_points(SIDE) / SIDE * 2.0 - 1.0
-    values = np.ones((len(places), 4))
-    values[:, :3] = 0.5 + 0.6 * places[:, [0, 2, 2]] * [1.0, 1.0, -0.5]
-    if fog:
-        hidden = (np.linalg.norm(places[:, [0, 2]], axis=1) < 0.09) & (places[:, 1] == 1.0)
-        assert hidden.sum() > 10
-        values[hidden, :3] = np.random.default_rng(1).random((hidden.sum(), 3))
-    return values
 
 
-def ball(device, around="layers", fog=True):
-    """A ball before nothing but infinity, which is the last of two layers or the sky of an outer field."""
-    field = make_field(lambda x: ellipsoid(x, radii=(0.4, 0.4, 0.4)), plain([0.8, 0.3, 0.1]), device=device)
-    if around is None:
-        return field
-    values = np.stack([np.zeros_like(colors(fog)), colors(fog)])
-    if around == "layers":
-        background = LayeredBackground((0, 0, 0), 1.5, SIDE, values, device=device)
-    else:
-        links = np.full((8, 8, 8), -1, np.int32)
-        half = 0.5 * (field.bounds[1] - field.bounds[0])
-        background = OuterField((0, 0, 0), half, links, np.zeros((0, 4)), sky=colors(fog)[:, :3], device=device)
-    return warpcage.VoxelField(
-        field.bounds, field.grid.links, field.grid.density, harmonics_on_host(field.grid.sh),
-        background_model=background, device=device,
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize("around", ["layers", "outer"])
 def test_what_is_uncovered_goes_on_from_what_surrounds_it(device, around):
-    field, truth = ball(device, around), ball(device, around, fog=False)
+    field, truth = surrounded_ball(device, around), surrounded_ball(device, around, fog=False)
     for edit, pose in ((CageEdit(BOX, remove=True), None), (CageEdit(BOX), BOX.translate([0.5, 0, 0.6]))):
         frame = Deformer(field, edit, resolution=24).pose(pose).render(CAMERA)
         wanted = Deformer(truth, edit, resolution=24).pose(pose).render(CAMERA).rgb
@@ -72,7 +45,7 @@ def test_what_is_uncovered_goes_on_from_what_surrounds_it(device, around):
 
 
 def test_nothing_is_filled_where_nothing_moved(device):
-    field = ball(device)
+    field = surrounded_ball(device)
     frame = Deformer(field, BOX, resolution=24).render(CAMERA)
     filled = fill_unseen(frame, field, CAMERA)
     assert filled.filled.max() == 0.0
@@ -81,11 +54,11 @@ def test_nothing_is_filled_where_nothing_moved(device):
 
 def test_a_plain_background_misses_nothing(device):
     """Where an emptied place shows one colour nothing is missing; where it shows matter or layers something may be."""
-    field = ball(device, around=None)
+    field = surrounded_ball(device, around=None)
     frame = Deformer(field, CageEdit(BOX, remove=True), resolution=24).render(CAMERA)
     assert frame.reveal.max() > 0.9 and frame.missing.max() < 0.01
     assert fill_unseen(frame, field, CAMERA).filled.max() == 0.0
-    layered = Deformer(ball(device), CageEdit(BOX, remove=True), resolution=24)
+    layered = Deformer(surrounded_ball(device), CageEdit(BOX, remove=True), resolution=24)
     assert layered.render(CAMERA).missing.max() > 0.9
     assert layered.render(CAMERA, background="white").missing.max() < 0.01
 
@@ -110,7 +83,7 @@ def test_a_membrane_is_harmonic():
 
 
 def test_frames_that_cannot_be_filled_are_refused():
-    field = ball("cpu")
+    field = surrounded_ball("cpu")
     with pytest.raises(ValueError, match="no masks"):
         fill_unseen(field.render(CAMERA), field, CAMERA)
     frame = Deformer(field, BOX, resolution=16).render(CAMERA)
@@ -121,7 +94,7 @@ def test_frames_that_cannot_be_filled_are_refused():
 
 
 def test_fill_on_the_command_line(tmp_path, capsys):
-    ball("cpu").save(tmp_path / "ball.npz")
+    surrounded_ball("cpu").save(tmp_path / "ball.npz")
     BOX.save(tmp_path / "cage.obj")
     words = ["@ball.npz", *SMALL, "--eye", 0, -4, 0, "--target", 0, 0, 0, "--edit", "@cage.obj:remove"]
     succeed(tmp_path, "render", *words, "-o", "@fog.png", "--masks", "@fog_masks.png")
@@ -138,7 +111,7 @@ def test_fill_on_the_command_line(tmp_path, capsys):
     for more, message in ((["--background", "white"], "--fill continues the field's own background"),):
         assert run(tmp_path, "render", *words, "-o", "@x.png", "--fill", *more) == 2
         assert message in capsys.readouterr().err
-    ball("cpu", around=None).save(tmp_path / "ball.npz")
+    surrounded_ball("cpu", around=None).save(tmp_path / "ball.npz")
     assert run(tmp_path, "render", *words, "-o", "@x.png", "--fill") == 2
     assert "behind this field there is one colour" in capsys.readouterr().err
     assert run(tmp_path, "render", "@ball.npz", "-o", "@x.png", "--fill") == 2

@@ -2,25 +2,18 @@
 
 import numpy as np
 import pytest
-from deformed_scenes import KINDS, make_field, nodes, plain, psnr, rotation
+from fields import INSIDE, KINDS, NUB, PART, boxes, make_field, nodes, plain, psnr, rotation
+from messages import MESSAGES
 
 from warpcage import Cage, CageEdit, Camera, Deformer, VoxelField, bake
 from warpcage.edits import crumbs
 
-PART = Cage.box([0.0, -0.4, -0.4], [0.8, 0.4, 0.4])
 CAMERA = Camera.look_at([1.0, -4.0, 1.5], (0, 0, 0), width=48, height=48, fov_degrees=35)
 UNCHANGED, CLEARED, MAPPED = range(3)
 WAYS = [*((kind, 32) for kind in KINDS), ("mean_value", None), ("green", None)]
 
 
-def boxes(*corners):
-    """Matter in boxes given by their corners."""
-    return lambda x: 40.0 * sum(((x > low) & (x < high)).all(axis=-1) for low, high in corners).clip(0, 1)
-
-
 BODY = ([-0.9, -0.3, -0.3], [-0.2, 0.3, 0.3])  # beside the cage
-INSIDE = ([0.1, -0.3, -0.3], [0.7, 0.3, 0.3])
-NUB = ([0.2, -0.1, 0.2], [0.3, 0.0, 0.5])  # out of the cage by a little
 BEAM = ([0.45, -0.1, 0.2], [0.6, 0.1, 0.9])  # out of the cage by much
 SPECK = ([0.2, 0.2, 0.6], [0.3, 0.3, 0.7])  # small, but the cage cuts nothing off there
 
@@ -194,7 +187,7 @@ def test_a_band_that_fades_holds_fragments_at_its_walls_too(device):
 
 
 def test_a_pose_without_a_place_for_fragments_says_so(scene):
-    with pytest.warns(UserWarning, match="has no place for [0-9]+ of 48 voxels of crumbs.*move the cage less"):
+    with pytest.warns(UserWarning, match=MESSAGES["deform.no_place"]):
         Deformer(scene, CageEdit(PART, crumbs=0.35), resolution=16).pose(PART.taper(0.02))
 
 

@@ -9,6 +9,7 @@ import threading
 
 import numpy as np
 import pytest
+from messages import MESSAGES
 
 aiohttp = pytest.importorskip("aiohttp")
 
@@ -69,7 +70,7 @@ def test_an_editor_says_where_it_saved_when_another_program_wrote_its_file(tmp_p
     tiny_field().save(tmp_path / "ball.npz")
     editor = edit(tmp_path / "ball.npz", BOX)
     (tmp_path / "ball.session.json").write_text("theirs")
-    with pytest.warns(UserWarning, match=r"another program: this session is kept in .*ball\.1\.session\.json"):
+    with pytest.warns(UserWarning, match=MESSAGES["editor.session_kept"]):
         editor.close()
     assert (tmp_path / "ball.session.json").read_text() == "theirs"
     assert len(read_session(tmp_path / "ball.1.session.json").edits) == 1
@@ -102,7 +103,7 @@ def test_what_an_editor_cannot_open_is_one_line_and_leaves_no_thread(tmp_path):
 
 def test_without_the_extra_it_is_one_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "simplejpeg", None)
-    with pytest.raises(ImportError, match=r"simplejpeg: pip install 'warpcage\[edit\]'$"):
+    with pytest.raises(ImportError, match=MESSAGES["editor.extra_missing"].format(missing="simplejpeg") + "$"):
         edit(tiny_field())
     assert edit_module.RESOLUTION_CPU < edit_module.RESOLUTION_CUDA
 

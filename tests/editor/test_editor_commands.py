@@ -3,12 +3,14 @@
 import dataclasses
 import itertools
 import json
+import re
 
 import numpy as np
 import pytest
 from editor_pages import BOX, new_session
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from messages import MESSAGES
 
 from warpcage import Cage
 from warpcage.core import error_line
@@ -372,7 +374,7 @@ def test_what_is_no_json_is_refused(text):
 
 def test_an_error_is_one_line_without_folders():
     full = OSError(28, "No space left on device", "/somebody/secret/lego.session.json")
-    assert error_line(full, folders=False) == "no space left on device 'lego.session.json'"
+    assert re.fullmatch(MESSAGES["core.no_space_for_file"], error_line(full, folders=False))
     assert error_line(KeyError("edit")) == "'edit' is missing"
     assert error_line(MemoryError()) == "not enough memory" and error_line(ValueError("a\n b")) == "a b"
     assert error_line(ValueError()) == "ValueError" and len(error_line(ValueError("x" * 9999), 500)) == 500

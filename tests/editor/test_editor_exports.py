@@ -7,8 +7,9 @@ import shlex
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from cli_runs import write_files
-from deformed_scenes import BOX, shiny_field
+from fields import BOX, shiny_field
+from messages import MESSAGES
+from runs import write_files
 
 from warpcage import Cage, CageEdit, Camera, Deformer, PoseFile, VoxelField
 from warpcage.batch import JobFile, Worker
@@ -250,7 +251,7 @@ def test_a_cancelled_film_leaves_nothing(field, tmp_path, name):
 
 def test_a_pose_between_keys_that_cannot_be_used_is_named_by_its_time(field, tmp_path):
     keys = [Key(10 + k, float(k), "key", "linear", {1: frozen_vertices(BOX.vertices * [1, 1, 1 - k])}) for k in (0, 1)]
-    with pytest.raises(ValueError, match=r"at 1.000 s of the film: the posed cage of 'Cage' has"):
+    with pytest.raises(ValueError, match=MESSAGES["editor.film_cage"]):
         export_film(document(keys=keys, length=1.0, fps=2.0), field, tmp_path / "frames", TINY)
     assert list(tmp_path.iterdir()) == []
 
@@ -260,7 +261,7 @@ def test_folders_with_something_in_them_stay_as_they_are(field, tmp_path):
     (tmp_path / "frames" / "frame_0000.png").write_bytes(b"mine")
     (tmp_path / "file").write_bytes(b"mine")
     for name in ("frames", "file"):
-        with pytest.raises(ValueError, match="holds something already: give the name of a new folder"):
+        with pytest.raises(ValueError, match=MESSAGES["editor.new_folder"]):
             export_film(moving(), field, tmp_path / name, TINY)
     with pytest.raises(ValueError, match="holds something already"), atomic_folder(tmp_path / "late") as folder:
         (folder / "frame_0000.png").write_bytes(b"new")
@@ -277,14 +278,14 @@ def test_folders_with_something_in_them_stay_as_they_are(field, tmp_path):
 @pytest.mark.parametrize(
     ("name", "film", "message"),
     [
-        ("film.avi", TINY, "must end in .mp4, .gif, .mov, .webm, or have no ending"),
+        ("film.avi", TINY, MESSAGES["editor.film_ending"]),
         ("film.mp4", Film(40, 30, transparent=True), "has no opacity: give .mov"),
     ],
 )
 def test_films_that_cannot_be_written(field, tmp_path, name, film, message):
     with pytest.raises(ValueError, match=message):
         export_film(moving(), field, tmp_path / name, film)
-    with pytest.raises(ValueError, match="the width of a film must be a whole number from 1 to 8192"):
+    with pytest.raises(ValueError, match=MESSAGES["editor.film_width"]):
         Film(0, 10)
     assert list(tmp_path.iterdir()) == []
 

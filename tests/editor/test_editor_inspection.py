@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from deformed_scenes import BOX, ellipsoid, make_field, plain
+from fields import BOX, ellipsoid, make_field, plain
 
 from warpcage import Cage
 from warpcage.cage import check_pose

@@ -3,6 +3,7 @@
 import threading
 
 import pytest
+from messages import MESSAGES
 
 from warpcage.core import atomic_path
 from warpcage.editor import MAX_JOBS, MAX_UNFINISHED, Jobs, Outcome
@@ -134,7 +135,7 @@ def test_the_number_of_jobs_is_bounded():
     jobs, go = Jobs(), threading.Event()
     for k in range(MAX_UNFINISHED):
         jobs.start(f"{k}", "same", lambda progress: go.wait(WAIT) and None)
-    with pytest.raises(ValueError, match="jobs are unfinished already: cancel one, or wait"):
+    with pytest.raises(ValueError, match=MESSAGES["editor.jobs_unfinished"]):
         jobs.start("more", "same", lambda progress: None)
     go.set()
     finished(jobs)
@@ -143,7 +144,7 @@ def test_the_number_of_jobs_is_bounded():
         assert jobs.wait(WAIT)
     section = jobs.section()
     assert len(section) == MAX_JOBS and section[0]["name"] == "later 0"
-    with pytest.raises(ValueError, match="there is no job 1: it may have been cleared"):
+    with pytest.raises(ValueError, match=MESSAGES["editor.no_job"]):
         jobs.cancel(1)
 
 

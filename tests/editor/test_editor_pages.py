@@ -13,7 +13,7 @@ pytest.importorskip("hypothesis")
 
 from editor_pages import BOX, WAIT, Page, new_session, pages, with_pages
 from editor_pages import nothing_logged as _nothing_logged  # noqa: F401 (a fixture for all tests)
-from table_scene import LAMP, TableScene
+from scenes import LAMP, TableScene
 
 from warpcage import Cage
 from warpcage.cage import UpAxis

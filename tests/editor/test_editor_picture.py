@@ -8,9 +8,10 @@ import threading
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import make_field, plain, shiny_field
-from test_fill import BOX, ball
-from test_fragments import INSIDE, NUB, PART, boxes
+from fields import make_field, plain, shiny_field
+from test_fill import BOX
+from fields import surrounded_ball
+from fields import INSIDE, NUB, PART, boxes
 
 import warpcage
 from warpcage import Frame
@@ -333,7 +334,7 @@ def test_falloffs_and_fragments_of_the_document_are_in_the_picture(device):
 
 @pytest.mark.parametrize("around", ["layers", "outer"])
 def test_background_is_filled_in_pictures_that_rest(device, around):
-    field = ball(device, around)
+    field = surrounded_ball(device, around)
     scene = new_document(field, [BOX], 16)
     scene = scene.with_edit(dataclasses.replace(scene.edits[0], kind="remove"))
     scene = dataclasses.replace(scene, view=View((0.0, -4.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))

@@ -412,7 +412,7 @@ editor.wait()
 
 
 def test_a_killed_server_leaves_a_whole_session_that_goes_on(tmp_path):
-    folder = str(pathlib.Path(__file__).parents[1] / "support")
+    folder = SUPPORT
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, folder, str(tmp_path)], stdout=subprocess.PIPE, text=True
     )

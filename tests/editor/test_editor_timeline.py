@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from messages import MESSAGES
 
 from warpcage import Cage, Camera, CameraKey, PoseFile
 from warpcage.editor import (
@@ -225,8 +226,8 @@ def test_pose_files_without_times_are_spread_and_equal_names_are_told_apart():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda file: file.times.update(a=-1.0), "keyframe 'a' is at -1 s: a film goes from 0"),
-        (lambda file: file.easings.update(a="bounce"), "keyframe 'a' has the easing 'bounce', known are smooth"),
+        (lambda file: file.times.update(a=-1.0), MESSAGES["editor.key_before_film"]),
+        (lambda file: file.easings.update(a="bounce"), MESSAGES["editor.key_easing"]),
     ],
 )
 def test_pose_files_that_a_film_cannot_hold(change, message):
@@ -252,9 +253,9 @@ def test_times_and_easings_of_pose_files_are_checked_and_older_files_have_none(t
     content = json.loads((tmp_path / "poses.json").read_text())
     assert content["version"] == 1 and list(content["keyframes"][0]) == ["name", "vertices", "time"]
     for key, value, message in (
-        ("time", "soon", "the time of keyframe 'a' must be one finite number"),
-        ("time", float("inf"), "the time of keyframe 'a' must be one finite number"),
-        ("easing", 3, "the easing of keyframe 'a' must be a word"),
+        ("time", "soon", MESSAGES["cage.key_time"]),
+        ("time", float("inf"), MESSAGES["cage.key_time"]),
+        ("easing", 3, MESSAGES["cage.key_easing"]),
     ):
         changed = json.loads(json.dumps(content))
         changed["keyframes"][0][key] = value

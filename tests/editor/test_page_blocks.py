@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pytest
 from splat_scenes import splats_in_box
-from table_scene import TableScene
+from scenes import TableScene
 
 import warpcage
 from warpcage.cli import main

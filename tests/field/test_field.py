@@ -4,6 +4,7 @@ import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
+from messages import MESSAGES
 
 import warpcage
 from warpcage.core import launch
@@ -180,7 +181,7 @@ def test_background_layers_of_a_svox2_file_are_left_out_with_a_warning(tmp_path,
         contents = dict(archive)
     layers = {"background_links": np.zeros((8, 4), np.int32), "background_data": np.zeros((1, 16, 4), np.float32)}
     np.savez(tmp_path / "layers.npz", **contents, **layers)
-    with pytest.warns(UserWarning, match="background layers of .*layers.npz are left out") as caught:
+    with pytest.warns(UserWarning, match=MESSAGES["field.layers_left_out"]) as caught:
         again = warpcage.VoxelField.load(tmp_path / "layers.npz", device=device)
     assert caught[0].filename == __file__
     assert again.background_model is None and again.voxel_count == field.voxel_count

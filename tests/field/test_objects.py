@@ -1,10 +1,13 @@
 """Objects of a scene by a click, a box, a sphere, a cage and depths of views: against which voxel is whose."""
 
+import re
+
 import numpy as np
 import pytest
-from outer_oracles import random_outer
-from table_scene import BALL, FRAGMENT, LAMP, TABLE, TableScene
-from test_surface import GridField
+from field_oracles import random_outer
+from fields import GridField
+from messages import MESSAGES
+from scenes import BALL, FRAGMENT, LAMP, TABLE, TableScene
 
 from warpcage import Cage, Camera, NodeSelection, VoxelField, select_nodes, select_object
 from warpcage.field import Plane, pick_point
@@ -213,10 +216,7 @@ def test_an_object_that_reaches_a_side_of_the_box_is_told(top, around):
     chosen = select_object(field, point=(0, 0, 0), plane=None)
     notes = [note for note in chosen.notes if "of the field's box" in note]
     if around and top == 1.0:
-        assert notes == [
-            "the object reaches the side +z (z = 1) of the field's box and may be cut off there: "
-            "fit with larger --bounds"
-        ]
+        assert len(notes) == 1 and re.fullmatch(MESSAGES["field.cut_off"], notes[0])
     else:
         assert notes == []
 

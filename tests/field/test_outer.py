@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import field_oracles
 import numpy as np
-import outer_oracles as oracle
+import field_oracles as oracle
 import pytest
 import warp as wp
-from background_scenes import room_cameras
-from test_fit_gradients import photometric_gradient, training_rays
+from scenes import room_cameras
+from fit_gradients import photometric_gradient, training_rays
 
 import warpcage
 from warpcage.field import OuterField
@@ -56,7 +56,7 @@ def test_colors_match_numpy(device):
         outer.sample(origins, directions[1:])
     expected = []
     for origin, direction in zip(origins, directions, strict=True):
-        color, light = oracle.march(outer, values, origin, direction)
+        color, light = oracle.march_outer(outer, values, origin, direction)
         expected.append(color + light * oracle.sky_color(outer, direction))
     error = np.abs(seen - expected).max(axis=1)
     # where a length is a whole number of steps, float32 may take one sample more
@@ -82,8 +82,8 @@ def test_views_are_put_between_what_is_before_and_behind(device):
     errors = []
     for n in range(108):
         cut = depth[n] if alpha[n] > 0 else 0.0
-        front, light = oracle.march(outer, values, origins[n], directions[n], 0.0, cut)
-        back, left = oracle.march(outer, values, origins[n], directions[n], cut)
+        front, light = oracle.march_outer(outer, values, origins[n], directions[n], 0.0, cut)
+        back, left = oracle.march_outer(outer, values, origins[n], directions[n], cut)
         expected = front + light * (rgb[n] + (1 - alpha[n]) * (back + left * oracle.sky_color(outer, directions[n])))
         errors.append(np.abs(arrays[0].numpy()[n] - expected).max())
         assert arrays[1].numpy()[n] == pytest.approx(light * alpha[n], abs=5e-3)
@@ -202,9 +202,9 @@ def test_the_sky_follows_what_is_behind_the_box(device):
             black, light = np.zeros(3), 1.0
             between = oracle.front_end(outer, *ray)
             if between > 0:
-                _, light = oracle.march(outer, whole.values, *ray, 0.0, between)
+                _, light = oracle.march_outer(outer, whole.values, *ray, 0.0, between)
             _, opacity, _ = field_oracles.render_ray(field, whole.density, whole.sh, *ray, field.step, black, 6.0)
-            back, left = oracle.march(outer, whole.values, *ray, between)
+            back, left = oracle.march_outer(outer, whole.values, *ray, between)
             terms.append((ray[1], light * (1 - opacity), back + left * oracle.sky_color(outer, ray[1])))
 
     def loss(changed):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
-from table_scene import FLOOR_TOP, TABLE_TOP, TableScene, tilt
-from test_surface import GridField
+from scenes import FLOOR_TOP, TABLE_TOP, TableScene, tilt
+from fields import GridField
 
 from warpcage.field import Plane, blocks, find_planes, fit_planes, surface_points, surrounds
 

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 import trimesh
-from cli_runs import run, succeed
-from table_scene import BALL, LAMP, TableScene
-from test_surface import GridField
+from runs import run, succeed
+from scenes import BALL, LAMP, TableScene
+from fields import GridField
 
 import warpcage
 from warpcage import NodeSelection, Scene, select_nodes, select_object

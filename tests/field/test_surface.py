@@ -1,37 +1,18 @@
 import numpy as np
 import pytest
+from fields import GridField, ball_densities, nodes
 
 from warpcage.field import extract_mesh, surface_density
 
 
-class GridField:
-    """What extract_mesh needs of a field, from an array and bounds."""
-
-    def __init__(self, densities, lower=(-1, -1, -1), upper=(1, 1, 1), weights=None):
-        self.densities, self.weights = np.asarray(densities, dtype=np.float32), weights
-        self.bounds = np.array([lower, upper], dtype=np.float64)
-        self.voxel_size = np.ptp(self.bounds, axis=0) / self.densities.shape
-
-    def node_densities(self):
-        return self.densities
-
-    def node_weights(self):
-        return self.weights
 
 
-def nodes(shape, lower=(-1, -1, -1), upper=(1, 1, 1)):
-    axes = [a + (np.arange(n) + 0.5) * (b - a) / n for n, a, b in zip(shape, lower, upper, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def ball(count=40, radius=0.6, density=200.0, center=(0.1, 0, 0)):
-    """A ball whose density falls from 2 * density to 0 over four voxels around its radius."""
-    distance = np.linalg.norm(nodes((count,) * 3) - center, axis=-1) - radius
-    return density * np.clip(1.0 - distance / (4.0 / count), 0.0, 2.0)
 
 
 def test_a_ball_comes_out_round_closed_and_outward():
-    mesh = extract_mesh(GridField(ball()), threshold=200.0)
+    mesh = extract_mesh(GridField(ball_densities()), threshold=200.0)
     assert np.abs(np.linalg.norm(mesh.vertices - [0.1, 0, 0], axis=1) - 0.6).max() < 0.003
     assert mesh.is_watertight and mesh.is_winding_consistent
     assert mesh.volume == pytest.approx(4 / 3 * np.pi * 0.6**3, rel=0.01)
@@ -41,7 +22,7 @@ def test_a_ball_comes_out_round_closed_and_outward():
 
 def test_world_units_on_a_grid_with_other_sides():
     lower, upper = (10.0, -4.0, 0.0), (12.0, -1.0, 5.0)
-    x = nodes((20, 30, 50), lower, upper)
+    x = nodes((20, 30, 50), (lower, upper))
     density = 500.0 * np.clip(1.0 - (np.abs((x - [11, -2.5, 2.5]) / [0.5, 1.0, 2.0]).max(axis=-1) - 1.0) * 5.0, 0, 2)
     mesh = extract_mesh(GridField(density, lower, upper), threshold=500.0)
     assert np.allclose(mesh.bounds, [[10.5, -3.5, 0.5], [11.5, -1.5, 4.5]], atol=0.02)
@@ -55,7 +36,7 @@ def test_the_surface_is_closed_where_the_object_leaves_the_grid():
 
 @pytest.mark.parametrize("opacity", [200.0, 0.5])  # a dense object, and a fog below half opacity a voxel
 def test_the_same_object_ten_times_larger_gives_the_same_mesh(opacity):
-    small = GridField(ball(24, density=opacity))
+    small = GridField(ball_densities(24, density=opacity))
     large = GridField(small.densities / 10.0, lower=(-10, -10, -10), upper=(10, 10, 10))
     one, two = extract_mesh(small), extract_mesh(large)
     assert np.array_equal(one.faces, two.faces)
@@ -72,8 +53,8 @@ def test_surface_density_is_half_opacity_or_between_two_fogs():
 
 
 def test_largest_part_drops_floaters_and_cavities():
-    density = ball(center=(0, 0, 0))
-    density[np.linalg.norm(nodes((40,) * 3), axis=-1) < 0.3] = 0.0
+    density = ball_densities(center=(0, 0, 0))
+    density[np.linalg.norm(nodes(40), axis=-1) < 0.3] = 0.0
     density[1:3, 1:3, 1:3] = 400.0
     field = GridField(density)
     everything, largest = extract_mesh(field, components="all"), extract_mesh(field)

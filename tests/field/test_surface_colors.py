@@ -6,8 +6,8 @@ import struct
 import numpy as np
 import pytest
 import trimesh
-from cli_runs import run, write_files
-from deformed_scenes import make_field
+from runs import run, write_files
+from fields import make_field
 
 from warpcage import Cage, VoxelField
 

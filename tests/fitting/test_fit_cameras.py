@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
-from test_fit_gradients import photometric_gradient, training_rays
+from fit_gradients import photometric_gradient, training_rays
 
 import warpcage
 from warpcage.kernels.fitting import cameras as camera_kernels

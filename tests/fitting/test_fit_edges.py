@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from messages import MESSAGES
 
 from warpcage import Camera, FieldOptimizer, Scene, VoxelField, evaluate, fit, mean_psnr, turntable
 
@@ -46,16 +47,10 @@ def grey(count=2):
     [
         (lambda images, alphas: (images[:0], None, []), "at least one image"),
         (lambda images, alphas: ([], None, []), "at least one image"),
-        (
-            lambda images, alphas: ([images[0], images[1, :8]], None),
-            r"one size: image 0 is \(16, 16\), image 1 \(8, 16\)",
-        ),
+        (lambda images, alphas: ([images[0], images[1, :8]], None), MESSAGES["fitting.images_one_size"]),
         (lambda images, alphas: (np.where(np.arange(3) == 1, np.nan, images), None), "image 0000 .* not finite"),
         (lambda images, alphas: (np.where(np.arange(3) == 1, np.inf, images), None), "image 0000 .* not finite"),
-        (
-            lambda images, alphas: ((255 * images).astype(np.uint8), None),
-            r"from 127 to 127: .*\[0, 1\].* divided by 255",
-        ),
+        (lambda images, alphas: ((255 * images).astype(np.uint8), None), MESSAGES["fitting.images_of_bytes"]),
         (lambda images, alphas: (images, alphas * np.nan), "alpha of image 0000 .* from nan"),
         (lambda images, alphas: (images, alphas * 255), "alpha of image 0000 .* to 255"),
         (lambda images, alphas: (images, alphas[:, :8]), "alphas must be"),
@@ -135,7 +130,7 @@ def test_nothing_but_background_is_refused():
     white = np.ones((4, SIZE, SIZE, 3), np.float32)
     with pytest.raises(ValueError, match="every pixel of the scene is transparent"):
         fit(Scene(white, np.zeros((4, SIZE, SIZE)), around(4)), **QUICK)
-    with pytest.raises(ValueError, match="all images may show the background alone"):
+    with pytest.raises(ValueError, match=MESSAGES["fitting.background_alone"]):
         fit(Scene(white, None, around(4)), **QUICK)
 
 

@@ -6,8 +6,9 @@ import gc
 import numpy as np
 import pytest
 import warp as wp
-from background_scenes import room_scene
-from order_oracle import shuffled
+from messages import MESSAGES
+from oracles import shuffled
+from scenes import room_scene
 from test_fit_edges import around, seen
 
 from warpcage import FieldOptimizer, Scene, evaluate, fit, mean_psnr
@@ -321,7 +322,7 @@ def test_8_bits_are_chosen_where_they_buy_resolution(request, large_pictures, de
 
 
 def test_limits_that_cannot_be_kept(scene, device):
-    with pytest.raises(ValueError, match=r"images take .* MB of device memory .*max_memory.* downscale=\d"):
+    with pytest.raises(ValueError, match=MESSAGES["fitting.images_memory"]):
         FieldOptimizer(scene, max_memory="100kB")
     images = picture_bytes(scene, 8)
     tables = len(scene) * 49 * 49 * 4

@@ -1,11 +1,12 @@
 """Small fits: what they find, what they refuse, and how they go on."""
 
-import pathlib
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from runs import SUPPORT
+from scenes import blob_scene
 
 import warpcage
 from warpcage import FieldOptimizer, evaluate, mean_psnr, psnr
@@ -13,24 +14,6 @@ from warpcage.core import resolve_device
 from warpcage.fitting import error_image, object_bounds, ssim
 
 
-def blob_scene(count=14, size=40, scale=1.0, offset=(0.0, 0.0, 0.0), with_alpha=True, device=None):
-    """Views of a field with a coloured box in it, rendered by ourselves: the fit must find what was put in."""
-    n = 24
-    density, sh = np.zeros((n, n, n)), np.zeros((n, n, n, 9, 3))
-    density[7:17, 8:16, 6:18] = 60.0 / scale
-    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, n)] * 3, indexing="ij"), axis=-1)
-    sh[..., 0, :] = grid / 0.2820948  # colour by position
-    offset = np.asarray(offset)
-    field = warpcage.VoxelField.from_dense(density, sh, [offset - scale, offset + scale], device=device)
-    cameras = warpcage.view.camera.turntable(
-        offset, 3.2 * scale, 30, count // 2, fov_degrees=35, width=size, height=size
-    )
-    cameras += warpcage.view.camera.turntable(
-        offset, 3.2 * scale, -25, count - count // 2, fov_degrees=35, width=size, height=size, start_degrees=13
-    )
-    frames = [field.render(camera) for camera in cameras]
-    alphas = np.stack([frame.alpha for frame in frames]) if with_alpha else None
-    return warpcage.Scene(np.stack([frame.rgb for frame in frames]), alphas, cameras)
 
 
 SMALL = {"resolution": 32, "levels": 2, "epochs": 8, "batch_rays": 512}
@@ -149,10 +132,13 @@ def test_lego_at_a_tenth_of_the_effort(lego, real_data):
     assert mean_psnr(evaluate(lego, test)) > 25
 
 
-KILLED = """
+RESUMED = {"resolution": 24, "levels": 2, "epochs": 12, "batch_rays": 512}
+
+KILLED = f"""
 import os, signal, sys
-import test_optimize as t
+sys.path.insert(0, sys.argv[2])
 import warpcage
+from scenes import blob_scene
 from warpcage.fitting import fit as fits
 saves = []
 write = fits.save_progress
@@ -162,18 +148,15 @@ def save_then_die(fit, path):
     if len(saves) == 3:
         os.kill(os.getpid(), signal.SIGKILL)
 fits.save_progress = save_then_die
-warpcage.fit(t.blob_scene(count=12, size=24), progress=False, checkpoint=sys.argv[1],
-             checkpoint_seconds=0.0, **t.RESUMED)
+warpcage.fit(blob_scene(count=12, size=24), progress=False, checkpoint=sys.argv[1],
+             checkpoint_seconds=0.0, **{RESUMED})
 """
-
-RESUMED = {"resolution": 24, "levels": 2, "epochs": 12, "batch_rays": 512}
 
 
 def test_a_killed_fit_goes_on_from_its_checkpoint(tmp_path):
     checkpoint = tmp_path / "progress.npz"
     killed = subprocess.run(
-        [sys.executable, "-c", KILLED, str(checkpoint)],
-        cwd=pathlib.Path(__file__).parent,
+        [sys.executable, "-c", KILLED, str(checkpoint), SUPPORT],
         capture_output=True,
         timeout=120,
     )

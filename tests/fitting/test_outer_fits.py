@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from background_scenes import room_cameras, room_scene, write_room
+from messages import MESSAGES
+from scenes import room_cameras, room_scene, write_room
 
 import warpcage
 from warpcage import FieldOptimizer, mean_psnr
@@ -121,7 +122,7 @@ def test_a_checkpoint_with_layers_is_told_of(tmp_path, monkeypatch):
         layered = FieldOptimizer(scene, **options)
     layered.step()
     save_progress(layered, tmp_path / "c.npz")
-    with pytest.raises(ValueError, match="c.npz is the checkpoint of a fit with background layers"):
+    with pytest.raises(ValueError, match=MESSAGES["fitting.checkpoint_layers"]):
         load_progress(FieldOptimizer(scene, **options), tmp_path / "c.npz")
 
 

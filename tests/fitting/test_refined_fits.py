@@ -5,8 +5,9 @@ import json
 
 import numpy as np
 import pytest
+from messages import MESSAGES
+from scenes import blob_scene
 from scipy.spatial.transform import Rotation
-from test_optimize import blob_scene
 
 import warpcage
 from warpcage import CameraFile, FieldOptimizer, evaluate, mean_psnr
@@ -176,7 +177,7 @@ def test_checkpoints_hold_refined_cameras(tmp_path):
 
 
 def test_the_option_is_yes_or_no():
-    with pytest.raises(ValueError, match="refine_cameras must be True or False, got 'yes'"):
+    with pytest.raises(ValueError, match=MESSAGES["fitting.refine_cameras"]):
         warpcage.fit(blob_scene(count=2, size=8), progress=False, refine_cameras="yes")
 
 
@@ -204,14 +205,14 @@ def test_commands_write_read_and_tune_cameras(tmp_path, capsys):
     np.testing.assert_array_equal(poses_of(again.cameras), poses_of(key.camera for key in held))
     halved = warpcage.load_scene(tmp_path / "scene", cameras=tmp_path / "bricks.cameras.json", downscale=2)
     assert halved.cameras[0].fx == pytest.approx(again.cameras[0].fx / 2)
-    with pytest.raises(ValueError, match=r"bricks.cameras.json: its cameras look elsewhere than the scene's"):
+    with pytest.raises(ValueError, match=MESSAGES["fitting.cameras_elsewhere"]):
         warpcage.load_scene(tmp_path / "scene", split="test", cameras=tmp_path / "bricks.cameras.json")
     held[0] = dataclasses.replace(held[0], name="another")
     with pytest.raises(ValueError, match="there is no camera for 1 of 6 pictures"):
         scene.with_cameras(held)
     with pytest.raises(ValueError, match="one camera per image"):
         scene.with_cameras(scene.cameras[:2])
-    with pytest.raises(ValueError, match="sizes must be the same but for a whole factor"):
+    with pytest.raises(ValueError, match=MESSAGES["fitting.whole_factor"]):
         scene.with_cameras([dataclasses.replace(camera, width=40, height=20) for camera in scene.cameras])
 
     words = ["evaluate", tmp_path / "bricks.npz", tmp_path / "scene", "--tune-cameras", "--quiet"]

@@ -4,7 +4,7 @@ import numpy as np
 import oracles
 import pytest
 import trimesh
-from test_containment import reference_distance
+from oracles import reference_distance
 
 from warpcage import Cage
 from warpcage.lattice import BLOCK_FACES, LINE_CAPACITY, CageLattice

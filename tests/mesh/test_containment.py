@@ -3,7 +3,6 @@
 import numpy as np
 import oracles
 import pytest
-import trimesh
 import warp as wp
 
 from warpcage import Cage
@@ -27,13 +26,6 @@ def points_around(vertices, count=2000):
     return oracles.single(np.random.default_rng(3).uniform(low - 0.3, high + 0.3, (count, 3)))
 
 
-def reference_distance(points, vertices, faces):
-    nearest = np.full(len(points), np.inf)
-    for face in faces:
-        corners = np.repeat(vertices[face][None], len(points), axis=0)
-        foot = trimesh.triangles.closest_point(corners, points)
-        nearest = np.minimum(nearest, np.linalg.norm(foot - points, axis=1))
-    return nearest
 
 
 @pytest.mark.parametrize("name", ["icosphere", "box", "concave", "two boxes"])
@@ -51,7 +43,7 @@ def test_distance_is_to_the_nearest_triangle(name, device):
     vertices, faces = oracles.cage(name)
     points = points_around(vertices)
     distance = measure(measure_distance, points, vertices, faces, device)
-    assert np.abs(distance - reference_distance(points, vertices, faces)).max() < 1e-6
+    assert np.abs(distance - oracles.reference_distance(points, vertices, faces)).max() < 1e-6
 
 
 def test_distance_is_zero_on_faces_edges_and_vertices(device):

@@ -69,7 +69,7 @@ def test_affine_pose_is_inverted_in_closed_form(device):
 
 
 def test_is_the_inverse_of_what_a_deformer_renders(device):
-    from deformed_scenes import make_field, plain
+    from fields import make_field, plain
 
     field = make_field(lambda x: np.zeros(x.shape[:3]), plain((1, 1, 1)), device=device, resolution=8)
     rest, deformed = cages()

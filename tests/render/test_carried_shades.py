@@ -3,24 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import (
-    BOX,
-    KINDS,
-    alter_map,
-    ball,
-    box_around,
-    counter_moved,
-    make_field,
-    marches,
-    mirrored,
-    psnr,
-    shiny,
-    shiny_field,
-    slotted,
-    two_balls,
-    use_march,
-    view,
-)
+from fields import BOX, KINDS, alter_map, ball, box_around, counter_moved, make_field, marches, mirrored, psnr, shiny, shiny_field, slotted, two_balls, use_march, view
 
 from warpcage import Cage, CageEdit, Deformer
 from warpcage.core import launch, recorded_launches

@@ -5,7 +5,7 @@ import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, make_field, plain, psnr, shiny_field, view
+from fields import BOX, make_field, plain, psnr, shiny_field, view
 
 from warpcage import Cage, CageEdit, Camera, Deformer
 from warpcage.core import launch

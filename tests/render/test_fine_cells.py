@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from deformed_scenes import BOX, box_around, make_field, plain, shiny_field, slotted, two_balls, use_march, view
+from fields import BOX, box_around, make_field, plain, shiny_field, slotted, two_balls, use_march, view
 
 from warpcage import Cage, CageEdit, Camera, Deformer
 from warpcage.kernels.edits.fine_cells import FINE_FAR, FINE_SIDE

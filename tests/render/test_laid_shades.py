@@ -4,7 +4,7 @@ import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, shiny_field, view
+from fields import BOX, shiny_field, view
 
 from warpcage import Deformer
 from warpcage.core import half_texture

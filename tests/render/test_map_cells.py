@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, marches, shiny_field, slotted, use_march, view
+from fields import BOX, marches, shiny_field, slotted, use_march, view
 
 from warpcage import CageEdit, Deformer
 from warpcage.core import launch, recorded_launches

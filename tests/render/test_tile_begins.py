@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, box_around, marches, shiny_field, two_balls, use_march, view
+from fields import BOX, box_around, marches, shiny_field, two_balls, use_march, view
 
 from warpcage import Cage, CageEdit, Camera, Deformer
 from warpcage.core import recorded_launches

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, ball, box_around, make_field, marches, shiny, shiny_field, use_march, view
+from fields import BOX, ball, box_around, make_field, marches, shiny, shiny_field, use_march, view
 
 from warpcage import Deformer
 from warpcage.core import RecordedLaunch, limit_threads, recorded_launches

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from messages import MESSAGES
 from scene_writers import (
     MODEL_NUMBERS,
     Pictures,
@@ -126,7 +127,7 @@ def test_pictures_that_are_not_there_are_left_out(tmp_path, bricks):
     for number in (1, 4):
         (tmp_path / "images" / f"view_{number:02d}.png").unlink()
     kept = [number for number in range(len(bricks.names)) if number not in (1, 4)]
-    with pytest.warns(UserWarning, match=f"lists {len(bricks.names)} pictures, 2 of them are not there") as caught:
+    with pytest.warns(UserWarning, match=MESSAGES["scene.two_not_there"].format(count=len(bricks.names))) as caught:
         found = [load(tmp_path, split=split) for split in ("train", "test")]
     assert "\n" not in str(caught[0].message) and "view_0" in str(caught[0].message)
     names = sorted(name for scene in found for name in scene.names)
@@ -219,7 +220,7 @@ def test_a_model_beside_its_pictures(tmp_path, bricks, pictures):
     require_equal(load(tmp_path, split="all"), bricks)
     files = sorted((tmp_path / pictures).glob("*.png"))
     files[2].unlink()
-    with pytest.warns(UserWarning, match="1 of them are not there and are left out"):
+    with pytest.warns(UserWarning, match=MESSAGES["scene.one_left_out"]):
         assert len(load(tmp_path, split="all")) == len(bricks.names) - 1
     for file in files[3:]:
         file.unlink()
@@ -242,7 +243,7 @@ def test_formats_are_told_apart_and_named(tmp_path, bricks):
     empty = tmp_path / "other"
     (empty / "photos").mkdir(parents=True)
     (empty / "notes.txt").write_text("")
-    with pytest.raises(ValueError, match="no scene of a known format.*transforms.json.*it holds notes.txt, photos/"):
+    with pytest.raises(ValueError, match=MESSAGES["scene.no_known_format"]):
         load_scene(empty)
 
 

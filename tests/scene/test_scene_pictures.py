@@ -12,7 +12,7 @@ BACKGROUND = (0.1, 0.5, 0.9)
 @pytest.mark.parametrize("kind", ["16 bit", "8 bit grey", "16 bit grey", "grey and alpha", "16 bit alpha", "palette"])
 def test_kinds_of_png(tmp_path, kind):
     from PIL import Image
-    from test_images import write_deep_png
+    from scene_writers import write_deep_png
 
     write_transforms(tmp_path, brick_pictures(10))
     rng = np.random.default_rng(0)

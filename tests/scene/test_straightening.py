@@ -6,7 +6,7 @@ import pathlib
 import numpy as np
 import pytest
 import trimesh
-from cli_runs import run, succeed
+from runs import run, succeed
 
 from warpcage import Cage, VoxelField, evaluate, load_scene, mean_psnr, turntable
 from warpcage.reference import write_brick_scene

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from messages import MESSAGES
 
 import warpcage
 from warpcage import Camera, SplatField, SplatRates, fit_splats, turntable
@@ -139,10 +140,10 @@ def test_bad_input(device):
         ((field, [], []), {}, "pictures, a camera each"),
         ((field, view, np.zeros((2, 16, 16, 3))), {}, "2 and 1 cameras"),
         ((field, ["front"], image), {}, "Camera"),
-        ((field, view[0], image), {}, "cameras must be a list, one for each picture, got Camera"),
-        ((field, view, None), {}, "images must be a list, one for each picture, got NoneType"),
-        ((field, view, [field.render(view[0])]), {}, r"picture 0 must be \(h, w, 3\) numbers, got Frame"),
-        ((field, view, ["front.png"]), {}, r"picture 0 must be \(h, w, 3\) numbers, got str"),
+        ((field, view[0], image), {}, MESSAGES["splats.cameras_list"]),
+        ((field, view, None), {}, MESSAGES["splats.images_list"]),
+        ((field, view, [field.render(view[0])]), {}, MESSAGES["splats.picture_of_frame"]),
+        ((field, view, ["front.png"]), {}, MESSAGES["splats.picture_of_text"]),
         ((field, view, np.full((1, 16, 16, 3), 200, np.uint8)), {}, "picture 0 has .* 200: .*divided by 255"),
         ((field, view, np.zeros((1, 15, 16, 3))), {}, r"picture 0 must be \(16, 16, 3\)"),
         ((field, view, np.full((1, 16, 16, 3), np.nan)), {}, "finite"),

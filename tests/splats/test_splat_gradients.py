@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from splat_oracles import reference_view
+from splat_scenes import reference_view
 
 from warpcage import Camera, SplatField
 from warpcage.splats import SplatGradients, SplatParameters, rotation_matrices, splat_lens

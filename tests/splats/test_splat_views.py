@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import warp as wp
-from splat_oracles import reference_view
+from splat_scenes import reference_view
 
 from warpcage import Camera, SplatField
 from warpcage.kernels.splats.splats import Splats

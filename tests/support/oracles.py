@@ -1,11 +1,13 @@
-"""Float64 (or longer) NumPy references for cage coordinates, written from other formulas than the kernels.
+"""Float64 (or longer) NumPy references for cages, their coordinates and the order of a fit, written from other
+formulas than the kernels.
 
-All take points (n, 3), vertices (v, 3), faces (f, 3) and return weights (n, v), psi (n, f) or values (n, k).
+Those of coordinates take points (n, 3), vertices (v, 3), faces (f, 3) and return weights (n, v), psi (n, f) or values
+(n, k).
 """
 
 import functools
-
 import numpy as np
+
 
 GAUSS_POINTS = 24
 
@@ -351,3 +353,61 @@ def _layers(points, corners, data, own=False, block=256):
         )
         double[start : start + block] = np.einsum("mfi,fik->mk", hats, data)
     return single, double
+
+
+# -- The order of a fit's tiles, in whole numbers of Python: what fitting/shuffle is compared with
+
+
+def mixed(value: int) -> int:
+    value ^= value >> 16
+    value = value * 0x85EBCA6B & 0xFFFFFFFF
+    value ^= value >> 13
+    value = value * 0xC2B2AE35 & 0xFFFFFFFF
+    return value ^ value >> 16
+
+
+def shuffled_place(place: int, count: int, key: int) -> int:
+    bits = next(bits for bits in range(1, 16) if 4**bits >= count)
+    mask = 2**bits - 1
+    item = place
+    while True:
+        left, right = item >> bits, item & mask
+        for turn in range(4):
+            both = (key + turn * 0x9E3779B9 & 0xFFFFFFFF) ^ right << 8
+            left, right = right, left ^ mixed(both) & mask
+        item = left << bits | right
+        if item < count:
+            return item
+
+
+def shuffled(items: np.ndarray, key: int) -> np.ndarray:
+    """Items (n,) in the order of a key."""
+    return np.array([items[shuffled_place(place, len(items), key)] for place in range(len(items))])
+
+
+# -- Meshes
+
+
+def shuffled_cage(cage, seed=0):
+    """The same mesh with vertices, faces and first corners in another order, and the new place of each vertex."""
+    from warpcage import Cage
+
+    rng = np.random.default_rng(seed)
+    new = rng.permutation(len(cage.vertices))
+    vertices = np.empty_like(cage.vertices)
+    vertices[new] = cage.vertices
+    faces = new[cage.faces][rng.permutation(len(cage.faces))]
+    turn = (rng.integers(0, 3, len(faces))[:, None] + np.arange(3)) % 3
+    return Cage(vertices, np.take_along_axis(faces, turn, axis=1))
+
+
+def reference_distance(points, vertices, faces):
+    """(n,) to the nearest triangle."""
+    import trimesh
+
+    nearest = np.full(len(points), np.inf)
+    for face in faces:
+        corners = np.repeat(vertices[face][None], len(points), axis=0)
+        foot = trimesh.triangles.closest_point(corners, points)
+        nearest = np.minimum(nearest, np.linalg.norm(foot - points, axis=1))
+    return nearest

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from messages import MESSAGES
 
 from warpcage import Camera, CameraFile, CameraKey, camera_at, turntable
 from warpcage.view import axis_rotation, path_cameras, timed_keys
@@ -81,7 +82,7 @@ def test_files_that_cannot_be_read_are_refused_in_one_line(tmp_path):
         CameraFile.load(tmp_path / "bad.json")
     with pytest.raises(FileNotFoundError, match="camera file"):
         Camera.load(tmp_path / "none.json")
-    with pytest.raises(ValueError, match="good.json: it holds 2 cameras: name one of 0, 1"):
+    with pytest.raises(ValueError, match=MESSAGES["view.cameras_by_name"]):
         Camera.load(tmp_path / "good.json")
     with pytest.raises(ValueError, match="it holds no camera 'side', only 0, 1"):
         Camera.load(tmp_path / "good.json", "side")
@@ -144,7 +145,7 @@ def test_paths_that_cannot_be():
         ([], "at least one camera"),
         ([CameraKey(one, 1.0), CameraKey(two)], "1 of 2 cameras has no time"),
         ([CameraKey(one, 1.0), CameraKey(two, 1.0)], "two cameras of a path are at 1 s"),
-        ([CameraKey(one, 1.0, "a"), CameraKey(two, 1.0, "b")], r"two cameras of a path \('a' and 'b'\) are at 1 s"),
+        ([CameraKey(one, 1.0, "a"), CameraKey(two, 1.0, "b")], MESSAGES["view.path_same_time"]),
         ([CameraKey(one), CameraKey(two.resized(30, 20))], "one picture size"),
     ):
         with pytest.raises(ValueError, match=said):

@@ -4,7 +4,7 @@ import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
-from deformed_scenes import BOX, make_field, psnr, shiny_field, view
+from fields import BOX, make_field, psnr, shiny_field, view
 
 import warpcage
 from warpcage.core import launch

@@ -5,8 +5,9 @@ import pathlib
 
 import numpy as np
 import pytest
-from cli_runs import SMALL, run, succeed, write_files
-from gltf_writer import GltfWriter
+from messages import MESSAGES
+from runs import SMALL, run, succeed, write_files
+from scene_writers import GltfWriter
 
 from warpcage import Camera, CameraFile, camera_at
 from warpcage.view import read_image
@@ -53,7 +54,7 @@ def test_a_camera_that_moves_comes_frame_for_frame(tmp_path):
     np.testing.assert_allclose([key.camera.center for key in file], places[:, [0, 2, 1]] * [1, -1, 1], atol=1e-6)
     middle = camera_at(file.path("eye"), 0.5 / 25)
     np.testing.assert_allclose(middle.center, [0.5, -1, 0], atol=1e-5)
-    with pytest.raises(ValueError, match="'eye' moves through 5 keys: take one by its number, 0 to 4"):
+    with pytest.raises(ValueError, match=MESSAGES["view.keys_by_number"]):
         Camera.load(tmp_path / "a.gltf")
     np.testing.assert_allclose(Camera.load(tmp_path / "a.gltf", "2").center, [2, -1, 0], atol=1e-6)
     writer.nodes.append({"camera": 0, "name": "other"})

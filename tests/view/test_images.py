@@ -7,7 +7,9 @@ from fractions import Fraction
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from messages import MESSAGES
 from PIL import Image
+from scene_writers import png_bytes, write_deep_png
 
 from warpcage.view import (
     color_disparity,
@@ -54,23 +56,6 @@ def test_png_refuses_what_is_no_picture_and_keeps_the_old_file(tmp_path, image):
         write_png(path, image)
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["image.png"]
-
-
-def png_bytes(width, height, depth, kind, data):
-    """A PNG by hand: kind is 0 grey, 2 colour, 4 grey with alpha, 6 colour with alpha."""
-
-    def chunk(name, content):
-        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
-
-    header = struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
-
-
-def write_deep_png(path, image):
-    """(h, w, c) uint16 as a PNG of 16 bits a channel."""
-    height, width, channels = image.shape
-    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in image)
-    path.write_bytes(png_bytes(width, height, 16, {1: 0, 2: 4, 3: 2, 4: 6}[channels], rows))
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
@@ -241,10 +226,10 @@ def test_rates_that_no_film_has_are_refused(tmp_path, write, ending, fps):
 
 
 def test_a_gif_that_would_lose_time_is_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"\(.gif\) must be from 0.01 to 50, got 60"):  # viewers would slow it down
+    with pytest.raises(ValueError, match=MESSAGES["view.gif_fps"]):  # viewers would slow it down
         write_gif(tmp_path / "film.gif", film(), fps=60)
     still = [np.zeros((4, 4, 3))] * 8
-    with pytest.raises(ValueError, match="frame 6 and those before it, which are equal, take 700 s"):
+    with pytest.raises(ValueError, match=MESSAGES["view.gif_seconds"]):
         write_gif(tmp_path / "film.gif", still, fps=0.01)
     write_gif(tmp_path / "film.gif", still, fps=0.0125)
     with Image.open(tmp_path / "film.gif") as picture:

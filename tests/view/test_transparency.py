@@ -3,7 +3,7 @@
 import av
 import numpy as np
 import pytest
-from cli_runs import DEFORMED, SMALL, run, succeed, write_files
+from runs import DEFORMED, SMALL, run, succeed, write_files
 
 from warpcage import Camera, Frame
 from warpcage.view import (

@@ -1,24 +1,25 @@
-"""Small fields, a cage and cameras that the tests of deformed scenes share."""
+"""Small fields, cages and cameras that tests share, and what they ask of views of deformed scenes."""
 
+from field_oracles import surface_points
+from warpcage.field import LayeredBackground, OuterField, harmonics_on_host
 import contextlib
 import math
-
 import numpy as np
 import pytest
-
 from warpcage import Cage, Camera, VoxelField
 from warpcage.field import tables
 from warpcage.kernels.render.views import stack_kernel
+
 
 KINDS = ("harmonic", "mean_value", "green")
 SIZE = 64
 BOX = Cage.box([-0.75, -0.55, -0.4], [0.75, 0.55, 0.4], segments=2)
 
 
-def nodes(resolution, bounds):
-    """(n, n, n, 3) voxel centres."""
-    lower, upper = np.asarray(bounds, float)
-    axes = [lower[a] + (np.arange(resolution) + 0.5) / resolution * (upper[a] - lower[a]) for a in range(3)]
+def nodes(resolution, bounds=((-1, -1, -1), (1, 1, 1))):
+    """(..., 3) voxel centres. resolution: Of all axes, or of each."""
+    spans = zip(np.broadcast_to(resolution, 3), *np.asarray(bounds, float), strict=True)
+    axes = [low + (np.arange(count) + 0.5) / count * (high - low) for count, low, high in spans]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
@@ -177,3 +178,69 @@ def use_march(name, device, monkeypatch):
     if name == "rows":
         monkeypatch.setattr(tables, "NEAR_VOXELS", math.inf)
     return name
+
+
+class GridField:
+    """What extract_mesh needs of a field, from an array and bounds."""
+
+    def __init__(self, densities, lower=(-1, -1, -1), upper=(1, 1, 1), weights=None):
+        self.densities, self.weights = np.asarray(densities, dtype=np.float32), weights
+        self.bounds = np.array([lower, upper], dtype=np.float64)
+        self.voxel_size = np.ptp(self.bounds, axis=0) / self.densities.shape
+
+    def node_densities(self):
+        return self.densities
+
+    def node_weights(self):
+        return self.weights
+
+
+def ball_densities(count=40, radius=0.6, density=200.0, center=(0.1, 0, 0)):
+    """A ball whose density falls from 2 * density to 0 over four voxels around its radius."""
+    distance = np.linalg.norm(nodes(count) - center, axis=-1) - radius
+    return density * np.clip(1.0 - distance / (4.0 / count), 0.0, 2.0)
+
+
+def boxes(*corners):
+    """Matter in boxes given by their corners."""
+    return lambda x: 40.0 * sum(((x > low) & (x < high)).all(axis=-1) for low, high in corners).clip(0, 1)
+
+
+#: A cage, and boxes of matter that it cuts.
+PART = Cage.box([0.0, -0.4, -0.4], [0.8, 0.4, 0.4])
+INSIDE = ([0.1, -0.3, -0.3], [0.7, 0.3, 0.3])
+NUB = ([0.2, -0.1, 0.2], [0.3, 0.0, 0.5])  # out of the cage by a little
+
+
+#: Squares along the side of the cube that is at infinity.
+CUBE_SIDE = 48
+
+
+def colors_at_infinity(fog):
+    """(nodes, 4) an even gradient at infinity; behind the ball random colours, as fits leave them there."""
+    places = surface_points(CUBE_SIDE) / CUBE_SIDE * 2.0 - 1.0
+    values = np.ones((len(places), 4))
+    values[:, :3] = 0.5 + 0.6 * places[:, [0, 2, 2]] * [1.0, 1.0, -0.5]
+    if fog:
+        hidden = (np.linalg.norm(places[:, [0, 2]], axis=1) < 0.09) & (places[:, 1] == 1.0)
+        assert hidden.sum() > 10
+        values[hidden, :3] = np.random.default_rng(1).random((hidden.sum(), 3))
+    return values
+
+
+def surrounded_ball(device, around="layers", fog=True):
+    """A ball before nothing but infinity, which is the last of two layers or the sky of an outer field."""
+    field = make_field(lambda x: ellipsoid(x, radii=(0.4, 0.4, 0.4)), plain([0.8, 0.3, 0.1]), device=device)
+    if around is None:
+        return field
+    values = np.stack([np.zeros_like(colors_at_infinity(fog)), colors_at_infinity(fog)])
+    if around == "layers":
+        background = LayeredBackground((0, 0, 0), 1.5, CUBE_SIDE, values, device=device)
+    else:
+        links = np.full((8, 8, 8), -1, np.int32)
+        half = 0.5 * (field.bounds[1] - field.bounds[0])
+        background = OuterField((0, 0, 0), half, links, np.zeros((0, 4)), sky=colors_at_infinity(fog)[:, :3], device=device)
+    return VoxelField(
+        field.bounds, field.grid.links, field.grid.density, harmonics_on_host(field.grid.sh),
+        background_model=background, device=device,
+    )  # fmt: skip

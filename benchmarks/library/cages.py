@@ -1,0 +1,252 @@
+"""Cages: generated ones, how tight, how even and how dear they are; and random poses, how far they stretch."""
+
+from __future__ import annotations
+
+import pathlib
+import time
+
+import numpy as np
+import warp as wp
+from common import JSON, KINDS, command, option, write_results
+
+import warpcage
+from warpcage.cage import check_pose, face_samples, grid_points
+from warpcage.field import visible_nodes
+from warpcage.reference import CAGE_SCENES, scene_field
+from warpcage.view import contact_sheet, draw_cage, framing_orbit, write_jpeg
+
+# Generated cages
+
+
+@command(
+    option("--out", help="folder for cages.json and the cages"),
+    option("--field", nargs="+", metavar="FIELD", help="field files (.npz) before the scenes"),
+    option("--scenes", nargs="*", choices=list(CAGE_SCENES), default=list(CAGE_SCENES), metavar="SCENE"),
+    option("--counts", nargs="+", type=int, default=[42, 100, 200], help="(default: 42 100 200)"),
+    option("--methods", nargs="+", choices=("auto", "shell", "voxel"), default=["auto"]),
+    option("--margin", type=float, help="voxels (default: the generator's own, 1)"),
+    option("--resolution", type=int, default=64, help="voxels along each side of the scenes (default: 64)"),
+    option("--again", action="store_true", help="make each cage twice and compare the two bit by bit"),
+)
+def generated(args) -> int:
+    """Generated cages measured: what they enclose, how tight and how even they are, and what they cost.
+
+        python benchmarks cages generated --out out
+        python benchmarks cages generated --field lego.npz --counts 42 100 200 --methods auto shell voxel
+
+    One row per scene, method and count. Enclosed: share of the visible voxels that are inside; gap: smallest distance
+    between the faces and the visible voxels (boxes around their nodes), in voxels; hull: volume of the cage over that
+    of the object's convex hull; even: mean over the faces of 4 sqrt(3) area / sum of squared sides (1 for equilateral),
+    and that of the worst face; sides: 95th over 5th percentile of the lengths of the edges; sharp: the largest share of
+    its full angle that a vertex lacks (0 flat, 1/4 the corner of a box, near 1 a spike). Written with --out: cages.json
+    and the cages. The exit status is 1 where a cage does not hold what it promises.
+    """
+    rows = []
+    print(
+        f"{'scene':12}{'method':8}{'asked':>6}{'got':>5}{'genus':>6}{'parts':>6}{'enclosed':>10}{'gap':>6}{'hull':>7}"
+        f"{'even':>12}{'sides':>7}{'sharp':>7}{'crossings':>10}{'same':>6}{'s':>7}{'cpu s':>7}"
+    )
+    fields = {pathlib.Path(path).stem: warpcage.VoxelField.load(path) for path in args.field or ()}
+    fields |= {name: scene_field(name, args.resolution) for name in args.scenes}
+    for name, field in fields.items():
+        for method in args.methods:
+            for count in args.counts:
+                row, cage = generated_row(name, field, method, count, args)
+                rows.append(row)
+                print(line(row), flush=True)
+                if args.out:
+                    cage.save(pathlib.Path(args.out) / f"{row['scene'].replace(' ', '_')}_{method}_{count}.obj")
+    if args.out:
+        write_results(pathlib.Path(args.out) / "cages.json", None, rows=rows)
+    bad = [f"{row['scene']} {row['method']} {row['asked']}" for row in rows if not holds(row, args.margin)]
+    print(f"{len(rows) - len(bad)} of {len(rows)} hold" + (f"; not: {', '.join(bad)}" if bad else ""))
+    return 1 if bad else 0
+
+
+def generated_row(name: str, field, method: str, count: int, args) -> tuple[dict, warpcage.Cage]:
+    """One row of figures, and the cage."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    cage = warpcage.Cage.from_field(field, count, method=method, margin=args.margin)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    same = None
+    if args.again:
+        again = warpcage.Cage.from_field(field, count, method=method, margin=args.margin)
+        same = bool(np.array_equal(again.vertices, cage.vertices) and np.array_equal(again.faces, cage.faces))
+    report = cage.check(field=field)
+    return {
+        "scene": name, "method": method, "asked": count, "vertices": report.vertex_count, "genus": report.genus,
+        "parts": report.part_count, "usable": report.usable, "enclosed": report.field_enclosed,
+        "gap_voxels": gap(cage, field), "hull_ratio": report.hull_ratio, **shape(cage),
+        "crossings": len(report.intersecting_faces), "same_again": same, "seconds": wall, "cpu_seconds": cpu,
+    }, cage  # fmt: skip
+
+
+def holds(row: dict, margin: float | None) -> bool:
+    return (
+        row["usable"]
+        and row["enclosed"] == 1.0
+        and row["crossings"] == 0
+        and row["same_again"] is not False
+        and abs(row["vertices"] - row["asked"]) <= 0.1 * row["asked"]
+        and row["gap_voxels"] > (1.0 if margin is None else margin)
+    )
+
+
+def gap(cage, field) -> float:
+    """Smallest distance, in voxels, from points on the faces, half a voxel apart, to the boxes of visible voxels."""
+    from scipy.spatial import KDTree
+
+    voxel = np.broadcast_to(field.voxel_size, 3)
+    longest = np.linalg.norm(cage.vertices[cage.edges[:, 0]] - cage.vertices[cage.edges[:, 1]], axis=1).max()
+    samples, _ = face_samples(cage.vertices, cage.faces, int(np.ceil(2.0 * longest / voxel.max())))
+    samples, nodes = samples.reshape(-1, 3), visible_nodes(field)
+    # the nearest box is among the nearest nodes; those are few where the faces are near
+    nearest = KDTree(nodes).query(samples, 8)[1]
+    beyond = np.maximum(np.abs(samples[:, None] - nodes[nearest]) - 0.5 * voxel, 0.0)
+    return float(np.linalg.norm(beyond, axis=2).min() / voxel.max())
+
+
+def shape(cage) -> dict:
+    """How even the faces, the edges and the vertices are."""
+    corners = cage.vertices[cage.faces]
+    sides = corners - np.roll(corners, 1, axis=1)
+    double_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    even = 2.0 * np.sqrt(3.0) * double_area / (sides**2).sum(axis=(1, 2))
+    lengths = np.linalg.norm(cage.vertices[cage.edges[:, 0]] - cage.vertices[cage.edges[:, 1]], axis=1)
+    angle = np.zeros(len(cage.vertices))
+    for k in range(3):
+        one, two = (corners[:, (k + step) % 3] - corners[:, k] for step in (1, 2))
+        turn = np.arctan2(np.linalg.norm(np.cross(one, two), axis=1), (one * two).sum(axis=1))
+        np.add.at(angle, cage.faces[:, k], turn)
+    low, high = np.percentile(lengths, [5, 95])
+    return {
+        "even": float(even.mean()),
+        "least_even": float(even.min()),
+        "sides": float(high / low),
+        "sharp": float(1.0 - angle.min() / (2.0 * np.pi)),
+    }
+
+
+def line(row: dict) -> str:
+    even = f"{row['even']:.2f} {row['least_even']:.2f}"
+    same = "-" if row["same_again"] is None else "yes" if row["same_again"] else "NO"
+    return (
+        f"{row['scene']:12}{row['method']:8}{row['asked']:6d}{row['vertices']:5d}{row['genus']:6d}"
+        f"{row['parts']:6d}{100 * row['enclosed']:9.3f}%{row['gap_voxels']:6.2f}{row['hull_ratio']:7.2f}"
+        f"{even:>12}{row['sides']:7.1f}{row['sharp']:7.2f}{row['crossings']:10d}{same:>6}{row['seconds']:7.1f}{row['cpu_seconds']:7.1f}"
+    )
+
+
+# Random poses
+
+
+@command(
+    option("--count", type=int, default=100, help="poses of each cage (default: 100)"),
+    option("--carried", type=int, default=5, help="poses that points are carried by (default: 5)"),
+    option("--kinds", nargs="*", default=list(KINDS)),
+    option("--seed", type=int, default=0),
+    option("--stretch", type=float, nargs=2, default=(0.5, 2.0)),
+    option("--cage", help="a cage file instead of the usual cages"),
+    option("--field", help="field that --sheet draws"),
+    option("--sheet", help="contact sheet to write (.jpg)"),
+    option("--columns", type=int, default=4),
+    option("--size", type=int, default=220, help="pixels along each side of a picture"),
+    option("--overlay", action="store_true", help="draw the cages too"),
+    JSON,
+)
+def random_poses(args) -> None:
+    """Random poses of several cages: their stretch by each kind of coordinates, their strength, and their time.
+
+        python benchmarks cages random-poses --json random_poses.json
+        python benchmarks cages random-poses --count 15 --field bricks.npz --cage cage.obj --sheet random_poses.jpg
+
+    Stretch inside is measured between pairs of points on a grid of about 3,000 places in the cage at rest: how far
+    apart they are after the pose over how far apart they were, in three directions, by `deform_points` (forward), and
+    by `Cage.check` (posed -> rest). --field draws the poses: rest first, then one picture a pose, from one camera that
+    sees all of them whole.
+    """
+    wp.config.quiet = True
+    rows = []
+    cages = {args.cage: warpcage.Cage.load(args.cage)} if args.cage else usual_cages()
+    for name, rest in cages.items():
+        rows.append({"cage": name, "vertices": len(rest.vertices), **poses_row(rest, args)})
+        print(rows[-1], flush=True)
+    if args.sheet:
+        draw(args, next(iter(cages.values())))
+    if args.json:
+        write_results(args.json, None, count=args.count, seed=args.seed, stretch=args.stretch, rows=rows)
+
+
+def usual_cages() -> dict:
+    """Shapes, and cages that were generated around fields that are hard for them."""
+    cages = {
+        "box, 8": warpcage.Cage.box([-1, -1, -1], [1, 1, 1]),
+        "box, 56": warpcage.Cage.box([-1, -1, -1], [1, 1, 1], segments=3),
+        "icosphere, 162": warpcage.Cage.icosphere([0, 0, 0], 1, 2),
+    }
+    for scene in ("concave", "ring", "two parts", "tall", "thin"):
+        cages[f"{scene}, generated"] = warpcage.Cage.from_field(scene_field(scene, 48), 60)
+    return cages
+
+
+def poses_row(rest, args) -> dict:
+    """What is told of the poses of one cage."""
+    source = warpcage.RandomPoses(rest, seed=args.seed, stretch=args.stretch)
+    begin = time.perf_counter()
+    poses = [source.pose(number) for number in range(args.count)]
+    seconds = (time.perf_counter() - begin) / args.count
+    strength = [np.linalg.norm(pose.vertices - rest.vertices, axis=1).max() / rest.size for pose in poses]
+    reports = [check_pose(rest, pose) for pose in poses]
+    found = {
+        "milliseconds": round(1e3 * seconds, 1),
+        "farthest vertex": quartiles(strength),
+        "largest stretch": quartiles([report.largest_stretch for report in reports]),
+        "least stretch": quartiles([report.least_stretch for report in reports]),
+        "crossing": sum(bool(report.intersecting_faces) for report in reports),
+        "inverted": max(report.inverted_share for report in reports),
+    }
+    for kind in args.kinds:
+        found[f"{kind}: beyond the bounds"] = beyond(rest, poses[: args.carried], kind, args.stretch)
+    return found
+
+
+def quartiles(values) -> list[float]:
+    """Least, quartiles and largest."""
+    return [round(float(value), 3) for value in np.percentile(values, [0, 25, 50, 75, 100])]
+
+
+def beyond(rest, poses, kind: str, stretch) -> dict:
+    """Shares of pairs of near places inside that a kind of coordinates brings nearer or farther than the bounds, with
+    5 % of room, and the least and largest ratio."""
+    points, spacing = grid_points(rest, 3000)
+    step = 0.1 * spacing
+    stencil = points[:, None] + step * np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    stencil = stencil[rest.contains(stencil.reshape(-1, 3)).reshape(-1, 4).all(axis=1)]
+    ratios = []
+    for pose in poses:
+        moved = warpcage.deform_points(stencil.reshape(-1, 3), rest, pose, kind).reshape(-1, 4, 3)
+        ratios.append(np.linalg.norm(moved[:, 1:] - moved[:, :1], axis=2).reshape(-1) / step)
+    ratio = np.concatenate(ratios)
+    return {
+        "shorter": round(float(np.mean(ratio < stretch[0] / 1.05)), 6),
+        "longer": round(float(np.mean(ratio > stretch[1] * 1.05)), 6),
+        "least": round(float(ratio.min()), 3),
+        "largest": round(float(ratio.max()), 3),
+    }
+
+
+def draw(args, rest) -> None:
+    """A sheet of a field at rest and its poses."""
+    field = warpcage.VoxelField.load(args.field)
+    source = warpcage.RandomPoses(rest, seed=args.seed, stretch=args.stretch)
+    poses = [source.pose(number) for number in range(args.count)]
+    size = {"width": args.size, "height": round(0.8 * args.size)}
+    places = np.concatenate([cage.vertices for cage in (rest, *poses)])  # matter is inside: none is cut off
+    camera = framing_orbit(places, 1, elevation_degrees=25.0, start_degrees=-60.0, fill=1.0, **size)[0]
+    deformer = warpcage.Deformer(field, rest, resolution=64)
+    panels = []
+    for cage in (rest, *poses):
+        frame = deformer.pose(cage).render(camera, supersampling=2, background="white")
+        panels.append(draw_cage(frame.rgb, camera, cage) if args.overlay else frame.rgb)
+    write_jpeg(args.sheet, contact_sheet(panels, columns=args.columns))
+    print(f"wrote {args.sheet}: {pathlib.Path(args.sheet).stat().st_size} bytes")

@@ -1,0 +1,647 @@
+"""Fits: what they reach on scenes of several kinds, PSNR against seconds, kernels, and one fit over two GPUs."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import dataclasses
+import pathlib
+import time
+
+import imageio.v3 as iio
+import numpy as np
+import trimesh
+import warp as wp
+from common import DEVICE, FIT_OPTIONS, JSON, command, fit_options, launch_times, option, seconds_of, write_results
+
+import warpcage
+from warpcage import FieldOptimizer, evaluate, mean_psnr
+from warpcage.core import launch, resolve_device
+from warpcage.field import STOP_TRANSMITTANCE
+from warpcage.fitting import sum_shards, tuned_scene
+from warpcage.kernels.fitting.rmsprop import add_gradients
+from warpcage.kernels.reference.sample_count import count_samples
+from warpcage.reference import KINDS, room_views, synthetic_scene
+from warpcage.view import picture_similarity, pose_errors, side_by_side, write_png
+
+#: Training views that are rendered to see how far a fit goes beyond what it generalizes, and views named as the worst.
+TRAINING_VIEWS, WORST = 16, 3
+
+#: Exchanges of gradients between two GPUs that are timed.
+TIMED = 20
+
+QUALITIES = ("fast", "standard", "high")
+DATA = option("--data", required=True, help="scene folder with train and test splits")
+DOWNSCALE = option("--downscale", type=int, default=1, help="factor on the scene's pictures")
+
+
+# Scenes
+
+
+@command(
+    option("--kind", nargs="*", choices=list(KINDS), default=list(KINDS), help="which of our own scenes"),
+    option("--room", action="store_true", help="a room, and its object with known surroundings"),
+    option("--whole", action="store_true", help="whole pictures of each --folder, whatever its masks"),
+    option("--views", type=int, default=60, help="training views, for kinds that do not fix their number"),
+    option("--size", type=int, default=100, help="pixels along each side"),
+    option("--opaque", action="store_true", help="fit without the alphas"),
+    option("--folder", nargs="*", default=[], help="more scenes, each FOLDER or FOLDER:DOWNSCALE"),
+    option("--every", type=int, default=1, help="take every n-th training view of each --folder"),
+    option("--pose-noise", type=float, default=0.0, help="degrees that cameras of a --folder are turned"),
+    option("--jpeg", type=int, help="pack pictures of a --folder as JPEG of this quality, 1 to 95"),
+    option("--refine-cameras", action="store_true", help="refine cameras and exposures with the field"),
+    option("--quality", nargs="*", default=["standard"], choices=QUALITIES),
+    DEVICE,
+    option("--warm", action="store_true", help="compile kernels before the first fit"),
+    FIT_OPTIONS,
+    option("--worst", help="folder for the worst views"),
+    JSON,
+)
+def scenes(args) -> None:
+    """How the defaults of a fit do on scenes of several kinds: held-out PSNR, error of opacity, seconds, voxels.
+
+        python benchmarks fits scenes --size 100 --json scenes.json
+        python benchmarks fits scenes --size 400 --folder data/lego_800 data/mic_800 data/dtu_scan24_half data/fox:2 \\
+            --quality standard fast high --device cuda:0 --warm --json scenes.json --worst worst
+        python benchmarks fits scenes --kind "20 views" thin --size 200 --views 60 --option epochs=16
+        python benchmarks fits scenes --kind --folder data/lego_800:8 --every 4 --pose-noise 0.2 --jpeg 90
+        python benchmarks fits scenes --kind --room --size 400 --whole --folder data/fox:2 data/dtu_scan24_half \\
+            --option "background='outer'" --warm
+        python benchmarks fits scenes --kind --folder data/lego_800:8 --pose-noise 1 --refine-cameras
+
+    Seconds run from images in host memory to the finished field. Those of the first scene include the compilation of
+    kernels that are not in Warp's cache yet; with --warm a small fit compiles them before. The error of opacity is the
+    mean absolute difference to the alphas of the held-out views. --worst FOLDER keeps the worst views, each beside its
+    picture.
+
+    --room adds a room of the project's own, seen by cameras in it, and what a fit would reach if all that is around the
+    object were known: the object alone, with opacity, before a white background. Beside the PSNR of whole pictures
+    stands that of the object's pixels ("psnr_inside"), by which the two compare. --whole takes whole pictures of each
+    --folder whatever masks it has. An option `background` is for whole pictures, and left out for those with opacity.
+
+    --pose-noise turns each training camera about a random axis by a normal angle of so many degrees; --jpeg packs the
+    training pictures as JPEG of that quality first. Held-out views stay as they are. With --refine-cameras there are
+    two more PSNRs: of held-out cameras moved by the similarity between the exact training cameras and the refined ones
+    ("aligned"), and of held-out cameras fitted to the field one by one ("tuned").
+
+    "memory" is the most that Warp's arrays have held on the GPU from the start of the process to the end of the fit,
+    before it is evaluated; "memory_before" is the same up to its begin, evaluations of earlier fits included. Where the
+    first is larger, it is the peak of this fit alone: so the quality whose memory matters goes first.
+    """
+    wp.config.log_level = wp.LOG_WARNING
+    device = resolve_device(args.device)
+    options = fit_options(args.option)
+    if args.warm:
+        train, _ = synthetic_scene("bricks", train_views=8, size=32, device=device)
+        for quality in args.quality:
+            warpcage.fit(train, device=device, progress=False, quality=quality).render(train.cameras[0])
+        whole = dataclasses.replace(train, alphas=None)
+        warpcage.fit(whole, device=device, progress=False, background="outer", resolution=32).render(train.cameras[0])
+    results = []
+    print(f"{'scene':32} quality   views  PSNR dB  training  opacity  seconds    voxels  resolution")
+    if args.refine_cameras:
+        options["refine_cameras"] = True
+    for name, scene, test, exact in scenes_of(args, device):
+        for quality in args.quality:
+            given = {"quality": quality, **options}
+            if scene.alphas is not None:
+                given.pop("background", None)
+            row, field = scene_row(name, scene, test, exact, device, given)
+            results.append(row)
+            opacity = "      -" if row["alpha_error"] is None else f"{row['alpha_error']:.5f}"
+            print(
+                f"{name[-32:]:32} {quality:8}  {row['views']:5d}  {row['psnr']:7.2f}  {row['psnr_training']:8.2f}"
+                f"  {opacity}  {row['seconds']:7.1f}  {row['voxels']:8d}  {'x'.join(map(str, row['resolution']))}",
+                flush=True,
+            )
+            if field.refined_cameras is not None:
+                print(f"{'':32} aligned {row['psnr_aligned']:.2f}, tuned {row['psnr_tuned']:.2f} dB", flush=True)
+            if args.worst:
+                write_worst(pathlib.Path(args.worst), row, field, test)
+            if args.json:
+                content = {"pose_noise": args.pose_noise, "jpeg": args.jpeg, "runs": results}
+                write_results(args.json, device, **content)
+
+
+def scenes_of(args, device):
+    """Yields (name, training views, test views)."""
+    for kind in args.kind:
+        train, test = synthetic_scene(
+            kind, train_views=args.views, size=args.size, alpha=not args.opaque, device=device
+        )
+        yield kind, train, test, train.cameras
+    if args.room:
+        train, test = room_views(args.views, size=args.size, device=device)
+        yield "room", train.whole, test.split, train.whole.cameras
+        yield "room, surroundings known", train.object, test.object, train.object.cameras
+    for folder in args.folder:
+        path, _, factor = folder.partition(":")
+        given = {"downscale": int(factor or 1), "masks": not args.whole}
+        train, test = (warpcage.load_scene(path, split=split, **given) for split in ("train", "test"))
+        if args.opaque:
+            train = dataclasses.replace(train, alphas=None)
+        exact = train.cameras[:: args.every]
+        if args.pose_noise:
+            train = shaken(train, args.pose_noise)
+        if args.jpeg:
+            train = squeezed(train, args.jpeg)
+        name = pathlib.Path(path).name + (f", 1/{factor}" if factor else "")
+        yield name if args.every == 1 else f"{name}, every {args.every}.", every_nth(train, args.every), test, exact
+
+
+def scene_row(name, scene, test, exact, device, options: dict) -> tuple[dict, warpcage.VoxelField]:
+    """One fit: what it reached, and its field. exact: the training cameras as they were before any noise."""
+    before = memory_peak(device)
+    begin = time.perf_counter()
+    field = warpcage.fit(scene, device=device, progress=False, **options)
+    wp.synchronize_device(device)
+    seconds, memory = time.perf_counter() - begin, memory_peak(device)
+    views = evaluate(field, test)
+    row = {
+        "scene": name,
+        "views": len(scene),
+        "size": scene.images.shape[1],
+        "options": options,
+        "psnr": mean_psnr(views),
+        "psnr_training": mean_psnr(evaluate(field, every_nth(scene, max(1, len(scene) // TRAINING_VIEWS)))),
+        "psnr_inside": inside(views),
+        "alpha_error": None if test.surroundings is not None else alpha_error(field, test),
+        "worst": sorted((row["psnr"], row["view"]) for row in views)[:WORST],
+        "seconds": seconds,
+        "memory": memory,
+        "memory_before": before,
+        "voxels": field.voxel_count,
+        "resolution": field.resolution,
+    }
+    if field.refined_cameras is not None:
+        row["psnr_aligned"] = mean_psnr(evaluate(field, aligned(field, test, exact)))
+        row["psnr_tuned"] = mean_psnr(evaluate(field, tuned_scene(field, test)))
+        errors = zip(
+            ("turns", "shifts"), pose_errors(poses_of(field.refined_cameras.cameras), poses_of(exact)), strict=True
+        )
+        row |= {f"{what}_median": float(np.median(values)) for what, values in errors}
+    return row, field
+
+
+def inside(rows: list[dict]) -> float | None:
+    """Mean PSNR of the object's pixels, where the views tell which those are."""
+    return float(np.mean([row["masked_psnr"] for row in rows])) if "masked_psnr" in rows[0] else None
+
+
+def poses_of(cameras) -> np.ndarray:
+    """(n, 4, 4) camera_to_world."""
+    return np.array([camera.camera_to_world for camera in cameras])
+
+
+def aligned(field, test, exact):
+    """Test views moved from the world of the exact training cameras into that of the refined ones."""
+    refined, (lower, upper) = field.refined_cameras.cameras, field.bounds
+    points = lower + (upper - lower) * (0.2 + 0.3 * np.indices((3, 3, 3)).reshape(3, 27).T)
+    motion = picture_similarity(poses_of(exact), poses_of(refined), points)
+    zoom = float(np.mean([one.fx / other.fx for one, other in zip(refined, exact, strict=True)]))
+    cameras = [
+        dataclasses.replace(camera, fx=zoom * camera.fx, fy=zoom * camera.fy) for camera in motion.moved(test.cameras)
+    ]
+    return dataclasses.replace(test, cameras=cameras)
+
+
+def memory_peak(device) -> int | None:
+    """Most bytes that Warp's arrays have held on a GPU since the process began."""
+    return None if device.is_cpu else int(wp.get_mempool_used_mem_high(device))
+
+
+def alpha_error(field, scene) -> float | None:
+    """Mean absolute difference of a field's opacity to a scene's, over its views."""
+    if scene.alphas is None:
+        return None
+    pairs = zip(scene.cameras, scene.alphas, strict=True)
+    return float(np.mean([np.abs(field.render(camera).alpha - alpha).mean() for camera, alpha in pairs]))
+
+
+def write_worst(folder: pathlib.Path, row: dict, field, test) -> None:
+    """The worst views of a fit as PNG files, what it renders on the left."""
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures = test.images if field.background_model is None else test.whole
+    stem = "_".join([row["scene"], row["options"].get("quality", "standard")])
+    for place, (_, view) in enumerate(row["worst"]):
+        index = list(test.names).index(view)
+        pair = side_by_side([np.clip(field.render(test.cameras[index]).rgb, 0, 1), pictures[index]])
+        write_png(folder / f"{stem}_{place}.png".replace(" ", "_").replace(",", "").replace("/", "_"), pair)
+
+
+def shaken(scene, degrees: float):
+    """The scene with cameras turned in place, each about a random axis by a normal angle."""
+    random = np.random.default_rng(0)
+    cameras = []
+    for camera in scene.cameras:
+        axis = random.normal(size=3)
+        turn = trimesh.transformations.rotation_matrix(np.radians(degrees) * random.normal(), axis)
+        cameras.append(dataclasses.replace(camera, camera_to_world=camera.camera_to_world @ turn))
+    return dataclasses.replace(scene, cameras=cameras)
+
+
+def squeezed(scene, quality: int):
+    """The scene with its pictures through JPEG, in 8 bits."""
+    images = [
+        iio.imread(iio.imwrite("<bytes>", np.rint(255 * image).astype(np.uint8), extension=".jpg", quality=quality))
+        for image in scene.images
+    ]
+    return dataclasses.replace(scene, images=np.stack(images).astype(np.float32) / 255)
+
+
+def every_nth(scene, n: int):
+    """Every n-th view of a scene, from the first."""
+    parts = {name: getattr(scene, name) for name in ("images", "alphas", "surroundings", "cameras", "names")}
+    return dataclasses.replace(scene, **{name: part if part is None else part[::n] for name, part in parts.items()})
+
+
+# The curve of a fit
+
+
+@command(
+    DATA,
+    DOWNSCALE,
+    DEVICE,
+    option("--points", type=int, default=6, help="points on the curve"),
+    option("--option", nargs="*", action="append", help="FitOptions as name=value; repeat for more runs"),
+    JSON,
+)
+def curve(args) -> None:
+    """PSNR on held-out views against seconds of fitting, and the work that the fit does per second.
+
+        python benchmarks fits curve --data ../shared/data/lego_800 --device cuda:0 --json curve.json
+        python benchmarks fits curve --data ../shared/data/lego_800 --downscale 8 --option footprint=0.7 epochs=16
+
+    The clock runs from the images in host memory to the finished field. Kernels are compiled beforehand; evaluations
+    and counts are left out. Samples are counted in separate passes, at each point of the curve and at both ends of a
+    level, over the training rays that see the object, and summed over the steps between: `marched` in cells that hold
+    values, `matter` those of them with density. A step takes them once for the color and again for the gradient; they
+    count once.
+
+    `peak_device_bytes` is the most that the arrays of the timed fit held at once, images included; each is counted when
+    it is made. The high-water mark of a memory pool cannot be reset, and would include the warm-up, earlier runs and
+    the renders between. A few MB of scratch that Warp takes for scans are left out.
+    """
+    wp.config.log_level = wp.LOG_WARNING
+    device = resolve_device(args.device)
+    scene = warpcage.load_scene(args.data, downscale=args.downscale)
+    test = warpcage.load_scene(args.data, split="test", downscale=args.downscale)
+    results = []
+    for run in args.option or [[]]:
+        options = fit_options(run)
+        print(options, flush=True)
+        results.append(curve_of(scene, test, device, args.points, options))
+        print({name: value for name, value in results[-1].items() if name != "curve"}, flush=True)
+        if args.json:
+            write_results(args.json, device, runs=results)
+
+
+def curve_of(scene, test, device, points: int, options: dict) -> dict:
+    warm_up = FieldOptimizer(scene, device=device, **{**options, "epochs": 1e-3})
+    while warm_up.step_count < warm_up.total_steps:
+        warm_up.step()
+    warm_up.finish()
+    del warm_up
+    with counted_allocations(device) as allocations:
+        return curve_of_fit(scene, test, device, points, options, allocations)
+
+
+def curve_of_fit(scene, test, device, points: int, options: dict, allocations: CountedAllocator) -> dict:
+    clock = Clock(device, allocations)
+    optimizer = FieldOptimizer(scene, device=device, **options)
+    setup = clock.pause()
+    curve = []
+    marks = set(np.linspace(0, optimizer.total_steps, points + 1)[1:].astype(int).tolist())
+    samples, counted_at = np.zeros(2), 0
+    here = samples_per_ray(optimizer)
+    clock.go_on()
+    while optimizer.step_count < optimizer.total_steps:
+        level = optimizer.level
+        optimizer.step()
+        count = optimizer.step_count
+        if optimizer.level != level:  # the level's first step is done
+            clock.pause()
+            here = samples_per_ray(optimizer)
+            clock.go_on()
+        if count in marks or optimizer.level_done:
+            seconds = clock.pause()
+            before, here = here, samples_per_ray(optimizer)
+            samples += 0.5 * (before + here) * (count - counted_at) * optimizer.batch_rays
+            counted_at = count
+            if count in marks:
+                curve.append(curve_point(optimizer, test, seconds, here))
+                print(curve[-1], flush=True)
+            clock.go_on()
+    field = optimizer.finish()
+    spent = clock.pause()
+    rows = evaluate(field, test)
+    camera = test.cameras[0]
+    times = [seconds_of(lambda: field.render(camera), device) for _ in range(8)]
+    return {
+        "options": options,
+        "seconds": round(spent, 3),
+        "setup_seconds": round(setup, 3),
+        "psnr": mean_psnr(rows),
+        "voxels": field.voxel_count,
+        "resolution": field.resolution,
+        "batch_rays": optimizer.batch_rays,
+        "rays_per_second": round(optimizer.total_steps * optimizer.batch_rays / spent),
+        "samples_marched_per_second": round(samples[0] / spent),
+        "samples_matter_per_second": round(samples[1] / spent),
+        "render_milliseconds": round(1e3 * float(np.median(times)), 3),
+        "peak_device_bytes": allocations.peak,
+        "image_bytes": optimizer.pictures.held_bytes,
+        "image_bits": optimizer.pictures.bits,
+        "curve": curve,
+    }
+
+
+def curve_point(optimizer, test, seconds: float, samples) -> dict:
+    return {
+        "seconds": round(seconds, 3),
+        "steps": optimizer.step_count,
+        "resolution": max(optimizer.field.resolution),
+        "voxels": optimizer.field.voxel_count,
+        "psnr": round(mean_psnr(evaluate(optimizer.field, test)), 3),
+        "marched_per_ray": round(float(samples[0]), 2),
+        "matter_per_ray": round(float(samples[1]), 2),
+    }
+
+
+def samples_per_ray(optimizer, *, wanted_rays: int = 1 << 20) -> np.ndarray:
+    """(2,) samples marched and samples with density, per ray of a batch on average."""
+    camera = optimizer.scene.cameras[0]
+    total = len(optimizer.scene) * camera.width * camera.height
+    stride = max(1, int((total / wanted_rays) ** 0.5))
+    count = len(optimizer.scene) * -(-camera.width // stride) * -(-camera.height // stride)
+    counts = [wp.empty(count, dtype=wp.int32, device=optimizer.device) for _ in range(2)]
+    field = optimizer.field
+    launch(
+        count_samples,
+        count,
+        [field.grid, optimizer.rays.cameras, stride, field.step, STOP_TRANSMITTANCE],
+        counts,
+        device=optimizer.device,
+    )
+    active = optimizer.active_tiles / optimizer.tile_total  # batches leave the other tiles out, which march nothing
+    return np.array([each.numpy().mean(dtype=np.float64) for each in counts]) / active
+
+
+class CountedAllocator:
+    """Wraps a device's allocator and counts what arrays hold from now on; `peak` grows while it is `watching`."""
+
+    def __init__(self, device):
+        self.inner = device.get_allocator()
+        self.memory_kind = self.inner.memory_kind
+        self.deallocate_requires_context_guard = self.inner.deallocate_requires_context_guard
+        self.sizes, self.held, self.peak, self.watching = {}, 0, 0, True
+
+    def allocate(self, size: int) -> int:
+        pointer = self.inner.allocate(size)
+        self.sizes[pointer] = size
+        self.held += size
+        if self.watching:
+            self.peak = max(self.peak, self.held)
+        return pointer
+
+    def deallocate(self, pointer: int, size: int) -> None:
+        self.held -= self.sizes.pop(pointer, 0)  # 0: made before the count began
+        self.inner.deallocate(pointer, size)
+
+
+@contextlib.contextmanager
+def counted_allocations(device):
+    """A CountedAllocator in place of a device's own."""
+    counted = CountedAllocator(device)
+    try:
+        if device.is_cuda:
+            wp.set_device_allocator(device, counted)
+        else:  # Warp has no call for this
+            device.default_allocator = counted
+        yield counted
+    finally:
+        if device.is_cuda:
+            wp.set_device_allocator(device, None)
+        else:
+            device.default_allocator = counted.inner
+
+
+class Clock:
+    """Seconds since it was made, without the pauses, and what allocations hold. The device is synchronised whenever
+    it is read."""
+
+    def __init__(self, device, allocations: CountedAllocator):
+        self.device, self.allocations, self.seconds = device, allocations, 0.0
+        self.go_on()
+
+    def pause(self) -> float:
+        wp.synchronize_device(self.device)
+        self.seconds += time.perf_counter() - self.begin
+        self.allocations.watching = False
+        return self.seconds
+
+    def go_on(self) -> None:
+        self.allocations.watching = True
+        self.begin = time.perf_counter()
+
+
+# Kernels of a fit
+
+
+@command(DATA, DOWNSCALE, option("--device", default="cuda:0"), FIT_OPTIONS)
+def profile(args) -> None:
+    """Where the device time of a fit goes, by kernel, at each level.
+
+    python benchmarks fits profile --data ../shared/data/lego_800 --device cuda:0
+    """
+    wp.config.quiet = True
+    scene = warpcage.load_scene(args.data, downscale=args.downscale)
+    optimizer = FieldOptimizer(scene, device=args.device, **fit_options(args.option))
+    level = -1
+    while optimizer.step_count < optimizer.total_steps:
+        start = optimizer.step_count - sum(optimizer.level_steps[: optimizer.level])
+        middle = optimizer.level_steps[optimizer.level] // 2
+        if optimizer.level != level and start == middle:
+            level, count = optimizer.level, min(20, middle)
+            total = collections.Counter()
+            for name, milliseconds in launch_times(lambda count=count: [optimizer.step() for _ in range(count)]):
+                total[name] += milliseconds / count
+            print(
+                f"level {level}: {optimizer.field.resolution}, {optimizer.field.voxel_count} voxels, "
+                f"{optimizer.batch_rays} rays; ms a step"
+            )
+            for name, milliseconds in total.most_common(8):
+                print(f"  {milliseconds:9.3f}  {name}")
+        else:
+            optimizer.step()
+
+
+# One fit over two GPUs
+
+
+@command(
+    DATA,
+    DOWNSCALE,
+    option("--quality", nargs="+", default=["standard"], choices=QUALITIES),
+    option("--devices", nargs=2, default=["cuda:0", "cuda:1"]),
+    option("--ways", nargs="+", default=["warp", "nccl"], choices=["warp", "nccl"]),
+    FIT_OPTIONS,
+    JSON,
+)
+def split(args) -> None:
+    """One fit over two GPUs: each takes half of the rays of a batch, gradients are summed, both take the same step.
+
+        python benchmarks fits split --data ../shared/data/lego_800 --quality standard high --json fit_split.json
+        python benchmarks fits split --data SCENE --devices cpu cpu --option resolution=32 --ways warp
+
+    Gradients go from GPU to GPU by copies of Warp (each sums half of the numbers, then hands the sums over) or by NCCL
+    (`torch.cuda.nccl.all_reduce`), where torch is there. Both devices hold the whole field and the same numbers to the
+    bit, as a + b is b + a. Beside seconds and PSNR stand the milliseconds that an exchange takes, alone and with
+    nothing to wait for, at the last level: what a step would have to save before two GPUs pay.
+    """
+    wp.config.quiet = True
+    options = fit_options(args.option)
+    scene = warpcage.load_scene(args.data, downscale=args.downscale)
+    views = warpcage.load_scene(args.data, split="test", downscale=args.downscale)
+    for device in args.devices:  # compiles the kernels
+        FieldOptimizer(scene, device=device, **{"quality": "fast", **options}).step()
+    rows = []
+    for quality in args.quality:
+        for way in ["", *args.ways]:
+            devices = args.devices if way else args.devices[:1]
+            begin = time.perf_counter()
+            fit = SplitFit(scene, devices, way, quality=quality, **options)
+            while not fit.done:
+                fit.step()
+            wp.synchronize()
+            seconds = time.perf_counter() - begin
+            same = fit.same
+            exchange = fit.exchange_milliseconds() if way else 0.0
+            field = fit.optimizers[0].finish()
+            row = {
+                "quality": quality,
+                "way": way or "one device",
+                "seconds": seconds,
+                "psnr": mean_psnr(evaluate(field, views)),
+                "exchange_ms": exchange,
+                "gradient_megabytes": fit.gradient_bytes / 1e6,
+                "steps": fit.optimizers[0].step_count,
+                "same": same,
+            }
+            print(row, flush=True)
+            rows.append(row)
+            del fit, field
+    if args.json:
+        write_results(args.json, args.devices[0], rows=rows)
+
+
+class SplitFit:
+    """A fit whose batches are halved over two devices, or that of one device.
+
+    Args:
+        scene: The scene.
+        devices: One or two.
+        way: "warp" or "nccl", how gradients are summed.
+        options: Of the fit.
+    """
+
+    def __init__(self, scene: warpcage.Scene, devices: list[str], way: str, **options):
+        self.way, self.gradient_bytes = way, 0
+        self.optimizers = [FieldOptimizer(scene, device=device, **options) for device in devices]
+        if len(devices) == 1:
+            return
+        for optimizer in self.optimizers:
+            batches = optimizer.batches
+            rays = batches.batch_tiles // 2 * batches.rays.tile_size**2
+            batches.squared_error = wp.zeros(rays, dtype=wp.float32, device=optimizer.device)
+        if self.optimizers[0].device.is_cuda:
+            for one, other in (self.optimizers, self.optimizers[::-1]):
+                wp.set_peer_access_enabled(one.device, other.device, True)
+
+    @property
+    def done(self) -> bool:
+        """Whether all steps are done."""
+        return self.optimizers[0].schedule.is_done
+
+    @property
+    def same(self) -> bool:
+        """Whether all devices hold the same field, to the bit."""
+        densities = [optimizer.field.grid.density.numpy() for optimizer in self.optimizers]
+        return all(np.array_equal(densities[0], other) for other in densities[1:])
+
+    def step(self) -> None:
+        """One step of FieldOptimizer, on all devices."""
+        if len(self.optimizers) == 1:
+            self.optimizers[0].step()
+            return
+        for rank, optimizer in enumerate(self.optimizers):
+            schedule, batches = optimizer.schedule, optimizer.batches
+            if schedule.refines:
+                optimizer._refine()
+            if schedule.thins_out:
+                optimizer._thin_out()
+            batches.advance(schedule.rays_per_side)
+            batches.rays.first_tile += rank * (batches.batch_tiles // 2)
+            optimizer._accumulate_gradients()
+        self.exchange()
+        for optimizer in self.optimizers:
+            optimizer._apply_gradients()
+            optimizer.schedule.step_count += 1
+
+    def exchange(self) -> None:
+        """Leave the sum of both gradients with both. It is twice that of a whole batch, which RMSProp does not see."""
+        totals = [sum_shards(optimizer.current.gradients) for optimizer in self.optimizers]
+        for optimizer in self.optimizers:
+            optimizer.current.touched.fill_(1)
+        self.gradient_bytes = totals[0].capacity
+        (_sum_by_nccl if self.way == "nccl" else _sum_by_copies)(totals)
+
+    def exchange_milliseconds(self) -> float:
+        """Of one exchange of gradients, the median."""
+        times = []
+        for _ in range(TIMED):
+            wp.synchronize()
+            begin = time.perf_counter()
+            self.exchange()
+            wp.synchronize()
+            times.append(1e3 * (time.perf_counter() - begin))
+        return float(np.median(times))
+
+
+def _sum_by_copies(totals: list[wp.array]) -> None:
+    """Each device sums one half of the numbers and hands it to the other."""
+    middle = totals[0].size // 2
+    halves = [slice(0, middle), slice(middle, totals[0].size)]
+    _wait_for_each_other(totals)
+    for rank, half in enumerate(halves):
+        theirs = wp.empty(half.stop - half.start, dtype=wp.float32, device=totals[rank].device)
+        wp.copy(theirs, totals[1 - rank][half])
+        launch(add_gradients, theirs.size, [theirs], [totals[rank][half]], device=theirs.device)
+    _wait_for_each_other(totals)
+    for rank, half in enumerate(halves):
+        wp.copy(totals[1 - rank][half], totals[rank][half])
+    _wait_for_each_other(totals)
+
+
+def _wait_for_each_other(totals: list[wp.array]) -> None:
+    """What each device is given from now on begins when both have done what they were given."""
+    devices = [total.device for total in totals]
+    if not devices[0].is_cuda:
+        return
+    events = [device.stream.record_event() for device in devices]
+    for device, event in zip(devices, events[::-1], strict=True):
+        device.stream.wait_event(event)
+
+
+def _sum_by_nccl(totals: list[wp.array]) -> None:
+    """One all-reduce, on the streams of Warp."""
+    import contextlib
+
+    import torch
+
+    tensors = [wp.to_torch(total) for total in totals]
+    streams = [wp.stream_to_torch(total.device.stream) for total in totals]
+    with contextlib.ExitStack() as stack:
+        for stream in streams:
+            stack.enter_context(torch.cuda.stream(stream))
+        torch.cuda.nccl.all_reduce(tensors, streams=streams)

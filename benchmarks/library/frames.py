@@ -1,0 +1,509 @@
+"""Frames: a new pose and its picture, two checkouts by turns, and the paper's Table 1.
+
+Beyond warpcage's public names everything is imported where it is used: `by-turns` runs with older checkouts too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import json
+import os
+import pathlib
+import subprocess
+import sys
+import tempfile
+import time
+
+import numpy as np
+import warp as wp
+from common import (
+    BENCHMARKS,
+    CAGE,
+    DEVICE,
+    FIELD,
+    HERE,
+    JSON,
+    KINDS,
+    QUICK,
+    command,
+    launch_times,
+    median_seconds,
+    option,
+    quiet_device,
+    seconds_by_turns,
+    seconds_of,
+    turntable_view,
+    write_jpeg,
+    write_results,
+)
+
+import warpcage
+
+#: Frames before those whose time counts.
+WARM_FRAMES = 10
+
+
+# Times of frames and poses
+
+
+@command(
+    FIELD,
+    CAGE,
+    DEVICE,
+    option("--size", type=int, nargs="+", default=[800], help="pixels a side, or width and height; without --scene"),
+    option("--scene", help="scene folder: its first held-out view instead of one from a turntable"),
+    option("--downscale", type=int, default=1, help="factor on the scene's pictures"),
+    option("--resolution", type=int, default=128, help="cells of the lattice"),
+    option("--bend", type=float, default=45.0),
+    option("--runs", type=int, default=40),
+    option("--kinds", nargs="+", default=["harmonic", "mean_value", "green"]),
+    option("--poses", type=int, default=40, help="random poses"),
+    option("--seed", type=int, default=0, help="of the random poses"),
+    option("--profile", action="store_true", help="list the kernels of a pose and its frame"),
+    option("--bake", action="store_true", help="bake the pose too, and compare with the live frame"),
+    JSON,
+)
+def times(args) -> None:
+    """Time of a canonical frame, a deformed one with its lattice ready, a new pose with its frame, and poses in a loop.
+
+        python benchmarks frames times --field field.npz --cage cage.obj --device cuda:0 --json render.json
+        python benchmarks frames times --field field.npz --cage cage.obj --size 1920 1080
+        python benchmarks frames times --field room.npz --cage cage.obj --scene DIR --device cuda:0
+
+    New poses are random and smooth, each another one: their median, 95th percentile and longest, and the first ten of a
+    new Deformer, which meets buffers that are too small. Slabs are boxes beside each other around what the cage holds,
+    each turned: one edit, and three. Deformed frames go by turns with canonical ones, and three slabs with one, as the
+    host is now and then slower for a while: times_canonical and times_one are of medians of the same seconds.
+
+    A field with an outer field or background layers is rendered with them, and the rows of frames say what they add
+    (around_milliseconds, compared with the same frame on black, by turns). --scene takes a held-out view of a scene,
+    since such a field shows its surroundings.
+
+    --profile lists the kernels of a frame and of a pose (CUDA only); see NOTES-render.md for findings.
+    """
+    device = quiet_device(args.device)
+    field = warpcage.VoxelField.load(args.field, device=device)
+    rest = warpcage.Cage.load(args.cage)
+    if args.scene:
+        camera = warpcage.load_scene(args.scene, split="test", downscale=args.downscale).cameras[0]
+    else:
+        camera = turntable_view(field, args.size[0], args.size[-1])
+    rows = []
+
+    def report(what, seconds, spread=(), **more):
+        more |= {name: round(1e3 * value, 3) for name, value in spread}
+        rows.append({"what": what, "milliseconds": round(1e3 * seconds, 3), **more})
+        print(rows[-1], flush=True)
+
+    def frame_seconds(*renders):
+        views = [lambda render=render: render(camera) for render in renders]
+        return [float(np.median(taken)) for taken in seconds_by_turns(views, device, runs=args.runs, warm=WARM_FRAMES)]
+
+    def report_frame(what, render, **more):
+        seconds, canonical = frame_seconds(render, field.render)
+        more["times_canonical"] = round(seconds / canonical, 3)
+        if field.background_model:
+            plain = frame_seconds(lambda view: render(view, background="black"), render)
+            more["around_milliseconds"] = round(1e3 * (plain[1] - plain[0]), 3)
+        report(what, seconds, **more)
+
+    report_frame("canonical frame", field.render)
+    poses = [rest.bend(share * args.bend, axis="y", towards="z") for share in (1.0, 0.8)]
+    source = warpcage.RandomPoses(rest, seed=args.seed)
+    for kind in args.kinds:
+        deformer = warpcage.Deformer(field, rest, coordinates=kind, resolution=args.resolution).pose(poses[0])
+        report_frame("frame, lattice ready", deformer.render, kind=kind)
+        wild = [source.pose(number) for number in range(args.poses)]
+        report("pose and frame, as sweeps draw them", *random_times(deformer, wild, camera), kind=kind)
+        randoms = random_poses(rest, args.poses, args.seed)
+        report("pose and frame, random", *random_times(deformer, randoms, camera), kind=kind)
+        firsts = warpcage.Deformer(field, rest, coordinates=kind, resolution=args.resolution)
+        taken = [pose_and_frame(firsts, cage, camera) for cage in randoms[:10]]
+        report("the first ten, the longest", max(taken), kind=kind, each=[round(1e3 * t, 2) for t in taken])
+        cycle = Cycle(deformer, poses)
+        report("pose", median_seconds(cycle.pose, device, runs=args.runs), kind=kind)
+        seconds = median_seconds(lambda c=cycle: c.pose().render(camera), device, runs=args.runs)
+        report("pose and frame", seconds, kind=kind)
+        if device.is_cuda:
+            seconds = posing_loop(deformer, rest, camera, args)
+            report("posing in a loop", seconds, kind=kind, frames_a_second=round(1 / seconds, 1))
+        if args.profile and device.is_cuda:
+            profile(lambda c=cycle: c.pose().render(camera))
+        if args.bake:
+            report("bake", median_seconds(lambda d=deformer: warpcage.bake(d), device, runs=1), kind=kind)
+            baked = warpcage.bake(deformer)
+            live = deformer.render(camera).rgb
+            print({"bake": repr(baked), "psnr": round(float(warpcage.psnr(baked.render(camera).rgb, live)), 2)})
+            report_frame("frame of the baked field", baked.render, kind=kind)
+    slabs = three_slabs(rest)
+    turned = [slab.rotate(12, axis="x") for slab in slabs]
+    options = {"coordinates": "mean_value", "resolution": args.resolution}
+    one = warpcage.Deformer(field, slabs[1], **options).pose(turned[1])
+    three = warpcage.Deformer(field, slabs, **options).pose(turned)
+    alone, together = frame_seconds(one.render, three.render)
+    report("frame, one slab, lattices ready", alone, kind="mean_value")
+    report("frame, three slabs, lattices ready", together, kind="mean_value", times_one=round(together / alone, 3))
+    if args.profile and device.is_cuda:
+        for several in (one, three):
+            profile(lambda several=several: several.render(camera))
+    peak = wp.get_mempool_used_mem_high(device) if device.is_cuda else None
+    print({"peak_device_bytes": peak})
+    if args.json:
+        write_results(
+            args.json,
+            device,
+            voxels=field.voxel_count,
+            cage_vertices=len(rest.vertices),
+            size=[camera.width, camera.height],
+            resolution=args.resolution,
+            around=field.background_model.summary if field.background_model else None,
+            peak_device_bytes=peak,
+            rows=rows,
+        )
+
+
+def random_poses(rest, count: int, seed: int) -> list:
+    """Cages moved by three waves each, of random directions, lengths above 1.4 times their size, and phases: those that
+    times have been taken with from the start, milder than `RandomPoses`."""
+    random = np.random.default_rng(seed)
+    center, size = rest.vertices.mean(axis=0), float(np.ptp(rest.bounds, axis=0).max())
+    places = (rest.vertices - center) / size
+    poses = []
+    for _ in range(count):
+        moved = places.copy()
+        for _ in range(3):
+            wave = random.normal(size=3)
+            wave *= random.uniform(0.2, 0.7) / np.linalg.norm(wave)
+            phase = random.uniform(0, 2 * np.pi)
+            moved += 0.05 * random.normal(size=3) * np.sin(2 * np.pi * places @ wave + phase)[:, None]
+        poses.append(rest.with_vertices(center + size * moved))
+    return poses
+
+
+def pose_and_frame(deformer, cage, camera) -> float:
+    """Seconds of a new pose and its frame, with the device idle before and after."""
+    return seconds_of(lambda: deformer.pose(cage).render(camera), deformer.device)
+
+
+def random_times(deformer, cages, camera):
+    """Median seconds of random poses and their frames, and what else is told of them."""
+    for cage in cages[:3]:
+        deformer.pose(cage).render(camera)
+    taken = [pose_and_frame(deformer, cage, camera) for cage in cages]
+    return float(np.median(taken)), [("percentile_95", float(np.percentile(taken, 95))), ("longest", max(taken))]
+
+
+class Cycle:
+    """Poses by turns, so that each one is new."""
+
+    def __init__(self, deformer, poses):
+        self.deformer, self.poses, self.turn = deformer, poses, 0
+
+    def pose(self):
+        self.turn += 1
+        return self.deformer.pose(self.poses[self.turn % len(self.poses)])
+
+
+def posing_loop(deformer, rest, camera, args, count: int = 60) -> float:
+    """Seconds per frame of a swinging bend: each frame is a new pose, its cage made beforehand. The device may lag
+    behind the host within the loop, as in a viewer; the solver's cycles replay CUDA graphs."""
+    cages = [rest.bend(args.bend * (0.5 + 0.5 * k / count), axis="y", towards="z") for k in range(count)]
+    for cage in cages[:3]:
+        deformer.pose(cage).render(camera)
+    return seconds_of(lambda: [deformer.pose(cage).render(camera) for cage in cages], deformer.device) / count
+
+
+def profile(action) -> None:
+    """Print the device time of each kernel of action()."""
+    action()
+    totals = collections.defaultdict(list)
+    kinds = wp.TIMING_KERNEL | wp.TIMING_MEMCPY | wp.TIMING_MEMSET | wp.TIMING_GRAPH
+    for name, milliseconds in launch_times(action, kinds):
+        totals[name].append(milliseconds)
+    for name, taken in sorted(totals.items(), key=lambda item: -sum(item[1])):
+        print(f"  {sum(taken):8.3f} ms {len(taken):4d} {name}")
+
+
+# Two checkouts by turns
+
+
+@command(
+    option("--other", help="another checkout"),
+    FIELD,
+    CAGE,
+    option("--size", type=int, default=200, help="pixels along each side"),
+    option("--resolution", type=int, default=64, help="cells of the lattice"),
+    option("--runs", type=int, default=15),
+    option("--worker", action="store_true", help=argparse.SUPPRESS),
+)
+def by_turns(args) -> None:
+    """Frames of two checkouts by turns, on the CPU: CPU time of each, their ratio, and how alike the pictures are.
+
+        python benchmarks frames by-turns --other ../older --field bricks.npz --cage bricks_cage.obj
+
+    Each checkout renders in a process of its own, which waits while the other one works, so that both meet the same
+    noise. The ratio is that of the medians; its spread is that of the ratios of successive frames.
+    """
+    if args.worker:
+        work(args)
+        return
+    workers = {"this": started(HERE.parent, args), "other": started(pathlib.Path(args.other).resolve(), args)}
+    for what in ask(workers["this"], "list"):
+        pictures = {name: ask(worker, f"show {what}") for name, worker in workers.items()}
+        seconds = {name: [] for name in workers}
+        for _ in range(args.runs):
+            for name, worker in workers.items():
+                seconds[name].append(ask(worker, f"time {what}"))
+        ratios = np.array(seconds["other"]) / np.array(seconds["this"])
+        error = np.mean((np.load(pictures["this"]) - np.load(pictures["other"])) ** 2)
+        row = {
+            "what": what,
+            **{f"{name}_ms": round(1e3 * float(np.median(taken)), 2) for name, taken in seconds.items()},
+            "ratio": round(float(np.median(seconds["other"]) / np.median(seconds["this"])), 2),
+            "ratios": [round(float(np.percentile(ratios, share)), 2) for share in (25, 75)],
+            "psnr": round(float(-10 * np.log10(max(error, 1e-14))), 1),
+        }
+        print(json.dumps(row), flush=True)
+    for worker in workers.values():
+        worker.stdin.close()
+        worker.wait()
+
+
+def started(checkout: pathlib.Path, args):
+    """A process that renders with a checkout."""
+    options = ["--field", args.field, "--cage", args.cage, "--size", str(args.size)]
+    words = [*BENCHMARKS, "frames", "by-turns", "--worker", *options, "--resolution", str(args.resolution)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(checkout), os.environ.get("PYTHONPATH", "")])}
+    return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
+
+
+def ask(worker, question: str):
+    """Ask a process and wait for its answer."""
+    worker.stdin.write(question + "\n")
+    worker.stdin.flush()
+    while not (line := worker.stdout.readline()).startswith("answer "):
+        if not line:
+            raise RuntimeError("a process has ended early")
+    return json.loads(line.removeprefix("answer "))
+
+
+def work(args) -> None:
+    """Answer questions until there are no more."""
+    wp.config.quiet = True
+    field = warpcage.VoxelField.load(args.field, device="cpu")
+    rest = warpcage.Cage.load(args.cage)
+    camera = turntable_view(field, args.size, args.size)
+    bend, slabs = rest.bend(45, axis="y", towards="z"), three_slabs(rest)
+    turned = [slab.rotate(12, axis="x") for slab in slabs]
+
+    def deformed(rests, poses, kind):
+        deformer = warpcage.Deformer(field, rests, coordinates=kind, resolution=args.resolution).pose(poses)
+        return lambda: deformer.render(camera)
+
+    frames = {
+        "canonical": lambda: field.render(camera),
+        **{kind: deformed(rest, bend, kind) for kind in ("harmonic", "mean_value", "green")},
+        "one-slab": deformed(slabs[1], turned[1], "mean_value"),
+        "three-slabs": deformed(slabs, turned, "mean_value"),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        for line in sys.stdin:
+            question, _, what = line.strip().partition(" ")
+            if question == "list":
+                answer = list(frames)
+            elif question == "show":
+                answer = os.path.join(folder, f"{what}.npy")
+                np.save(answer, frames[what]().rgb.astype(np.float64))
+            else:
+                begin = time.process_time()
+                frames[what]()
+                answer = time.process_time() - begin
+            print("answer " + json.dumps(answer), flush=True)
+
+
+def three_slabs(rest):
+    """Boxes beside each other around what a cage holds."""
+    lower, upper = np.asarray(rest.bounds) + [[-0.05], [0.05]]
+    width = (upper[0] - lower[0]) / 3
+    boxes = []
+    for i in range(3):
+        low, high = lower.copy(), upper.copy()
+        low[0], high[0] = lower[0] + i * width + 0.01, lower[0] + (i + 1) * width - 0.01
+        boxes.append(warpcage.Cage.box(low, high, segments=2))
+    return boxes
+
+
+# The paper's table
+
+
+FINEST = 512
+
+#: Poses of a swing. A GPU runs through all of them before the clock starts, so that graphs have room for each.
+SWING = 9
+
+#: Seconds per frame in the paper's Table 1 (one A100).
+PAPER = {
+    "mean_value": {64: 0.31, 128: 0.98, 256: 5.71, None: 102.0},
+    "harmonic": {64: 0.23, 128: 0.90, 256: 6.32},
+    "green": {64: 0.35, 128: 2.49, 256: 19.69, None: 243.0},
+}
+
+#: The authors' code on an H200 (DESIGN, section 5): seconds of a lattice with a 42-vertex cage, and of a render at
+#: 800x800 with 512 samples once the lattice is ready, whose middle of 0.550 to 0.576 is added.
+AUTHORS_LATTICE = {
+    "mean_value": {64: 0.020, 128: 0.170, 256: 1.390},
+    "harmonic": {64: 0.490, 128: 1.240, 256: 1.650},
+    "green": {64: 0.100, 128: 0.770, 256: 6.140},
+}
+
+AUTHORS_RENDER = 0.563
+
+
+@command(
+    option("--data", help="scene folder to fit; default: the brick model"),
+    option("--field", help="a fitted field instead"),
+    option("--scene", help="name of the scene that this field shows"),
+    option("--cage", help="cage file of 42 vertices; default: one is made around the field"),
+    option("--quality", default="fast", help="quality of the fit"),
+    DEVICE,
+    option("--size", type=int, default=800),
+    option("--samples", type=int, default=512),
+    option("--resolution", type=int, nargs="*", default=[64, 128, 256]),
+    option("--bend", type=float, default=40.0),
+    option("--view", type=float, default=30.0, help="angle of the camera around the object, degrees"),
+    option("--distance", type=float, default=1.75, help="of the camera, in longest sides of the field"),
+    option(
+        "--crop",
+        type=float,
+        nargs=4,
+        default=[0.34, 0.32, 0.66, 0.64],
+        help="part of the picture that the figure shows: left, top, right, bottom, 0 to 1",
+    ),
+    option("--runs", type=int, default=2 * SWING),
+    JSON,
+    option("--figure", help="JPEG file: rows are kinds, columns resolutions and the reference"),
+    QUICK,
+)
+def table1(args) -> None:
+    """The paper's Table 1 and Fig. 8: seconds per frame for each kind of coordinates and resolution, and pictures.
+
+        python benchmarks frames table1 --data ../shared/data/lego_800 --cage lego_42.obj --device cuda:0 \\
+            --json docs/results/table1.json --figure docs/pictures/table1.jpg
+        python benchmarks frames table1 --quick
+
+    A frame is a new pose, never seen before (checks, coordinates, map, marks), and its picture at 800x800 with 512
+    samples per ray, as the paper counts it: samples are 1/512 of the longest way through the deformed scene's box
+    apart. Times are medians over frames of a swinging bend, on a GPU after one whole swing, with the device idle before
+    and after each. "precise" evaluates the closed forms at every sample. PSNR is that of one pose's picture against
+    precise; harmonic coordinates have no closed form and are compared with the finest lattice (512 cells). Without
+    --data the scene is the brick model; so it is with --quick, which is small and runs on the CPU.
+    """
+    if args.quick:
+        args.device, args.size, args.samples, args.runs, args.resolution = "cpu", 60, 128, 1, [16, 32]
+    device = quiet_device(args.device)
+    if args.field:
+        field, test_psnr, scene = warpcage.VoxelField.load(args.field, device=device), None, args.scene
+    else:
+        field, test_psnr, scene = prepared_field(args, device)
+    rest = warpcage.Cage.load(args.cage) if args.cage else warpcage.Cage.from_field(field, vertex_count=42)
+    distance = args.distance * np.ptp(field.bounds, axis=0).max()
+    camera = turntable_view(field, args.size, args.size, distance=distance, start_degrees=args.view)
+    shown = rest.bend(args.bend, axis="y", towards="z").twist(15)
+    step = longest_way(field, rest, shown) / args.samples
+    finest = FINEST if not args.quick else 2 * max(args.resolution)
+    rows, pictures = [], {}
+    for kind in KINDS:
+        for resolution in [*args.resolution, finest if kind == "harmonic" else None]:
+            deformer = warpcage.Deformer(field, rest, coordinates=kind, resolution=resolution)
+            swing = NewPoses(deformer, rest, camera, step, args.bend)
+            seconds = median_seconds(swing, device, runs=args.runs, warm=SWING if device.is_cuda else 2)
+            frame = deformer.pose(shown).render(camera, step=step)
+            pictures[kind, resolution] = np.clip(frame.rgb, 0, 1)
+            rows.append(
+                {
+                    "kind": kind,
+                    "resolution": resolution,
+                    "seconds": seconds,
+                    "paper_a100": PAPER[kind].get(resolution),
+                    "authors_h200": authors_seconds(kind, resolution),
+                    "outside_pixels": int((frame.outside > 0).sum()),
+                }
+            )
+            print(rows[-1], flush=True)
+    for row in rows:
+        reference = pictures[row["kind"], finest if row["kind"] == "harmonic" else None]
+        psnr = float(warpcage.psnr(pictures[row["kind"], row["resolution"]], reference))
+        row["psnr_to_reference"] = psnr if np.isfinite(psnr) else None
+        print(row)
+    if args.json:
+        write_results(
+            args.json,
+            device,
+            scene=scene,
+            size=args.size,
+            samples=args.samples,
+            step=step,
+            cage_vertices=len(rest.vertices),
+            cage_faces=len(rest.faces),
+            voxels=field.voxel_count,
+            field_resolution=list(field.resolution),
+            field_psnr=test_psnr,
+            harmonic_reference=finest,
+            rows=rows,
+        )
+    if args.figure:
+        write_jpeg(args.figure, figure(pictures, args.resolution, args.crop))
+
+
+def prepared_field(args, device):
+    """The fitted field, its PSNR on test views, and the scene's name."""
+    from warpcage.reference import write_brick_scene
+
+    with tempfile.TemporaryDirectory() as folder:
+        size = 48 if args.quick else 400
+        data = args.data or write_brick_scene(
+            folder + "/bricks", train_views=30 if args.quick else 80, size=size, device=device
+        )
+        field = warpcage.fit(warpcage.load_scene(data), device=device, quality=args.quality, progress=False)
+        test = warpcage.load_scene(data, split="test")
+        psnr = warpcage.mean_psnr(warpcage.evaluate(field, test))
+        return field, psnr, "Lego, 800x800" if args.data else f"bricks, {size}x{size}"
+
+
+def longest_way(field, rest, deformed) -> float:
+    """Diagonal of the box around the field and both cages, world units."""
+    corners = np.concatenate([field.bounds, rest.bounds, deformed.bounds])
+    return float(np.linalg.norm(np.ptp(corners, axis=0)))
+
+
+def authors_seconds(kind, resolution):
+    lattice = AUTHORS_LATTICE[kind].get(resolution)
+    return None if lattice is None else lattice + AUTHORS_RENDER
+
+
+class NewPoses:
+    """Frames of a swinging bend. Each call poses a cage that was not posed before."""
+
+    def __init__(self, deformer, rest, camera, step, bend):
+        self.deformer, self.rest, self.camera, self.step, self.bend, self.turn = deformer, rest, camera, step, bend, 0
+
+    def __call__(self):
+        self.turn += 1
+        share = 0.6 + 0.4 * np.cos(0.7 * self.turn)
+        posed = self.rest.bend(share * self.bend, axis="y", towards="z").twist(15)
+        self.deformer.pose(posed).render(self.camera, step=self.step)
+
+
+def figure(pictures, resolutions, crop) -> np.ndarray:
+    """A crop of each picture; the last column is precise, or for harmonic coordinates the finest lattice."""
+    from warpcage.view import contact_sheet
+
+    cells = []
+    for kind in KINDS:
+        last = max((r for k, r in pictures if k == kind and r is not None)) if kind == "harmonic" else None
+        for resolution in [*resolutions, last]:
+            picture = pictures[kind, resolution]
+            h, w = picture.shape[:2]
+            cells.append(picture[int(crop[1] * h) : int(crop[3] * h), int(crop[0] * w) : int(crop[2] * w)])
+    return contact_sheet(cells, columns=len(resolutions) + 1)

@@ -1,0 +1,70 @@
+"""What pages are made of: texts, tables, and what results were measured by and on."""
+
+from __future__ import annotations
+
+import pathlib
+import re
+import string
+
+NAMES = {"mean_value": "mean value", "harmonic": "harmonic", "green": "green"}
+POSES = ("rigid", "twist", "bend", "stretch", "local")
+
+#: What is now the command of a script that results name.
+RENAMED = {
+    "capture": "captures",
+    "coverage": "truth coverage",
+    "deformed_render": "frames times",
+    "fit_scenes": "fits scenes",
+    "ground_truth": "truth fields",
+    "select_page": "pages select",
+    "splat_poses": "splats poses",
+    "splats": "splats views",
+    "splats_truth": "splats-truth",
+    "table1": "frames table1",
+}
+
+
+def texts(page: str) -> dict[str, str]:
+    """The pieces of a page's text by the names before them."""
+    text = pathlib.Path(__file__).with_name(f"{page}.md").read_text(encoding="utf-8")
+    words = re.split(r"<!-- (.*) -->\n", text)
+    return {name: piece.strip("\n") + "\n" for name, piece in zip(words[1::2], words[2::2], strict=True)}
+
+
+def filled(text: str, **values) -> str:
+    """A text with values for its $names."""
+    return string.Template(text).substitute(values)
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
+
+
+def source(results: dict) -> str:
+    """The command, and what it ran on."""
+    machine = results["machine"]
+    on = machine["device"] if machine["device"] != "CPU" else f"{machine['processor']}, {machine['cores']} cores"
+    cuda = f", driver for CUDA {machine['cuda_driver']}" if "cuda_driver" in machine else ""
+    script, *options = results["command"].removeprefix("python benchmarks/").split(".py", 1)
+    command = f"benchmarks {RENAMED[script]}{options[0]}" if script in RENAMED else results["command"][7:]
+    return (
+        f"`python {command}`\n({on}{cuda}, Python {machine['python']}, Warp {machine['warp']}, "
+        f"NumPy {machine['numpy']})\n"
+    )
+
+
+def with_95(median: float, high: float) -> str:
+    return f"{median:.3f} ({high:.3f})"
+
+
+def by_pixels(size) -> str:
+    return "x".join(map(str, size))
+
+
+def decibels(value: float | None) -> str:
+    return "–" if value is None else f"{value:+.2f}"
+
+
+def quality(measured: dict) -> list[str]:
+    return [f"{measured['psnr']:.2f}", f"{measured['ssim']:.4f}"]

@@ -1,0 +1,105 @@
+"""What a worker of `warpcage run` does before its first frame."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import time
+
+from common import CAGE, FIELD, command, eye_beside, option, pickle_by_value
+
+
+@command(
+    FIELD,
+    CAGE,
+    option("--size", type=int, default=800, help="of the frames, pixels"),
+    option("--device", help="default: CUDA where there is one"),
+    option("--workers", type=int, default=2, help="actors that are started"),
+)
+def main(args) -> None:
+    """What a worker of `warpcage run` does before its first frame, and what Ray takes: the seconds of each step.
+
+        python benchmarks batch-start --field lego.npz --cage lego_42.obj
+
+    The steps follow each other here, in a process that has loaded nothing; a worker hashes its field and loads kernels
+    while it reads. Prints one line of JSON.
+    """
+    laps = Laps()
+    ray_steps(laps, args.workers)
+    worker_steps(laps, args)
+    print(json.dumps(laps.seconds))
+
+
+class Laps:
+    """Seconds between calls, by name."""
+
+    def __init__(self):
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def note(self, name: str) -> None:
+        """What took from the call before until now."""
+        now = time.perf_counter()
+        self.seconds[name] = round(now - self._last, 4)
+        self._last = now
+
+
+def ray_steps(laps: Laps, workers: int) -> None:
+    """Start Ray and actors that load nothing, as a run does, and end it."""
+    from warpcage.batch import load_ray, ray_session
+
+    laps.note("import the driver")
+    load_ray()
+    laps.note("import ray")
+    pickle_by_value(__name__)
+    with ray_session(None) as ray:
+        laps.note("start ray")
+        actors = [ray.remote(Idle).options(num_cpus=0).remote() for _ in range(workers)]
+        ray.get([actor.answer.remote() for actor in actors])
+        laps.note("start actors")
+    laps.note("end ray")
+
+
+class Idle:
+    """An actor that does nothing."""
+
+    def answer(self) -> bool:
+        """That it is there."""
+        return True
+
+
+def worker_steps(laps: Laps, args) -> None:
+    """All that comes before the first frame, that frame and the one after it."""
+    import warp as wp
+
+    from warpcage.batch import worker  # noqa: F401
+
+    laps.note("import a worker")
+    import warpcage
+    from warpcage.batch.fingerprints import _file_hash
+    from warpcage.core import resolve_device
+    from warpcage.field import load_field
+    from warpcage.render import load_usual_modules
+
+    device = resolve_device(args.device)
+    wp.zeros(1, device=device).numpy()
+    laps.note("start the device")
+    _file_hash(pathlib.Path(args.field))
+    laps.note("hash")
+    held = load_field(args.field)
+    laps.note("read")
+    field = warpcage.VoxelField(held.bounds, held.links, held.density, held.sh, device=device, **held.options())
+    wp.synchronize_device(device)
+    laps.note("field to the device")
+    load_usual_modules("harmonic", device)
+    laps.note("kernels")
+    rest = warpcage.Cage.load(args.cage)
+    laps.note("cage")
+    deformer = warpcage.Deformer(field, rest)
+    wp.synchronize_device(device)
+    laps.note("deformer")
+    eye, center = eye_beside(rest)
+    camera = warpcage.Camera.look_at(eye, center, width=args.size, height=args.size)
+    for name, degrees in (("first frame", 20), ("second frame", 30)):
+        deformer.pose(rest.twist(degrees)).render(camera).rgb.sum()
+        laps.note(name)

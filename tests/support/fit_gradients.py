@@ -1,0 +1,74 @@
+"""The gradient of the photometric loss, as the kernels of fits give it."""
+
+import numpy as np
+import warp as wp
+
+from warpcage.fitting import gradient_parts
+from warpcage.kernels.fitting import loss as field_loss
+from warpcage.kernels.fitting import loss_warps as field_loss_warps
+from warpcage.view import camera_array
+
+
+def training_rays(cameras, images, alphas, field, device, side=1):
+    pixels = np.concatenate([images - (1 - alphas[..., None]), alphas[..., None]], axis=-1).astype(np.float16)
+    rays = field_loss.TrainingRays()
+    rays.cameras = camera_array(cameras, field.center, device)
+    rays.pictures.halves = wp.array(pixels, dtype=wp.vec4h, device=device)
+    rays.height, rays.width = pixels.shape[1:3]
+    rays.tile_size = 2
+    rays.rays_per_side = side
+    rays.tiles = wp.array(np.arange(len(cameras) * 12), dtype=wp.int32, device=device)
+    rays.first_tile = 0
+    return rays
+
+
+def gradient_rows(gradients):
+    """(rows, 25) NumPy, coefficients, then density, of what kernels add to."""
+    density, coefficients = (part.numpy() for part in gradient_parts(gradients))
+    return np.concatenate([coefficients, density[:, None]], axis=1)
+
+
+def photometric_gradient(
+    field,
+    rays,
+    count,
+    *,
+    background=(1.0, 1.0, 1.0),
+    random_background=0,
+    seed=0,
+    stop=0.0,
+    scale=1.0,
+    by_warps=False,
+    own_background=None,
+    grad_background=None,
+    front=None,
+    grad_front=None,
+):
+    """Gradient rows (rows, 25), coefficients, then density, and squared errors (count,) of a batch.
+
+    own_background, grad_background, front, grad_front: Warp arrays.
+    """
+    device = field.device
+    gradients = wp.zeros(25 * field.voxel_count, dtype=wp.float32, device=device)
+    touched = wp.zeros(field.voxel_count, dtype=wp.uint8, device=device)
+    error = wp.zeros(count, dtype=wp.float32, device=device)
+    inputs = [rays, wp.vec3(*background), random_background, seed, field.step, stop, scale, own_background, front]
+    if by_warps:
+        wp.launch(
+            field_loss_warps.accumulate_photometric_gradient_by_warps,
+            dim=32 * count,
+            device=device,
+            block_dim=128,
+            inputs=[0, field.grid, *inputs],
+            outputs=[gradients, touched, error, grad_background, grad_front],
+        )
+        assert touched.numpy()[gradient_rows(gradients).any(axis=1)].all()
+    else:
+        wp.launch(
+            field_loss.accumulate_photometric_gradient,
+            dim=count,
+            device=device,
+            inputs=[0, field.grid, *inputs],
+            outputs=[*gradient_parts(gradients), error, grad_background, grad_front],
+        )
+    return gradient_rows(gradients), error.numpy()
