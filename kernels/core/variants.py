@@ -1,8 +1,9 @@
-"""Variants of a kernel, each a Warp module of its own: it compiles by itself, and only once it is used."""
+"""How kernels are declared: variants as Warp modules of their own, and C++ that stands in files beside them."""
 
 import functools
 import inspect
 import threading
+from pathlib import Path
 from typing import Any
 
 import warp as wp
@@ -33,3 +34,12 @@ def declared_once(make: Any) -> Any:
             return made(*bound.args, **bound.kwargs)
 
     return declared
+
+
+def native_source(file: str, name: str) -> str:
+    """The text of a C++ file beside a Python file, with the files that it includes in their places."""
+    path = Path(file).parent / name
+    text = ""
+    for line in path.read_text(encoding="utf-8").splitlines(keepends=True):
+        text += native_source(str(path), line.split('"')[1]) if line.startswith("#include ") else line
+    return text

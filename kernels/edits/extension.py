@@ -6,8 +6,7 @@ from ..coordinates.mean_value import mean_value_position
 from ..lattice.cage_map import CageMap, cell_sides, map_position
 from ..lattice.nodes import CELL_DIAGONAL
 from ..mesh.containment import triangle_distance_squared
-from ..mesh.triangle import nearest_barycentric
-from ..mesh.walls import Walls, faded_position
+from ..mesh.triangle import Walls, faded_position, nearest_barycentric
 from .cell_tables import jacobian_spread, largest_stretch, mat83, mean_jacobian
 from .structs import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE, CELL_STEEP, CUT_LENGTH, LatticeEdit
 

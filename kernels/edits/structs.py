@@ -4,7 +4,7 @@ import warp as wp
 
 from ..core.loads import trilinear_entry
 from ..lattice.cage_map import CageMap
-from ..mesh.walls import Walls
+from ..mesh.triangle import Walls
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 

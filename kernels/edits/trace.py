@@ -8,7 +8,7 @@ from ..coordinates.green import green_position
 from ..coordinates.mean_value import mean_value_position
 from ..lattice.cage_map import cell_sides, map_distance, map_position, side_position
 from ..mesh.containment import cage_distance, winding_number
-from ..mesh.walls import faded_position
+from ..mesh.triangle import faded_position
 from .structs import (
     CELL_CARRIES,
     CELL_FOLDED,

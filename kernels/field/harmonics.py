@@ -7,7 +7,7 @@
 
 import warp as wp
 
-from ..core.native import native_source
+from ..core.variants import native_source
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 vec16 = wp.types.vector(length=16, dtype=wp.float32)

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from ..core.native import native_source
+from ..core.variants import native_source
 from ..view.rays import TILE_SIZE, PinholeCamera, pixel_direction, tile_pixel
 from .grid import VoxelGrid, grid_ray
 from .march import PENDING_WEIGHT, pending_color, visible_depth

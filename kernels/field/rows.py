@@ -7,7 +7,7 @@
 
 import warp as wp
 
-from ..core.native import native_source
+from ..core.variants import native_source
 from .columns import CELL_PLACE, COLUMN_ENTRY, Columns
 from .grid import VoxelGrid, eight_rows
 from .harmonics import vec16

@@ -6,8 +6,8 @@
 
 import warp as wp
 
-from ..core.native import native_source
 from ..core.texels import FOUR_HALVES
+from ..core.variants import native_source
 from .columns import Columns
 from .grid import VoxelGrid, eight_rows
 from .harmonics import sh_basis, vec16

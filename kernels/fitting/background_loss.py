@@ -18,8 +18,8 @@ from ..field.background import (
     surface_place,
 )
 from ..view.rays import pixel_direction
+from .batches import Pictures, picture_pixel
 from .loss import TrainingRays, batch_pixel, evenly_exposed, in_picture
-from .pictures import Pictures, picture_pixel
 from .rmsprop import rmsprop_update
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})

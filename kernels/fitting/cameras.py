@@ -21,8 +21,8 @@ from ..field.grid import (
 )
 from ..field.harmonics import sh_basis
 from ..view.rays import PinholeCamera
+from .batches import picture_pixel
 from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_color
-from .pictures import picture_pixel
 from .slopes import blended_color_slopes, cell_slopes, density_slope, sh_basis_slope
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})

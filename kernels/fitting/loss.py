@@ -22,8 +22,7 @@ from ..field.grid import (
 )
 from ..field.harmonics import sh_basis, vec16
 from ..view.rays import PinholeCamera, image_direction
-from .pictures import Pictures, picture_pixel
-from .shuffle import shuffled_place
+from .batches import Pictures, picture_pixel, shuffled_place
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 mat43 = wp.types.matrix(shape=(4, 3), dtype=wp.float32)

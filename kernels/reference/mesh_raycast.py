@@ -1,13 +1,5 @@
 """Ray casting of a triangle mesh with one colour per face, for the pictures of the reference scenes."""
 
-# Each sample of a pixel casts one ray (Moeller and Trumbore 1997, inside `wp.mesh_query_ray`) and shades the point that
-# it hits: hemispheric ambient light times the openness there, Lambert's cosine for two distant lights (the first with a
-# shadow ray) and a modest Blinn-Phong highlight (Blinn 1977), which makes the colour depend on the view. The colour is
-# a fixed function of position and view direction, so that two cameras that see the same point agree about it.
-#
-# Positions are in one unit, relative to one origin; directions have unit length; colours are in [0, 1], display-
-# referred.
-
 import warp as wp
 
 from ..view.rays import PinholeCamera
@@ -122,3 +114,17 @@ def cast_mesh_rays(
     if hits > 0.0:
         color = color / hits
     rgba[item] = wp.vec4(color[0], color[1], color[2], hits / float(side_samples * side_samples))
+
+
+@wp.kernel
+def measure_mesh_distance(
+    first: int, mesh: wp.uint64, farthest: float, points: wp.array(dtype=wp.vec3), distances: wp.array(dtype=float)
+):
+    """distances (n,): negative inside; `farthest` for points that are farther from the mesh."""
+    n = first + wp.tid()
+    point = points[n]
+    distances[n] = farthest
+    query = wp.mesh_query_point_sign_winding_number(mesh, point, farthest)
+    if query.result:
+        foot = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+        distances[n] = query.sign * wp.length(point - foot)

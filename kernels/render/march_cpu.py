@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from ..core.native import native_source
+from ..core.variants import native_source
 from ..edits.structs import (
     CELL_FOLDED,
     CELL_INSIDE,

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from ..core.native import native_source
+from ..core.variants import native_source
 from .tiles import TILE_SIDE, TileGrid
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 256})

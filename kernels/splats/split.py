@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from ..mesh.walls import Walls, walls_share
+from ..mesh.triangle import Walls, walls_share
 from .pose import CarriedSplats
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})

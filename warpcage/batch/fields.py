@@ -64,12 +64,13 @@ class LoadedFields:
         self.dropped: Callable[[AnyField], Any] = lambda field: None
         self._expected = expected
         limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
-        self._fields: LRUCache[AnyField] = LRUCache(MOST_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
+        # fields that stay loaded, used longest ago first
+        self.kept: LRUCache[AnyField] = LRUCache(MOST_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
 
     @property
     def held_bytes(self) -> int:
         """Bytes that the fields take."""
-        return self._fields.held_bytes
+        return self.kept.held_bytes
 
     def get(self, name: str, scene_scale: float) -> tuple[Hashable, AnyField]:
         """A key that is another where the file has changed, and the field; scene_scale: as `VoxelField.load` has it."""
@@ -82,13 +83,13 @@ class LoadedFields:
             return (found or read_field(path, scene_scale=scene_scale))(self.device)
 
         key = path, stamp, scene_scale
-        return key, self._fields.get(key, load)
+        return key, self.kept.get(key, load)
 
     def settle(self, key: Hashable) -> None:
         """Measure a field anew, once it was rendered, and let go of others where it has grown too large."""
-        self._fields.settle(key)
+        self.kept.settle(key)
 
     def forget(self) -> None:
         """Let go of all fields."""
         self._expected = None
-        self._fields.clear()
+        self.kept.clear()

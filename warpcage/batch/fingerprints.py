@@ -128,7 +128,7 @@ class Fingerprints:
 
         def begin() -> str | LargeHash:
             if stamp[0] < LARGE:
-                return _file_hash(path)
+                return file_hash(path)
             self._thread = self._thread or ThreadPoolExecutor(1, "warpcage-hashes")
             return LargeHash(path, stamp, self._thread.submit(_stamped_hash, path, stamp))
 
@@ -179,7 +179,8 @@ def _files_of_frame(item: FrameItem) -> Iterator[str]:
     yield from (value for value in values if isinstance(value, str))
 
 
-def _file_hash(path: pathlib.Path) -> str:
+def file_hash(path: pathlib.Path) -> str:
+    """The hash of a file's bytes, hexadecimal digits."""
     found = hashlib.blake2b(digest_size=HASH_BYTES)
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
@@ -190,7 +191,7 @@ def _file_hash(path: pathlib.Path) -> str:
 
 def _stamped_hash(path: pathlib.Path, stamp: tuple[int, int]) -> str:
     """The hash of a file that is still as it was when another thread began to read it."""
-    found = _file_hash(path)
+    found = file_hash(path)
     return found if file_stamp(path) == stamp else _changed(stamp, found)
 
 

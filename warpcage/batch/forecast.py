@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 
-from ..cage.presets import is_preset
+from ..cage.pose_file import is_preset
 from ..core.devices import resolve_device
 from ..core.files import NpyFile, PathLike, require_file
 from ..core.memory import LRUCache

@@ -84,23 +84,24 @@ class FrameMaker:
         self.references, self.fields, self.counts = references, fields, Counts()
         limit = int(MEMORY_SHARE * free_bytes(fields.device)) // 2 if memory is None else memory
         self._kernels: dict[str, Future[None] | None] = {}  # by coordinates; None once they were waited for
-        self._bound: LRUCache[Bound] = LRUCache(MOST_DEFORMERS, limit, _bound_bytes)
+        # deformers that stay bound, used longest ago first
+        self.kept: LRUCache[Bound] = LRUCache(MOST_DEFORMERS, limit, _bound_bytes)
         fields.dropped = self._drop_bound_to
 
     @property
     def held_bytes(self) -> int:
         """Bytes that deformers take, beside their fields."""
-        return self._bound.held_bytes
+        return self.kept.held_bytes
 
     def forget(self) -> None:
         """Let go of all that is bound to fields."""
-        self._bound.clear()
+        self.kept.clear()
 
     def _drop_bound_to(self, field: AnyField) -> None:
         """Let go of what is bound to a field, which would keep it loaded."""
-        for key, bound in self._bound.items():
+        for key, bound in self.kept.items():
             if bound.deformer.field is field:
-                self._bound.drop(key)
+                self.kept.drop(key)
 
     def make(self, item: FrameItem) -> MadeItem:
         """Render a frame; what is made writes its outputs."""
@@ -122,7 +123,7 @@ class FrameMaker:
         self.counts.frames += 1
         writers = frame_writers(item, frame, camera, drawn) | _record_writers(item, camera, posed)
         self.fields.settle(field_key)
-        self._bound.settle(bound_key)
+        self.kept.settle(bound_key)
         return MadeItem(writers, sum(_host_bytes(frame, name) for name in needed_arrays(item, frame)))
 
     def begin_kernels(self, item: FrameItem) -> None:
@@ -160,7 +161,7 @@ class FrameMaker:
             options: dict[str, Any] = {"coordinates": item.coordinates, "density": item.density, "map": item.map}
             return Bound(Deformer(field, edits, resolution=resolution, **options), rests)
 
-        return key, self._bound.get(key, bind)
+        return key, self.kept.get(key, bind)
 
     def _pose(self, bound: Bound, item: FrameItem) -> list[Cage | None]:
         """Move the cages of a Deformer, if they are not there; returns them."""

@@ -213,7 +213,7 @@ class RayEngine:
         cluster: bool,
         item_timeout: float | None = None,
     ):
-        self._ray, self._settings, self._share, self._folder, self._order = ray, settings, share, folder, order
+        self._ray, self.settings, self._share, self._folder, self._order = ray, settings, share, folder, order
         # threads: for the chunk of which items are made and those that end, one that tells when all of them are begun,
         # and one that may shorten the chunk meanwhile, or tells of its items
         placing = {"scheduling_strategy": "SPREAD"} if cluster else {}
@@ -242,11 +242,11 @@ class RayEngine:
     def launch(self, worker: str) -> None:
         """Start an actor."""
         self._starts[worker] = self._starts.get(worker, 0) + 1
-        likely = self._settings.likely
+        likely = self.settings.likely
         if likely:  # whoever takes the place of one that died knows nothing: what it read may have been to blame
             likely = (likely[int(worker) % len(likely)],) if self._starts[worker] == 1 else ()
         notes = self._notes_name(worker)
-        settings = dataclasses.replace(self._settings, worker=worker, notes=notes, likely=likely)
+        settings = dataclasses.replace(self.settings, worker=worker, notes=notes, likely=likely)
         actor = self._actors[worker] = self._actor.remote(settings)
         if not self._ready:
             self._waiting_since = self.now()
@@ -269,8 +269,8 @@ class RayEngine:
     def lost(self, item: int, error: str, attempts: int) -> None:
         """Note an item that failed with its workers."""
         if self._lost_notes is None:
-            self._lost_notes = self._folder.new_notes(f"{self._settings.run}-driver")
-        found = self._settings.reader.item(*self._order(Chunk(0, [item], [0], 0)).lines[0])
+            self._lost_notes = self._folder.new_notes(f"{self.settings.run}-driver")
+        found = self.settings.reader.item(*self._order(Chunk(0, [item], [0], 0)).lines[0])
         record = {"id": found.id, "state": FAILED, "kind": found.kind, "attempts": attempts, "error": error}
         self._lost_notes.append(record)
 
@@ -401,7 +401,7 @@ class RayEngine:
 
     def _noted(self, worker: str, order: ChunkOrder) -> tuple[ChunkReport, list[int]]:
         """What a worker noted of a chunk: what it settled, and what it had begun besides, the newest last."""
-        report, read = ChunkReport(), self._settings.reader.item
+        report, read = ChunkReport(), self.settings.reader.item
         indices = {read(*line).id: index for line, index in zip(order.lines, order.indices, strict=True)}
         settled, begun = notes_of_chunk(self._folder.notes / f"{self._notes_name(worker)}.jsonl", order.number)
         for record in settled:
@@ -429,7 +429,7 @@ class RayEngine:
         return list(orders.values())
 
     def _notes_name(self, worker: str) -> str:
-        return f"{self._settings.run}-{worker}-{self._starts[worker]}"
+        return f"{self.settings.run}-{worker}-{self._starts[worker]}"
 
 
 def _answered(events: queue.SimpleQueue, worker: str, what: str, start: int, answer: Any) -> None:

@@ -16,8 +16,7 @@ import numpy as np
 from ..cage.axes import with_up
 from ..cage.cage import Cage
 from ..cage.motion import gltf_poses, gltf_shown
-from ..cage.pose_file import PoseFile, cage_hash
-from ..cage.presets import Preset, is_preset
+from ..cage.pose_file import PoseFile, Preset, cage_hash, is_preset
 from ..cage.random_poses import PoseProbe, RandomPoses
 from ..cage.up_axis import load_standing
 from ..core.checks import shown

@@ -89,6 +89,9 @@ MOST_LIKELY = 64
 
 Progress = Callable[[RunProgress], None]
 
+#: What begins a maker of items, with the folder of the job file, the output folder and the device.
+MakeMaker = Callable[[str, str, Any], Maker]
+
 
 def run_jobs(
     path: PathLike,
@@ -102,6 +105,7 @@ def run_jobs(
     part: Part | None = None,
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
+    make: MakeMaker | None = None,
 ) -> RunReport:
     """Make the items of a job file: frames, fits, evaluations.
 
@@ -128,6 +132,9 @@ def run_jobs(
             they note into the manifest, and writes what is of all items together. None is the whole job.
         progress: Called with how far the run is. None says nothing.
         warn: Called with a line where a worker dies. None says nothing.
+        make: What makes the items in place of warpcage's own worker, so that everything around that can be tested: called
+            in each process with the folder of the job file, the output folder and the device; what it returns has
+            `submit(item, out)` and `close()`. None is the worker.
 
     Returns:
         What came of it; items that failed are in it, and end nothing.
@@ -141,7 +148,7 @@ def run_jobs(
         RuntimeError: Where no worker can start.
     """
     options = Options(workers, cluster, device, retries, part, item_timeout)
-    return _run(path, out, options, progress or (lambda state: None), warn or (lambda line: None), None)
+    return _run(path, out, options, progress or (lambda state: None), warn or (lambda line: None), make)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,9 +181,9 @@ def _run(
     options: Options,
     progress: Progress,
     warn: Callable[[str], None],
-    maker: Callable[[str, str, Any], Maker] | None,
+    maker: MakeMaker | None,
 ) -> RunReport:
-    """See `run_jobs`; maker: what makes items instead of `Worker`, for tests of the rest."""
+    """See `run_jobs`; maker: its `make`."""
     folder = OutputFolder(out, options.part)
     with contextlib.ExitStack() as held:
         job = held.enter_context(JobFile(path))

@@ -309,6 +309,11 @@ class Dispatcher:
         """Places where work is done."""
         return len(self._workers)
 
+    @property
+    def speeds(self) -> dict[str, float]:
+        """What an item takes each worker, as a multiple of what it takes all of them on average."""
+        return {name: worker.speed for name, worker in self._workers.items()}
+
     def attempts(self, item: int) -> int:
         """How often an item was begun and failed."""
         return self._attempts.get(item, 0)

@@ -119,7 +119,7 @@ class Worker:
     def _made_once(self, item: Item) -> MadeItem:
         if isinstance(item, FitItem):
             self._forget_fields()  # a fit plans with the memory that is free
-            return self.fits.make(item, self._checkpoint(item))
+            return self.fits.make(item, self.checkpoint_path(item))
         self.fits.forget()  # its pictures are for fits alone
         if isinstance(item, FrameItem):
             return self.frames.make(item)
@@ -127,7 +127,7 @@ class Worker:
             return make_evaluation(item, self.references, self.fields)
         raise ValueError(f"a worker makes no {type(item).__name__}")
 
-    def _checkpoint(self, item: FitItem) -> pathlib.Path:
+    def checkpoint_path(self, item: FitItem) -> pathlib.Path:
         """Where the progress of a fit is kept: another place for other inputs, and for another version."""
         name = digest([self._fingerprints.of(item), __version__])
         return self.out / CHECKPOINTS / f"{name}.npz"

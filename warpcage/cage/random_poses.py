@@ -24,7 +24,7 @@ POSE_MODES = ("bend", "twist", "stretch", "taper", "wave", "bump")
 
 #: The ends of ways: radians over the whole length; the ratio of the lengths of a stretch's ends, (1 + s) / (1 - s); the
 #: change of width of a taper; shares of the size for the amplitude of waves and bumps.
-_BEND, _TWIST, _STRETCH, _TAPER, _WAVE, _BUMP = 3.0, 3.4, 0.5, 0.8, 0.12, 0.45
+MAX_BEND, MAX_TWIST, MAX_STRETCH, MAX_TAPER, MAX_WAVE, MAX_BUMP = 3.0, 3.4, 0.5, 0.8, 0.12, 0.45
 
 #: Lengths of waves and radii of bumps, shares of the size.
 _WAVE_NUMBERS, _BUMP_RADII = (0.25, 0.75), (0.35, 0.8)
@@ -80,10 +80,11 @@ class PoseWay:
         chosen = random.whole(len(modes))
         kinds = {kind for kind, acts in zip(POSE_MODES, acting, strict=True) if acts and kind in modes}
         self.kinds = tuple(kind for kind in POSE_MODES if kind in (kinds or {modes[chosen]}))
-        self._bend = (*_frame(random), random.number(-1.0, 1.0))
-        self._twist = (random.direction(), random.number(-1.0, 1.0))
-        self._stretch = (random.direction(), random.number(-1.0, 1.0))
-        self._taper = (random.direction(), random.number(-1.0, 1.0))
+        # axes, and amounts last
+        self.bend = (*_frame(random), random.number(-1.0, 1.0))
+        self.twist = (random.direction(), random.number(-1.0, 1.0))
+        self.stretch = (random.direction(), random.number(-1.0, 1.0))
+        self.taper = (random.direction(), random.number(-1.0, 1.0))
         self._waves = [
             (
                 _times(random.number(*_WAVE_NUMBERS), random.direction()),
@@ -104,7 +105,7 @@ class PoseWay:
     def _of(self, kind: str) -> list[tuple]:
         """The modes of a kind: what each needs, and its amount last."""
         found = {"wave": self._waves, "bump": self._bumps}
-        return found[kind] if kind in found else [getattr(self, f"_{kind}")]
+        return found[kind] if kind in found else [getattr(self, kind)]
 
     def at(self, t: float) -> np.ndarray:
         """The vertices (v, 3), world units, at a place of the way from 0, at rest, to 1; their mean stays."""
@@ -124,36 +125,36 @@ class PoseWay:
         for vertex, radius, direction, amount in self._bumps:
             offset = [place - place[vertex] for place in self._places]
             s = np.minimum(np.sqrt(_dot(offset, offset)) / radius, 1.0)
-            x = _moved(x, t * _BUMP * amount * ((1.0 - s) * (1.0 - s) * (1.0 + 2.0 * s)), direction)
+            x = _moved(x, t * MAX_BUMP * amount * ((1.0 - s) * (1.0 - s) * (1.0 + 2.0 * s)), direction)
         return x
 
     def _waved(self, x: Columns, t: float) -> Columns:
         """x + a sin(2 pi (k . x + phase)) e."""
         for wave, phase, direction, amount in self._waves:
             turns = _dot(self._places, wave) + phase
-            x = _moved(x, t * _WAVE * amount * _sine_of_turns(turns), direction)
+            x = _moved(x, t * MAX_WAVE * amount * _sine_of_turns(turns), direction)
         return x
 
     def _stretched(self, x: Columns, t: float) -> Columns:
         """Longer along an axis and thinner across it, or shorter and thicker: volume stays."""
-        axis, amount = self._stretch
-        change = t * _STRETCH * amount
+        axis, amount = self.stretch
+        change = t * MAX_STRETCH * amount
         factor = (1.0 + change) / (1.0 - change)
         across = 1.0 / math.sqrt(factor)
         return _moved(tuple(across * part for part in x), (factor - across) * _dot(x, axis), axis)
 
     def _tapered(self, x: Columns, t: float) -> Columns:
         """Wider and wider across an axis, along it."""
-        axis, amount = self._taper
+        axis, amount = self.taper
         along = _dot(x, axis)
-        factor = 1.0 + t * _TAPER * amount * along / _reach(along)
+        factor = 1.0 + t * MAX_TAPER * amount * along / _reach(along)
         return _moved(tuple(factor * part for part in x), (1.0 - factor) * along, axis)
 
     def _twisted(self, x: Columns, t: float) -> Columns:
         """Turned about an axis through the middle, by an angle that grows along it (Rodrigues' formula)."""
-        axis, amount = self._twist
+        axis, amount = self.twist
         along = _dot(x, axis)
-        angle = t * _TWIST * amount * 0.5 * along / _reach(along)
+        angle = t * MAX_TWIST * amount * 0.5 * along / _reach(along)
         sine, versed = _sine_and_versed(angle)
         turned = _cross(axis, x)
         across = tuple(part - along * e for part, e in zip(x, axis, strict=True))
@@ -163,9 +164,9 @@ class PoseWay:
     def _bent(self, x: Columns, t: float) -> Columns:
         """The line through the middle along an axis becomes a circular arc, as in `warpcage.cage.poses.bend`, whose
         middle stays."""
-        axis, towards, amount = self._bend
+        axis, towards, amount = self.bend
         along, side = _dot(x, axis), _dot(x, towards)
-        rate = t * _BEND * amount * 0.5 / _reach(along)
+        rate = t * MAX_BEND * amount * 0.5 / _reach(along)
         angle = rate * along
         square = angle * angle
         sinc, arch = _polynomial(_SINE, square), _polynomial(_VERSED, square)

@@ -328,7 +328,7 @@ class Solver:
             config.add_image(number)
         config.fix_gauge(self.colmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
         # pycolmap.bundle_adjustment does the same, and turns COLMAP's messages on for good
-        self._run_plain(self.colmap.create_default_bundle_adjuster(options, config, copy).solve)
+        self.run_in_thread(self.colmap.create_default_bundle_adjuster(options, config, copy).solve)
         return copy
 
     # What these share
@@ -395,11 +395,11 @@ class Solver:
             database.close()
 
     def _run(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-        """Run a function of COLMAP that can be cancelled, in a thread: see `_run_plain`."""
+        """Run a function of COLMAP that can be cancelled, in a thread: see `run_in_thread`."""
         token = self.colmap.CancellationToken()
-        return self._run_plain(function, *arguments, cancel=token.cancel, cancellation_token=token, **options)
+        return self.run_in_thread(function, *arguments, cancel=token.cancel, cancellation_token=token, **options)
 
-    def _run_plain(
+    def run_in_thread(
         self, function: Callable[..., Any], *arguments: Any, cancel: Callable[[], None] = lambda: None, **options: Any
     ) -> Any:
         """Run a function of COLMAP in a thread, while this one hears interrupts; both end before this returns."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..cage.generate import checked_count
-from ..cage.presets import is_preset
+from ..cage.pose_file import is_preset
 from ..cage.snap import cut_matter, snap_to_gaps
 from ..cage.up_axis import load_standing
 from ..core.files import require_file

@@ -10,7 +10,7 @@ import pathlib
 import re
 from typing import Any
 
-from ..cage.presets import is_preset
+from ..cage.pose_file import is_preset
 from ..core.checks import checked_number, listed
 from ..core.files import PathLike, atomic_path, read_json, require_file
 from .arguments.options import CAGE_ENDINGS, positive_float

@@ -252,7 +252,7 @@ class FilmWorkers:
         The folder is removed at the end; after an error or an interrupt it stays, and the next run goes on with it."""
         folder = frames_folder(output)
         self.settings, self.overwrite = self.settings | {"version": __version__}, True  # that folder is ours
-        encoder = _Encoder(output, rate, loop, [self._places(folder, frame) for frame in self.frames])
+        encoder = FilmEncoder(output, rate, loop, [self._places(folder, frame) for frame in self.frames])
         try:
             with encoder:
                 self.make_frames(folder, encoder.told)
@@ -317,7 +317,7 @@ def _collect(workplace: pathlib.Path, folder: pathlib.Path) -> None:
     shutil.rmtree(workplace, ignore_errors=True)
 
 
-class _Encoder:
+class FilmEncoder:
     """Writes a film of frames that others write, in another thread (`with`). The block ends when it is written."""
 
     def __init__(self, output: pathlib.Path, rate: Fraction, loop: bool, places: list[list[pathlib.Path]]):
@@ -333,7 +333,7 @@ class _Encoder:
         if self._error is not None:
             raise self._error
 
-    def __enter__(self) -> _Encoder:
+    def __enter__(self) -> FilmEncoder:
         self._thread.start()
         return self
 
@@ -359,9 +359,10 @@ class _Encoder:
 
     def _frames(self) -> Iterator[np.ndarray]:
         for places in self._places:
-            yield self._frame(places)
+            yield self.frame(places)
 
-    def _frame(self, places: list[pathlib.Path]) -> np.ndarray:
+    def frame(self, places: list[pathlib.Path]) -> np.ndarray:
+        """The frame that comes to one of some places, once it is there."""
         while not self._stopped:
             for path in filter(pathlib.Path.exists, places):  # one that comes only now is looked for again
                 try:

@@ -13,8 +13,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..cage.motion import are_numbered, gltf_poses, gltf_shown, numbered_files, sequence_poses
-from ..cage.pose_file import PoseFile
-from ..cage.presets import Preset, is_preset
+from ..cage.pose_file import PoseFile, Preset, is_preset
 from ..cage.up_axis import UpAxis, load_standing
 from ..core.checks import listed
 from ..core.names import EASINGS, counted

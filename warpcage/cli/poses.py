@@ -9,8 +9,7 @@ from typing import Any
 
 from ..cage.axes import axis_of, default_towards, with_up
 from ..cage.cage import Cage
-from ..cage.pose_file import PoseFile
-from ..cage.presets import is_preset
+from ..cage.pose_file import PoseFile, is_preset
 from ..core.files import require_file
 from ..core.names import counted
 from ..splats.splat_field import load_field

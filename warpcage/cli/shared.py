@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 
 from ..cage.axes import with_up
 from ..cage.cage import Cage
-from ..cage.pose_file import PoseFile, cage_hash
-from ..cage.presets import is_preset
+from ..cage.pose_file import PoseFile, cage_hash, is_preset
 from ..core.devices import resolve_device
 from ..core.files import require_file
 from ..core.names import BACKGROUNDS

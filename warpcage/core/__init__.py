@@ -1,6 +1,6 @@
 """What everything stands on: devices, threads, arrays, files, memory, checks and names."""
 
-from .exports import lazy_exports
+from .package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,

@@ -234,7 +234,7 @@ class HostCopy:
         assert array.device is not None
         self._device = array.device
         with device_turn(self._device):
-            self._piece = _staging(self._device.ordinal).take(array.capacity)
+            self._piece = staging_memory(self._device.ordinal).take(array.capacity)
             if self._piece is None:
                 self._found = array.numpy(), THERE if state is None else int(state.numpy()[0])
                 return
@@ -251,7 +251,7 @@ class HostCopy:
             time.sleep(LOOK)
             if time.monotonic() > patience:
                 with device_turn(self._device):
-                    _staging(self._device.ordinal).there.numpy()  # waits, and raises where the device failed
+                    staging_memory(self._device.ordinal).there.numpy()  # waits, and raises where the device failed
                 patience = time.monotonic() + PATIENCE
         return np.asarray(self._piece), self._piece.state
 
@@ -285,7 +285,7 @@ class _Staging:
     def __init__(self, ordinal: int):
         self._lock = threading.Lock()
         self._free: dict[int, list[wp.array]] = {}
-        self._made = 0  # bytes
+        self.held_bytes = 0  # in pieces, free and in use
         self.there = wp.full(1, THERE, dtype=wp.int32, device=f"cuda:{ordinal}")
 
     def take(self, size: int) -> _Piece | None:
@@ -297,11 +297,11 @@ class _Staging:
             place = next((place for place, block in enumerate(free) if _state(block)), None)
             if place is not None:
                 return _Piece(self, free.pop(place), size)
-            if self._made + rounded > MOST_STAGED:
+            if self.held_bytes + rounded > MOST_STAGED:
                 self._drop_free()
-            if self._made + rounded > MOST_STAGED:
+            if self.held_bytes + rounded > MOST_STAGED:
                 return None
-            self._made += rounded
+            self.held_bytes += rounded
         return _Piece(self, empty_array(rounded, wp.uint8, "cpu", pinned=True), size)
 
     def give_back(self, block: wp.array) -> None:
@@ -314,7 +314,7 @@ class _Staging:
             for place in reversed(range(len(free))):  # others may come at the end meanwhile
                 if _state(free[place]):
                     del free[place]
-                    self._made -= size
+                    self.held_bytes -= size
 
 
 def _state(block: wp.array) -> int:
@@ -323,5 +323,6 @@ def _state(block: wp.array) -> int:
 
 
 @functools.cache
-def _staging(ordinal: int) -> _Staging:
+def staging_memory(ordinal: int) -> _Staging:
+    """The page-locked memory of a CUDA device, by its number."""
     return _Staging(ordinal)

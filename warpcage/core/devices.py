@@ -94,7 +94,7 @@ class RecordedLaunch:
     # one stay alive, but for those that are said to pass.
 
     def __init__(self, kernel: Kernel, device: wp.DeviceLike):
-        self._kernel, self._device = kernel, wp.get_device(device)
+        self.kernel, self._device = kernel, wp.get_device(device)
         self._count, self._arguments, self._recorded = 0, [], None
 
     def __call__(
@@ -110,11 +110,11 @@ class RecordedLaunch:
     ) -> None:
         """Launch it; the last `passing` arguments are not kept alive: what one frame alone has."""
         if self._device.is_cpu:
-            launch(self._kernel, count, inputs, outputs, device=self._device, threads=threads, work=work)
+            launch(self.kernel, count, inputs, outputs, device=self._device, threads=threads, work=work)
         elif count > 0:
             with device_turn(self._device):
                 recorded = self._command(count, [0, *inputs, *outputs])
-                _record(self._kernel)
+                _record(self.kernel)
                 recorded.launch(stream)
                 for index in range(len(self._arguments) - passing, len(self._arguments)):
                     self._arguments[index] = recorded.fwd_args[index] = None
@@ -125,10 +125,10 @@ class RecordedLaunch:
         recorded, self._recorded = self._recorded, None  # an interrupt leaves none that is half set
         before, self._arguments = self._arguments, arguments
         if recorded is None:
-            self._count, block_dim = count, module_block_dim(self._kernel)
-            require_loaded(self._kernel, self._device, block_dim)
+            self._count, block_dim = count, module_block_dim(self.kernel)
+            require_loaded(self.kernel, self._device, block_dim)
             options: dict[str, Any] = {"device": self._device, "block_dim": block_dim, "record_cmd": True}
-            return wp.launch(self._kernel, dim=count, inputs=arguments, **options)
+            return wp.launch(self.kernel, dim=count, inputs=arguments, **options)
         for index, (argument, last) in enumerate(zip(arguments, before, strict=True)):
             if argument is not last:
                 recorded.set_param_at_index(index, argument)
@@ -234,7 +234,7 @@ SPARE_FRAMES = 2
 LEAST_SPARE = 64 << 20
 
 #: The release threshold that was set last for each CUDA device, by ordinal.
-_set: dict[int, int] = {}
+release_thresholds: dict[int, int] = {}
 
 
 class SpareMemory:
@@ -256,15 +256,15 @@ class SpareMemory:
         if device is None:
             return
         room = max(SPARE_FRAMES * size, LEAST_SPARE)
-        wanted, last = wp.get_mempool_used_mem_current(device) + room, _set.get(device.ordinal, 0)
+        wanted, last = wp.get_mempool_used_mem_current(device) + room, release_thresholds.get(device.ordinal, 0)
         if abs(wanted - last) > room // 2 and wp.get_mempool_release_threshold(device) == last:
             wp.set_mempool_release_threshold(device, wanted)
-            _set[device.ordinal] = wanted
+            release_thresholds[device.ordinal] = wanted
 
 
 def _give_back(device: wp.Device) -> None:
     """Let the pool of a device keep nothing, unless a program wants it to."""
-    last = _set.pop(device.ordinal, 0)
+    last = release_thresholds.pop(device.ordinal, 0)
     if last and wp.get_mempool_release_threshold(device) == last:
         wp.set_mempool_release_threshold(device, 0)
 

@@ -23,7 +23,7 @@ from .threads import cpu_threads
 Kernel: TypeAlias = wp.Kernel | Callable[..., Any]
 
 #: Modules that are loaded, with their device and threads per block.
-_loaded: set[tuple[wp.Module, str, int | None]] = set()
+loaded_places: set[tuple[wp.Module, str, int | None]] = set()
 
 
 def start_warp() -> None:
@@ -55,13 +55,13 @@ def require_loaded(kernel: Kernel, device: wp.Device, block_dim: int) -> None:
     """Compile and load the module of a kernel, where that was not done, for so many threads per block on CUDA."""
     assert isinstance(kernel, wp.Kernel)
     place = (kernel.module, device.alias, None if device.is_cpu else block_dim)
-    if place in _loaded:
+    if place in loaded_places:
         return
     with device_turn(device), variants.lock:
         _ask_cpu_target()
         _tell([kernel.module], device, block_dim)
         _load(kernel.module, device, place[2])
-        _loaded.add(place)
+        loaded_places.add(place)
 
 
 def _load(module: wp.Module, device: wp.Device, block_dim: int | None) -> None:

@@ -24,7 +24,7 @@ def without_driver_note() -> Iterator[None]:
     """Leave the line out of standard error that Warp writes as it starts without a CUDA driver; once in a process."""
     # Native code writes to the descriptor, so that is led into a file for the moment, of which all other lines come
     # back. Where there is a driver, nothing is led anywhere.
-    if _done.is_set() or _has_driver():
+    if _done.is_set() or has_driver():
         yield
         return
     _done.set()
@@ -46,7 +46,8 @@ def without_driver_note() -> Iterator[None]:
             os.write(2, lines)
 
 
-def _has_driver() -> bool:
+def has_driver() -> bool:
+    """Whether there is a driver of NVIDIA's."""
     for name in _DRIVERS:
         with contextlib.suppress(OSError):
             ctypes.CDLL(name)

@@ -3,7 +3,7 @@
 # old ones (`history`). A `session` holds the newest one, saves it, and tells listeners. `scene` and `renderer` make
 # pictures of it, `server` and `clients` bring them to pages. `page/` is modules as they are, without a build step.
 
-from ..core.exports import lazy_exports
+from ..core.package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
@@ -20,7 +20,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         ),
         "inspection": "Inspector inspect inspector",
         "renderer": (
-            "COARSE_CELLS FRAME LEAST_SIDE Pace PosedScene Renderer Request band_camera camera depth_size "
+            "COARSE_CELLS FRAME LEAST_SIDE Pace PosedScene Renderer Request band_camera depth_size "
             "frame_pixels joined_pixels packed_frame same_pose view_camera"
         ),
         "server": "Server",

@@ -48,10 +48,12 @@ class Client:
         self.slow: set[asyncio.Task] = set()  # its commands that are under way
         self._socket, self._closed = socket, False
         self._sections: dict[str, str] = {}
-        self._texts: list[str] = []
-        self._vertices: dict[tuple[int, int], bytes] = {}
-        self._frame: tuple[int, bytes] | None = None
-        self._sent_frames: dict[int, float] = {}
+        # what waits to be sent: texts; vertices by kind and edit; a frame and its number; and when frames that the page
+        # has not seen yet were sent, by number
+        self.texts: list[str] = []
+        self.vertices: dict[tuple[int, int], bytes] = {}
+        self.frame: tuple[int, bytes] | None = None
+        self.sent_frames: dict[int, float] = {}
         self._news, self._written = asyncio.Event(), asyncio.Event()
         self._allowed = {"messages": MESSAGE_BURST, "bytes": BYTE_BURST}
         self._counted = time.monotonic()
@@ -65,7 +67,7 @@ class Client:
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send a message."""
-        self._texts.append(json.dumps(message, allow_nan=False))
+        self.texts.append(json.dumps(message, allow_nan=False))
         self._news.set()
 
     def notice(self, level: str, text: str) -> None:
@@ -76,22 +78,22 @@ class Client:
         """Send sections, written as JSON. Where some wait already, the newer ones take their place."""
         self._sections.update(sections)
         if "edits" in sections:
-            self._vertices.clear()  # they are older than the edits, and would be sent after them
+            self.vertices.clear()  # they are older than the edits, and would be sent after them
         self._news.set()
 
     def tell_vertices(self, kind: int, edit: int, message: bytes) -> None:
         """Send where an edit's vertices are. Where some wait already, the newer ones take their place."""
-        self._vertices[kind, edit] = message
+        self.vertices[kind, edit] = message
         self._news.set()
 
     def show(self, number: int, message: bytes) -> None:
         """Send a frame, once there are few enough on their way. A frame that waits is left out for a newer one."""
-        self._frame = (number, message)
+        self.frame = (number, message)
         self._news.set()
 
     def saw(self, number: int) -> None:
         """The page has shown a frame, and all before it."""
-        self._sent_frames = {frame: when for frame, when in self._sent_frames.items() if frame > number}
+        self.sent_frames = {frame: when for frame, when in self.sent_frames.items() if frame > number}
         self._news.set()
 
     async def end(self) -> None:
@@ -105,20 +107,21 @@ class Client:
                 with contextlib.suppress(asyncio.TimeoutError):
                     await asyncio.wait_for(self._news.wait(), PATIENCE)
                 self._news.clear()
-                await self._write_all()
+                await self.write_all()
         except (ConnectionError, RuntimeError):  # it has ended in between
             pass
         finally:
-            self._texts, self._closed = [], True
+            self.texts, self._closed = [], True
             self._written.set()
 
-    async def _write_all(self) -> None:
+    async def write_all(self) -> None:
+        """Send all that waits."""
         greeting, self._greeting = self._greeting, None
         if greeting is not None:
             await self._socket.send_str(greeting)
-        texts, self._texts = self._texts, []
+        texts, self.texts = self.texts, []
         sections, self._sections = self._sections, {}
-        vertices, self._vertices = self._vertices, {}
+        vertices, self.vertices = self.vertices, {}
         if sections:
             parts = ", ".join(f'"{name}": {content}' for name, content in sections.items())
             await self._socket.send_str(f'{{"type": "state", "sections": {{{parts}}}}}')
@@ -128,10 +131,10 @@ class Client:
             await self._socket.send_bytes(message)
         self._written.set()
         now = time.monotonic()
-        self._sent_frames = {frame: when for frame, when in self._sent_frames.items() if now - when < PATIENCE}
-        if self._frame is not None and len(self._sent_frames) < FRAMES_UNDER_WAY:
-            (number, message), self._frame = self._frame, None
-            self._sent_frames[number] = now
+        self.sent_frames = {frame: when for frame, when in self.sent_frames.items() if now - when < PATIENCE}
+        if self.frame is not None and len(self.sent_frames) < FRAMES_UNDER_WAY:
+            (number, message), self.frame = self.frame, None
+            self.sent_frames[number] = now
             await self._socket.send_bytes(message)
 
     # -- From the page
@@ -148,7 +151,7 @@ class Client:
             self._allowed[name] = min(burst, self._allowed[name] + rate * passed) - used
             if self._allowed[name] < 0.0:
                 await asyncio.sleep(-self._allowed[name] / rate)
-        while len(self._texts) > MAX_WAITING and not self._closed:
+        while len(self.texts) > MAX_WAITING and not self._closed:
             self._written.clear()
             await self._written.wait()
 

@@ -38,15 +38,16 @@ class Editor:
         require_libraries()
         from .server import Server
 
-        self._session, self._path = session, session.path
+        # what is edited, with its history; and what brings it to pages, in a thread of its own
+        self.session, self._path = session, session.path
         self._loop = asyncio.new_event_loop()
-        self._server = Server(session, folder, host, port, tuple(allowed_hosts))
+        self.server = Server(session, folder, host, port, tuple(allowed_hosts))
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._loop.run_forever, name="warpcage-editor", daemon=True)
         self._thread.start()
         try:
             # with the word that lets one in
-            self.url = asyncio.run_coroutine_threadsafe(self._server.start(), self._loop).result()
+            self.url = asyncio.run_coroutine_threadsafe(self.server.start(), self._loop).result()
         except BaseException:
             self._end_loop()
             raise
@@ -55,12 +56,12 @@ class Editor:
     @property
     def document(self) -> Document:
         """What is edited, as it is now. It never changes; look again for what comes later."""
-        return self._session.document
+        return self.session.document
 
     @property
     def session_path(self) -> pathlib.Path | None:
         """The file that the session is kept in. It is another one where a program wrote the first one meanwhile."""
-        return self._session.path
+        return self.session.path
 
     @property
     def posed(self) -> list[Cage]:
@@ -78,15 +79,15 @@ class Editor:
             return
         self._closed.set()
         try:
-            asyncio.run_coroutine_threadsafe(self._server.stop(), self._loop).result()
+            asyncio.run_coroutine_threadsafe(self.server.stop(), self._loop).result()
         finally:
             self._end_loop()
-            atexit.unregister(self._session.save_changes)
-            self._session.save_changes()
-        if self._session.save_error is not None:
-            warnings.warn(f"the session could not be saved: {self._session.save_error}", stacklevel=2)
-        if self._session.path != self._path:
-            text = f"{self._path} was changed by another program: this session is kept in {self._session.path}"
+            atexit.unregister(self.session.save_changes)
+            self.session.save_changes()
+        if self.session.save_error is not None:
+            warnings.warn(f"the session could not be saved: {self.session.save_error}", stacklevel=2)
+        if self.session.path != self._path:
+            text = f"{self._path} was changed by another program: this session is kept in {self.session.path}"
             warnings.warn(text, stacklevel=2)
 
     def _end_loop(self) -> None:

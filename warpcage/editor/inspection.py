@@ -57,19 +57,20 @@ class Inspector:
         nodes = np.argwhere(self._mask)
         chosen = np.random.default_rng(0).permutation(len(nodes))[:NODE_SAMPLES]
         self._nodes = self._lower + (nodes[chosen] + 0.5) * self._side
-        self._known: collections.OrderedDict[tuple[bytes, bytes], RestFindings] = collections.OrderedDict()
+        # of rest cages by their vertices and faces, used longest ago first
+        self.findings: collections.OrderedDict[tuple[bytes, bytes], RestFindings] = collections.OrderedDict()
         self._lock = threading.Lock()
 
     def rest(self, edit: Edit) -> RestFindings:
         """What is known of the rest cage of an edit, from before where it was looked at already."""
         key = (edit.rest.tobytes(), edit.faces.tobytes())
         with self._lock:
-            if key not in self._known:
-                self._known[key] = self._examined(edit.rest_cage)
-            self._known.move_to_end(key)
-            while len(self._known) > KEPT:
-                self._known.popitem(last=False)
-            return self._known[key]
+            if key not in self.findings:
+                self.findings[key] = self._examined(edit.rest_cage)
+            self.findings.move_to_end(key)
+            while len(self.findings) > KEPT:
+                self.findings.popitem(last=False)
+            return self.findings[key]
 
     def _examined(self, cage: Cage) -> RestFindings:
         problem = first_problem(cage)

@@ -404,7 +404,7 @@ class Renderer:
                 sharp = not request.moving and self._sharp_seconds(request) < 0.1
             rough = None if sharp else request
             try:
-                self._show(request, sharp)
+                self.show(request, sharp)
             except Superseded:
                 rough = None  # the newer request comes next
             except EXPECTED as error:
@@ -436,7 +436,8 @@ class Renderer:
         settings = request.document.settings
         return self.pace.sharp(request.width, request.height, settings.resolution, settings.supersampling)
 
-    def _show(self, request: Request, sharp: bool) -> None:
+    def show(self, request: Request, sharp: bool) -> None:
+        """Render a picture and deliver it, in the renderer's thread."""
         settings = request.document.settings
         if sharp:
             effort = self._sharp_effort(request)

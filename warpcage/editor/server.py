@@ -218,10 +218,11 @@ class Server:
         self.access = Access(host, allowed_hosts)
         self.token = self.access.token
         self.clients: dict[int, Client] = {}
-        self._number = self._connected = 0
+        # pages that were ever let in, and connections of now
+        self.page_total = self.connected = 0
         self._sizer: Client | None = None
         self._mover: Client | None = None
-        self._lookers: set[Client] = set()  # pages that turn the view
+        self.lookers: set[Client] = set()  # pages that turn the view
         self._changed: set[str] = set()
         self._flush: asyncio.Handle | None = None
         self._told: dict[tuple[int, int], np.ndarray] = {}  # vertices that pages know, by kind and edit
@@ -289,16 +290,16 @@ class Server:
     # -- Pages
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
-        if self._connected >= MAX_PAGES:
+        if self.connected >= MAX_PAGES:
             raise web.HTTPServiceUnavailable(text=f"{MAX_PAGES} pages are connected already: close one.")
-        self._connected += 1
+        self.connected += 1
         try:
             socket = web.WebSocketResponse(timeout=2.0, max_msg_size=MAX_MESSAGE, heartbeat=20.0, compress=False)
             await socket.prepare(request)
-            self._number += 1
-            await self._serve(Client(self._number, socket), socket)
+            self.page_total += 1
+            await self._serve(Client(self.page_total, socket), socket)
         finally:
-            self._connected -= 1
+            self.connected -= 1
         return socket
 
     async def _serve(self, client: Client, socket: web.WebSocketResponse) -> None:
@@ -325,7 +326,7 @@ class Server:
         """A page has gone. What its hand had moved stays."""
         del self.clients[client.number]
         self.session.end_gesture(client)
-        self._lookers.discard(client)
+        self.lookers.discard(client)
         if self._sizer is client:
             self._sizer = next((one for one in self.clients.values() if one.size is not None), None)
         if not self.clients:
@@ -468,7 +469,7 @@ class Server:
         view, moving = checked_view(message), checked_flag(message.get("moving", False), "moving")
         if "seq" in message:
             client.sequence = checked_whole(message["seq"], 0, 2**32 - 1, "seq")
-        (self._lookers.add if moving else self._lookers.discard)(client)
+        (self.lookers.add if moving else self.lookers.discard)(client)
         self.session.look(view)
 
     def _touched(self, client: Client) -> None:
@@ -554,7 +555,7 @@ class Server:
                 self.session.document,
                 max(1, round(width * share)),
                 max(1, round(height * share)),
-                self._moving or bool(self._lookers),
+                self._moving or bool(self.lookers),
                 {client.number: client.sequence for client in self.clients.values()},
             )
         )

@@ -17,7 +17,7 @@ from ..field.voxel_field import VoxelField
 from ..kernels.edits import extension as kernels
 from ..kernels.edits.structs import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE
 from ..kernels.lattice.cage_map import CageMap
-from ..kernels.mesh.walls import Walls
+from ..kernels.mesh.triangle import Walls
 from ..lattice.position_map import PositionMap
 from .edits import CageEdit
 
@@ -120,7 +120,7 @@ def folded_cells(flags: np.ndarray) -> np.ndarray:
 
 
 def walls_share(points: np.ndarray, walls: Sequence[np.ndarray], width: float) -> np.ndarray:
-    """How much of an edit is left at points (n, 3): (n,) shares, 0 to 1, by the formula of kernels/mesh/walls.py in
+    """How much of an edit is left at points (n, 3): (n,) shares, 0 to 1, by the formula of kernels/mesh/triangle.py in
     float64. walls: (k, 3, 3) corners of the faces of each; width: of the band, world units."""
     share = np.ones(len(points))
     for corners in walls:

@@ -18,7 +18,7 @@ from ..field.voxel_field import VoxelField
 from ..kernels.edits import extension
 from ..kernels.edits.structs import FragmentCells
 from ..kernels.lattice.cage_map import CageMap
-from ..kernels.mesh.walls import Walls
+from ..kernels.mesh.triangle import Walls
 from ..lattice.buffers import BufferPool
 from ..mesh.fans import prepared_fans
 from .edits import CageEdit

@@ -16,9 +16,8 @@ from ..core.locks import device_turn
 from ..core.modules import Kernel, require_loaded
 from ..core.threads import cpu_threads, run_parallel
 from ..field.voxel_field import VoxelField
-from ..kernels.fitting.active_tiles import mark_active_tiles
+from ..kernels.fitting.batches import Pictures, mark_active_tiles
 from ..kernels.fitting.loss import TrainingRays
-from ..kernels.fitting.pictures import Pictures
 from ..kernels.fitting.rmsprop import add_gradients
 from ..scene.scene import Scene
 from ..view.camera import camera_array

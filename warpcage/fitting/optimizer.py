@@ -18,7 +18,7 @@ from ..core.modules import load_modules
 from ..field.sparse import mask_count
 from ..field.voxel_field import VoxelField
 from ..kernels.field import occupancy, refine
-from ..kernels.fitting import active_tiles, loss, loss_warps, rmsprop, variation, visual_hull
+from ..kernels.fitting import batches, loss, loss_warps, rmsprop, variation, visual_hull
 from ..scene.box import scene_box
 from ..scene.scene import Scene
 from ..view.camera import Camera
@@ -96,7 +96,7 @@ class FieldOptimizer:
         self.random_background, around = chosen_background(scene, self.options.background)
         self.memory_limit = memory_limit(self.options.max_memory, self.device)
         gradients = loss if self.device.is_cpu else loss_warps
-        load_modules([visual_hull, refine, occupancy, active_tiles, gradients, variation, rmsprop], self.device)
+        load_modules([visual_hull, refine, occupancy, batches, gradients, variation, rmsprop], self.device)
 
         silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
@@ -355,12 +355,13 @@ class FieldOptimizer:
         if self.schedule.thins_out:
             self._thin_out()
         self.batches.advance(self.schedule.rays_per_side)
-        self._accumulate_gradients()
+        self.accumulate_gradients()
         self._apply_gradients()
         self._refine_cameras()
         self.schedule.step_count += 1
 
-    def _accumulate_gradients(self) -> None:
+    def accumulate_gradients(self) -> None:
+        """Add the gradients of the batch at hand to those of the field and its surroundings, and note its errors."""
         behind = grad_behind = front = grad_front = None
         if self.background is not None:
             self.background.prepare(self.rays, self.pictures.surroundings)

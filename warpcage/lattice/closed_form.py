@@ -57,14 +57,14 @@ class ClosedFormSolver(MapSolver):
         with other_side.fork():
             for axis in range(3):
                 self._launch(interpolate_nodes, sections.interpolated, [axis, levels], [values])
-        self._continue_map(sections, target.vertex_values, values)
+        self.continue_map(sections, target.vertex_values, values)
         side.join()
         other_side.join()
 
     def launch_continuation(self, sizes: PoseSizes, vertex_values: wp.array) -> None:
         """Launch what continues the values to the rings, and the search for gaps; see MapSolver."""
         sections, values = sizes.lists, self.values_of(sizes)
-        self._continue_map(sections, vertex_values, values)
+        self.continue_map(sections, vertex_values, values)
         self.gaps.search(self.lattice, self.nodes.levels, self.rows, sections, values)
 
     @abstractmethod
@@ -72,7 +72,7 @@ class ClosedFormSolver(MapSolver):
         """Launch the map at the inside nodes that are not interpolated, and what describes the cut nodes."""
 
     @abstractmethod
-    def _continue_map(self, sections: NodeSections, vertex_values: wp.array, values: wp.array) -> None:
+    def continue_map(self, sections: NodeSections, vertex_values: wp.array, values: wp.array) -> None:
         """Launch what continues the map to the rings."""
 
     def _launch(self, kernel, count: int, inputs: list, outputs: list, *, all_faces: bool = False) -> None:
@@ -129,7 +129,7 @@ class MeanValueSolver(ClosedFormSolver):
     def _describe(self, sections: NodeSections) -> None:
         self.rows = self._table.describe(self.lattice, self.nodes.levels, sections)
 
-    def _continue_map(self, sections: NodeSections, vertex_values: wp.array, values: wp.array) -> None:
+    def continue_map(self, sections: NodeSections, vertex_values: wp.array, values: wp.array) -> None:
         """Launch what continues the map to the rings, and corrects it next to the cage."""
         lattice, levels, rows, side = self.lattice, self.nodes.levels, self.rows, self.lattice.side
         count = sections.cut + sections.near_rings
@@ -198,6 +198,6 @@ class GreenSolver(ClosedFormSolver):
         cage = [self._vertices, self._faces, self._fans, *self.weighted_values(target), self._size]
         self._launch(map_nodes_green, sections.evaluated, [self.nodes.levels, *cage], [values], all_faces=True)
 
-    def _continue_map(self, sections: NodeSections, vertex_values: wp.array, values: wp.array) -> None:
+    def continue_map(self, sections: NodeSections, vertex_values: wp.array, values: wp.array) -> None:
         for ring in range(RINGS):
             continue_outwards(ring, self.lattice, self.nodes.levels, sections, vertex_values, values)

@@ -43,7 +43,7 @@ class PoseGraph:
     def fits(self, sizes: PoseSizes) -> bool:
         """Whether a pose with these sizes has room and can be replayed; graphs are captured where there are none."""
         if self._layout is None:
-            self._capture()
+            self.capture()
         return self._generation == self._buffers.generation and sizes.fits(self._bounds)
 
     def release(self) -> None:
@@ -113,7 +113,7 @@ class PoseGraph:
         """Have room for the pose at hand, and no less than before: poses that take turns fit the same graph."""
         self._room = self._solver.sizes.roomier(self._room)
 
-    def _capture(self) -> None:
+    def capture(self) -> None:
         self._make_room()
         self._solver.nodes.limit(self._bounds.lists)
         self.launch()  # once outside, so that all buffers and modules are there

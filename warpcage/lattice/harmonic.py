@@ -102,12 +102,12 @@ class HarmonicSolver(MapSolver):
         self._launch_inside(sections, target.vertex_values)
         with self.lattice.side.fork():  # it does not look at the rings
             self.gaps.search(self.lattice, self.nodes.levels, self.rows, sections, values)
-        self._continue_map(sections, target.vertex_values)
+        self.continue_map(sections, target.vertex_values)
         self.lattice.side.join()
 
     def launch_continuation(self, sizes: PoseSizes, vertex_values: wp.array) -> None:
         """Launch what continues the values to the rings, and the search for gaps; see MapSolver."""
-        self._continue_map(sizes.lists, vertex_values)
+        self.continue_map(sizes.lists, vertex_values)
         self.gaps.search(self.lattice, self.nodes.levels, self.rows, sizes.lists, self._system.values)
 
     def launch_boundary(
@@ -153,7 +153,7 @@ class HarmonicSolver(MapSolver):
                 f"{self.tolerance:.1e}): the cage may cross itself, or be too thin for a lattice of this resolution"
             )
 
-    def _continue_map(self, sections: NodeSections, vertex_values: wp.array) -> None:
+    def continue_map(self, sections: NodeSections, vertex_values: wp.array) -> None:
         """Launch what continues the values at inside nodes to the rings (kernels/lattice/rings.py)."""
         continue_to_rings(self.lattice, self.nodes.levels, self.rows, sections, vertex_values, self._system.values)
 
@@ -164,24 +164,24 @@ class HarmonicSolver(MapSolver):
         self._launch(set_sources, sections.cut, inputs)
         self._launch(begin_cycles, self._largest.size, [self._going, self.status, self._largest])
         self._sweep(relax_laplace, sections.evaluated, [0, 0, system])
-        wp.capture_while(self._going, self._cycle_runner(sections))
+        wp.capture_while(self._going, self.cycle_runner(sections))
 
-    def _cycle_runner(self, sections: NodeSections) -> Callable[[], None]:
+    def cycle_runner(self, sections: NodeSections) -> Callable[[], None]:
         """A callable that runs one cycle: its launches on the CPU and in a capture, else the replay of one graph."""
         if self.device.is_cpu or self.device.is_capturing:
-            return lambda: self._cycle(sections)
+            return lambda: self.launch_cycle(sections)
         held, generation = self._graph_room, self.lattice.buffers.generation
         if held is None or self._graph_generation != generation or not sections.fits(held):
             # launches somewhat longer than the lists, so that the graph serves other poses of the cage as well
             held = self._graph_room = sections.roomier()
             load_modules([harmonic_kernels, harmonic_coarse], self.device)
             with wp.ScopedCapture(device=self.device) as capture:
-                self._cycle(held)
+                self.launch_cycle(held)
             self._graph, self._graph_generation = capture.graph, generation
         assert self._graph is not None
         return functools.partial(wp.capture_launch, self._graph)
 
-    def _cycle(self, sections: NodeSections) -> None:
+    def launch_cycle(self, sections: NodeSections) -> None:
         """Launch a V-cycle and what judges it; the half sweep that it begins with was done by the one before."""
         system, inside = self._system, sections.inside
         few = SHORT_LAUNCH if self.device.is_cpu else COARSE_NODES

@@ -81,6 +81,7 @@ class PositionMap:
         device: Warp device.
         origin: (3,) float64.
         lattice: The lattice, None before the first pose.
+        launches: What poses launch, with their solver and the tables of narrow gaps; None before the first pose.
         gap_jump: By how much the pose opens gaps narrower than a cell, as a share of the rest cage's size. Grooves over
             which the map stretches by up to 3 alone are none.
         gap_remedy: What the warning of them says that callers can do, where the cage is not posed as they gave it;
@@ -113,7 +114,7 @@ class PositionMap:
         self.lock = owner_lock(self.device)
         self.lattice: CageLattice | None = None
         self.gap_jump, self.gap_remedy = 0.0, ""
-        self._launches: PoseLaunches | None = None
+        self.launches: PoseLaunches | None = None
         self._weights: LatticeWeights | None = None
         self._data: WarpStruct | None = None
         self._graph: PoseGraph | None = None
@@ -190,16 +191,16 @@ class PositionMap:
                 raise
             has_room = begun.draft is not None and graph is not None and graph.finish()
             self._begun, self._is_at_work = None, False
-            if has_room and self._launches is not None and graph is not None:
-                self._take_map(self._launches, graph.has_gaps, graph, begun.draft)
+            if has_room and self.launches is not None and graph is not None:
+                self._take_map(self.launches, graph.has_gaps, graph, begun.draft)
             else:
                 self._pose_step_by_step(begun.cage)
         return self
 
     def _let_go(self) -> None:
         """Forget a pose that was not finished, once the device no longer reads what the host wrote for it."""
-        if self._is_at_work and self._launches is not None:
-            self._launches.wait()
+        if self._is_at_work and self.launches is not None:
+            self.launches.wait()
         self._begun, self._is_at_work = None, False
 
     def warm(self) -> PositionMap:
@@ -241,20 +242,20 @@ class PositionMap:
 
     def _laid(self, deformed: ClosedMesh) -> PoseLaunches:
         """The launches of a pose, with the lattice laid over it; made with the first one."""
-        if self._launches is not None:
-            self._launches.solver.lattice.lay(deformed)
-            return self._launches
+        if self.launches is not None:
+            self.launches.solver.lattice.lay(deformed)
+            return self.launches
         self.lattice = CageLattice(deformed, self.resolution, origin=self.origin, device=self.device)
         constants = self.lattice.map_constants
         target = MapTarget(self.rest, constants.affine.array, constants.vertex_values.array)
-        self._launches = PoseLaunches(self._new_solver(self.lattice), target)
+        self.launches = PoseLaunches(self._new_solver(self.lattice), target)
         if self.store == "map" and PoseGraph.is_supported(self.device):
-            self._graph = PoseGraph(self._launches)
-        return self._launches
+            self._graph = PoseGraph(self.launches)
+        return self.launches
 
     def _replay(self, graph: PoseGraph, deformed: ClosedMesh) -> WarpStruct | None:
         """Start on a pose by the graph; the map that it is to be, None where there is no room."""
-        launches = self._launches
+        launches = self.launches
         assert launches is not None
         lattice = launches.solver.lattice
         lattice.lay(deformed)
@@ -310,12 +311,12 @@ class PositionMap:
     @property
     def cycles(self) -> int:
         """Multigrid cycles of the last pose; 0 for closed forms."""
-        return 0 if self._launches is None else self._launches.solver.cycles
+        return 0 if self.launches is None else self.launches.solver.cycles
 
     @property
     def residual(self) -> float:
         """What the harmonic solver left, as a share of the rest cage's size; 0 for closed forms."""
-        return 0.0 if self._launches is None else self._launches.solver.residual
+        return 0.0 if self.launches is None else self.launches.solver.residual
 
     @property
     def thin_nodes(self) -> int:
@@ -355,9 +356,9 @@ class PositionMap:
         return int(total)
 
     def _posed(self) -> tuple[PoseLaunches, CageLattice]:
-        if self._data is None or self._launches is None:
+        if self._data is None or self.launches is None:
             raise ValueError("the PositionMap has no pose yet: call pose(deformed) first")
-        return self._launches, self._launches.solver.lattice
+        return self.launches, self.launches.solver.lattice
 
     def _too_large(self) -> str:
         remedy = "take a lower resolution"

@@ -37,7 +37,7 @@ def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int
             f"a face of {len(polygon)} corners is not convex, at most {MAX_CORNERS} are cut into triangles: cut it in "
             "the program that made it"
         )
-    return _Ears(vertices[polygon], polygon, normal).cut()
+    return EarCutter(vertices[polygon], polygon, normal).cut()
 
 
 def _heights(vertices, triangles, normal) -> np.ndarray:
@@ -46,7 +46,7 @@ def _heights(vertices, triangles, normal) -> np.ndarray:
     return 0.5 * np.cross(b - a, c - a) @ normal
 
 
-class _Ears:
+class EarCutter:
     """Cuts ears off a polygon, the best one each time."""
 
     # A cut changes the two ears beside it, and those that its corner was in the way of: each blocked ear remembers one
@@ -94,9 +94,9 @@ class _Ears:
     def _look(self, corner: int) -> None:
         """Put the ear at a corner on the heap, as it is now."""
         self.looks[corner] += 1
-        heapq.heappush(self.best, (-self._quality(corner), corner, self.looks[corner]))
+        heapq.heappush(self.best, (-self.quality(corner), corner, self.looks[corner]))
 
-    def _quality(self, corner: int) -> float:
+    def quality(self, corner: int) -> float:
         """Area over the square of the longest side; below zero where the ear looks backward or holds another corner."""
         ear = [self.before[corner], corner, self.after[corner]]
         a, b, c = self.points[ear]

@@ -103,7 +103,7 @@ def intersecting_faces(vertices: ArrayLike, faces: ArrayLike) -> np.ndarray:
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = normals / np.where(lengths > 0.0, lengths, 1.0)
     found = [np.zeros((0, 2), dtype=np.int64)]
-    for pairs in _together(_overlapping_boxes(corners)):
+    for pairs in _together(overlapping_boxes(corners)):
         found.append(pairs[_crossing(pairs, faces, corners, normals, lengths[:, 0])])
     pairs = np.concatenate(found)
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
@@ -151,7 +151,7 @@ def _crossing(
     return crossing | alike
 
 
-def _overlapping_boxes(corners: np.ndarray) -> Iterator[np.ndarray]:
+def overlapping_boxes(corners: np.ndarray) -> Iterator[np.ndarray]:
     """Pairs (p, 2), i < j, of triangles (f, 3, 3) of a mesh of size 1 whose bounding boxes overlap, some at a time."""
     # Boxes are sorted by size into levels with grids of their own, each with cells that no box of the level exceeds,
     # and are kept in the cell of their lower corner. A box of the same level or a smaller one meets those in the cells
@@ -179,10 +179,10 @@ def _overlapping_boxes(corners: np.ndarray) -> Iterator[np.ndarray]:
                 row = ((first[touched, 0] + x) * step + first[touched, 1] + y) * step
                 begin = np.searchsorted(keys, row + first[touched, 2])
                 end = np.searchsorted(keys, row + last[touched, 2] + 1, side="right")
-                yield from _meeting(asking[touched], held, begin, end, columns, levels)
+                yield from meeting_boxes(asking[touched], held, begin, end, columns, levels)
 
 
-def _meeting(
+def meeting_boxes(
     asking: np.ndarray,
     held: np.ndarray,
     begin: np.ndarray,

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from ..core.arrays import empty_array
 from ..core.devices import launch, resolve_device
 from ..kernels.reference.carried_raycast import SolidTexture, cast_carried_rays, shade_surface_points
-from ..kernels.reference.mesh_distance import measure_mesh_distance
-from ..kernels.reference.mesh_raycast import MeshLighting, cast_mesh_rays
+from ..kernels.reference.mesh_raycast import MeshLighting, cast_mesh_rays, measure_mesh_distance
 from ..view.camera import Camera, camera_struct
 
 #: Strength and exponent of the specular term.

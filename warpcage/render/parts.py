@@ -24,8 +24,8 @@ class PartsInTurn:
     """Marches views through edits that are apart, a launch for each; rays keep their state in between."""
 
     def __init__(self, device: wp.Device):
-        # kept, as CUDA takes longer to hand out as much memory than to fill it
-        self._rays = BufferPool(device).buffer(wp.vec4)
+        # states of rays, kept, as CUDA takes longer to hand out as much memory than to fill it
+        self.rays = BufferPool(device).buffer(wp.vec4)
         self._block: wp.array | None = None
         self._parts: list[tuple[list[list[float]], Any]] = []
 
@@ -51,7 +51,7 @@ class PartsInTurn:
 
     def _scene_parts(self, boxes: list[list[list[float]]], rays: int) -> list[Any]:
         """The ScenePart of each box, with arrays for as many rays; those of the view before where it has the same."""
-        block = self._rays.take((3, rays)) if len(boxes) > 1 else None
+        block = self.rays.take((3, rays)) if len(boxes) > 1 else None
         if block is not self._block or len(boxes) != len(self._parts):
             self._block, self._parts = block, [([], None) for _ in boxes]
         for number, box in enumerate(boxes):

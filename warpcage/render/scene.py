@@ -95,44 +95,47 @@ class LatticeEdits(PosedEdits):
         super().__init__(trace.map_points, None)  # poses choose the other one
         load_pose_modules(coordinates, render_modules(device, len(edits), self._has_fragments), device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
-        self._flat: list[Any] = []
+        # the EditData of each edit in their order, once a pose is prepared
+        self.flat: list[Any] = []
         self._laid: list[tuple[Any, Any]] = []  # each LatticeEdit and its EditData, once for a pose
         self._seen: SeenView | None = None  # the last view, where it was of the last pose
-        self._plan, self._lattice_boxes = Plan(None, False), []
-        self._shades = CarriedShades(len(edits), device)
+        # of the last view
+        self.plan, self._lattice_boxes = Plan(None, False), []
+        self.carried_shades = CarriedShades(len(edits), device)
         self._side, self._join = SideStream(device, priority=-1), RecordedLaunches(device)
         self._fine, self._is_fine = FineCells(len(edits), self._side), False
         self._polynomials = MapPolynomials(len(edits), device)
-        self._most_shades = math.inf if device.is_cpu else MOST_SHADES * device.total_memory
+        # bytes that shades may take
+        self.most_shades = math.inf if device.is_cpu else MOST_SHADES * device.total_memory
         self._boxes: EditBoxes | None = None
         self._apart: tuple[float, np.ndarray | None] | None = None
         pool = BufferPool(device)
         self._look_buffers = [pool.buffer(wp.uint8) for _ in edits]
         self._node_buffers = [pool.buffer(wp.vec4) for _ in edits]
-        self._parts = PartsInTurn(device)
+        self.parts_in_turn = PartsInTurn(device)
         self._tiles, self._begins = BalancedTiles(device), TileStarts(self._side)
 
     def begin_view(self, field: VoxelField, center: wp.vec3, step: float) -> None:
         self._side.mark()
-        if self._flat:
-            self._plan = self._planned(field, center, step)
-            if self._plan.is_shaded and self._shades.is_posed and not self._shades.is_known_folded:
-                self._shades.aim(center)
+        if self.flat:
+            self.plan = self._planned(field, center, step)
+            if self.plan.is_shaded and self.carried_shades.is_posed and not self.carried_shades.is_known_folded:
+                self.carried_shades.aim(center)
 
     def row_tables(self, field: VoxelField, center: wp.vec3, step: float) -> list[Any]:
-        if not self._flat:
+        if not self.flat:
             return []  # where a new pose leads to is not known yet
-        if not self._plan.is_shaded:
+        if not self.plan.is_shaded:
             return [field.marching.rows()]
-        if not self._shades.is_posed:
+        if not self.carried_shades.is_posed:
             return []
-        if self._shades.is_known_folded:
+        if self.carried_shades.is_known_folded:
             return self._unshaded_tables(field)
-        return [self._shades.shades(field.grid, field.marching.columns, center, step)]
+        return [self.carried_shades.shades(field.grid, field.marching.columns, center, step)]
 
     def _unshaded_tables(self, field: VoxelField) -> list[Any]:
         """Rows, as the pose turns matter over."""
-        self._plan = Plan(self._plan.parts, False)
+        self.plan = Plan(self.plan.parts, False)
         return [field.marching.rows()]
 
     def _planned(self, field: VoxelField, center: wp.vec3, step: float) -> Plan:
@@ -143,15 +146,15 @@ class LatticeEdits(PosedEdits):
             not self._by_tiles
             and not self._has_fragments
             and (self._is_single or parts is not None)
-            and all(flat.nodes.shape[0] < MOST_LATTICE_NODES for flat in self._flat)
+            and all(flat.nodes.shape[0] < MOST_LATTICE_NODES for flat in self.flat)
             and field.marching.is_shaded(center, self._lattice_boxes)
-            and shade_texture_bytes(field.marching.columns) <= self._most_shades
+            and shade_texture_bytes(field.marching.columns) <= self.most_shades
         )
         return Plan(parts, is_shaded)
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
         seen, self._seen = self._seen, None
-        self._flat, self._laid, self.array, self.scene = [], [], None, None
+        self.flat, self._laid, self.array, self.scene = [], [], None, None
         self._boxes = self._apart = None
         if self.lattices.begin(cages) and seen is not None:  # the device is at work
             self._lay_out()
@@ -178,18 +181,18 @@ class LatticeEdits(PosedEdits):
         center = wp.vec3(*(FAR * (high - low)).tolist())
         seen = SeenView(field, field.marching.grid(), center, field.step)
         self._look_ahead(seen)
-        if self._plan.is_shaded:
-            self._shades.aim(center)
-            self._shades.walls(seen.grid, field.marching.columns)
+        if self.plan.is_shaded:
+            self.carried_shades.aim(center)
+            self.carried_shades.walls(seen.grid, field.marching.columns)
         self._seen = seen  # by which the first pose goes
 
     def _look_ahead(self, seen: SeenView) -> None:
         """Launch what the next view is likely to ask for: who saw the last pose will see this one, and the device would
         wait for the host between. A view of something else finds its own."""
         self.prepare(seen.grid, seen.step)
-        self._plan = self._planned(seen.field, seen.center, seen.step)
+        self.plan = self._planned(seen.field, seen.center, seen.step)
         has_begun = self._begin_tables(seen.grid)
-        if self._plan.is_shaded:
+        if self.plan.is_shaded:
             self._find_places(seen.grid)
         if has_begun:
             self._end_tables()
@@ -210,14 +213,14 @@ class LatticeEdits(PosedEdits):
         for number, ((edit, skip), (_, flat)) in enumerate(zip(posed, laid, strict=True)):
             tell_sides(flat, edit)
             join_tables(flat, edit, skip, functools.partial(self._join, number=number))
-        self._flat = [flat for _, flat in laid]
-        self._lattice_boxes, self._shades.is_posed = [lattice_box(flat) for flat in self._flat], False
+        self.flat = [flat for _, flat in laid]
+        self._lattice_boxes, self.carried_shades.is_posed = [lattice_box(flat) for flat in self.flat], False
         self._is_fine = False
         if not self._is_single:
-            is_simple = not any(self.lattices.carried) and not any(flat.has_sides for flat in self._flat)
+            is_simple = not any(self.lattices.carried) and not any(flat.has_sides for flat in self.flat)
             self.render_kernel = stack_kernel(is_simple)
             return self.flat_array()
-        (flat,) = self._flat
+        (flat,) = self.flat
         if not self._by_tiles:
             self.render_kernel = view_kernel(False, needs_general_map(flat))
         return flat
@@ -231,11 +234,11 @@ class LatticeEdits(PosedEdits):
     def _begin_tables(self, grid: Any) -> bool:
         """Launch the tables of fine cells and the polynomials of cells, where the march knows them: for one edit or
         edits apart. Returns whether they are new: they are there behind `_end_tables`."""
-        is_known = not self._by_tiles and (self._is_single or self._plan.parts is not None)
+        is_known = not self._by_tiles and (self._is_single or self.plan.parts is not None)
         if self._is_fine or not is_known:
             return False
-        self._fine.begin(self._flat, grid, self.lattices.marked_step)
-        self._polynomials.expand(self._flat)  # on the program's stream, which has less to do meanwhile
+        self._fine.begin(self.flat, grid, self.lattices.marked_step)
+        self._polynomials.expand(self.flat)  # on the program's stream, which has less to do meanwhile
         return True
 
     def _end_tables(self) -> None:
@@ -243,63 +246,64 @@ class LatticeEdits(PosedEdits):
         self._side.join()
         self._is_fine = True
         if self._is_single:
-            self.render_kernel = view_kernel(False, needs_general_map(self._flat[0]))
+            self.render_kernel = view_kernel(False, needs_general_map(self.flat[0]))
 
     def _find_places(self, grid: Any) -> None:
         """Launch what finds where the pose takes matter."""
-        self._shades.pose(self._flat, [struct.cells for struct, _ in self.lattices.posed()], grid)
+        self.carried_shades.pose(self.flat, [struct.cells for struct, _ in self.lattices.posed()], grid)
 
     def render(self, view: ViewRequest) -> None:
         field, center, step = view.field, view.pinhole.center, view.options.step
-        is_new = not view.rows or (self._plan.is_shaded and not self._shades.is_posed)
+        is_new = not view.rows or (self.plan.is_shaded and not self.carried_shades.is_posed)
         rows = view.rows
         if is_new:
             self.begin_view(field, center, step)
             rows = self.row_tables(field, center, step)
         has_begun = self._begin_tables(view.grid)
         begins = self._tile_begins(view)
-        if is_new and self._plan.is_shaded:
+        if is_new and self.plan.is_shaded:
             self._find_places(view.grid)
             rows = self.row_tables(field, center, step)
         if has_begun:
             self._end_tables()
         else:
             self._side.join()
-        if self._plan.is_shaded and self._shades.has_inverted_cells():  # asked behind all that is launched for others
+        # asked behind all that is launched for others
+        if self.plan.is_shaded and self.carried_shades.has_inverted_cells():
             rows = self._unshaded_tables(field)
         if self._looks_ahead:
             self._seen = SeenView(field, view.grid, center, step)
         view = dataclasses.replace(view, rows=rows)
-        (parts, is_shaded), tiles = self._plan, view.threads // TILE_SIZE
+        (parts, is_shaded), tiles = self.plan, view.threads // TILE_SIZE
         if parts is not None:
             orders = self._tiles.begin(len(parts), tiles)
             if self._by_tiles:
                 kernels = [march_cpu.render_edit_tiles, march_cpu.render_edit_tiles]
             else:
                 kernels = [part_kernel(is_shaded, has_sides) for has_sides in (False, True)]
-            self._parts.render(self, view, parts, kernels, orders, begins)
+            self.parts_in_turn.render(self, view, parts, kernels, orders, begins)
             self._tiles.end()
         elif self._is_single:
             (order,) = self._tiles.begin(1, tiles)
             kernel = self._shaded_kernel(view) if is_shaded else self.render_kernel
-            self.march(view, kernel, [self._flat[0] if is_shaded else self.scene], order=order, begins=begins[0])
+            self.march(view, kernel, [self.flat[0] if is_shaded else self.scene], order=order, begins=begins[0])
             self._tiles.end()
         else:
             super().render(view)
-        self._shades.release()
+        self.carried_shades.release()
 
     def _tile_begins(self, view: ViewRequest) -> list[wp.array | None]:
         """How far the rays of each tile go before they may meet anything, for each edit that is marched by itself; None
         where its kernel does not ask."""
-        parts = self._plan.parts
-        marched = self._flat if self._is_single else [edit for edit, _ in parts or []]
+        parts = self.plan.parts
+        marched = self.flat if self._is_single else [edit for edit, _ in parts or []]
         if self._by_tiles or not marched:
             return [None for _ in marched]
         return [*self._begins.find(marched, view.grid, view.pinhole, view.threads // TILE_SIZE)]
 
     def _shaded_kernel(self, view: ViewRequest) -> Any:
         """The kernel that marches a view of shaded voxels through one edit."""
-        has_sides = needs_general_map(self._flat[0])
+        has_sides = needs_general_map(self.flat[0])
         return view_kernel(True, has_sides, large=view.threads >= LARGE_PICTURE and not has_sides)
 
     def scene_parts(self, center: wp.vec3, step: float) -> list[tuple[Any, np.ndarray]] | None:
@@ -308,7 +312,7 @@ class LatticeEdits(PosedEdits):
         # One kernel takes one edit on CUDA, crumbs, edits that may meet each other, and boxes that hide each other in a
         # circle.
         if self._is_single:
-            return [(self._flat[0], NOWHERE)] if self._by_tiles else None
+            return [(self.flat[0], NOWHERE)] if self._by_tiles else None
         if self._boxes is None:
             return None
         reach = 0.5 * step  # that of the first and the last part of a sample
@@ -318,8 +322,8 @@ class LatticeEdits(PosedEdits):
         if boxes is None:
             return None
         order = front_to_back(boxes, tuple(center))
-        return None if order is None else [(self._flat[index], boxes[index]) for index in order]
+        return None if order is None else [(self.flat[index], boxes[index]) for index in order]
 
     def flat_array(self) -> wp.array:
         """(edits,) EditData, as the kernel for several edits takes them."""
-        return struct_array(self._flat, EditData, self._device)
+        return struct_array(self.flat, EditData, self._device)

@@ -48,7 +48,9 @@ class CarriedShades:
         self._settled = 0  # owners that are NO_CELL, from the first on
         self._places, self._aims = ([pool.buffer(wp.vec4) for _ in range(edit_count)] for _ in range(2))
         self._kept_cages: list[Any] = [None] * edit_count
-        self._posed: list[tuple[Any, wp.array, Any]] = []
+        # of each edit that does not remove: its EditData, (nx, ny, nz) vec4 where its rest nodes are taken and whether,
+        # and its ViewDirectionCage
+        self.posed: list[tuple[Any, wp.array, Any]] = []
         self._cages: wp.array | None = None
         self._walls: tuple[ColumnTable, wp.array] | None = None
         self._aimed: wp.vec3 | None = None
@@ -63,15 +65,15 @@ class CarriedShades:
     def pose(self, edits: Sequence[Any], cells: Sequence[wp.array], grid: Any) -> None:
         """Find where matter is, once per pose, of the posed FlatEdits and the VoxelGrid as it is marched.
         cells: (nx-1, ny-1, nz-1) uint8 CELL_... flags of each edit's cells."""
-        self._posed, self.is_posed, self._is_folded, self._aimed = [], False, None, None  # an interrupt leaves none
+        self.posed, self.is_posed, self._is_folded, self._aimed = [], False, None, None  # an interrupt leaves none
         self._folds.clear()
         for number, (edit, flags) in enumerate(zip(edits, cells, strict=True)):
             if not edit.removes:
                 self._find_places(number, edit, flags, grid)
         self._folds.send()
         if self._cages is None:
-            self._cages = empty_array(len(self._posed), ViewDirectionCage, self._device)
-        for index, (_, _, cage) in enumerate(self._posed):
+            self._cages = empty_array(len(self.posed), ViewDirectionCage, self._device)
+        for index, (_, _, cage) in enumerate(self.posed):
             self._launch(keep_cage, 1, [cage, index], [self._cages], number=index)
         self.is_posed = True
 
@@ -87,7 +89,7 @@ class CarriedShades:
         self._launch(claim_nodes, flags.size, [edit, flags, grid], claims, number=number, threads=1)
         self._launch(settle_nodes, owners.size, [edit, owners], [found], number=number)
         self._settled = max(settled, owners.size)
-        self._posed.append((edit, found, self._aimed_cage(number, edit, found, grid)))
+        self.posed.append((edit, found, self._aimed_cage(number, edit, found, grid)))
 
     def _aimed_cage(self, number: int, edit: Any, places: wp.array, grid: Any) -> Any:
         """The ViewDirectionCage of an edit, the same for all poses but for what is of one."""
@@ -120,8 +122,8 @@ class CarriedShades:
     def aim(self, center: wp.vec3) -> None:
         """Find from where a camera sees what the pose moves: what `shades` of that camera begins with.
         `centre` is relative to the grid's origin; `shades` knows it as the same object."""
-        if self._posed:
-            self._launch(find_view_directions, sum(places.size for _, places, _ in self._posed), [self._cages, center])
+        if self.posed:
+            self._launch(find_view_directions, sum(places.size for _, places, _ in self.posed), [self._cages, center])
         self._aimed = center
 
     def shades(self, grid: Any, table: ColumnTable, center: wp.vec3, step: float) -> Any:
@@ -131,14 +133,14 @@ class CarriedShades:
         if self._aimed is not center:
             self.aim(center)
         self._aimed = None
-        shaded, laid = table.shaded(center, step), self._laid_shades(table)
+        shaded, laid = table.shaded(center, step), self.shaded_volume(table)
         inputs = [grid, table.nodes, self._cages, shaded, laid]
         self._launch(shade_carried_rows, whole_warps(rows, device), inputs)
         inputs = [grid, table.nodes, walls, self._cages, shaded, laid]
         self._launch(shade_wall_rows, whole_warps(walls.shape[0], device), inputs)
         return laid
 
-    def _laid_shades(self, table: ColumnTable) -> Any:
+    def shaded_volume(self, table: ColumnTable) -> Any:
         """The ShadedVolume of a field, 0 at nodes without a row: on CUDA the same for all frames, which take turns."""
         laid = self._laid
         if laid is None or laid.node_counts != table.columns.node_counts:
@@ -163,7 +165,7 @@ class CarriedShades:
             device, rows = self._device, table.nodes.shape[0]
             marks = wp.zeros(rows, dtype=wp.int32, device=device)
             diagonal = math.hypot(*grid.voxel_size)
-            for edit, _, _ in self._posed:
+            for edit, _, _ in self.posed:
                 depth = math.inf if edit.keeps_source else diagonal
                 inputs = [grid, table.nodes, table.columns.node_counts, edit.rest, depth, edit.slack + diagonal]
                 launch(mark_wall_rows, rows, inputs, [marks], device=device)

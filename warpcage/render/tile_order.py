@@ -20,8 +20,8 @@ class BalancedTiles:
 
     def __init__(self, device: wp.Device):
         self._device = device
-        self._kept: dict[tuple[int, int, int], _SortedTiles] = {}
-        self._begun: tuple[tuple[int, int, int], _SortedTiles] | None = None
+        self._kept: dict[tuple[int, int, int], SortedTiles] = {}
+        self._begun: tuple[tuple[int, int, int], SortedTiles] | None = None
 
     def begin(self, launches: int, tiles: int) -> list[Any]:
         """A TileOrder for each launch of a view of so many tiles; call `end` behind the last of them."""
@@ -32,7 +32,7 @@ class BalancedTiles:
         key = launches, tiles, int(self._device.stream.cuda_stream or 0)
         kept = self._kept.pop(key, None)  # an interrupt leaves none
         if kept is None:
-            kept = _SortedTiles(launches, tiles, self._device)
+            kept = SortedTiles(launches, tiles, self._device)
         self._begun = key, kept
         return kept.orders
 
@@ -47,7 +47,7 @@ class BalancedTiles:
             self._kept[key] = kept
 
 
-class _SortedTiles:
+class SortedTiles:
     """Orders of the launches of a view on CUDA, as the tiles lie in the picture until they are sorted."""
 
     def __init__(self, launches: int, tiles: int, device: wp.Device):
@@ -55,7 +55,8 @@ class _SortedTiles:
         order = np.tile(np.arange(tiles, dtype=np.int32), launches)
         self._order = wp.array(order, dtype=wp.int32, device=device)
         self._ticks = wp.zeros(launches * tiles, dtype=wp.int32, device=device)
-        self._bins = [wp.zeros(launches * 2 * int(TILE_BINS), dtype=wp.int32, device=device) for _ in range(2)]
+        # counts for the next sort, all 0 before it, and those of the last one
+        self.bins = [wp.zeros(launches * 2 * int(TILE_BINS), dtype=wp.int32, device=device) for _ in range(2)]
         self._count, self._sort = (RecordedLaunch(kernel, device) for kernel in (count_tiles, sort_tiles))
         self.orders = [self._order_of(number) for number in range(launches)]
 
@@ -67,8 +68,8 @@ class _SortedTiles:
         return result
 
     def sort(self) -> None:
-        bins, spare = self._bins
+        bins, spare = self.bins
         count = self._ticks.shape[0]
         self._count(count, [self._tiles, self._ticks], [bins])
         self._sort(count, [self._tiles, bins], [spare, self._ticks, self._order])
-        self._bins = [spare, bins]
+        self.bins = [spare, bins]

@@ -162,7 +162,7 @@ def make_scene(
         views = [dataclasses.replace(view, mask=None) for view in views]
     size = _common_size(views)
     intrinsics = [_intrinsics(view, size) for view in views]
-    pinholes = [_pinhole(view, given, size) for view, given in zip(views, intrinsics, strict=True)]
+    pinholes = [pinhole_intrinsics(view, given, size) for view, given in zip(views, intrinsics, strict=True)]
     cameras = [_camera(view, pinhole, size) for view, pinhole in zip(views, pinholes, strict=True)]
     split = masks == "split"
     workers = _workers(views, size, downscale, split)
@@ -245,7 +245,7 @@ def _intrinsics(view: View, size: tuple[int, int]) -> Intrinsics:
     return float(fx), float(fy), float(cx), float(cy)
 
 
-def _pinhole(view: View, intrinsics: Intrinsics, size: tuple[int, int]) -> Intrinsics:
+def pinhole_intrinsics(view: View, intrinsics: Intrinsics, size: tuple[int, int]) -> Intrinsics:
     """(fx, fy, cx, cy) of a view's picture without its distortion."""
     if not any(view.distortion):
         return intrinsics
@@ -267,7 +267,7 @@ def _workers(views: list[View], size: tuple[int, int], downscale: int, split: bo
     """How many pictures are read at once. Refuses pictures that the machine cannot hold, before the first is read."""
     width, height = shrunk_size(size, downscale)
     held = len(views) * width * height * (4 * (7 if split else 4) + 1)
-    flight, free = max(_flight_bytes(view, size, downscale, split) for view in views), free_host_bytes()
+    flight, free = max(flight_bytes(view, size, downscale, split) for view in views), free_host_bytes()
     if flight >= free:
         raise ValueError(
             f"reading a picture of {_times(size)} needs {flight / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free: "
@@ -282,7 +282,7 @@ def _workers(views: list[View], size: tuple[int, int], downscale: int, split: bo
     return max(1, min(MOST_WORKERS, (os.cpu_count() or 1) + 4, len(views), (free - held) // flight))
 
 
-def _flight_bytes(view: View, size: tuple[int, int], downscale: int, split: bool) -> int:
+def flight_bytes(view: View, size: tuple[int, int], downscale: int, split: bool) -> int:
     """Memory that a picture takes while it is read: what its files decode to, and floats of a strip or of all of it."""
     pixels = size[0] * size[1]
     numbers = 8 if split else 4

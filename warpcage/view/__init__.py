@@ -1,6 +1,6 @@
 """Cameras, frames, pictures, films and overlays."""
 
-from ..core.exports import lazy_exports
+from ..core.package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
@@ -16,10 +16,10 @@ __getattr__, __dir__, __all__ = lazy_exports(
             "axis_rotation cameras_along frame_places frame_times limited_velocity pose_along pose_between "
             "pose_weights value_along value_at"
         ),
-        "opacity": "linear_light rgba_picture with_spread_colours",
+        "opacity": "linear_light rgba_picture with_spread_colors",
         "overlay": "draw_cage",
         "pictures": (
-            "colour_disparity contact_sheet disparity_range image_size read_image read_rows shrink "
+            "color_disparity contact_sheet disparity_range image_size read_image read_rows shrink "
             "side_by_side to_uint8 write_jpeg write_png"
         ),
     },

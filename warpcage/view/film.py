@@ -200,7 +200,7 @@ def _encode_video(path: pathlib.Path, rate: Fraction, images: Iterable[np.ndarra
     """Write images (h, w, 3) uint8 as H.264."""
     import av
 
-    images = map(_even, _of_one_size(images))
+    images = map(even_frame, _of_one_size(images))
     first = next(images)
     # opened here: by name, some names are taken for addresses
     with open(path, "w+b") as file, av.open(file, "w", format="mp4") as container:
@@ -299,7 +299,7 @@ def _that_fit(images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
         yield pixels
 
 
-def _even(frame: np.ndarray) -> np.ndarray:
+def even_frame(frame: np.ndarray) -> np.ndarray:
     """A frame cut to even sizes, as yuv420p has half as many colours along each axis."""
     height, width = (side // 2 * 2 for side in frame.shape[:2])
     if height == 0 or width == 0:

@@ -82,7 +82,7 @@ _LEAST_COUNT, _MOST_COUNT = 8, 2000
 # -- Voxels
 
 
-def _spacing(extent, vertex_count) -> float:
+def voxel_spacing(extent, vertex_count) -> float:
     """Side of a voxel: about 64^3 of them in the box, more for cages of many vertices, at most 160 along a side."""
     size = extent.max()
     finer = np.clip(vertex_count / 200.0, 1.0, 4.0) ** (1.0 / 3.0)
@@ -140,7 +140,7 @@ def cage_around_mesh(
     if size == 0.0:
         raise ValueError("the mesh has no extent: all its vertices are in one place")
     margin = checked_margin(0.01 * size if margin is None else margin)
-    spacing = _spacing(np.ptp(vertices, axis=0), vertex_count)
+    spacing = voxel_spacing(np.ptp(vertices, axis=0), vertex_count)
     points = np.concatenate([vertices, surface_points(vertices, faces, 0.5 * spacing)])
     # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
     slack = 0.29 * spacing
@@ -174,7 +174,7 @@ def cage_around_field(
         raise ValueError("the field shows nothing to put a cage around: lower the threshold")
     extent = np.maximum(np.ptp(points, axis=0), voxel_size)
     # a grid no finer than the field's, or its empty lines between nodes would count as gaps
-    spacing = max(_spacing(extent, vertex_count), voxel_size.max())
+    spacing = max(voxel_spacing(extent, vertex_count), voxel_size.max())
     corner = 0.5 * float(np.linalg.norm(voxel_size))
     # a plane above which the nodes lie: the cage ends there, and leaves what the object stands on outside
     floor = getattr(field, "floor", None)

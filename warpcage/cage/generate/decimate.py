@@ -75,7 +75,7 @@ def _collapses(vertices, faces, side):
 
     best = np.full(len(edges), np.inf)
     places = np.zeros((len(edges), 3))
-    measured = _Collapses(vertices, faces, edges, around, normals, offsets, double_area, mean, side)
+    measured = EdgeCollapses(vertices, faces, edges, around, normals, offsets, double_area, mean, side)
     for base in _bases(vertices[u], vertices[v], normals, offsets, double_area):
         # a shape only adds to the cost: it is asked for where the room alone is cheaper
         rows, place, room, shape = measured.at(base, side**3 * best)
@@ -86,7 +86,7 @@ def _collapses(vertices, faces, side):
     return edges[fine], places[fine], best[fine]
 
 
-class _Collapses:
+class EdgeCollapses:
     """Collapses of edges (e, 2) to places, lifted along mean (e, 3), that are tried one after the other.
     around (e, r): faces around the edges, -1 for none; normals, offsets and double_area (e, r, ...): their planes."""
 

@@ -70,9 +70,9 @@ class ObjectShell:
         # then erosion; Serra 1982); never more than `distance`
         self.closed = np.where(outside, self.distance, np.minimum(self.distance, reach - inward)).astype(np.float64)
         # surface and directions come from it smoothed over one voxel
-        self._smooth = skimage.filters.gaussian(self.closed, 1.0, mode="nearest", truncate=3.0)
+        self.smooth = skimage.filters.gaussian(self.closed, 1.0, mode="nearest", truncate=3.0)
         self._closed = on_cpu(self.closed, wp.float64)
-        self._slope = [on_cpu(np.asarray(slope), wp.float64) for slope in np.gradient(self._smooth, spacing)]
+        self._slope = [on_cpu(np.asarray(slope), wp.float64) for slope in np.gradient(self.smooth, spacing)]
         self._grid = (wp.vec3d(*self.lower), wp.float64(self.spacing))
 
     def _distances(self, radius: int, need: float, deep) -> np.ndarray:
@@ -91,7 +91,7 @@ class ObjectShell:
         `step`: voxels a side of the cubes that are marched."""
         import skimage.measure
 
-        nodes, faces, _, _ = skimage.measure.marching_cubes(self._smooth, level=level, step_size=step)
+        nodes, faces, _, _ = skimage.measure.marching_cubes(self.smooth, level=level, step_size=step)
         nodes = nodes.astype(np.float64)
         a, b, c = (nodes[faces[:, k]] for k in range(3))
         if np.einsum("fi,fi->", a, np.cross(b, c)) < 0.0:

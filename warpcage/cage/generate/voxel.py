@@ -125,10 +125,10 @@ def _marked(solid, side, low, high, axis, shift=(0, 0, 0)):
     marks[tuple((cell + 1).T)] = True
     if axis is not None:
         marks |= np.flip(marks, axis)
-    return _manifold(marks), lower - side
+    return made_manifold(marks), lower - side
 
 
-def _manifold(marks) -> np.ndarray:
+def made_manifold(marks) -> np.ndarray:
     """Holes filled, and the two by two by two blocks whose voxels, set or not, do not hold together over faces."""
     import skimage.measure
 

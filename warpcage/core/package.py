@@ -1,18 +1,22 @@
-"""Import this package from whatever is there: a wheel, an editable install, or the root of a checkout."""
+"""The package itself: kernels and dependencies that it finds, and names that are loaded when they are first used."""
+
+# `warpcage/__init__.py` calls these functions before it imports anything else: this file needs the standard library
+# alone.
 
 from __future__ import annotations
 
-# `warpcage/__init__.py` calls both functions before it imports anything else: this file needs the standard library
-# alone, and little of it, as until it is done an interrupt ends in a traceback.
 import importlib.util
 import os.path
 import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib import import_module
 
 #: Modules that the package's own modules import at once, and the names under which they are installed. The other
 #: dependencies are imported where they are used.
 NEEDED = {"numpy": "numpy", "warp": "warp-lang", "imageio": "imageio"}
 
 _PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+
 _ROOT = os.path.dirname(_PACKAGE)
 
 
@@ -45,3 +49,28 @@ def find_kernels(package: str) -> None:
     sys.modules[name] = module
     spec.loader.exec_module(module)
     vars(sys.modules[package])["kernels"] = module  # as the import system does for modules that it finds itself
+
+
+def lazy_exports(
+    package: str, homes: Mapping[str, str | Sequence[str]], rooms: Iterable[str] = ()
+) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
+    """`__getattr__`, `__dir__` and `__all__` of a package. homes: names by module, as a list or as words;
+    rooms: its modules that are names themselves."""
+    modules = {
+        name: module for module, names in homes.items() for name in (names.split() if isinstance(names, str) else names)
+    }
+
+    def load(name: str) -> object:
+        if name in modules:
+            found = getattr(import_module(f"{package}.{modules[name]}"), name)
+        elif name in rooms:
+            found = import_module(f"{package}.{name}")
+        else:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name)
+        setattr(sys.modules[package], name, found)  # the next time Python finds it by itself
+        return found
+
+    def names() -> list[str]:
+        return sorted({*vars(sys.modules[package]), *modules, *rooms})
+
+    return load, names, sorted(modules, key=lambda name: (name[0].islower(), name))
