@@ -154,7 +154,7 @@ def sh_basis_slope(d: wp.vec3, axis: int):
     for (int channel = 0; channel < 3; ++channel)
         result.data[0][channel] += 0.5f;
     return result;
-""".replace("ColourSlopes", "wp::mat_t<7, 3, wp::float32>")
+""".replace("ColorSlopes", "wp::mat_t<7, 3, wp::float32>")
 )
 def blended_color_slopes(
     sh: wp.array2d(dtype=wp.float32),

@@ -54,18 +54,13 @@ class ChunkOrder:
     """A chunk as it is sent to a worker."""
 
     number: int
-    # numbers of its items in the job file
-    indices: list[int]
-    # their lines, as they stand, and the numbers of these: workers read them
-    lines: list[tuple[bytes, int]]
-    # how often each was begun before and failed
-    attempts: list[int]
-    # that its items belong to; None where there are no shards
-    shard: int | None = None
+    indices: list[int]  # numbers of its items in the job file
+    lines: list[tuple[bytes, int]]  # their lines, as they stand, and the numbers of these: workers read them
+    attempts: list[int]  # how often each was begun before and failed
+    shard: int | None = None  # that its items belong to; None where there are no shards
     # the outputs of all items that the shard is to be packed of, by item; None where items are to be made
     packed: list[dict[str, str]] | None = None
-    # after so many no more items are begun, but for the first; None is no limit
-    seconds: float | None = None
+    seconds: float | None = None  # after so many no more items are begun, but for the first; None is no limit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,8 +69,7 @@ class Place:
 
     worker: str
     host: str
-    # name of the processor or the GPU
-    device: str
+    device: str  # name of the processor or the GPU
 
 
 def leaves_no_room(error: BaseException) -> bool:

@@ -60,22 +60,16 @@ EDIT_WORDS: dict[str, Checker] = {
 class EditWords:
     """One edit of a frame, with the words of `warpcage.CageEdit`."""
 
-    # at rest: a file, or "vertices" and "faces"
-    cage: Any
+    cage: Any  # at rest: a file, or "vertices" and "faces"
     # a file, a keyframe ("poses.json#wave"), an array, or an object with what a random pose is drawn by (`pose_words`);
     # None for an edit that removes
     posed: Any = None
-    # keep: leave a copy where it was; remove: draw nothing in its place
-    keep: bool = False
+    keep: bool = False  # keep: leave a copy where it was; remove: draw nothing in its place
     remove: bool = False
-    # width of the band in which the edit fades to rest, world units
-    falloff: float = 0.0
-    # the walls that it fades towards: "cut", "still", or numbers of faces
-    held: str | tuple[int, ...] = "cut"
-    # size of the crumbs that go with the part, world units
-    crumbs: float = 0.0
-    # axis that points up in its cage files; None finds it
-    up: str | None = None
+    falloff: float = 0.0  # width of the band in which the edit fades to rest, world units
+    held: str | tuple[int, ...] = "cut"  # the walls that it fades towards: "cut", "still", or numbers of faces
+    crumbs: float = 0.0  # size of the crumbs that go with the part, world units
+    up: str | None = None  # axis that points up in its cage files; None finds it
 
     def __post_init__(self) -> None:
         if self.keep and self.remove:

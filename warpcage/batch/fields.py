@@ -60,8 +60,7 @@ class LoadedFields:
         expected: PrefetchedField | None = None,
     ):
         self.references, self.device, self.read_count = references, device, 0
-        # called with a field that is let go, before it is
-        self.dropped: Callable[[AnyField], Any] = lambda field: None
+        self.dropped: Callable[[AnyField], Any] = lambda field: None  # called with a field that is let go, before it is
         self._expected = expected
         limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
         # fields that stay loaded, used longest ago first

@@ -33,8 +33,7 @@ class LargeHash:
     """The hash of a large file, which a thread makes."""
 
     path: pathlib.Path
-    # as it was when the hash was begun
-    stamp: tuple[int, int]
+    stamp: tuple[int, int]  # as it was when the hash was begun
     future: Future[str]
 
     def settled(self) -> str:

@@ -71,14 +71,10 @@ MOST_MISSING = 10
 class Measured:
     """What an item of a kind takes."""
 
-    # an item, where all that it needs is loaded, and its pose there where others share it
-    seconds: float
-    # what the first of a group takes more
-    load_seconds: float
-    # the id of the item that was made for it, or "earlier runs"
-    source: str
-    # what the first of a pose takes more, where others share it
-    pose_seconds: float = 0.0
+    seconds: float  # an item, where all that it needs is loaded, and its pose there where others share it
+    load_seconds: float  # what the first of a group takes more
+    source: str  # the id of the item that was made for it, or "earlier runs"
+    pose_seconds: float = 0.0  # what the first of a pose takes more, where others share it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,25 +82,18 @@ class Forecast:
     """What a run would do."""
 
     total: int
-    # items that are there and whose inputs did not change
-    kept: int
-    # of the items to be made: whose inputs or files changed; that failed in an earlier run
-    changed: int
+    kept: int  # items that are there and whose inputs did not change
+    changed: int  # of the items to be made: whose inputs or files changed; that failed in an earlier run
     failed_before: int
-    # items to be made, by their kind
-    counts: dict[str, int]
-    # how often something is loaded for them at least
-    group_count: int
-    # by kind
-    measured: dict[str, Measured]
-    # why an item of a kind could not be made, by its id
-    errors: dict[str, str]
+    counts: dict[str, int]  # items to be made, by their kind
+    group_count: int  # how often something is loaded for them at least
+    measured: dict[str, Measured]  # by kind
+    errors: dict[str, str]  # why an item of a kind could not be made, by its id
     # what items name and is not there, by their ids, of MOST_MISSING of them; the count is of all
     missing: dict[str, str]
     missing_count: int
     workers: int
-    # how long it would take, without what could not be measured
-    seconds: float
+    seconds: float  # how long it would take, without what could not be measured
 
 
 def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | None = None) -> Forecast:

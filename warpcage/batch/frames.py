@@ -61,8 +61,7 @@ ARRAYS_OF_PARTS = {
 class Counts:
     """How often something was made, by which reuse is seen."""
 
-    # cages at rest that were bound to a field, maps of poses, pictures rendered
-    deformers: int = 0
+    deformers: int = 0  # cages at rest that were bound to a field, maps of poses, pictures rendered
     poses: int = 0
     frames: int = 0
 

@@ -26,12 +26,9 @@ ID = "{id}"
 class Item(abc.ABC):
     """One thing to make."""
 
-    # a relative name, unique in its job
-    id: str
-    # the files that it writes by what they hold, relative to the folder of the run
-    outputs: dict[str, str]
-    # any JSON that is kept with its record
-    extra: Any = None
+    id: str  # a relative name, unique in its job
+    outputs: dict[str, str]  # the files that it writes by what they hold, relative to the folder of the run
+    extra: Any = None  # any JSON that is kept with its record
 
     #: The word of its kind, the words that it takes, and all kinds by their words.
     kind: ClassVar[str]
@@ -252,33 +249,23 @@ class FrameItem(Item):
     # Outputs by part: rgb, alpha, depth, disparity, masks, reveal, fold, outside; film, the colours as films of 16 bits
     # take them; pose, the vertices of its posed cages; record, what `batch.records.frame_record` says of it.
 
-    # a file, voxels or splats
-    field: str = ""
-    # an object, or a reference
-    camera: Any = None
-    # in the order in which they act; none shows the field as it is
-    edits: tuple[EditWords, ...] = ()
-    # width, or width and height, at which the camera is taken; its own where it is empty
-    size: tuple[int, ...] = ()
+    field: str = ""  # a file, voxels or splats
+    camera: Any = None  # an object, or a reference
+    edits: tuple[EditWords, ...] = ()  # in the order in which they act; none shows the field as it is
+    size: tuple[int, ...] = ()  # width, or width and height, at which the camera is taken; its own where it is empty
     coordinates: str = "harmonic"
-    # cells of the lattice, "precise", or None: by the size of the picture
-    resolution: int | str | None = None
+    resolution: int | str | None = None  # cells of the lattice, "precise", or None: by the size of the picture
     density: str = "opacity"
     map: str | None = None
-    # a colour, "transparent", or None: the field's own
-    background: Any = None
-    # whether what was uncovered is filled
-    fill: bool = False
-    # whether the cages are drawn into the picture
-    overlay: bool = False
-    # rays along each side of a pixel; None is the field's
-    supersampling: int | None = None
+    background: Any = None  # a colour, "transparent", or None: the field's own
+    fill: bool = False  # whether what was uncovered is filled
+    overlay: bool = False  # whether the cages are drawn into the picture
+    supersampling: int | None = None  # rays along each side of a pixel; None is the field's
     # of splats only: whether those that are smaller than a pixel are weakened; see `SplatField.render`
     antialias: bool = False
     # low and high disparity of pictures of depth and disparity; None is the range of the frame
     disparity_scale: tuple[float, float] | None = None
-    # as `VoxelField.load` has it
-    scene_scale: float = 1.0
+    scene_scale: float = 1.0  # as `VoxelField.load` has it
 
     kind: ClassVar[str] = "frame"
     known: ClassVar[dict[str, Checker]] = {
@@ -410,24 +397,16 @@ class FitItem(Item):
 
     # Outputs: {"field": file}, and {"cameras": file} where cameras are refined.
 
-    # folder
-    scene: str = ""
+    scene: str = ""  # folder
     # those of `warpcage.fit`, such as {"quality": "fast", "seed": 3}
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
-    # as `load_scene` has it, and so the rest
-    split: str = "train"
-    # factor by which pictures shrink
-    downscale: int = 1
-    # None finds it
-    format: str | None = None
-    # what mask files are
-    masks: bool | str = True
-    # camera file of the scene; None takes those of its files
-    cameras: str | None = None
-    # colour behind transparent pixels
-    background: Any = "white"
-    # whether the scene is turned so that its up is +z
-    straighten: bool = False
+    split: str = "train"  # as `load_scene` has it, and so the rest
+    downscale: int = 1  # factor by which pictures shrink
+    format: str | None = None  # None finds it
+    masks: bool | str = True  # what mask files are
+    cameras: str | None = None  # camera file of the scene; None takes those of its files
+    background: Any = "white"  # colour behind transparent pixels
+    straighten: bool = False  # whether the scene is turned so that its up is +z
 
     kind: ClassVar[str] = "fit"
     known: ClassVar[dict[str, Checker]] = {
@@ -461,26 +440,17 @@ class EvaluateItem(Item):
 
     # Outputs: {"report": file}.
 
-    # a file, voxels
-    field: str = ""
-    # folder
-    scene: str = ""
-    # as `load_scene` has it, and so the rest
-    split: str = "test"
-    # factor by which pictures shrink
-    downscale: int = 1
-    # None finds it
-    format: str | None = None
-    # what mask files are
-    masks: bool | str = True
-    # camera file of the scene; None takes those of its files
-    cameras: str | None = None
-    # colour behind the field; None is the field's own
-    background: Any = None
+    field: str = ""  # a file, voxels
+    scene: str = ""  # folder
+    split: str = "test"  # as `load_scene` has it, and so the rest
+    downscale: int = 1  # factor by which pictures shrink
+    format: str | None = None  # None finds it
+    masks: bool | str = True  # what mask files are
+    cameras: str | None = None  # camera file of the scene; None takes those of its files
+    background: Any = None  # colour behind the field; None is the field's own
     # whether the camera of each view is turned and shifted first so that it matches the field best
     tune_cameras: bool = False
-    # as `VoxelField.load` has it
-    scene_scale: float = 1.0
+    scene_scale: float = 1.0  # as `VoxelField.load` has it
 
     kind: ClassVar[str] = "evaluate"
     known: ClassVar[dict[str, Checker]] = {

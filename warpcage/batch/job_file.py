@@ -32,12 +32,9 @@ _DECODER = json.JSONDecoder(parse_constant=_no_constant)
 class ItemReader:
     """Makes items of the lines of a job file, in any process."""
 
-    # for messages
-    path: str
-    # what holds where an item says nothing
-    defaults: dict[str, Any]
-    # how outputs are kept together
-    records: dict[str, Any]
+    path: str  # for messages
+    defaults: dict[str, Any]  # what holds where an item says nothing
+    records: dict[str, Any]  # how outputs are kept together
 
     @functools.cached_property
     def _usual(self) -> Defaults:

@@ -48,22 +48,22 @@ class Notes:
 
     def __init__(self, path: PathLike):
         self.path = pathlib.Path(path)
-        self._file = open(self.path, "ab", buffering=0)
+        self.file = open(self.path, "ab", buffering=0)
         self._lock = threading.Lock()
 
     def append(self, record: dict[str, Any]) -> None:
         """Append one line. A line that does not fit on the disk is taken away again."""
         line = json.dumps(record, separators=(",", ":"), ensure_ascii=False).encode("utf-8", "surrogatepass") + b"\n"
         with self._lock:
-            written = self._file.write(line)
+            written = self.file.write(line)
             if written != len(line):
                 with contextlib.suppress(OSError):
-                    self._file.truncate(self._file.tell() - (written or 0))
+                    self.file.truncate(self.file.tell() - (written or 0))
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
+        self.file.close()
 
 
 def read_lines(path: PathLike) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -238,10 +238,8 @@ Writer = Callable[[pathlib.Path], object]
 class MadeItem:
     """An item that is made, and not yet written."""
 
-    # by the paths of its outputs
-    writers: Mapping[str, Writer]
-    # of main memory, that the writers hold
-    held_bytes: int = 0
+    writers: Mapping[str, Writer]  # by the paths of its outputs
+    held_bytes: int = 0  # of main memory, that the writers hold
 
 
 def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathlib.Path) -> dict[str, int]:

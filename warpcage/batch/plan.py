@@ -22,20 +22,15 @@ class Plan:
     """What is made, and what is kept."""
 
     total: int
-    # (n,) numbers of those to be made, in the order in which workers should take them
-    items: np.ndarray
-    # (n,) which of them share what a worker loads; of a job with shards, the shard of each
-    groups: np.ndarray
-    # (n,) as KIND_NUMBERS has them
-    kinds: np.ndarray
-    # (n,) those that follow each other with one number show one pose of one group
-    poses: np.ndarray
+    items: np.ndarray  # (n,) numbers of those to be made, in the order in which workers should take them
+    groups: np.ndarray  # (n,) which of them share what a worker loads; of a job with shards, the shard of each
+    kinds: np.ndarray  # (n,) as KIND_NUMBERS has them
+    poses: np.ndarray  # (n,) those that follow each other with one number show one pose of one group
     kept: int
     # of the items to be made: whose inputs changed or whose files are not as they were; that failed in an earlier run
     changed: int
     failed_before: int
-    # of those to be made: fields with the cages at rest on them, scenes
-    group_count: int
+    group_count: int  # of those to be made: fields with the cages at rest on them, scenes
 
     def first_items(self, most: int) -> list[int]:
         """Numbers of the items with which workers will probably begin: the first of each group, the largest groups

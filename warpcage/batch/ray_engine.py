@@ -164,12 +164,9 @@ class Share:
     """What each worker gets of a machine."""
 
     workers: int
-    # of each, 0 or 1
-    gpus: int
-    # cores that Ray sets aside for each, on clusters
-    cpus: float
-    # of each for kernels on the CPU
-    threads: int
+    gpus: int  # of each, 0 or 1
+    cpus: float  # cores that Ray sets aside for each, on clusters
+    threads: int  # of each for kernels on the CPU
     device: str
 
 

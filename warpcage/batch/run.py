@@ -32,19 +32,14 @@ from .webdataset import shard_path
 class RunProgress:
     """How far a run is."""
 
-    # "check" while items are compared with what is there, "make" after that
-    stage: str
+    stage: str  # "check" while items are compared with what is there, "make" after that
     total: int
     checked: int = 0
-    # items that were there already
-    kept: int = 0
-    # items that were made
-    done: int = 0
+    kept: int = 0  # items that were there already
+    done: int = 0  # items that were made
     failed: int = 0
-    # places where work is done
-    workers: int = 0
-    # since the first worker was asked for
-    seconds: float = 0.0
+    workers: int = 0  # places where work is done
+    seconds: float = 0.0  # since the first worker was asked for
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,9 +127,9 @@ def run_jobs(
             they note into the manifest, and writes what is of all items together. None is the whole job.
         progress: Called with how far the run is. None says nothing.
         warn: Called with a line where a worker dies. None says nothing.
-        make: What makes the items in place of warpcage's own worker, so that everything around that can be tested: called
-            in each process with the folder of the job file, the output folder and the device; what it returns has
-            `submit(item, out)` and `close()`. None is the worker.
+        make: What makes the items in place of a worker of ours, so that everything around it can be tested: called in
+            each process with the folder of the job file, the output folder and the device. What it returns has
+            `submit(item, out)`, a Future of the bytes of the outputs by their paths, and `close()`. None is the worker.
 
     Returns:
         What came of it; items that failed are in it, and end nothing.
@@ -238,8 +233,7 @@ class _Orders:
     """What workers are sent for chunks; unchanged: raises where the job file is no more what it was.
     shard_size: items of a shard; 0 where there are none."""
 
-    # knows which items failed
-    dispatcher: Dispatcher
+    dispatcher: Dispatcher  # knows which items failed
 
     def __init__(self, job: JobFile, unchanged: Callable[[], None], shard_size: int):
         self._job, self._unchanged, self._shard_size = job, unchanged, shard_size

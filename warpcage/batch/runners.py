@@ -25,20 +25,15 @@ from .manifest import OutputFolder
 class RunnerSettings:
     """What a worker needs to begin."""
 
-    # folder of the job file
-    base: str
+    base: str  # folder of the job file
     reader: ItemReader
     out: str
-    # of which run its notes are
-    run: str
-    # Warp device; None is the first GPU, or the CPU
-    device: str | None = None
+    run: str  # of which run its notes are
+    device: str | None = None  # Warp device; None is the first GPU, or the CPU
     worker: str = "0"
-    # name of its file of notes
-    notes: str = ""
+    notes: str = ""  # name of its file of notes
     retries: int = 2
-    # for kernels on the CPU; 0 is what there is
-    threads: int = 0
+    threads: int = 0  # for kernels on the CPU; 0 is what there is
     # makes what makes items, of base, out and device; None is `Worker`
     maker: Callable[[str, str, Any], Maker] | None = None
     # lines of items, as `reader` takes them, with one of which a worker will probably begin: what the first of them

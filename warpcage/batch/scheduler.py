@@ -30,16 +30,11 @@ class Chunk:
     """Items that one worker takes at once."""
 
     number: int
-    # numbers of the items in the job file, in the order in which they are made
-    items: Sequence[int]
-    # how often each was begun before and failed
-    attempts: Sequence[int]
-    # what the worker has loaded afterwards
-    group: int
-    # to be packed, in a chunk without items; None else
-    shard: int | None = None
-    # after so many no more of its items are begun; None where it is known what they take
-    seconds: float | None = None
+    items: Sequence[int]  # numbers of the items in the job file, in the order in which they are made
+    attempts: Sequence[int]  # how often each was begun before and failed
+    group: int  # what the worker has loaded afterwards
+    shard: int | None = None  # to be packed, in a chunk without items; None else
+    seconds: float | None = None  # after so many no more of its items are begun; None where it is known what they take
 
 
 @dataclasses.dataclass
@@ -92,8 +87,7 @@ class ChunkQueue:
         self._seconds: dict[int, _Seconds] = {}  # an item of a group takes
         self._kind_seconds: dict[int, _Seconds] = {}
         self.aim, self._largest, self.whole = aim, largest, whole
-        # items that nobody has
-        self.left = len(self._items)
+        self.left = len(self._items)  # items that nobody has
 
     @property
     def group_count(self) -> int:
@@ -225,12 +219,9 @@ class ChunkReport:
     seconds: list[float] = dataclasses.field(default_factory=list)
     # will not be tried again, with one line each
     failed: list[tuple[int, str]] = dataclasses.field(default_factory=list)
-    # may be tried again, with one line each
-    errors: list[tuple[int, str]] = dataclasses.field(default_factory=list)
-    # were not begun, or their making ended without blame
-    left: list[int] = dataclasses.field(default_factory=list)
-    # whether the first item loaded what the others found there: its seconds are not usual
-    loading: bool = False
+    errors: list[tuple[int, str]] = dataclasses.field(default_factory=list)  # may be tried again, with one line each
+    left: list[int] = dataclasses.field(default_factory=list)  # were not begun, or their making ended without blame
+    loading: bool = False  # whether the first item loaded what the others found there: its seconds are not usual
     # one line each: why nothing can be written any more, the worker can make no more, the shard was not packed
     halt: str | None = None
     broken: str | None = None
@@ -264,8 +255,7 @@ class Dispatcher:
     def __init__(self, chunks: ChunkQueue, *, retries: int = 2, shards: dict[int, int] | None = None):
         self.chunks, self.retries = chunks, retries
         self.done = 0
-        # items that will not be tried again, with one line each
-        self.failures: dict[int, str] = {}
+        self.failures: dict[int, str] = {}  # items that will not be tried again, with one line each
         self.stopped = False
         self._workers: dict[str, _Worker] = {}
         self._sharers: collections.Counter[int] = collections.Counter()  # workers at each group

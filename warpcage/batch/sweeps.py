@@ -93,8 +93,7 @@ class RandomSource:
     count: int
     # whether they are drawn at once, and their vertices written; else whoever makes an item draws its pose
     written: bool = False
-    # that draw what is drawn at once, where that is much; see `rows_by_processes`
-    processes: int = 1
+    processes: int = 1  # that draw what is drawn at once, where that is much; see `rows_by_processes`
 
     def __len__(self) -> int:
         return self.count
@@ -119,8 +118,7 @@ class RandomSource:
 class GivenSource:
     """Poses that are there."""
 
-    # (p, v, 3) world units; or as many cages' vertices
-    vertices: Sequence[np.ndarray] | np.ndarray
+    vertices: Sequence[np.ndarray] | np.ndarray  # (p, v, 3) world units; or as many cages' vertices
     name: str
 
     def __len__(self) -> int:
@@ -142,14 +140,11 @@ class GivenSource:
 class RandomViews:
     """Cameras at random places of the upper half of the sphere, other ones for each pose."""
 
-    # for each pose
-    count: int
-    # (n, 3) what every picture shows whole, world units
-    points: ArrayLike
+    count: int  # for each pose
+    points: ArrayLike  # (n, 3) what every picture shows whole, world units
     seed: int = 0
     up: Sequence[float] = (0.0, 0.0, 1.0)
-    # horizontal
-    fov_degrees: float = 40.0
+    fov_degrees: float = 40.0  # horizontal
     width: int = 400
     height: int = 400
 
@@ -185,8 +180,7 @@ class SweepFiles:
     jobs: pathlib.Path
     # those that workers do not draw, (p, v, 3) float64, world units (.npy); None where there are none
     poses: pathlib.Path | None
-    # those that all poses share; None where each pose has its own
-    cameras: pathlib.Path | None
+    cameras: pathlib.Path | None  # those that all poses share; None where each pose has its own
     items: int
 
 

@@ -74,7 +74,7 @@ def pack_shard(out: PathLike, shard: int, records: Sequence[Mapping[str, Any]]) 
             temporary = held.enter_context(atomic_path(target))
             with temporary.open("wb") as file, tarfile.open(fileobj=file, mode="w", format=tarfile.PAX_FORMAT) as tar:
                 for name in names:
-                    _add(tar, name, stage, before)
+                    add_files(tar, name, stage, before)
     else:
         target.unlink(missing_ok=True)
     _sizes_of.cache_clear()
@@ -115,7 +115,7 @@ def _ordered(outputs: Mapping[str, Any]) -> list[str]:
     return sorted(outputs, key=lambda name: (not name.endswith((".png", ".jpg")) or ".alpha." in name, name))
 
 
-def _add(tar: tarfile.TarFile, name: str, stage: pathlib.Path, before: _Members) -> None:
+def add_files(tar: tarfile.TarFile, name: str, stage: pathlib.Path, before: _Members) -> None:
     """Add a loose file, or a packed one."""
     info = tarfile.TarInfo(name)
     info.mode = 0o644

@@ -27,19 +27,13 @@ class PoseReport:
     """What a pose does to the inside of its cage, from samples of the map posed -> rest by mean value coordinates."""
 
     sample_count: int
-    # of the posed cage over that of the rest cage
-    volume_ratio: float
-    # of the samples, where the map turns space inside out
-    inverted_share: float
-    # of the samples that are mapped out of the rest cage, where nothing is drawn
-    outside_share: float
-    # length in the pose over length at rest, over all directions and samples not inverted
-    least_stretch: float
+    volume_ratio: float  # of the posed cage over that of the rest cage
+    inverted_share: float  # of the samples, where the map turns space inside out
+    outside_share: float  # of the samples that are mapped out of the rest cage, where nothing is drawn
+    least_stretch: float  # length in the pose over length at rest, over all directions and samples not inverted
     largest_stretch: float
-    # pairs of faces of the posed cage that cross: the pose folds there
-    intersecting_faces: tuple
-    # why the posed cage cannot be used; empty where it can
-    problem: str
+    intersecting_faces: tuple  # pairs of faces of the posed cage that cross: the pose folds there
+    problem: str  # why the posed cage cannot be used; empty where it can
 
     @property
     def usable(self) -> bool:

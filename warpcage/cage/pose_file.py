@@ -323,10 +323,8 @@ class Preset:
         if not good:
             raise ValueError(f"pose {text!r} is not a preset: {PRESET_HELP}")
         self.kind, self.amount = kind, tuple(amount)
-        # presets of one family differ in the amount alone
-        self.family = (kind, *axes)
-        # the number that changes nothing
-        self.neutral = neutral
+        self.family = (kind, *axes)  # presets of one family differ in the amount alone
+        self.neutral = neutral  # the number that changes nothing
 
     def at(self, rest: Cage, amount: Sequence[float]) -> Cage:
         """A cage posed by this preset with another amount."""

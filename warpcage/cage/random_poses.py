@@ -80,8 +80,7 @@ class PoseWay:
         chosen = random.whole(len(modes))
         kinds = {kind for kind, acts in zip(POSE_MODES, acting, strict=True) if acts and kind in modes}
         self.kinds = tuple(kind for kind in POSE_MODES if kind in (kinds or {modes[chosen]}))
-        # axes, and amounts last
-        self.bend = (*_frame(random), random.number(-1.0, 1.0))
+        self.bend = (*_frame(random), random.number(-1.0, 1.0))  # axes, and amounts last
         self.twist = (random.direction(), random.number(-1.0, 1.0))
         self.stretch = (random.direction(), random.number(-1.0, 1.0))
         self.taper = (random.direction(), random.number(-1.0, 1.0))
@@ -297,8 +296,7 @@ ENOUGH = 0.3
 class Stretch:
     """Least and largest length after a pose over the length before, over all directions."""
 
-    # 0 or less where space is turned inside out, or where matter is sent out of the posed cage
-    least: float
+    least: float  # 0 or less where space is turned inside out, or where matter is sent out of the posed cage
     largest: float
 
     def within(self, least: float, largest: float) -> bool:

@@ -57,18 +57,12 @@ _SIMILAR = 1e-3
 class UpAxis:
     """How a cage file stands."""
 
-    # the axis that points up in the file, "y" or "z"
-    up: str
-    # whether it is another one than was expected
-    turned: bool = False
-    # why, or what speaks against it; empty where there is nothing to say
-    note: str = ""
-    # whether the note says that something may be wrong
-    doubtful: bool = False
-    # whether a cage of a part would hold far more with another axis
-    likelier: bool = False
-    # whether the cage holds nothing of its object, however it stands
-    lost: bool = False
+    up: str  # the axis that points up in the file, "y" or "z"
+    turned: bool = False  # whether it is another one than was expected
+    note: str = ""  # why, or what speaks against it; empty where there is nothing to say
+    doubtful: bool = False  # whether the note says that something may be wrong
+    likelier: bool = False  # whether a cage of a part would hold far more with another axis
+    lost: bool = False  # whether the cage holds nothing of its object, however it stands
 
 
 def load_standing(
@@ -161,14 +155,10 @@ def standing_of_pose(cage: ClosedMesh, up: str, rest: ClosedMesh, *, given: bool
 class _Pose:
     """A pose beside its rest cage."""
 
-    # root of the mean squared distance of vertices, of the cage's size
-    distance: float
-    # degrees by which all is turned (Kabsch 1976)
-    turn: float
-    # whether the pose is a similarity
-    similar: bool
-    # share and number of the vertices that stay, of those that another axis would move
-    still: float
+    distance: float  # root of the mean squared distance of vertices, of the cage's size
+    turn: float  # degrees by which all is turned (Kabsch 1976)
+    similar: bool  # whether the pose is a similarity
+    still: float  # share and number of the vertices that stay, of those that another axis would move
     still_count: int
 
 

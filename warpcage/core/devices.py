@@ -205,8 +205,7 @@ class HostFlag:
 
     def __init__(self, device: wp.DeviceLike):
         self._device = wp.get_device(device)
-        # (1,) int32, for kernels
-        self.array = wp.zeros(1, dtype=wp.int32, device=self._device)
+        self.array = wp.zeros(1, dtype=wp.int32, device=self._device)  # (1,) int32, for kernels
         self._host = wp.zeros(1, dtype=wp.int32, device="cpu", pinned=True) if self._device.is_cuda else self.array
         self._sent = wp.Event(self._device) if self._device.is_cuda else None
 

@@ -344,8 +344,7 @@ class NpyFile:
 
     def __init__(self, path: PathLike):
         self.path = require_file(path, "array file")
-        # size and time, by which a changed file is known
-        self.stamp = file_stamp(self.path)
+        self.stamp = file_stamp(self.path)  # size and time, by which a changed file is known
         with self.path.open("rb") as file:
             try:
                 self.shape, columns_first, self.dtype = read_npy_header(file, self.path.name)

@@ -215,8 +215,7 @@ class SplatEdits:
         self._ready = False
         self._bound = [BoundEdit(edit, self, index) for index, edit in enumerate(edits)]
         self._posed = self._empty_splats(count)
-        # the Splats of the last pose
-        self.posed: Any = None
+        self.posed: Any = None  # the Splats of the last pose
 
     def _cut(self, edits: list[CageEdit]) -> None:
         """The tree of pieces, and which share of each node is in each cage, and where the map is taken for it."""

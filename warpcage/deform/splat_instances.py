@@ -19,12 +19,9 @@ NOTHING, BOUND, LEFT, FOLLOWED, CLEARED = range(5)
 class EditActions:
     """What one edit does to each of n splats."""
 
-    # uint8: NOTHING, BOUND, LEFT, FOLLOWED or CLEARED
-    kinds: np.ndarray
-    # float32, of LEFT splats the share that stays at most
-    outside: np.ndarray
-    # uint8, of FOLLOWED splats the way of kernels/splats/pose.py
-    ways: np.ndarray
+    kinds: np.ndarray  # uint8: NOTHING, BOUND, LEFT, FOLLOWED or CLEARED
+    outside: np.ndarray  # float32, of LEFT splats the share that stays at most
+    ways: np.ndarray  # uint8, of FOLLOWED splats the way of kernels/splats/pose.py
 
     def of(self, kind: int) -> np.ndarray:
         """(m,) int32 the splats with an action."""
@@ -35,12 +32,9 @@ class EditActions:
 class Instances:
     """Splats as they are drawn: of one node of a SplitTree each, whole or in part, or a copy."""
 
-    # (n,) int32
-    nodes: np.ndarray
-    # (n,) float32, of the optical depth of the node
-    shares: np.ndarray
-    # one for each edit
-    actions: list[EditActions]
+    nodes: np.ndarray  # (n,) int32
+    shares: np.ndarray  # (n,) float32, of the optical depth of the node
+    actions: list[EditActions]  # one for each edit
 
 
 def make_instances(edits: list[CageEdit], shares: np.ndarray) -> Instances:

@@ -218,8 +218,7 @@ class Server:
         self.access = Access(host, allowed_hosts)
         self.token = self.access.token
         self.clients: dict[int, Client] = {}
-        # pages that were ever let in, and connections of now
-        self.page_total = self.connected = 0
+        self.page_total = self.connected = 0  # pages that were ever let in, and connections of now
         self._sizer: Client | None = None
         self._mover: Client | None = None
         self.lookers: set[Client] = set()  # pages that turn the view

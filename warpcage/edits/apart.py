@@ -20,10 +20,8 @@ NOWHERE = np.array([[np.inf] * 3, [-np.inf] * 3])
 class EditBoxes:
     """Boxes (n, 2, 3) float64, lower and upper corners, around the places that edits of a scene have to do with."""
 
-    # around the posed cage and the rest cage of each: beyond, it changes nothing
-    changed: np.ndarray
-    # around where its map may lead
-    sources: np.ndarray
+    changed: np.ndarray  # around the posed cage and the rest cage of each: beyond, it changes nothing
+    sources: np.ndarray  # around where its map may lead
 
     def are_apart(self, reach: float) -> bool:
         """Whether no place has to do with two edits, where a sample looks as far as `reach`, world units, from its

@@ -80,8 +80,7 @@ class EditLattices:
         self._cages: list[Cage | None] = []
         self._structs: list[Any] = []
         self._laid: list[Any] | None = None  # the CageMap that each struct has, None where there are no structs
-        # (edits,) LatticeEdit, once posed
-        self.array: wp.array | None = None
+        self.array: wp.array | None = None  # (edits,) LatticeEdit, once posed
         self._array = empty_array(len(edits), LatticeEdit, device)
         # longest march step that `mark_empty` has looked for, world units; 0 before
         self.marked_step, self._marked_skip = 0.0, None

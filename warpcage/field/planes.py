@@ -68,14 +68,10 @@ Grown = Callable[["Plane"], np.ndarray]
 class Plane:
     """A plane in a field, with a side that is above it."""
 
-    # (3,) unit vector, out of the matter
-    normal: np.ndarray
-    # signed distance from the origin along the normal, world units
-    offset: float
-    # standard deviation of the heights of its points, world units; 0 for a plane that was given
-    spread: float = 0.0
-    # of the surface that it was found in; 1 for a plane that was given
-    share: float = 1.0
+    normal: np.ndarray  # (3,) unit vector, out of the matter
+    offset: float  # signed distance from the origin along the normal, world units
+    spread: float = 0.0  # standard deviation of the heights of its points, world units; 0 for a plane that was given
+    share: float = 1.0  # of the surface that it was found in; 1 for a plane that was given
     # (n, 3) float64 on the surface, world units
     points: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)), repr=False)
 

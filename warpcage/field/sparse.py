@@ -24,8 +24,7 @@ class DensityWatch:
 
     def __init__(self) -> None:
         self._kept: wp.array | None = None
-        # another number whenever any density is another one
-        self.version = 0
+        self.version = 0  # another number whenever any density is another one
 
     def has_changed(self, density: wp.array) -> bool:
         """Whether any bit of densities (rows,) float32 on a CPU is another one; True the first time.

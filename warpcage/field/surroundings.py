@@ -58,8 +58,7 @@ class LayeredBackground:
         if int(side) != side or side < 2:
             raise ValueError(f"a background has 2 cells or more along an edge, got {side}")
         node_count = surface_node_count(side)
-        # (3,) float64, world units
-        self.center = checked_vector(center, "a background's center").copy()
+        self.center = checked_vector(center, "a background's center").copy()  # (3,) float64, world units
         half = checked_positive(half, "a background's half side")
         # red, green, blue and optical depth at the surface's lattice points, in the order of kernels/field/background;
         # negative depths count as none, the last layer's is not used
@@ -84,8 +83,7 @@ class LayeredBackground:
         else:
             with device_turn(self.device):
                 layers.values = wp.array(values, dtype=wp.vec4, device=self.device)
-        # positions in it are relative to the centre
-        self.layers = layers
+        self.layers = layers  # positions in it are relative to the centre
 
     @property
     def half(self) -> float:
@@ -195,8 +193,7 @@ class OuterField:
                     raise ValueError("an outer field's values must be finite, one row for each that its links name")
                 grid.values = wp.array(host, dtype=wp.vec4, device=self.device)
             grid.skip = measure_skip(grid.links)
-        # positions in it are relative to the centre
-        self.grid = grid
+        self.grid = grid  # positions in it are relative to the centre
 
     @property
     def side(self) -> int:

@@ -78,8 +78,7 @@ class ColumnTable:
         launch(columns.count_rows, column_count, [links], [counts], device=device, work=links.shape[2])
         wp.utils.array_scan(counts, counts, inclusive=True)
         row_count = int(counts[-1:].numpy()[0])
-        # flat index of each row's node
-        self.nodes = empty_array(row_count, wp.int32, device)
+        self.nodes = empty_array(row_count, wp.int32, device)  # flat index of each row's node
         order = empty_array(row_count, wp.int32, device)
         block_count = -(-(links.shape[2] - 1) // int(columns.BLOCK_NODES))
         self.columns = columns.Columns()
@@ -102,8 +101,7 @@ class ColumnTable:
         self._device = wp.get_device(device)
         self._kept: dict[str, tuple[int, Any]] = {}
         self._shaded: Any = None
-        # launches the kernel of that name
-        self.shade_rows = RecordedLaunch(shade_rows, device)
+        self.shade_rows = RecordedLaunch(shade_rows, device)  # launches the kernel of that name
 
     def laid_densities(self) -> wp.array:
         """(nodes,) float16, one for each node of the grid, made when it is first asked for; 0 without a row."""

@@ -48,8 +48,7 @@ class TrainingPictures:
 
     def __init__(self, scene: Scene, bits: int, device: wp.Device):
         self.scene, self.device, self.bits = scene, device, bits
-        # premultiplied colours and opacity
-        self.seen: Any = None
+        self.seen: Any = None  # premultiplied colours and opacity
         # colours that masks split off times their share, and the share; None for a scene that is not split
         self.surroundings: Any = None
         self.keep(bits)
@@ -110,12 +109,9 @@ LEAST_ERROR = 1e-12
 class Batch:
     """One batch, as the photometric loss takes it."""
 
-    # TrainingRays that begin at the batch's first tile
-    rays: Any
-    # (rays,) float32, where the loss leaves the error of each ray
-    squared_error: wp.array
-    # of the places within pixels and of random backgrounds
-    seed: int
+    rays: Any  # TrainingRays that begin at the batch's first tile
+    squared_error: wp.array  # (rays,) float32, where the loss leaves the error of each ray
+    seed: int  # of the places within pixels and of random backgrounds
     random_background: bool
     # (rays,) vec3, what is behind the field for each ray, None is one colour; then where the loss leaves its gradient
     behind: wp.array | None
@@ -149,8 +145,7 @@ class Batches:
     ):
         count, height, width = scene.images.shape[:3]
         self.device, self.random = device, random
-        # what the losses take
-        self.rays: Any = TrainingRays()
+        self.rays: Any = TrainingRays()  # what the losses take
         self.rays.cameras = camera_array(scene.cameras, center, device)
         self.rays.height, self.rays.width = height, width
         self.rays.tile_size = tile_size
@@ -259,16 +254,11 @@ def shard_count(device: wp.Device) -> int:
 class ShardedWork:
     """A kernel to launch in shards."""
 
-    # its first parameter is `first`, the index of a shard's first item
-    kernel: Kernel
-    # parts of the work that stay together in one shard
-    count: int
-    # what the kernel takes after `first`, the same for all shards
-    inputs: list
-    # what it then takes, for each shard
-    outputs: Sequence[Sequence]
-    # items of the kernel per part
-    items: int = 1
+    kernel: Kernel  # its first parameter is `first`, the index of a shard's first item
+    count: int  # parts of the work that stay together in one shard
+    inputs: list  # what the kernel takes after `first`, the same for all shards
+    outputs: Sequence[Sequence]  # what it then takes, for each shard
+    items: int = 1  # items of the kernel per part
 
 
 def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) -> None:

@@ -57,14 +57,10 @@ TINY = 1e-30
 class CameraSums:
     """What a sample of rays says of their cameras."""
 
-    # (n, 7, 7) float64, J^T J by turns, shifts and logarithm of the focal length
-    normal: np.ndarray
-    # (n, 7) J^T e
-    slope: np.ndarray
-    # (n, 3, 5) sums of x x, x a, a a, x y and a y for each channel; see kernels/fitting/cameras
-    exposure: np.ndarray
-    # (n,) e^T e
-    error: np.ndarray
+    normal: np.ndarray  # (n, 7, 7) float64, J^T J by turns, shifts and logarithm of the focal length
+    slope: np.ndarray  # (n, 7) J^T e
+    exposure: np.ndarray  # (n, 3, 5) sums of x x, x a, a a, x y and a y for each channel; see kernels/fitting/cameras
+    error: np.ndarray  # (n,) e^T e
 
     @classmethod
     def unpacked(cls, sums: np.ndarray) -> CameraSums:
@@ -165,8 +161,7 @@ class CameraRefinement:
     def __init__(self, cameras: Sequence[Camera], bounds: np.ndarray, device: wp.Device, *, held: bool = True):
         # held: whether the cameras as a whole, and each a little, are held where they are given
         self.given, self.device, self.held = list(cameras), device, held
-        # positions on the device are relative to it
-        self.center = bounds.mean(axis=0)
+        self.center = bounds.mean(axis=0)  # positions on the device are relative to it
         grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
         self.points = self.center + 0.5 * POINTS_SHARE * grid * (bounds[1] - bounds[0])
         keys = [(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in cameras]
@@ -178,8 +173,7 @@ class CameraRefinement:
         self.poses, self.zooms = self.given_poses.copy(), np.zeros(len(found))
         # the field's colours are multiplied by gains in a picture, and offsets are added then
         self.gains, self.offsets = np.ones((len(keys), 3)), np.zeros((len(keys), 3))
-        # running mean of the normal equations' matrices
-        self.normal = np.zeros((len(keys), NUMBERS, NUMBERS))
+        self.normal = np.zeros((len(keys), NUMBERS, NUMBERS))  # running mean of the normal equations' matrices
         # world units of a shift by 1: how far the cameras are from the middle
         self.reach = float(np.median(np.linalg.norm(self.poses[:, :3, 3] - self.center, axis=1)))
 

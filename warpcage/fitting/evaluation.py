@@ -171,8 +171,7 @@ def mean_psnr(rows: list[dict[str, Any]]) -> float:
 class Report:
     """The figures of every view, and their means."""
 
-    # as `evaluate` returns them, at least one
-    rows: list[dict[str, Any]]
+    rows: list[dict[str, Any]]  # as `evaluate` returns them, at least one
 
     @property
     def mean_psnr(self) -> float:

@@ -77,12 +77,10 @@ class Level:
     # 25 numbers of each row: the 24 coefficients of all rows, then their densities.
 
     def __init__(self, mask: wp.array, bounds: np.ndarray, background: np.ndarray, shards: int):
-        # arrays of gradients, one for each CPU thread
-        self.shards = shards
+        self.shards = shards  # arrays of gradients, one for each CPU thread
         # nodes: (rows,) vec3i, grid indices of each row
         self.field, self.nodes = _started(mask, bounds, background)
-        # (25 rows,) float32 for each shard; none while pruning
-        self.gradients: list[wp.array] = []
+        self.gradients: list[wp.array] = []  # (25 rows,) float32 for each shard; none while pruning
         # touched: (rows,), 1 where there is a gradient; moments: (25 rows,) bfloat16, none while the level changes
         self.touched, self.moments = _marks(0, self.field.device), _moments(0, self.field.device)
         self.allocate()

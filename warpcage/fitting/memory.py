@@ -67,20 +67,15 @@ def memory_size(size: object) -> int:
 class FitMemory:
     """Bytes that a fit takes on its device, by what they grow with, as the owners of the arrays state them."""
 
-    # all that does not depend on the grid: pictures, batches, layers
-    fixed: int
-    # for each node of the box
-    node: float
+    fixed: int  # all that does not depend on the grid: pictures, batches, layers
+    node: float  # for each node of the box
     # for each voxel that holds values; the parts of it that are the field's, and the optimiser's second moments
     row: int
     field_row: int
     moment_row: int
-    # copies of the weights while a level is pruned
-    shards: int
-    # one number for each tile of the images
-    tiles: int
-    # numbers of a voxel's gradient; a launch has an item for each
-    row_numbers: int
+    shards: int  # copies of the weights while a level is pruned
+    tiles: int  # one number for each tile of the images
+    row_numbers: int  # numbers of a voxel's gradient; a launch has an item for each
 
     def countable(self, rows: int, shape: tuple[int, ...]) -> bool:
         """Whether a level of (nx, ny, nz) with `rows` voxels has few enough for one launch, whatever the memory."""

@@ -54,12 +54,9 @@ class GridPlan:
     """The grid of a fit: cubic voxels that halve from level to level."""
 
     levels: int
-    # (2, 3) float64, world units: the object's box, grown to whole voxels
-    bounds: np.ndarray
-    # (nx, ny, nz) voxels of each level
-    shapes: list[tuple[int, ...]]
-    # how few rays see a voxel, see `scarcity`
-    scarcity: float
+    bounds: np.ndarray  # (2, 3) float64, world units: the object's box, grown to whole voxels
+    shapes: list[tuple[int, ...]]  # (nx, ny, nz) voxels of each level
+    scarcity: float  # how few rays see a voxel, see `scarcity`
     # weights of the total variation of density, of SH coefficients of degree 0 and 1, and of degree 2 and 3
     variation: tuple[float, float, float]
 
@@ -170,13 +167,10 @@ DOUBT_START, DOUBT_END = 0.15, 0.3
 class CameraRates:
     """Shares of a whole step that cameras take."""
 
-    # turns and shifts
-    poses: float
-    # focal lengths
-    lenses: float
+    poses: float  # turns and shifts
+    lenses: float  # focal lengths
     exposures: float
-    # share to which small moves are doubted
-    doubt: float = 0.0
+    doubt: float = 0.0  # share to which small moves are doubted
 
     def __bool__(self) -> bool:
         """Whether anything moves."""
@@ -187,16 +181,11 @@ class CameraRates:
 class Rates:
     """How far one step goes: learning rates."""
 
-    # in optical depth per voxel of the level, as outer_density
-    density: float
-    # of degree 0 to 3
-    sh: tuple[float, float, float, float]
-    # factor on the coefficients that depend on direction after the step; 1 leaves them
-    directional_kept: float
-    # of the layers behind the field
-    background: float
-    # of the colours of an outer field
-    outer: float
+    density: float  # in optical depth per voxel of the level, as outer_density
+    sh: tuple[float, float, float, float]  # of degree 0 to 3
+    directional_kept: float  # factor on the coefficients that depend on direction after the step; 1 leaves them
+    background: float  # of the layers behind the field
+    outer: float  # of the colours of an outer field
     outer_density: float
 
 
@@ -210,8 +199,7 @@ class Schedule:
         first = directional_rate(total) if options.directional is None else options.directional
         last = max(first, LATE_DIRECTIONAL) if options.directional_end is None else options.directional_end
         self.directional = first, last
-        # steps done, and index of the level that the fit has reached
-        self.step_count = self.level = 0
+        self.step_count = self.level = 0  # steps done, and index of the level that the fit has reached
 
     @property
     def total_steps(self) -> int:

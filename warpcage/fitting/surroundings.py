@@ -123,8 +123,7 @@ class BackgroundOptimizer:
         self.start[:3] = color
         self.start[3] = -math.log(1.0 - START_OPACITY) / (options.background_layers - 1)
         self.layers = self._untouched(0)
-        # (layers, nodes) vec4 for each shard, as the second moments
-        self.gradients: list[wp.array] = []
+        self.gradients: list[wp.array] = []  # (layers, nodes) vec4 for each shard, as the second moments
         self.moments = wp.zeros(0, dtype=wp.vec4, device=device)
         self._allocate()
         # (rays,) vec3, what each ray of a batch sees behind the field; split pictures do not need it
@@ -317,8 +316,7 @@ class OuterOptimizer:
         self.options, self.shards, self.device, self.limit = options, shards, device, limit
         self.batch_rays = batch_rays
         self.center, self.half = bounds.mean(axis=0), 0.5 * (bounds[1] - bounds[0])
-        # of all voxels at the start, and of the sky
-        self.color = np.asarray(color, np.float32)
+        self.color = np.asarray(color, np.float32)  # of all voxels at the start, and of the sky
         self.cameras = cameras
         unit = 2 ** (options.levels - 1)
         # voxels along a side in each level; made coarser during the fit where memory is short
@@ -326,12 +324,10 @@ class OuterOptimizer:
         self.sides = [max(4, each) for each in self.sides]
         while self.sides[0] > 4 and self._memory().level_bytes(self.sides[0] ** 3, (self.sides[0],) * 3) > limit:
             self.sides = [max(4, each * 7 // 8) for each in self.sides]
-        # (rows,) vec4 for each shard, as the second moments
-        self.gradients: list[wp.array] = []
+        self.gradients: list[wp.array] = []  # (rows,) vec4 for each shard, as the second moments
         self.sky_gradients: list[wp.array] = []
         self.moments = wp.zeros(0, dtype=wp.vec4, device=device)
-        # grid indices of each row
-        self.nodes = wp.zeros(0, dtype=wp.vec3i, device=device)
+        self.nodes = wp.zeros(0, dtype=wp.vec3i, device=device)  # grid indices of each row
         colors = np.broadcast_to(self.color, (surface_node_count(SKY_SIDE), 3))
         self.outer = self._started(self.possible(self.sides[0]), sky_layers(colors, device).values)
         self._allocate()

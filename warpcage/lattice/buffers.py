@@ -23,8 +23,7 @@ class BufferPool:
 
     def __init__(self, device: wp.DeviceLike):
         self.device = wp.get_device(device)
-        # goes up whenever a buffer moves: a CUDA graph captured over them is valid while it stays
-        self.generation = 0
+        self.generation = 0  # goes up whenever a buffer moves: a CUDA graph captured over them is valid while it stays
         self._buffers: list[Buffer] = []
 
     def buffer(self, dtype) -> Buffer:
@@ -121,8 +120,7 @@ class HostNumbers:
         self._device = wp.get_device(device)
         held = wp.zeros(count, dtype=wp.float32, device="cpu", pinned=self._device.is_cuda)
         self._host = held.numpy()
-        # (count,) float, for kernels
-        self.array = array_view(held, wp.float32, count, device=self._device)
+        self.array = array_view(held, wp.float32, count, device=self._device)  # (count,) float, for kernels
 
     def wait(self) -> np.ndarray:
         """Wait for all that was launched; (count,) float32 as the device wrote them, until it writes again."""

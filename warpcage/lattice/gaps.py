@@ -59,8 +59,7 @@ class MapTarget:
     """What a map on a lattice takes the cage to."""
 
     rest: ClosedMesh
-    # (4,) vec3 on the device, the affine part of the map; see add_affine
-    affine: wp.array
+    affine: wp.array  # (4,) vec3 on the device, the affine part of the map; see add_affine
     # (v,) vec3 on the device, what the map takes at the vertices besides, as a share of the rest cage's size
     vertex_values: wp.array
     # what these values change over a gap, for its length as a share of the posed cage's size, that is no jump
@@ -72,16 +71,11 @@ class MapNodes:
     """A map at the nodes of a lattice, with all that sides of gaps are made from."""
 
     levels: WarpStruct
-    # description of the cut nodes
-    rows: WarpStruct
-    # (rows of level 0, 6) vec3, the map less its affine part where links cross the cage
-    boundary: wp.array
-    # (nodes,) vec3, the map
-    values: wp.array
-    # (rows of level 0 or more,) vec3 that are in the values next to the cage, or (0,)
-    corrections: wp.array
-    # (nodes of rings 0 and 1,) int, 1 at narrow gaps
-    flags: wp.array
+    rows: WarpStruct  # description of the cut nodes
+    boundary: wp.array  # (rows of level 0, 6) vec3, the map less its affine part where links cross the cage
+    values: wp.array  # (nodes,) vec3, the map
+    corrections: wp.array  # (rows of level 0 or more,) vec3 that are in the values next to the cage, or (0,)
+    flags: wp.array  # (nodes of rings 0 and 1,) int, 1 at narrow gaps
 
 
 class MapSides:
@@ -97,8 +91,7 @@ class MapSides:
         self._cells, self._masks = pool.buffer(wp.int32), pool.buffer(wp.int32)
         self._table, self._jump = pool.buffer(wp.vec4), pool.buffer(wp.float32)
         self._status = HostNumbers(2, self._device)
-        # `side_index` and `sides` of CageMap
-        self.index = self._index.take(0)
+        self.index = self._index.take(0)  # `side_index` and `sides` of CageMap
         self.table = self._table.take((0, 8))
         # rows of the table, 0 where not known yet, and the largest jump of the map less its affine part over a gap
         # narrower than a cell, but for grooves over which it stretches alone; see MapTarget
@@ -189,10 +182,8 @@ class GapFlags:
     def __init__(self, lattice: CageLattice):
         self._device, self._narrow = lattice.device, lattice.flags.narrow
         self._flags = lattice.buffers.buffer(wp.int32)
-        # (1,) int, above zero where any is set (on a CPU not how many: see `total`)
-        self.count = lattice.flags.gaps
-        # one int for each node of rings 0 and 1
-        self.flags = self._flags.take(0)
+        self.count = lattice.flags.gaps  # (1,) int, above zero where any is set (on a CPU not how many: see `total`)
+        self.flags = self._flags.take(0)  # one int for each node of rings 0 and 1
 
     def search(
         self,

@@ -32,8 +32,7 @@ class PoseGraph:
     def __init__(self, launches: PoseLaunches):
         self._launches, self._solver = launches, launches.solver
         self._device, self._buffers = launches.solver.device, launches.solver.lattice.buffers
-        # whether the last pose has nodes at narrow gaps
-        self.has_gaps = False
+        self.has_gaps = False  # whether the last pose has nodes at narrow gaps
         self._room: PoseSizes | None = None
         self._layout: Launches | None = None
         self._map: Launches | None = None

@@ -65,8 +65,7 @@ class BlockFaces:
         self._counts, self._near, self._clear = (buffers.buffer(wp.int32) for _ in range(3))
         self._boxes, self._candidates = buffers.buffer(wp.vec3), buffers.buffer(wp.int32)
         self._listed = listed_faces(cage, shape, spacing)
-        # blocks along each side of a group
-        self.group_side = group_side(len(cage.faces), max(shape))
+        self.group_side = group_side(len(cage.faces), max(shape))  # blocks along each side of a group
         # of each block: how many faces are near, (blocks,) int, which, the first m ascending (blocks, m) int, and the
         # octants that are clear of the cage, (blocks,) int
         self.counts, self.near, self.clear_octants = self._counts.take(0), self._near.take((0, 0)), self._clear.take(0)
@@ -224,20 +223,16 @@ class CageLattice:
         self.constants = LatticeConstants(self.level_count, len(cage.vertices), self.device)
         self.map_constants = MapConstants(len(cage.vertices), self.device)
         self.flags = PoseFlags(self.constants.flags.array)
-        # (v,) vec3, node units
-        self.vertices = self.constants.vertices.array
-        # (f,) vec3i
-        self.faces = wp.array(cage.faces, dtype=wp.vec3i, device=self.device)
+        self.vertices = self.constants.vertices.array  # (v,) vec3, node units
+        self.faces = wp.array(cage.faces, dtype=wp.vec3i, device=self.device)  # (f,) vec3i
         self.side, self.other_side = SideStream(self.device), SideStream(self.device)
-        # all that is held on the device and depends on the pose
-        self.buffers = BufferPool(self.device)
+        self.buffers = BufferPool(self.device)  # all that is held on the device and depends on the pose
         self._distance = self.buffers.buffer(wp.float32)
         self._crossing_counts = self.buffers.buffer(wp.int32)
         self._crossing_places = self.buffers.buffer(wp.float32)
         self._crossing_faces = self.buffers.buffer(wp.int32)
         self._line_capacity = LINE_CAPACITY
-        # where lattice lines cross the cage
-        self.crossings = LineCrossings()
+        self.crossings = LineCrossings()  # where lattice lines cross the cage
         # (nodes or more,) float, the signed distance in world units; see `distance`
         self.flat_distance = self._distance.take(0)
         self._place(cage)
@@ -366,10 +361,8 @@ class LevelLayout:
     # Each level keeps every second node and has a last one at or beyond the finer level's.
 
     shape: tuple[int, int, int]
-    # (L, 3) nodes along each axis of all levels
-    shapes: np.ndarray
-    # (L + 1,) where each level's nodes and columns begin
-    first_node: np.ndarray
+    shapes: np.ndarray  # (L, 3) nodes along each axis of all levels
+    first_node: np.ndarray  # (L + 1,) where each level's nodes and columns begin
     first_column: np.ndarray
 
     @property

@@ -29,14 +29,10 @@ class MapSource(Protocol):
 class PoseStatus:
     """What a pose was found to be, once it is computed."""
 
-    # whether lines and lists were long enough
-    has_room: bool
-    # (2,) cycles and residual of the solver
-    solution: np.ndarray
-    # whether there are narrow gaps over which the map jumps
-    has_gaps: bool
-    # lengths of the lists of nodes
-    sections: NodeSections
+    has_room: bool  # whether lines and lists were long enough
+    solution: np.ndarray  # (2,) cycles and residual of the solver
+    has_gaps: bool  # whether there are narrow gaps over which the map jumps
+    sections: NodeSections  # lengths of the lists of nodes
 
 
 class PoseLaunches:

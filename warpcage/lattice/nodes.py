@@ -25,8 +25,7 @@ class LatticeNodes:
         self.level_count = lattice.level_count if level_count is None else level_count
         self._lattice, self._interpolates = lattice, interpolates
         section_count = 3 * self.level_count + RINGS
-        # lengths of the lists of the last pose
-        self.sections = NodeSections(np.zeros(section_count, dtype=np.int64))
+        self.sections = NodeSections(np.zeros(section_count, dtype=np.int64))  # lengths of the lists of the last pose
         self._limits = wp.zeros(section_count, dtype=wp.int32, device=lattice.device)
         self._codes = lattice.buffers.buffer(wp.int32)
         self._starts = lattice.buffers.buffer(wp.int32)

@@ -45,8 +45,7 @@ class BegunPose:
     cage: ClosedMesh
     # the map that it is to be, without the sides of narrow gaps, where a graph is at work on it
     draft: WarpStruct | None = None
-    # the cage of the map before, None where that is lost
-    last: ClosedMesh | None = None
+    last: ClosedMesh | None = None  # the cage of the map before, None where that is lost
 
 
 class PositionMap:

@@ -93,20 +93,15 @@ class PoseSizes:
     """What the launches of a pose count, on the finest level of a lattice unless a name says otherwise."""
 
     nodes: int
-    # lattice lines, and runs of neighbouring ones that are crossed with the cage together
-    lines: int
+    lines: int  # lattice lines, and runs of neighbouring ones that are crossed with the cage together
     runs: int
-    # blocks of nodes, and groups of blocks that faces are looked through for
-    blocks: int
+    blocks: int  # blocks of nodes, and groups of blocks that faces are looked through for
     groups: int
     columns: int
-    # nodes of all levels that a solver uses, and those above the finest
-    level_nodes: int
+    level_nodes: int  # nodes of all levels that a solver uses, and those above the finest
     coarse_nodes: int
-    # columns of all levels
-    level_columns: int
-    # entries to be scanned for the lists
-    entries: int
+    level_columns: int  # columns of all levels
+    entries: int  # entries to be scanned for the lists
     # lengths of the lists; None is not known yet: a launch that needs them waits until the device has counted them
     sections: NodeSections | None = None
 

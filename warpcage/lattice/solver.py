@@ -30,14 +30,11 @@ class MapSolver(ABC):
 
     def __init__(self, lattice: CageLattice, nodes: LatticeNodes):
         self.lattice, self.nodes, self.device = lattice, nodes, lattice.device
-        # description of the cut nodes, with as many rows as are known
-        self.rows = CutRows()
+        self.rows = CutRows()  # description of the cut nodes, with as many rows as are known
         # (rows of level 0 or more,) vec3 that are in the values next to the cage, or (0,)
         self.corrections = empty_array(0, wp.vec3, self.device)
-        # nodes at narrow gaps
-        self.gaps = GapFlags(lattice)
-        # on the device: cycles and residual
-        self.status = wp.zeros(2, dtype=wp.float32, device=self.device)
+        self.gaps = GapFlags(lattice)  # nodes at narrow gaps
+        self.status = wp.zeros(2, dtype=wp.float32, device=self.device)  # on the device: cycles and residual
         # multigrid cycles of the last map, 0 for closed forms, and what they left, as a share of the rest cage's size
         self.cycles, self.residual = 0, 0.0
         self._values: Buffer = lattice.buffers.buffer(wp.vec3)

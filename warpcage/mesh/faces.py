@@ -41,8 +41,7 @@ def face_area(mesh: ClosedMesh) -> float:
 class StretchTarget:
     """What `stretched_normals` needs of the faces that others are stretched to."""
 
-    # (3, f) unit normals, zero for a face without area
-    normals: np.ndarray
+    normals: np.ndarray  # (3, f) unit normals, zero for a face without area
     # (f,) s . s, s . t and t . t, world units squared; s and t: the two edges from the first corner of each face
     ss: np.ndarray
     st: np.ndarray

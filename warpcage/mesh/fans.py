@@ -17,10 +17,8 @@ class FaceFans:
     """Triangles turned and ordered so that most begin with an edge of the one before.
     Around a vertex a, (a, c, d) follows (a, b, c), and so on."""
 
-    # (f, 3) int32 indices of vertices
-    faces: np.ndarray
-    # (f,) int: which face of the mesh each of them is
-    order: np.ndarray
+    faces: np.ndarray  # (f, 3) int32 indices of vertices
+    order: np.ndarray  # (f,) int: which face of the mesh each of them is
 
 
 def face_fans(faces: np.ndarray) -> FaceFans:

@@ -27,10 +27,8 @@ class MeshTopology:
         owner = np.repeat(np.arange(face_count), 3)
         proper = starts != ends
 
-        # (k,) faces that name a vertex twice
-        self.repeated_faces = np.unique(owner[~proper])
-        # (k,) vertices of some face, and of none, ascending
-        self.used_vertices = np.unique(starts)
+        self.repeated_faces = np.unique(owner[~proper])  # (k,) faces that name a vertex twice
+        self.used_vertices = np.unique(starts)  # (k,) vertices of some face, and of none, ascending
         self.unused_vertices = np.setdiff1d(np.arange(vertex_count), self.used_vertices)
 
         low, high = np.minimum(starts, ends)[proper], np.maximum(starts, ends)[proper]

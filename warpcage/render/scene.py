@@ -69,8 +69,7 @@ class Plan(NamedTuple):
 
     # the EditData of each edit and its box (2, 3), front to back; None where one kernel takes the whole scene
     parts: list[tuple[Any, np.ndarray]] | None
-    # whether voxels are shaded for the view
-    is_shaded: bool
+    is_shaded: bool  # whether voxels are shaded for the view
 
 
 class LatticeEdits(PosedEdits):
@@ -95,8 +94,7 @@ class LatticeEdits(PosedEdits):
         super().__init__(trace.map_points, None)  # poses choose the other one
         load_pose_modules(coordinates, render_modules(device, len(edits), self._has_fragments), device)
         self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
-        # the EditData of each edit in their order, once a pose is prepared
-        self.flat: list[Any] = []
+        self.flat: list[Any] = []  # the EditData of each edit in their order, once a pose is prepared
         self._laid: list[tuple[Any, Any]] = []  # each LatticeEdit and its EditData, once for a pose
         self._seen: SeenView | None = None  # the last view, where it was of the last pose
         # of the last view

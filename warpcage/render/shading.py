@@ -59,8 +59,7 @@ class CarriedShades:
         self._launch = RecordedLaunches(device)
         self._laid: Any = None
         self._texture: wp.Texture3D | None = None  # kept alive for kernels, which hold its handle alone
-        # whether `pose` was called for the pose that is to be seen; whoever poses anew unsets it
-        self.is_posed = False
+        self.is_posed = False  # whether `pose` was called for the pose that is to be seen; whoever poses anew unsets it
 
     def pose(self, edits: Sequence[Any], cells: Sequence[wp.array], grid: Any) -> None:
         """Find where matter is, once per pose, of the posed FlatEdits and the VoxelGrid as it is marched.

@@ -19,20 +19,14 @@ class ViewRequest:
     """A view that edits are to be marched for."""
 
     field: VoxelField
-    # its VoxelGrid as it is marched now
-    grid: Any
-    # what `PosedEdits.row_tables` gave
-    rows: list[Any]
-    # the PinholeCamera, relative to the field's origin
-    pinhole: Any
+    grid: Any  # its VoxelGrid as it is marched now
+    rows: list[Any]  # what `PosedEdits.row_tables` gave
+    pinhole: Any  # the PinholeCamera, relative to the field's origin
     background: wp.vec3
-    # the MarchOptions, and the Picture that is filled
-    options: Any
+    options: Any  # the MarchOptions, and the Picture that is filled
     picture: Any
-    # rays, in whole tiles
-    threads: int
-    # steps that a ray may take, as `core.devices.launch` has them
-    work: float
+    threads: int  # rays, in whole tiles
+    work: float  # steps that a ray may take, as `core.devices.launch` has them
 
 
 class PosedEdits(abc.ABC):
@@ -41,12 +35,9 @@ class PosedEdits(abc.ABC):
     def __init__(self, map_kernel: Any, render_kernel: Any):
         # the first traces points to canonical space and takes `array`, the other renders views and takes `scene`
         self.map_kernel, self.render_kernel = map_kernel, render_kernel
-        # (edits,) structs, once the edits are posed
-        self.array: wp.array | None = None
-        # what the render kernel takes, once `prepare` has been called for the pose
-        self.scene: Any = None
-        # steps that one sample takes at most, as `core.devices.launch` has them
-        self.sample_work = 1
+        self.array: wp.array | None = None  # (edits,) structs, once the edits are posed
+        self.scene: Any = None  # what the render kernel takes, once `prepare` has been called for the pose
+        self.sample_work = 1  # steps that one sample takes at most, as `core.devices.launch` has them
         self._launches: RecordedLaunches | None = None
 
     def begin_view(self, field: VoxelField, center: wp.vec3, step: float) -> None:
@@ -99,12 +90,9 @@ class SeenView(NamedTuple):
     """What the tables of a pose take of the views of it."""
 
     field: VoxelField
-    # its VoxelGrid as it was marched
-    grid: Any
-    # of the camera, relative to the field's origin
-    center: wp.vec3
-    # of the march, world units
-    step: float
+    grid: Any  # its VoxelGrid as it was marched
+    center: wp.vec3  # of the camera, relative to the field's origin
+    step: float  # of the march, world units
 
 
 def cage_span(cage: Cage | None) -> float:

@@ -68,16 +68,14 @@ class SplatParameters:
             rows = np.ascontiguousarray(values.reshape(count, values.size // max(count, 1)), np.float32)
             self.values[name] = wp.array(rows, dtype=wp.float32, device=field.device)
             self.slopes[name] = wp.zeros(rows.shape, dtype=wp.float32, device=field.device)
-        # What `refresh` makes of the values.
-        self.splats: Any = Splats()
+        self.splats: Any = Splats()  # What `refresh` makes of the values.
         self.splats.centers = self.by_rows("centers", self.values)
         self.splats.covariances = empty_array((count, 6), wp.float32, field.device)
         self.splats.opacities = empty_array(count, wp.float32, field.device)
         self.splats.harmonics, self.splats.degree = self.values["harmonics"], field.degree
         self.splats.turns = empty_array(0, wp.quat, field.device)
         self.splats.rows = empty_array(0, wp.int32, field.device)
-        # The slopes as kernels/splats/project_slopes.py writes them.
-        self.value_slopes: Any = ValueSlopes()
+        self.value_slopes: Any = ValueSlopes()  # The slopes as kernels/splats/project_slopes.py writes them.
         for name in VALUE_TYPES:
             setattr(self.value_slopes, name, self.by_rows(name, self.slopes))
 

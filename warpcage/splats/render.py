@@ -43,8 +43,7 @@ class SplatRenderer:
 
     def __init__(self, device: wp.DeviceLike = None):
         self.device = resolve_device(device)
-        # Tiles that splats touched in the last frame, summed over the splats.
-        self.entry_count = 0
+        self.entry_count = 0  # Tiles that splats touched in the last frame, summed over the splats.
         self._lock = owner_lock(self.device)
         pool = BufferPool(self.device)
         self._view = pool.buffer(wp.vec4)

@@ -163,12 +163,9 @@ class RefinedCameras:
     """The cameras of a fit's pictures as it refined them."""
 
     names: list[str]
-    # in the field's world
-    cameras: list[Camera]
-    # (n, 3) float64, what the field's red, green and blue are multiplied by in each picture
-    gains: np.ndarray
-    # (n, 3) float64, what is added to them then
-    offsets: np.ndarray
+    cameras: list[Camera]  # in the field's world
+    gains: np.ndarray  # (n, 3) float64, what the field's red, green and blue are multiplied by in each picture
+    offsets: np.ndarray  # (n, 3) float64, what is added to them then
 
     def __len__(self) -> int:
         return len(self.cameras)

@@ -58,8 +58,7 @@ class ObjectShell:
             if self._coarse
             else NearestInVoxels(points[near], places, self.solid.shape, self.lower, spacing)
         )
-        # (nx, ny, nz) from voxel centres to the nearest point
-        self.distance = self._distances(radius, need, deep)
+        self.distance = self._distances(radius, need, deep)  # (nx, ny, nz) from voxel centres to the nearest point
         beyond = self.distance > reach
         parts = np.asarray(skimage.measure.label(beyond, connectivity=1))
         outside = parts == parts[0, 0, 0]  # the corner is free, so cavities of the dilated object are not part of it
@@ -209,7 +208,7 @@ def distance_to(mask: np.ndarray, radius: int) -> np.ndarray:
 
 
 #: Closing radii tried, in lengths of the cage's edges: the first gives the tightest cage.
-_CLOSINGS = (0.45, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0)
+CLOSINGS = (0.45, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0)
 
 #: Share of the way from `need` to the closing radius at which the surface to decimate lies.
 _START = 0.4
@@ -239,7 +238,7 @@ def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
     reasons = []
     for fine, last in _ATTEMPTS:
         found = []
-        for closing in _CLOSINGS:
+        for closing in CLOSINGS:
             # wide closings need no fine voxels
             coarse = max(spacing, closing * edge / 16.0)
             room = max(closing * edge, 2.0 * coarse, (_LEAST_LEVEL * coarse - need) / _START)

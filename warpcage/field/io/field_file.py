@@ -40,16 +40,11 @@ MAX_HALF = 65504.0
 class LayerContents:
     """Background layers on the host."""
 
-    # (3,) float64 centre of all cubes, world units
-    center: np.ndarray
-    # half side of the innermost cube, world units
-    half: float
-    # cells along an edge of a cube
-    side: int
-    # (layers, nodes, 4) float32 red, green, blue and optical depth
-    values: np.ndarray
-    # (4,) float32 what nodes hold that no picture showed
-    unseen: np.ndarray | None
+    center: np.ndarray  # (3,) float64 centre of all cubes, world units
+    half: float  # half side of the innermost cube, world units
+    side: int  # cells along an edge of a cube
+    values: np.ndarray  # (layers, nodes, 4) float32 red, green, blue and optical depth
+    unseen: np.ndarray | None  # (4,) float32 what nodes hold that no picture showed
 
     def shrunk(self, divisor: float) -> LayerContents:
         """The layers of a smaller world; divisor: old lengths over new ones."""
@@ -60,15 +55,11 @@ class LayerContents:
 class OuterContents:
     """An outer field on the host."""
 
-    # (3,) float64 middle and half sides of the box that it surrounds, world units
-    center: np.ndarray
+    center: np.ndarray  # (3,) float64 middle and half sides of the box that it surrounds, world units
     half: np.ndarray
-    # (n, n, n) int32, row of each voxel of contracted space or -1
-    links: np.ndarray
-    # (rows, 4) float32 red, green, blue and density per unit of contracted length
-    values: np.ndarray
-    # (nodes, 3) float32 colours of a cube at infinity
-    sky: np.ndarray
+    links: np.ndarray  # (n, n, n) int32, row of each voxel of contracted space or -1
+    values: np.ndarray  # (rows, 4) float32 red, green, blue and density per unit of contracted length
+    sky: np.ndarray  # (nodes, 3) float32 colours of a cube at infinity
 
     def shrunk(self, divisor: float) -> OuterContents:
         """The outer field of a smaller world; divisor: old lengths over new ones."""
@@ -79,24 +70,18 @@ class OuterContents:
 class FieldContents:
     """A voxel field on the host, as field files read and write it; None is what the file does not say."""
 
-    # (2, 3) float64, world units
-    bounds: np.ndarray
-    # (nx, ny, nz) int32, row of each voxel or -1
-    links: np.ndarray
-    # (rows,) float32 per world unit
-    density: np.ndarray
+    bounds: np.ndarray  # (2, 3) float64, world units
+    links: np.ndarray  # (nx, ny, nz) int32, row of each voxel or -1
+    density: np.ndarray  # (rows,) float32 per world unit
     # (rows, 9, 3) coefficients of red, green and blue, or (rows, 24) of luminance and differences of colour; float32,
     # or float16 as files have them
     sh: np.ndarray
-    # (rows,) float32 largest rendering weights
-    weights: np.ndarray | None = None
-    # (3,) colour and (3,) direction
-    background: np.ndarray | None = None
+    weights: np.ndarray | None = None  # (rows,) float32 largest rendering weights
+    background: np.ndarray | None = None  # (3,) colour and (3,) direction
     up: np.ndarray | None = None
     # (4, 4) rigid motion from the coordinates of the scene's files; None where they are the same
     straightening: np.ndarray | None = None
-    # rays along each side of a pixel
-    supersampling: int | None = None
+    supersampling: int | None = None  # rays along each side of a pixel
     layers: LayerContents | None = None
     outer: OuterContents | None = None
 

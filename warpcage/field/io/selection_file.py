@@ -29,16 +29,11 @@ _SAME_PLACE = 1e-3
 class SelectionContents:
     """What a selection file holds."""
 
-    # (2, 3) float64 box of the field, world units
-    bounds: np.ndarray
-    # digest of which voxels of the field hold values
-    occupied: str
-    # (nx, ny, nz) bool, the chosen voxels
-    mask: np.ndarray
-    # a line for each thing that was left out
-    notes: tuple[str, ...]
-    # normal (3,) and offset of the plane that they were cut off at, world units
-    floor: tuple[np.ndarray, float] | None
+    bounds: np.ndarray  # (2, 3) float64 box of the field, world units
+    occupied: str  # digest of which voxels of the field hold values
+    mask: np.ndarray  # (nx, ny, nz) bool, the chosen voxels
+    notes: tuple[str, ...]  # a line for each thing that was left out
+    floor: tuple[np.ndarray, float] | None  # normal (3,) and offset of the plane that they were cut off at, world units
 
 
 def occupancy_digest(occupied: np.ndarray) -> str:

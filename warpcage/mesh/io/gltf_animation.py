@@ -29,12 +29,9 @@ _PATHS = ("translation", "rotation", "scale", "weights")
 class GltfMotion:
     """The places that the vertices of a file go through: frames of an animation, or shapes."""
 
-    # of each: that of the shape, or "frame 1" and so on
-    names: tuple[str, ...]
-    # (v, 3) float64 each, y up, in the order of `read_gltf`
-    vertices: list[np.ndarray]
-    # seconds from the first frame; None, and no rate, for shapes
-    times: tuple[float, ...] | None = None
+    names: tuple[str, ...]  # of each: that of the shape, or "frame 1" and so on
+    vertices: list[np.ndarray]  # (v, 3) float64 each, y up, in the order of `read_gltf`
+    times: tuple[float, ...] | None = None  # seconds from the first frame; None, and no rate, for shapes
     fps: float | None = None
     # (v, 3) the shapes that the file has on, together; None where it has none on, and for animations
     shown: np.ndarray | None = None
