@@ -63,7 +63,7 @@ def main() -> int:
     wp.init()
     if args.eager:
         PoseGraph.is_supported = staticmethod(lambda device: False)
-        HarmonicSolver._cycle_runner = lambda self, sections: lambda: self._cycle(sections)
+        HarmonicSolver.cycle_runner = lambda self, sections: lambda: self.launch_cycle(sections)
     if args.no_pool:
         wp.set_mempool_enabled(args.device, False)
     watch_launches()

@@ -187,7 +187,7 @@ def profile(args) -> None:
                 ("check", lambda rest=rest: rest.with_vertices(poses[0].vertices).require_usable()),
                 ("lay", lambda m=position_map: m.lattice.lay(poses[0])),
                 ("values", lambda m=position_map: m._write_values(m.lattice)),
-                ("take map", lambda m=position_map: m._take_map(m._launches, False)),
+                ("take map", lambda m=position_map: m._take_map(m.launches, False)),
             ):
                 taken = []
                 for _ in range(200):

@@ -582,7 +582,7 @@ class SplitFit:
                 optimizer._thin_out()
             batches.advance(schedule.rays_per_side)
             batches.rays.first_tile += rank * (batches.batch_tiles // 2)
-            optimizer._accumulate_gradients()
+            optimizer.accumulate_gradients()
         self.exchange()
         for optimizer in self.optimizers:
             optimizer._apply_gradients()

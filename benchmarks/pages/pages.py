@@ -360,10 +360,10 @@ def run_example(args) -> None:
 
 
 def batch_scale_text(items: int, workers: int, aim: float, largest: int, content: dict) -> str:
-    """The page of `batch-scale`, from its results and how lots are cut."""
+    """The page of `batch-scale`, from its results and how chunks are cut."""
     costs, ends = content["costs"], content["driver"]
     alone, full = 1.0 / (costs["lot"] + costs["item"]), largest / (costs["lot"] + largest * costs["item"])
-    head = ["an item takes", "lots", "the run takes", "over ideal", "driver at work", "lots in all", "deaths"]
+    head = ["an item takes", "chunks", "the run takes", "over ideal", "driver at work", "chunks in all", "deaths"]
     rows = [
         [
             f"{run['mean_seconds']:g} s",

@@ -76,7 +76,7 @@ def worker_steps(laps: Laps, args) -> None:
 
     laps.note("import a worker")
     import warpcage
-    from warpcage.batch.fingerprints import _file_hash
+    from warpcage.batch.fingerprints import file_hash
     from warpcage.core import resolve_device
     from warpcage.field import load_field
     from warpcage.render import load_usual_modules
@@ -84,7 +84,7 @@ def worker_steps(laps: Laps, args) -> None:
     device = resolve_device(args.device)
     wp.zeros(1, device=device).numpy()
     laps.note("start the device")
-    _file_hash(pathlib.Path(args.field))
+    file_hash(pathlib.Path(args.field))
     laps.note("hash")
     held = load_field(args.field)
     laps.note("read")
