@@ -60,15 +60,17 @@ def pytest_xdist_auto_num_workers(config):
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist starts its workers
 def pytest_sessionstart(session):
-    """Compile all kernels for the CPU before workers do, each of which would compile most of them for itself."""
+    """Compile all kernels and variants for the CPU before workers do, each of which would compile most of them for itself."""
     config = session.config
     if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
         return
     if not config.option.collectonly and config.args_source is config.ArgsSource.TESTPATHS:
         from warpcage.core import kernel_names, kernel_source, load_modules
 
-        files = [name.replace("/", ".") for name in kernel_names() if "@wp.kernel" in kernel_source(name)]
-        load_modules([importlib.import_module(f"warpcage.kernels.{name}") for name in files], "cpu")
+        names = [name.replace("/", ".") for name in kernel_names() if "@wp.kernel" in kernel_source(name)]
+        files = [importlib.import_module(f"warpcage.kernels.{name}") for name in names]
+        own = [file for file in files if wp.get_module(file.__name__).kernels]
+        load_modules([*own, *(kernel for file in files for kernel in getattr(file, "variants", list)())], "cpu")
     gc.enable()  # this process collects no tests
 
 
@@ -124,7 +126,7 @@ def two_threads():
 
 @pytest.fixture(scope="session")
 def browser():
-    """A browser for windows at the editor, see tests/editor_browser.py."""
+    """A browser for windows at the editor, see tests/support/editor_browser.py."""
     from page_probe import chromium
 
     with chromium(1024, 768, ratio=0.5) as driver:  # pictures of few pixels are cheap

@@ -383,7 +383,7 @@ def batch_scale_text(items: int, workers: int, aim: float, largest: int, content
         | {
             "aim": f"{aim:.0f}",
             "largest": largest,
-            "lot": f"{1e3 * costs['lot']:.2f}",
+            "chunk": f"{1e3 * costs['lot']:.2f}",
             "item": f"{1e3 * costs['item']:.4f}",
             "alone": f"{alone:,.0f}",
             "full": f"{full:,.0f}",

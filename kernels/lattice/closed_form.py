@@ -96,7 +96,7 @@ def stretch_normals(
     rest_size: float,
     values: wp.array(dtype=wp.vec3),
 ):
-    """values (f,): what psi in node units multiplies for the remainder of a map after its affine part A x + b, as a
+    """values (f,): what psi in node units multiplies for the residual of a map after its affine part A x + b, as a
     share of the rest cage's size: stretched normals of the rest cage less A n, as x = sum phi v + sum psi n."""
     # rest_normals: unit normals; rest_products: |s|^2, s.t, |t|^2 of the edges from the first corner of each face, over
     # the rest cage's size squared; affine: as in add_affine. Stretch (Lipman et al. 2008, 3-D) from a face of area A

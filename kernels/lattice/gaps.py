@@ -316,7 +316,7 @@ def list_column_sides(
                 side_index[cell] = wp.where(length > 0, 8 * begin + length, 0)
 
 
-#: Difference of the remainder of a map over a gap, as a share of the rest cage's size, above which sides are kept.
+#: Difference of the residual of a map over a gap, as a share of the rest cage's size, above which sides are kept.
 GAP_JUMP = wp.constant(1.0e-2)
 
 #: Bits of a 3 x 3 x 3 neighbourhood, numbered like nodes, whose last coordinate is not the lowest; whose

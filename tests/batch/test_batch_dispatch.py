@@ -179,7 +179,7 @@ def test_what_is_thought_of_items_and_workers_stays_near_the_truth():
         slow = 6.0 if name == "3" else 1.0
         dispatcher.reported(name, ChunkReport(done=chunk.items, seconds=[slow * random.lognormal(0.0, 1.0)]), 0.0)
         if turn > 1000 and turn % 100 == 3:
-            speeds = [worker.speed for worker in dispatcher._workers.values()]
+            speeds = dispatcher.speeds.values()
             assert 0.3 < dispatcher.chunks.seconds(0) < 30 and 0.02 < min(speeds) and max(speeds) < 100
     assert dispatcher.done == 50_000
 

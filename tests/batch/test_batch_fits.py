@@ -86,7 +86,7 @@ def test_a_fit_that_died_goes_on_from_its_progress(files, tmp_path, monkeypatch)
     def step(optimizer):
         steps.append(optimizer.step_count)
         if len(steps) == 3:
-            save_progress(optimizer, worker._checkpoint(item))
+            save_progress(optimizer, worker.checkpoint_path(item))
             raise OSError("the node is gone")
         return ordinary(optimizer)
 

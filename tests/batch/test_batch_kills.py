@@ -16,7 +16,7 @@ import types
 import numpy as np
 import pytest
 from messages import MESSAGES
-from runs import Deadly, Making, Moody, left_over, number_of, pictures, records, run_with, write_frames
+from runs import SUPPORT, Deadly, Making, Moody, left_over, number_of, pictures, records, run_with, write_frames
 
 import warpcage
 from warpcage.batch import RayEngine, RunnerSettings, Share
@@ -32,7 +32,7 @@ def address():
     """Ray, started once for all tests of this file: its address. Makers of tests are sent by their source."""
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     ray.init(address="local", num_cpus=4, include_dashboard=False, log_to_driver=False, object_store_memory=100 * 2**20)
-    import runs as runs
+    import runs
 
     ray.cloudpickle.register_pickle_by_value(runs)
     ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
@@ -183,10 +183,7 @@ def count_of(notes, out):
 def test_an_item_that_kills_its_worker_is_failed_and_the_rest_is_made(address, job, tmp_path):
     path, out = write_frames(tmp_path / "job", 40), tmp_path / "out"
     lines = []
-    from warpcage.batch import Options
-    from warpcage.batch.run import _run
-
-    report = _run(path, out, Options(2, None, "cpu", 2), lambda state: None, lines.append, Deadly)
+    report = run_with(path, out, Deadly, workers=2, warn=lines.append)
     assert report.made == 39 and list(report.failed) == ["shot/f0005"]
     assert report.failed["shot/f0005"].endswith("killed, or a crash of the process, 3 times while it was made")
     record = records(out)["shot/f0005"]
@@ -428,8 +425,7 @@ def lose():
 losing = threading.Thread(target=lose)
 losing.start()
 lines = []
-options = runs.Options(2, cluster.address, "cpu", 2)
-report = runs._run(pathlib.Path(sys.argv[1]), out, options, lambda state: None, lines.append, Slow)
+report = runs.run_with(pathlib.Path(sys.argv[1]), out, Slow, workers=2, cluster=cluster.address, warn=lines.append)
 losing.join()
 assert report.complete and report.made == 60, report
 assert len(lines) == 1 and "its worker died" in lines[0], lines

@@ -6,7 +6,7 @@ import warp as wp
 from oracles import shuffled
 
 from warpcage import FieldOptimizer, fit
-from warpcage.kernels.fitting.shuffle import shuffled_place
+from warpcage.kernels.fitting.batches import shuffled_place
 from warpcage.reference import synthetic_scene
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -79,13 +79,13 @@ def test_a_fit_takes_every_tile_once_before_any_twice(device, scene):
 def test_random_colors_come_first_and_stay_now_and_then(device, scene, monkeypatch):
     """They supervise opacity alone early on; later most steps see the pictures as they are."""
     behind = []
-    accumulate = FieldOptimizer._accumulate_gradients
+    accumulate = FieldOptimizer.accumulate_gradients
 
     def watched(self):
         behind.append(self.random_background and self.schedule.supervises_opacity)
         accumulate(self)
 
-    monkeypatch.setattr(FieldOptimizer, "_accumulate_gradients", watched)
+    monkeypatch.setattr(FieldOptimizer, "accumulate_gradients", watched)
     options = {"levels": 1, "resolution": 16, "epochs": 1.0, "least_steps": 50, "progress": False, "device": device}
     fit(scene, **options)
     assert len(behind) == 50 and all(behind[:20])

@@ -157,12 +157,12 @@ class Answers:
     """An actor that answers when a test says so."""
 
     def __init__(self, settings, asked):
-        self.settings, self._asked = settings, asked
+        self.settings, self.asked = settings, asked
 
     def __getattr__(self, name):
         def remote(*given):
             future = concurrent.futures.Future()
-            self._asked[name, given[0].number if name == "run" else given[0] if given else None] = future
+            self.asked[name, given[0].number if name == "run" else given[0] if given else None] = future
             return types.SimpleNamespace(future=lambda: future)
 
         return types.SimpleNamespace(remote=remote)
@@ -199,7 +199,7 @@ def test_one_that_takes_the_place_of_a_worker_that_died_reads_nothing_beforehand
     engine, actors, _, _ = engine
     for worker in ("0", "1", "0"):
         engine.launch(worker)
-    likely = engine._settings.likely
+    likely = engine.settings.likely
     assert [actor.settings.likely for actor in actors] == [likely[:1], likely[1:], ()]
 
 
@@ -281,8 +281,8 @@ def test_a_worker_reads_its_first_field_once_and_early(files, tmp_path, monkeypa
     read, real = [], fields.read_field
     monkeypatch.setattr(fields, "read_field", lambda path, **words: read.append(path) or real(path, **words))
     monkeypatch.setattr(fields, "read_field", lambda *given, **words: pytest.fail("it was read once more"))
-    hashed, hash_file = [], fingerprints._file_hash
-    monkeypatch.setattr(fingerprints, "_file_hash", lambda path: hashed.append(path.name) or hash_file(path))
+    hashed, hash_file = [], fingerprints.file_hash
+    monkeypatch.setattr(fingerprints, "file_hash", lambda path: hashed.append(path.name) or hash_file(path))
     monkeypatch.setattr(fingerprints, "LARGE", 1000)
     assert run_with(files / "jobs.jsonl", tmp_path / "out").complete
     assert read == [str(files / "ball.npz")] and hashed.count("ball.npz") == 1

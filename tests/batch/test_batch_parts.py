@@ -6,14 +6,12 @@ import pytest
 from runs import RECORDS, Making, left_over, pictures, records, write_frames, write_records
 
 from warpcage import run_jobs
-from warpcage.batch import Options, OutputFolder, Part
-from warpcage.batch.run import _run
+from warpcage.batch import OutputFolder, Part
 from warpcage.cli import main
 
 
 def run_part(path, out, part=None, maker=None):
-    options = Options(1, None, "cpu", 0, part)
-    return _run(path, out, options, lambda state: None, lambda line: None, maker)
+    return run_jobs(path, out, device="cpu", retries=0, part=part, make=maker)
 
 
 @pytest.mark.parametrize(

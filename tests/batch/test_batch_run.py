@@ -13,7 +13,19 @@ import time
 import numpy as np
 import pytest
 from messages import MESSAGES
-from runs import RECORDS, Making, Moody, command, left_over, pictures, records, run_with, write_frames, write_records
+from runs import (
+    RECORDS,
+    SUPPORT,
+    Making,
+    Moody,
+    command,
+    left_over,
+    pictures,
+    records,
+    run_with,
+    write_frames,
+    write_records,
+)
 
 import warpcage
 from warpcage.batch import OutputFolder, pack_shard, read_shard
@@ -408,7 +420,7 @@ def test_a_kill_while_a_shard_is_packed_loses_nothing(tmp_path, step):
     shutil.rmtree(out)
     place, name = {
         "before it is packed": ("chunk_runner", "pack_shard"),
-        "while it is packed": ("webdataset", "_add"),
+        "while it is packed": ("webdataset", "add_files"),
         "before its files are deleted": ("webdataset", "shutil"),
     }[step]
     program = (
@@ -436,7 +448,7 @@ KILLS = {
     "    count = 0\n"
     "    def append(self, record):\n"
     "        Torn.count += 1\n"
-    '        if Torn.count == 12: os.write(self._file.fileno(), b\'{"id": "shot\'); kill()\n'
+    '        if Torn.count == 12: os.write(self.file.fileno(), b\'{"id": "shot\'); kill()\n'
     "        super().append(record)\n"
     "place.Notes = Torn\nimport warpcage.batch.manifest\nwarpcage.batch.output_folder.Notes = Torn\n",
     "before the manifest is replaced": "place.atomic_path = kill\n",

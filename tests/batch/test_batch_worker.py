@@ -168,7 +168,7 @@ def test_words_mean_what_the_options_of_render_mean(files, tmp_path, more, words
 def test_the_lattice_follows_the_size_of_the_picture_as_it_does_for_render(files, tmp_path):
     with Worker(files, tmp_path, "cpu") as worker:
         worker.run(frame(resolution=None, posed="posed.obj"))
-        ((_, bound),) = worker.frames._bound.items()
+        ((_, bound),) = worker.frames.kept.items()
         assert bound.deformer.resolution == 64
     words = ["--cage", "@cage.obj", "--posed", "@posed.obj", "--camera", "@cameras.json:0", "--device", "cpu"]
     assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", *words, "--coordinates", "mean_value") == 0
@@ -233,16 +233,16 @@ def test_what_was_loaded_is_bounded_by_bytes_and_by_number(files, tmp_path):
     with Worker(files, tmp_path, "cpu", memory=1) as worker:
         for name in "abcab":
             worker.run(frame(field=f"{name}.npz"))
-            assert len(worker.fields._fields) == 1 and len(worker.frames._bound) == 1
+            assert len(worker.fields.kept) == 1 and len(worker.frames.kept) == 1
         assert worker.fields.read_count == 5
-        gone = weakref.ref(worker.fields._fields.items()[0][1])
+        gone = weakref.ref(worker.fields.kept.items()[0][1])
         worker.run(frame(field="c.npz"))
         gc.collect()
         assert gone() is None
     with Worker(files, tmp_path, "cpu") as worker:
         for resolution in (8, 9, 10, 11, 12, 13, 8):
             worker.run(frame(resolution=resolution))
-        assert worker.frames.counts.deformers == 7 and len(worker.frames._bound) == MOST_DEFORMERS
+        assert worker.frames.counts.deformers == 7 and len(worker.frames.kept) == MOST_DEFORMERS
         for name in "abcab":
             worker.run(frame(field=f"{name}.npz", resolution=8))
         assert worker.fields.read_count == 4
@@ -318,9 +318,15 @@ def test_pictures_are_encoded_beside_rendering(files, tmp_path, monkeypatch):
     ],
 )
 def test_what_outputs_are_made_of_is_copied_and_nothing_else(files, tmp_path, monkeypatch, words, arrays):
-    begun, asked, ordinary = set(), set(), Frame._on_host
+    begun, asked = set(), set()
+
+    def watched(name):
+        ordinary = getattr(Frame, name).fget
+        return property(lambda frame: asked.add(name) or ordinary(frame))
+
     monkeypatch.setattr(Frame, "begin_copies", lambda self, *names: begun.update(names))
-    monkeypatch.setattr(Frame, "_on_host", lambda self, name, *more: asked.add(name) or ordinary(self, name, *more))
+    for name in ("rgb", "alpha", "depth", "reveal", "fold", "outside", "filled"):
+        monkeypatch.setattr(Frame, name, watched(name))
     with Worker(files, tmp_path, "cpu") as worker:
         made = worker.frames.make(frame("a", **words))
         assert begun == arrays and not asked
@@ -413,14 +419,14 @@ def test_large_files_are_hashed_beside_and_one_that_changes_meanwhile_never_has_
     usual = Fingerprints(tmp_path).of(frame())
     monkeypatch.setattr(fingerprints, "LARGE", 0)
     assert Fingerprints(tmp_path).of(frame()) == usual
-    hashed, written, real = threading.Event(), threading.Event(), fingerprints._file_hash
+    hashed, written, real = threading.Event(), threading.Event(), fingerprints.file_hash
 
     def slow(path):
         hashed.set()
         assert written.wait(60)
         return real(path)
 
-    monkeypatch.setattr(fingerprints, "_file_hash", slow)
+    monkeypatch.setattr(fingerprints, "file_hash", slow)
     begun = Fingerprints(tmp_path).begun(frame())  # does not wait
     assert hashed.wait(60)
     with (tmp_path / "ball.npz").open("ab") as file:

@@ -288,17 +288,17 @@ def test_faces_that_meet_are_those_whose_boxes_do_in_all_pairs(monkeypatch, cand
         low, high = corners.min(axis=1), corners.max(axis=1)
         meet = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
         expected = np.argwhere(np.triu(meet, 1))
-        found = np.concatenate(list(queries._overlapping_boxes(corners)))
+        found = np.concatenate(list(queries.overlapping_boxes(corners)))
         assert len(np.unique(found, axis=0)) == len(found)
         np.testing.assert_array_equal(found[np.lexsort((found[:, 1], found[:, 0]))], expected)
 
 
 def test_a_large_cage_is_checked_without_looking_at_all_pairs_of_faces(monkeypatch):
     looked = []
-    boxes = queries._meeting
+    boxes = queries.meeting_boxes
     monkeypatch.setattr(
         queries,
-        "_meeting",
+        "meeting_boxes",
         lambda asking, held, begin, end, *rest: (
             looked.append((end - begin).sum()) or boxes(asking, held, begin, end, *rest)
         ),

@@ -9,7 +9,7 @@ from test_cage_generation import shapes, winding
 
 from warpcage import Cage
 from warpcage.cage import outer_surface, principal_frame
-from warpcage.cage.generate.voxel import _manifold
+from warpcage.cage.generate.voxel import made_manifold
 from warpcage.field import visible_nodes
 from warpcage.mesh import MeshTopology
 from warpcage.reference import CAGE_SCENES, scene_field
@@ -84,7 +84,7 @@ def test_tangled_voxels_become_manifold_surfaces():
     for share in (0.15, 0.4, 0.6):
         marks = np.zeros((9, 8, 7), bool)
         marks[1:-1, 1:-1, 1:-1] = rng.random((7, 6, 5)) < share
-        filled = _manifold(marks.copy())
+        filled = made_manifold(marks.copy())
         assert filled.shape == marks.shape and filled[marks].all()
         nodes, faces = outer_surface(filled)
         topology = MeshTopology(len(nodes), faces)

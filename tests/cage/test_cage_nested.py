@@ -53,7 +53,7 @@ def test_it_stops_where_no_collapse_is_left():
 
 
 def collapses_in_numpy(vertices, faces, edges, around, normals, offsets, double_area, mean, side, base, allowed):
-    """What `_Collapses.at` finds, by arrays over edges and the faces around them."""
+    """What `EdgeCollapses.at` finds, by arrays over edges and the faces around them."""
     there, (u, v) = around >= 0, edges.T
     climb, below = (normals * mean[:, None]).sum(axis=2), offsets - (normals * base[:, None]).sum(axis=2)
     short = there & (below > 1e-9 * side)
@@ -78,7 +78,7 @@ def collapses_in_numpy(vertices, faces, edges, around, normals, offsets, double_
 def test_collapses_are_measured_as_by_numpy(monkeypatch):
     counts = []
 
-    class Watched(nested_module._Collapses):
+    class Watched(nested_module.EdgeCollapses):
         def __init__(self, *inputs):
             super().__init__(*inputs)
             self.inputs = inputs
@@ -91,7 +91,7 @@ def test_collapses_are_measured_as_by_numpy(monkeypatch):
             counts.append((len(rows), len(base)))
             return found
 
-    monkeypatch.setattr(nested_module, "_Collapses", Watched)
+    monkeypatch.setattr(nested_module, "EdgeCollapses", Watched)
     fine = surfaces()["torus"]
     nested(fine.vertices, fine.faces, 300)
     some, every = np.array(counts).T

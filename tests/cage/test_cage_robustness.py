@@ -72,7 +72,7 @@ def knot(p=2, q=3):
 
 
 def moved(mesh, *offset):
-    return mesh.copy().apply_translation(shell)
+    return mesh.copy().apply_translation(offset)
 
 
 def shapes():
@@ -143,8 +143,8 @@ def varied(mesh, jitter, seed):
 
 
 def coarsen(monkeypatch):
-    fine = generate._spacing
-    monkeypatch.setattr(generate, "_spacing", lambda extent, count: COARSER * fine(extent, count))
+    fine = generate.voxel_spacing
+    monkeypatch.setattr(generate, "voxel_spacing", lambda extent, count: COARSER * fine(extent, count))
 
 
 def assert_holds(cage, mesh, count):
@@ -173,20 +173,20 @@ class Perturbed:
     """NumPy, or a part of it, whose products come out a last digit higher or lower, or as they are, at random."""
 
     def __init__(self, numpy, names, random):
-        self._numpy, self._names, self._random = numpy, names, random
+        self.wrapped, self.changed, self.generator = numpy, names, random
 
     def __getattr__(self, name):
-        value = getattr(self._numpy, name)
+        value = getattr(self.wrapped, name)
         if name == "linalg":
-            return Perturbed(value, self._names, self._random)
-        return self._perturbed(value) if name in self._names else value
+            return Perturbed(value, self.changed, self.generator)
+        return self.perturbing(value) if name in self.changed else value
 
-    def _perturbed(self, product):
+    def perturbing(self, product):
         def nudged(x):
             x = np.asarray(x)
             if x.dtype != np.float64:
                 return x
-            return np.nextafter(x, x + self._random.integers(-1, 2, x.shape) * np.abs(x))  # a zero stays
+            return np.nextafter(x, x + self.generator.integers(-1, 2, x.shape) * np.abs(x))  # a zero stays
 
         def perturbed(*args, **kwargs):
             result = product(*args, **kwargs)
@@ -204,7 +204,7 @@ def test_last_digits_of_products_cost_no_cage(shape, count, method, seed, monkey
     coarsen(monkeypatch)
     products = ("einsum", "cross", "matmul", "dot", "norm", "solve", "eigh", "svd", "det")
     numpy = Perturbed(np, products, np.random.default_rng(seed))
-    for module in (fit, generate, queries, decimate, shell, shell, validity, voxel):
+    for module in (decimate, fit, generate, queries, shell, validity, voxel):
         monkeypatch.setattr(module, "np", numpy)
     cage = Cage.from_mesh(SHAPES[shape], count, method=method)
     monkeypatch.undo()
@@ -236,7 +236,7 @@ def test_the_last_resort_is_a_box_of_the_count(count):
 def test_where_all_attempts_fail_the_box_is_drawn_close(monkeypatch):
     coarsen(monkeypatch)
     monkeypatch.setattr(shell, "nested", lambda vertices, faces, count: (vertices, faces))
-    monkeypatch.setattr(shell, "_CLOSINGS", (5.0,))
+    monkeypatch.setattr(shell, "CLOSINGS", (5.0,))
     assert_holds(Cage.from_mesh(SHAPES["U"], 16, method="shell"), SHAPES["U"], 16)
 
 

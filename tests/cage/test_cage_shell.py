@@ -49,7 +49,7 @@ def test_distances_are_looked_up_as_scipy_does(shell, threads):
 
 def test_directions_are_those_of_the_slope(shell):
     x = places(shell)
-    slope = np.stack([looked_up(shell, each, x) for each in np.gradient(shell._smooth, shell.spacing)], axis=-1)
+    slope = np.stack([looked_up(shell, each, x) for each in np.gradient(shell.smooth, shell.spacing)], axis=-1)
     length = np.linalg.norm(slope, axis=-1, keepdims=True)
     expected = np.where(length > 1e-6, slope / np.maximum(length, 1e-6), 0.0)
     assert same(shell.outward(x), expected)

@@ -183,19 +183,19 @@ def test_a_bend_and_a_twist_are_those_of_the_poses():
     box = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
     center, t = box.mean(axis=0), 0.7
     for way in random_ways(["twist"], vertices=vertices):
-        axis, amount = way._twist
+        axis, amount = way.twist
         length = np.abs((vertices - center) @ axis).max()
         ends = center + np.outer([-length, length], axis)
         # that turns nothing at its lower limit, this one nothing in the middle
-        degrees = math.degrees(t * math.copysign(random_poses._TWIST, amount))  # a mode alone gets to its end
+        degrees = math.degrees(t * math.copysign(random_poses.MAX_TWIST, amount))  # a mode alone gets to its end
         turned = poses.rotate(vertices, -0.5 * degrees, axis=axis, center=center)
         expected = poses.twist(turned, degrees, axis=axis, center=center, bounds=np.repeat(ends, 2, 0))
         assert_same_but_for_a_shift(way.at(t), expected)
     for way in random_ways(["bend"], vertices=vertices):
-        axis, towards, amount = way._bend
+        axis, towards, amount = way.bend
         length = np.abs((vertices - center) @ axis).max()
         ends = center + np.outer([-length, length], axis)
-        degrees = math.degrees(t * math.copysign(random_poses._BEND, amount))
+        degrees = math.degrees(t * math.copysign(random_poses.MAX_BEND, amount))
         expected = poses.bend(
             vertices, degrees, axis=axis, towards=towards, center=center, bounds=np.repeat(ends, 2, 0)
         )
@@ -208,7 +208,7 @@ def test_a_stretch_keeps_volume_and_a_taper_the_axis():
     for way in random_ways(["stretch"]):
         assert cage.with_vertices(way.at(1.0)).volume == pytest.approx(cage.volume, rel=1e-12)
     for way in random_ways(["taper"]):
-        axis = np.array(way._taper[0])
+        axis = np.array(way.taper[0])
         assert_same_but_for_a_shift((way.at(1.0) @ axis)[:, None], (cage.vertices @ axis)[:, None])
 
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from fields import make_field, plain
-from fields import boxes
+from fields import boxes, make_field, plain
 
 from warpcage import Cage
 from warpcage.cage import cut_matter, snap_to_gaps

@@ -190,12 +190,12 @@ def test_an_interrupt_waits_for_what_cannot_be_cancelled():
     timer = threading.Timer(0.25, signal.raise_signal, [signal.SIGINT])
     timer.start()
     with pytest.raises(KeyboardInterrupt):
-        Solver._run_plain(object.__new__(Solver), work)
+        Solver.run_in_thread(object.__new__(Solver), work)
     assert ended and ended[0] <= time.monotonic()
     timer.join()
     with pytest.raises(ZeroDivisionError):
-        Solver._run_plain(object.__new__(Solver), lambda: 1 / 0)
-    assert Solver._run_plain(object.__new__(Solver), lambda: 3) == 3
+        Solver.run_in_thread(object.__new__(Solver), lambda: 1 / 0)
+    assert Solver.run_in_thread(object.__new__(Solver), lambda: 3) == 3
 
 
 def test_other_pictures_begin_anew(tmp_path, glances):

@@ -16,7 +16,7 @@ from warpcage.cli.program import COMMANDS
 from warpcage.core import warn_caller
 from warpcage.view import read_image
 
-NAMES = [module.NAME for module in COMMANDS]
+NAMES = list(COMMANDS)
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_the_package_runs_as_a_module():
 
 @pytest.mark.filterwarnings("default")
 def test_warnings_take_one_line_without_a_place_in_the_source(capsys, monkeypatch):
-    monkeypatch.setattr("warpcage.cli.info.run", lambda arguments: warn_caller("the gap\n is narrow"))
+    monkeypatch.setattr("warpcage.cli.info.run_info", lambda arguments: warn_caller("the gap\n is narrow"))
     assert main(["info"]) == 0
     assert capsys.readouterr().err == "warpcage: warning: the gap is narrow\n"
 

@@ -148,8 +148,8 @@ def test_a_frame_that_comes_while_it_is_looked_for_is_read(tmp_path, monkeypatch
         return found
 
     monkeypatch.setattr(pathlib.Path, "exists", seen)
-    encoder = films._Encoder(tmp_path / "a.mp4", Fraction(24), False, [[place]])
-    assert encoder._frame([place]).shape[:2] == (4, 4)
+    encoder = films.FilmEncoder(tmp_path / "a.mp4", Fraction(24), False, [[place]])
+    assert encoder.frame([place]).shape[:2] == (4, 4)
 
 
 def test_frames_of_another_film_are_not_taken(files, tmp_path, rendered):
@@ -183,7 +183,7 @@ def test_a_film_that_cannot_be_written_ends_the_workers(files, tmp_path, capsys,
     def full(frame):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("warpcage.view.film._even", full)
+    monkeypatch.setattr("warpcage.view.film.even_frame", full)
     assert run(files, *FILM, "-o", tmp_path / "film.mp4", "--workers", 1) == 2
     assert re.fullmatch(MESSAGES["core.no_space"], capsys.readouterr().err.splitlines()[-1])
     assert names(tmp_path) == [".film.mp4.frames"]  # what was made is kept

@@ -4,7 +4,15 @@ import json
 
 import numpy as np
 import pytest
-from scene_writers import brick_pictures, write_blender, write_colmap, write_dtu, write_image, write_nsvf, write_transforms
+from scene_writers import (
+    brick_pictures,
+    write_blender,
+    write_colmap,
+    write_dtu,
+    write_image,
+    write_nsvf,
+    write_transforms,
+)
 
 from warpcage import load_scene
 
@@ -103,7 +111,7 @@ def test_no_such_split(folder):
 
 @EVERY
 def test_more_pictures_than_memory(folder, monkeypatch):
-    monkeypatch.setattr("warpcage.scene.pictures._flight_bytes", lambda *view: 1000)
+    monkeypatch.setattr("warpcage.scene.pictures.flight_bytes", lambda *view: 1000)
     monkeypatch.setattr("warpcage.scene.pictures.free_host_bytes", lambda: 14000)
     refuse(folder, "pictures of 24x20 need | give downscale=2 or more")
     assert load_scene(folder, downscale=2).images.shape[1:] == (10, 12, 3)

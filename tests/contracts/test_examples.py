@@ -9,8 +9,8 @@ import sys
 
 import numpy as np
 import pytest
-from scenes import write_room
 from scene_writers import Pictures, write_transforms
+from scenes import write_room
 
 from warpcage import Cage, Camera
 from warpcage.reference import box, cylinder, joined, render_mesh_views

@@ -313,8 +313,8 @@ def doubled_areas(points, triangles):
 
 def test_polygons_of_many_corners_take_a_few_looks_at_each(tmp_path, monkeypatch):
     looks = []
-    measured = polygons._Ears._quality
-    monkeypatch.setattr(polygons._Ears, "_quality", lambda self, corner: looks.append(1) or measured(self, corner))
+    measured = polygons.EarCutter.quality
+    monkeypatch.setattr(polygons.EarCutter, "quality", lambda self, corner: looks.append(1) or measured(self, corner))
     count = 800
     points = star(count)
     write_polygon(tmp_path / "star.obj", points)

@@ -65,7 +65,7 @@ def test_strips_are_the_whole_picture_to_the_bit(tmp_path, monkeypatch, size, fa
     if lens:
         view.distortion = (-0.05, 0.0, 0.001, 0.0, 0.0)
         given = view.intrinsics
-        rgba = undistort(rgba, given, views._pinhole(view, given, size), view.distortion)
+        rgba = undistort(rgba, given, views.pinhole_intrinsics(view, given, size), view.distortion)
     whole = shrink(rgba, factor).astype(np.float32)
     background = np.float32([0.2, 0.4, 0.6])
     for strip in (1 << 16, 1 << 30):
@@ -100,13 +100,13 @@ def test_a_picture_takes_no_more_than_is_counted(tmp_path, factor, lens):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     held = 17 * np.prod([side / factor for side in size])
-    assert peak < held + views._flight_bytes(view, size, factor, False)
+    assert peak < held + views.flight_bytes(view, size, factor, False)
 
 
 def test_threads_read_as_many_pictures_as_there_is_memory_for(tmp_path, monkeypatch):
     folder, size = one_file_scene(tmp_path / "scene", noise(96, 64, 3), 8), (96, 64)
     view = views.View(folder, np.eye(4), "", (1, 1, 1, 1), None)
-    flight, held = views._flight_bytes(view, size, 1, False), 8 * 96 * 64 * 17
+    flight, held = views.flight_bytes(view, size, 1, False), 8 * 96 * 64 * 17
     changed, now, most, expected = threading.Condition(), [0], [0], 0
 
     def counted(path):

@@ -40,7 +40,7 @@ def test_warp_says_nothing_unless_it_is_asked(files, tmp_path):
 
 def test_other_lines_of_native_code_come_through():
     program = (
-        "import os, warpcage.core.stderr as s\ns._has_driver = lambda: False\n"
+        "import os, warpcage.core.stderr as s\ns.has_driver = lambda: False\n"
         "with s.without_driver_note():\n    os.write(2, s.NOTE + b' GPU.\\n' + b'another line\\n')\n"
         "os.write(2, b'after\\n')"
     )

@@ -14,6 +14,7 @@ import pytest
 import warp as wp
 from fields import BOX, KINDS, MARCHES, shiny_field, use_march, view
 from messages import MESSAGES
+from runs import SUPPORT
 
 from warpcage import CageEdit, Deformer, PositionMap, Scene, bake, deform_points, fit, turntable
 from warpcage.core import (
@@ -33,6 +34,9 @@ from warpcage.kernels.edits.structs import LatticeEdit
 from warpcage.kernels.fitting.rmsprop import add_gradients
 from warpcage.render import scene as lattice_edits
 from warpcage.render import shading
+
+#: Where processes that tests start find helpers and this file.
+MODULES = os.pathsep.join([SUPPORT, str(pathlib.Path(__file__).parent), *sys.path])
 
 THREADS = 4
 POSES = [BOX.twist(15.0 * turn) for turn in range(THREADS)]
@@ -290,10 +294,7 @@ except KeyboardInterrupt:
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("scene", ["field", "deformer"])
 def test_an_interrupt_ends_a_long_render(scene, threads):
-    environment = os.environ | {
-        "PYTHONPATH": MODULES,
-        "WARPCAGE_THREADS": str(threads),
-    }
+    environment = os.environ | {"PYTHONPATH": MODULES, "WARPCAGE_THREADS": str(threads)}
     program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n" + INTERRUPTED
     running = subprocess.Popen(
         [sys.executable, "-c", program, scene], env=environment, stdout=subprocess.PIPE, text=True
@@ -412,7 +413,7 @@ def test_damaged_kernel_files_that_cannot_be_replaced_are_named(cached_module, m
 def test_threads_that_load_a_module_at_once_get_one(device):
     module = add_gradients.module
     module.unload()
-    modules._loaded.clear()
+    modules.loaded_places.clear()
     totals, ones = ([wp.full(4, value, dtype=float, device=device) for _ in range(THREADS)] for value in (2.0, 1.0))
     at_once(
         [

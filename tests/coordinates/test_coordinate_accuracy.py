@@ -195,7 +195,7 @@ def test_memory_for_the_sides_of_gaps_is_refused_before_it_is_taken(device, monk
     free[:] = [most]
     position_map.pose(narrow)
     assert position_map.thin_nodes > 0
-    tables = position_map._launches.sides.buffers.bytes
+    tables = position_map.launches.sides.buffers.bytes
     assert 0 < tables < most - least
     assert position_map.lattice.buffers.bytes + tables < most
 

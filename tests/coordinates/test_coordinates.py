@@ -57,7 +57,7 @@ def test_weights_match_oracles(name, device):
 
 
 @pytest.mark.parametrize(
-    "centre, scale",
+    "center, scale",
     [((1e4, -2e4, 5e3), 1.0), ((0, 0, 0), 1e3), ((0, 0, 0), 1e-3), ((300.0, 0, -40.0), 1e-2), ((0, 0, 0), 1e12)],
 )
 def test_weights_do_not_depend_on_place_and_scale(center, scale, device):

@@ -136,9 +136,9 @@ def test_launches_longer_than_the_lists_change_nothing(monkeypatch):
     cage, solver = solver_of("concave", 24, None)
     values = random_values(cage)
     expected = solved(solver, values)
-    cycle = solver._cycle
+    cycle = solver.launch_cycle
     monkeypatch.setattr(
-        solver, "_cycle_runner", lambda sections: lambda: cycle(NodeSections(2 * sections.lengths + 1000))
+        solver, "cycle_runner", lambda sections: lambda: cycle(NodeSections(2 * sections.lengths + 1000))
     )
     # more levels may have launches of their own, which round otherwise
     assert np.abs(solved(solver, values) - expected).max() < 1e-6

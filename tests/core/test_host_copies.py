@@ -69,7 +69,7 @@ def test_copies_hold_what_was_there_when_they_were_begun(device):
 @pytest.mark.parametrize("room", [1 << 28, 5 * arrays.PIECE, 0])
 def test_memory_of_copies_is_used_again_and_what_somebody_holds_is_not(device, room, monkeypatch):
     monkeypatch.setattr(arrays, "MOST_STAGED", room)
-    arrays._staging.cache_clear()
+    arrays.staging_memory.cache_clear()
     held = []
     for seed in range(12):
         frame = frame_of(colors(seed), device)
@@ -84,8 +84,8 @@ def test_memory_of_copies_is_used_again_and_what_somebody_holds_is_not(device, r
         np.testing.assert_array_equal(rgb, colors(seed))
         np.testing.assert_array_equal(packed, to_uint8(colors(seed)))
     if wp.get_device(device).is_cuda:
-        assert arrays._staging(0)._made <= room
-    arrays._staging.cache_clear()
+        assert arrays.staging_memory(0).held_bytes <= room
+    arrays.staging_memory.cache_clear()
 
 
 def test_a_frame_of_other_arrays_has_bytes_too():

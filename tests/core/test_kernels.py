@@ -149,12 +149,12 @@ def test_names_of_kernel_files():
 
 def test_names_of_kernel_files_that_became_parts_of_others(tmp_path, capsys):
     for text in ("deform/render_single", "deform.render_single", "render_single"):
-        with pytest.warns(UserWarning, match=f"'{text}' is a part of 'deform/views' now"):
+        with pytest.warns(UserWarning, match=MESSAGES["core.kernel_part"].format(name=text, file="deform/views")):
             assert find_kernel(text) == "deform/views"
     assert set(MOVED.values()) <= set(NAMES)
     assert main(["kernels", "copy", "render_shaded", str(tmp_path / "lifted")]) == 0
     assert (tmp_path / "lifted" / "field" / "march.py").is_file()
-    assert "'render_shaded' is a part of 'field/march' now" in capsys.readouterr().err
+    assert MESSAGES["core.kernel_part"].format(name="render_shaded", file="field/march") in capsys.readouterr().err
 
 
 def test_kernels_list(capsys):

@@ -275,7 +275,7 @@ def test_a_film_that_cannot_be_encoded_ends_the_rendering(files, tmp_path, capsy
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Deformer, "render", counted)
-    monkeypatch.setattr(film, "_even", full)
+    monkeypatch.setattr(film, "even_frame", full)
     monkeypatch.setattr("warpcage.core.overlap.SPARE", 0)
     monkeypatch.setattr("warpcage.core.overlap.PREPARING_THREADS", 1)
     assert run(files, *ANIMATE, tmp_path / "film.mp4") == 2

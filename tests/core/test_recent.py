@@ -73,6 +73,6 @@ def test_bytes_of_a_deformer_beside_its_field(device):
     deformer = Deformer(field, BOX, coordinates="mean_value", resolution=24)
     deformer.pose(BOX.twist(20)).render(view())
     beside = array_bytes(deformer, leave=(field,))
-    node_count = deformer._edits.lattices.posed()[0][0].deformed.distance.size
+    node_count = deformer.posed_edits().lattices.posed()[0][0].deformed.distance.size
     assert 20 * node_count < beside < array_bytes(deformer)
     assert array_bytes(field) >= alone  # with what a march has made

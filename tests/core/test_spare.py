@@ -26,7 +26,7 @@ class Pool:
 @pytest.fixture
 def pool(monkeypatch):
     made = Pool()
-    monkeypatch.setattr(devices, "_set", {})
+    monkeypatch.setattr(devices, "release_thresholds", {})
     monkeypatch.setattr(wp, "get_mempool_used_mem_current", lambda device: made.used)
     monkeypatch.setattr(wp, "get_mempool_release_threshold", lambda device: made.threshold)
     monkeypatch.setattr(wp, "set_mempool_release_threshold", made.set)
@@ -94,7 +94,7 @@ def test_devices_are_kept_apart(pool):
     one.keep(100 * MIB)
     pool.threshold = 0  # that of the other device
     other.keep(200 * MIB)
-    assert sorted(devices._set.values()) == [200 * MIB, 400 * MIB]
+    assert sorted(devices.release_thresholds.values()) == [200 * MIB, 400 * MIB]
 
 
 def test_frames_of_a_field(device):

@@ -6,7 +6,24 @@ import threading
 import numpy as np
 import pytest
 import warp as wp
-from fields import MARCHES, TILES, alter_map, ball, box_around, general_march, make_field, march_in_numpy, marches, mirrored, psnr, shiny, slotted, two_balls, use_march, view
+from fields import (
+    MARCHES,
+    TILES,
+    alter_map,
+    ball,
+    box_around,
+    general_march,
+    make_field,
+    march_in_numpy,
+    marches,
+    mirrored,
+    psnr,
+    shiny,
+    slotted,
+    two_balls,
+    use_march,
+    view,
+)
 
 from warpcage import Cage, CageEdit, Camera, Deformer
 from warpcage.core import recorded_launches
@@ -73,7 +90,7 @@ def both(deformer, camera, **options):
     """The frames of the marches of one edit after the other, and of the march of all; and the labels of the former."""
     with recorded_launches() as launched:
         by_parts = deformer.render(camera, **options)
-    with recorded_launches() as launched_at_once, general_march(deformer._edits):
+    with recorded_launches() as launched_at_once, general_march(deformer.posed_edits()):
         at_once = deformer.render(camera, **options)
     assert marches(launched_at_once) == ["views.stack"]
     return by_parts, at_once, marches(launched)
@@ -112,7 +129,7 @@ def test_edits_one_by_one_are_seen_as_all_at_once(scene, march, device):
         if deformer.device.is_cpu and tables.TILES_ON_CPU:
             assert marched == len(rests) * [TILES]
         else:
-            gaps = sum(flat.has_sides for flat in deformer._edits._flat)
+            gaps = sum(flat.has_sides for flat in deformer.posed_edits().flat)
             is_far = np.linalg.norm(eye) > 1.5
             turns_over = scene == "with a slot"  # the map, where its slot closes
             assert is_shaded(marched) == (march == "shaded" and is_far and not turns_over)
@@ -197,7 +214,7 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
 
     deformer = Deformer(two_balls("cpu"), [LEFT, RIGHT], device="cpu", resolution=16)
     deformer.render(view(size=8))
-    edits = deformer._edits
+    edits = deformer.posed_edits()
     monkeypatch.setattr(edits, "march", march)
     width, height = 46340, 46340
     camera = camera_struct(Camera(4e4, 4e4, width / 2, height / 2, width, height, view().camera_to_world), (0, 0, 0))
@@ -206,9 +223,9 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
     options.inverse_step = 1.0 / options.step
     marched = ViewRequest(deformer.field, None, [], camera, wp.vec3(), options, None, 0, 1.0)
     kernels = [part_kernel(False, has_sides) for has_sides in (False, True)]
-    edits._parts._rays = Untouched()
+    edits.parts_in_turn.rays = Untouched()
     parts = edits.scene_parts(camera.center, options.step)
-    edits._parts.render(edits, marched, parts, kernels, [None, None], [None, None])
+    edits.parts_in_turn.render(edits, marched, parts, kernels, [None, None], [None, None])
     assert [(part.is_first, part.is_last) for part in marched_parts] == [(1, 0), (0, 1)]
     for part in marched_parts:
         arrays = part.progress, part.colors, part.masks

@@ -2,7 +2,25 @@
 
 import numpy as np
 import pytest
-from fields import BOX, KINDS, MARCHES, TILES, alter_map, box_around, general_march, make_field, marches, mirrored, plain, psnr, shiny_field, slotted, two_balls, use_march, view
+from fields import (
+    BOX,
+    KINDS,
+    MARCHES,
+    TILES,
+    alter_map,
+    box_around,
+    general_march,
+    make_field,
+    marches,
+    mirrored,
+    plain,
+    psnr,
+    shiny_field,
+    slotted,
+    two_balls,
+    use_march,
+    view,
+)
 
 from warpcage import Cage, CageEdit, Camera, Deformer
 from warpcage.core import recorded_launches
@@ -12,10 +30,10 @@ from warpcage.kernels.edits.structs import CELL_ALONE
 
 def both(deformer, camera, **options):
     """The frames of the kernel for one edit and of the one for any number."""
-    edits = deformer._edits
+    edits = deformer.posed_edits()
     with recorded_launches() as launched:
         single = deformer.render(camera, **options)
-        table, sides = "shades" if edits._plan.is_shaded else "rows", "+sides" if edits.scene.has_sides else ""
+        table, sides = "shades" if edits.plan.is_shaded else "rows", "+sides" if edits.scene.has_sides else ""
         with general_march(edits):
             general = deformer.render(camera, **options)
     by_tiles = deformer.device.is_cpu and tables.TILES_ON_CPU
@@ -114,7 +132,7 @@ def test_a_slot_that_a_pose_closes_to_less_than_a_cell(kind, march, device):
     deformer = Deformer(field, slotted(0.5), coordinates=kind, resolution=32).pose(slotted(0.03))
     camera = Camera.look_at([0.1, 0.6, 3.0], (0, 0.1, 0), up=(0, 1, 0), width=64, height=64, fov_degrees=40)
     single, general = both(deformer, camera)
-    assert deformer._edits.scene.has_sides == 1 or kind != "harmonic"
+    assert deformer.posed_edits().scene.has_sides == 1 or kind != "harmonic"
     assert psnr(single.rgb, general.rgb) > 45
     assert general.alpha.max() > 0.9
 
@@ -169,7 +187,7 @@ def test_several_edits_without_fragments_and_gaps_are_seen_as_with(scene, device
     deformer = Deformer(two_balls(device), rests, resolution=24).pose(posed)
     with recorded_launches() as launched:
         plainly = deformer.render(view())
-        with general_march(deformer._edits):
+        with general_march(deformer.posed_edits()):
             generally = deformer.render(view())
     assert marches(launched) == ["views.stack+simple", "views.stack"]
     assert_same_frame(plainly, generally)
@@ -180,7 +198,7 @@ def test_edits_that_have_nothing_where_a_cell_goes_need_not_be_asked(scene, devi
     rests, posed = scene()
     deformer = Deformer(two_balls(device), rests, resolution=24).pose(posed)
     few = deformer.render(view())
-    edits = deformer._edits
+    edits = deformer.posed_edits()
     assert any((struct.cells.numpy() & CELL_ALONE).any() for struct, _ in edits.lattices.posed())
     for struct, _ in edits.lattices.posed():
         struct.cells.assign(struct.cells.numpy() & (255 - CELL_ALONE))

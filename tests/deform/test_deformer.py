@@ -4,7 +4,23 @@ import numpy as np
 import oracles
 import pytest
 import warp as wp
-from fields import BOX, KINDS, SIZE, alter_map, counter_moved, ellipsoid, make_field, march_in_numpy, mirrored, plain, psnr, rotation, shiny, shiny_field, view
+from fields import (
+    BOX,
+    KINDS,
+    SIZE,
+    alter_map,
+    counter_moved,
+    ellipsoid,
+    make_field,
+    march_in_numpy,
+    mirrored,
+    plain,
+    psnr,
+    rotation,
+    shiny,
+    shiny_field,
+    view,
+)
 
 from warpcage import Cage, Camera, Deformer
 from warpcage.coordinates import stretched_normals
@@ -83,10 +99,11 @@ def test_skipping_empty_cells_changes_nothing(kind, device):
     pose = BOX.twist(100, axis="x").translate([0.3, 0, 0])
     deformer = Deformer(field, BOX, coordinates=kind, resolution=48).pose(pose)
     skipped = deformer.render(camera)
-    assert all((skip.numpy() > 0).mean() > 0.3 for skip in deformer._edits.lattices.skips)  # there is something to skip
-    for skip in deformer._edits.lattices.skips:
+    edits = deformer.posed_edits()
+    assert all((skip.numpy() > 0).mean() > 0.3 for skip in edits.lattices.skips)  # there is something to skip
+    for skip in edits.lattices.skips:
         skip.zero_()
-    deformer._edits.scene = deformer._edits.flat_scene()
+    edits.scene = edits.flat_scene()
     assert psnr(deformer.render(camera).rgb, skipped.rgb) > 80
 
 

@@ -4,22 +4,15 @@ import pickle
 
 import numpy as np
 import pytest
-from field_oracles import surface_points
+from fields import ellipsoid, make_field, plain, surrounded_ball
 from runs import SMALL, run, succeed
-from fields import ellipsoid, make_field, plain
 
-import warpcage
 from warpcage import Cage, CageEdit, Camera, Deformer, Frame, fill_unseen
 from warpcage.deform import membrane
-from warpcage.field import LayeredBackground, OuterField, harmonics_on_host
 from warpcage.view import mask_picture, mask_shares, read_image
 
 BOX = Cage.box([-0.6, -0.6, -0.6], [0.6, 0.6, 0.6])
 CAMERA = Camera.look_at([0, -4, 0], (0, 0, 0), width=64, height=64, fov_degrees=40)
-
-
-
-
 
 
 @pytest.mark.parametrize("around", ["layers", "outer"])

@@ -22,6 +22,11 @@ from warpcage.editor import edit as edit_module
 REST = BOX.vertices
 
 
+def notebook_cell(editor):
+    """What a notebook shows of an editor."""
+    return editor._repr_html_()  # the name by which notebooks ask for it
+
+
 def full_disk(path, *_, **__):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
@@ -32,10 +37,10 @@ def test_an_editor_keeps_a_field_from_memory_nowhere(tmp_path, monkeypatch):
         assert editor.session_path is None and editor.url in repr(editor) and editor.url.startswith("http://127.0.0.1:")
         np.testing.assert_array_equal(editor.posed[0].vertices, REST)
         assert isinstance(editor.document, Document)
-        html = editor._repr_html_()
+        html = notebook_cell(editor)
         assert html.startswith("<iframe") and editor.url.replace("127.0.0.1", "localhost") in html
     editor.close()
-    assert "closed" in repr(editor) and "closed" in editor._repr_html_() and os.listdir(tmp_path) == []
+    assert "closed" in repr(editor) and "closed" in notebook_cell(editor) and os.listdir(tmp_path) == []
     editor.wait()
 
 

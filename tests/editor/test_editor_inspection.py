@@ -115,7 +115,7 @@ def test_a_cage_at_rest_is_looked_at_once_while_it_is_posed(field, monkeypatch):
     monkeypatch.setattr(inspection, "KEPT", 2)
     for scale in (1.02, 1.03, 1.01):
         checked(field, BOX.scale(scale))
-    assert len(looked) == 4 and len(inspector(field)._known) == 2
+    assert len(looked) == 4 and len(inspector(field).findings) == 2
 
 
 def test_an_empty_field_and_an_edit_that_is_not_there():

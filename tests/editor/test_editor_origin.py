@@ -87,9 +87,9 @@ def test_a_page_of_another_origin_reaches_nothing(window: Window, browser: Any, 
     own = own.replace("pose.reset", "none such")
     assert browser.execute_async_script(own, editor.url) == ["read", "open", "loaded"]  # the page itself may
     window.driver.get("about:blank")
-    until(lambda: not editor._server.clients, "the page has gone")
+    until(lambda: not editor.server.clients, "the page has gone")
     document, files = editor.document, sorted(path.name for path in tmp_path.iterdir())
-    numbers = editor._server._number
+    numbers = editor.server.page_total
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Page)
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
@@ -100,7 +100,7 @@ def test_a_page_of_another_origin_reaches_nothing(window: Window, browser: Any, 
             assert set(found.values()) == {"no"}, {name: got for name, got in found.items() if got != "no"}
             assert len(found) == 30
             browser.get("about:blank")  # the frames go
-        until(lambda: not editor._server.clients, "frames have gone")
+        until(lambda: not editor.server.clients, "frames have gone")
     finally:
         server.shutdown()
         thread.join()
@@ -108,7 +108,7 @@ def test_a_page_of_another_origin_reaches_nothing(window: Window, browser: Any, 
         window.open(editor.url)
         window.console()  # browsers say what they refused
     # A frame with the word in its address is the user's own page, as a notebook shows it; it alone was let in
-    assert editor._server._number - numbers <= 3
+    assert editor.server.page_total - numbers <= 3
     after = dataclasses.replace(editor.document, view=document.view)
     assert np.array_equal(posed(editor), document.edits[0].posed) and after.edits == document.edits
     names = {path.name for path in tmp_path.iterdir()} - {"ball.session.json"}

@@ -52,7 +52,7 @@ def test_a_lasso_and_a_proportional_drag_pose_the_cage(window: Window, editor: A
     vertex = int(inside[np.argmax(window.places()[inside, 1])])
     start = window.places()[vertex]
     way = np.array([38.0, -27.0])
-    before = len(editor._session.history.undo_steps)
+    before = len(editor.session.history.undo_steps)
     window.drag([start + way * share for share in np.linspace(0.0, 1.0, 12)])
     settle(editor, before + 1)
 
@@ -100,7 +100,7 @@ def test_the_picture_is_that_of_the_posed_cage(window: Window, editor: Any) -> N
 
 def test_fifty_steps_are_undone_and_redone(window: Window, editor: Any) -> None:
     looks_cheap(window)
-    begun = len(editor._session.history.undo_steps)
+    begun = len(editor.session.history.undo_steps)
     seen = [posed(editor)]
     lowest, _ = below(window)
     vertex = int(np.argmax(window.places()[:, 1]))
@@ -254,7 +254,7 @@ def test_a_connection_that_breaks_in_mid_drag_comes_back(window: Window, editor:
     looks_cheap(window)
     with tunnel(editor.url) as (line, address):
         window.open(address)
-        begun = len(editor._session.history.undo_steps)
+        begun = len(editor.session.history.undo_steps)
         lowest, _ = below(window)
         window.point("mouseMoved", lowest)
         window.point("mousePressed", lowest, button="left")
@@ -270,10 +270,10 @@ def test_a_connection_that_breaks_in_mid_drag_comes_back(window: Window, editor:
         vertex = int(np.argmax(np.abs(window.posed() - CAGE.vertices).max(axis=1)))
         until(lambda: np.allclose(window.posed(), posed(editor), atol=1e-12), "the server has what the hand did")
         np.testing.assert_allclose(window.places()[vertex], lowest + [50, 30], atol=1.0)
-        until(lambda: not editor._session.moving, "the hand has let go")
-        assert len(editor._session.history.undo_steps) > begun
-        while len(editor._session.history.undo_steps) > begun:
-            count = len(editor._session.history.undo_steps)
+        until(lambda: not editor.session.moving, "the hand has let go")
+        assert len(editor.session.history.undo_steps) > begun
+        while len(editor.session.history.undo_steps) > begun:
+            count = len(editor.session.history.undo_steps)
             window.press("Ctrl+Z")
             settle(editor, count - 1)
         assert np.array_equal(posed(editor), CAGE.vertices)

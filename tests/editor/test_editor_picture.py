@@ -8,13 +8,10 @@ import threading
 import numpy as np
 import pytest
 import warp as wp
-from fields import make_field, plain, shiny_field
-from test_fill import BOX
-from fields import surrounded_ball
-from fields import INSIDE, NUB, PART, boxes
+from fields import INSIDE, NUB, PART, boxes, make_field, plain, shiny_field, surrounded_ball
 
 import warpcage
-from warpcage import Frame
+from warpcage import Cage, Frame
 from warpcage.editor import (
     COARSE_CELLS,
     FRAME,
@@ -24,19 +21,20 @@ from warpcage.editor import (
     Request,
     View,
     band_camera,
-    camera,
     depth_size,
     frame_pixels,
     joined_pixels,
     new_document,
     packed_frame,
     same_pose,
+    view_camera,
 )
 from warpcage.editor import renderer as renderer_module
 
 simplejpeg = pytest.importorskip("simplejpeg")
 
 NEAR, FAR = 0.5, 8.0
+BOX = Cage.box([-0.6, -0.6, -0.6], [0.6, 0.6, 0.6])
 
 
 @pytest.fixture
@@ -89,7 +87,7 @@ def test_other_parts_of_a_frame_are_shown(frame):
 def test_bands_make_the_whole_picture(device):
     field = shiny_field(device, resolution=24)
     view = new_document(field).view
-    whole = camera(view, 30, 22)
+    whole = view_camera(view, 30, 22)
     parts = [field.render(band_camera(whole, first, min(first + 5, 22))) for first in range(0, 22, 5)]
     joined = joined_pixels([frame_pixels(part, "rgb", NEAR, FAR, 8, 6) for part in parts])
     np.testing.assert_array_equal(joined.colors, frame_pixels(field.render(whole), "rgb", NEAR, FAR, 8, 6).colors)
@@ -210,7 +208,7 @@ def test_a_sharp_picture_is_the_frame_of_the_settings(document):
     picture = simplejpeg.decode_jpeg(message[begin : begin + jpeg]) / 255.0
     edit = posed.edits[0]
     deformer = warpcage.Deformer(field, edit.rest_cage, resolution=16).pose(edit.posed_cage)
-    assert warpcage.psnr(picture, deformer.render(camera(posed.view, 48, 32)).rgb) > 33.0
+    assert warpcage.psnr(picture, deformer.render(view_camera(posed.view, 48, 32)).rgb) > 33.0
     assert set(header["masks"]) == {"fold", "reveal", "outside"}
 
 
@@ -287,7 +285,7 @@ def test_depths_of_a_sharp_picture_are_as_many_in_bands_as_in_one(document, seco
     assert (header["depth"]["width"], header["depth"]["height"]) == (columns, rows)
     message = shown.messages[shown.headers.index(header)]
     depths = np.frombuffer(message[-2 * rows * columns :], "<u2").reshape(rows, columns)
-    whole = frame_pixels(field.render(camera(scene.view, 150, 110)), "rgb", 1.0, 9.0, columns, rows)
+    whole = frame_pixels(field.render(view_camera(scene.view, 150, 110)), "rgb", 1.0, 9.0, columns, rows)
     assert np.mean((depths > 0) == (whole.depths > 0)) > 0.98  # bands round their rows by themselves
 
 
@@ -317,7 +315,7 @@ def test_falloffs_and_fragments_of_the_document_are_in_the_picture(device):
         edit = dataclasses.replace(lifted, **changes)
         _, picture = sharp(field, scene.with_edit(edit))
         deformer = warpcage.Deformer(field, edit.cage_edit, resolution=16).pose(edit.posed_cage)
-        assert warpcage.psnr(picture, deformer.render(camera(scene.view, 48, 48)).rgb) > 33.0
+        assert warpcage.psnr(picture, deformer.render(view_camera(scene.view, 48, 48)).rgb) > 33.0
         pictures.append(picture)
     assert np.abs(pictures[1] - pictures[0]).max() > 0.2  # the crumb went along
     assert np.abs(pictures[3] - pictures[0]).max() > 0.2  # the wall that cuts it is held
@@ -340,7 +338,7 @@ def test_background_is_filled_in_pictures_that_rest(device, around):
     scene = dataclasses.replace(scene, view=View((0.0, -4.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
     plain_header, plain_picture = sharp(field, scene)
     header, picture = sharp(field, scene, fill=True)
-    looking = camera(scene.view, 48, 48)
+    looking = view_camera(scene.view, 48, 48)
     frame = warpcage.Deformer(field, scene.edits[0].cage_edit, resolution=16).render(looking)
     filled = warpcage.fill_unseen(frame, field, looking)
     assert filled.filled.max() > 0.9

@@ -17,6 +17,7 @@ import pytest
 aiohttp = pytest.importorskip("aiohttp")
 
 from editor_pages import BOX, WAIT, new_session, pages, tiny_field, with_pages
+from runs import SUPPORT
 
 from warpcage import VoxelField, edit
 from warpcage.editor import file_stamp, free_session_path, read_session, session_path, write_session
@@ -412,9 +413,8 @@ editor.wait()
 
 
 def test_a_killed_server_leaves_a_whole_session_that_goes_on(tmp_path):
-    folder = SUPPORT
     process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, folder, str(tmp_path)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", PROGRAM, SUPPORT, str(tmp_path)], stdout=subprocess.PIPE, text=True
     )
     path = tmp_path / "ball.session.json"
 

@@ -6,8 +6,8 @@ import shutil
 
 import numpy as np
 import pytest
-from splat_scenes import splats_in_box
 from scenes import TableScene
+from splat_scenes import splats_in_box
 
 import warpcage
 from warpcage.cli import main

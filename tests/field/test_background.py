@@ -3,7 +3,6 @@
 import dataclasses
 import json
 
-import field_oracles
 import field_oracles as oracle
 import numpy as np
 import pytest
@@ -70,7 +69,7 @@ def test_bad_backgrounds(change, word):
 
 def test_gradients_match_finite_differences(device):
     """Of the whole loss, the field's march included, by the layers' values; and the field's own with layers behind."""
-    field, density, sh = field_oracles.random_field(
+    field, density, sh = oracle.random_field(
         device, resolution=(4, 4, 4), keep=0.5, density_scale=0.5, bounds=((-1,) * 3, (1,) * 3), numbers=(24,)
     )
     background, values = oracle.random_background(device, side=3, layers=4, center=(0, 0, 0), half=1.0)
@@ -112,7 +111,7 @@ def test_gradients_match_finite_differences(device):
             for row, column in np.ndindex(6, 8):
                 ray = origins[row, column], directions[row, column]
                 far = oracle.ray_color(background, values, *ray)
-                rgb, _, _ = field_oracles.render_ray(field, density, sh, *ray, field.step, far, length=6.0)
+                rgb, _, _ = oracle.render_ray(field, density, sh, *ray, field.step, far, length=6.0)
                 total += scale * ((rgb - image[row, column]) ** 2).sum()
         return total
 
@@ -250,7 +249,7 @@ def test_files_are_of_the_oldest_version_that_holds_them(tmp_path, rooms):
     """So that older releases read what they can."""
     model = rooms["split"][1].background_model
     for numbers, layers, version in (((9, 3), None, 1), ((9, 3), model, 2), ((24,), None, 3), ((24,), model, 3)):
-        grid = field_oracles.random_field(None, numbers=numbers)[0].grid
+        grid = oracle.random_field(None, numbers=numbers)[0].grid
         field = warpcage.VoxelField([[0] * 3, [1] * 3], grid.links, grid.density, grid.sh, background_model=layers)
         field.save(tmp_path / "f.npz")
         assert np.load(tmp_path / "f.npz")["version"] == version

@@ -2,13 +2,12 @@
 
 from types import SimpleNamespace
 
-import field_oracles
-import numpy as np
 import field_oracles as oracle
+import numpy as np
 import pytest
 import warp as wp
-from scenes import room_cameras
 from fit_gradients import photometric_gradient, training_rays
+from scenes import room_cameras
 
 import warpcage
 from warpcage.field import OuterField
@@ -96,7 +95,7 @@ def whole_loss(device, by_sky, sky=None):
 
     sky: Grey of all the sky; None is the outer field's own.
     """
-    field, density, sh = field_oracles.random_field(
+    field, density, sh = oracle.random_field(
         device, resolution=(4, 4, 4), keep=0.5, density_scale=0.5, bounds=(-HALF, HALF), numbers=(24,)
     )
     outer, values = oracle.random_outer(device, side=6, half=HALF, density=0.6)
@@ -156,7 +155,7 @@ def test_gradients_match_finite_differences(device):
                     outer,
                     values,
                     *ray,
-                    lambda far, ray=ray: field_oracles.render_ray(field, density, sh, *ray, field.step, far, 6.0)[0],
+                    lambda far, ray=ray: oracle.render_ray(field, density, sh, *ray, field.step, far, 6.0)[0],
                 )
                 total += scale * ((rgb - image[row, column]) ** 2).sum() + BY_FRONT * before
         return total
@@ -203,7 +202,7 @@ def test_the_sky_follows_what_is_behind_the_box(device):
             between = oracle.front_end(outer, *ray)
             if between > 0:
                 _, light = oracle.march_outer(outer, whole.values, *ray, 0.0, between)
-            _, opacity, _ = field_oracles.render_ray(field, whole.density, whole.sh, *ray, field.step, black, 6.0)
+            _, opacity, _ = oracle.render_ray(field, whole.density, whole.sh, *ray, field.step, black, 6.0)
             back, left = oracle.march_outer(outer, whole.values, *ray, between)
             terms.append((ray[1], light * (1 - opacity), back + left * oracle.sky_color(outer, ray[1])))
 

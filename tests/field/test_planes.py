@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
-from scenes import FLOOR_TOP, TABLE_TOP, TableScene, tilt
 from fields import GridField
+from scenes import FLOOR_TOP, TABLE_TOP, TableScene, tilt
+from scipy.ndimage import gaussian_filter
 
 from warpcage.field import Plane, blocks, find_planes, fit_planes, surface_points, surrounds
 

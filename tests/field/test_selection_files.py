@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 import trimesh
+from fields import GridField
 from runs import run, succeed
 from scenes import BALL, LAMP, TableScene
-from fields import GridField
 
 import warpcage
 from warpcage import NodeSelection, Scene, select_nodes, select_object

@@ -5,12 +5,6 @@ from fields import GridField, ball_densities, nodes
 from warpcage.field import extract_mesh, surface_density
 
 
-
-
-
-
-
-
 def test_a_ball_comes_out_round_closed_and_outward():
     mesh = extract_mesh(GridField(ball_densities()), threshold=200.0)
     assert np.abs(np.linalg.norm(mesh.vertices - [0.1, 0, 0], axis=1) - 0.6).max() < 0.003

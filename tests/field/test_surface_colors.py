@@ -6,12 +6,12 @@ import struct
 import numpy as np
 import pytest
 import trimesh
-from runs import run, write_files
 from fields import make_field
+from runs import run, write_files
 
 from warpcage import Cage, VoxelField
 
-#: The two halves of the ball of cli_runs, sRGB: harmonics of degree 0, plus a half.
+#: The two halves of the ball of runs.py, sRGB: harmonics of degree 0, plus a half.
 RED, BLUE = np.array([1.5, -1.5, -1.5]) * 0.28209479 + 0.5, np.array([-1.5, -1.5, 1.5]) * 0.28209479 + 0.5
 
 

@@ -6,8 +6,8 @@ import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
-from scipy.spatial.transform import Rotation
 from fit_gradients import photometric_gradient, training_rays
+from scipy.spatial.transform import Rotation
 
 import warpcage
 from warpcage.kernels.fitting import cameras as camera_kernels

@@ -3,23 +3,13 @@
 import field_oracles as oracle
 import numpy as np
 import pytest
-from fit_gradients import gradient_rows, photometric_gradient, training_rays
 import warp as wp
+from fit_gradients import gradient_rows, photometric_gradient, training_rays
 
 import warpcage
-from warpcage.fitting import gradient_parts
 from warpcage.kernels.fitting import background_loss
-from warpcage.kernels.fitting import loss as field_loss
-from warpcage.kernels.fitting import loss_warps as field_loss_warps
 from warpcage.kernels.fitting import rmsprop as field_step
 from warpcage.kernels.fitting import variation as field_variation
-from warpcage.view import camera_array
-
-
-
-
-
-
 
 
 def test_photometric_gradient_matches_finite_differences(device):

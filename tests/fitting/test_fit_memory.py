@@ -268,7 +268,7 @@ def test_a_loss_compares_with_either_precision(device, bits, masks):
     field.grid.density.zero_()
     optimizer.random_background, optimizer.rays.first_tile = False, 0
     field.background = np.array([0.2, 0.7, 0.4], np.float32)
-    optimizer._accumulate_gradients()
+    optimizer.accumulate_gradients()
     alphas = np.ones((2, 8, 8)) if scene.alphas is None else scene.alphas
     seen_part = scene.images - (1 - alphas[..., None]) * scene.background
     errors = ((seen_part - alphas[..., None] * field.background) ** 2).sum(axis=-1)

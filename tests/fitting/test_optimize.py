@@ -13,9 +13,6 @@ from warpcage import FieldOptimizer, evaluate, mean_psnr, psnr
 from warpcage.core import resolve_device
 from warpcage.fitting import error_image, object_bounds, ssim
 
-
-
-
 SMALL = {"resolution": 32, "levels": 2, "epochs": 8, "batch_rays": 512}
 
 
@@ -155,11 +152,7 @@ warpcage.fit(blob_scene(count=12, size=24), progress=False, checkpoint=sys.argv[
 
 def test_a_killed_fit_goes_on_from_its_checkpoint(tmp_path):
     checkpoint = tmp_path / "progress.npz"
-    killed = subprocess.run(
-        [sys.executable, "-c", KILLED, str(checkpoint), SUPPORT],
-        capture_output=True,
-        timeout=120,
-    )
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(checkpoint), SUPPORT], capture_output=True, timeout=120)
     assert killed.returncode == -9, killed.stderr.decode()
     assert [p.name for p in tmp_path.iterdir()] == ["progress.npz"]
     scene = blob_scene(count=12, size=24)

@@ -25,11 +25,11 @@ class Maps:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(
                 MeanValueSolver,
-                "_continue_map",
+                "continue_map",
                 lambda self, *inputs: continue_to_rings(self.lattice, self.nodes.levels, self.rows, *inputs),
             )
             self.plain = PositionMap(self.rest, **options).pose(self.deformed)
-        lattice, nodes = self.corrected.lattice, self.corrected._launches.solver.nodes
+        lattice, nodes = self.corrected.lattice, self.corrected.launches.solver.nodes
         self.lower, self.spacing, self.shape = lattice.lower, lattice.spacing, lattice.shape
         self.after, self.before = (
             each.data.positions.numpy().reshape(-1, 3) + self.rest.bounds.mean(axis=0)
@@ -74,7 +74,7 @@ def maps(request):
 @pytest.mark.parametrize("name", ["box", "concave"])
 def test_cut_nodes_move_by_a_sixteenth_of_their_second_differences(name, maps, device):
     m = maps(name, device)
-    rows = m.corrected._launches.solver.rows
+    rows = m.corrected.launches.solver.rows
     fractions = rows.fractions.numpy()[: len(m.cut)].astype(float)
     steady = (fractions > 0.26).all(axis=1)
     assert steady.sum() > 100

@@ -134,7 +134,7 @@ def test_interpolated_nodes_are_as_good_as_evaluated_ones(kind, device):
     maps = [PositionMap(rest, coordinates=kind, resolution=40, store=store, device=device) for store in STORES]
     positions = [position_map.pose(deformed).data.positions.numpy() for position_map in maps]
     inside = maps[0].data.distance.numpy() < 0
-    assert maps[0]._launches.solver.nodes.sections.interpolated > 1000
+    assert maps[0].launches.solver.nodes.sections.interpolated > 1000
     assert np.abs(positions[0] - positions[1])[inside].max() < 2e-5 * rest.size
 
 
@@ -196,8 +196,8 @@ def test_poses_that_take_turns_share_a_graph(device, monkeypatch):
     """Whichever is larger: the first two are not captured with the room that both need."""
     monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: True))
     captures = []
-    capture = PoseGraph._capture
-    monkeypatch.setattr(PoseGraph, "_capture", lambda self: captures.append(self) or capture(self))
+    capture = PoseGraph.capture
+    monkeypatch.setattr(PoseGraph, "capture", lambda self: captures.append(self) or capture(self))
     rest = cage_named("icosphere")
     large, small = rest.scale((1, 1, 0.9)), rest.scale((1, 0.5, 0.6))
     for poses in ([large, small], [small, large]):
@@ -233,7 +233,8 @@ def test_no_pose_waits_for_a_graph_once_maps_are_warm(kind, device, monkeypatch)
     monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: True))
     kept = PositionMap(rest, **options).warm()
     captures = []
-    monkeypatch.setattr(PoseGraph, "_capture", lambda self: captures.append(self))
+    monkeypatch.setattr(PoseGraph, "capture", lambda self: captures.append(self))
+    # private, as users cannot ask which of the two ways a pose took
     monkeypatch.setattr(PositionMap, "_pose_step_by_step", lambda self, deformed: captures.append(self))
     for pose, x, (positions, distance) in zip(poses, points, expected, strict=True):
         found = look_up(kept.pose(pose), x)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from oracles import shuffled_cage
 import trimesh
+from oracles import shuffled_cage
 
 from warpcage import Cage
 from warpcage.mesh import require_same_faces
@@ -19,8 +19,6 @@ def cages():
         "cylinder": Cage.cylinder([0, 0, 0], 0.5, 3.0, sides=9, rings=5),
         "open": Cage(box.vertices, box.faces[3:]),
     }
-
-
 
 
 @pytest.mark.parametrize("shape", list(cages()))

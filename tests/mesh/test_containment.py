@@ -26,8 +26,6 @@ def points_around(vertices, count=2000):
     return oracles.single(np.random.default_rng(3).uniform(low - 0.3, high + 0.3, (count, 3)))
 
 
-
-
 @pytest.mark.parametrize("name", ["icosphere", "box", "concave", "two boxes"])
 def test_winding_number_is_that_of_the_dihedral_angles(name, device):
     vertices, faces = oracles.cage(name)

@@ -3,7 +3,24 @@
 import numpy as np
 import pytest
 import warp as wp
-from fields import BOX, KINDS, alter_map, ball, box_around, counter_moved, make_field, marches, mirrored, psnr, shiny, shiny_field, slotted, two_balls, use_march, view
+from fields import (
+    BOX,
+    KINDS,
+    alter_map,
+    ball,
+    box_around,
+    counter_moved,
+    make_field,
+    marches,
+    mirrored,
+    psnr,
+    shiny,
+    shiny_field,
+    slotted,
+    two_balls,
+    use_march,
+    view,
+)
 
 from warpcage import Cage, CageEdit, Deformer
 from warpcage.core import launch, recorded_launches
@@ -56,7 +73,7 @@ def trilinear(values, g):
 def found_places(deformer):
     """Of the only edit: nodes of the rest lattice that are taken somewhere (m, 3), where in the posed lattice (m, 3),
     the signed distance of all nodes to the rest cage, and whether each is taken somewhere."""
-    ((edit, places, _),) = deformer._edits._shades._posed
+    ((edit, places, _),) = deformer.posed_edits().carried_shades.posed
     places, distance = places.numpy(), edit.rest.distance.numpy()
     taken = places[..., 3] > 0
     return edit, np.argwhere(taken), places[taken][:, :3], distance, taken
@@ -86,7 +103,7 @@ def test_directions_of_affine_poses(kind, device):
     camera = view()
     shaded(deformer, camera)
     edit, nodes, _, distance, taken = found_places(deformer)
-    ((_, _, cage),) = deformer._edits._shades._posed
+    ((_, _, cage),) = deformer.posed_edits().carried_shades.posed
     aims = cage.aims.numpy().reshape(*taken.shape, 4)
     x = np.array(edit.rest.lower) + edit.rest.spacing * np.argwhere(taken) + deformer.field.center
     along = x - np.linalg.solve(matrix, camera.center - offset)
@@ -144,7 +161,7 @@ def test_gaps_whose_cells_have_sides(device):
     deformer.pose(slotted(0.06).rotate(20, axis="x"))
     camera = view((0.4, 2.6, 1.4))
     assert psnr(shaded(deformer, camera).rgb, of_rows(deformer, camera).rgb) > 50
-    assert deformer._edits._flat[0].has_sides
+    assert deformer.posed_edits().flat[0].has_sides
 
 
 @pytest.mark.filterwarnings("ignore:a cage has gaps narrower")
@@ -196,7 +213,7 @@ def test_what_takes_rows(device):
 
     def used(edit, pose, camera, most=np.inf):
         deformer = Deformer(field, edit, resolution=16).pose(pose)
-        deformer._edits._most_shades = most
+        deformer.posed_edits().most_shades = most
         with recorded_launches() as launched:
             frame = deformer.render(camera)
         return marches(launched), frame
@@ -234,8 +251,9 @@ def test_rows_that_are_seen_from_both_sides_of_a_cage(cells, device):
     field = make_field(lambda x: np.full(x.shape[:3], 3.0), shiny, resolution=20, device=device)
     deformer = Deformer(field, BOX, coordinates="mean_value", resolution=cells).pose(TURN)
     shaded(deformer, view((5.0, 2.4, 2.0)))
-    ((edit, _, _),) = deformer._edits._shades._posed
-    table, walls = deformer._edits._shades._walls
+    ((edit, _, _),) = deformer.posed_edits().carried_shades.posed
+    table = field.marching.columns
+    walls = deformer.posed_edits().carried_shades.walls(field.marching.grid(), table)
     listed = np.zeros(field.voxel_count, bool)
     listed[walls.numpy()] = True
     places = np.stack(np.unravel_index(table.nodes.numpy(), field.resolution), axis=1)
@@ -318,15 +336,15 @@ def test_frames_read_no_shade_that_they_do_not_write(how, device):
 
 def spoil_shades(deformer, patch):
     """Let frames begin with shades of thick white matter at all rows, in both layers."""
-    shades = deformer._edits._shades
-    shaded_volume = shades._laid_shades
+    shades = deformer.posed_edits().carried_shades
+    shaded_volume = shades.shaded_volume
 
     def spoiled(table):
         laid = shaded_volume(table)
         launch(whiten, table.nodes.shape[0], [table.nodes, laid], device=deformer.device)
         return laid
 
-    patch.setattr(shades, "_laid_shades", spoiled)
+    patch.setattr(shades, "shaded_volume", spoiled)
 
 
 @wp.kernel(module="unique")

@@ -5,7 +5,19 @@ import itertools
 import numpy as np
 import pytest
 import warp as wp
-from fields import BOX, KINDS, alter_map, box_around, marches, mirrored, shiny_field, slotted, two_balls, use_march, view
+from fields import (
+    BOX,
+    KINDS,
+    alter_map,
+    box_around,
+    marches,
+    mirrored,
+    shiny_field,
+    slotted,
+    two_balls,
+    use_march,
+    view,
+)
 
 from warpcage import CageEdit, Deformer
 from warpcage.core import devices, recorded_launches

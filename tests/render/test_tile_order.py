@@ -46,7 +46,7 @@ def sort(tiles, ticks):
 def test_each_tile_once_and_the_longest_first(tiles, launches, device):
     """View after view, whatever the ticks. Those of tiles in one bin differ by a twelfth at most."""
     random = np.random.default_rng(tiles)
-    sorter = tile_order._SortedTiles(launches, tiles, wp.get_device(device))
+    sorter = tile_order.SortedTiles(launches, tiles, wp.get_device(device))
     for name in (*TICKS, *TICKS):
         ticks = TICKS[name](random, launches * tiles).astype(np.int32).reshape(launches, tiles)
         order = sort(sorter, ticks)
@@ -54,13 +54,14 @@ def test_each_tile_once_and_the_longest_first(tiles, launches, device):
         found = np.maximum(np.take_along_axis(ticks.astype(float), order, axis=1), 1)
         least_before = np.minimum.accumulate(found, axis=1)
         assert (found <= least_before * 2 ** (1 / 8) * (1 + 1e-5)).all(), name
-        assert not sorter._ticks.numpy().any() and not sorter._bins[0].numpy().any(), name
+        assert not any(order.ticks.numpy().any() for order in sorter.orders), name
+        assert not sorter.bins[0].numpy().any(), name
 
 
 def test_launches_are_sorted_apart(device):
     """Each by its own ticks, which are four times as long from tile to tile."""
     ticks = 4 ** np.array([[0, 1, 2, 3, 4], [4, 3, 2, 1, 0], [2, 4, 0, 3, 1]], np.int32)
-    order = sort(tile_order._SortedTiles(3, 5, wp.get_device(device)), ticks)
+    order = sort(tile_order.SortedTiles(3, 5, wp.get_device(device)), ticks)
     np.testing.assert_array_equal(order, np.argsort(-ticks, axis=1))
 
 
@@ -143,9 +144,9 @@ def balanced(device, monkeypatch):
     """BalancedTiles that sort on any device."""
     if device != "cpu":
         return BalancedTiles(wp.get_device(device))
-    arrays = tile_order._SortedTiles
+    arrays = tile_order.SortedTiles
     monkeypatch.setattr(
-        tile_order, "_SortedTiles", lambda launches, tiles, _: arrays(launches, tiles, wp.get_device("cpu"))
+        tile_order, "SortedTiles", lambda launches, tiles, _: arrays(launches, tiles, wp.get_device("cpu"))
     )
     return BalancedTiles(SimpleNamespace(is_cpu=False, stream=SimpleNamespace(cuda_stream=None)))
 
@@ -200,7 +201,7 @@ def test_an_interrupted_sort_leaves_no_order(kernel, balanced, monkeypatch):
 
     def interrupted_launch(launched, *arguments, **options):
         whole(launched, *arguments, **options)
-        if launched._kernel is kernel:
+        if launched.kernel is kernel:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:

@@ -146,7 +146,7 @@ def test_a_falloff_holds_a_wall(device):
     fields = [warpcage.SplatField(rest + way * step, *values, device=device) for way in (-1, 1)]
     moved = [drawn(Deformer(each, edits, coordinates=kind).pose(posed))[1] for each in fields]
     expected = (moved[1] - moved[0]) / 2e-3
-    found = still._edits.carried.jacobians.numpy()[:400, :, 2]
+    found = still.posed_edits().carried.jacobians.numpy()[:400, :, 2]
     band = (rest[:, 2] > -0.95) & (rest[:, 2] < -0.55) & (np.abs(rest[:, :2]).max(axis=1) < 0.9)
     np.testing.assert_allclose(found[band], expected[band], atol=2e-2)
 
@@ -156,7 +156,7 @@ def test_a_cut_wall_is_found_among_splats(device):
     field = splats_in_box(device, half=0.9, count=6000, scales=(-3.2, -2.8), degree=0, seed=2)
     cage = Cage.box((-2, -2, 0.0), (2, 2, 2))  # the wall z = 0 goes through the splats
     deformer = Deformer(field, CageEdit(cage, falloff=0.3), coordinates="mean_value")
-    held = deformer._bands[0].faces
+    held = deformer.posed_edits().bands[0].faces
     assert len(held) == 2 and (cage.vertices[cage.faces[held]][..., 2] == 0.0).all()
 
 

@@ -90,7 +90,7 @@ def test_the_usual_layout_and_any_degree(degree, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "ending, place, scale, turn, opacity, colour, further",
+    "ending, place, scale, turn, opacity, color, further",
     [
         (".compressed.ply", 4.1 / 1023, 4.1 / 1023, 2e-3, 2e-3, 3e-3, 1.7e-2),
         (".splat", 0.0, 1e-6, 1.2e-2, 2e-3, 7.1e-3, None),

@@ -218,7 +218,7 @@ def test_backward_splats_lie_where_voxels_are(kind, device):
     twisted = BOX.bend(50)
     deformer = Deformer(field, BOX, coordinates=kind, resolution=32, map="backward").pose(twisted)
     rows, centers, covariances, _ = drawn(deformer)
-    found = deformer._edits.missed_count
+    found = deformer.posed_edits().missed_count
     assert found <= 4
     looking = Deformer(random_field(device)[0], BOX, coordinates=kind, resolution=32).pose(twisted)
     back, _, region = looking.to_canonical(centers, np.ones_like(centers))

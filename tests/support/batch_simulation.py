@@ -73,155 +73,155 @@ class SimulatedEngine:
         self.busy = self.worked = 0.0
         # workers that died; chunks, reports and recalls; chunks alone
         self.deaths = self.messages = self.chunks = 0
-        self._random = np.random.default_rng(conditions.seed)
-        self._time = 0.0
-        self._queue: list[tuple[float, int, str, str, int]] = []  # when, order, what, worker, version
-        self._count = 0
-        self._works: dict[str, list[_Work]] = {}  # of each worker, the oldest first
-        self._loaded: dict[str, int] = {}
-        self._replies: dict[int, Event] = {}
+        self.random = np.random.default_rng(conditions.seed)
+        self.time = 0.0
+        self.queue: list[tuple[float, int, str, str, int]] = []  # when, order, what, worker, version
+        self.count = 0
+        self.works: dict[str, list[_Work]] = {}  # of each worker, the oldest first
+        self.loaded: dict[str, int] = {}
+        self.replies: dict[int, Event] = {}
 
     def now(self) -> float:
         """The virtual time of the driver, seconds."""
-        return self._time
+        return self.time
 
     def launch(self, worker: str) -> None:
         """A process starts."""
-        self._loaded.pop(worker, None)
-        self._later(self._time + self.conditions.start_seconds, "ready", worker, 0)
+        self.loaded.pop(worker, None)
+        self.later(self.time + self.conditions.start_seconds, "ready", worker, 0)
 
     def give(self, worker: str, chunk: Chunk) -> None:
         """A worker gets a chunk."""
-        self._spend(self.conditions.send_cost, len(chunk.items))
+        self.spend(self.conditions.send_cost, len(chunk.items))
         self.chunks += 1
-        self._set_out(worker, chunk)
+        self.set_out(worker, chunk)
 
     def recall(self, worker: str, number: int, share: float) -> None:
         """A worker is asked for items."""
-        self._spend(self.conditions.send_cost, 0)
-        work, back = self._making(worker), []
-        there = self._time + self.conditions.latency
+        self.spend(self.conditions.send_cost, 0)
+        work, back = self.making(worker), []
+        there = self.time + self.conditions.latency
         if work is not None and work.number == number and there < work.death:
             waiting = int(np.count_nonzero(work.starts > there))
-            back = self._shorten(worker, work, len(work.items) - int(share * waiting))
-        self._count += 1
-        self._replies[self._count] = Returned(worker, number, back)
-        heapq.heappush(self._queue, (there + self.conditions.latency, self._count, "reply", worker, self._count))
+            back = self.shorten(worker, work, len(work.items) - int(share * waiting))
+        self.count += 1
+        self.replies[self.count] = Returned(worker, number, back)
+        heapq.heappush(self.queue, (there + self.conditions.latency, self.count, "reply", worker, self.count))
 
     def lost(self, item: int, error: str, attempts: int) -> None:
         """Nothing is noted."""
 
     def stop(self) -> None:
         """Workers hear that they are to begin no more items."""
-        there = self._time + self.conditions.latency
-        for worker in list(self._works):
-            self._spend(self.conditions.send_cost, 0)
-            work = self._making(worker)
+        there = self.time + self.conditions.latency
+        for worker in list(self.works):
+            self.spend(self.conditions.send_cost, 0)
+            work = self.making(worker)
             if work is not None and there < work.death:
-                self._shorten(worker, work, int(np.count_nonzero(work.starts <= there)))
+                self.shorten(worker, work, int(np.count_nonzero(work.starts <= there)))
 
     def wait(self, timeout: float) -> list[Event]:
         """What happens next; the clock goes on to it, or by the time that passes."""
-        end = self._time + timeout
+        end = self.time + timeout
         events: list[Event] = []
-        while self._queue and not events:
-            when, _, what, worker, version = heapq.heappop(self._queue)
+        while self.queue and not events:
+            when, _, what, worker, version = heapq.heappop(self.queue)
             if when > end:
-                heapq.heappush(self._queue, (when, self._count + 1, what, worker, version))
-                self._count += 1
+                heapq.heappush(self.queue, (when, self.count + 1, what, worker, version))
+                self.count += 1
                 break
-            event = self._event(what, worker, version)
+            event = self.event(what, worker, version)
             if event is not None:
-                self._time = max(self._time, when)
+                self.time = max(self.time, when)
                 if isinstance(event, Finished | Died):
-                    self._spend(self.conditions.receive_cost, len(event.report.done))
+                    self.spend(self.conditions.receive_cost, len(event.report.done))
                 events.append(event)
         if not events:
-            self._time = end
+            self.time = end
         return events
 
-    def _event(self, what: str, worker: str, version: int) -> Event | None:
+    def event(self, what: str, worker: str, version: int) -> Event | None:
         if what == "ready":
             return Ready(worker)
         if what == "reply":
-            return self._replies.pop(version)
-        works = self._works.get(worker, [])
+            return self.replies.pop(version)
+        works = self.works.get(worker, [])
         work = next((each for each in works if each.version == version), None)
         if work is None:
             return None
         if what == "death":
-            return self._died(worker, work.death, self._works.pop(worker))
+            return self.died(worker, work.death, self.works.pop(worker))
         if what == "begun":
             work.begun = True
             return Begun(worker, work.number) if self.conditions.overlapping else None
         works.remove(work)
-        return Finished(worker, self._report(work, len(work.items)), work.number)
+        return Finished(worker, self.report(work, len(work.items)), work.number)
 
-    def _making(self, worker: str) -> _Work | None:
+    def making(self, worker: str) -> _Work | None:
         """The chunk of which a worker makes items."""
-        return next((work for work in self._works.get(worker, []) if not work.begun), None)
+        return next((work for work in self.works.get(worker, []) if not work.begun), None)
 
-    def _set_out(self, worker: str, chunk: Chunk) -> None:
+    def set_out(self, worker: str, chunk: Chunk) -> None:
         """Decide what will happen to a chunk."""
         given, number = self.conditions, int(worker)
         items = np.asarray(chunk.items, np.int64)
-        stalled = given.stalls[1] if self._random.random() < given.stalls[0] else 1.0
+        stalled = given.stalls[1] if self.random.random() < given.stalls[0] else 1.0
         seconds = given.item_seconds[items] * given.speeds[number] * stalled
         seconds[[item in given.bad for item in chunk.items] if given.bad else []] = 0.001
         groups = given.groups[items]
-        changes = np.diff(groups, prepend=self._loaded.get(worker, -1)) != 0
-        ends = self._time + given.latency + np.cumsum(seconds + changes * given.load_seconds)
-        starts = np.concatenate([[self._time + given.latency], ends[:-1]])
+        changes = np.diff(groups, prepend=self.loaded.get(worker, -1)) != 0
+        ends = self.time + given.latency + np.cumsum(seconds + changes * given.load_seconds)
+        starts = np.concatenate([[self.time + given.latency], ends[:-1]])
         death = np.inf
         if given.deaths_per_hour:
-            death = starts[0] + self._random.exponential(3600.0 / given.deaths_per_hour)
+            death = starts[0] + self.random.exponential(3600.0 / given.deaths_per_hour)
         for place, item in enumerate(chunk.items if given.poison else ()):
             if item in given.poison:
                 death = min(death, 0.5 * (starts[place] + ends[place]))
         begun = len(items) if chunk.seconds is None else int(np.count_nonzero(starts - starts[0] <= chunk.seconds))
         made, left = list(chunk.items[:begun]), list(chunk.items[begun:])
-        loading, self._loaded[worker] = bool(changes[0]), int(groups[begun - 1])
+        loading, self.loaded[worker] = bool(changes[0]), int(groups[begun - 1])
         work = _Work(chunk.number, made, left, starts[:begun], ends[:begun], death, loading, 0)
-        self._works.setdefault(worker, []).append(work)
-        self._schedule(worker, work)
+        self.works.setdefault(worker, []).append(work)
+        self.schedule(worker, work)
 
-    def _shorten(self, worker: str, work: _Work, keep: int) -> list[int]:
+    def shorten(self, worker: str, work: _Work, keep: int) -> list[int]:
         """Leave a worker the first items of its chunk; returns the others."""
         back = work.items[keep:]
         if back:
             work.items, work.starts, work.ends = work.items[:keep], work.starts[:keep], work.ends[:keep]
-            self._schedule(worker, work)
+            self.schedule(worker, work)
         return back
 
-    def _schedule(self, worker: str, work: _Work) -> None:
-        self._count += 1
-        work.version = self._count
-        end, given = float(work.ends[-1]) if len(work.ends) else self._time, self.conditions
+    def schedule(self, worker: str, work: _Work) -> None:
+        self.count += 1
+        work.version = self.count
+        end, given = float(work.ends[-1]) if len(work.ends) else self.time, self.conditions
         if work.death < end + given.write_seconds:
-            self._later(work.death + given.latency, "death", worker, work.version)
+            self.later(work.death + given.latency, "death", worker, work.version)
         else:
-            self._later(end + given.write_seconds + given.latency, "end", worker, work.version)
+            self.later(end + given.write_seconds + given.latency, "end", worker, work.version)
         if given.write_seconds and end < work.death:
-            self._later(end + given.latency, "begun", worker, work.version)
+            self.later(end + given.latency, "begun", worker, work.version)
 
-    def _died(self, worker: str, death: float, works: list[_Work]) -> Died:
+    def died(self, worker: str, death: float, works: list[_Work]) -> Died:
         self.deaths += 1
         report, begun = ChunkReport(), []
         for work in works:
             settled = int(np.count_nonzero(work.ends + self.conditions.write_seconds <= death))
-            of_chunk = self._report(work, settled)
+            of_chunk = self.report(work, settled)
             for name in ("done", "seconds", "failed", "errors"):
                 getattr(report, name).extend(getattr(of_chunk, name))
             begun += work.items[settled : int(np.count_nonzero(work.starts < death))]
             self.worked += float(np.maximum(np.minimum(work.ends, death) - work.starts, 0.0)[settled:].sum())
         return Died(worker, report, begun, "killed")
 
-    def _report(self, work: _Work, settled: int) -> ChunkReport:
+    def report(self, work: _Work, settled: int) -> ChunkReport:
         """What becomes of the first items of a chunk."""
         report, given = ChunkReport(left=work.left, loading=work.loading), self.conditions
         taken = (work.ends - work.starts)[:settled]
         self.worked += float(taken.sum())
-        flaky = self._random.random(settled) < given.flaky if given.flaky else np.zeros(settled, bool)
+        flaky = self.random.random(settled) < given.flaky if given.flaky else np.zeros(settled, bool)
         if not given.bad and not flaky.any():
             report.done, report.seconds = list(work.items[:settled]), taken.tolist()
             self.made[report.done] += 1
@@ -237,13 +237,13 @@ class SimulatedEngine:
                 self.made[item] += 1
         return report
 
-    def _spend(self, cost: tuple[float, float], items: int) -> None:
+    def spend(self, cost: tuple[float, float], items: int) -> None:
         """Time of the driver for a message."""
         seconds = cost[0] + cost[1] * items
-        self._time += seconds
+        self.time += seconds
         self.busy += seconds
         self.messages += 1
 
-    def _later(self, when: float, what: str, worker: str, version: int) -> None:
-        self._count += 1
-        heapq.heappush(self._queue, (when, self._count, what, worker, version))
+    def later(self, when: float, what: str, worker: str, version: int) -> None:
+        self.count += 1
+        heapq.heappush(self.queue, (when, self.count, what, worker, version))

@@ -250,44 +250,44 @@ class Tunnel:
     """
 
     def __init__(self, port: int) -> None:
-        self._target, self.port = port, 0
-        self._open: list[socket.socket] = []
-        self._lock = threading.Lock()
+        self.target, self.port = port, 0
+        self.ends: list[socket.socket] = []
+        self.lock = threading.Lock()
         self.restore()
 
     def restore(self) -> None:
         """Take connections, on the same port as before."""
-        self._listener = socket.create_server(("127.0.0.1", self.port))
-        self.port = self._listener.getsockname()[1]
-        threading.Thread(target=self._accept, args=(self._listener,), daemon=True).start()
+        self.listener = socket.create_server(("127.0.0.1", self.port))
+        self.port = self.listener.getsockname()[1]
+        threading.Thread(target=self.accept, args=(self.listener,), daemon=True).start()
 
     def cut(self) -> None:
         """Break all connections at once, and refuse new ones."""
         with contextlib.suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        with self._lock:
-            ends, self._open = self._open, []
+            self.listener.shutdown(socket.SHUT_RDWR)
+        self.listener.close()
+        with self.lock:
+            ends, self.ends = self.ends, []
         for end in ends:
             with contextlib.suppress(OSError):
                 end.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
                 end.shutdown(socket.SHUT_RDWR)
             end.close()
 
-    def _accept(self, listener: socket.socket) -> None:
+    def accept(self, listener: socket.socket) -> None:
         while True:
             try:
                 near, _ = listener.accept()
-                far = socket.create_connection(("127.0.0.1", self._target))
+                far = socket.create_connection(("127.0.0.1", self.target))
             except OSError:
                 return
-            with self._lock:
-                self._open += [near, far]
+            with self.lock:
+                self.ends += [near, far]
             for one, other in ((near, far), (far, near)):
-                threading.Thread(target=self._carry, args=(one, other), daemon=True).start()
+                threading.Thread(target=self.carry, args=(one, other), daemon=True).start()
 
     @staticmethod
-    def _carry(one: socket.socket, other: socket.socket) -> None:
+    def carry(one: socket.socket, other: socket.socket) -> None:
         with contextlib.suppress(OSError):
             while data := one.recv(65536):
                 other.sendall(data)
@@ -339,7 +339,7 @@ def window(browser: Any, editor: Any) -> Iterator[Window]:
 
 def settle(editor: Any, count: int) -> None:
     """Wait until the server's history has so many steps."""
-    until(lambda: len(editor._session.history.undo_steps) == count, f"{count} steps of undo")
+    until(lambda: len(editor.session.history.undo_steps) == count, f"{count} steps of undo")
 
 
 def posed(editor: Any) -> np.ndarray:

@@ -4,9 +4,8 @@ border."""
 
 import numpy as np
 import pytest
-from warpcage.field import LayeredBackground, surface_node_count
-from warpcage.field import OuterField
 
+from warpcage.field import LayeredBackground, OuterField, surface_node_count
 
 #: Harmonics of red, green and blue, and of luminance with differences of colour.
 both_kinds = pytest.mark.parametrize("numbers", [(9, 3), (24,)], ids=["rgb", "luminance"])

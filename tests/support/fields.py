@@ -1,15 +1,15 @@
 """Small fields, cages and cameras that tests share, and what they ask of views of deformed scenes."""
 
-from field_oracles import surface_points
-from warpcage.field import LayeredBackground, OuterField, harmonics_on_host
 import contextlib
 import math
+
 import numpy as np
 import pytest
-from warpcage import Cage, Camera, VoxelField
-from warpcage.field import tables
-from warpcage.kernels.render.views import stack_kernel
+from field_oracles import surface_points
 
+from warpcage import Cage, Camera, VoxelField
+from warpcage.field import LayeredBackground, OuterField, harmonics_on_host, tables
+from warpcage.kernels.render.views import stack_kernel
 
 KINDS = ("harmonic", "mean_value", "green")
 SIZE = 64
@@ -127,7 +127,7 @@ def march_in_numpy(field, deformer, camera, with_directions=True):
 
 def alter_map(deformer, alter):
     """Let the map of a deformer's first edit be altered by hand at each pose. alter: of its positions, (..., 3)."""
-    position_map = deformer._edits.lattices.maps[0]
+    position_map = deformer.posed_edits().lattices.maps[0]
     finish = position_map.finish
 
     def finish_altered():
@@ -144,7 +144,7 @@ def mirrored(positions):
 
 
 #: The march of a CPU, as `recorded_launches` calls it.
-TILES = "render_cpu.render_edit_tiles"
+TILES = "march_cpu.render_edit_tiles"
 
 
 def marches(launched):
@@ -155,14 +155,14 @@ def marches(launched):
 @contextlib.contextmanager
 def general_march(edits):
     """Marches posed edits by the kernel for any edits; they must have been rendered."""
-    usual = edits.render_kernel, edits.scene, edits._most_shades
-    edits.render_kernel, edits.scene, edits._most_shades = stack_kernel(False), edits.flat_array(), -1
+    usual = edits.render_kernel, edits.scene, edits.most_shades
+    edits.render_kernel, edits.scene, edits.most_shades = stack_kernel(False), edits.flat_array(), -1
     edits.scene_parts = lambda *_: None
     try:
         yield
     finally:
         del edits.scene_parts
-        edits.render_kernel, edits.scene, edits._most_shades = usual
+        edits.render_kernel, edits.scene, edits.most_shades = usual
 
 
 #: On a CPU by tiles; as CUDA marches near cameras and copies, by rows; and as it does else, of shaded voxels.
@@ -239,7 +239,9 @@ def surrounded_ball(device, around="layers", fog=True):
     else:
         links = np.full((8, 8, 8), -1, np.int32)
         half = 0.5 * (field.bounds[1] - field.bounds[0])
-        background = OuterField((0, 0, 0), half, links, np.zeros((0, 4)), sky=colors_at_infinity(fog)[:, :3], device=device)
+        background = OuterField(
+            (0, 0, 0), half, links, np.zeros((0, 4)), sky=colors_at_infinity(fog)[:, :3], device=device
+        )
     return VoxelField(
         field.bounds, field.grid.links, field.grid.density, harmonics_on_host(field.grid.sh),
         background_model=background, device=device,

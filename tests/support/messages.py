@@ -48,6 +48,7 @@ MESSAGES = {
     "core.dependencies": "ImportError: warpcage needs numpy warp-lang imageio: pip install -e {folder}",
     "core.kernel_meant": "'mean_valu'.*did you mean coordinates/mean_value",
     "core.kernel_of_several": "several.*'march': deform/march, field/march",
+    "core.kernel_part": "'{name}' is a part of '{file}' now",
     "core.margin": "margin must be finite and not negative, got ",
     "core.no_attribute": "^module 'warpcage' has no attribute 'Deformr'$",
     "core.no_device": "device '{device}' is not there: this machine has ",

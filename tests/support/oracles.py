@@ -6,8 +6,8 @@ Those of coordinates take points (n, 3), vertices (v, 3), faces (f, 3) and retur
 """
 
 import functools
-import numpy as np
 
+import numpy as np
 
 GAUSS_POINTS = 24
 

@@ -1,9 +1,5 @@
-"""Files for tests of the command line and of jobs, how they run both, makers of items that fail, and what came of a run."""
+"""Files for tests of the command line and of jobs, how both are run, makers of items that fail, what came of a run."""
 
-import numpy as np
-from warpcage import Cage, VoxelField
-from warpcage.cli import main
-from warpcage.reference import write_brick_scene
 import concurrent.futures
 import json
 import os
@@ -11,10 +7,13 @@ import pathlib
 import signal
 import sys
 import time
-from warpcage import Cage
-from warpcage.batch import Options, Worker, write_jobs
-from warpcage.batch.run import _run
 
+import numpy as np
+
+from warpcage import Cage, VoxelField, run_jobs
+from warpcage.batch import Worker, write_jobs
+from warpcage.cli import main
+from warpcage.reference import write_brick_scene
 
 #: Where helpers are, for processes that tests start.
 SUPPORT = str(pathlib.Path(__file__).parent)
@@ -85,9 +84,7 @@ def write_records(folder, count, records, name="records.jsonl", **words):
 
 def run_with(path, out, maker=None, workers=1, retries=2, **options):
     """A run, by makers of items that may fail. Without a maker it is that of users."""
-    warn = options.pop("warn", lambda line: None)
-    options = Options(workers, options.pop("cluster", None), "cpu", retries, **options)
-    return _run(path, out, options, lambda state: None, warn, maker)
+    return run_jobs(path, out, workers=workers, device="cpu", retries=retries, make=maker, **options)
 
 
 def records(out):

@@ -1,16 +1,17 @@
 """Writers of files that are read: scene folders in every format, for pictures and cameras of the project's own; a glTF
 document and a PNG by hand."""
 
-import zlib
+import base64
 import dataclasses
 import json
 import struct
+import zlib
+
 import imageio.v3 as iio
 import numpy as np
+
 from warpcage import Camera
 from warpcage.reference import brick_model, render_mesh_views
-import base64
-
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 

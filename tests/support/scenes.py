@@ -1,18 +1,15 @@
 """Made scenes: a table with things on it, the brick model in a painted room, a coloured box, a phone's walk."""
 
-from warpcage import turntable
-import numpy as np
-from warpcage import Camera, VoxelField
 import dataclasses
-from scene_writers import Pictures, write_dtu, write_image
-from warpcage import Camera, Scene
-from warpcage.reference import brick_model, render_mesh_views
 import itertools
 import json
 import pathlib
-from warpcage import Camera
-from warpcage.reference import TEXTURE, CarriedMesh, PhonePath, table_scene
 
+import numpy as np
+from scene_writers import Pictures, write_dtu, write_image
+
+from warpcage import Camera, Scene, VoxelField, turntable
+from warpcage.reference import TEXTURE, CarriedMesh, PhonePath, brick_model, render_mesh_views, table_scene
 
 #: What a node belongs to.
 EMPTY, FLOOR, TABLE, LAMP, BALL, FRAGMENT = range(6)
@@ -235,9 +232,7 @@ def blob_scene(count=14, size=40, scale=1.0, offset=(0.0, 0.0, 0.0), with_alpha=
     sh[..., 0, :] = grid / 0.2820948  # colour by position
     offset = np.asarray(offset)
     field = VoxelField.from_dense(density, sh, [offset - scale, offset + scale], device=device)
-    cameras = turntable(
-        offset, 3.2 * scale, 30, count // 2, fov_degrees=35, width=size, height=size
-    )
+    cameras = turntable(offset, 3.2 * scale, 30, count // 2, fov_degrees=35, width=size, height=size)
     cameras += turntable(
         offset, 3.2 * scale, -25, count - count // 2, fov_degrees=35, width=size, height=size, start_degrees=13
     )

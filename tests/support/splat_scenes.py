@@ -1,6 +1,7 @@
-"""Splats that tests make, and the view of Gaussian splats in float64: every splat at every pixel, by the equations alone."""
+"""Splats that tests make, and their view in float64: every splat at every pixel, by the equations alone."""
 
 import numpy as np
+
 import warpcage
 
 

@@ -1,7 +1,5 @@
 """Picture and film files, sheets, disparity colours."""
 
-import struct
-import zlib
 from fractions import Fraction
 
 import imageio.v3 as iio

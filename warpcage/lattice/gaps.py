@@ -38,7 +38,7 @@ SIDE_NODE_BYTES, SIDE_SURFACE_BYTES, SIDE_FIXED_BYTES = 5, 700, 1 << 16
 #: A jump of the map over less than a cell that is larger than this share of the rest cage's size is reported.
 REPORTED_JUMP = 2e-2
 
-#: What the remainder of a map stretches over a shallow groove where nothing is open, lengths as shares of both cages'
+#: What the residual of a map stretches over a shallow groove where nothing is open, lengths as shares of both cages'
 #: sizes: boxes that are twisted by 60 and 90 degrees make 2 and 3 at the creases of their sides, a slot of 0.6 of 64
 #: cells that a pose opens by 0.08 makes 8.
 GROOVE_STRETCH = 3.0
@@ -194,7 +194,7 @@ class GapFlags:
         values: wp.array,
         least: float = GAP_JUMP,
     ) -> wp.array:
-        """Launch the search, the count being zero, in the remainder (nodes,) vec3 of a map; returns the flags.
+        """Launch the search, the count being zero, in the residual (nodes,) vec3 of a map; returns the flags.
         least: a difference between inside nodes above it makes a gap, as a share of the rest cage's size."""
         # Without rows, a gap that is narrower than a cell is seen by the lattice's flag alone.
         self.flags = self._flags.take(sections.near_rings)

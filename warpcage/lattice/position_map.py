@@ -51,7 +51,7 @@ class BegunPose:
 class PositionMap:
     """The map x -> sum_j w_j(x) v_j from a deformed cage to its rest cage, on the nodes of a lattice over the former.
 
-    What is computed is the remainder after the affine map that fits the cage's vertices best (least squares), which all
+    What is computed is the residual after the affine map that fits the cage's vertices best (least squares), which all
     three kinds of coordinates reproduce: so affine poses are exact (green: similarities, up to rounding), whatever the
     resolution. Nothing is computed before `pose`.
 
@@ -371,7 +371,7 @@ class PositionMap:
         return MeanValueSolver(lattice) if self.coordinates == "mean_value" else GreenSolver(lattice)
 
     def _write_values(self, lattice: CageLattice) -> None:
-        """The remainder of the map, and its affine part, to the lattice's map_constants; still to be sent."""
+        """The residual of the map, and its affine part, to the lattice's map_constants; still to be sent."""
         deformed, rest = lattice.cage, self.rest
         matrix, offset = fit_affine(deformed, rest)
         constants = lattice.map_constants
@@ -380,7 +380,7 @@ class PositionMap:
         constants.affine.host[3] = matrix @ lattice.lower + offset - self.origin
 
     def _map_positions(self, launches: PoseLaunches) -> None:
-        """Fill the positions of the pose that is laid out: remainder of the map, plus its affine part."""
+        """Fill the positions of the pose that is laid out: residual of the map, plus its affine part."""
         solver = launches.solver
         self._write_values(solver.lattice)
         launches.launch_map(solver.sizes, self._weights)
