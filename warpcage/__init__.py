@@ -9,7 +9,7 @@ tells type checkers what the names are.
 
 from __future__ import annotations
 
-from .core.package import find_kernels, lazy_exports, require_dependencies
+from .package import find_kernels, lazy_exports, require_dependencies
 
 require_dependencies()
 find_kernels(__name__)

@@ -279,13 +279,18 @@ def test_one_worker_alone_makes_the_next_chunk_meanwhile(tmp_path, monkeypatch, 
 
 def test_a_worker_reads_its_first_field_once_and_early(files, tmp_path, monkeypatch):
     read, real = [], fields.read_field
-    monkeypatch.setattr(fields, "read_field", lambda path, **words: read.append(path) or real(path, **words))
-    monkeypatch.setattr(fields, "read_field", lambda *given, **words: pytest.fail("it was read once more"))
+
+    def watched(path, **words):
+        read.append((path, threading.current_thread().name))
+        return real(path, **words)
+
+    monkeypatch.setattr(fields, "read_field", watched)
     hashed, hash_file = [], fingerprints.file_hash
     monkeypatch.setattr(fingerprints, "file_hash", lambda path: hashed.append(path.name) or hash_file(path))
     monkeypatch.setattr(fingerprints, "LARGE", 1000)
     assert run_with(files / "jobs.jsonl", tmp_path / "out").complete
-    assert read == [str(files / "ball.npz")] and hashed.count("ball.npz") == 1
+    assert read == [(str(files / "ball.npz"), "warpcage-field_0")]  # by the thread that reads ahead, and not once more
+    assert hashed.count("ball.npz") == 1
     found = records(tmp_path / "out")
     with JobFile(files / "jobs.jsonl") as job:
         assert {each["inputs"] for each in found.values()} == {Fingerprints(files).of(item) for item in job.items()}

@@ -325,7 +325,7 @@ def test_what_outputs_are_made_of_is_copied_and_nothing_else(files, tmp_path, mo
         return property(lambda frame: asked.add(name) or ordinary(frame))
 
     monkeypatch.setattr(Frame, "begin_copies", lambda self, *names: begun.update(names))
-    for name in ("rgb", "alpha", "depth", "reveal", "fold", "outside", "filled"):
+    for name in ("rgb", "alpha", "depth", "reveal", "fold", "outside"):
         monkeypatch.setattr(Frame, name, watched(name))
     with Worker(files, tmp_path, "cpu") as worker:
         made = worker.frames.make(frame("a", **words))

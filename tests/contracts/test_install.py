@@ -16,7 +16,7 @@ import pytest
 from messages import MESSAGES
 
 import warpcage
-from warpcage.core import NEEDED
+from warpcage.package import NEEDED
 
 ROOT = pathlib.Path(__file__).parents[2]
 SOURCES = ("setup.py", "pyproject.toml", "README.md", "LICENSE", "warpcage", "kernels")

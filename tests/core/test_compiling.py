@@ -13,17 +13,17 @@ from warpcage.core import stderr
 
 PROGRAM = """
     import warp as wp
-    from warpcage.core import compiling
+    from warpcage.core import stderr
     from warpcage.core.devices import launch
     from warpcage.core.modules import load_modules
-    from warpcage.kernels.field import halves
+    from warpcage.kernels.field import refine
 
-    compiling.say = lambda: print("told")
-    load_modules([halves], "cpu")
-    assert (compiling.say is None) == {said}
-    compiling.say = lambda: print("told again")
+    stderr.say = lambda: print("told")
+    load_modules([refine], "cpu")
+    assert (stderr.say is None) == {said}
+    stderr.say = lambda: print("told again")
     ones, singles = (wp.full((4, 3), value, dtype=kind, device="cpu") for value, kind in ((1, wp.float16), (0, float)))
-    launch(halves.widen_rows, 4, [ones], [singles], device="cpu")
+    launch(refine.widen_rows, 4, [ones], [singles], device="cpu")
     assert (singles.numpy() == 1).all()
 """
 

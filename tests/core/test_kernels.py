@@ -75,7 +75,7 @@ def test_imports_only_warp_and_siblings(name):
         elif isinstance(node, ast.ImportFrom) and node.module == "typing":
             assert [a.name for a in node.names] == ["Any"]  # Warp's mark of a generic argument
         elif isinstance(node, ast.ImportFrom) and node.module == "pathlib":
-            assert name == "core/native"  # which reads the C++ of kernels
+            assert name == "core/variants"  # which reads the C++ of kernels
         elif isinstance(node, ast.ImportFrom):
             assert node.level in (1, 2) and node.module is not None
     assert direct_needs(name) <= set(NAMES)
@@ -94,7 +94,9 @@ def test_a_copy_is_complete(name, tmp_path):
     needed = {name, *all_needs(name)}
     assert files == {f"{each}.py" for each in needed}.union(*map(native_files, needed))
     assert all(
-        (path.parent / "__init__.py").is_file() and (path.parent.parent / "__init__.py").is_file() for path in paths
+        (path.parent / "__init__.py").is_file() and (path.parent.parent / "__init__.py").is_file()
+        for path in paths
+        if path.suffix == ".py"
     )
     for path in (tmp_path / "lifted").rglob("*.py"):
         for level, module in relative_imports(path.read_text(encoding="utf-8")):
@@ -103,7 +105,7 @@ def test_a_copy_is_complete(name, tmp_path):
 
 def test_copies_import_without_warpcage(tmp_path):
     """A few that need many files, each in a package of its own."""
-    names = ["deform/views", "fitting/loss_warps", "lattice/harmonic_coarse", "lattice/side_values"]
+    names = ["render/views", "fitting/loss_warps", "lattice/harmonic_coarse", "lattice/side_values"]
     program = "import sys\nsys.modules['warpcage'] = None  # so that importing it fails\n"
     for name in names:
         package = f"with_{name.partition('/')[2]}"
@@ -116,14 +118,19 @@ def test_copies_import_without_warpcage(tmp_path):
 
 def test_a_copy_compiles_without_warpcage(tmp_path):
     """The march of a CPU, whose C++ includes that of another folder."""
-    names = ["deform/render_cpu.h", "field/basis_of_direction.h", "field/cell_place.h", "field/cpu_samples.h"]
-    assert sorted(native_files("deform/render_cpu")) == names
-    paths = copy_kernel("deform/render_cpu", tmp_path / "lifted")
+    names = [
+        "field/cpp/basis_of_direction.h",
+        "field/cpp/cell_place.h",
+        "field/cpp/cpu_samples.h",
+        "render/march_cpu.h",
+    ]
+    assert sorted(native_files("render/march_cpu")) == names
+    paths = copy_kernel("render/march_cpu", tmp_path / "lifted")
     assert {tmp_path / "lifted" / name for name in names} < set(paths)
     program = (
         "import sys\nsys.modules['warpcage'] = None\nimport warp as wp\n"
         f"wp.config.kernel_cache_dir = {str(tmp_path / 'cache')!r}\n"
-        "from lifted.deform import render_cpu\nassert wp.load_module(render_cpu, device='cpu') is not False\n"
+        "from lifted.render import march_cpu\nassert wp.load_module(march_cpu, device='cpu') is not False\n"
     )
     (tmp_path / "program.py").write_text(program, encoding="utf-8")
     done = subprocess.run([sys.executable, "program.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300)
@@ -131,7 +138,7 @@ def test_a_copy_compiles_without_warpcage(tmp_path):
     assert list((tmp_path / "cache").rglob("*.o"))
 
 
-@pytest.mark.parametrize("path", sorted(FOLDER.glob("*/*.h")), ids=lambda path: path.name)
+@pytest.mark.parametrize("path", sorted(FOLDER.rglob("*.h")), ids=lambda path: path.name)
 def test_a_kernel_reads_every_file_of_native_code(path):
     assert any(path.relative_to(FOLDER).as_posix() in native_files(name) for name in NAMES)
 
@@ -149,8 +156,8 @@ def test_names_of_kernel_files():
 
 def test_names_of_kernel_files_that_became_parts_of_others(tmp_path, capsys):
     for text in ("deform/render_single", "deform.render_single", "render_single"):
-        with pytest.warns(UserWarning, match=MESSAGES["core.kernel_part"].format(name=text, file="deform/views")):
-            assert find_kernel(text) == "deform/views"
+        with pytest.warns(UserWarning, match=MESSAGES["core.kernel_part"].format(name=text, file="render/views")):
+            assert find_kernel(text) == "render/views"
     assert set(MOVED.values()) <= set(NAMES)
     assert main(["kernels", "copy", "render_shaded", str(tmp_path / "lifted")]) == 0
     assert (tmp_path / "lifted" / "field" / "march.py").is_file()
@@ -232,14 +239,14 @@ def test_variants_are_declared_once_by_whichever_thread():
     for thread in threads:
         thread.join()
     assert len(set(map(id, declared))) == 1 and list(declared[0].module.kernels.values()) == [declared[0]]
-    modules = warp_modules("deform/views")
+    modules = warp_modules("render/views")
     assert len({module.name for module in modules}) == len(modules) == 12
     assert declared[0].module.name == "warpcage.kernels.render.views.shades" and declared[0].module in modules
 
 
 def test_no_variant_is_declared_before_it_is_used():
     program = (
-        "import sys\nimport warp as wp\nimport warpcage.deform.deformer\nfrom warpcage.kernels.edits import views\n"
+        "import sys\nimport warp as wp\nimport warpcage.deform.deformer\nfrom warpcage.kernels.render import views\n"
         "from warpcage.kernels.field import march\n"
         "assert not views.view_kernel.cache_info().currsize and not march.image_kernel.cache_info().currsize\n"
     )

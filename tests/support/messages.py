@@ -47,7 +47,7 @@ MESSAGES = {
     "coordinates.rows_outside": "2 of 3 points are outside the cage, the first is row 1",
     "core.dependencies": "ImportError: warpcage needs numpy warp-lang imageio: pip install -e {folder}",
     "core.kernel_meant": "'mean_valu'.*did you mean coordinates/mean_value",
-    "core.kernel_of_several": "several.*'march': deform/march, field/march",
+    "core.kernel_of_several": "several.*'march': field/march, render/march",
     "core.kernel_part": "'{name}' is a part of '{file}' now",
     "core.margin": "margin must be finite and not negative, got ",
     "core.no_attribute": "^module 'warpcage' has no attribute 'Deformr'$",

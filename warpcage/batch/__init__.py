@@ -1,6 +1,6 @@
 """Many frames, fits and evaluations: items of a job file, and the worker that makes them."""
 
-from ..core.package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,

@@ -58,8 +58,7 @@ class ChunkOrder:
     lines: list[tuple[bytes, int]]  # their lines, as they stand, and the numbers of these: workers read them
     attempts: list[int]  # how often each was begun before and failed
     shard: int | None = None  # that its items belong to; None where there are no shards
-    # the outputs of all items that the shard is to be packed of, by item; None where items are to be made
-    packed: list[dict[str, str]] | None = None
+    packed: list[dict[str, str]] | None = None  # outputs of all items that the shard is packed of; None: items are made
     seconds: float | None = None  # after so many no more items are begun, but for the first; None is no limit
 
 
@@ -76,8 +75,7 @@ def leaves_no_room(error: BaseException) -> bool:
     """Whether an error says that nothing can be written any more: a full disk, a quota, or one that is read-only."""
     if isinstance(error, OSError) and error.errno is not None:
         return error.errno in NO_ROOM
-    # libraries in C++ tell it in words alone
-    return any(os.strerror(number) in str(error) for number in NO_ROOM)
+    return any(os.strerror(number) in str(error) for number in NO_ROOM)  # libraries in C++ tell it in words
 
 
 class Inputs(Protocol):
@@ -116,33 +114,26 @@ class ChunkUnderWay:
 
     def __init__(self, order: ChunkOrder):
         self.order, self.report = order, ChunkReport()
-        # places in the chunk that were not begun
-        self.waiting: collections.deque[int] = collections.deque(range(len(order.lines)))
-        # items that were made and not settled, in that order
-        self.line: collections.deque[_UnderWay] = collections.deque()
+        self.waiting: collections.deque[int] = collections.deque(range(len(order.lines)))  # places that were not begun
+        self.line: collections.deque[_UnderWay] = collections.deque()  # made and not settled, in that order
         self.making: _UnderWay | None = None
 
 
 class ChunkRunner:
     """Makes the items of chunks, and notes what became of each.
-    `begin` makes, in one thread at a time, and `settle` waits and notes, in any."""
-
-    # The files of a chunk may still be written while the items of the next one are made.
+    `begin` makes, in one thread at a time; `settle` waits for files and notes, in any, maybe while the next is made."""
 
     def __init__(
         self,
         maker: Maker,
         read: Callable[[bytes, int], Item],
-        # begins the hash of an item's inputs, as they are before it is made
-        fingerprint: Callable[[Item], Inputs],
+        fingerprint: Callable[[Item], Inputs],  # begins the hash of an item's inputs, as they are before it is made
         notes: Notes,
         place: Place,
         *,
         retries: int = 2,
-        # raises where the device works no more; called after errors that are not those of the input
-        check_device: Callable[[], None] = lambda: None,
-        # the folder of the run, where there are shards
-        out: pathlib.Path | None = None,
+        check_device: Callable[[], None] = lambda: None,  # raises if the device is lost, after errors not of the input
+        out: pathlib.Path | None = None,  # folder of the run, where there are shards
     ):
         self._maker, self._read, self._fingerprint, self._notes, self._place = maker, read, fingerprint, notes, place
         self._retries, self._check_device, self._out = retries, check_device, out
@@ -151,8 +142,7 @@ class ChunkRunner:
         self._chunks: dict[int, ChunkUnderWay] = {}
         self._newest_made = 0  # number of the newest chunk whose items are all begun
         self._stopped = False
-        # of the newest chunk so far
-        self.report, self._settled_at = ChunkReport(), 0.0
+        self.report, self._settled_at = ChunkReport(), 0.0  # of the newest chunk so far
         self._group: str | None = None
         self._held = contextlib.ExitStack()
 

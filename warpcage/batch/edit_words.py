@@ -61,9 +61,7 @@ class EditWords:
     """One edit of a frame, with the words of `warpcage.CageEdit`."""
 
     cage: Any  # at rest: a file, or "vertices" and "faces"
-    # a file, a keyframe ("poses.json#wave"), an array, or an object with what a random pose is drawn by (`pose_words`);
-    # None for an edit that removes
-    posed: Any = None
+    posed: Any = None  # file, keyframe ("poses.json#wave"), array, or what a random pose is drawn by; None removes
     keep: bool = False  # keep: leave a copy where it was; remove: draw nothing in its place
     remove: bool = False
     falloff: float = 0.0  # width of the band in which the edit fades to rest, world units

@@ -37,9 +37,8 @@ class PrefetchedField:
     def take(self, path: str, stamp: tuple[int, int], scene_scale: float) -> OnDevice | None:
         """What makes the field on a device, once it is read; stamp: the `file_stamp` of `path` as it is now.
         None for another field, a file that has changed since, and where reading failed."""
-        # Where reading failed, whoever asked reads it then, and learns what is wrong.
         if (path, scene_scale) != (self._path, self._scene_scale) or self._reading.exception() is not None:
-            return None
+            return None  # where reading failed, whoever asked reads it then, and learns what is wrong
         read, found = self._reading.result()
         return found if read == stamp else None
 
@@ -63,7 +62,6 @@ class LoadedFields:
         self.dropped: Callable[[AnyField], Any] = lambda field: None  # called with a field that is let go, before it is
         self._expected = expected
         limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
-        # fields that stay loaded, used longest ago first
         self.kept: LRUCache[AnyField] = LRUCache(MOST_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
 
     @property

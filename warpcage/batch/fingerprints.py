@@ -81,14 +81,12 @@ class Fingerprints:
 
     def of(self, item: Item) -> str:
         """The fingerprint of an item, hexadecimal digits."""
-        # A file that is not there or cannot be read counts as such: the item itself will say so.
-        return self.begun(item)()
+        return self.begun(item)()  # a file that cannot be read counts as such: the item itself will say so
 
     def begun(self, item: Item) -> Begun:
         """The fingerprint of an item as its files are now, while large ones are hashed beside what the caller does.
         A call of it waits for the hashes, and returns what `of` does."""
-        # A large file that was written to meanwhile, or is another one when this is asked for, has a hash that it never
-        # has again.
+        # A large file that changes before this is asked for gets a hash that it never has again.
         return Begun(canonical(item.to_json()), [self._of_reference(each) for each in references_of(item)])
 
     def expect(self, name: str) -> None:

@@ -38,8 +38,7 @@ class Missing:
 
     def of(self, item: Item) -> str | None:
         """One line on the first that an item names and is not there; None where all is there."""
-        # Whether it can be used shows when the item is made.
-        found = (self._wrong(reference) for reference in references_of(item))
+        found = (self._wrong(reference) for reference in references_of(item))  # whether it can be used shows later
         return next((line for line in found if line), None)
 
     def _wrong(self, reference: str) -> str | None:
@@ -89,8 +88,7 @@ class Forecast:
     group_count: int  # how often something is loaded for them at least
     measured: dict[str, Measured]  # by kind
     errors: dict[str, str]  # why an item of a kind could not be made, by its id
-    # what items name and is not there, by their ids, of MOST_MISSING of them; the count is of all
-    missing: dict[str, str]
+    missing: dict[str, str]  # what items name and is not there, by id, of MOST_MISSING of them; the count is of all
     missing_count: int
     workers: int
     seconds: float  # how long it would take, without what could not be measured

@@ -83,7 +83,6 @@ class FrameMaker:
         self.references, self.fields, self.counts = references, fields, Counts()
         limit = int(MEMORY_SHARE * free_bytes(fields.device)) // 2 if memory is None else memory
         self._kernels: dict[str, Future[None] | None] = {}  # by coordinates; None once they were waited for
-        # deformers that stay bound, used longest ago first
         self.kept: LRUCache[Bound] = LRUCache(MOST_DEFORMERS, limit, _bound_bytes)
         fields.dropped = self._drop_bound_to
 
@@ -212,8 +211,7 @@ def frame_writers(item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cag
 
 
 def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
-    """Names of the arrays of a frame that its outputs are made of."""
-    # A copy of all of them takes longer than a frame on a GPU.
+    """Names of the arrays of a frame that its outputs are made of: to copy all takes longer than a frame on a GPU."""
     needed = {"alpha"} if item.background == TRANSPARENT else set()
     for part, path in item.outputs.items():
         if part not in OF_RECORDS:

@@ -244,10 +244,8 @@ SHORT_EDIT = tuple(EDIT_WORDS)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrameItem(Item):
-    """A picture of a field, as it is or deformed."""
-
-    # Outputs by part: rgb, alpha, depth, disparity, masks, reveal, fold, outside; film, the colours as films of 16 bits
-    # take them; pose, the vertices of its posed cages; record, what `batch.records.frame_record` says of it.
+    """A picture of a field, as it is or deformed. Parts of outputs: see PART_ENDINGS; film: colours for films of
+    16 bits; pose: vertices of its posed cages; record: what `batch.records.frame_record` says of it."""
 
     field: str = ""  # a file, voxels or splats
     camera: Any = None  # an object, or a reference
@@ -261,10 +259,8 @@ class FrameItem(Item):
     fill: bool = False  # whether what was uncovered is filled
     overlay: bool = False  # whether the cages are drawn into the picture
     supersampling: int | None = None  # rays along each side of a pixel; None is the field's
-    # of splats only: whether those that are smaller than a pixel are weakened; see `SplatField.render`
-    antialias: bool = False
-    # low and high disparity of pictures of depth and disparity; None is the range of the frame
-    disparity_scale: tuple[float, float] | None = None
+    antialias: bool = False  # of splats: whether those smaller than a pixel are weakened; see `SplatField.render`
+    disparity_scale: tuple[float, float] | None = None  # low and high of such pictures; None is the frame's range
     scene_scale: float = 1.0  # as `VoxelField.load` has it
 
     kind: ClassVar[str] = "frame"
@@ -393,13 +389,10 @@ _SCENE_WORDS: dict[str, Checker] = {
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FitItem(Item):
-    """A fit of a field to the pictures of a scene."""
-
-    # Outputs: {"field": file}, and {"cameras": file} where cameras are refined.
+    """A fit of a field to the pictures of a scene; outputs: {"field": file}, and {"cameras": file} where refined."""
 
     scene: str = ""  # folder
-    # those of `warpcage.fit`, such as {"quality": "fast", "seed": 3}
-    options: dict[str, Any] = dataclasses.field(default_factory=dict)
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)  # of `warpcage.fit`, such as {"quality": "fast"}
     split: str = "train"  # as `load_scene` has it, and so the rest
     downscale: int = 1  # factor by which pictures shrink
     format: str | None = None  # None finds it
@@ -436,9 +429,7 @@ class FitItem(Item):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class EvaluateItem(Item):
-    """A comparison of a field with pictures of a scene, as `warpcage evaluate` makes it."""
-
-    # Outputs: {"report": file}.
+    """A comparison of a field with pictures of a scene, as `warpcage evaluate` makes it; outputs: {"report": file}."""
 
     field: str = ""  # a file, voxels
     scene: str = ""  # folder
@@ -448,8 +439,7 @@ class EvaluateItem(Item):
     masks: bool | str = True  # what mask files are
     cameras: str | None = None  # camera file of the scene; None takes those of its files
     background: Any = None  # colour behind the field; None is the field's own
-    # whether the camera of each view is turned and shifted first so that it matches the field best
-    tune_cameras: bool = False
+    tune_cameras: bool = False  # whether each view's camera is turned and shifted first, to match the field best
     scene_scale: float = 1.0  # as `VoxelField.load` has it
 
     kind: ClassVar[str] = "evaluate"

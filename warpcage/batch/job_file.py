@@ -97,10 +97,8 @@ RECORD_WORDS = ("kind", "items_per_shard", "image", "depth", "alpha")
 
 
 class JobFile:
-    """The items of a job file. Lines are read and checked when they are asked for; 8 bytes a line are held."""
-
-    # The first line is a header, `{"format": "warpcage jobs", "version": 1, "defaults": {...}}`; every further one is
-    # an item. Empty lines are left out. Paths in items are relative to the folder of the file.
+    """The items of a job file. Lines are read and checked when they are asked for; 8 bytes a line are held.
+    A header, then an item a line, empty ones left out (docs/batch.md); paths are relative to the folder of the file."""
 
     def __init__(self, path: PathLike):
         self.path = require_file(path, "job file")
@@ -114,8 +112,7 @@ class JobFile:
             self._file.close()
             raise
         self.defaults: dict[str, Any] = self.header.get("defaults") or {}
-        # how outputs are kept together, {} where the header says nothing
-        self.records: dict[str, Any] = self.header.get("records") or {}
+        self.records: dict[str, Any] = self.header.get("records") or {}  # how outputs are kept together
         if self.records:
             self.defaults = self.defaults | {"outputs": record_outputs(self.records)}
         self.reader = ItemReader(str(self.path), self.defaults, self.records)

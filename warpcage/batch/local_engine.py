@@ -11,8 +11,7 @@ from .chunk_runner import ChunkOrder, ChunkRunner
 from .loop import Begun, Event, Finished, Ready, Returned
 from .scheduler import MOST_CHUNKS, Chunk, ChunkReport
 
-#: Seconds of an item from which on a chunk is settled before the next one: this thread tells of it only after that one.
-SLOW = 0.5
+SLOW = 0.5  # seconds of an item; then a chunk is settled before the next, as this thread tells of it only after that
 
 
 class LocalEngine:
@@ -33,8 +32,7 @@ class LocalEngine:
 
     def launch(self, worker: str) -> None:
         """The worker is here; a RuntimeError when it is started again."""
-        # A device that is lost stays so in this process.
-        if self._launches:
+        if self._launches:  # a device that is lost stays so in this process
             raise RuntimeError("the device works no more in this process: run again, what is made is kept")
         self._launches.append(self.now())
         self._events.append(Ready(worker))

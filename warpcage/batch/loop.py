@@ -160,8 +160,7 @@ def _replace(dispatcher: Dispatcher, engine: Engine, name: str, reason: str, war
         raise RuntimeError(f"no worker is left: {reason}")
 
 
-#: A worker, or one of its chunks.
-Key = TypeVar("Key")
+Key = TypeVar("Key")  # a worker, or one of its chunks
 
 #: Seconds within which a worker that is asked must answer: one that does not is taken for hung.
 ANSWER = 60.0

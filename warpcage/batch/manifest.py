@@ -42,9 +42,8 @@ def id_key(item_id: str) -> int:
 class Notes:
     """The file that one worker appends to, from any of its threads; its folder is there."""
 
-    # A worker appends two lines for each item: one when it begins, so that what it was making is known if it dies, and
-    # one when that is settled. They are merged into the manifest at the end of a run, at an interrupt, and at the next
-    # start after a kill.
+    # Two lines an item: when it begins, so that what killed the worker is known, and when it is settled. They are
+    # merged into the manifest at the end of a run, at an interrupt, and at the next start after a kill.
 
     def __init__(self, path: PathLike):
         self.path = pathlib.Path(path)
@@ -68,8 +67,7 @@ class Notes:
 
 def read_lines(path: PathLike) -> Iterator[tuple[int, dict[str, Any]]]:
     """The whole lines of a file of records, with the places in bytes where they begin; none where there is no file."""
-    # What is no JSON object with an id and a state is left out: the last line of a worker that was killed, or what a
-    # full disk left.
+    # Left out is what is no JSON object with an id and a state: what a killed worker or a full disk cut off.
     try:
         file = open(path, "rb")
     except FileNotFoundError:
@@ -109,9 +107,8 @@ def notes_of_chunk(path: PathLike, chunk: int) -> tuple[list[dict[str, Any]], li
 
 
 class Manifest:
-    """The records of all runs with one output folder; their file may not be there yet."""
-
-    # It is read through an index that takes some 20 bytes a record, so that a driver can hold that of a million.
+    """The records of all runs with one output folder; their file may not be there yet.
+    It is read through an index of some 20 bytes a record, so that a driver can hold that of a million."""
 
     def __init__(self, path: PathLike):
         self.path = pathlib.Path(path)
@@ -121,8 +118,7 @@ class Manifest:
             places.append(place)
         unsorted = np.array(keys, np.int64)
         order = np.argsort(unsorted, kind="stable")
-        # (n,) `id_key` of each record's item, sorted
-        self.keys, self._places = unsorted[order], np.array(places, np.int64)[order]
+        self.keys, self._places = unsorted[order], np.array(places, np.int64)[order]  # keys: (n,) `id_key`, sorted
         self._file: IO[bytes] | None = None
 
     def __len__(self) -> int:
@@ -192,9 +188,8 @@ class _Merge:
 def merge_notes(manifest: PathLike, notes: Iterable[PathLike], into: PathLike | None = None) -> None:
     """Merge the notes of workers into the manifest, which is replaced at once, and take them away.
     into: another file to write, while manifest and notes stay as they are."""
-    # What is in the notes counts, whatever the manifest said before: also of an item that was begun and not settled,
-    # whose outputs may be new or old. An interrupt or a kill at any moment leaves either the notes or a manifest that
-    # has them; merged twice they give the same.
+    # Notes count whatever the manifest said, also of an item begun and not settled, whose outputs may be new or old. A
+    # kill at any moment leaves the notes or a manifest that has them; merged twice they give the same.
     manifest = pathlib.Path(manifest)
     files = sorted(map(pathlib.Path, notes))
     if not files and into is None:
@@ -247,7 +242,6 @@ def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathl
     parts: folder for files that are not whole yet, on the same file system."""
     sizes: dict[str, int] = {}
     placed: list[pathlib.Path] = []
-    # they are written in a folder of their own, and put into their places when all are whole
     with _part_names(writers, parts) as names:
         for path, write in writers.items():
             write(names[path])
@@ -340,8 +334,7 @@ class Part:
 
     def range(self, total: int, unit: int = 1) -> range:
         """Numbers of its items, of `total`; unit: items that stay together, those of a shard."""
-        # All parts together have each item once, and as equal numbers of units as can be.
-        units = -(-total // unit)
+        units = -(-total // unit)  # parts together have each item once, and as equal numbers of units as can be
         begin, end = (min(total, unit * (units * part // self.count)) for part in (self.number - 1, self.number))
         return range(begin, end)
 
@@ -360,9 +353,8 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
 
 
 class OutputFolder:
-    """Where a run writes; `prepare` makes the folder. part: None is the whole job."""
-
-    # A part is made beside runs of other parts: it leaves its notes for a run of the whole job to merge.
+    """Where a run writes; `prepare` makes the folder. part: None is the whole job.
+    A part runs beside others, and leaves its notes for a run of the whole job to merge."""
 
     def __init__(self, path: PathLike, part: Part | None = None):
         self.path, self.part = pathlib.Path(path).absolute(), part

@@ -13,8 +13,7 @@ from .manifest import DONE, FAILED, Manifest, OutputFolder, id_key
 from .scheduler import ChunkQueue
 from .webdataset import shard_holds, staged_shards
 
-#: Numbers of the kinds of items, for `ChunkQueue`.
-KIND_NUMBERS = {kind: number for number, kind in enumerate(KINDS)}
+KIND_NUMBERS = {kind: number for number, kind in enumerate(KINDS)}  # for `ChunkQueue`
 
 
 @dataclasses.dataclass
@@ -27,9 +26,8 @@ class Plan:
     kinds: np.ndarray  # (n,) as KIND_NUMBERS has them
     poses: np.ndarray  # (n,) those that follow each other with one number show one pose of one group
     kept: int
-    # of the items to be made: whose inputs changed or whose files are not as they were; that failed in an earlier run
-    changed: int
-    failed_before: int
+    changed: int  # of the items to be made, those whose inputs changed or whose files are not as they were
+    failed_before: int  # of the items to be made, those that failed in an earlier run
     group_count: int  # of those to be made: fields with the cages at rest on them, scenes
 
     def first_items(self, most: int) -> list[int]:

@@ -202,8 +202,7 @@ class RayEngine:
     def __init__(
         self,
         ray: types.ModuleType,
-        # of every worker: its name and notes are filled in
-        settings: RunnerSettings,
+        settings: RunnerSettings,  # of every worker: its name and notes are filled in
         share: Share,
         folder: OutputFolder,
         order: Callable[[Chunk], ChunkOrder],
@@ -211,8 +210,7 @@ class RayEngine:
         item_timeout: float | None = None,
     ):
         self._ray, self.settings, self._share, self._folder, self._order = ray, settings, share, folder, order
-        # threads: for the chunk of which items are made and those that end, one that tells when all of them are begun,
-        # and one that may shorten the chunk meanwhile, or tells of its items
+        # threads: one a chunk, one that tells when all items are begun, and one that shortens a chunk or tells of items
         placing = {"scheduling_strategy": "SPREAD"} if cluster else {}
         self._actor = ray.remote(ChunkActor).options(
             num_gpus=share.gpus, num_cpus=share.cpus, max_concurrency=MOST_CHUNKS + 2, max_restarts=0, **placing

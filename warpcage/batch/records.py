@@ -32,14 +32,12 @@ def frame_record(item: FrameItem, camera: Camera, posed: Sequence[Cage | None]) 
         words = edit.to_json()
         if isinstance(words.get("posed"), list):
             del words["posed"]  # numbers, which the pose's own file has
-        # the number of rows that the edit has in the pose's array
-        edits.append(words | {"pose_vertices": 0 if cage is None else len(cage.vertices)})
+        edits.append(words | {"pose_vertices": 0 if cage is None else len(cage.vertices)})  # rows in the pose's array
     record: dict[str, Any] = {
         "id": item.id,
         "field": item.field,
-        # as camera files have it (OpenCV axes), and as NeRF-synthetic scenes have it (+y up, -z forward)
-        "camera": camera_json(CameraKey(camera)),
-        "transform_matrix": (camera.camera_to_world @ TO_OPENCV).tolist(),
+        "camera": camera_json(CameraKey(camera)),  # OpenCV axes
+        "transform_matrix": (camera.camera_to_world @ TO_OPENCV).tolist(),  # of NeRF-synthetic: +y up, -z forward
         "background": item.background,
     }
     if edits:
@@ -76,9 +74,8 @@ class Manifested(Protocol):
 def finish_folder(out: PathLike, job: JobFile, manifest: Manifested) -> list[pathlib.Path]:
     """Write transforms.json for the pictures of a run: one for all, and one in each folder of pictures for those in it.
     manifest: which items are done, others are left out. Returns the files; none where no item is done."""
-    # Ids as those of `warpcage sweep`, pose_000012/camera_003, put the pictures of one pose into a folder, which is a
-    # scene of its own. Intrinsics stand at the top, as the first frame has them; a frame with others has its own.
-    # Frames are read one after another from what stands beside the pictures.
+    # Ids as of `warpcage sweep`, pose_000012/camera_003, put the pictures of one pose into a folder, a scene of its
+    # own. Intrinsics are those of the first frame, a frame with others has its own. Frames are read one after another.
     out = pathlib.Path(out)
     folders: dict[str, array.array[int]] = {}
     everything = array.array("q")
@@ -107,8 +104,7 @@ def _frames(
         record = json.loads((out / item.outputs["record"]).read_text(encoding="utf-8"))
         frame = {
             "file_path": f"./{beside(item.outputs['rgb'], folder)}",
-            # camera to world, +y up, -z forward
-            "transform_matrix": record["transform_matrix"],
+            "transform_matrix": record["transform_matrix"],  # camera to world, +y up, -z forward
         }
         frame |= {_WORDS[part]: f"./{beside(item.outputs[part], folder)}" for part in _WORDS if part in item.outputs}
         posed = [edit["posed"] for edit in record.get("edits", ()) if "posed" in edit]

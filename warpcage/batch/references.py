@@ -42,7 +42,7 @@ class SampledPoses:
 
     def vertices(self, posed: dict[str, Any], rest: Cage, rest_hash: str) -> np.ndarray:
         """The vertices (v, 3) float64, world units, of a pose: those of `RandomPoses`, to the bit.
-        posed: its words, as `pose_words.drawn_pose` returns them; rest_hash: the `cage_hash` of `rest`."""
+        posed: its words, as `words.drawn_pose` returns them; rest_hash: the `cage_hash` of `rest`."""
         probe = self._probes.get(rest_hash, lambda: PoseProbe(rest))
         words = dict(posed[RANDOM])
         number = words.pop("number")
@@ -173,9 +173,8 @@ class References:
 
     def camera(self, item: FrameItem, field: AnyField) -> Camera:
         """The camera of a frame, at its size and in the world of its field."""
-        # The field may have been straightened: cameras of scenes are turned with it.
         try:
-            camera = self._camera(item, field)
+            camera = self._camera(item, field)  # that of a scene is turned with a straightened field
             return fitted(camera, item.size, "'size'")
         except DAMAGED as error:
             raise ValueError(f"'camera' cannot be used: {error}") from None

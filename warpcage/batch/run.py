@@ -70,11 +70,8 @@ class RunReport:
         return not self.failed and not self.left and self.halt is None
 
 
-#: Seconds of a chunk where there are few workers, so that progress is seen.
-LEAST_AIM = 2.0
-
-#: Workers for which a chunk takes a second more.
-WORKERS_PER_SECOND = 100
+LEAST_AIM = 2.0  # seconds of a chunk where there are few workers, so that progress is seen
+WORKERS_PER_SECOND = 100  # for which a chunk takes a second more
 
 #: Items between two calls of `progress` while they are checked.
 CHECKED_AT_ONCE = 100
@@ -84,8 +81,7 @@ MOST_LIKELY = 64
 
 Progress = Callable[[RunProgress], None]
 
-#: What begins a maker of items, with the folder of the job file, the output folder and the device.
-MakeMaker = Callable[[str, str, Any], Maker]
+MakeMaker = Callable[[str, str, Any], Maker]  # of the folder of the job file, the output folder and the device
 
 
 def run_jobs(

@@ -34,11 +34,8 @@ class RunnerSettings:
     notes: str = ""  # name of its file of notes
     retries: int = 2
     threads: int = 0  # for kernels on the CPU; 0 is what there is
-    # makes what makes items, of base, out and device; None is `Worker`
-    maker: Callable[[str, str, Any], Maker] | None = None
-    # lines of items, as `reader` takes them, with one of which a worker will probably begin: what the first of them
-    # needs is read while the worker starts
-    likely: tuple[tuple[bytes, int], ...] = ()
+    maker: Callable[[str, str, Any], Maker] | None = None  # of base, out and device; None is `Worker`
+    likely: tuple[tuple[bytes, int], ...] = ()  # lines for `reader`: likely first items, whose needs are read early
 
 
 def make_runner(settings: RunnerSettings) -> ChunkRunner:
@@ -76,8 +73,7 @@ def make_runner(settings: RunnerSettings) -> ChunkRunner:
 
 def _worker(settings: RunnerSettings, first: Item | None) -> tuple[Maker, wp.Device]:
     """What makes items, and its device; the first field is read meanwhile, and the device prepared."""
-    # loaded here, as the driver of a cluster needs nothing of it
-    from .fields import PrefetchedField
+    from .fields import PrefetchedField  # here, as the driver of a cluster needs nothing of it
 
     expected = None
     if isinstance(first, FrameItem | EvaluateItem):
@@ -93,8 +89,7 @@ def _worker(settings: RunnerSettings, first: Item | None) -> tuple[Maker, wp.Dev
 
 def check_device(device: wp.Device) -> None:
     """Raise where a GPU answers no more."""
-    # After some errors of CUDA all that a process asks of it fails.
-    if device.is_cuda:
+    if device.is_cuda:  # after some errors of CUDA all that a process asks of it fails
         with device_turn(device):  # another thread may render
             wp.zeros(1, dtype=float, device=device).numpy()
             wp.synchronize_device(device)

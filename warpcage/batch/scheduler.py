@@ -10,19 +10,10 @@ import numpy as np
 
 from ..core.names import counted
 
-#: Seconds that a chunk should take, and most items that it holds.
-AIM, LARGEST = 10.0, 256
-
-#: Chunks that each worker should still get of what is left: towards the end they become small, and all end together.
-CHUNKS_PER_WORKER = 4
-
-#: Seconds that a chunk should take at least, as far as each worker gets as much: at its end it waits until the last
-#: files are written.
-LEAST_CHUNK = 0.5
-
-#: Weight of the newest chunk in the seconds that an item of a group is taken for, where it has as many items as those
-#: before it.
-NEWEST_CHUNKS = 0.25
+AIM, LARGEST = 10.0, 256  # seconds that a chunk should take, and most items that it holds
+CHUNKS_PER_WORKER = 4  # that each should still get of what is left: they become small, and all end together
+LEAST_CHUNK = 0.5  # seconds, as far as each worker gets as much: a chunk waits until its last files are written
+NEWEST_CHUNKS = 0.25  # weight of the newest chunk in an item's seconds, where it has as many items as those before it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,9 +45,7 @@ class _Seconds:
 
 class ChunkQueue:
     """What is left to be made, in groups of items that share what a worker loads; items, groups and kinds are (n,).
-    Items of a group follow each other; aim: seconds that a chunk should take."""
-
-    # Where nothing is known of a group, its items are taken to last as long as others of their kind.
+    Items of a group follow each other, and last as those of their kind until more is known; aim: seconds of a chunk."""
 
     def __init__(
         self,
@@ -66,8 +55,7 @@ class ChunkQueue:
         *,
         aim: float = AIM,
         largest: int = LARGEST,
-        # whether a chunk is all that is left of a group (a shard), however long it takes
-        whole: bool = False,
+        whole: bool = False,  # whether a chunk is all that is left of a group (a shard), however long it takes
     ):
         self._items = np.asarray(items, np.int64)
         groups = np.asarray(groups, np.int64)
@@ -114,8 +102,7 @@ class ChunkQueue:
 
     def note(self, group: int, seconds: float, items: int = 1) -> None:
         """Keep how long an item of a group took; seconds: mean over the items of a chunk; items: how many."""
-        # One that is made alone takes longer than one among others. 0 is for seconds with what loading takes in them,
-        # which hold only until others are known.
+        # One alone takes longer than one among others. 0: loading is in the seconds, which hold until others are known.
         kind = int(self._kinds[group])
         tables = [(self._kind_seconds, kind), *([(self._seconds, group)] if self.left_in(group) else [])]
         for table, key in tables:
@@ -126,8 +113,7 @@ class ChunkQueue:
 
     def choose(self, loaded: int | None, sharers: dict[int, int]) -> int | None:
         """The group of which a worker should take its next chunk; loaded: that it has; sharers: workers at each."""
-        # The loaded one as long as there is some of it; else one that nobody has begun, the largest first; else the one
-        # with the most left for each worker at it.
+        # The loaded one while any is left, else the largest that nobody has begun, else that with most left a worker.
         if loaded is not None and self.left_in(loaded):
             return loaded
         while self._unclaimed < len(self._by_size):
@@ -143,8 +129,7 @@ class ChunkQueue:
         speed: seconds that the worker takes for what takes others one."""
         size = self._size(group, workers, speed)
         taken = self._cut(group, size)
-        # where that has too few, the next groups that nobody has begun are taken with it, as far as they are of its
-        # kind and taken whole
+        # too few: the next groups that nobody has begun go with it, where they are of its kind and fit whole
         while not self.whole and len(taken) < size and self._unclaimed < len(self._by_size):
             following = int(self._by_size[self._unclaimed])
             fits = self.left_in(following) <= size - len(taken) and self._kinds[following] == self._kinds[group]
@@ -197,17 +182,10 @@ class ChunkQueue:
 #: Deaths of a worker in a row, none of which made an item, after which its place is given up.
 MOST_BARREN = 3
 
-#: Weight of the newest chunk in how fast a worker is taken for, and how far that may be from the others.
-NEWEST, MOST_RATIO = 0.5, 100.0
-
-#: Chunks that a worker has at most: one of which it makes items, the others while their last files are being written.
-MOST_CHUNKS = 2
-
-#: A chunk is shortened for the sake of a worker that has nothing to do where it would take this many more seconds.
-LEAST_SHARED = 2.0
-
-#: A worker that takes this many times what its chunk should have taken gives back all that it has not begun.
-STRAGGLING = 3.0
+NEWEST, MOST_RATIO = 0.5, 100.0  # weight of the newest chunk in a worker's speed, and how far that may be from others'
+MOST_CHUNKS = 2  # of a worker: one of which it makes items, the others while their last files are being written
+LEAST_SHARED = 2.0  # a chunk is shortened for a worker with nothing to do where it would take so many more seconds
+STRAGGLING = 3.0  # a worker that takes so many times what its chunk should have taken gives back what is not begun
 
 
 @dataclasses.dataclass
@@ -217,15 +195,13 @@ class ChunkReport:
     done: list[int] = dataclasses.field(default_factory=list)
     # of each of those; where something was loaded, how long the worker was at each
     seconds: list[float] = dataclasses.field(default_factory=list)
-    # will not be tried again, with one line each
-    failed: list[tuple[int, str]] = dataclasses.field(default_factory=list)
+    failed: list[tuple[int, str]] = dataclasses.field(default_factory=list)  # not tried again, with a line each
     errors: list[tuple[int, str]] = dataclasses.field(default_factory=list)  # may be tried again, with one line each
     left: list[int] = dataclasses.field(default_factory=list)  # were not begun, or their making ended without blame
     loading: bool = False  # whether the first item loaded what the others found there: its seconds are not usual
-    # one line each: why nothing can be written any more, the worker can make no more, the shard was not packed
-    halt: str | None = None
-    broken: str | None = None
-    pack_error: str | None = None
+    halt: str | None = None  # one line: why nothing can be written any more
+    broken: str | None = None  # why the worker can make no more
+    pack_error: str | None = None  # why the shard was not packed
 
 
 @dataclasses.dataclass
@@ -335,8 +311,7 @@ class Dispatcher:
         """A worker has begun all items of a chunk; returns whether it takes another one while files are written."""
         worker = self._workers.get(name)
         if worker is None or worker.chunk is None or worker.chunk.number != number:
-            # not what it makes: its report was there before
-            return False
+            return False  # not what it makes: its report was there before
         worker.ending[number], worker.chunk = worker.chunk, None
         return self.takes(name)
 
@@ -357,8 +332,7 @@ class Dispatcher:
             expected, behind = self.chunks.seconds(chunk.group), self.chunks.items_behind(chunk.group)
             if expected and behind and usual:
                 ratio = min(max(mean / expected, 1.0 / MOST_RATIO), MOST_RATIO)
-                # few items say little, as those at the end of a chunk wait for their files
-                share = min(1.0, len(usual) / behind)
+                share = min(1.0, len(usual) / behind)  # few say little: those at a chunk's end wait for files
                 worker.speed += NEWEST * share * (ratio - worker.speed)
             # of all workers together, as they are: two unknowns that explain each other would drift away together
             self.chunks.note(chunk.group, mean, len(usual))
@@ -377,7 +351,6 @@ class Dispatcher:
         if not chunks:
             return []
         lost: list[tuple[int, str]] = []
-        # the item that it began last is charged an attempt
         charged = begun[-1] if begun else None
         if charged is not None and self._attempts.get(charged, 0) >= self.retries:
             times = counted(self._attempts.get(charged, 0) + 1, "time")

@@ -91,8 +91,7 @@ class RandomSource:
 
     poses: RandomPoses[Cage]
     count: int
-    # whether they are drawn at once, and their vertices written; else whoever makes an item draws its pose
-    written: bool = False
+    written: bool = False  # drawn at once, and their vertices written; else whoever makes an item draws its pose
     processes: int = 1  # that draw what is drawn at once, where that is much; see `rows_by_processes`
 
     def __len__(self) -> int:
@@ -178,8 +177,7 @@ class SweepFiles:
     """What a sweep wrote."""
 
     jobs: pathlib.Path
-    # those that workers do not draw, (p, v, 3) float64, world units (.npy); None where there are none
-    poses: pathlib.Path | None
+    poses: pathlib.Path | None  # (p, v, 3) float64, world units (.npy), of those that workers do not draw; None: none
     cameras: pathlib.Path | None  # those that all poses share; None where each pose has its own
     items: int
 
@@ -253,11 +251,10 @@ def write_sweep(
 ) -> SweepFiles:
     """Write the job file of a sweep, and beside it its poses (`poses_path`) and the cameras that they share.
     cameras: shared, in the world of the field; or a function that makes them, or `RandomViews`, of corners (2, 3)."""
-    # Poses that workers draw are named by what they are drawn by, and are not written. The corners are the lowest and
-    # highest of all poses and of the cage at rest; of poses that workers draw the first FRAMED, spread over their
-    # sources.
-    # Each pose is seen from some of the shared cameras, `views` chosen at random by `seed`, or from all (None).
-    # `records`: see docs/sweeps.md; None is a folder. `defaults`: words that all items share, such as "background".
+    # Poses that workers draw are named by what they are drawn by, and not written. Corners: the lowest and highest of
+    # all poses and of the cage at rest; of poses that workers draw the first FRAMED, spread over their sources. Each
+    # pose is seen from `views` of the shared cameras, chosen at random by `seed`, or from all (None). `records`: see
+    # docs/sweeps.md; None is a folder. `defaults`: words that all items share, such as "background".
     path = pathlib.Path(path)
     kinds = [require_coordinates(kind) for kind in coordinates]
     if not kinds or len(set(kinds)) < len(kinds):
@@ -284,9 +281,7 @@ def write_sweep(
 
 
 class _Items:
-    """The items of a sweep, in the order of their poses."""
-
-    # By pose, then by kind of coordinates, then by camera, so that a map is made once for the cameras of a pose.
+    """The items of a sweep by pose, coordinates and camera: a map is made once for the cameras of a pose."""
 
     def __init__(
         self,

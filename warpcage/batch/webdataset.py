@@ -30,8 +30,7 @@ def shard_path(out: PathLike, shard: int) -> pathlib.Path:
 
 def shard_stage(out: PathLike, shard: int) -> pathlib.Path:
     """The folder in which the records of a shard, by its number from 0, stand until they are packed."""
-    # A job's items belong to shards by their places in the job file, so many to a shard. While a shard is made its
-    # records are loose files in a folder of its own; when the last of its items is settled they are packed.
+    # A shard has so many items, by their places in the job file, and is packed when the last of them is settled.
     return pathlib.Path(out) / STAGES / _stem(shard)
 
 
@@ -62,10 +61,9 @@ def _loose_size(path: pathlib.Path, otherwise: int | None) -> int | None:
 def pack_shard(out: PathLike, shard: int, records: Sequence[Mapping[str, Any]]) -> pathlib.Path | None:
     """Pack a shard: the loose files of its records, and of the shard as it was before what was not made anew.
     records: those done, in the job's order, with `outputs`: bytes by path; where there are none, no tar file: None."""
-    # The tar file is replaced at once, and then the loose files are deleted: an interrupt or a kill at any moment
-    # leaves either the loose files, to be packed again, or a whole shard. Records come in the order given, the files of
-    # each beside each other; dates and owners are left out, so that equal records make equal bytes. Those that failed
-    # are left out: a later call with them packs them too.
+    # The tar file is replaced at once, and then the loose files are deleted: a kill at any moment leaves those, to be
+    # packed again, or a whole shard. Files of a record stand beside each other; dates and owners are left out, so that
+    # equal records make equal bytes. Records that failed are left out: a later call with them packs them too.
     target, stage = shard_path(out, shard), shard_stage(out, shard)
     names = [name for record in records for name in _ordered(record["outputs"])]
     if names:

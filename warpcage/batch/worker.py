@@ -34,12 +34,9 @@ class Worker:
         device: wp.DeviceLike = None,
         *,
         memory: int | None = None,
-        # threads that encode pictures while the next ones are rendered; None is one for each CPU thread, 16 at most
-        encoders: int | None = None,
-        # the item that it will probably make first: a thread loads the kernels of that
-        first: Item | None = None,
-        # the field of that, which is being read
-        expected: PrefetchedField | None = None,
+        encoders: int | None = None,  # threads that encode beside rendering; None is one a CPU thread, 16 at most
+        first: Item | None = None,  # that it will probably make first: a thread loads its kernels
+        expected: PrefetchedField | None = None,  # the field of that, which is being read
     ):
         self.out, self.device = pathlib.Path(out), resolve_device(device)
         self.references = References(base)
@@ -95,8 +92,7 @@ class Worker:
             failed.set_exception(error)
             return failed
         folder = self.out if out is None else pathlib.Path(out)
-        # where there are two more of them than threads, or ROOM bytes of pictures, this waits until one is written
-        self._gate.enter(made.held_bytes)
+        self._gate.enter(made.held_bytes)  # waits while there are two more than threads, or ROOM bytes of pictures
         return self._pool.submit(self._write, made, folder)
 
     def _write(self, made: MadeItem, folder: pathlib.Path) -> dict[str, int]:

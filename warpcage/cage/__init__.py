@@ -1,6 +1,6 @@
 """Cages: shapes, poses, checks, repair, refinement and generation."""
 
-from ..core.package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,

@@ -367,8 +367,7 @@ def sample_pose(
     mapped = deform_points(stencil.reshape(-1, 3), pose, rest, coordinates="mean_value")
     assert isinstance(mapped, np.ndarray)  # as the points are
     mapped = mapped.reshape(-1, 4, 3)
-    # Forward differences. A sample is inverted where det J <= 0; elsewhere the pose stretches by 1 / s for each
-    # singular value s of J.
+    # Forward differences; inverted where det J <= 0, else stretched by 1 / s for each singular value s of J.
     jacobian = (mapped[:, 1:] - mapped[:, :1]) / step
     inverted = np.linalg.det(jacobian) <= 0.0
     singular = np.linalg.svd(jacobian[~inverted], compute_uv=False)
@@ -381,8 +380,7 @@ def grid_points(cage: ClosedMesh, samples: int) -> tuple[np.ndarray, float]:
     """Points (n, 3) of a grid over a cage's bounding box, `samples` or so inside, and their distance, world units."""
     lower, upper = cage.bounds
     spacing = (cage.volume / samples) ** (1.0 / 3.0)
-    # begun aside, off the cage's planes of symmetry
-    axes = [
+    axes = [  # begun aside, off the cage's planes of symmetry
         np.arange(low + 0.37 * min(spacing, high - low), high, spacing) for low, high in zip(lower, upper, strict=True)
     ]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), spacing

@@ -23,8 +23,7 @@ MAX_FILES = 20_000
 def gltf_poses(path: PathLike, rest: Cage, *, name: str = "", up: str | None = None) -> PoseFile | None:
     """The motion in a glTF file as keyframes of a cage, whose vertices may come in any order; None where nothing moves.
     `name` "" takes the only animation, or all shapes; `up` None is "y", as the specification says."""
-    # An animation becomes a keyframe for each of its frames, with its time; ways between them are straight. A file with
-    # shapes (Blender's shape keys) alone becomes a keyframe for each shape, without times.
+    # An animation is a keyframe for each frame, straight between; shapes (Blender's keys) alone are ones without times.
     path = require_file(path, "cage file")
     motion = read_gltf_motion(path, name)
     if motion is None:
@@ -64,8 +63,7 @@ def sequence_poses(
     if not numbers or len(set(numbers)) < len(paths):
         raise ValueError("a sequence of cage files needs a number at the end of each name, another one for each")
     first, standing = load_standing(Cage, paths[0], up=up, reference=rest, expected=expected)
-    # vertices may come in another order than the cage's, the same in all files
-    order = _order(rest, first, str(paths[0]))
+    order = _order(rest, first, str(paths[0]))  # vertices may come in another order, the same in all files
     file = PoseFile(rest)
     for path, number in zip(paths, numbers, strict=True):
         cage = first if path is paths[0] else Cage.load(path, up=standing.up)

@@ -187,8 +187,7 @@ def rotate(
     angle = np.deg2rad(checked_number(degrees, "degrees"))
     k = np.eye(3)[axis_index(axis)] if isinstance(axis, str) else direction(axis, "axis")
     rest, _, middle = _prepared(vertices, bounds, center)
-    y = rest - middle
-    # Rodrigues' formula
+    y = rest - middle  # Rodrigues' formula
     return middle + np.cos(angle) * y + np.sin(angle) * np.cross(k, y) + (1.0 - np.cos(angle)) * np.outer(y @ k, k)
 
 
@@ -219,8 +218,7 @@ def move(
             distance, reach = np.where(np.isin(np.arange(len(rest)), moved), 0.0, 1.0), 1.0
         else:
             distance = np.array([np.linalg.norm(rest[moved] - x, axis=1).min() for x in rest])
-    # x' = x + w(d / radius) offset, with d the distance to the nearest vertex of the group, or to the centre, and
-    # w(t) = (1 - t)^2 (1 + 2 t), smooth at both ends
+    # x' = x + w(d / reach) step, d to the nearest vertex of the group or the centre, w(t) = (1 - t)^2 (1 + 2 t)
     t = np.clip(distance / reach, 0.0, 1.0)
     return rest + ((1.0 - t) ** 2 * (1.0 + 2.0 * t))[:, None] * step
 

@@ -74,8 +74,7 @@ class PoseWay:
         self._center, self._size = 0.5 * (low + high), float((high - low).max())
         places = (vertices - self._center) / self._size
         self._places: Columns = tuple(np.ascontiguousarray(places[:, k]) for k in range(3))
-        # at least one mode acts, each with a probability of one half; amounts are drawn evenly between nothing and the
-        # ends of their modes, in both senses
+        # one mode or more, each with a probability of 1/2; amounts even up to the ends of their modes, both ways
         acting = [random.number() < 0.5 for _ in POSE_MODES]
         chosen = random.whole(len(modes))
         kinds = {kind for kind, acts in zip(POSE_MODES, acting, strict=True) if acts and kind in modes}
@@ -98,8 +97,7 @@ class PoseWay:
             for _ in range(_BUMPS)
         ]
         self._bumps = self._bumps[: 1 + random.whole(_BUMPS)]
-        # made larger together, so that one of the amounts gets to its end
-        self._scale = 1.0 / max(abs(mode[-1]) for kind in self.kinds for mode in self._of(kind))
+        self._scale = 1.0 / max(abs(mode[-1]) for kind in self.kinds for mode in self._of(kind))  # one gets to its end
 
     def _of(self, kind: str) -> list[tuple]:
         """The modes of a kind: what each needs, and its amount last."""
@@ -240,10 +238,8 @@ class RandomPoseOptions:
     """What `RandomPoses` takes besides the cage."""
 
     seed: int = 0
-    # least and largest length in a pose over the length at rest, over all places and directions
-    stretch: Sequence[float] = USUAL_STRETCH
-    # (2,) shares between which a pose's share of its farthest amplitude lies, evenly
-    reach: Sequence[float] = USUAL_REACH
+    stretch: Sequence[float] = USUAL_STRETCH  # least and largest length over that at rest, all places and directions
+    reach: Sequence[float] = USUAL_REACH  # shares of its farthest amplitude that a pose's lies between, evenly
     modes: Sequence[str] = POSE_MODES
 
     def __post_init__(self) -> None:
@@ -310,10 +306,9 @@ class Stretch:
 class PoseProbe:
     """Measures poses of one usable cage, at about `samples` places inside."""
 
-    # Inside, a pose moves matter by mean value coordinates, in one of two ways: the coordinates of the cage at rest
-    # carry points along ("forward", as meshes and splats go), and those of the posed cage say where a place has its
-    # matter from ("backward", as fields are rendered; paper, section 3). The first are linear in the posed vertices:
-    # their gradients are worked out once, which makes `forward` quick. `backward` takes some hundredths of a second.
+    # Inside, matter moves by mean value coordinates: those of the cage at rest carry points along ("forward", as meshes
+    # and splats go), those of the posed cage say where a place has its matter from ("backward", as fields; paper,
+    # section 3). `forward` is linear, so quick: gradients are worked out once. `backward` takes hundredths of a second.
 
     def __init__(self, rest: ClosedMesh, samples: int = SAMPLES):
         self.rest = rest

@@ -12,10 +12,9 @@ from ..mesh.validity import coincident_vertices, inward_parts
 
 def repaired_faces(cage: ClosedMesh, largest_hole: int = 12) -> tuple[np.ndarray, tuple[str, ...]]:
     """Mended faces (f, 3) and a line for each thing that was done; the cage's own faces and no lines where none was."""
-    # In this order: faces name the same vertex at a place (the others stay, unused); faces go that name a vertex twice
-    # or repeat another face; neighbours are wound alike; small holes are closed with the smallest area and without new
-    # vertices; parts are turned outward. Some things cannot be mended and are left for `check` to report: edges of
-    # three faces, crossing faces, wide holes, surfaces with one side only.
+    # In order: faces name one vertex at a place (others stay, unused); faces with a vertex twice or repeated go;
+    # neighbours are wound alike; small holes are closed with the least area and no new vertices; parts turn outward.
+    # Left for `check`: edges of three faces, crossing faces, wide holes, surfaces with one side only.
     largest_hole = checked_whole(largest_hole, "largest_hole", 3)
     faces, notes = cage.faces.astype(np.int64), []
     for step in (_merged, _without_repeats, _wound_alike):
@@ -82,8 +81,7 @@ def _wound_alike(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> n
                 if flip[two] < 0:
                     flip[two] = flip[one] ^ int(forward == other)
                     queue.append(two)
-    # of each part the smaller share gets flipped
-    for part in range(topology.part_count):
+    for part in range(topology.part_count):  # of each part the smaller share gets flipped
         rows = topology.parts == part
         if flip[rows].mean() > 0.5:
             flip[rows] ^= 1
@@ -197,7 +195,6 @@ def symmetrised(cage: ClosedMesh, axis: str = "x", *, center: float | None = Non
     own = cage.vertices
     mirrored = own.copy()
     mirrored[:, along] = 2.0 * middle - mirrored[:, along]
-    # each vertex is paired with the one nearest to its mirror image
     partner = np.array([np.argmin(((own - image) ** 2).sum(axis=1)) for image in mirrored])
     alone = np.flatnonzero(partner[partner] != np.arange(len(own)))
     if len(alone):

@@ -19,8 +19,7 @@ AS_GOOD = 0.02
 def snap_to_gaps(cage: Cage, field: VoxelField, reach: float) -> Cage:
     """A cage whose flat walls moved, each along its normal, to the nearest gap in the matter of a field.
     `reach`: how far a wall may move, world units."""
-    # A part that a cage cuts out at a gap takes all of itself along, and leaves no frayed edge. Walls that cut nothing
-    # stay, and so do those for which no place is better. Walls that are not flat move face by face.
+    # At a gap a part takes all of itself along. Walls that cut nothing stay; those not flat move face by face.
     reach = checked_positive(reach, "reach")
     cage.require_usable("the cage to snap")
     walls = wall_groups(cage, np.arange(len(cage.faces)), WALL_ANGLE)
@@ -33,8 +32,7 @@ def snap_to_gaps(cage: Cage, field: VoxelField, reach: float) -> Cage:
     moved = cage.vertices.copy()
     for vertex, numbers in enumerate(around):
         if numbers and shifts[numbers].any():
-            # neighbouring walls stay joined: a vertex goes where the walls around it meet
-            moved[vertex] += np.linalg.lstsq(normals[numbers], shifts[numbers], rcond=1e-3)[0]
+            moved[vertex] += np.linalg.lstsq(normals[numbers], shifts[numbers], rcond=1e-3)[0]  # where its walls meet
     snapped = cage.with_vertices(moved)
     snapped.require_usable(f"the cage snapped within {reach:g}")
     return snapped

@@ -1,6 +1,6 @@
 """From a phone's pictures or video to a scene: frames are picked, cameras found, pictures undistorted, all reported."""
 
-from ..core.package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__, {"colmap": "Solver", "video": "FrameScores motion pick_frames scan_video sharpness write_frames"}

@@ -30,10 +30,8 @@ LAYOUT = 1
 
 
 class WorkFolder:
-    """A hidden folder beside the output, a context; another job (what is captured and how, for JSON) starts anew."""
-
-    # It goes when the capture is done, and when its input cannot be used. What ends the capture in another way, a kill
-    # or an interrupt or a full disk, leaves it there, and the same capture continues in it.
+    """A hidden folder beside the output, a context; another job (what is captured and how, for JSON) starts anew.
+    It goes when the capture is done or the input unusable; a kill, an interrupt or a full disk leaves it to go on."""
 
     def __init__(self, output: pathlib.Path, job: dict):
         self.path = output.with_name(f".{output.name}.capture")

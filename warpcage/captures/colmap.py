@@ -41,8 +41,7 @@ class Found:
     colors: np.ndarray  # (m, 3) uint8
     views: np.ndarray  # (m,) int64, pictures that each point was found in
     counts: np.ndarray  # (k,) int64, points that each picture shows
-    # (k,) float64, mean distance between where a picture shows its points and where they project to, pixels
-    errors: np.ndarray
+    errors: np.ndarray  # (k,) float64, mean distance of where a picture shows its points from their projections, pixels
     error: float  # the same over all pictures
 
     def moved(self, rotation: np.ndarray, center: np.ndarray, scale: float) -> Found:
@@ -156,8 +155,7 @@ def neighbor_pairs(count: int) -> list[tuple[int, int]]:
 def chosen_pairs(features: list[np.ndarray], *, video: bool) -> list[tuple[int, int]]:
     """The pairs of indices of pictures, the smaller first, in order, that are worth comparing in full.
     features: of each picture (k, 128) unit vectors from `largest_features`; video: pictures follow one another."""
-    # All of a small folder. Otherwise the pairs that look most alike, and neighbours in a video: so views are tied
-    # together where the camera comes back to a place.
+    # All of a small folder; else the most alike, and neighbours in a video: views are tied where the camera comes back.
     count = len(features)
     every = [(a, b) for a in range(count) for b in range(a + 1, count)]
     if count <= SMALL_FOLDER and not video:

@@ -27,10 +27,8 @@ def common_size(sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
 
 
 class Pinhole:
-    """Takes the pictures of one lens to those of a pinhole camera of a common size, pixels."""
-
-    # The distortion is undone by bilinear resampling; a picture that lies on its side beside the others is turned by a
-    # quarter; what is larger or of another shape is cut to the shape around its middle and resized.
+    """Takes the pictures of one lens to those of a pinhole camera of a common size, pixels.
+    Undistorts (bilinear), turns one on its side among others, cuts others to the shape around the middle, resizes."""
 
     def __init__(self, lens: Lens, size: tuple[int, int], *, clockwise: bool = False):
         self.lens, self.size, self.clockwise = lens, size, clockwise
@@ -199,8 +197,7 @@ def _write_picture(path: pathlib.Path, source: Source, pinhole: Pinhole) -> None
 
 def placed(found: Found) -> Found:
     """The cameras and points of a capture, from COLMAP's own frame and unit, in coordinates of its object."""
-    # Up for the cameras becomes +z (`common_up`), the first camera stands at -y, the middle of the object's box becomes
-    # the origin and its longest side two units.
+    # +z is up for the cameras (`common_up`), the first one at -y; the object's box is around 0, its longest side 2.
     upright = rotation_to(common_up(_cameras(found)), np.array([0.0, 0.0, 1.0]))
     turned = found.moved(np.eye(3) if upright is None else upright[:3, :3], np.zeros(3), 1.0)
     center = object_box(turned).mean(axis=0)
@@ -214,7 +211,6 @@ def placed(found: Found) -> Found:
 
 def object_box(found: Found) -> np.ndarray:
     """The box of the object (2, 3), lower and upper corner, as `load_scene` finds it from a scene's points."""
-    # It is around the bulk of the points that the cameras look at, or what they look at where points are few.
     cameras = _cameras(found)
     seen = view_box(cameras)
     box = bulk_box(found.points, seen, common_up(cameras))

@@ -115,8 +115,7 @@ def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
 
 def pick_frames(scores: FrameScores, count: int) -> np.ndarray:
     """Indices (k,) int64, ascending, of at most `count` frames that are worth their while."""
-    # The way of the view is cut into `count` equal parts, fewer where it is short, and of each the sharpest frame is
-    # taken, so that frames stand as far apart where the camera is slow as where it is fast.
+    # The sharpest of each of `count` equal parts of the way, fewer where it is short, however fast the camera moves.
     length = float(scores.way[-1])
     parts = int(min(count, len(scores.times), max(1, length / LEAST_STEP)))
     part = np.minimum((scores.way / max(length, 1e-12) * parts).astype(np.int64), parts - 1)

@@ -1,8 +1,7 @@
 """The command line: `warpcage fit | mesh | cage | check | pose | render | animate | ...`."""
 # Commands stand in groups of two modules of one name. `arguments/GROUP.py` lists its commands (name, help, example,
-# arguments); it needs the standard library alone, so that help comes at once. `GROUP.py` holds run_NAME(args), which
-# returns the exit status where it is not 0, and is loaded when a command is chosen. Wrong arguments are refused before
-# any long work.
+# arguments) with the standard library alone, so that help comes at once. `GROUP.py` holds run_NAME(args), loaded when
+# chosen, which returns the exit status where it is not 0. Wrong arguments are refused before any long work.
 
 from __future__ import annotations
 

@@ -47,8 +47,7 @@ class FilmFrame:
 
     index: int
     camera: Camera
-    # of each edit the vertices of its posed cage, (v, 3) world units; None for one that removes
-    poses: Sequence[np.ndarray | None] = ()
+    poses: Sequence[np.ndarray | None] = ()  # of each edit the posed vertices, (v, 3) world units; None: it removes
 
     @property
     def name(self) -> str:

@@ -37,8 +37,7 @@ def write_folder(
 ) -> int:
     """Write the frames of a film that are not there yet, each whole or not at all; returns how many were there.
     render(index, file) returns what writes the picture, in another thread, and the bytes that it holds."""
-    # A run that makes no frame leaves nothing: the note is written once the first picture is rendered, and goes again
-    # where that cannot be written. A note without frames binds nobody.
+    # The note comes with the first picture, or goes where it cannot be written: without frames it binds nobody.
     foreign = _allowed(_other_film(folder, settings), folder, overwrite)
     kept, begun = 0, False
     with _nothing_left_without_frames(folder), BackgroundWriter() as beside:

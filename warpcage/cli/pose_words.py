@@ -78,8 +78,7 @@ def read_film(
 ) -> PoseFile | None:
     """The keys of words of --posed that say themselves when each pose is reached; None for other words.
     up: "y" or "z", None finds it; expected: axis by ending of cage files where nothing speaks for another."""
-    # They are a pose file whose keyframes have times, an animated glTF file, a folder or a pattern of numbered cage
-    # files, and cage files that are named alike but for their numbers.
+    # A pose file with times, an animated glTF file, a folder or pattern of numbered cage files, or files so named.
     rate = float(USUAL_RATE if fps is None else fps)
     if len(texts) == 1:
         (text,) = texts
@@ -167,8 +166,7 @@ def read_poses(
 ) -> list[Cage]:
     """The posed cages that a word of --posed names: one, or all of a file, a folder or a pattern in their order.
     up: "y" or "z", None finds it from the rest cage; expected: axis by ending where nothing speaks for another."""
-    # A word is a cage file, a preset, a pose file or a glTF file that moves, one keyframe of either, a folder or a
-    # pattern (walk_####.obj) of numbered cage files.
+    # A cage file, a preset, a pose or moving glTF file, a keyframe of either, a folder or a pattern (walk_####.obj).
     if is_preset(text):
         preset = Preset(text)
         poses = [preset.at(rest, preset.amount)]
@@ -261,15 +259,13 @@ class Keyframes:
         up: str | None = None,  # "y" or "z"; None finds it from the rest cage, file by file
         expected: Mapping[str, str] | None = None,  # axis by ending of cage files where nothing speaks for another
         *,
-        # words that say themselves when each pose is reached make a film of their own: see `read_film`
-        timed: bool = False,
+        timed: bool = False,  # words that say when each pose is reached make a film of their own: see `read_film`
         fps: Fraction | None = None,  # rate of numbered cage files in such a film; None is the usual one
     ):
         self.rest, self.interpolation = rest, interpolation
         self.preset: Preset | None = None  # whose amount is interpolated
         self.amounts: list[tuple[float, ...]] = []  # one per cage
-        # keys at times, of which the poses are; None where the poses follow one another evenly
-        self.film = read_film(rest, texts, up, expected, fps) if timed else None
+        self.film = read_film(rest, texts, up, expected, fps) if timed else None  # None: the poses follow evenly
         if self.film is not None:
             self.cages = [rest, *(self.film[name] for name in self.film.timed)]
             for name in self.film.timed:

@@ -23,12 +23,10 @@ from .arguments.options import package_version
 
 _GROUPS = (scenes, fields, cages, edit, poses, render, runs, info)
 
-#: The order of commands in their help.
-_ORDER = (
+_ORDER = (  # of commands in their help
     "capture fit select mesh cage check edit pose edits render animate sweep run bake evaluate info kernels".split()
 )
 
-#: Commands by their names.
 COMMANDS = {command.name: command for group in _GROUPS for command in group.COMMANDS}
 
 EXAMPLE = """\
@@ -132,7 +130,6 @@ class SteadyStream:
         try:
             text.encode(encoding, self._stream.errors or "strict")
         except UnicodeEncodeError:
-            # Characters that the encoding lacks become escapes.
             text = text.encode(encoding, "backslashreplace").decode(encoding)
         self._attempt(self._stream.write, text)
         return len(text)
@@ -148,16 +145,14 @@ class SteadyStream:
             # what is still buffered goes nowhere, or the interpreter would fail at it again at its end
             with contextlib.suppress(OSError), open(os.devnull, "wb") as nowhere:
                 os.dup2(nowhere.fileno(), self._stream.fileno())
-            # What nobody reads any more is dropped. Other errors, such as a full disk, are raised once.
-            if error.errno not in _GONE:
+            if error.errno not in _GONE:  # others, such as a full disk, are raised once
                 raise
 
 
 @contextlib.contextmanager
 def steady_streams() -> Iterator[None]:
     """Make sys.stdout and sys.stderr steady for a while."""
-    # Those that are closed are opened on nothing. Otherwise the next file that is opened would get one of them, and
-    # what libraries print would end in it.
+    # Closed ones are opened on nothing: the next file would get one of them, and what libraries print would end in it.
     for descriptor in range(3):
         try:
             os.fstat(descriptor)

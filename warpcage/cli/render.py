@@ -394,8 +394,7 @@ def turned_cameras(camera: Camera, pivot: np.ndarray, up: ArrayLike, degrees: fl
     if np.linalg.norm(axis) == 0:
         raise ValueError("--up must not be 0 0 0")
     axis /= np.linalg.norm(axis)
-    # After a full turn the next camera would be the first one again.
-    steps = count if degrees % 360 == 0 else max(1, count - 1)
+    steps = count if degrees % 360 == 0 else max(1, count - 1)  # after a full turn the next would be the first
     cameras = []
     for angle in np.radians(degrees) * np.arange(count) / steps:
         turn = np.eye(4)

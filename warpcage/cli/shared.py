@@ -283,8 +283,7 @@ def read_field(args: argparse.Namespace) -> AnyField:
     field = load_field(args.field, scene_scale=args.scene_scale, device=chosen_device(args))
     if getattr(args, "up", field) is None:  # a command with a view
         args.up = tuple(field.up)
-    # Cameras of scenes are moved by it.
-    args.straightening = field.straightening
+    args.straightening = field.straightening  # cameras of scenes are moved by it
     return field
 
 
@@ -338,8 +337,7 @@ def require_deformation(args: argparse.Namespace, what: str) -> None:
 def visible_points(field: AnyField, deformation: Deformation | None, frame: str | None) -> np.ndarray:
     """(n, 3) points around what a picture shows, world units: vertices of the cages at rest and posed (frame "posed"),
     else the corners of the field's box."""
-    # The field at rest is the usual one, so that pictures before and after an edit, and of all its poses, can be
-    # compared.
+    # Usually the field at rest, so that pictures before and after an edit, and of all its poses, can be compared.
     if deformation is not None and frame == "posed":
         return deformation.vertices
     low, high = field.shown_bounds if isinstance(field, SplatField) else field.bounds

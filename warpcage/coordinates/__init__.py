@@ -1,6 +1,6 @@
 """Coordinates of points in a cage, and points moved by them."""
 
-from ..core.package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,

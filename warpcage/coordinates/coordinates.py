@@ -234,8 +234,7 @@ def deform_points(
 
 def stretched_normals(source: ClosedMesh, target: ClosedMesh) -> np.ndarray:
     """Unit normals of a deformed cage's faces times how much each face is stretched, (f, 3) float64.
-    Zero for a target face without area, which has no normal."""
-    # Green face weights computed on `source` multiply them (warpcage/mesh/faces.py has the formula).
+    Zero for a target face without area, which has no normal. Green face weights of `source` multiply them."""
     require_same_faces(source, target)
     return face_geometry.stretched_normals(source, face_geometry.StretchTarget.of(target)).T
 

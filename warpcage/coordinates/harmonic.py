@@ -53,8 +53,7 @@ def harmonic_weights(
     resolution = require_resolution(resolution)
     require_usable(cage)
     host = as_host_points(points)
-    # points within 1e-5 of the cage's size of it count as inside
-    outside = np.flatnonzero(~np.asarray(inside_mesh(host, cage, device=device)))
+    outside = np.flatnonzero(~np.asarray(inside_mesh(host, cage, device=device)))  # inside: up to 1e-5 of its size out
     if len(outside):
         first = int(outside[0])
         raise ValueError(
@@ -71,17 +70,14 @@ def harmonic_weights(
     )
     weights = empty_array((len(host), vertex_count), float, device)
     if len(host):
-        # size one about the origin: weights do not depend on units
-        center = cage.bounds.mean(axis=0)
+        center = cage.bounds.mean(axis=0)  # size one about the origin: weights do not depend on units
         local = cage.with_vertices((cage.vertices - center) / cage.size)
         lattice = CageLattice(local, resolution, device=device)
         places = ((host - center) / cage.size - lattice.lower) / lattice.spacing
         places = wp.array(places.astype(np.float32), dtype=wp.vec3, device=device)
         solver = HarmonicSolver(lattice, tolerance=tolerance)
         solver.prepare()
-        # at gaps of the cage narrower than about two cells each side has values of its own; below one cell they are
-        # rough, and a warning says so
-        gaps = WeightGaps(solver)
+        gaps = WeightGaps(solver)  # own values for each side of gaps below two cells; rough below one, with a warning
         for column, selected in solver.solve_vertices():
             inputs = [column, gaps.cage_map(selected), places]
             launch(sample_weights, len(host), inputs, [weights], device=device)

@@ -65,10 +65,9 @@ def _corner_weights(
     sign: np.ndarray,
 ) -> np.ndarray:
     """(3 f, n) weights of the corners of all faces, first corners first."""
-    # With u_i the unit vectors to the corners of a face, theta_ij the angles between them and n_ij the unit normals of
-    # the planes that they span, the mean vector of the face's spherical triangle is m = sum_ij theta_ij n_ij / 2, and
-    # its corner i gets the weight m . (u_j x u_k) / (det(u_i, u_j, u_k) |v_i - x|) (Ju, Schaefer and Warren 2005;
-    # Floater, Kos and Reimers 2005). A face in one plane with the point, off the point, gets none.
+    # With u_i unit vectors to a face's corners, theta_ij the angles and n_ij the unit normals of their planes, and the
+    # mean vector m = sum_ij theta_ij n_ij / 2, corner i weighs m . (u_j x u_k) / (det(u_i, u_j, u_k) |v_i - x|) (Ju,
+    # Schaefer and Warren 2005; Floater, Kos and Reimers 2005); none where a face is in plane with x, off it.
     # x, y and z are arrays of their own, so that none is stacked
     ray = [vertices[:, k, None] - points[None, :, k] for k in range(3)]  # of (v, n)
     length = np.sqrt(_dot(ray, ray))

@@ -1,12 +1,11 @@
 """What everything stands on: devices, threads, arrays, files, memory, checks and names."""
 
-from .package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "arrays": "array_bytes array_view as_points",
-        "checkout": "NEEDED",
         "checks": (
             "axis_index checked_bounds checked_margin checked_number checked_positive checked_step "
             "checked_vector checked_whole listed warn_caller"

@@ -45,8 +45,7 @@ def is_device_array(array: object) -> bool:
 
 def empty_array(shape: int | tuple[int, ...], dtype: Any, device: wp.DeviceLike, *, pinned: bool = False) -> wp.array:
     """A Warp array whose values are not set yet; pinned memory of the CPU is page-locked."""
-    # wp.empty, whose annotations know no data type but float.
-    return wp.empty(shape, dtype=dtype, device=device, pinned=pinned)
+    return wp.empty(shape, dtype=dtype, device=device, pinned=pinned)  # whose annotations know float alone
 
 
 def struct_array(structs: Sequence[WarpStruct], dtype: Any, device: wp.DeviceLike) -> wp.array:
@@ -61,8 +60,7 @@ def as_points(
 ) -> tuple[wp.array[Any, Any], bool]:
     """Points (n, 3) of any library as (n,) vec3 on the device, and whether results should go back as Warp arrays.
     None is the device of an array on a device, else CUDA where there is one."""
-    # What is float32, contiguous and on the device already is not copied. Arrays on a device are not read back, so only
-    # those of NumPy are looked through for values that are not finite.
+    # What is float32, contiguous and there is not copied. No device array is read back to look for values not finite.
     if is_device_array(points):
         array: wp.array[Any, Any] = points if isinstance(points, wp.array) else _from_foreign(points, name)
         if array.dtype in (wp.vec3, wp.vec3d):
@@ -148,8 +146,7 @@ def array_view(
 ) -> wp.array:
     """The memory of an array, which stays alive, as an array of another type, shape or device (CUDA for pinned memory).
     Offset and strides are bytes; None is the owner's device, and strides without gaps."""
-    # Warp's own views (slices, `reshape`, `view`) do so as well, where they can say what is wanted.
-    assert owner.ptr is not None
+    assert owner.ptr is not None  # Warp's own views (slices, `reshape`, `view`) do as well, where they suffice
     view = wp.array(
         ptr=owner.ptr + offset,
         dtype=dtype,
@@ -164,8 +161,7 @@ def array_view(
 
 def array_bytes(thing: object, leave: Sequence[object] = ()) -> int:
     """Bytes, on devices and in main memory, of an object's arrays and textures at any depth; not those of `leave`."""
-    # Views of one array count once. Only objects of this package and structs of Warp are looked into.
-    held: dict[tuple[str, int], int] = {}
+    held: dict[tuple[str, int], int] = {}  # views count once; only objects of this package and Warp structs are opened
     seen, open_things = {id(each) for each in leave}, [thing]
     while open_things:
         each = open_things.pop()
@@ -226,9 +222,8 @@ class HostCopy:
     """A copy of a contiguous array on a CUDA device, as it is when all is done that was launched before.
     `state`, (1,) int32 on its device and not 0 by then, comes with the copy; None is THERE."""
 
-    # Behind each copy the device writes a number into memory that the host reads. Whoever needs the copy looks at that
-    # number, in any thread and without a word to the device: its turn (`device_turn`) stays with the thread that
-    # launches.
+    # Behind each copy the device writes a number into memory that the host reads: whoever needs the copy looks at that,
+    # in any thread, without a word to the device. Its turn (`device_turn`) stays with the thread that launches.
 
     def __init__(self, array: wp.array, state: wp.array | None = None):
         assert array.device is not None

@@ -20,8 +20,7 @@ FIRST_WORK = 1 << 20
 #: Steps that an item is taken for where nobody knows.
 USUAL_WORK = 16
 
-#: The lists of `recorded_launches`; threads replace the tuple as a whole.
-_records: tuple[list[str], ...] = ()
+_records: tuple[list[str], ...] = ()  # of `recorded_launches`; threads replace the tuple as a whole
 _records_change = threading.Lock()
 
 
@@ -54,14 +53,12 @@ def launch(
 ) -> None:
     """Launch a one-dimensional kernel whose first parameter is `first`, the index of this launch's first item.
     On the CPU outputs of items must be disjoint: no atomics. `work`: steps an item may take, each 0.1 us or less."""
-    # On CUDA it is one launch with `first` = 0. On the CPU parts of the items run on several threads. Any
-    # thread may launch.
+    # One launch with `first` = 0 on CUDA; on the CPU parts run on several threads. Any thread may launch.
     assert isinstance(kernel, wp.Kernel)
     device = wp.get_device(device)
     if count <= 0:
         return
-    # a module is compiled once more for each other number
-    block_dim = module_block_dim(kernel) if block_dim is None else block_dim
+    block_dim = module_block_dim(kernel) if block_dim is None else block_dim  # each other number compiles anew
     require_loaded(kernel, device, block_dim)
 
     _record(kernel)
@@ -75,9 +72,8 @@ def launch(
         with device_turn(device):
             run(0, count)
         return
-    # parts last a fraction of a second, so that an interrupt acts soon
     threads = cpu_threads() if threads is None else threads
-    first = max(1, int(FIRST_WORK / max(work, 1.0)))
+    first = max(1, int(FIRST_WORK / max(work, 1.0)))  # parts are short, so that an interrupt acts soon
     if count < 2 * threads:
         threads = 1
     if threads <= 1 and count <= first:
@@ -89,9 +85,8 @@ def launch(
 class RecordedLaunch:
     """A kernel that frames launch one after the other with mostly the same arguments; on a CPU it is `launch`."""
 
-    # To pack all arguments takes the host several times as long as the launch itself. So CUDA launches are recorded: a
-    # later one sets those that have become other objects, and what a struct holds may change. The arguments of the last
-    # one stay alive, but for those that are said to pass.
+    # To pack all arguments takes the host several times as long as the launch. So CUDA launches are recorded: later
+    # ones set what became other objects (structs may change inside). Arguments stay alive, but for those said to pass.
 
     def __init__(self, kernel: Kernel, device: wp.DeviceLike):
         self.kernel, self._device = kernel, wp.get_device(device)
@@ -239,10 +234,9 @@ release_thresholds: dict[int, int] = {}
 class SpareMemory:
     """What one owner of frames lets the pool of its device keep."""
 
-    # Whenever the host waits for a GPU, its pool gives back to the driver what it holds beyond its release threshold,
-    # which is nothing by default. To get it anew takes the next frame longer than a launch. So the threshold follows
-    # the memory in use, and leaves room for a few frames beside that. It goes back to nothing with the owner. A
-    # threshold that a program has set itself stays as it is.
+    # Whenever the host waits for a GPU, its pool gives the driver what it holds beyond its release threshold, by
+    # default all; to get it anew takes the next frame longer than a launch. So the threshold follows the memory in use,
+    # with room for a few frames, and falls to nothing with the owner. One that a program has set itself stays.
 
     def __init__(self, device: wp.Device):
         self._device = device if device.is_cuda and device.is_mempool_enabled else None

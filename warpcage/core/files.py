@@ -28,8 +28,7 @@ POLYNOMIAL, ONE, X = 0xEDB88320, 1 << 31, 1 << 30
 
 def joined_crc(first: int, second: int, length: int) -> int:
     """The checksum of two parts one after the other, by that of each and the bytes of the second."""
-    # `crc32_combine` of zlib.
-    return _product(_shift(8 * length), first) ^ second
+    return _product(_shift(8 * length), first) ^ second  # `crc32_combine` of zlib
 
 
 def _product(a: int, b: int) -> int:
@@ -85,8 +84,7 @@ def read_npz(
 ) -> dict[str, np.ndarray]:
     """Read the arrays of an .npz file that are wanted (None: all) without trusting it.
     `room`: bytes of memory that each byte of the arrays takes until the caller is done with them."""
-    # Sizes are compared with that of the file and with the memory that is free before anything is allocated. Pickled
-    # objects are never opened. Arrays that nobody asked for are not read, however large they are.
+    # Sizes are compared with the file's and with free memory before anything is allocated. Pickles are never opened.
     with _opened_npz(path, what) as archive:
         members = [info for info in _members(archive) if wanted is None or wanted(_array_name(info))]
         _check_sizes(archive, members, room)
@@ -337,10 +335,8 @@ NUMBERS = "fiu"
 
 
 class NpyFile:
-    """An array in a .npy file, of which a row is read at a time by its place in the file."""
-
-    # Of millions of poses none but the one that is asked for is in memory. A mapped file would do the same, but a file
-    # that is cut off under it kills the process.
+    """An array in a .npy file, of which a row is read at a time by its place in the file.
+    Of millions of poses one is in memory. A mapped file would do so too, but one cut off under it kills the process."""
 
     def __init__(self, path: PathLike):
         self.path = require_file(path, "array file")

@@ -19,8 +19,7 @@ from .files import atomic_path
 FOLDER = pathlib.Path(kernel_folders[0])
 ROOT_DOCSTRING = '"""Kernels of warpcage (Apache License 2.0), copied with `warpcage kernels copy`."""\n'
 
-#: Kernel files by the names that they, or parts of them, had before: these are understood in this version.
-_FORMER = {
+_FORMER = {  # kernel files by the names that they, or parts of them, had before: this version understands these
     "core/loads": "core/entries",
     "core/shared": "core/warp_memory",
     "edits/bake": "deform/bake",
@@ -153,8 +152,7 @@ def copy_kernel(name: str, destination: str | os.PathLike) -> list[pathlib.Path]
     destination = pathlib.Path(destination)
     _check_package_name(destination)
     names = sorted({name} | all_needs(name))
-    # The files import each other relatively (`from ..mesh.fans import ...`), so a copy keeps the folders.
-    texts = {destination / f"{each}.py": kernel_source(each) for each in names}
+    texts = {destination / f"{each}.py": kernel_source(each) for each in names}  # imports are relative: folders stay
     native = sorted(frozenset().union(*map(native_files, names)))
     texts |= {destination / each: native_text(each) for each in native}
     for path, text in texts.items():

@@ -23,16 +23,14 @@ _device_locks: dict[int, Lock] = {}
 
 def device_turn(device: wp.Device) -> contextlib.AbstractContextManager[object]:
     """What to hold (`with`) while work for a device is handed over: one lock in the process for each CUDA device."""
-    # Warp keeps one current stream and one list of captures for each CUDA device, and all threads share them: a launch
-    # of another thread would land in this thread's graph, or on a side stream that nothing waits for. What was launched
-    # goes on without the lock. On the CPU launches share no state.
+    # Warp's current stream and list of captures belong to a CUDA device: another thread's launch would land in this
+    # one's graph, or on a side stream that nothing waits for. Launched work needs no lock. CPU launches share no state.
     return _NO_LOCK if device.is_cpu else _device_lock(device)
 
 
 def owner_lock(device: wp.Device) -> Lock:
     """The lock of an object that owns buffers on a device: its own on the CPU, `device_turn` on CUDA."""
-    # On the CPU threads with an object each do not wait for each other. On CUDA, with two locks, two threads could wait
-    # for each other for ever.
+    # On the CPU threads with an object each do not wait; on CUDA two locks could make two threads wait for ever.
     return threading.RLock() if device.is_cpu else _device_lock(device)
 
 

@@ -35,8 +35,7 @@ def is_shortage(error: BaseException | None) -> bool:
     """Whether an error says that there was not enough memory, or came of one that did."""
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
-        # Warp has no class of its own for it, but words
-        if isinstance(error, MemoryError | MemoryShortage) or "Failed to allocate" in str(error):
+        if isinstance(error, MemoryError | MemoryShortage) or "Failed to allocate" in str(error):  # Warp has only words
             return True
         seen.add(id(error))
         error = error.__cause__ or error.__context__
@@ -50,9 +49,8 @@ def free_bytes(device: wp.Device) -> int:
 
 def free_host_bytes(root: str = "/") -> int:
     """Bytes of main memory that this process can still allocate; `root` holds proc and sys, for tests."""
-    # The least of what the system has free, what the control groups of the process (containers, jobs of a cluster) have
-    # left, and what is left of its own limits (`ulimit -v` and `-d`). Limits that the system does not tell count as
-    # none.
+    # The least of what the system has free, and what control groups (containers, jobs of a cluster) and the limits of
+    # the process (`ulimit -v` and `-d`) leave. Limits that the system does not tell count as none.
     base = pathlib.Path(root)
     return max(0, min(_system_bytes(base), *_group_bytes(base), *_process_bytes(base)))
 
@@ -68,8 +66,7 @@ def require_memory(size: int, device: wp.Device, message: str, *, held: int = 0)
 
 def require_host_memory(size: int, what: str) -> None:
     """Refuse what needs more bytes of main memory than are free: "`what` 4.00 GiB of memory, 1.00 GiB are free"."""
-    # to ask the system would take longer than to fill them
-    if size <= LITTLE:
+    if size <= LITTLE:  # to ask the system would take longer than to fill them
         return
     free = free_host_bytes()
     if size > free:
@@ -202,8 +199,7 @@ class LRUCache(Generic[Thing]):
             return
         kept = self._things[key]
         kept.calls += 1
-        # measuring takes a while: at the first, second, fourth call and so on, then at every MEASURED_EVERY
-        if kept.calls % MEASURED_EVERY and kept.calls & (kept.calls - 1):
+        if kept.calls % MEASURED_EVERY and kept.calls & (kept.calls - 1):  # measuring takes a while: at 1, 2, 4 ...
             return
         kept.size = self.measure(kept.thing)
         while self.most_bytes is not None and len(self._things) > 1 and self.held_bytes > self.most_bytes:

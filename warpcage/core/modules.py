@@ -38,7 +38,6 @@ def start_warp() -> None:
 
 def load_modules(modules: Iterable[types.ModuleType | Kernel], device: wp.DeviceLike) -> None:
     """Compile and load kernel files, or the modules of kernels, side by side; each for the block size that it names."""
-    # Launched one by one they would wait for each other.
     device = wp.get_device(device)
     warp_modules = [each.module if isinstance(each, wp.Kernel) else wp.get_module(each.__name__) for each in modules]
     with device_turn(device), variants.lock:  # Warp gives modules that two threads load at once the same name

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-# What makes the pictures stays in the caller's thread, where interrupts arrive and where a device is talked to. What
-# encodes them runs beside it, and lets go of the interpreter's lock. Whoever is faster waits for the other, so that
-# memory is the same after a hundred pictures and after ten thousand.
+# Pictures are made in the caller's thread, where interrupts arrive and a device is talked to; encoding runs beside it,
+# without the interpreter's lock. The faster waits for the other, so that memory does not grow with their number.
 import queue
 import threading
 import types
@@ -31,8 +30,7 @@ class BackgroundWriter:
     """Runs tasks on a few threads of its own while the caller makes the next ones (`with`); the block ends when all are
     done. The first error of a task is raised by `run` or at the end. `room`: bytes that unfinished tasks may hold."""
 
-    # After an error, in the block or of a task, and after an interrupt, no task begins any more, and those that run are
-    # waited for.
+    # After an error, in the block or of a task, or an interrupt, no task begins any more; those that run are awaited.
 
     def __init__(self, threads: int | None = None, room: int = ROOM):
         count = min(TASK_THREADS, cpu_threads()) if threads is None else threads
@@ -92,8 +90,7 @@ def stream(
 ) -> None:
     """Take items in this thread, prepare each on a few others, and consume the results, in order, in one more.
     `room`: bytes (`nbytes` of items) that may wait and be worked on. The first error is raised."""
-    # After an error of any of the three, and after an interrupt, nothing is left running when this returns: `consume`
-    # gets an exception from its iterator, and can clean up.
+    # After any error or interrupt nothing is left running: `consume` gets an exception from its iterator, to clean up.
     count = min(PREPARING_THREADS, cpu_threads()) if threads is None else threads
     gate, line = Gate(count + SPARE, room), queue.SimpleQueue[tuple[Future[_Prepared], int] | None]()
     abandoned, ended = threading.Event(), threading.Event()

@@ -22,8 +22,7 @@ _done = threading.Event()
 @contextlib.contextmanager
 def without_driver_note() -> Iterator[None]:
     """Leave the line out of standard error that Warp writes as it starts without a CUDA driver; once in a process."""
-    # Native code writes to the descriptor, so that is led into a file for the moment, of which all other lines come
-    # back. Where there is a driver, nothing is led anywhere.
+    # Native code writes to the descriptor: that is led into a file for the moment, of which all other lines come back.
     if _done.is_set() or has_driver():
         yield
         return

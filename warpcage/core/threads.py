@@ -79,8 +79,7 @@ def run_parallel(
 def run_parts(run: Callable[[int, int], None], count: int, threads: int, first: int) -> None:
     """Run items in parts, `run(begin, end)`, on the shared pool; 1 thread runs them here.
     `first`: items that a part has at most, until it is known how long they take."""
-    # Parts are short enough that an interrupt acts soon, long enough to cost nothing. The first few run here. Where the
-    # rest would be done as soon as other threads have begun, it runs here too.
+    # The first few run here, and so does the rest where it would be done as soon as other threads have begun.
     parts = _Parts(count, threads, first)
     if threads > 1 and parts.run_here(run):
         return
@@ -171,8 +170,7 @@ class _Batch:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        # counted, as an interrupt while a task is handed over leaves no future to wait for
-        self._running, self._stopped = 0, False
+        self._running, self._stopped = 0, False  # counted: an interrupt in the handing over leaves no future to await
 
     def run(self, task: Callable[[], Any]) -> Any:
         with self._changed:

@@ -1,6 +1,6 @@
 """Deformed fields: the Deformer, edits and baking."""
 
-from ..core.package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,

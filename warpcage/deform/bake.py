@@ -117,8 +117,7 @@ def lattice_edits(deformer: Deformer) -> LatticeEdits:
     if isinstance(edits, LatticeEdits):
         return edits
     assert deformer.deformed is not None
-    # its own edits have no lattice: those of another Deformer in the same pose stand in
-    stand_in = Deformer(
+    stand_in = Deformer(  # its own edits have no lattice: those of another Deformer in the same pose stand in
         deformer.field,
         deformer.edits,
         coordinates=deformer.coordinates,

@@ -309,8 +309,7 @@ class Deformer:
             return tuple(outputs)
         canonical, *others = (array.numpy() for array in outputs)
         canonical = (canonical.astype(np.float64) + origin).astype(dtype)
-        # what did not move keeps its last bit
-        still = others[1] != MAPPED
+        still = others[1] != MAPPED  # what did not move keeps its last bit
         canonical[still] = np.asarray(points, dtype).reshape(-1, 3)[still]
         return (canonical, *others)
 
@@ -363,8 +362,7 @@ class PosedDeformer:
     """One pose of a Deformer that several callers share; see `Deformer.posed`."""
 
     def __init__(self, deformer: Deformer, cages: list[Cage | None]):
-        # the posed cages: one per edit, None for an edit that removes
-        self.deformer, self.deformed = deformer, cages
+        self.deformer, self.deformed = deformer, cages  # posed cages, one per edit, None for one that removes
 
     def to_canonical(
         self, points: Any, directions: Any, *, step: float | None = None, return_outside: bool = False

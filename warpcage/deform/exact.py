@@ -37,8 +37,7 @@ class ExactEdits(PosedEdits):
     """Edits whose mean value or Green coordinates are evaluated at every sample ("precise").
     bands, carried: one or None for each edit, () for none at all."""
 
-    # A lattice map of the same coordinates finds the cells where that can be left out: those that are clear of a cage,
-    # and those that show nothing. Crumbs follow the lattice map beside the cage.
+    # A lattice map of the same coordinates finds cells clear of a cage or that show nothing, and carries crumbs.
 
     def __init__(
         self,

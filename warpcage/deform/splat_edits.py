@@ -63,7 +63,6 @@ class BoundEdit:
         anchors = owner.anchors[index][nodes[leaders]]
         if len(bound):
             kind, resolution = owner.coordinates, owner.resolution
-            # not there where nothing is bound
             self.binding = CageBinding(anchors, edit.cage, kind, origin, device, resolution or RESOLUTION)
         offsets = (centers[leaders] - anchors).astype(np.float32)
         #: what the binding carries: leaders, who goes their way, where the map is taken, and from there to them
@@ -185,8 +184,7 @@ class SplatEdits:
         self.coordinates, self.resolution, self._law = coordinates, resolution, law
         self.bands = list(bands)
         self._edits = edits
-        # of each edit where `backward`; None for one that removes, and where not
-        self.maps: list[PositionMap | None] = [None] * len(edits)
+        self.maps: list[PositionMap | None] = [None] * len(edits)  # where `backward`, of edits that do not remove
         if backward:
             options = {"coordinates": coordinates, "resolution": resolution or RESOLUTION, "origin": self.origin}
             self.maps = [

@@ -40,8 +40,7 @@ class Instances:
 def make_instances(edits: list[CageEdit], shares: np.ndarray) -> Instances:
     """The splats that edits, in their order, make of nodes.
     shares: (edits, nodes) of each node inside the cage of each edit at rest, 0 to 1."""
-    # A splat in the cage at rest goes with it. One at its wall does so by its share and stays by the rest. A copy stays
-    # where an edit keeps its source. What an earlier edit moves is followed.
+    # A splat in the cage goes with it; at its wall by its share, the rest stays, as copies do where the source is kept.
     count = shares.shape[1]
     nodes, held = np.arange(count, dtype=np.int32), np.ones(count, np.float32)
     moved = np.zeros(count, dtype=bool)
@@ -79,8 +78,7 @@ def shared_ways(
     rows of `bound` (k,) that are carried for all, and (count,) int32, the next splat of the same way, or -1."""
     source = np.arange(len(tree.rows))
     whole = np.flatnonzero(tree.pieces >= 0)
-    # the middle piece of a splat lies where the splat does, and copies where their source does
-    middle = tree.pieces[whole]
+    middle = tree.pieces[whole]  # middle pieces lie where their splats do, and copies where their sources do
     same = (anchors[middle] == anchors[whole]) & (tree.centers[middle] == tree.centers[whole])
     source[middle[same.all(axis=1)]] = whole[same.all(axis=1)]
     while not np.array_equal(source, above := source[source]):  # middle pieces of middle pieces

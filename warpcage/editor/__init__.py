@@ -1,9 +1,8 @@
 """The editor: a page in the browser where a person poses cages and sees the scene follow."""
-# `document` is what is edited. It never changes: each command makes a new one (`commands`), so that undo can keep the
-# old ones (`history`). A `session` holds the newest one, saves it, and tells listeners. `scene` and `renderer` make
-# pictures of it, `server` and `clients` bring them to pages. `page/` is modules as they are, without a build step.
+# A `document` never changes: each of `commands` makes a new one, and undo keeps the old. `session` holds the newest,
+# saves it, tells listeners; `renderer` makes pictures; `server` and `clients` bring them to `page/`, modules unbuilt.
 
-from ..core.package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,

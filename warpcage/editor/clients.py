@@ -42,18 +42,14 @@ class Client:
     def __init__(self, number: int, socket: web.WebSocketResponse):
         self.number, self.sequence = number, 0  # sequence: the number of its newest pose or view
         self.size: tuple[int, int] | None = None  # width and height of its viewport, pixels
-        # mistakes: messages in a row that nothing could be made of; strayed: whether it was told that its gesture has
-        # ended
-        self.mistakes, self.strayed = 0, False
+        self.mistakes, self.strayed = 0, False  # wrong messages in a row; whether told that its gesture has ended
         self.slow: set[asyncio.Task] = set()  # its commands that are under way
         self._socket, self._closed = socket, False
         self._sections: dict[str, str] = {}
-        # what waits to be sent: texts; vertices by kind and edit; a frame and its number; and when frames that the page
-        # has not seen yet were sent, by number
-        self.texts: list[str] = []
-        self.vertices: dict[tuple[int, int], bytes] = {}
-        self.frame: tuple[int, bytes] | None = None
-        self.sent_frames: dict[int, float] = {}
+        self.texts: list[str] = []  # that wait to be sent, like the next two
+        self.vertices: dict[tuple[int, int], bytes] = {}  # by kind and edit
+        self.frame: tuple[int, bytes] | None = None  # with its number
+        self.sent_frames: dict[int, float] = {}  # when frames that the page has not seen yet were sent, by number
         self._news, self._written = asyncio.Event(), asyncio.Event()
         self._allowed = {"messages": MESSAGE_BURST, "bytes": BYTE_BURST}
         self._counted = time.monotonic()

@@ -39,9 +39,8 @@ from .document import (
 Message = Mapping[str, Any]
 Step = tuple[str, Document]
 
-# Each command takes the document and the message, a dictionary of JSON values that nobody has checked, and returns the
-# name of the step for undo and the new document. It raises ValueError in one line for what cannot be. Nothing else
-# happens here: no lock is held and no file touched.
+# A command takes the document and the message, JSON values that nobody has checked, and returns the step's name for
+# undo and the new document; ValueError in one line for what cannot be. No lock is held and no file touched.
 
 #: Words for the kinds of edits in names.
 KIND_NAMES = {"move": "Move", "copy": "Copy", "remove": "Remove"}

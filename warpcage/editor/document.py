@@ -166,12 +166,10 @@ class Settings:
     coordinates: str = "harmonic"
     resolution: int = 64  # cells of the map's lattice along the longest side of a cage, in pictures that rest
     density: str = "opacity"  # see `Deformer`
-    # a name, three numbers in [0, 1], or None for the field's own
-    background: str | tuple[float, float, float] | None = None
+    background: str | tuple[float, float, float] | None = None  # a name, three numbers in [0, 1]; None: the field's own
     supersampling: int = 1  # rays along each side of a pixel, in pictures that rest
     show: str = "rgb"  # one of SHOWN
-    # "pose": the posed cage and the deformed scene; "rest": the cage at rest and the scene as captured
-    mode: str = "pose"
+    mode: str = "pose"  # "pose": the posed cage and deformed scene; "rest": the cage at rest and the scene as captured
     fill: bool = False  # background that no picture showed, in pictures that rest; see `fill_unseen`
 
 
@@ -249,8 +247,7 @@ class Edit:
     faces: np.ndarray  # (f, 3) int32
     rest: np.ndarray  # (v, 3) float64, the cage around the captured object, world units; so is `posed`
     posed: np.ndarray
-    # width of the band inside held walls in which the edit fades to rest, world units; see `CageEdit`
-    falloff: float = 0.0
+    falloff: float = 0.0  # width of the band at held walls in which the edit fades to rest, world units; see `CageEdit`
     held: str = "cut"  # the walls that are held: "cut" or "still"
     crumbs: float = 0.0  # size of the crumbs that go with the part, world units
 

@@ -38,16 +38,14 @@ class Editor:
         require_libraries()
         from .server import Server
 
-        # what is edited, with its history; and what brings it to pages, in a thread of its own
-        self.session, self._path = session, session.path
+        self.session, self._path = session, session.path  # session: what is edited, with its history
         self._loop = asyncio.new_event_loop()
         self.server = Server(session, folder, host, port, tuple(allowed_hosts))
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._loop.run_forever, name="warpcage-editor", daemon=True)
         self._thread.start()
         try:
-            # with the word that lets one in
-            self.url = asyncio.run_coroutine_threadsafe(self.server.start(), self._loop).result()
+            self.url = asyncio.run_coroutine_threadsafe(self.server.start(), self._loop).result()  # with the token
         except BaseException:
             self._end_loop()
             raise

@@ -61,8 +61,7 @@ def export_film(
 ) -> int:
     """Write the film of a document (or a new folder of PNG files), whole or not at all; returns the number of frames.
     What `report` raises ends the work."""
-    # Each frame shows all visible edits as the timeline has them, at the settings of the document. A session without
-    # keys makes a film that stands still.
+    # Frames show all visible edits as the timeline has them, at the document's settings; without keys all stands still.
     film = film or Film()
     target, times = checked_film_path(path), frame_times(document.timeline)
     ending = target.suffix.lower()

@@ -57,7 +57,6 @@ class Inspector:
         nodes = np.argwhere(self._mask)
         chosen = np.random.default_rng(0).permutation(len(nodes))[:NODE_SAMPLES]
         self._nodes = self._lower + (nodes[chosen] + 0.5) * self._side
-        # of rest cages by their vertices and faces, used longest ago first
         self.findings: collections.OrderedDict[tuple[bytes, bytes], RestFindings] = collections.OrderedDict()
         self._lock = threading.Lock()
 
@@ -136,8 +135,7 @@ def inspect(document: Document, number: int, field: AnyField) -> dict[str, Any]:
             trouble = first_problem(pose)
             problem = f"The posed cage {trouble}" if trouble else ""
             if not problem:
-                # by mean value coordinates at a few hundred places; `Cage.check` looks closer
-                _, folded, outside, _ = sample_pose(rest, pose, POSE_SAMPLES)
+                _, folded, outside, _ = sample_pose(rest, pose, POSE_SAMPLES)  # mean value; `Cage.check` looks closer
     crossing_faces = np.unique(crossing).tolist()
     leaking = known.leaking.tolist()
     return {
@@ -206,8 +204,7 @@ class Checker:
         self._timer: asyncio.TimerHandle | None = None
         self._task: asyncio.Task | None = None
         self._known: tuple[object, ...] = ()  # what the section says something of
-        # the section `check` that pages are told; None where no edit is active
-        self.section: dict[str, Any] | None = None
+        self.section: dict[str, Any] | None = None  # the section `check` of pages; None where no edit is active
 
     def plan(self) -> None:
         """Check before long."""

@@ -214,10 +214,8 @@ def view_camera(view: View, width: int, height: int) -> Camera:
 
 
 class PosedScene:
-    """The scene of a document, posed and ready to be rendered. One thread at a time may use it."""
-
-    # A Deformer is made only when what it is made of changes: faces, rest cages, kinds, walls, crumbs, visibility,
-    # order, coordinates, resolution or density. A changed pose is posed, and an unchanged one is left as it is.
+    """The scene of a document, posed and ready to be rendered. One thread at a time may use it.
+    A Deformer is made only when what it is made of changes; a changed pose is posed, an unchanged one left as it is."""
 
     def __init__(self, field: AnyField):
         self.field = field

@@ -54,8 +54,7 @@ class Access:
     """Lets those in who know the word in the address, and pages of the same origin only.
     `allowed_hosts`: names under which pages may come, beside those of this machine's loopback and `host`."""
 
-    # The name in `Host` must be one that was told: a foreign name that is made to lead to this machine is refused, even
-    # where somebody learned the token.
+    # `Host` must be a name that was told: a foreign one that leads here is refused, even where the token was learned.
 
     def __init__(self, host: str, allowed_hosts: Iterable[str] = ()):
         self.token = secrets.token_urlsafe(24)
@@ -197,8 +196,6 @@ EXPECTED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError,
 #: What a page is told that moves on although its step has ended.
 STRAYED = "Another page, or another command, changed the scene meanwhile: this move has ended."
 
-# Whoever does not know the token gets nothing. Requests from pages of other origins, and those that come under a
-# foreign host name, are refused all the same.
 _log = logging.getLogger(__name__)
 
 

@@ -41,9 +41,8 @@ DEPTH = 500
 
 
 class History:
-    """Documents before and after the present one, each with the name of the step between."""
-
-    # Documents share what did not change, so a step costs what it moved: 2.4 kB for a cage of 100 vertices.
+    """Documents before and after the present one, each with the name of the step between.
+    They share what did not change, so a step costs what it moved: 2.4 kB for a cage of 100 vertices."""
 
     def __init__(self) -> None:
         self.undo_steps: list[tuple[str, Document]] = []  # (name, document before it), the newest last
@@ -167,8 +166,7 @@ class Session:
     """What is edited, by one or several pages. All methods are called from one thread, the server's, but for `save`.
     Without a path nothing is kept. `stamp`: of its file where the document was read from it; no other is replaced."""
 
-    # A change is a step of the history (`change`), or part of a gesture: a drag or a slider that becomes one step when
-    # it ends. Views, scrubbing and playing are no steps.
+    # A gesture (a drag, a slider) becomes one step (`change`) when it ends. Views, scrubbing and playing are no steps.
 
     def __init__(
         self,
@@ -179,17 +177,14 @@ class Session:
         stamp: Stamp | None = None,
         scene_scale: float = 1.0,
     ):
-        # settled: the newest document without what a gesture under way has moved
-        self.field, self.document, self.settled = field, document, document
+        self.field, self.document, self.settled = field, document, document  # settled: without what a gesture moves
         self.scene_scale = scene_scale  # the factor that the field's file was loaded with
         self.field_path = None if field_path is None else pathlib.Path(field_path)
-        # it changes where another program wrote that file: nothing is saved over it
-        self.path = None if path is None else pathlib.Path(path)
+        self.path = None if path is None else pathlib.Path(path)  # changes where a program wrote there: not saved over
         self.history = History()
         self.saved: str | None = None  # when it was saved last, ISO 8601
         self.save_error: str | None = None  # why it could not be saved
-        # each is called with the set of the sections that changed; "vertices" are those of a gesture
-        self.listeners: list[Callable[[set[str]], None]] = []
+        self.listeners: list[Callable[[set[str]], None]] = []  # told the sections that changed; "vertices": a gesture's
         self._gesture: Gesture | None = None
         self._steps = 0
         self._saving = threading.Lock()

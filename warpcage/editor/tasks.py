@@ -294,8 +294,7 @@ class Tasks:
         self._made: dict[str, Stamp | None] = {}  # files that the editor wrote, by name
         self._naming, self._closed = threading.Lock(), threading.Event()
         self.field_path = session.field_path
-        # what `handle` carries out, by the word in `do`
-        self.commands: dict[str, Callable[[dict[str, Any]], Any]] = {
+        self.commands: dict[str, Callable[[dict[str, Any]], Any]] = {  # what `handle` carries out, by `do`
             "files": self._files,
             "cage.generate": self._generate,
             "cage.simplify": self._simplify,
@@ -552,8 +551,7 @@ class Tasks:
     def _hand_over(self, step: Callable[[Document], Step], patient: bool = True) -> None:
         """Change the document from another thread; raises what the change raises, or Cancelled.
         `patient`: wait for a hand that moves; otherwise its gesture ends."""
-        # The new document is made here, so that the server's loop goes on meanwhile. Where somebody else has changed
-        # the scene since, it is made anew.
+        # Made here, so that the server's loop goes on meanwhile; and anew where somebody has changed the scene since.
         for _ in range(ATTEMPTS):
             before = self.session.settled
             adopt = functools.partial(self.session.adopt, before, *step(before))

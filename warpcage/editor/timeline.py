@@ -29,8 +29,7 @@ LEAST_FOV, LARGEST_FOV = 1.0, 150.0
 def state_at(document: Document, time: float) -> tuple[dict[int, np.ndarray], View | None]:
     """Posed vertices (v, 3), read-only, by the number of the edit, and the view of a film at a time, seconds.
     Edits that no key holds are left out; the view is None where there is no key of cameras."""
-    # The way from a key to the next goes as the easing of the earlier one says (see `warpcage.view.motion.value_at`). A
-    # film that loops, from a key at its start to an equal one at its end, goes through them without stopping.
+    # The earlier key's easing says the way (`view.motion.value_at`); a loop does not stop where its ends are equal.
     moments = document.timeline.keys
     poses = {}
     for edit in document.edits:
@@ -58,8 +57,7 @@ def looped_time(timeline: Timeline, elapsed: float) -> float:
 
 def frame_times(timeline: Timeline) -> list[float]:
     """The times of a film's frames, at least one, seconds from its start."""
-    # A film that is played once ends with the frame at its length, where a frame falls on it. A film that loops or goes
-    # back and forth has every moment of its round once: the frame after its last one is the first.
+    # Once: the last frame is at the film's length, where one falls on it. Loops have each moment of their round once.
     return between.frame_times(timeline.length, timeline.fps, timeline.loop)
 
 
@@ -76,8 +74,7 @@ def pose_file(document: Document, number: int) -> PoseFile:
         if key.poses is None or number not in key.poses:
             continue
         name, count = key.name, 1
-        # a name that several keys have gets a number behind it
-        while name in file:
+        while name in file:  # a name that several keys have gets a number behind it
             count += 1
             name = f"{key.name} {count}"
         file[name] = key.poses[number]
@@ -95,8 +92,7 @@ def pose_file(document: Document, number: int) -> PoseFile:
 def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
     """A document whose keys hold the poses and cameras of a file, in the place of those that they held of the edit.
     The film gets longer where the file's is."""
-    # A keyframe goes into the key of its time, if there is one. Keyframes without times are spread evenly over the
-    # film.
+    # A keyframe goes into the key of its time, if there is one; those without times are spread evenly over the film.
     edit = document.edit(number)
     if not np.array_equal(file.rest.faces, edit.faces):
         raise ValueError(f"the pose file is of another cage than {edit.name!r}: load it with this cage")
@@ -197,8 +193,7 @@ def _closes(film: Timeline, track: Sequence[tuple[Key, np.ndarray]]) -> bool:
 
 def _view_track(moments: Sequence[Key]) -> list[tuple[Key, np.ndarray]]:
     """Keys of cameras as numbers (10,), such that a camera turns about its target by the shorter way."""
-    # Target, logarithm of the distance, angle about the first key's up, angle above the plane across it, up, and field
-    # of view.
+    # Target, log of the distance, angle about the first key's up, angle above the plane across it, up, field of view.
     views = [(key, key.view) for key in moments if key.view is not None]
     if not views:
         return []

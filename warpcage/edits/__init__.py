@@ -1,6 +1,6 @@
 """Edits of a scene: one description of an edit, its maps, falloff and fragments."""
 
-from ..core.package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__, {"apart": "EditBoxes box_gaps edit_boxes front_to_back", "falloff": "walls_share", "fragments": "crumbs"}

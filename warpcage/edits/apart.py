@@ -26,9 +26,8 @@ class EditBoxes:
     def are_apart(self, reach: float) -> bool:
         """Whether no place has to do with two edits, where a sample looks as far as `reach`, world units, from its
         place."""
-        # What an edit maps is then in its own rest cage alone, which no earlier edit has changed.
         between, beneath = self._least_gaps
-        return between > 2.0 * reach and beneath > 0.0
+        return between > 2.0 * reach and beneath > 0.0  # maps lead to their own rest cages, which no edit changed
 
     @functools.cached_property
     def _least_gaps(self) -> tuple[float, float]:
@@ -48,8 +47,7 @@ def edit_boxes(
 ) -> EditBoxes:
     """The boxes of posed edits, relative to the world point `origin`; cages: None for an edit that removes.
     tolerances: how far out of a cage points count as in it; slacks: how far out of the rest cage a map may lead."""
-    # A trilinear signed distance is nowhere below the distance to a plane with the whole cage behind it, as that holds
-    # at the nodes: what counts as inside a cage, up to some distance, is in the cage's box, up to that distance.
+    # A trilinear distance is nowhere below that to a plane with the cage behind it: what counts as in is in the box.
     changed, sources = [], []
     for edit, cage, tolerance, slack in zip(edits, cages, tolerances, slacks, strict=True):
         rest = edit.cage.bounds - np.asarray(origin)
@@ -78,9 +76,8 @@ def front_to_back(boxes: np.ndarray, center: ArrayLike) -> list[int] | None:
     No two boxes may overlap. None where there is no order, as boxes hide each other in a circle."""
     lower, upper, center = boxes[:, 0], boxes[:, 1], np.asarray(center)
     below = upper[:, None] < lower[None, :]  # (n, n, 3)
-    # A ray goes one way along each axis. So it does not meet first the lower and then the upper of two boxes with a gap
-    # between them if it starts above the lower one's top, and not the other way round if it starts under the upper
-    # one's bottom.
+    # Rays go one way along each axis: of two boxes with a gap none meets first the lower and then the upper if it
+    # starts above the lower one's top, nor the other way round if it starts under the upper one's bottom.
     never = below & (center > upper)[:, None] | below.swapaxes(0, 1) & (center < lower)[:, None]
     first = ~never.any(axis=-1)
     np.fill_diagonal(first, False)

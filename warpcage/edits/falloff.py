@@ -32,13 +32,11 @@ class FalloffBand:
     """The walls of a cage that an edit holds, and the band inside them in which its map fades to the identity.
     `field` is where walls that cut matter are found."""
 
-    # At a held wall the map is the identity, and so is its derivative: positions and directions go on without a jump
-    # into the scene outside. Vertices of held walls stay at rest, and those within the band move by their share.
+    # At a held wall the map and its derivative are the identity: nothing jumps. In the band vertices move by shares.
 
     def __init__(self, edit: CageEdit, field: VoxelField):
         self._cage, self._width, self._field = edit.cage, edit.falloff, field
-        # (k,) the held faces; None where each pose decides: those that it leaves in place
-        self.faces: np.ndarray | None = None
+        self.faces: np.ndarray | None = None  # (k,) held; None where each pose decides: those that it leaves in place
         if edit.held == "cut":
             self.faces = cut_faces(edit.cage, field)
             if not len(self.faces):
@@ -105,7 +103,6 @@ def faded_map(cage_map: Any, walls: Any, held: Any = None) -> Any:
 
 def tell_of_squeezing(maps: Sequence[PositionMap | None], bands: Sequence[FalloffBand | None]) -> None:
     """Let the map of each edit with a band say what its narrow gaps come from."""
-    # held walls stay, and the cage is squeezed beside them
     for index, (position_map, band) in enumerate(zip(maps, bands, strict=True)):
         if position_map is not None and band is not None:
             position_map.gap_remedy = (

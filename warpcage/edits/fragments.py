@@ -27,8 +27,7 @@ from .edits import CageEdit
 def crumbs(field: VoxelField, cage: Cage, size: float) -> np.ndarray:
     """Indices (n, 3) of the voxels of crumbs outside a cage at rest, whose boxes have diagonals below `size`, world
     units."""
-    # A crumb is a connected piece (over faces, edges and corners of voxels) of the visible matter outside the cage that
-    # touches visible matter inside it, and whose box has a diagonal of less than `size`.
+    # Connected (over faces, edges, corners) visible matter outside the cage that touches visible matter inside it.
     from scipy.ndimage import binary_dilation
     from skimage.measure import label, regionprops
 
@@ -88,11 +87,9 @@ class CarriedFragments:
 
     def __init__(self, edit: CageEdit, field: VoxelField, index: int):
         self._edit, self._index, self._device, self._origin = edit, index, field.device, field.center
-        # (n, 3) the voxels of crumbs, none where there are no crumbs
-        self.voxels = crumbs(field, edit.cage, edit.crumbs) if edit.crumbs > 0.0 else np.zeros((0, 3), int)
+        self.voxels = crumbs(field, edit.cage, edit.crumbs) if edit.crumbs > 0.0 else np.zeros((0, 3), int)  # (n, 3)
         self.cells = FragmentCells()
-        # (2, 3) float64 box of the lattice of the last pose, world units; None before, or where nothing moves
-        self.bounds: np.ndarray | None = None
+        self.bounds: np.ndarray | None = None  # (2, 3) box of the last pose's lattice, world units; None: nothing moves
         if not len(self.voxels):
             return
         self._voxel = float(field.voxel_size.max())
@@ -136,8 +133,7 @@ class CarriedFragments:
         low, high = np.zeros(3, int), np.array(cage_map.distance.shape) - 1
         if len(first):
             low, high = np.minimum(low, first.min(axis=0)), np.maximum(high, last.max(axis=0) + 1)
-        # how far the nodes of `cage_map` are behind the lower corner of the result
-        self.before = -low
+        self.before = -low  # how far the nodes of `cage_map` are behind the lower corner of the result
         padded = tuple(int(n) for n in high - low + 1)
         require_memory(
             NODE_BYTES * int(np.prod(padded)),

@@ -49,8 +49,7 @@ class EditLattices:
         bands: Sequence[FalloffBand | None] = (),
         carried: Sequence[CarriedFragments | None] = (),
     ):
-        # positions on the device are relative to the origin, a world point
-        self._edits, self._device, self._origin = edits, device, origin
+        self._edits, self._device, self._origin = edits, device, origin  # positions on the device are from there
         self._bands = list(bands) or [None] * len(edits)
         self.carried = list(carried) or [None] * len(edits)
         if any(self.carried):
@@ -58,7 +57,6 @@ class EditLattices:
         self._plain: list[Any] = [None] * len(edits)
         self._faded: list[Any] = [None] * len(edits)
         self._walls: list[Any] = [None] * len(edits)
-        # a measured lattice of each rest cage
         self.rests = [CageLattice(edit.cage, resolution, origin=origin, device=device).measure() for edit in edits]
         self._rest_maps = [distance_map(rest) for rest in self.rests]
         options: dict[str, Any] = {
@@ -68,11 +66,9 @@ class EditLattices:
             "device": device,
             "store": store,
         }
-        # None for an edit that removes
         self.maps = [None if edit.remove else PositionMap(edit.cage, **options).warm() for edit in edits]
         tell_of_squeezing(self.maps, self._bands)
-        # for each edit (nx-1, ny-1, nz-1) uint8, how far a cell is from the nearest that may hold anything
-        self.skips: list[wp.array] = []
+        self.skips: list[wp.array] = []  # (nx-1, ny-1, nz-1) uint8, cells to the nearest that may hold anything
         pool = BufferPool(device)  # poses differ in shape, and an allocation takes as long as a launch
         self._cell_buffers, self._skip_buffers = ([pool.buffer(wp.uint8) for _ in edits] for _ in range(2))
         self._mark_buffer, self._launch = pool.buffer(wp.uint8), RecordedLaunches(device)
@@ -82,8 +78,7 @@ class EditLattices:
         self._laid: list[Any] | None = None  # the CageMap that each struct has, None where there are no structs
         self.array: wp.array | None = None  # (edits,) LatticeEdit, once posed
         self._array = empty_array(len(edits), LatticeEdit, device)
-        # longest march step that `mark_empty` has looked for, world units; 0 before
-        self.marked_step, self._marked_skip = 0.0, None
+        self.marked_step, self._marked_skip = 0.0, None  # longest march step of `mark_empty`, world units; 0 before
 
     def pose(self, cages: Sequence[Cage | None]) -> None:
         """Compute the maps to the deformed cages, None for an edit that removes."""

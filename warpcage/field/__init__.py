@@ -1,6 +1,6 @@
 """Voxel radiance fields: what they hold, how they render, what lies behind them."""
 
-from ..core.package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,

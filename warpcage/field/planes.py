@@ -105,12 +105,10 @@ def find_planes(
     upward = upward / np.linalg.norm(upward)
     nodes = np.ptp(np.asarray(field.bounds, np.float64), axis=0) / field.voxel_size
     block = max(1, math.ceil(round(float(nodes.max())) / MOST_SIDE))
-    # points count by their largest weights, where such were recorded, so that fog behind what was seen counts little
-    points, normals, weights = surface_points(field, block)
+    points, normals, weights = surface_points(field, block)  # by largest weights, so that fog counts little
     limit = np.sin(np.radians(TILT_DEGREES))
     allowed: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-        # level, with its matter below
-        "ground": lambda n: n @ upward >= np.cos(np.radians(TILT_DEGREES)),
+        "ground": lambda n: n @ upward >= np.cos(np.radians(TILT_DEGREES)),  # level, with its matter below
         "wall": lambda n: np.abs(n @ upward) <= limit,
         "any": lambda n: np.ones(n.shape[:-1], bool),
     }
@@ -118,8 +116,7 @@ def find_planes(
     planes = fit_planes(points, normals, slab, weights=weights, allowed=allowed[kind], count=count, seed=seed)
     if block == 1 or not planes:
         return planes
-    # fitted to the field's own points at the end
-    finer = surface_points(field)
+    finer = surface_points(field)  # fitted to the field's own points at the end
     return [_on_finer_points(plane, slab, *finer) for plane in planes]
 
 
@@ -135,8 +132,7 @@ def fit_planes(
 ) -> list[Plane]:
     """Planes through points (n, 3) with unit normals (n, 3), largest first; slab: half its thickness, world units.
     weights: (n,), None counts all alike; allowed: which normals (k, 3) a plane may have, (k,) bool."""
-    # RANSAC (Fischler and Bolles 1981) over points and their normals, the best guesses fitted to their points (Chum,
-    # Matas and Kittler 2003). The points of a plane that was found are left out for the next.
+    # RANSAC over points and normals (Fischler and Bolles 1981), the best guesses refitted (Chum et al. 2003).
     slab = checked_positive(slab, "slab")
     weights = np.ones(len(points)) if weights is None else np.asarray(weights, np.float64)
     random = np.random.default_rng(seed)
@@ -194,8 +190,7 @@ def surface_points(field: DensityField, block: int = 1) -> tuple[np.ndarray, np.
 
     densities, voxel_size = node_grid(field)
     seen = getattr(field, "node_weights", lambda: None)()
-    # a block of nodes counts as one: its mean density, and its largest weight
-    if block > 1:
+    if block > 1:  # a block of nodes counts as one: its mean density, and its largest weight
         densities, voxel_size = blocks(densities, block).mean(axis=(1, 3, 5)), block * voxel_size
         seen = None if seen is None else blocks(np.asarray(seen), block).max(axis=(1, 3, 5))
     level = surface_density(densities, voxel_size)
@@ -203,8 +198,7 @@ def surface_points(field: DensityField, block: int = 1) -> tuple[np.ndarray, np.
     # one half at the surface, whatever the field's density there
     opacity = gaussian_filter(1.0 - np.exp2(-densities / np.float32(level)), _SMOOTHING)
     cells = np.argwhere(solid & ~np.asarray(binary_erosion(solid, np.ones((3, 3, 3), bool), border_value=1), bool))
-    # normals are against the slope of the smoothed opacity
-    slope = np.empty((len(cells), 3))
+    slope = np.empty((len(cells), 3))  # of the smoothed opacity; normals are against it
     for axis in range(3):
         ahead, behind = cells.copy(), cells.copy()
         ahead[:, axis] = np.minimum(ahead[:, axis] + 1, densities.shape[axis] - 1)
@@ -229,8 +223,7 @@ def blocks(values: np.ndarray, side: int) -> np.ndarray:
 def surrounds(plane: Plane, points: np.ndarray, spacing: float) -> bool:
     """Whether a plane goes on around points (n, 3) on it: a table does so around a cup, a seat not around its back.
     spacing: distance of neighbouring points, world units."""
-    # the top of a foot has not twice the area of the shadow on it
-    if not _is_wide(plane, points, spacing):
+    if not _is_wide(plane, points, spacing):  # the top of a foot has not twice the area of its shadow
         return False
     sideways = np.linalg.svd(plane.normal[None])[2][1:]
     heights = plane.heights(points)
@@ -243,8 +236,7 @@ def surrounds(plane: Plane, points: np.ndarray, spacing: float) -> bool:
         farthest = np.zeros(_SECTORS)
         np.maximum.at(farthest, sector, np.hypot(x, y))
         reach.append(farthest)
-    # points of the plane lie farther out than the foot's in most directions
-    return float(np.mean(reach[1] > reach[0])) >= _SURROUNDED
+    return float(np.mean(reach[1] > reach[0])) >= _SURROUNDED  # farther out than the foot's in most directions
 
 
 def _is_wide(plane: Plane, points: np.ndarray, spacing: float) -> bool:
@@ -280,8 +272,7 @@ def _best_plane(
     def score(normal: np.ndarray, offset: float, width: float) -> float:
         return float(w[_near(p, n, normal, offset, width)].sum())
 
-    # normals of single points are off by degrees: a thick slab does not mind
-    first = _FIRST_SLAB * slab
+    first = _FIRST_SLAB * slab  # normals of single points are off by degrees: a thick slab does not mind
     scored = sorted((-score(normals[i], float(normals[i] @ points[i]), first), i) for i in guesses)
     best: tuple[float, np.ndarray, float] | None = None
     for _, i in scored[:_FITTED_GUESSES]:
@@ -317,8 +308,7 @@ def plane_below(planes: Sequence[Plane], clicks: np.ndarray, voxel_size: ArrayLi
     grown: takes a plane and returns what of the thing is above it, (m, 3) world units."""
     heights = [(float(np.min(plane.heights(clicks))), plane) for plane in planes]
     below = [(height, plane) for height, plane in heights if height > plane.clearance(voxel_size)]
-    # the nearest that the clicks are clear of and that goes on around what stands on it; the largest where none does
-    for _, plane in sorted(below, key=lambda each: each[0]):
+    for _, plane in sorted(below, key=lambda each: each[0]):  # the nearest that goes on around it, else the largest
         left = grown(plane)
         if len(left) and surrounds(plane, left, float(np.max(voxel_size))):
             return plane
@@ -336,8 +326,7 @@ def plane_through(
         above = heights > plane.clearance(voxel_size)
         if np.mean(above) >= _LEAST_ABOVE:
             held.append((float(np.median(heights)), plane, places[above]))
-    # the highest that is wide enough and goes on outside the region, as a table does that is larger than a box around a
-    # cup; the largest where none does
+    # the highest that is wide and goes on outside the region, as a table around a boxed cup; else the largest
     for _, plane, standing in sorted(held, key=lambda each: each[0]):
         wide = _is_wide(plane, standing, float(np.max(voxel_size)))
         if wide and np.mean(is_inside(plane.points)) <= _MOST_INSIDE:

@@ -62,8 +62,7 @@ def render_frame(
 def picture_arrays(count: int, names: Sequence[str], device: wp.Device, spare: SpareMemory) -> dict[str, wp.array]:
     """Arrays (count,) of a picture by names of a Frame's parts and masks, vec3 for "rgb" and float32 for others."""
     widths = [3 if name == "rgb" else 1 for name in names]
-    # one allocation: on a GPU it takes as long as a launch
-    block = empty_array((sum(widths), count), wp.float32, device)
+    block = empty_array((sum(widths), count), wp.float32, device)  # at once: on a GPU one takes as long as a launch
     spare.keep(block.capacity)
     arrays, begin = {}, 0
     for name, width in zip(names, widths, strict=True):

@@ -141,8 +141,7 @@ def in_depths(points: np.ndarray, field: VoxelField, cameras: list[Camera], dept
         hidden[ahead[behind > room]] += 1
         through[ahead[behind < -room]] += 1
     kept, seen = within > without, within + without > 0
-    # what no view shows, and more have behind something than look through, goes with the nearest shown point
-    rest = np.flatnonzero(~seen & (hidden > through))
+    rest = np.flatnonzero(~seen & (hidden > through))  # shown by no view: they go with the nearest point that is
     if len(rest) and kept.any():
         from scipy.spatial import KDTree
 

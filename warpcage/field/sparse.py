@@ -89,9 +89,8 @@ def measure_skip(links: wp.array) -> wp.array:
 class MatterSkip:
     """How far each cell is from the nearest in which there is any matter, for the densities as they are."""
 
-    # Rows reach further than matter does, so that marches that know this look at half as many samples. The densities
-    # may change at any time, in a fit or under a caller's hand: what this holds depends on their signs alone, which are
-    # compared at each call.
+    # Rows reach further than matter: marches that know this look at half as many samples. Densities may change at any
+    # time, in a fit or a caller's hands: what this holds depends on their signs alone, compared at each call.
 
     def __init__(self, links: wp.array):
         self._links = links
@@ -176,9 +175,8 @@ def values_on_device(array: np.ndarray | wp.array, dtype: Any, device: wp.Device
 
 def harmonics_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
     """Harmonics as kernels take them, (rows, 27) or (rows, 24) float32; NumPy ones are (rows, 9, 3) or (rows, 24)."""
-    # Without gaps, as rows are read as runs of memory.
     if isinstance(sh, wp.array):
-        array = values_on_device(sh, wp.float32, device)
+        array = values_on_device(sh, wp.float32, device)  # without gaps: rows are read as runs of memory
         if array.ndim != 2 or array.shape[1] not in (LUMINANCE_NUMBERS, RGB_NUMBERS):
             raise ValueError(f"sh on a device must be (rows, 24) or (rows, 27) float32, got {array.shape}")
         return array if array.is_contiguous else array.contiguous()

@@ -78,16 +78,14 @@ def extract_mesh(
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     if mesh.volume < 0.0:
         mesh.invert()
-    # the largest part leaves floaters and cavities out
-    return mesh if components == "all" else _largest_part(mesh)
+    return mesh if components == "all" else _largest_part(mesh)  # leaves floaters and cavities out
 
 
 def surface_density(densities: np.ndarray, voxel_size: ArrayLike) -> float:
     """The density, per world unit, that is taken as the surface, of densities (nx, ny, nz) and voxel size (3,)."""
-    # Thin shells of a fitted field are about two voxels thick, and hold together at the half-opaque density. Where few
-    # of the occupied nodes are that dense (a foggy field) it is Otsu's threshold between the occupied densities (Otsu
-    # 1979), or half the largest where all are the same. Both scale as one over length, so the same object at another
-    # size has the same surface.
+    # Thin shells of a fitted field are about two voxels thick and hold together at the half-opaque density. Where few
+    # occupied nodes are that dense (fog), Otsu's threshold (1979) between them, or half the largest where all are the
+    # same. Both scale as one over length: the same object at another size has the same surface.
     import skimage.filters
 
     occupied = densities[densities > 0.0]
@@ -149,8 +147,7 @@ FIRST, LAST, SPACING = -1.5, 3.0, 0.5
 
 def surface_colors(field: ColorField, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Colours (n, 3) float32 in [0, 1], sRGB, at surface points (n, 3) with outward unit normals (n, 3).
-    The field's background where no sample has matter."""
-    # Colours that depend on the direction are those seen along the normal: highlights of other directions are left out.
+    As seen along the normal, without highlights elsewhere; the field's background where no sample has matter."""
     voxel = float(np.prod(field.voxel_size) ** (1.0 / 3.0))
     colors, weights = np.zeros((len(points), 3)), np.zeros(len(points))
     through = np.ones(len(points))

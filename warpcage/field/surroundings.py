@@ -33,16 +33,14 @@ def seen_by_rays(
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     rays = [wp.array(each.astype(np.float32), dtype=wp.vec3, device=device) for each in (starts, along)]
     rgb = empty_array(len(starts), wp.vec3, device)
-    # the kernel has origins relative to the centre and unit directions, all (n,) vec3
-    launch(kernel, len(starts), [held, *rays], [rgb], device=device)
+    launch(kernel, len(starts), [held, *rays], [rgb], device=device)  # origins from the centre, unit directions
     return rgb.numpy()
 
 
 class LayeredBackground:
     """Colour and opacity on concentric cubes, the last one opaque at infinity; values (layers, 6 side^2 + 2, 4)."""
 
-    # Multi-sphere images (Plenoxels 2022, section 3.3) in the max norm, even in inverse distance. A ray meets a layer
-    # where it leaves the cube. What lies between a camera outside the cubes and the field is taken to be empty.
+    # Multi-sphere images (Plenoxels 2022, section 3.3) in the max norm; from outer cameras to the field all is empty.
 
     def __init__(
         self,
@@ -60,8 +58,7 @@ class LayeredBackground:
         node_count = surface_node_count(side)
         self.center = checked_vector(center, "a background's center").copy()  # (3,) float64, world units
         half = checked_positive(half, "a background's half side")
-        # red, green, blue and optical depth at the surface's lattice points, in the order of kernels/field/background;
-        # negative depths count as none, the last layer's is not used
+        # red, green, blue and optical depth (below 0: none; the last one unused), in kernels/field/background's order
         if not isinstance(values, wp.array):
             values = np.asarray(values, np.float32)
             if not np.isfinite(values).all():
@@ -72,8 +69,7 @@ class LayeredBackground:
                 f"a background of {side} cells along an edge has values (2 layers or more, "
                 f"{node_count}, 4), got {shape}"
             )
-        # what nodes hold that no picture showed; None where that is not known
-        self.unseen = None if unseen is None else np.array(unseen, np.float32)
+        self.unseen = None if unseen is None else np.array(unseen, np.float32)  # what nodes hold that no picture showed
         if self.unseen is not None and (self.unseen.shape != (4,) or not np.isfinite(self.unseen).all()):
             raise ValueError(f"a background's unseen must be (4,) and finite, got {self.unseen.tolist()}")
         layers = BackgroundLayers()
@@ -152,9 +148,8 @@ class LayeredBackground:
 class OuterField:
     """A sparse voxel grid of the space around a box, contracted into a cube (MeRF 2023, Eq. 8)."""
 
-    # Outside the box, which is [-1, 1]^3 in box units, space is pressed into [-2, 2]^3, so that voxels grow with their
-    # distance and the last ones reach to infinity. Colours do not depend on direction. What the grid holds before the
-    # box hides the box, what it holds behind it shows where the box lets light through.
+    # Outside the box, [-1, 1]^3, space is pressed into [-2, 2]^3: voxels grow with their distance, the last reach
+    # infinity. What lies before the box hides it, what lies behind shows where it lets light through.
 
     def __init__(
         self,
@@ -167,17 +162,14 @@ class OuterField:
         device: wp.DeviceLike = None,
     ):
         self.device = resolve_device(links.device if device is None and isinstance(links, wp.array) else device)
-        # middle and half sides of the box: (3,) float64, world units
-        self.center = checked_vector(center, "an outer field's center").copy()
+        self.center = checked_vector(center, "an outer field's center").copy()  # (3,) float64, world units, as `half`
         self.half = checked_vector(half, "an outer field's half sides").copy()
         if not (self.half > 0).all():
             raise ValueError(f"an outer field's half sides must be positive, got {self.half.tolist()}")
-        # links: row of each voxel or -1
-        shape = tuple(links.shape)
+        shape = tuple(links.shape)  # row of each voxel or -1
         if len(shape) != 3 or len(set(shape)) != 1 or shape[0] < 4:
             raise ValueError(f"an outer field's links must be (n, n, n), n at least 4, got {shape}")
-        # values: red, green, blue, and density per unit of contracted length, those below zero counting as none
-        rows = tuple(values.shape) + ((4,) if isinstance(values, wp.array) else ())
+        rows = tuple(values.shape) + ((4,) if isinstance(values, wp.array) else ())  # r, g, b, density; below 0: none
         if len(rows) != 2 or rows[1] != 4:
             raise ValueError(f"an outer field's values must be (rows, 4), got {rows}")
         with device_turn(self.device):

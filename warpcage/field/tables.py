@@ -96,7 +96,6 @@ class ColumnTable:
         launch(columns.find_unsorted, row_count, [order], [unsorted], device=device)
         if unsorted.numpy()[0]:
             self.columns.order = order
-        # nodes of the grid
         self.node_count, self._laid, self._packed = math.prod(links.shape), None, None
         self._device = wp.get_device(device)
         self._kept: dict[str, tuple[int, Any]] = {}
@@ -112,9 +111,8 @@ class ColumnTable:
 
     def row_shades(self) -> wp.array:
         """(rows, words) uint32 for shades of rows, not set yet."""
-        # That of the frame before on a CUDA stream, whose frames follow each other, as CUDA takes longer to hand out as
-        # much memory than to fill it. A new one for frames of other streams, and on a CPU, whose threads may render at
-        # a time.
+        # Of the frame before on a CUDA stream, whose frames follow each other: handing out memory takes longer than
+        # filling it. A new one for other streams, and on a CPU, whose threads may render at a time.
         return self._of_stream("rows", self._new_row_shades)
 
     def _new_row_shades(self) -> wp.array:
@@ -157,8 +155,7 @@ class ColumnTable:
 
     def packed_rows(self) -> wp.array:
         """(rows, PACKED_WORDS) uint32, made when it is first asked for."""
-        # Kept, as CUDA takes longer to hand out as much memory than to fill it. Frames that pack rows on several
-        # streams at a time write the same into it.
+        # Kept: CUDA hands out memory slower than it fills it. Frames on several streams write the same into it.
         if self._packed is None:
             self._packed = empty_array((self.nodes.shape[0], PACKED_WORDS), wp.uint32, self.nodes.device)
         return self._packed
@@ -210,10 +207,8 @@ TILES_ON_CPU = True
 
 
 class MarchTables:
-    """What marches read of a grid instead of its own arrays."""
-
-    # Values are read anew for each frame, so that none is shown that is no longer there. What is kept depends on the
-    # links, which do not change, and on which densities are above zero, which is compared at each frame.
+    """What marches read of a grid instead of its own arrays.
+    Values are read anew for each frame; what is kept depends on links and densities' signs, compared at each frame."""
 
     def __init__(self, grid: Any):
         self._grid = grid

@@ -44,19 +44,15 @@ def chosen_bits(scene: Scene, held: int, limit: int) -> int:
 class TrainingPictures:
     """The pictures of a scene on a device, and what masks split off them; bits: per channel, one of PRECISIONS."""
 
-    # At 8 bits numbers are rounded to the nearest of 0 to 1 in 255 steps.
-
     def __init__(self, scene: Scene, bits: int, device: wp.Device):
         self.scene, self.device, self.bits = scene, device, bits
         self.seen: Any = None  # premultiplied colours and opacity
-        # colours that masks split off times their share, and the share; None for a scene that is not split
-        self.surroundings: Any = None
+        self.surroundings: Any = None  # colours that masks split off times their share, and the share; None if none
         self.keep(bits)
 
     def keep(self, bits: int) -> None:
         """Upload them at another precision, bits per channel."""
-        # frees the arrays before first, where nothing else holds them
-        self.seen = self.surroundings = None
+        self.seen = self.surroundings = None  # frees the arrays first, where nothing else holds them
         self.bits = bits
         scene = self.scene
         opacity = np.ones(scene.images.shape[:3], np.float32) if scene.alphas is None else scene.alphas
@@ -113,12 +109,9 @@ class Batch:
     squared_error: wp.array  # (rays,) float32, where the loss leaves the error of each ray
     seed: int  # of the places within pixels and of random backgrounds
     random_background: bool
-    # (rays,) vec3, what is behind the field for each ray, None is one colour; then where the loss leaves its gradient
-    behind: wp.array | None
+    behind: wp.array | None  # (rays,) vec3 behind the field, None is one colour; then the gradient by it
     grad_behind: wp.array | None
-    # (rays,) vec4, what is before it and the light that passes, None is nothing; then where the loss leaves its
-    # gradient
-    front: wp.array | None
+    front: wp.array | None  # (rays,) vec4 before it with the light that passes, None is nothing; then the gradient
     grad_front: wp.array | None
 
     @property
@@ -133,15 +126,13 @@ class Batches:
     def __init__(
         self,
         scene: Scene,
-        # (3,) world point that positions are relative to
-        center: np.ndarray,
+        center: np.ndarray,  # (3,) world point that positions are relative to
         tile_size: int,
         random: np.random.Generator,
         device: wp.Device,
         *,
-        # bytes that others hold while the pictures are uploaded, and that the fit may take: they decide the precision
-        held: int,
-        limit: int,
+        held: int,  # bytes that others hold while the pictures are uploaded
+        limit: int,  # bytes that the fit may take; both decide the precision
     ):
         count, height, width = scene.images.shape[:3]
         self.device, self.random = device, random
@@ -151,14 +142,10 @@ class Batches:
         self.rays.tile_size = tile_size
         self.rays.rays_per_side = 1
         self.rays.exposures = wp.zeros((0, 0), dtype=wp.vec3, device=device)
-        # of all pictures; active ones see anything of the field
-        self.tile_total = count * -(-height // tile_size) * -(-width // tile_size)
-        # tiles per batch; cursor: where the next batch begins in the order
-        self.active_tiles = self.batch_tiles = self.cursor = 0
-        # (views + 1,), where the active tiles of each view begin among all
-        self.view_tiles = np.zeros(len(scene) + 1, np.int32)
-        # (rays,) of the last batch, summed over the channels
-        self.squared_error = wp.zeros(0, dtype=wp.float32, device=device)
+        self.tile_total = count * -(-height // tile_size) * -(-width // tile_size)  # of all pictures
+        self.active_tiles = self.batch_tiles = self.cursor = 0  # that see the field; per batch; where the next begins
+        self.view_tiles = np.zeros(len(scene) + 1, np.int32)  # where each view's active tiles begin
+        self.squared_error = wp.zeros(0, dtype=wp.float32, device=device)  # of a batch, summed over the channels
         self.pictures = TrainingPictures(scene, chosen_bits(scene, held + self.rays.cameras.capacity, limit), device)
         self.rays.pictures = self.pictures.seen
 
@@ -246,8 +233,7 @@ MOST_PARTS = 8192
 
 def shard_count(device: wp.Device) -> int:
     """Shards of a fit on a device."""
-    # CPU atomics are plain reads and writes, so threads must not share an output. A GPU needs one shard.
-    return min(cpu_threads(), MAX_SHARDS) if device.is_cpu else 1
+    return min(cpu_threads(), MAX_SHARDS) if device.is_cpu else 1  # atomics of CPUs are plain reads and writes
 
 
 @dataclasses.dataclass(frozen=True)

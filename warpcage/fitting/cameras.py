@@ -89,8 +89,7 @@ def camera_steps(
         slope, added = slope + hold * changes, added + hold
     raised = normal.copy()
     raised[:, np.arange(NUMBERS), np.arange(NUMBERS)] += added
-    # The matrix is an arrow: six numbers of each camera by themselves, and those of the lenses with all. The cameras
-    # are eliminated first (Schur's complement; Triggs et al. 2000, "Bundle adjustment: a modern synthesis", section 6).
+    # Cameras are eliminated first, lenses last (Schur; Triggs et al. 2000, "Bundle adjustment", section 6).
     crossing = raised[:, :6, 6:]
     solved = np.linalg.solve(raised[:, :6, :6], np.concatenate([slope[:, :6, None], crossing], axis=2))
     complement = raised[:, 6, 6] - (crossing[..., 0] * solved[..., 1]).sum(axis=1)
@@ -102,8 +101,7 @@ def camera_steps(
 
 def fitted_exposures(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gains and offsets (n, 3) that make a field's colours those of its pictures, by exposure sums (n, 3, 5)."""
-    # y = gain x + offset a, by least squares
-    xx, xa, aa, xy, ay = np.moveaxis(sums, -1, 0)
+    xx, xa, aa, xy, ay = np.moveaxis(sums, -1, 0)  # y = gain x + offset a, by least squares
     prior = EXPOSURE_PRIOR * aa + TINY
     xx, xy, aa = xx + prior, xy + prior, (1.0 + OFFSET_PRIOR) * aa + TINY
     determinant = np.maximum(xx * aa - xa * xa, TINY)
@@ -154,25 +152,20 @@ Gather = Callable[[Any, wp.array, "wp.array | None"], None]
 class CameraRefinement:
     """The cameras of a fit and the exposures of its pictures, as they are refined."""
 
-    # A pose's six numbers are solved for by damped Gauss-Newton, and the focal length of a lens with the poses of all
-    # its cameras. What the pictures alone cannot tell is held: after each step the cameras as a whole see the middle of
-    # the box where the given ones do, and gains and offsets of the exposures are 1 and 0 in the mean.
+    # Damped Gauss-Newton for each pose's six numbers, and for a lens's focal length with all its cameras. Held, as
+    # pictures cannot tell: where all cameras together see the middle of the box, and mean gains of 1 and offsets of 0.
 
     def __init__(self, cameras: Sequence[Camera], bounds: np.ndarray, device: wp.Device, *, held: bool = True):
-        # held: whether the cameras as a whole, and each a little, are held where they are given
-        self.given, self.device, self.held = list(cameras), device, held
+        self.given, self.device, self.held = list(cameras), device, held  # held: all as a whole, and each a little
         self.center = bounds.mean(axis=0)  # positions on the device are relative to it
         grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
         self.points = self.center + 0.5 * POINTS_SHARE * grid * (bounds[1] - bounds[0])
         keys = [(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in cameras]
         found = {key: index for index, key in enumerate(dict.fromkeys(keys))}
-        # the lens of each camera: those of the same numbers share one
-        self.lenses = np.array([found[key] for key in keys])
+        self.lenses = np.array([found[key] for key in keys])  # of each camera; same numbers share one
         self.given_poses = np.array([camera.camera_to_world for camera in cameras])
-        # (n, 4, 4) camera_to_world; (lenses,) logarithm of the focal lengths over the given ones
-        self.poses, self.zooms = self.given_poses.copy(), np.zeros(len(found))
-        # the field's colours are multiplied by gains in a picture, and offsets are added then
-        self.gains, self.offsets = np.ones((len(keys), 3)), np.zeros((len(keys), 3))
+        self.poses, self.zooms = self.given_poses.copy(), np.zeros(len(found))  # (n, 4, 4); log focal over the given
+        self.gains, self.offsets = np.ones((len(keys), 3)), np.zeros((len(keys), 3))  # colours * gains + offsets
         self.normal = np.zeros((len(keys), NUMBERS, NUMBERS))  # running mean of the normal equations' matrices
         # world units of a shift by 1: how far the cameras are from the middle
         self.reach = float(np.median(np.linalg.norm(self.poses[:, :3, 3] - self.center, axis=1)))
@@ -228,8 +221,7 @@ class CameraRefinement:
         """Look at every camera with a sample of so many tiles of TrainingRays, which have the cameras as they are.
         view_tiles: (n + 1,) int32, where the tiles of each view begin; gather: fills what is around the field."""
         device, size = self.device, rays.tile_size**2
-        # a few more tiles of each camera are taken where that fills runs
-        run_tiles = max(1, RUN // size)
+        run_tiles = max(1, RUN // size)  # a few more tiles of each camera are taken where that fills runs
         runs = -(-tiles // run_tiles)
         drawn: Any = TrainingRays()
         for name in TrainingRays.vars:
@@ -306,9 +298,8 @@ class CameraRefinement:
 
     def _firmness(self, rates: CameraRates) -> np.ndarray:
         """(n, 7) how firmly the given cameras hold theirs: by how little those have moved."""
-        # A camera that the pictures alone would move by y settles at x = y / (1 + (DOUBT / x)^4): almost y where that
-        # is far, and 0 where it is below 1.75 DOUBT (as the garrote of Breiman 1995). So little does a field that is
-        # not exact ask of exact cameras too.
+        # A camera that the pictures alone would move by y settles at x = y / (1 + (DOUBT / x)^4): almost y far off, 0
+        # below 1.75 DOUBT (as the garrote of Breiman 1995). So little does an inexact field ask of exact cameras.
         focal = np.array([camera.fx for camera in self.given])
         moved = focal * picture_shifts(self.poses, self.given_poses, self.points)
         # how far from the middle of a picture the object reaches
@@ -380,10 +371,9 @@ TILE = 2
 
 def tuned_scene(field: VoxelField, scene: Scene) -> Scene:
     """A scene whose cameras are turned and shifted so that its pictures match a field best, in the field's world."""
-    # A field that was fitted with refined cameras lies where those see it, and a held-out view has a camera that was
-    # not refined. Its pose is found with the field fixed (Gauss-Newton on the photometric error, damped), as NeRF--
-    # (Wang et al. 2021, section 4) and BARF (Lin et al. 2021, section 4) do for their figures. What is measured then is
-    # the field, and no longer where the views are: say so beside the figure.
+    # A field fitted with refined cameras lies where those see it, but a held-out view's camera was not refined: its
+    # pose is found with the field fixed (damped Gauss-Newton), as NeRF-- (Wang et al. 2021, section 4) and BARF (Lin et
+    # al. 2021, section 4) do. That measures the field, not where views are: say so.
     require_type(scene, Scene, "views are tuned in")
     scene = in_world_of(field, scene)
     behind, images = comparison(field, scene)

@@ -196,8 +196,7 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
 
 def fingerprint(optimizer: Fit) -> str:
     """Hash, in hexadecimal digits, of all that a fit depends on: seed, options and scene."""
-    # Taken once for each fit, as the scene's pictures are only read when it begins.
-    if optimizer not in _fingerprints:
+    if optimizer not in _fingerprints:  # once, as a fit reads pictures only when it begins
         given = json.dumps(optimizer.given, sort_keys=True).encode()
         _fingerprints[optimizer] = hashlib.blake2b(given + scene_digest(optimizer.scene), digest_size=32).hexdigest()
     return _fingerprints[optimizer]
@@ -205,9 +204,8 @@ def fingerprint(optimizer: Fit) -> str:
 
 def scene_digest(scene: Scene) -> bytes:
     """32 bytes, a hash of every number of a scene that a fit uses, the same for any number of threads."""
-    # BLAKE2b (RFC 7693) over each picture, in parallel, then over the pictures' hashes. Measured: 0.33 GB/s for each
-    # thread (a Xeon, CPython 3.11, by the time of that thread). So 87 views of 800x800 with alphas (0.9 GB) take 2.7 s
-    # on one thread and 0.2 s on 16.
+    # BLAKE2b (RFC 7693) over each picture, in parallel, then over their hashes: 0.33 GB/s a thread (Xeon, CPython
+    # 3.11). 87 views of 800x800 with alphas (0.9 GB) take 2.7 s on one thread and 0.2 s on 16.
     cameras = [[camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height] for camera in scene.cameras]
     arrays = {
         "images": scene.images,

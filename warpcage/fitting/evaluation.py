@@ -58,8 +58,7 @@ def ssim(image: ArrayLike, reference: ArrayLike) -> float:
         raise ValueError(
             f"structural similarity needs images of at least {SSIM_WINDOW}x{SSIM_WINDOW} pixels, got {first.shape[:2]}"
         )
-    # Wang et al. 2004, Gaussian window of 1.5 pixels
-    similarity: Any = structural_similarity(
+    similarity: Any = structural_similarity(  # Wang et al. 2004, Gaussian window of 1.5 pixels
         first, second, channel_axis=-1, data_range=1.0, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
     )
     return float(similarity)

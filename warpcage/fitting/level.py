@@ -72,14 +72,12 @@ EPSILON = 1e-12
 
 
 class Level:
-    """The rows of the level that a fit has reached: their values, gradients and second moments."""
-
-    # 25 numbers of each row: the 24 coefficients of all rows, then their densities.
+    """The rows of the level that a fit has reached: their values, gradients and second moments.
+    25 numbers of each row: the 24 coefficients of all rows, then their densities."""
 
     def __init__(self, mask: wp.array, bounds: np.ndarray, background: np.ndarray, shards: int):
         self.shards = shards  # arrays of gradients, one for each CPU thread
-        # nodes: (rows,) vec3i, grid indices of each row
-        self.field, self.nodes = _started(mask, bounds, background)
+        self.field, self.nodes = _started(mask, bounds, background)  # nodes: (rows,) vec3i, grid indices
         self.gradients: list[wp.array] = []  # (25 rows,) float32 for each shard; none while pruning
         # touched: (rows,), 1 where there is a gradient; moments: (25 rows,) bfloat16, none while the level changes
         self.touched, self.moments = _marks(0, self.field.device), _moments(0, self.field.device)

@@ -69,10 +69,9 @@ class FitMemory:
 
     fixed: int  # all that does not depend on the grid: pictures, batches, layers
     node: float  # for each node of the box
-    # for each voxel that holds values; the parts of it that are the field's, and the optimiser's second moments
-    row: int
-    field_row: int
-    moment_row: int
+    row: int  # for each voxel that holds values
+    field_row: int  # the field's part of it
+    moment_row: int  # and the optimiser's second moments
     shards: int  # copies of the weights while a level is pruned
     tiles: int  # one number for each tile of the images
     row_numbers: int  # numbers of a voxel's gradient; a launch has an item for each

@@ -274,8 +274,7 @@ def checked_options(options: dict) -> FitOptions:
         raise ValueError(f"refine_cameras must be True or False, got {options['refine_cameras']!r}")
     if options.get("max_memory") is not None:
         options["max_memory"] = memory_size(options["max_memory"])
-    # fields have priority over the quality
-    checked = FitOptions(**{**_SET_BY_QUALITY[quality], **options})
+    checked = FitOptions(**{**_SET_BY_QUALITY[quality], **options})  # fields have priority
     for field in dataclasses.fields(FitOptions):
         value, values = getattr(checked, field.name), field.metadata["range"]
         if values is None or (value is None and field.default is None):

@@ -57,8 +57,7 @@ class GridPlan:
     bounds: np.ndarray  # (2, 3) float64, world units: the object's box, grown to whole voxels
     shapes: list[tuple[int, ...]]  # (nx, ny, nz) voxels of each level
     scarcity: float  # how few rays see a voxel, see `scarcity`
-    # weights of the total variation of density, of SH coefficients of degree 0 and 1, and of degree 2 and 3
-    variation: tuple[float, float, float]
+    variation: tuple[float, float, float]  # of total variation: density, SH coefficients of degree 0 and 1, of 2 and 3
 
 
 def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool) -> GridPlan:
@@ -70,8 +69,7 @@ def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool)
         voxels = math.ceil(longest / (options.footprint * pixel_size(scene.cameras, box.mean(axis=0))))
         resolution = int(np.clip(voxels, SMALLEST_RESOLUTION, options.max_resolution))
     levels = options.levels
-    # without silhouettes, as many more levels as it takes for the first to be coarse
-    if layered and scene.alphas is None:
+    if layered and scene.alphas is None:  # as many more as it takes for the first to be coarse
         needed = 1 + math.ceil(math.log2(max(1.0, resolution / COARSE_SIDE)))
         levels = max(levels, min(needed, MAX_LEVELS))
     unit = 2 ** (levels - 1)
@@ -125,8 +123,7 @@ def pixel_size(cameras: list[Camera], center: np.ndarray) -> float:
 def scarcity(cameras: list[Camera], center: np.ndarray, voxel: float, supersampling: int = 1) -> float:
     """How few rays see a voxel, relative to PLENTY: 1 where there are as many or more, 2 where there are half as many.
     center: (3,) of the object, voxel: side of one of the last level, world units."""
-    # A prior has to be weighed against the evidence, and the photometric loss is a mean. Where fewer pixels show each
-    # voxel, the weight of the total variation must grow as much, or the field matches these views and little else.
+    # The loss is a mean: where fewer pixels show a voxel the prior must weigh more, or it fits these views alone.
     seen = len(cameras) * (supersampling * voxel / pixel_size(cameras, center)) ** 2
     return float(np.clip(PLENTY / max(seen, 1e-9), 1.0, MOST_SCARCE))
 
@@ -193,7 +190,6 @@ class Schedule:
     """The steps of a fit and its place among them; level_steps: of each level."""
 
     def __init__(self, options: FitOptions, level_steps: list[int], scarcity: float):
-        # scarcity: see `plan.scarcity`
         self.options, self.scarcity, self.level_steps = options, scarcity, level_steps
         total = self.total_steps
         first = directional_rate(total) if options.directional is None else options.directional

@@ -31,15 +31,13 @@ class Silhouettes:
             raise ValueError("every pixel of the scene is transparent: there is nothing to fit")
         self.cameras, self.device = scene.cameras, device
         count, height, width = opaque.shape
-        # summed-area tables of the opaque pixels
-        self.sums = wp.zeros((count, height + 1, width + 1), dtype=wp.int32, device=device)
+        self.sums = wp.zeros((count, height + 1, width + 1), dtype=wp.int32, device=device)  # summed-area tables
         held = wp.array(opaque, dtype=wp.uint8, device=device)
         launch(sum_rows, count * height, [held], [self.sums], device=device)
         launch(sum_columns, count * (width + 1), [], [self.sums], device=device)
         touching = opaque[:, [0, -1]].any(axis=(1, 2)) | opaque[:, :, [0, -1]].any(axis=(1, 2))
         showing = opaque.any(axis=(1, 2))  # a view of nothing only says where the object is not
-        # (views,) 1 where the silhouette keeps clear of the image's border
-        self.bounded = wp.array(np.asarray(showing & ~touching), dtype=wp.int32, device=device)
+        self.bounded = wp.array(np.asarray(showing & ~touching), dtype=wp.int32, device=device)  # 1: clear of border
 
     @property
     def held_bytes(self) -> int:

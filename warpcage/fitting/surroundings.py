@@ -55,10 +55,8 @@ def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
     if kind not in FIT_BACKGROUNDS:
         raise ValueError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
     if kind == "auto":
-        # without opacity an outer field, unless the border of the pictures shows the background colour alone; layers
-        # where masks split the surroundings off
         if scene.alphas is None:
-            return False, None if _is_plain(scene) else "outer"
+            return False, None if _is_plain(scene) else "outer"  # plain: its border shows the background alone
         return True, None if scene.surroundings is None else "layers"
     if kind == "layers" and scene.alphas is not None and scene.surroundings is None:
         raise ValueError(
@@ -103,21 +101,16 @@ class BackgroundOptimizer:
     def __init__(
         self,
         color: np.ndarray,
-        # False for whole pictures, whose every ray the field and the layers explain together; True for split ones,
-        # whose surroundings the layers explain alone
-        split: bool,
+        split: bool,  # False: field and layers explain every ray together; True: layers explain the surroundings alone
         bounds: np.ndarray,
         options: FitOptions,
-        # cells along a layer's edge in the last level
-        side: int,
+        side: int,  # cells along a layer's edge in the last level
         batch_rays: int,
-        # arrays of gradients, one for each CPU thread
-        shards: int,
+        shards: int,  # arrays of gradients, one for each CPU thread
         device: wp.Device,
     ):
         self.options, self.device, self.batch_rays, self.shards = options, device, batch_rays, shards
         self.center, self.half = bounds.mean(axis=0), 0.5 * float((bounds[1] - bounds[0]).max())
-        # cells along a layer's edge in each level
         self.sides = [max(2, round(side / 2 ** (options.levels - 1 - level))) for level in range(options.levels)]
         self.start = np.empty(4, np.float32)  #: of each node
         self.start[:3] = color
@@ -126,8 +119,7 @@ class BackgroundOptimizer:
         self.gradients: list[wp.array] = []  # (layers, nodes) vec4 for each shard, as the second moments
         self.moments = wp.zeros(0, dtype=wp.vec4, device=device)
         self._allocate()
-        # (rays,) vec3, what each ray of a batch sees behind the field; split pictures do not need it
-        self.behind = None if split else wp.zeros(batch_rays, dtype=wp.vec3, device=device)
+        self.behind = None if split else wp.zeros(batch_rays, dtype=wp.vec3, device=device)  # not needed where split
         self._grad_behind = wp.zeros(batch_rays, dtype=wp.vec3, device=device)
 
     def start_level(self, level: int, rays: Any, field: VoxelField) -> None:
@@ -304,13 +296,10 @@ class OuterOptimizer:
         bounds: np.ndarray,
         cameras: list[Camera],
         options: FitOptions,
-        # voxels along a side of contracted space in the last level
-        side: int,
-        # bytes that the outer field may take
-        limit: int,
+        side: int,  # voxels along a side of contracted space in the last level
+        limit: int,  # bytes that the outer field may take
         batch_rays: int,
-        # arrays of gradients, one for each CPU thread
-        shards: int,
+        shards: int,  # arrays of gradients, one for each CPU thread
         device: wp.Device,
     ):
         self.options, self.shards, self.device, self.limit = options, shards, device, limit
@@ -319,8 +308,7 @@ class OuterOptimizer:
         self.color = np.asarray(color, np.float32)  # of all voxels at the start, and of the sky
         self.cameras = cameras
         unit = 2 ** (options.levels - 1)
-        # voxels along a side in each level; made coarser during the fit where memory is short
-        self.sides = [max(1, side // unit) * 2**level for level in range(options.levels)]
+        self.sides = [max(1, side // unit) * 2**level for level in range(options.levels)]  # coarser if memory is short
         self.sides = [max(4, each) for each in self.sides]
         while self.sides[0] > 4 and self._memory().level_bytes(self.sides[0] ** 3, (self.sides[0],) * 3) > limit:
             self.sides = [max(4, each * 7 // 8) for each in self.sides]
@@ -331,8 +319,7 @@ class OuterOptimizer:
         colors = np.broadcast_to(self.color, (surface_node_count(SKY_SIDE), 3))
         self.outer = self._started(self.possible(self.sides[0]), sky_layers(colors, device).values)
         self._allocate()
-        # what is before and behind the box for each ray of a batch; a front also has the light that passes. The field's
-        # march leaves the gradients of the loss by both.
+        # before and behind the box for each ray (a front has the light that passes too), and the gradients by both
         self.front, self.grad_front = (wp.zeros(batch_rays, dtype=wp.vec4, device=device) for _ in range(2))
         self.behind, self.grad_behind = (wp.zeros(batch_rays, dtype=wp.vec3, device=device) for _ in range(2))
 

@@ -1,6 +1,6 @@
 """Maps on the nodes of a lattice over a cage, new for each pose."""
 
-from ..core.package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,

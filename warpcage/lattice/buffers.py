@@ -49,8 +49,7 @@ class Buffer:
     def take(self, shape: int | tuple[int, ...]) -> wp.array:
         """A contiguous view of what the buffer holds; it grows where it is too small, and loses its contents then."""
         shape = (shape,) if isinstance(shape, int) else tuple(shape)
-        # views of the same shape are the same object: making one takes a few microseconds
-        view = self._views.get(shape)
+        view = self._views.get(shape)  # views of one shape are the same object: making one takes a few microseconds
         if view is None:
             view = self._view(shape)
             if len(self._views) >= MOST_VIEWS:
@@ -87,9 +86,7 @@ class Constant:
 
 class PoseConstants:
     """Small arrays, each of a length and a type (int, float, wp.vec3 or wp.vec3i), written on the host and sent
-    together."""
-
-    # Their addresses never change, so a CUDA graph can hold the copy.
+    together. Their addresses never change, so a CUDA graph can hold the copy."""
 
     def __init__(self, device: wp.DeviceLike, slots: Sequence[tuple[int, type]]):
         device = wp.get_device(device)

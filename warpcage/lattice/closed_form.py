@@ -91,9 +91,8 @@ class ClosedFormSolver(MapSolver):
 
 
 class MeanValueSolver(ClosedFormSolver):
-    """Mean value maps, which the rings continue through the cage from inside, as harmonic maps do."""
-
-    # Their formula holds outside the cage as well, but bends at its edges and, in gaps, from one side to the other.
+    """Mean value maps, which the rings continue through the cage from inside, as harmonic maps do.
+    Their formula holds outside the cage too, but bends at its edges and, in gaps, from one side to the other."""
 
     def __init__(self, lattice: CageLattice):
         super().__init__(lattice)
@@ -148,8 +147,6 @@ class MeanValueSolver(ClosedFormSolver):
 
 class GreenSolver(ClosedFormSolver):
     """Green maps: the formula jumps at the cage, so the rings continue the inside values linearly."""
-
-    # Cut nodes are described where there are gaps only.
 
     def __init__(self, lattice: CageLattice):
         super().__init__(lattice)

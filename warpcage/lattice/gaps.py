@@ -60,10 +60,8 @@ class MapTarget:
 
     rest: ClosedMesh
     affine: wp.array  # (4,) vec3 on the device, the affine part of the map; see add_affine
-    # (v,) vec3 on the device, what the map takes at the vertices besides, as a share of the rest cage's size
-    vertex_values: wp.array
-    # what these values change over a gap, for its length as a share of the posed cage's size, that is no jump
-    steepest: float = GROOVE_STRETCH
+    vertex_values: wp.array  # (v,) vec3, what the map takes at the vertices besides, as a share of the rest cage's size
+    steepest: float = GROOVE_STRETCH  # change of these per length of a gap (posed cage's size) that is no jump
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +82,7 @@ class MapSides:
     def __init__(self, device: wp.DeviceLike):
         self._device = wp.get_device(device)
         pool = self.buffers = BufferPool(self._device)
-        # a table of cut nodes, for maps that describe none otherwise, and room for the boundary of MapNodes
-        self.rows, self.boundary = CutRowTable(pool), pool.buffer(wp.vec3)
+        self.rows, self.boundary = CutRowTable(pool), pool.buffer(wp.vec3)  # for maps that describe no cut nodes
         self._index = pool.buffer(wp.int32)
         self._counts, self._offsets = pool.buffer(wp.int32), pool.buffer(wp.int32)
         self._cells, self._masks = pool.buffer(wp.int32), pool.buffer(wp.int32)
@@ -93,9 +90,7 @@ class MapSides:
         self._status = HostNumbers(2, self._device)
         self.index = self._index.take(0)  # `side_index` and `sides` of CageMap
         self.table = self._table.take((0, 8))
-        # rows of the table, 0 where not known yet, and the largest jump of the map less its affine part over a gap
-        # narrower than a cell, but for grooves over which it stretches alone; see MapTarget
-        self.length, self.jump = 0, 0.0
+        self.length, self.jump = 0, 0.0  # rows, 0 not known yet; largest jump over gaps below a cell, grooves apart
 
     def launch_marks(self, sizes: PoseSizes, nodes: MapNodes) -> wp.array:
         """Launch what finds the cells at narrow gaps; `boundary` of the nodes need not be there yet.

@@ -20,9 +20,8 @@ class PoseGraph:
     """The launches of a pose, captured with somewhat more room than the pose at hand needs.
     The first pose of the launches is computed step by step, before."""
 
-    # The first graph uploads the lattice's constants and lays it out, with the lists of nodes; the second uploads the
-    # map's constants, which the host works out meanwhile, solves until the tolerance is met and downloads the outcome.
-    # A pose costs the host two launches and one wait.
+    # The first graph uploads the constants, lays the lattice out and lists nodes; the second uploads the map's, which
+    # the host works out meanwhile, solves and downloads the outcome: a pose costs the host two launches and one wait.
 
     @staticmethod
     def is_supported(device: wp.Device) -> bool:

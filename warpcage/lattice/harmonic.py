@@ -66,11 +66,9 @@ class HarmonicSolver(MapSolver):
     """Harmonic functions inside a cage, with values on it that are linear on each triangle.
     tolerance: bound aimed at for the error of the discrete equations' solution, in units of the boundary values."""
 
-    # The rows of kernels/lattice/cut_rows.py are solved by V(2, 2) cycles (kernels/lattice/harmonic.py). The residual
-    # is the larger of 8 times the largest residual over its row's diagonal and a quarter of the last coarse correction,
-    # both in units of the values. The second is there because smooth errors hide from residuals: they leave 1 / n^2 of
-    # their size there. References: Joshi, Meyer, DeRose, Green and Sanocki 2007; Gibou, Fedkiw, Cheng and Kang 2002.
-    # Limitations: float32; parts of the cage thinner than a cell have no inside nodes and take values from its surface.
+    # The rows of kernels/lattice/cut_rows.py are solved by V(2, 2) cycles. The residual is the larger of 8 times the
+    # largest residual over its row's diagonal and a quarter of the last coarse correction: smooth errors hide from
+    # residuals, they leave 1 / n^2 of their size there. Parts thinner than a cell take values from the cage's surface.
 
     def __init__(self, lattice: CageLattice, *, tolerance: float = 1e-5):
         super().__init__(lattice, LatticeNodes(lattice))

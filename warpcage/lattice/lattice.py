@@ -55,10 +55,8 @@ BOX_BYTES, WORD_BYTES = 24, 4
 
 
 class BlockFaces:
-    """The faces near each block of 4 x 4 x 4 nodes of a pose; `spacing` is in world units, `shape` counts nodes."""
-
-    # A cage of many faces has their bounding boxes worked out first, and has them looked through for groups of blocks:
-    # each block then looks at the boxes that its group found near.
+    """The faces near each block of 4 x 4 x 4 nodes of a pose; `spacing` is in world units, `shape` counts nodes.
+    Cages of many faces: groups of blocks look through the faces' boxes, blocks at what their group found near."""
 
     def __init__(self, cage: ClosedMesh, shape: tuple[int, int, int], spacing: float, buffers: BufferPool):
         self._device = buffers.device
@@ -66,11 +64,9 @@ class BlockFaces:
         self._boxes, self._candidates = buffers.buffer(wp.vec3), buffers.buffer(wp.int32)
         self._listed = listed_faces(cage, shape, spacing)
         self.group_side = group_side(len(cage.faces), max(shape))  # blocks along each side of a group
-        # of each block: how many faces are near, (blocks,) int, which, the first m ascending (blocks, m) int, and the
-        # octants that are clear of the cage, (blocks,) int
+        # of blocks: how many faces are near (blocks,), which, the first m ascending (blocks, m), and clear octants
         self.counts, self.near, self.clear_octants = self._counts.take(0), self._near.take((0, 0)), self._clear.take(0)
-        # corners of each face's bounding box (f, 2) vec3, node units, and bits of the faces that may be near a group of
-        # blocks, (groups, words) int; empty for few faces
+        # corners of each face's box (f, 2), node units; bits of faces near groups (groups, words); empty for few faces
         self.boxes, self.candidates = self._boxes.take((0, 2)), self._candidates.take((0, 0))
 
     def launch(self, sizes: PoseSizes, shapes: wp.array, vertices: wp.array, faces: wp.array) -> None:
@@ -114,8 +110,7 @@ def more_list_bytes(cage: ClosedMesh, shape: tuple[int, int, int], spacing: floa
 def group_side(face_count: int, longest: int) -> int:
     """Blocks along each side of a group that faces are looked through for; `longest` counts nodes along the longest
     side."""
-    # The other sides of another pose may be as long as the longest. More nodes have to share the bits of many faces:
-    # the side doubles then.
+    # Other poses may be as long along other sides. More nodes share the bits of many faces: the side doubles then.
     side, words = GROUP_SIDE, word_count(face_count)
     while (
         WORD_BYTES * words > GROUP_BYTES * (int(BLOCK) * side) ** 3
@@ -171,9 +166,8 @@ class PoseFlags:
     """What a pose reports on the device while its lattice is laid out: (1,) int each of (FLAGS,) int, zero at first."""
 
     def __init__(self, array: wp.array):
-        # lines: crossings of the longest line where lines are too short for them; lists: 1 where a list of nodes has no
-        # room; narrow: 1 where the cage has gaps narrower than a cell, 2 where the map jumps over one; gaps: above 0
-        # where nodes lie at narrow gaps over which the map jumps
+        # lines: crossings of the longest line that has no room; lists: 1 where a list has none; narrow: 1 where gaps
+        # are below a cell, 2 where the map jumps over one; gaps: above 0 where nodes lie at narrow gaps it jumps over
         self.lines, self.lists, self.narrow, self.gaps = (array[flag : flag + 1] for flag in range(FLAGS))
 
 
@@ -184,9 +178,8 @@ class LatticeConstants(PoseConstants):
         levels = (level_count + 1, int)
         corners = (vertex_count, wp.vec3)
         super().__init__(device, [(FLAGS, int), (1, float), (level_count, wp.vec3i), levels, levels, corners, corners])
-        # flags: (FLAGS,) zeros, see PoseFlags; scales: (1,) world units per cell; shapes: (L, 3) nodes along each axis
-        # of each level; first_node, first_column: (L + 1,) where each level's begin; vertices: (v, 3) the cage's, node
-        # units; centred: (v, 3) the same, from the middle of the lattice
+        # flags: see PoseFlags; scales: (1,) world units per cell; shapes: (L, 3) nodes along the axes of levels;
+        # first_node, first_column: (L + 1,); vertices: (v, 3) node units; centred: from the middle of the lattice
         (self.flags, self.scales, self.shapes, self.first_node, self.first_column, self.vertices, self.centered) = (
             self.slots
         )
@@ -197,17 +190,14 @@ class MapConstants(PoseConstants):
 
     def __init__(self, vertex_count: int, device: wp.DeviceLike):
         super().__init__(device, [(4, wp.vec3), (vertex_count, wp.vec3)])
-        # affine: (4, 3) the affine part of the map: a step along each axis, and the place of node (0, 0, 0);
-        # vertex_values: (v, 3) what the map takes at the vertices besides
-        self.affine, self.vertex_values = self.slots
+        self.affine, self.vertex_values = self.slots  # (4, 3): steps along the axes, node (0, 0, 0); (v, 3): besides
 
 
 class CageLattice:
     """Nodes over a usable cage, with the signed distance to it once they are measured.
     resolution: cells along its longest side; origin: world point of device arrays, None is the middle of its box."""
 
-    # Cells are cubes. At least two of them lie between the cage's bounding box and the border of the lattice. Inside
-    # means a winding number above 0.5, exact at nodes.
+    # Cubic cells, at least two between the cage's box and the border. Inside: winding number above 0.5, exact at nodes.
 
     def __init__(
         self, cage: ClosedMesh, resolution: int, *, origin: ArrayLike | None = None, device: wp.DeviceLike = None
@@ -219,7 +209,6 @@ class CageLattice:
         self.level_count = 1
         while self.resolution >> self.level_count >= COARSEST_RESOLUTION:
             self.level_count += 1
-        # what a pose sends to the device for the lattice, and for the map on it
         self.constants = LatticeConstants(self.level_count, len(cage.vertices), self.device)
         self.map_constants = MapConstants(len(cage.vertices), self.device)
         self.flags = PoseFlags(self.constants.flags.array)
@@ -233,8 +222,7 @@ class CageLattice:
         self._crossing_faces = self.buffers.buffer(wp.int32)
         self._line_capacity = LINE_CAPACITY
         self.crossings = LineCrossings()  # where lattice lines cross the cage
-        # (nodes or more,) float, the signed distance in world units; see `distance`
-        self.flat_distance = self._distance.take(0)
+        self.flat_distance = self._distance.take(0)  # (nodes or more,), signed, world units; see `distance`
         self._place(cage)
         self.block_faces = BlockFaces(cage, self.layout.shape, self.spacing, self.buffers)
 
@@ -245,7 +233,6 @@ class CageLattice:
         return self
 
     def _place(self, cage: ClosedMesh) -> None:
-        # world position (3,) float64 of node (0, 0, 0), and world units per cell
         shape, self.lower, self.spacing = lattice_frame(cage, self.resolution, self.origin)
         self.cage = cage
         self.layout = layout = level_layout(shape, self.level_count)
@@ -294,9 +281,7 @@ class CageLattice:
     def launch_geometry(self, sizes: PoseSizes) -> None:
         """Launch what finds crossings and signed distances, the constants being sent; sizes: of the pose, or bounds."""
         self._launch_geometry(sizes)
-        # before its lists are counted, lines that are too short are made longer, which waits for the device; else
-        # `flags` tell
-        while sizes.sections is None and self._lengthen_lines():
+        while sizes.sections is None and self._lengthen_lines():  # waits for the device; later `flags` tell
             self._launch_geometry(sizes)
 
     def _launch_geometry(self, sizes: PoseSizes) -> None:
@@ -337,8 +322,7 @@ def lattice_frame(
     cage: ClosedMesh, resolution: int, origin: ArrayLike
 ) -> tuple[tuple[int, int, int], np.ndarray, float]:
     """Where the lattice over a cage's bounding box lies: shape (node counts), lower (3,) float64 and spacing, world
-    units. origin: (3,) world point that device arrays are relative to."""
-    # Spacing and lower - origin are float32 numbers, so that kernels see exactly the same lattice.
+    units; spacing and lower - origin are float32 numbers, as kernels have them. origin: (3,) world point."""
     require_ordinary_side(cage.size, "the cage of a lattice")
     (low, high), place = cage.bounds.tolist(), np.asarray(origin).tolist()
     spacing = float(np.float32(max(b - a for a, b in zip(low, high, strict=True)) / resolution))
@@ -356,9 +340,8 @@ def lattice_frame(
 
 @dataclass(frozen=True, eq=False)
 class LevelLayout:
-    """How the nodes of a lattice of some shape are numbered, level after level."""
-
-    # Each level keeps every second node and has a last one at or beyond the finer level's.
+    """How the nodes of a lattice of some shape are numbered, level after level.
+    Each level keeps every second node and has a last one at or beyond the finer level's."""
 
     shape: tuple[int, int, int]
     shapes: np.ndarray  # (L, 3) nodes along each axis of all levels

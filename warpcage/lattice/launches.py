@@ -40,8 +40,7 @@ class PoseLaunches:
     Each takes the sizes of its pose, or bounds: a CUDA graph that holds the launches serves all poses within them."""
 
     def __init__(self, solver: MapSolver, target: MapTarget):
-        # another target makes another map of the same layout
-        self.solver, self.target = solver, target
+        self.solver, self.target = solver, target  # another target: another map of the same layout
         self.sides = MapSides(solver.device)
         self._lattice, self._device = solver.lattice, solver.device
         self._status = HostNumbers(STATUS_WORDS + len(solver.nodes.sections.lengths), self._device)

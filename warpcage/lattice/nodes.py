@@ -19,8 +19,6 @@ class LatticeNodes:
     """Numbering, codes and lists of a lattice's nodes (kernels/lattice/nodes.py); level_count None: all of multigrid.
     interpolates: sections of inside nodes are by evaluated or interpolated, not by colour (one level only)."""
 
-    # One level lists the inside nodes and the rings around them, as the closed forms need.
-
     def __init__(self, lattice: CageLattice, level_count: int | None = None, *, interpolates: bool = False):
         self.level_count = lattice.level_count if level_count is None else level_count
         self._lattice, self._interpolates = lattice, interpolates

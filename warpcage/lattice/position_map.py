@@ -43,8 +43,7 @@ class BegunPose:
     """A pose that was begun, and not finished yet."""
 
     cage: ClosedMesh
-    # the map that it is to be, without the sides of narrow gaps, where a graph is at work on it
-    draft: WarpStruct | None = None
+    draft: WarpStruct | None = None  # the map to be, without sides of narrow gaps, where a graph is at work on it
     last: ClosedMesh | None = None  # the cage of the map before, None where that is lost
 
 
@@ -435,8 +434,7 @@ class PositionMap:
 
 
 def fit_affine(source: ClosedMesh, target: ClosedMesh) -> tuple[np.ndarray, np.ndarray]:
-    """The affine map that takes one cage's vertices nearest to another's: matrix (3, 3), offset (3,), world units."""
-    # Nearest by least squares. Vertices that no face uses do not count.
+    """The affine map that takes a cage's used vertices nearest (least squares) to another's: (3, 3), (3,), world."""
     unused = source.topology.unused_vertices
     a, b = (np.delete(cage.vertices, unused, axis=0) if len(unused) else cage.vertices for cage in (source, target))
     center, middle = a.mean(axis=0), b.mean(axis=0)

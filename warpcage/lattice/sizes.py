@@ -102,8 +102,7 @@ class PoseSizes:
     coarse_nodes: int
     level_columns: int  # columns of all levels
     entries: int  # entries to be scanned for the lists
-    # lengths of the lists; None is not known yet: a launch that needs them waits until the device has counted them
-    sections: NodeSections | None = None
+    sections: NodeSections | None = None  # lengths of lists; None: not counted yet, launches that need them wait
 
     @property
     def lists(self) -> NodeSections:

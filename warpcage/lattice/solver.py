@@ -26,17 +26,13 @@ class MapSolver(ABC):
     """Values of a map at the nodes of a lattice over a posed cage; `nodes` has the lists that the solver works on.
     A pose is `launch_layout`, then `launch_solution`, and where the pose opens narrow gaps `launch_boundary`."""
 
-    # Sizes are those of the pose, or bounds that other poses fit as well, so that a CUDA graph can hold the launches.
-
     def __init__(self, lattice: CageLattice, nodes: LatticeNodes):
         self.lattice, self.nodes, self.device = lattice, nodes, lattice.device
         self.rows = CutRows()  # description of the cut nodes, with as many rows as are known
-        # (rows of level 0 or more,) vec3 that are in the values next to the cage, or (0,)
-        self.corrections = empty_array(0, wp.vec3, self.device)
+        self.corrections = empty_array(0, wp.vec3, self.device)  # (rows of level 0 or more,) in the values, or (0,)
         self.gaps = GapFlags(lattice)  # nodes at narrow gaps
         self.status = wp.zeros(2, dtype=wp.float32, device=self.device)  # on the device: cycles and residual
-        # multigrid cycles of the last map, 0 for closed forms, and what they left, as a share of the rest cage's size
-        self.cycles, self.residual = 0, 0.0
+        self.cycles, self.residual = 0, 0.0  # multigrid cycles (0: closed form), remainder as a share of the rest size
         self._values: Buffer = lattice.buffers.buffer(wp.vec3)
 
     @property
@@ -112,15 +108,12 @@ class MapSolver(ABC):
 
 
 class LatticeWeights:
-    """Weights at the listed nodes of a solver's lattice, which has laid out a pose."""
-
-    # The paper's own way, at many times the memory of a map.
+    """Weights at the listed nodes of a solver's lattice, which has laid out a pose.
+    The paper's own way, at many times the memory of a map."""
 
     def __init__(self, solver: MapSolver):
         self._solver = solver
-        # (begin, vertex_weights (m, v), face_weights (m, f) or None): rows of a block belong to the entries begin ..
-        # begin + m - 1 of the list of nodes (kernels/lattice/nodes.py)
-        self.blocks = solver.weigh()
+        self.blocks = solver.weigh()  # (first list entry, vertex_weights (m, v), face_weights (m, f) or None)
 
     @staticmethod
     def row_bytes(coordinates: str, cage: ClosedMesh) -> int:

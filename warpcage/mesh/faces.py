@@ -42,8 +42,7 @@ class StretchTarget:
     """What `stretched_normals` needs of the faces that others are stretched to."""
 
     normals: np.ndarray  # (3, f) unit normals, zero for a face without area
-    # (f,) s . s, s . t and t . t, world units squared; s and t: the two edges from the first corner of each face
-    ss: np.ndarray
+    ss: np.ndarray  # (f,) s . s, world units squared; s, t: the two edges from the first corner of each face
     st: np.ndarray
     tt: np.ndarray
 

@@ -28,8 +28,7 @@ def face_fans(faces: np.ndarray) -> FaceFans:
     following: list[dict[int, tuple[int, int]]] = [{} for _ in range(int(faces.max()) + 1)]
     for f, (a, b, c) in enumerate(faces.tolist()):
         following[a][b], following[b][c], following[c][a] = (c, f), (a, f), (b, f)
-    # the vertices with most faces left come first
-    heap = [(-len(around), hub) for hub, around in enumerate(following) if around]
+    heap = [(-len(around), hub) for hub, around in enumerate(following) if around]  # those with most faces left first
     heapq.heapify(heap)
     turned, order = [], []
     while heap:

@@ -44,9 +44,8 @@ _CLEARLY_BETTER = 0.98
 def matched_vertices(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
     """The vertices (v, 3) float64 of a pose in the order of its rest mesh; unused ones of `rest` stay where they are.
     A ValueError begins with "the pose ", and says how the two differ."""
-    # Besides the same faces it accepts faces in another order or begun at another corner, quads cut along other
-    # diagonals, vertices in any order, and vertices repeated at one place, as programs write that store one normal for
-    # each corner.
+    # Also accepts faces in another order or begun at another corner, quads cut along other diagonals, and vertices in
+    # any order or repeated at one place, as programs write that store one normal for each corner.
     if len(rest.vertices) == len(pose.vertices) and same_patches(rest.faces, pose.faces):
         return pose.vertices.copy()
     vertices, faces = pose.vertices, pose.faces.astype(np.int64)
@@ -198,10 +197,9 @@ def _mixed(value: np.ndarray) -> np.ndarray:
 
 def _correspondence(rest: _Mesh, pose: _Mesh) -> np.ndarray | None:
     """(v,) vertex of the pose for each used vertex of the rest mesh, or None."""
-    # A map between two connected, consistently wound triangle meshes that keeps faces is fixed by where it sends one
-    # half-edge. So one walk over the cage's faces is replayed from every half-edge of the pose that could be the first,
-    # all at once; what arrives without a contradiction is a match. Symmetric cages have several: the vertices that
-    # moved least decide, and a tie is an error.
+    # A map between connected, consistently wound meshes that keeps faces is fixed by where it sends one half-edge: a
+    # walk over the cage's faces is replayed from every half-edge of the pose at once; what arrives without a
+    # contradiction is a match. Symmetric cages have several: the vertices that moved least decide, a tie is an error.
     order = np.full(len(rest.vertices), -1, dtype=np.int64)
     found = []
     for part in range(rest.part_count):
@@ -209,8 +207,7 @@ def _correspondence(rest: _Mesh, pose: _Mesh) -> np.ndarray | None:
         for other in range(pose.part_count):
             if np.count_nonzero(pose.part == other) == len(walk[0]):
                 found += [(cost, part, other, images) for cost, images in _replayed(rest, pose, walk, other)]
-    # parts take their best partner, the surest first
-    found.sort(key=lambda each: each[0])
+    found.sort(key=lambda each: each[0])  # parts take their best partner, the surest first
     taken, partner = set(), {}
     for cost, part, other, images in found:
         if part in partner or other in taken:
@@ -236,8 +233,7 @@ def _walk(mesh: _Mesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     corner = mesh.color[mesh.faces[faces]].reshape(-1)
     kind = _mixed(corner * np.uint64(3) + np.roll(mesh.color[mesh.faces[faces]], -1, axis=1).reshape(-1))
     _, which, count = np.unique(kind, return_inverse=True, return_counts=True)
-    # the half-edge whose ends are the least like others
-    first = int(np.argmin(count[which]))
+    first = int(np.argmin(count[which]))  # the half-edge whose ends are the least like others
     entered, origin = [int(faces[first // 3]) * 3 + first % 3], [(0, 0)]
     place = {entered[0] // 3}
     for n in range(len(faces)):

@@ -15,9 +15,8 @@ from .fans import FaceFans, face_fans
 
 
 class MeshTopology:
-    """Edges and connected parts of triangles (f, 3): they depend on faces alone, so all poses share them."""
-
-    # Where something is wrong the attributes hold what is wrong itself, so that an error can name the first one.
+    """Edges and connected parts of triangles (f, 3): they depend on faces alone, so all poses share them.
+    The attributes hold what is wrong itself, so that an error can name the first one."""
 
     def __init__(self, vertex_count: int, faces: ArrayLike):
         self._faces = faces = np.asarray(faces, dtype=np.int64)
@@ -36,20 +35,16 @@ class MeshTopology:
         # (e, 2): every edge once, lower index first; the loop of a face that repeats a vertex is no edge
         self.edges = np.stack([keys // vertex_count, keys % vertex_count], axis=1).astype(np.int32)
         forward = np.bincount(edge, weights=(starts < ends)[proper], minlength=len(keys))
-        # (k, 2) of one face only, of three or more, and of two that walk it in the same direction, so that one looks
-        # inward
-        self.open_edges = self.edges[uses == 1]
-        self.crowded_edges = self.edges[uses > 2]
-        self.clashing_edges = self.edges[(uses == 2) & (forward != 1)]
+        self.open_edges = self.edges[uses == 1]  # (k, 2), of one face only
+        self.crowded_edges = self.edges[uses > 2]  # of three or more
+        self.clashing_edges = self.edges[(uses == 2) & (forward != 1)]  # walked one way twice: one looks inward
 
         # corners next to each other around a vertex, and faces next to each other over an edge
         order = np.argsort(edge, kind="stable")
         same = np.flatnonzero(edge[order][1:] == edge[order][:-1])
         one, two = np.flatnonzero(proper)[order[same]], np.flatnonzero(proper)[order[same + 1]]
-        # (f,) the part of each face, 0 to part_count - 1, connected over edges
-        self.parts, self.part_count = connected_parts(face_count, owner[one], owner[two])
-        # (k,) vertices whose faces form more than one fan
-        self.pinched_vertices = self._pinched_vertices(vertex_count, starts, one, two)
+        self.parts, self.part_count = connected_parts(face_count, owner[one], owner[two])  # (f,) connected over edges
+        self.pinched_vertices = self._pinched_vertices(vertex_count, starts, one, two)  # with several fans
 
     @staticmethod
     def _pinched_vertices(vertex_count: int, starts: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
@@ -313,14 +308,12 @@ def principal_axes(mesh: ClosedMesh) -> tuple[np.ndarray, np.ndarray]:
     total = max(float(areas.sum()), 1e-300)
     corners = corners - (areas[:, None] * corners.mean(axis=1)).sum(axis=0) / total
     middles = corners.mean(axis=1)
-    # the covariance of the area: of a face of area A with corners a, b, c and middle m, about the middle of all, it is
-    # A / 12 (9 m m' + a a' + b b' + c c')
+    # covariance of the area: A / 12 (9 m m' + a a' + b b' + c c') for a face of area A, corners a, b, c, middle m
     second = 9.0 * np.einsum("f,fi,fj->ij", areas, middles, middles)
     second += np.einsum("f,fki,fkj->ij", areas, corners, corners)
     variances, vectors = np.linalg.eigh(second / (12.0 * total))
     axes = vectors.T[::-1].copy()
-    # towards the positive side of the world axis that each is nearest to
-    for axis in axes[:2]:
+    for axis in axes[:2]:  # towards the positive side of the nearest world axis
         axis *= np.sign(axis[np.argmax(np.abs(axis))])
     axes[2] = np.cross(axes[0], axes[1])
     return axes, variances[::-1]

@@ -15,9 +15,8 @@ MAX_CORNERS = 4096
 
 def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int, int]]:
     """Triangles over a polygon of n of the vertices (v, 3), wound as it is: n - 2 times three indices of vertices."""
-    # The fan from its first vertex where no triangle of the fan looks backward: it depends on the order alone.
-    # Elsewhere ears are cut off, the best shaped first (Meisters 1975). A polygon without area, or far from flat, is
-    # cut as a fan.
+    # The fan from its first vertex where no triangle of it looks backward (by order alone); else ears are cut off, the
+    # best shaped first (Meisters 1975), but polygons without area or far from flat are cut as fans.
     fan = [(polygon[0], polygon[k], polygon[k + 1]) for k in range(1, len(polygon) - 1)]
     points = vertices[polygon] - vertices[polygon[0]]
     normal = 0.5 * np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)  # Newell 1972
@@ -49,9 +48,8 @@ def _heights(vertices, triangles, normal) -> np.ndarray:
 class EarCutter:
     """Cuts ears off a polygon, the best one each time."""
 
-    # A cut changes the two ears beside it, and those that its corner was in the way of: each blocked ear remembers one
-    # corner that is in its way, and is looked at again when that one goes. An ear is compared with the corners beside
-    # it along one axis alone. So n corners take a few n looks, not n^2.
+    # A cut changes the two ears beside it, and those that its corner blocked: each remembers one corner in its way
+    # until that goes. Ears see the corners near along one axis: n corners take a few n looks, not n^2.
 
     def __init__(self, points: np.ndarray, polygon: list[int], normal: np.ndarray):
         """points (n, 3): places of the corners; polygon: their n indices; normal: (3,) unit vector."""

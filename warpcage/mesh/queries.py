@@ -39,8 +39,7 @@ def inside_mesh(
 ) -> np.ndarray | wp.array:
     """Whether points (n, 3), world units, are inside a usable mesh or on its surface: (n,) bool, on a device for points
     on one. tolerance: points this close to the surface are inside, as a share of the mesh's size."""
-    # Inside is a winding number above 1/2, so that a cavity is outside, and a place that a tangled pose covers twice is
-    # inside.
+    # Winding number above 1/2: cavities are outside, places that a tangled pose covers twice are inside.
     require_usable(mesh)
     if is_device_array(points):
         array, _ = as_points(points, device)
@@ -89,9 +88,8 @@ PAIRS = 1 << 12
 
 def intersecting_faces(vertices: ArrayLike, faces: ArrayLike) -> np.ndarray:
     """Pairs (k, 2) of faces that cross or overlap, the lower one first, in ascending order."""
-    # Faces may share vertices and edges; neighbours intersect when they fold onto each other. Every pair whose bounding
-    # boxes overlap is tested: edges against triangles (Moeller and Trumbore 1997) and, in one plane, by separating
-    # axes.
+    # Neighbours intersect when they fold onto each other. Pairs whose bounding boxes overlap are tested: edges against
+    # triangles (Moeller and Trumbore 1997) and, in one plane, by separating axes.
     faces = np.asarray(faces, dtype=np.int64)
     places = np.asarray(vertices, dtype=np.float64)
     places = places - places[faces.reshape(-1)].mean(axis=0)
@@ -153,10 +151,9 @@ def _crossing(
 
 def overlapping_boxes(corners: np.ndarray) -> Iterator[np.ndarray]:
     """Pairs (p, 2), i < j, of triangles (f, 3, 3) of a mesh of size 1 whose bounding boxes overlap, some at a time."""
-    # Boxes are sorted by size into levels with grids of their own, each with cells that no box of the level exceeds,
-    # and are kept in the cell of their lower corner. A box of the same level or a smaller one meets those in the cells
-    # that it touches and in the ones before them: at most 3 x 3 x 3, of which three follow each other in the order of
-    # cells.
+    # Boxes are sorted by size into levels with grids of their own, whose cells no box of the level exceeds, by lower
+    # corners. A box of the same level or a smaller one meets those in the cells that it touches and the ones before: at
+    # most 3 x 3 x 3, of which three follow each other in the order of cells.
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     columns = [(np.ascontiguousarray(low[:, axis]), np.ascontiguousarray(high[:, axis])) for axis in range(3)]
@@ -202,8 +199,7 @@ def meeting_boxes(
         one = np.repeat(asking[start:stop], counts)
         within = np.arange(len(one)) - np.repeat(np.cumsum(counts) - counts, counts)
         two = held[np.repeat(begin[start:stop], counts) + within]
-        # of one level both boxes ask: one answer is enough
-        meet = (levels[one] < levels[two]) | (one < two)
+        meet = (levels[one] < levels[two]) | (one < two)  # of one level both boxes ask: one answer is enough
         one, two = one[meet], two[meet]
         for low, high in columns:
             meet = (low[one] <= high[two]) & (low[two] <= high[one])

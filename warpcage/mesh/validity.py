@@ -54,8 +54,7 @@ def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
         length = np.sqrt(column_dot(side, side))
         a, b, c = (side.take(faces[:, k], axis=1) for k in range(3))
         la, lb, lc = (length.take(faces[:, k], axis=0) for k in range(3))
-        # signed solid angles over 4 pi (van Oosterom and Strackee 1983, "The solid angle of a plane triangle")
-        triple = column_dot(a, column_cross(b, c))
+        triple = column_dot(a, column_cross(b, c))  # solid angles / 4 pi (van Oosterom and Strackee 1983)
         below = la * lb * lc + column_dot(a, b) * lc + column_dot(b, c) * la + column_dot(c, a) * lb
         total[first : first + step] = 2.0 * np.arctan2(triple, below).sum(axis=0) / (4.0 * np.pi)
     return total
@@ -76,8 +75,7 @@ def inward_parts(mesh: ClosedMesh) -> np.ndarray:
 
 def looks_usable(mesh: ClosedMesh) -> bool:
     """Whether a quick look finds nothing wrong: no vertices that may share a place, no low faces, no inward parts.
-    For a mesh whose topology has no problem; False says that a closer look is needed."""
-    # Almost every pose of a usable cage passes.
+    For a mesh whose topology has no problem; almost every usable pose passes, False needs a closer look."""
     topology = mesh.topology
     local = mesh.vertices - mesh.bounds.mean(axis=0)
     keys = (local.astype(np.float32) + np.float32(0.0)).view(np.uint32).astype(np.uint64) @ _PLACE_FACTORS

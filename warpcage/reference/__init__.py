@@ -1,6 +1,6 @@
 """Ground truth for tests and benchmarks: synthetic scenes, meshes that carry their colour, inverse maps."""
 
-from ..core.package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,

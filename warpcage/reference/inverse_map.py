@@ -30,10 +30,8 @@ class InversePoints:
 
 
 class InverseMap:
-    """The map of a Deformer, x -> sum_j w_j(x) v_j with coordinates of the posed cage, and its inverse, in float64."""
-
-    # "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 3; see kernels/reference/inverse_map.py. It serves as a
-    # reference, and for whatever must follow a rendered field exactly.
+    """The map of a Deformer, x -> sum_j w_j(x) v_j with coordinates of the posed cage, and its inverse, in float64.
+    "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 3: for whatever must follow a rendered field exactly."""
 
     def __init__(
         self,

@@ -72,8 +72,7 @@ def write_phone_video(
 ) -> list[Camera]:
     """Ray cast a walk around the table scene, as a phone records it.
     Returns the true cameras: where the phone was in the middle of each frame."""
-    # Each row is taken a little later than the one above (rolling shutter), blurred by the motion during its exposure.
-    # The film is H.264 of 8 bits.
+    # Rows are taken one after another (rolling shutter), blurred by the motion in their exposure; H.264 of 8 bits.
     width, height = size
     if height % strips or width % 2 or height % 2:
         raise ValueError(f"a video of {width}x{height} pixels is not cut into {strips} strips of whole, even sizes")

@@ -68,8 +68,7 @@ def device_mesh(
     vertices: np.ndarray, faces: np.ndarray, origin: np.ndarray, device: wp.DeviceLike, *, winding: bool = False
 ) -> wp.Mesh:
     """A mesh for ray queries, relative to `origin` (3,), world units; winding: queries ask for winding numbers."""
-    # subtracted in float64, so that far scenes survive float32
-    points = wp.array((vertices - origin).astype(np.float32), dtype=wp.vec3, device=device)
+    points = wp.array((vertices - origin).astype(np.float32), dtype=wp.vec3, device=device)  # far scenes: in float64
     indices = wp.array(faces.ravel(), dtype=wp.int32, device=device)
     return wp.Mesh(points=points, indices=indices, support_winding_number=winding)
 
@@ -104,10 +103,8 @@ def require_samples(samples: int) -> None:
 
 
 class CarriedMesh:
-    """A mesh with a colour on each face and a solid texture, lit from above at rest; poses carry all of that along."""
-
-    # A posed radiance field shows just this: colour, shadows and highlights of the place at rest, seen along the
-    # direction at rest. So renders of a posed CarriedMesh are the ground truth for renders of a deformed field.
+    """A mesh with a colour on each face and a solid texture, lit from above at rest; poses carry all of that along.
+    Posed, it is the ground truth of a deformed field, which shows a place at rest along the direction at rest."""
 
     def __init__(
         self,
@@ -115,8 +112,7 @@ class CarriedMesh:
         faces: ArrayLike,  # (f, 3) indices of vertices
         colors: ArrayLike,  # (f, 3) in [0, 1]
         *,
-        # amplitude of the noise over the colours (0 leaves them plain), frequency per world unit
-        texture: tuple[float, float] = (0.35, 9.0),
+        texture: tuple[float, float] = (0.35, 9.0),  # amplitude of the noise (0: plain), frequency per world unit
         highlight: float = HIGHLIGHT,  # strength of the specular term
         shininess: float = SHININESS,  # exponent of the specular term
         device: wp.DeviceLike = None,
@@ -134,8 +130,7 @@ class CarriedMesh:
         cameras: Sequence[Camera],
         *,
         posed: ArrayLike | None = None,  # (v, 3) where the vertices are, world units
-        # (v, 3, 3) of any scale, directions from posed to rest space; None: as they are
-        view_matrices: ArrayLike | None = None,
+        view_matrices: ArrayLike | None = None,  # (v, 3, 3) of any scale, directions from posed to rest; None: same
         light_stays: bool = False,  # light the posed mesh by lights fixed to the world, as no captured field can
         samples: int = 3,  # rays along each side of a pixel
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -177,8 +172,7 @@ class CarriedMesh:
             self._texture,
             self._lighting,
             wp.array(numbers, dtype=wp.int32, device=self.device),
-            # (n, 2) weights of the first two corners of the face
-            wp.array(np.asarray(corners), dtype=wp.vec2, device=self.device),
+            wp.array(np.asarray(corners), dtype=wp.vec2, device=self.device),  # (n, 2) weights of the first two corners
             towards,
         ]
         work = 100 * towards.shape[1]

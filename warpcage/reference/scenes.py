@@ -58,8 +58,7 @@ def synthetic_scene(
     alpha: bool = True,  # whether the scenes have alphas
     device: wp.DeviceLike = None,
 ) -> tuple[Scene, Scene]:
-    """Training and test views of one of `KINDS` on white."""
-    # The cameras lie on the upper hemisphere, 4 units of the model from what they look at.
+    """Views of one of `KINDS` on white, training and test, from the upper hemisphere, 4 units of the model away."""
     if kind not in KINDS:
         raise ValueError(f"scene kind {kind!r} is not known: {', '.join(KINDS)}")
     require_counts(train_views, test_views, size)
@@ -123,9 +122,7 @@ def room_views(
     seed: int = 0,  # places the training cameras
     device: wp.DeviceLike = None,
 ) -> tuple[RoomViews, RoomViews]:
-    """Training and test views of the room."""
-    # What is in the object's box and what is around it are lit each on its own, so that views of the two make the
-    # whole.
+    """Training and test views of the room; what is in the object's box and around it is lit apart: the two make all."""
     require_counts(train_views, test_views, size)
     inside, outside = object_model(), room_model()
 

@@ -1,6 +1,6 @@
 """Frames of edited scenes: views, tables, shading and launches."""
 
-from ..core.package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,

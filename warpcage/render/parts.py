@@ -24,8 +24,7 @@ class PartsInTurn:
     """Marches views through edits that are apart, a launch for each; rays keep their state in between."""
 
     def __init__(self, device: wp.Device):
-        # states of rays, kept, as CUDA takes longer to hand out as much memory than to fill it
-        self.rays = BufferPool(device).buffer(wp.vec4)
+        self.rays = BufferPool(device).buffer(wp.vec4)  # kept: CUDA hands out memory slower than it fills it
         self._block: wp.array | None = None
         self._parts: list[tuple[list[list[float]], Any]] = []
 

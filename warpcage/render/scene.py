@@ -67,8 +67,7 @@ MOST_SHADES = 0.25
 class Plan(NamedTuple):
     """How a view is marched."""
 
-    # the EditData of each edit and its box (2, 3), front to back; None where one kernel takes the whole scene
-    parts: list[tuple[Any, np.ndarray]] | None
+    parts: list[tuple[Any, np.ndarray]] | None  # EditData and box (2, 3) of edits, front to back; None: one kernel
     is_shaded: bool  # whether voxels are shaded for the view
 
 
@@ -97,14 +96,12 @@ class LatticeEdits(PosedEdits):
         self.flat: list[Any] = []  # the EditData of each edit in their order, once a pose is prepared
         self._laid: list[tuple[Any, Any]] = []  # each LatticeEdit and its EditData, once for a pose
         self._seen: SeenView | None = None  # the last view, where it was of the last pose
-        # of the last view
-        self.plan, self._lattice_boxes = Plan(None, False), []
+        self.plan, self._lattice_boxes = Plan(None, False), []  # of the last view
         self.carried_shades = CarriedShades(len(edits), device)
         self._side, self._join = SideStream(device, priority=-1), RecordedLaunches(device)
         self._fine, self._is_fine = FineCells(len(edits), self._side), False
         self._polynomials = MapPolynomials(len(edits), device)
-        # bytes that shades may take
-        self.most_shades = math.inf if device.is_cpu else MOST_SHADES * device.total_memory
+        self.most_shades = math.inf if device.is_cpu else MOST_SHADES * device.total_memory  # bytes
         self._boxes: EditBoxes | None = None
         self._apart: tuple[float, np.ndarray | None] | None = None
         pool = BufferPool(device)
@@ -307,8 +304,7 @@ class LatticeEdits(PosedEdits):
     def scene_parts(self, center: wp.vec3, step: float) -> list[tuple[Any, np.ndarray]] | None:
         """The EditData of each edit and its box (2, 3), front to back from `centre`, relative to the edits' origin, as
         a view takes them one by one. None where one kernel takes the whole scene."""
-        # One kernel takes one edit on CUDA, crumbs, edits that may meet each other, and boxes that hide each other in a
-        # circle.
+        # One kernel takes: one edit on CUDA, crumbs, edits that may meet, boxes that hide each other in a circle.
         if self._is_single:
             return [(self.flat[0], NOWHERE)] if self._by_tiles else None
         if self._boxes is None:

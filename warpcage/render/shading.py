@@ -27,8 +27,7 @@ from ..lattice.buffers import BufferPool
 #: A trilinear distance changes by at most the root of three per unit of length; rounded up.
 STEEPEST = 1.8
 
-#: Layers of ShadedVolume.
-LAYERS = int(SHADE_LAYERS)
+LAYERS = int(SHADE_LAYERS)  #: of ShadedVolume
 
 
 def shade_texture_bytes(table: ColumnTable) -> float:
@@ -48,8 +47,7 @@ class CarriedShades:
         self._settled = 0  # owners that are NO_CELL, from the first on
         self._places, self._aims = ([pool.buffer(wp.vec4) for _ in range(edit_count)] for _ in range(2))
         self._kept_cages: list[Any] = [None] * edit_count
-        # of each edit that does not remove: its EditData, (nx, ny, nz) vec4 where its rest nodes are taken and whether,
-        # and its ViewDirectionCage
+        # EditData, (nx, ny, nz) vec4 where rest nodes are taken and whether, ViewDirectionCage of edits that move
         self.posed: list[tuple[Any, wp.array, Any]] = []
         self._cages: wp.array | None = None
         self._walls: tuple[ColumnTable, wp.array] | None = None
@@ -159,10 +157,9 @@ class CarriedShades:
 
     def walls(self, grid: Any, table: ColumnTable) -> wp.array:
         """Rows (m,) int32, ascending, that poses may show on both sides of a rest cage; found once, behind `pose`."""
-        # They are those near it, and all of a cage that keeps its source.
         if self._walls is None or self._walls[0] is not table:
             device, rows = self._device, table.nodes.shape[0]
-            marks = wp.zeros(rows, dtype=wp.int32, device=device)
+            marks = wp.zeros(rows, dtype=wp.int32, device=device)  # those near it; all of a cage that keeps its source
             diagonal = math.hypot(*grid.voxel_size)
             for edit, _, _ in self.posed:
                 depth = math.inf if edit.keeps_source else diagonal

@@ -25,8 +25,7 @@ class BalancedTiles:
 
     def begin(self, launches: int, tiles: int) -> list[Any]:
         """A TileOrder for each launch of a view of so many tiles; call `end` behind the last of them."""
-        # on a CPU, tiles are followed as they lie in the picture
-        if self._device.is_cpu:
+        if self._device.is_cpu:  # tiles are followed as they lie in the picture
             return launches * [TileOrder()]
         # frames of one stream follow each other, those of several need not
         key = launches, tiles, int(self._device.stream.cuda_stream or 0)

@@ -33,8 +33,7 @@ class PosedEdits(abc.ABC):
     """Edits on a device, as kernels take them."""
 
     def __init__(self, map_kernel: Any, render_kernel: Any):
-        # the first traces points to canonical space and takes `array`, the other renders views and takes `scene`
-        self.map_kernel, self.render_kernel = map_kernel, render_kernel
+        self.map_kernel, self.render_kernel = map_kernel, render_kernel  # they take `array`, and for views `scene`
         self.array: wp.array | None = None  # (edits,) structs, once the edits are posed
         self.scene: Any = None  # what the render kernel takes, once `prepare` has been called for the pose
         self.sample_work = 1  # steps that one sample takes at most, as `core.devices.launch` has them

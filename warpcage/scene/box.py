@@ -81,14 +81,13 @@ def bulk_box(points: np.ndarray, seen_box: np.ndarray, up: np.ndarray) -> np.nda
     bulk = seen if is_seen else points
     if len(bulk) < MIN_POINTS:
         return None
-    # Most points lie on the floor.
     low, high = np.percentile(bulk, [1.0, 99.0], axis=0)  # a few are always far off
     margin = 0.1 * float((high - low).max())
     if not (np.isfinite(margin) and margin > 0):
         return None
     radius = NEIGHBOR_RADIUS * float(np.linalg.norm(high - low))
-    # Above the bulk the box also holds points that have others near them: an arm or an ear has few, beside each other,
-    # and mistakes of the reconstruction are alone.
+    # Most points lie on the floor. Above the bulk the box also holds points with others near them: an arm or an ear has
+    # few, beside each other, and mistakes of the reconstruction are alone.
     together = bulk[are_inliers(bulk, radius)] if is_seen else bulk[:0]
     top, bottom = together.max(axis=0, initial=-np.inf), together.min(axis=0, initial=np.inf)
     high = np.where(up > UPWARD, np.maximum(high, top), high)
@@ -107,9 +106,8 @@ def are_inliers(points: np.ndarray, radius: float) -> np.ndarray:
 
 
 class Bounds:
-    """Where the files of a scene may lie, by real paths: in its folder, or where a link to a folder in it leads."""
-
-    # Such a link is `images -> /captures/fox/images`. Links deeper inside, and links to files, must not lead elsewhere.
+    """Where the files of a scene may lie, by real paths: in its folder, or where a link to a folder in it leads.
+    Such a link is `images -> /captures/fox/images`; links deeper inside, and to files, must not lead elsewhere."""
 
     def __init__(self, folder: pathlib.Path):
         self.folder = folder

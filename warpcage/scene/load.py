@@ -22,8 +22,7 @@ class SceneReader(NamedTuple):
 
     mark: str  # what a folder of the format holds, for messages
     is_scene: Callable[[pathlib.Path], bool]
-    # folder, and by name split, downscale, background (3,) behind transparent pixels, masks as for `load_scene`
-    read: Callable[..., Scene]
+    read: Callable[..., Scene]  # of folder, split, downscale, background (3,) and masks, as `load_scene` has them
 
 
 #: Readers by the name of their format, in the order in which they are tried.

@@ -17,8 +17,7 @@ from ..view.pictures import image_size, read_rows, shrink, shrunk_size
 from .box import Bounds, bulk_box, view_box
 from .scene import Scene
 
-#: Names of the coefficients, in OpenCV's order, of which the first few may be given.
-COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's order; the first few may be given
 
 #: The picture is never enlarged beyond this to get rid of what lies past its edge.
 MAX_ZOOM = 4.0
@@ -119,7 +118,7 @@ class View:
     # pixels of the file, the centre of the first one at (0.5, 0.5); or a function of the picture's width and height
     intrinsics: Intrinsics | Callable[[tuple[int, int]], Intrinsics]
     size: tuple[int, int] | None = None  # width and height that the format claims
-    distortion: tuple[float, ...] = ()  # in the order of distortion.COEFFICIENTS
+    distortion: tuple[float, ...] = ()  # in the order of COEFFICIENTS
     mask: pathlib.Path | None = None  # picture of the opacity
 
 

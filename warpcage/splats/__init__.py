@@ -1,6 +1,6 @@
 """Gaussian splats: fields of them, their files, their views, and how a cage poses them."""
 
-from ..core.package import lazy_exports
+from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,

@@ -32,8 +32,7 @@ class PoseFit:
         self._origin, self._size = origin, rest.size
         self._local = rest.vertices - origin
         self._green = coordinates == "green"
-        # Numbers r_j of a pose: a vertex each, for Green coordinates then a face each.
-        self.row_count = len(rest.vertices) + (len(rest.faces) if self._green else 0)
+        self.row_count = len(rest.vertices) + (len(rest.faces) if self._green else 0)  # r_j: by vertex; Green: by face
         used = np.ones(len(rest.vertices), dtype=bool)
         if not self._green:
             used[rest.topology.unused_vertices] = False  # they may lie anywhere
@@ -61,8 +60,7 @@ class PoseFit:
         around = posed - middle
         if self._green:
             matrix = nearest_similarity(self._spread, around, self._square_sum)
-            # r_j of stretched normals are times the size.
-            out[2 * count :] = (self._tilts(around) - matrix @ self._normals).T
+            out[2 * count :] = (self._tilts(around) - matrix @ self._normals).T  # r_j times the size
         else:
             matrix = (self._inverse @ around).T
         out[:count] = posed
@@ -86,8 +84,7 @@ class PoseFit:
 
 def nearest_similarity(a: np.ndarray, b: np.ndarray, square_sum: float) -> np.ndarray:
     """The rotation times a scale (3, 3) that takes points a (v, 3) around 0 nearest to b; square_sum: of a."""
-    # Umeyama 1991.
-    u, s, vt = np.linalg.svd(b.T @ a)
+    u, s, vt = np.linalg.svd(b.T @ a)  # Umeyama 1991
     matrix = u @ vt
     if np.linalg.det(matrix) < 0.0:  # it would turn over
         u[:, 2] *= -1.0
@@ -112,9 +109,8 @@ RESOLUTION = 128
 
 
 class CageBinding:
-    """Points in a cage at rest, and where a pose of it takes them, with the Jacobian of the map there."""
-
-    # A pose costs one weighted sum a point: phi(x) = A x + t + sum_j w_j(x) r_j (kernels/splats/pose.py).
+    """Points in a cage at rest, and where a pose of it takes them, with the Jacobian of the map there.
+    A pose costs one weighted sum a point: phi(x) = A x + t + sum_j w_j(x) r_j (kernels/splats/pose.py)."""
 
     def __init__(
         self,
@@ -131,8 +127,7 @@ class CageBinding:
         # (j, m) vec4, weight and gradient (per size of the cage) of each vertex (Green: then face); None if packed
         self.rows: wp.array | None = None
         self.packed: Any = None  # the PackedRows of kernels/splats/packed_rows.py; None if not packed
-        # On CUDA poses wait for memory; a CPU takes longer to unpack the rows.
-        pack = not device.is_cpu if packed is None else packed
+        pack = not device.is_cpu if packed is None else packed  # CUDA waits for memory; a CPU is slower to unpack
         count, height, corners = len(points), self._fit.row_count, len(cage.vertices)
         groups = (height + 3) // 4
         chunk = count if coordinates == "harmonic" else min(CHUNK, count)
@@ -262,8 +257,7 @@ def turned_harmonics(harmonics: np.ndarray, rotations: np.ndarray) -> np.ndarray
     for begin in range(0, len(harmonics), CHUNK):
         chunk = slice(begin, begin + CHUNK)
         seen = sh_basis(directions @ rotations[chunk])  # rows d^T R are R^-1 d
-        # A turned harmonic is a sum of those of its own degree: it is evaluated in some directions, and taken apart
-        # again.
+        # A turned harmonic is a sum of those of its degree: it is evaluated in some directions, and taken apart again.
         for band in range(1, degree + 1):
             own = slice(band**2, (band + 1) ** 2)
             values = seen[..., own] @ harmonics[chunk, own].astype(np.float64)

@@ -60,10 +60,8 @@ class SplatParameters:
         host = {name: np.asarray(getattr(held, name), np.float64) for name in VALUE_TYPES}
         host["centers"] = host["centers"] - field.center
         self._first_centers = host["centers"].astype(np.float32)
-        # By name (VALUE_TYPES), (n, width) float32 each, centres relative to the field's `center`; and derivatives of a
-        # loss by each of them.
-        self.values: dict[str, wp.array] = {}
-        self.slopes: dict[str, wp.array] = {}
+        self.values: dict[str, wp.array] = {}  # (n, width) float32 each, centres relative to the field's `center`
+        self.slopes: dict[str, wp.array] = {}  # derivatives of a loss by each of them
         for name, values in host.items():
             rows = np.ascontiguousarray(values.reshape(count, values.size // max(count, 1)), np.float32)
             self.values[name] = wp.array(rows, dtype=wp.float32, device=field.device)
@@ -114,9 +112,8 @@ SUM_COUNT = int(SUMS)
 
 
 class SplatGradients(SplatRenderer):
-    """Draws splats, and takes the slopes of a loss by the picture back to their values."""
-
-    # Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023), appendix A.
+    """Draws splats, and takes the slopes of a loss by the picture back to their values.
+    Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023), appendix A."""
 
     def __init__(self, device: wp.DeviceLike = None):
         super().__init__(device)

@@ -37,9 +37,8 @@ PROJECT_WORK, DRAW_WORK = 100, 20_000
 class SplatRenderer:
     """Draws splats on a device, in buffers that are kept and grow."""
 
-    # The host waits once for a frame of a CUDA device, for the number of tiles that splats touch. Kerbl et al., "3D
-    # Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023); tiles that ellipses touch as in Hanson
-    # et al., "Speedy-Splat" (CVPR 2025).
+    # The host waits once a CUDA frame, for the number of tiles touched. Kerbl et al., "3D Gaussian Splatting for
+    # Real-Time Radiance Field Rendering" (SIGGRAPH 2023); tiles of ellipses: Hanson et al., "Speedy-Splat" (CVPR 2025).
 
     def __init__(self, device: wp.DeviceLike = None):
         self.device = resolve_device(device)
@@ -68,8 +67,7 @@ class SplatRenderer:
         """The view of a camera, its arrays on the device; splats: a Splats of kernels/splats/splats.py."""
         side = checked_supersampling(supersampling)
         fine = finer_camera(camera, side)
-        # With several rays a pixel, the blur stays as wide as it is without: a field keeps its look, less its steps.
-        lens = splat_lens(fine, origin, near, IMAGE_BLUR * side**2, antialias)
+        lens = splat_lens(fine, origin, near, IMAGE_BLUR * side**2, antialias)  # blurred as with one ray a pixel
         with self._lock:
             arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device, self._spare)
             seen = self._project(splats, lens)

@@ -46,8 +46,7 @@ class SplatDensity:
     """Densities of splats at the nodes of a grid: what `Cage.from_field`, `select_nodes` and `extract_mesh` read.
     resolution: nodes along the longest side, 2 to 1024; bounds: (2, 3) box, world units, None is that of all splats."""
 
-    # Node (i, j, k) lies at bounds[0] + (i + 0.5) * voxel_size. A splat counts by its covariance and opacity, not by
-    # its centre alone (kernels/splats/fit.py).
+    # Node (i, j, k): bounds[0] + (i + 0.5) * voxel_size. Covariance and opacity count (kernels/splats/fit.py).
 
     def __init__(self, field: SplatField, resolution: int = RESOLUTION, bounds: ArrayLike | None = None):
         self.field, self.straightening = field, None  # the coordinates are those of the file

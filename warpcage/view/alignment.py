@@ -61,10 +61,9 @@ PICTURE_STEPS, WIDEST = 4, 4.0
 def picture_similarity(poses: np.ndarray, targets: np.ndarray, points: np.ndarray) -> Similarity:
     """The similarity after which cameras (n, 4, 4) see points as others of the same pictures do.
     `points` (m, 3) are where the targets' world holds what is seen."""
-    # A small turn of a camera and a shift across it show an object at a distance the same way, so that poses which were
-    # found from pictures are inexact along both together. This alignment looks at what counts, the places in the
-    # pictures: Gauss-Newton on sum |u(S pose, x) - u(target, x)|^2 with u = (x / z, y / z) in front of a camera, from
-    # `aligning_similarity` on.
+    # A small turn of a camera and a shift across show an object the same way: poses found from pictures are inexact
+    # along both together. So places in pictures count: Gauss-Newton on sum |u(S pose, x) - u(target, x)|^2 with
+    # u = (x / z, y / z) in front of a camera, from `aligning_similarity` on.
     goal, _ = _seen(targets, points)
     valid = (np.abs(goal) < WIDEST).all(axis=2) & np.isfinite(goal).all(axis=2)
     found = aligning_similarity(poses, targets)

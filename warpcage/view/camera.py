@@ -359,8 +359,7 @@ def common_up(cameras: Sequence[Camera]) -> np.ndarray:
     if length < 1e-3:
         return np.array([0.0, 0.0, 1.0])
     mean /= length
-    # Up is normal to the sideward axes of all cameras, as for level ones. Where that says too little or something else,
-    # it is the mean of their upward axes.
+    # Normal to the sideward axes of all, as level cameras have it; where that says too little, the mean upward axis.
     sideward = np.stack([camera.rotation[:, 0] for camera in cameras])
     variances, axes = np.linalg.eigh(sideward.T @ sideward / len(sideward))  # ascending
     across = axes[:, 0] * np.sign(axes[:, 0] @ mean)
@@ -374,8 +373,7 @@ def camera_struct(camera: Camera, origin: ArrayLike) -> Any:
     """A camera as a PinholeCamera of kernels/view/rays.py.
     `origin` (3,): world point that the kernel's positions are relative to."""
     struct = PinholeCamera()
-    # the difference is taken in float64, so that float32 kernels see small numbers however far from zero the scene is;
-    # in plain floats: NumPy's own take Warp several times as long
+    # in float64, as scenes may be far from zero; in plain floats: NumPy's own take Warp several times as long
     struct.center = wp.vec3(*(camera.center - np.asarray(origin, np.float64)).tolist())
     struct.rotation = wp.mat33(*np.asarray(camera.rotation, np.float64).ravel().tolist())
     struct.focal = wp.vec2(camera.fx, camera.fy)

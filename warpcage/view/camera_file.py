@@ -85,9 +85,8 @@ def _read_gltf_entries(path: pathlib.Path, size: tuple[int, int] | None) -> list
             if not moving:
                 entries.append({"name": name, **lens, "camera_to_world": _pose(at_rest[node])})
                 continue
-            # A camera that an animation moves, itself or through what it hangs on, becomes keys at the frames of the
-            # animation, straight from each to the next, so that what a program wrote for each frame comes back frame
-            # for frame.
+            # A camera that an animation moves, itself or through what it hangs on, becomes keys at the animation's
+            # frames, straight between: what a program wrote for each frame comes back frame for frame.
             times, _ = frames_of(np.unique(np.concatenate([each.times for each in moving])))
             for time in times:
                 places: dict[int, dict[str, Any]] = {}

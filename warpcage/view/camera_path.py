@@ -141,8 +141,7 @@ def _target_distances(keys: Sequence[CameraKey]) -> np.ndarray | None:
     system = across.sum(axis=0)
     middle = centers.mean(axis=0)  # where the axes say nothing of a direction, the point is as far along as this
     pull = (across @ (centers - middle)[:, :, None])[..., 0].sum(axis=0)
-    # the target lies on the optical axis, nearest to the point that the key names, or to the one that is nearest to the
-    # axes of all cameras (least squares)
+    # the target is on the axis, nearest to the key's point, or to the one that is nearest to all axes (least squares)
     common = middle + np.linalg.pinv(system, rcond=_LEAST_CONDITION, hermitian=True) @ pull
     offsets = np.array([common if key.target is None else key.target for key in keys]) - centers
     distances = (offsets * axes).sum(axis=1)

@@ -52,8 +52,7 @@ def write_exr(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | None
     light = linear_light(pixels[..., :3])
     channels: dict[str, np.ndarray] = {"RGB": light.astype(np.float16)}
     if pixels.shape[-1] == 4:
-        # colours are multiplied by opacity in the file, as its format has it ("associated alpha")
-        alpha = np.clip(pixels[..., 3:], 0.0, 1.0)
+        alpha = np.clip(pixels[..., 3:], 0.0, 1.0)  # associated: colours are multiplied by it in the file
         channels = {"RGBA": np.concatenate([light * alpha, alpha], axis=-1).astype(np.float16)}
     if depth is not None:
         channels["Z"] = np.ascontiguousarray(depth, np.float32)

@@ -87,8 +87,7 @@ def write_film(
 def write_clear_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
     """Write a video that keeps opacity, whole or not at all: ProRes 4444 (.mov) or VP9 (.webm).
     Frames (h, w, 4) with straight colours, or (h, w, 3), in [0, 1] or uint8, are taken one by one."""
-    # Colours are straight, that is, not multiplied by opacity, as players of both take them; BT.709, limited range.
-    # ProRes is for editing programs, VP9 is small and plays in browsers.
+    # Straight colours, as players of both take them; BT.709, limited range. ProRes is for editors, VP9 for browsers.
     ending = os.path.splitext(path)[1].lower()
     if ending not in CLEAR_ENDINGS:
         raise ValueError(f"{str(path)!r} must end in {' or '.join(CLEAR_ENDINGS)}")

@@ -34,11 +34,10 @@ def value_at(
 ) -> np.ndarray:
     """What keys, ascending in time, come to at a time. Before the first and after the last one all is still.
     `values`: (d,) d numbers of their own or (..., d) vectors. Do not write what comes back: it may be a key's own."""
-    # "smooth" is a cubic whose velocity does not jump at keys. Nothing swings beyond its keys, and what two keys have
-    # in common stays still between them: velocities are limited (`limited_velocity`) along vectors, so that a turned
-    # scene moves in the same way. "hold" stays at its key until the next; "ease-in" sets out gently, "ease-out" arrives
-    # so. `still_ends`: smooth ways set out from the first key and arrive at the last one at rest. `closed`: the last
-    # key is the first one again, a loop, which goes through it without stopping.
+    # "smooth" is a cubic without jumps of velocity at keys; nothing swings beyond its keys, and what two keys share
+    # stays still: velocities are limited (`limited_velocity`) along vectors, so that a turned scene moves alike. "hold"
+    # stays until the next key; "ease-in" sets out gently, "ease-out" arrives so. `still_ends`: smooth ways begin and
+    # end at rest. `closed`: the last key is the first again, passed without stopping.
     index = bisect.bisect_right(times, time) - 1
     if index < 0 or index == len(times) - 1:
         return values[max(index, 0)]
@@ -124,8 +123,7 @@ def looped_time(loop: str, length: Time, elapsed: Time) -> Time:
 
 def frame_times(length: float, fps: float | Fraction, loop: str = "once") -> list[float]:
     """The times of a film's frames, seconds from its start, at least one."""
-    # A film that is played once ends with the frame at its length, where a frame falls on it. A film that loops or goes
-    # back and forth has every moment of its round once: the frame after its last one is the first.
+    # Played once, it ends with the frame at its length, if any; in a loop the frame after the last is the first.
     rate = frame_rate(fps)
     exact_length = whole_frames(length, rate)
     period = 2 * exact_length if loop == "ping-pong" else exact_length
@@ -183,8 +181,7 @@ def frame_places(count: int, keyframe_count: int, motion: str = "swing", interpo
 def value_along(values: Sequence[np.ndarray], place: float, interpolation: str = "smooth") -> np.ndarray:
     """The value at a place among keyframes, from 0 for the first to len(values) - 1 for the last.
     `values` are arrays of one shape: (d,) d numbers of their own, or (..., d) vectors."""
-    # "linear" joins keyframes by straight lines, "smooth" by cubics whose speed does not jump at keyframes and that
-    # never go beyond them (see `value_at`; straight at both ends).
+    # "linear" joins keyframes by straight lines, "smooth" is that of `value_at`, straight at both ends.
     _check_interpolation(interpolation)
     if not 0 <= place <= len(values) - 1:
         raise ValueError(f"a place among {len(values)} keyframes must be 0 to {len(values) - 1}, got {place}")
@@ -208,7 +205,6 @@ def cameras_along(cameras: Sequence[Camera], count: int, interpolation: str = "s
     sizes = {(camera.width, camera.height) for camera in cameras}
     if len(sizes) > 1:
         raise ValueError(f"cameras of a path must have one picture size, got {sorted(sizes)}")
-    # centres go as keyframes do, rotations by the shortest turn from one to the next
     return [_camera_at(cameras, place, interpolation) for place in np.linspace(0, len(cameras) - 1, count)]
 
 
@@ -216,8 +212,7 @@ def axis_rotation(axis: ArrayLike, angle: float) -> np.ndarray:
     """The rotation (3, 3) about a unit vector (3,) by an angle, radians, counterclockwise seen from its tip."""
     x, y, z = np.asarray(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    # Rodrigues' formula
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross  # Rodrigues' formula
 
 
 def _camera_at(cameras: Sequence[Camera], place: float, interpolation: str) -> Camera:

@@ -36,8 +36,7 @@ def rgba_picture(frame: Frame, camera: Camera | None = None, cages: Sequence[Clo
 def with_spread_colors(rgba: ArrayLike, reach: int = REACH) -> np.ndarray:
     """A picture (h, w, 4), in [0, 1], whose colours go on where it is clear, each from the nearest place that is not.
     They are straight, and go on for `reach` pixels."""
-    # Codecs keep colours and opacity apart, colours often at half the size: the black behind a clear pixel would show
-    # as a dark rim around the object.
+    # Codecs halve colours apart from opacity: the black behind clear pixels would be a dark rim around the object.
     from scipy.ndimage import distance_transform_edt
 
     spread = np.array(rgba, np.float32)

@@ -160,8 +160,7 @@ def write_jpeg(path: str | os.PathLike, image: ArrayLike, *, quality: int = 95) 
     if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[-1] == 3)) or 0 in pixels.shape:
         raise ValueError(f"a JPEG holds (h, w) or (h, w, 3), got shape {pixels.shape}")
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        # colours keep the resolution of the picture (4:4:4)
-        iio.imwrite(file, pixels, extension=".jpg", quality=quality, subsampling=0)
+        iio.imwrite(file, pixels, extension=".jpg", quality=quality, subsampling=0)  # 4:4:4: colours at full size
 
 
 def path_with_ending(path: str | os.PathLike, ending: str) -> pathlib.Path:
@@ -207,8 +206,7 @@ def shrink(premultiplied: np.ndarray, factor: int) -> np.ndarray:
     if height % factor == 0 and width % factor == 0:
         blocks = premultiplied.reshape(height // factor, factor, width // factor, factor, -1)
         return blocks.mean(axis=(1, 3))
-    # with a remainder the squares are a little larger or smaller
-    from skimage.transform import resize_local_mean
+    from skimage.transform import resize_local_mean  # with a remainder the squares are a little larger or smaller
 
     return resize_local_mean(premultiplied, shrunk_size((height, width), factor), channel_axis=-1, preserve_range=True)
 
@@ -250,8 +248,7 @@ def disparity_range(disparity: ArrayLike, *, percentiles: tuple[float, float] = 
     if seen.size == 0:
         return 0.0, 1.0
     low, high = (float(value) for value in np.percentile(seen, percentiles))
-    # what is farthest should still differ from nothing at all
-    return low - FAR_ROOM * (high - low), high
+    return low - FAR_ROOM * (high - low), high  # what is farthest should still differ from nothing at all
 
 
 def color_disparity(
@@ -271,6 +268,5 @@ def color_disparity(
     level = np.clip((np.where(seen, values, low) - low) / max(high - low, 1e-12), 0.0, 1.0)
     place = level * (len(_WARM) - 1)
     color = np.stack([np.interp(place, np.arange(len(_WARM)), channel) for channel in _WARM.T], axis=-1)
-    # opacity fades what is hardly there: a frame has a depth for the faintest haze
-    share = seen if alpha is None else seen * np.asarray(alpha, np.float32)
+    share = seen if alpha is None else seen * np.asarray(alpha, np.float32)  # a frame has depth for the faintest haze
     return (share[..., None] * color).astype(np.float32)

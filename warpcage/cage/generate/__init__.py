@@ -28,9 +28,8 @@ _LOOKED_AT = 2.0
 def ended_at(floor: Plane, cage: ClosedMesh, points: np.ndarray, spacing: float) -> np.ndarray:
     """Vertices (v, 3), world units, of a usable cage that ends at a plane; the object's points (n, 3), above it, stay
     inside. `spacing`: side of a voxel of the cage's making, world units."""
-    # What lies below the plane moves up to it: at the rim to where the cage passed through the plane, so that its
-    # section there stays, and straight up within. Where faces near the plane then leave some of the object out, the rim
-    # is widened along the plane.
+    # What lies below moves up to the plane: at the rim to where the cage passed through it, which keeps its section,
+    # and straight up within. Where faces then leave some of the object out, the rim is widened along the plane.
     vertices, heights = cage.vertices, floor.heights(cage.vertices)
     below = heights < 0.0
     if not below.any():
@@ -142,8 +141,7 @@ def cage_around_mesh(
     margin = checked_margin(0.01 * size if margin is None else margin)
     spacing = voxel_spacing(np.ptp(vertices, axis=0), vertex_count)
     points = np.concatenate([vertices, surface_points(vertices, faces, 0.5 * spacing)])
-    # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
-    slack = 0.29 * spacing
+    slack = 0.29 * spacing  # any point of a face lies within 0.5 / sqrt(3) spacings of the points on it
     if len(points) > _MOST_POINTS:  # long, narrow faces: a point stands for those less than a diagonal away
         cell = np.floor((points - points.min(axis=0)) / (0.1 * spacing)).astype(np.int64)
         # numbered row by row: sorted in a fraction of the time of rows of three
@@ -167,8 +165,7 @@ def cage_around_field(
     vertex_count = checked_count(vertex_count)
     require_field(field)
     voxel_size = np.broadcast_to(np.asarray(field.voxel_size, dtype=np.float64), 3)
-    # by default a voxel, so that the cage holds all that trilinear interpolation spreads around visible nodes
-    margin = checked_margin(1.0 if margin is None else margin) * voxel_size.max()
+    margin = checked_margin(1.0 if margin is None else margin) * voxel_size.max()  # 1: where trilinear values end
     points = visible_nodes(field, threshold)
     if not len(points):
         raise ValueError("the field shows nothing to put a cage around: lower the threshold")
@@ -176,8 +173,7 @@ def cage_around_field(
     # a grid no finer than the field's, or its empty lines between nodes would count as gaps
     spacing = max(voxel_spacing(extent, vertex_count), voxel_size.max())
     corner = 0.5 * float(np.linalg.norm(voxel_size))
-    # a plane above which the nodes lie: the cage ends there, and leaves what the object stands on outside
-    floor = getattr(field, "floor", None)
+    floor = getattr(field, "floor", None)  # nodes lie above it: the cage ends there, without what they stand on
     return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, progress, floor)
 
 

@@ -33,8 +33,7 @@ _LEAST_TURN, _LEAST_EVEN = 0.2, 0.15
 def nested(vertices, faces, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a closed manifold surface around the one given, with fewer vertices.
     They are `vertex_count`, or more where no collapse is left."""
-    # Cheapest first: room added, long edges and uneven faces cost. A collapse keeps the surface manifold, outside the
-    # one before, and its faces from folding.
+    # Cheapest first (room, long edges, uneven faces). It stays manifold and outside the one before; faces do not fold.
     vertices, faces = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()

@@ -72,10 +72,9 @@ def spread(shell, vertices, faces, need, mirror, rounds: int) -> np.ndarray:
 
 def drawn_close(shell, vertices, faces, need, mirror=None, rounds: int = _DRAWN_ROUNDS) -> np.ndarray:
     """Vertices of the least volume: the faces sink under an even pressure until the object's distance carries them."""
-    # Descends on volume + sum over faces of area * mean (shortfall^2) / (2 softness), the mean over the samples that
-    # are short, with steps by Adam (Kingma and Ba 2015) of each vertex's own scale; they shrink, and are never so long
-    # that a face could pass what it must keep off. With each step faces are pushed back to where they belong and
-    # smoothed along the surface.
+    # Descends on volume + sum over faces of area * mean (shortfall^2) / (2 softness) over the samples that are short,
+    # by Adam (Kingma and Ba 2015) of each vertex's own scale; steps shrink, and never let a face pass what it must keep
+    # off. Then faces are pushed back to where they belong and smoothed along the surface.
     mirror, edges = mirror or _same, ClosedMesh(vertices, faces).edges
     level, softness = need + _LEVEL * shell.spacing, _SOFTNESS * shell.spacing
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
@@ -119,8 +118,7 @@ def cleared(
     shell, vertices, faces, need, mirror=None, rounds: int = _CLEAR_ROUNDS, checks: int = _CLEAR_CHECKS
 ) -> np.ndarray:
     """Vertices pushed outward until every face keeps its distance from the object's points; where that does not come
-    about, `shortfall` tells."""
-    # Pushed by distances on the grid, to a level that rises at each face by what exact distances then find short.
+    about, `shortfall` tells. By distances on the grid, to a level that rises by what exact ones find short."""
     mirror = mirror or _same
     edges, lift, unit = ClosedMesh(vertices, faces).edges, np.zeros(len(faces)), shell.spacing
     for _ in range(checks):
@@ -195,8 +193,7 @@ def ways_out(shell, samples, distance, need, vertices, corners) -> np.ndarray:
     """Unit directions (n, 3) in which samples leave the object: where its distance (n,) at them grows, or their face
     looks. `corners` (n, 3): vertices of each sample's face."""
     away = shell.outward(samples)
-    # A face that the object passes through has either side of a thin wall nearest to it, and the slope there would push
-    # it to the wrong one: the nearer the object, the more the face's own normal counts.
+    # Where the object passes through a face, the slope may push to a thin wall's wrong side: there the normal counts.
     blind = np.flatnonzero(distance < _BLIND * need)
     if len(blind):
         a, b, c = (vertices[corners[blind, k]] for k in range(3))
@@ -243,8 +240,7 @@ def sample_weights(pieces: int) -> np.ndarray:
 def face_samples(vertices, faces, pieces: int) -> tuple[np.ndarray, np.ndarray]:
     """Points (f, s, 3) on a regular grid of each face, corners included, and their barycentric weights (s, 3)."""
     weights = sample_weights(pieces)
-    # coordinate by coordinate: a third of the time of one einsum
-    corners = vertices.T[:, faces, None]
+    corners = vertices.T[:, faces, None]  # coordinate by coordinate: a third of the time of one einsum
     samples = corners[:, :, 0] * weights[:, 0] + corners[:, :, 1] * weights[:, 1] + corners[:, :, 2] * weights[:, 2]
     return np.moveaxis(samples, 0, -1), weights
 

@@ -34,8 +34,7 @@ class ObjectShell:
         import skimage.filters
         import skimage.measure
 
-        # reach: closing radius; gaps narrower than twice that count as filled, cavities as well
-        self.spacing, self.reach = float(spacing), float(reach)
+        self.spacing, self.reach = float(spacing), float(reach)  # closing radius: fills gaps narrower than twice that
         radius = int(np.ceil(reach / spacing)) + 3
         # centre of voxel 0; the object's bounds, and points a voxel apart from there on, lie in the middle of voxels,
         # where last digits do not decide which voxel is theirs
@@ -45,12 +44,10 @@ class ObjectShell:
         self.solid[tuple(cell.T)] = True
 
         deep = np.asarray(scipy.ndimage.binary_erosion(self.solid, np.ones((3, 3, 3), dtype=bool), iterations=2), bool)
-        # what lies two voxels below the skin is nearest to nothing outside
-        near = np.flatnonzero(~deep[tuple(cell.T)])
+        near = np.flatnonzero(~deep[tuple(cell.T)])  # what lies two voxels below the skin is nearest to nothing outside
         places = np.asarray(np.ravel_multi_index(tuple(cell[near].T), self.solid.shape))
         one = first_of_each(places, self.solid.size)
-        # (n, 3) one of the points in each voxel that is less than two voxels from free space
-        self.skin = points[near[one]]
+        self.skin = points[near[one]]  # (n, 3) one in each voxel less than two voxels from free space
         # from far off a search among all points is slow and more than is needed: voxels stand for those they hold
         self._coarse = np.sqrt(0.75) * spacing if need > 6.0 * spacing else 0.0
         self._search = (
@@ -65,11 +62,9 @@ class ObjectShell:
         # by the triangle inequality reach - inward never exceeds the distance to the object; the voxel nearest to the
         # true rim of what is outside may lie half a diagonal behind it, which would keep cages so much farther off
         inward = distance_to(outside, radius) * spacing - np.sqrt(0.75) * spacing
-        # (nx, ny, nz) signed distance, negative inside, to the object closed by a ball of radius `reach` (dilation,
-        # then erosion; Serra 1982); never more than `distance`
+        # signed distance to the object closed by a ball of radius `reach` (Serra 1982), never above `distance`
         self.closed = np.where(outside, self.distance, np.minimum(self.distance, reach - inward)).astype(np.float64)
-        # surface and directions come from it smoothed over one voxel
-        self.smooth = skimage.filters.gaussian(self.closed, 1.0, mode="nearest", truncate=3.0)
+        self.smooth = skimage.filters.gaussian(self.closed, 1.0, mode="nearest", truncate=3.0)  # surface and slopes
         self._closed = on_cpu(self.closed, wp.float64)
         self._slope = [on_cpu(np.asarray(slope), wp.float64) for slope in np.gradient(self.smooth, spacing)]
         self._grid = (wp.vec3d(*self.lower), wp.float64(self.spacing))
@@ -195,8 +190,7 @@ def distance_to(mask: np.ndarray, radius: int) -> np.ndarray:
     kind = np.uint16 if 2 * radius * radius < 2**16 else np.uint32
     squared = np.where(mask, kind(0), kind(radius * radius))
     farther = np.empty_like(squared)
-    # exact and separable: squared distances along one axis after the other (Saito and Toriwaki 1994)
-    for axis in range(3):
+    for axis in range(3):  # exact and separable: along one axis after the other (Saito and Toriwaki 1994)
         rows = np.moveaxis(squared, axis, 0)
         nearest, room = rows.copy(order="K"), np.moveaxis(farther, axis, 0)
         for step in range(1, min(radius, len(rows) - 1) + 1):
@@ -239,8 +233,7 @@ def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
     for fine, last in _ATTEMPTS:
         found = []
         for closing in CLOSINGS:
-            # wide closings need no fine voxels
-            coarse = max(spacing, closing * edge / 16.0)
+            coarse = max(spacing, closing * edge / 16.0)  # wide closings need no fine voxels
             room = max(closing * edge, 2.0 * coarse, (_LEAST_LEVEL * coarse - need) / _START)
             shell = ObjectShell(points, coarse, need + room, need)
             step = 2 if edge > 8.0 * coarse else 1

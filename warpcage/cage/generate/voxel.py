@@ -1,7 +1,5 @@
-"""The paper's cage: the surface of coarse voxels along the object's principal axes, smoothed and pushed off it."""
-# Xian, Lin and Gao 2009, "Automatic generation of coarse bounding cages from dense meshes". The size of the voxels is
-# searched for the vertex count; configurations that are not manifold (voxels that touch along an edge or at a corner)
-# are filled.
+"""The paper's cage: the surface of coarse voxels along the object's principal axes, smoothed and pushed off it.
+Xian, Lin and Gao 2009, "Automatic generation of coarse bounding cages from dense meshes"; not manifold: filled."""
 
 from __future__ import annotations
 
@@ -34,8 +32,7 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
         middle = 0.5 * (points[:, axis].min() + points[:, axis].max())
         points = np.concatenate([points, points])
         points[len(points) // 2 :, axis] = 2.0 * middle - points[len(points) // 2 :, axis]
-    # with a mirror plane the frame is the world's
-    frame = np.eye(3) if axis is not None else principal_frame(points)
+    frame = np.eye(3) if axis is not None else principal_frame(points)  # with a mirror plane the world's
     need = slack + margin
     side, reasons = None, []
     for last in (False, True):
@@ -185,8 +182,7 @@ def outer_surface(marks: np.ndarray, axis: int | None = None) -> tuple[np.ndarra
             ring = [base, base + u, base + u + v, base + v]
             squares.append(np.stack(ring if sign < 0 else ring[::-1], axis=1))
     squares = np.concatenate(squares)
-    # squares are cut through the corner that is first by its coordinates, the one along `axis` counted from the middle,
-    # so that the two halves are cut alike
+    # cut through the corner first by coordinates, `axis` counted from the middle, so that the halves are cut alike
     key = squares.astype(np.float64)
     if axis is not None:
         key[..., axis] = np.abs(key[..., axis] - 0.5 * marks.shape[axis])
@@ -208,8 +204,7 @@ def _partners(nodes, shape, axis) -> np.ndarray:
 
 
 def _smoothed_improved(vertices, edges, rounds: int = 4, back: float = 0.6) -> np.ndarray:
-    """Means of neighbours, less the mean of how far that moved them (HC algorithm, alpha 0)."""
-    # The improved Laplacian of Vollmer, Mencl and Mueller 1999, which does not shrink.
+    """Means of neighbours less their mean move, so as not to shrink (HC, alpha 0; Vollmer, Mencl and Mueller 1999)."""
     count = np.bincount(edges.reshape(-1), minlength=len(vertices))[:, None]
 
     def mean(values):

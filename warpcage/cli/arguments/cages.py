@@ -124,7 +124,6 @@ def add_check_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_device(parser)
 
 
-#: Commands of this group.
 COMMANDS = (
     Command("cage", CAGE_HELP, CAGE_EXAMPLE, add_cage_arguments, "cages"),
     Command("check", CHECK_HELP, CHECK_EXAMPLE, add_check_arguments, "cages"),

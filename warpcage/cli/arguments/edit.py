@@ -58,5 +58,4 @@ def port_number(text: str) -> int:
     return int(text)
 
 
-#: Commands of this group.
 COMMANDS = (Command("edit", EDIT_HELP, EDIT_EXAMPLE, add_edit_arguments, "edit"),)

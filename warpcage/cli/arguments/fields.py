@@ -182,7 +182,6 @@ def add_bake_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_device(parser)
 
 
-#: Commands of this group.
 COMMANDS = (
     Command("select", SELECT_HELP, SELECT_EXAMPLE, add_select_arguments, "fields"),
     Command("mesh", MESH_HELP, MESH_EXAMPLE, add_mesh_arguments, "fields"),

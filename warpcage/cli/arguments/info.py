@@ -57,7 +57,6 @@ def add_kernels_arguments(parser: argparse.ArgumentParser) -> None:
     copy.add_argument("destination", metavar="DEST", help="folder of the copy; Python imports it by this name")
 
 
-#: Commands of this group.
 COMMANDS = (
     Command("info", INFO_HELP, INFO_EXAMPLE, add_info_arguments, "info"),
     Command("kernels", KERNELS_HELP, KERNELS_EXAMPLE, add_kernels_arguments, "info"),

@@ -213,7 +213,6 @@ def axis_word(text: str) -> str:
     return text
 
 
-#: Commands of this group.
 COMMANDS = (
     Command("pose", POSE_HELP, POSE_EXAMPLE, add_pose_arguments, "poses"),
     Command("edits", EDITS_HELP, EDITS_EXAMPLE, add_edits_arguments, "poses"),

@@ -212,7 +212,6 @@ def add_animate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(**{name: Default(parser.get_default(name)) for name in OF_SESSIONS})
 
 
-#: Commands of this group.
 COMMANDS = (
     Command("render", RENDER_HELP, RENDER_EXAMPLE, add_render_arguments, "render"),
     Command("animate", ANIMATE_HELP, ANIMATE_EXAMPLE, add_animate_arguments, "render"),

@@ -258,7 +258,6 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_quiet(parser)
 
 
-#: Commands of this group.
 COMMANDS = (
     Command("sweep", SWEEP_HELP, SWEEP_EXAMPLE, add_sweep_arguments, "runs"),
     Command("run", RUN_HELP, RUN_EXAMPLE, add_run_arguments, "runs"),

@@ -152,7 +152,6 @@ def add_evaluate_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_quiet(parser)
 
 
-#: Commands of this group.
 COMMANDS = (
     Command("capture", CAPTURE_HELP, CAPTURE_EXAMPLE, add_capture_arguments, "scenes"),
     Command("fit", FIT_HELP, FIT_EXAMPLE, add_fit_arguments, "scenes"),

@@ -44,16 +44,14 @@ def save_field(field: FieldContents, path: str | os.PathLike, *, format: str = "
     if format not in WRITERS:
         raise ValueError(f"field format {format!r} is not known: {', '.join(WRITERS)}")
     with atomic_path(path) as temporary:
-        # "warpcage": packed occupancy bits, float32 densities, float16 harmonics and rendering weights, layers and
-        # outer fields as RGBA bytes. "compact": the same quantised and deflated, a third of the size. "svox2": the keys
-        # of Plenoxels' SparseGrid.save; leaves backgrounds and harmonics of degree 3 out and warns.
+        # "warpcage": packed occupancy bits, float32 densities, float16 harmonics and weights, the rest as RGBA bytes.
+        # "compact": quantised and deflated, a third. "svox2": Plenoxels' SparseGrid.save; warns of what it leaves out.
         WRITERS[format](temporary, field)
 
 
 def load_field(path: str | os.PathLike, *, scene_scale: float = 1.0) -> FieldContents:
     """Read a field; scene_scale: factor on the scene's positions before the field was optimised, undone here."""
-    # svox2 scales NeRF-synthetic scenes by 2/3.
-    scene_scale = checked_positive(scene_scale, "scene_scale")
+    scene_scale = checked_positive(scene_scale, "scene_scale")  # svox2 scales NeRF-synthetic scenes by 2/3
     path = checked_path(path, "the field file")
     field = _read(read_npz(path, "field file", KNOWN_NAMES.__contains__, room=ROOM), path)
     _check(field, path)

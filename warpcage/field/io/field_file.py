@@ -73,14 +73,11 @@ class FieldContents:
     bounds: np.ndarray  # (2, 3) float64, world units
     links: np.ndarray  # (nx, ny, nz) int32, row of each voxel or -1
     density: np.ndarray  # (rows,) float32 per world unit
-    # (rows, 9, 3) coefficients of red, green and blue, or (rows, 24) of luminance and differences of colour; float32,
-    # or float16 as files have them
-    sh: np.ndarray
+    sh: np.ndarray  # (rows, 9, 3) of red, green, blue or (rows, 24) of luminance, differences; float32 or float16
     weights: np.ndarray | None = None  # (rows,) float32 largest rendering weights
     background: np.ndarray | None = None  # (3,) colour and (3,) direction
     up: np.ndarray | None = None
-    # (4, 4) rigid motion from the coordinates of the scene's files; None where they are the same
-    straightening: np.ndarray | None = None
+    straightening: np.ndarray | None = None  # (4, 4) motion from the coordinates of the scene's files; None: the same
     supersampling: int | None = None  # rays along each side of a pixel
     layers: LayerContents | None = None
     outer: OuterContents | None = None
@@ -164,8 +161,7 @@ def _by_rows(task: Callable[[slice], Any], values: np.ndarray) -> list[Any]:
 #: The arrays that a compact file has in place of those of a plain one.
 COMPACT_NAMES = ("sh_step", "sh_low", "sh_high", "opacity", "weight_roots")
 
-#: Harmonics are kept in multiples of this: trilinear weights and the samples of a ray average the error.
-SH_STEP = 1 / 128
+SH_STEP = 1 / 128  #: harmonics are multiples of this: trilinear weights and the samples of a ray average the error
 
 #: Bits of mantissa of an opacity, and those of a float16.
 DENSITY_BITS, HALF_BITS = 7, 10
@@ -177,10 +173,8 @@ def pack(contents: dict[str, Any], voxel_side: float) -> dict[str, Any]:
     levels = np.rint(np.asarray(contents["sh"], np.float32) / SH_STEP)
     levels = np.clip(levels, -(2**15), 2**15 - 1).astype(np.int16).reshape(len(levels), -1).T
     packed["sh_step"] = np.array(SH_STEP)
-    # bytes of one kind stand together, so that deflate finds those that are alike
-    packed["sh_low"] = (levels & 255).astype(np.uint8)
+    packed["sh_low"] = (levels & 255).astype(np.uint8)  # bytes of one kind together: deflate finds those alike
     packed["sh_high"] = (levels >> 8).astype(np.int8)
-    # 7 bits of mantissa of the opacity per voxel
     opacity = np.clip(contents["density"] * voxel_side, -MAX_HALF, MAX_HALF).astype(np.float16).view(np.uint16)
     spare = HALF_BITS - DENSITY_BITS
     packed["opacity"] = (opacity >> spare << spare).view(np.float16)
@@ -252,8 +246,7 @@ def layer_arrays(layers: LayerContents) -> dict[str, np.ndarray]:
     if rest is not None:
         seen = (np.abs(values - rest) > SEEN_DIFFERENCE).any(axis=-1)
     rows = values[seen]
-    # colours to 1/255 of [0, 1], optical depths as opacity to 1/255, below full opacity
-    rgba = np.empty(rows.shape, np.uint8)
+    rgba = np.empty(rows.shape, np.uint8)  # colours and, for optical depths, opacities below 1, to 1/255
     rgba[:, :3] = np.rint(255 * np.clip(rows[:, :3], 0, 1))
     rgba[:, 3] = np.rint(255 * -np.expm1(-np.maximum(rows[:, 3], 0)))
     contents = {
@@ -325,8 +318,7 @@ def outer_arrays(outer: OuterContents) -> dict[str, np.ndarray]:
     occupied = outer.links >= 0
     values = outer.values[outer.links[occupied]]  # the file's rows are in memory order
     side = len(outer.links)
-    # colours to 1/255 of [0, 1], densities as the opacity of a voxel to 1/255, below full opacity
-    rgba = np.empty(values.shape, np.uint8)
+    rgba = np.empty(values.shape, np.uint8)  # colours and, for densities, opacities of a voxel below 1, to 1/255
     rgba[:, :3] = np.rint(255 * np.clip(values[:, :3], 0, 1))
     rgba[:, 3] = np.rint(255 * -np.expm1(-np.maximum(values[:, 3], 0) * (4.0 / side)))
     contents = {

@@ -65,7 +65,6 @@ def read_svox2(contents: dict[str, np.ndarray], path: pathlib.Path, layered: boo
     links = require_numbers(contents, "links", (None, None, None), path)
     if links.dtype.kind != "i" or links.size > MAX_VOXELS:
         raise ValueError(f"{path}: links must be at most {MAX_VOXELS} whole numbers, got {links.dtype} {links.shape}")
-    # svox2 may keep distances as negative links
-    links = np.clip(links, -1, np.iinfo(np.int32).max).astype(np.int32)
+    links = np.clip(links, -1, np.iinfo(np.int32).max).astype(np.int32)  # svox2 may keep distances as negative links
     density = require_numbers(contents, "density_data", None, path).astype(np.float32).reshape(-1)
     return FieldContents(np.stack([center - radius, center + radius]), links, density, sh)

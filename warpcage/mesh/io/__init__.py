@@ -69,9 +69,8 @@ def _cut(path: pathlib.Path, vertices: np.ndarray, polygons: Polygons) -> np.nda
 
 def write_mesh(path: PathLike, vertices: ArrayLike, faces: ArrayLike, up: str | None = None) -> None:
     """Write a mesh file, whole or not at all; vertices (v, 3), z up; up: as in `read_mesh`."""
-    # OBJ, PLY and OFF keep every bit. glTF holds float32 relative to the middle of the vertices.
     path = checked_path(path, "the mesh file")
-    writer = _WRITERS[_format(path)]
+    writer = _WRITERS[_format(path)]  # glTF holds float32 from the middle of the vertices, others every bit
     vertices = np.asarray(vertices, dtype=np.float64)
     if _turned(path, up):
         vertices = turned_up(vertices, "z", "y")

@@ -193,8 +193,7 @@ def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
     with errors_of_file(path):
         document, chunk = opened(path)
         nodes = mesh_nodes(document)
-        # nodes may share a mesh, so that a few bytes stand for a triangle each time: what they come to is counted first
-        _require_room(document, nodes)
+        _require_room(document, nodes)  # nodes may share a mesh: a few bytes stand for a triangle each time
         buffers = read_buffers(path, document, chunk)
         meshes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         vertices, triangles, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
@@ -241,8 +240,7 @@ def _counts(document: dict, mesh: dict) -> tuple[int, int]:
 def _mesh(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray, np.ndarray]:
     """Positions (v, 3) float64 and triangles (f, 3) of all primitives, split vertices joined."""
     positions, faces, _, split = mesh_parts(document, buffers, mesh)
-    # a mesh of positions alone is taken as it is
-    if not split:
+    if not split:  # positions alone are taken as they are
         return positions, faces
     first, number = joined_vertices(positions)
     return positions[first], number[faces]
@@ -259,8 +257,7 @@ def mesh_parts(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.nda
             raise ValueError("it is compressed (Draco): export it without compression")
         accessor = primitive["attributes"]["POSITION"]
         split |= len(primitive["attributes"]) > 1
-        # primitives may share their vertices
-        if accessor not in starts:
+        if accessor not in starts:  # primitives may share their vertices
             starts[accessor] = sum(map(len, positions))
             positions.append(values_of(document, buffers, accessor).astype(np.float64).reshape(-1, 3))
             owners.append(primitive)
@@ -296,8 +293,7 @@ def write_glb(
     vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None, *, name: str = "cage"
 ) -> bytes:
     """A .glb file of one mesh, vertices (v, 3) with y up; colors: (v, 3) in [0, 1], sRGB, shown without light."""
-    # the node holds the middle, so that float32 keeps the digits
-    document, body = _document(vertices, faces)
+    document, body = _document(vertices, faces)  # the node holds the middle, so that float32 keeps the digits
     document["nodes"][0]["name"] = name
     if colors is not None:
         body += _add_colors(document, colors, len(body))

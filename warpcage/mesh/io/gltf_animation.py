@@ -33,8 +33,7 @@ class GltfMotion:
     vertices: list[np.ndarray]  # (v, 3) float64 each, y up, in the order of `read_gltf`
     times: tuple[float, ...] | None = None  # seconds from the first frame; None, and no rate, for shapes
     fps: float | None = None
-    # (v, 3) the shapes that the file has on, together; None where it has none on, and for animations
-    shown: np.ndarray | None = None
+    shown: np.ndarray | None = None  # (v, 3) shapes that are on in the file, together; None without, and for animations
 
 
 def read_gltf_motion(path: pathlib.Path, name: str = "") -> GltfMotion | None:
@@ -55,8 +54,7 @@ def read_gltf_motion(path: pathlib.Path, name: str = "") -> GltfMotion | None:
                 f"{next(iter(animations))}"
             )
         if animations and (not name or name in animations):
-            # at the frames that its keys lie on, so that what a program wrote for each frame comes back frame for frame
-            return _sampled(moving, animations[name or next(iter(animations))])
+            return _sampled(moving, animations[name or next(iter(animations))])  # at its keys' frames, as written
         if name:
             return GltfMotion((name,), [moving.vertices(shapes={name: 1.0})])
         if not shapes:

@@ -1,6 +1,5 @@
 """DTU folders in the IDR layout: image/, mask/, cameras.npz or cameras_sphere.npz (Yariv et al. 2020)."""
-# world_mat_i @ scale_mat_i projects points of the space in which the object lies in the unit sphere: that is the world
-# of the scene. Pixel centres are integers in these files, hence +0.5 on the principal point.
+# world_mat_i @ scale_mat_i projects the scene's world, its object in the unit sphere, to pixels of whole centres: +0.5.
 
 from __future__ import annotations
 

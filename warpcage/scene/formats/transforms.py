@@ -46,13 +46,11 @@ def read_transforms(
     folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str
 ) -> Scene:
     """Read a split: a file of its own, a list of file names in transforms.json, or every eighth frame, by name, as
-    `test`. Options as for `load_scene`."""
-    # mask_path becomes the alpha, ply_file_path the bounds.
+    `test`. Options as for `load_scene`; mask_path becomes the alpha, ply_file_path the bounds."""
     single = folder / "transforms.json"
     path = single if single.is_file() else split_file(folder, split)
     transforms = read_json(path)
-    # Frames without a picture are left out, as nerfstudio and instant-ngp do: captures are often published without
-    # their blurred pictures.
+    # Frames without a picture are left out, as by nerfstudio and instant-ngp: captures often lack blurred ones.
     views = views_there([_view(folder, transforms, where, frame) for where, frame in frames_of(transforms, path)], path)
     if path == single:
         views.sort(key=lambda view: str(view.file))

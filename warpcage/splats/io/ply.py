@@ -129,8 +129,7 @@ def chosen_layout(layout: PlyLayout | None, rows: np.ndarray) -> PlyLayout | Non
     """The layout of some of the splats, or of copies; rows: (m,) the splat that each has its foreign values from."""
     if layout is None:
         return None
-    # The elements after the splats may speak of all of them.
-    whole = len(rows) == len(layout.table)
+    whole = len(rows) == len(layout.table)  # elements after the splats may speak of all of them
     header = layout.header if whole else _without_elements_after(layout.header)
     return PlyLayout(header, layout.before, layout.table[rows], layout.after if whole else b"")
 

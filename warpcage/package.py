@@ -1,21 +1,21 @@
 """The package itself: kernels and dependencies that it finds, and names that are loaded when they are first used."""
 
-# `warpcage/__init__.py` calls these functions before it imports anything else: this file needs the standard library
-# alone.
-
 from __future__ import annotations
 
 import importlib.util
 import os.path
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
+
+TYPE_CHECKING = False  # type checkers take it for true; `typing` takes as long to load as all else here
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
 #: Modules that the package's own modules import at once, and the names under which they are installed. The other
 #: dependencies are imported where they are used.
 NEEDED = {"numpy": "numpy", "warp": "warp-lang", "imageio": "imageio"}
 
-_PACKAGE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+_PACKAGE = os.path.dirname(os.path.abspath(__file__))
 
 _ROOT = os.path.dirname(_PACKAGE)
 
@@ -34,8 +34,7 @@ def require_dependencies() -> None:
 
 def find_kernels(package: str) -> None:
     """Make `kernels` of a checkout importable as a part of the package where nothing else does."""
-    # In a checkout warpcage/kernels is a symbolic link to ../kernels. Git on Windows and programs that pack zip files
-    # do not keep it. An installed package holds the kernels themselves.
+    # A checkout's warpcage/kernels is a link to ../kernels, which Git on Windows and zip programs do not keep.
     name = f"{package}.kernels"
     found = importlib.util.find_spec(name)
     if found is not None and found.origin is not None:
