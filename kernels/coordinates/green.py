@@ -1,22 +1,17 @@
 """Green coordinates of points in a closed triangle cage, and the map they give."""
 
 # Lipman, Levin and Cohen-Or, "Green coordinates" (SIGGRAPH 2008): inside, x = sum_i phi_i(x) v_i + sum_f psi_f(x) n_f,
-# the layer potentials of the hat functions and of the faces, in closed form. With a, b, c the corners of a face seen
-# from x, e_i the edge opposite to corner i, C_i the cross product of the ends of that edge, n the unit normal, A2 twice
-# the area, h = n . a the signed distance to the plane and Omega the signed solid angle (van Oosterom and Strackee
-# 1983),
-#
+# layer potentials in closed form. With a, b, c the corners of a face seen from x, e_i the edge opposite to corner i,
+# C_i the cross product of its ends, n the unit normal, A2 twice the area, h = n . a the signed distance to the plane
+# and Omega the signed solid angle (van Oosterom and Strackee 1983),
 #   K_i = log((r + s + |e_i|) / (r + s - |e_i|)) / |e_i|     r, s: lengths of the ends of edge i,
 #   psi = (sum_i (n . C_i) K_i - h Omega) / 4 pi,
 #   phi_i = ((n . C_i) Omega + h e_i . sum_k K_k e_k) / (4 pi A2).
-#
 # Faces next to x go through float64. On the cage Omega jumps: points within SURFACE of the size get the limit from
 # inside, by leaving Omega of the touched faces out and giving what the winding number then lacks to the hat functions
-# at that place of the cage. Farther outside the sum of phi is zero, and the map is not a position.
-#
-# Shapes: points (n,), vertices and targets (v,), faces (f,), target_normals (f,): unit normals of the target times the
-# stretch of each face. One unit of length for points, vertices and size, which is the longest side of the vertices'
-# bounding box; psi is a length. Keep coordinates near the origin (float32).
+# there. Farther outside the sum of phi is zero, and the map is not a position.
+# points (n,), vertices, targets (v,), faces (f,), target_normals (f,): unit normals times each face's stretch. One unit
+# for points, vertices and size, their longest side; psi is a length. Keep them near the origin (float32).
 
 import warp as wp
 
@@ -55,8 +50,7 @@ class FaceIntegrals:
 def edge_integral(r: float, s: float, cosine: float, sine: float, edge_squared: float):
     """Integral of 1 / distance along an edge, over its length. r, s: distances of its ends; cosine, sine: their dot
     product and the length squared of their cross product."""
-    # The logarithm is taken as log(1 + |e| (r + s + |e|) / q), q = r s + dot, which neither cancels next to the edge
-    # nor far from it.
+    # log(1 + |e| (r + s + |e|) / q) with q = r s + dot cancels neither next to the edge nor far from it.
     inverse_edge = reciprocal_root(edge_squared)
     edge = edge_squared * inverse_edge
     product = r * s
@@ -200,8 +194,7 @@ def far_face_integrals(
 ):
     """phi and psi of a face clear of the origin. normal: cross product of two edges; det, below: sine and cosine, times
     the same, of half the solid angle."""
-    # edge_a, edge_b, edge_c: opposite to a, b, c; bc, ca, ba: the same seen from the origin, the last as the face
-    # across it has it.
+    # edge_a, ..: opposite to a, b, c; bc, ca, ba: the same from the origin, the last as the face across it has it.
     inverse_area = reciprocal_root(wp.dot(normal, normal))
     unit = normal * inverse_area
     height = det * inverse_area

@@ -18,9 +18,8 @@ def localise_points(
     bad: wp.array(dtype=int),
 ):
     """local (n,) = (points - centre) / size; bad (1,) becomes 1 where a point is not finite or FARTHEST away."""
-    # The difference is taken in float64, so that a scene far from the origin keeps the digits that its points have.
     n = first + wp.tid()
-    x = wp.vec3((wp.vec3d(points[n]) - center) / size)
+    x = wp.vec3((wp.vec3d(points[n]) - center) / size)  # in float64: keeps the digits of points far from the origin
     if not wp.isfinite(x) or wp.max(wp.abs(x)) >= FARTHEST:
         bad[0] = 1
     local[n] = x

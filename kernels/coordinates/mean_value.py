@@ -2,14 +2,11 @@
 
 # Floater, Kos and Reimers, "Mean value coordinates in 3D" (CAGD 2005); Ju, Schaefer and Warren, "Mean value coordinates
 # for closed triangular meshes" (SIGGRAPH 2005). With a, b, c the corners of a face seen from the point x,
-#
 #   C_a = b x c,  C_b = c x a,  C_c = a x b,  beta_i = the angle that C_i spans,
 #   m = 1/2 sum_i beta_i C_i / |C_i|          (integral of the unit directions over the face's solid angle),
 #   weight_i = (C_i . m) / det(a, b, c),      summed over faces, then divided by the sum over vertices.
-#
-# Defined everywhere but on the cage, where it tends to the linear interpolation on the face: points within SNAP of the
-# size take that. Shapes: points (n,), vertices and targets (v,), faces (f,); one unit of length for points, vertices
-# and size, which is the longest side of the vertices' bounding box. Keep coordinates near the origin (float32).
+# On the cage it tends to the linear interpolation on the face: points within SNAP of the size take that. One unit for
+# points (n,), vertices, targets (v,) and size, the longest side; keep them near the origin (float32).
 
 import warp as wp
 
@@ -74,8 +71,7 @@ def far_face_weights_in_double(x: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3, s
 
 @wp.func(inline=False)
 def near_face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float):
-    """Corner weights of a face whose plane passes next to the origin, in float64."""
-    # Faces whose plane passes next to the point are ill-conditioned.
+    """Corner weights of a face whose plane passes next to the origin, in float64, as it is ill-conditioned."""
     p = wp.vec3d(a)
     q = wp.vec3d(b)
     r = wp.vec3d(c)
@@ -139,8 +135,7 @@ def face_edge(b: wp.vec3, c: wp.vec3):
 def far_face_weights(edge_ba: FaceEdge, edge_bc: FaceEdge, edge_ca: FaceEdge, det: float):
     """Weights of the corners a, b, c of a face clear of the origin's plane; det = det(a, b, c). The first edge is as
     the face across it has it."""
-    # The determinant is the distance to the plane times twice the face's area, and the cross products are taken with
-    # the edges (b x c = b x (c - b)), so that float32 does not lose what is small beside the distances.
+    # Cross products are taken with the edges, b x c = b x (c - b): float32 keeps what is small beside the distances.
     mean = edge_bc.mean + edge_ca.mean - edge_ba.mean
     return wp.vec3(wp.dot(edge_bc.cross, mean), wp.dot(edge_ca.cross, mean), -wp.dot(edge_ba.cross, mean)) * (
         0.5 * (1.0 / det)
@@ -237,8 +232,7 @@ def mean_value_position(
     """sum_j w_j(x) targets_j with w the mean value coordinates of x in the cage `vertices`. fans: see prepare_fans."""
     total = float(0.0)
     position = wp.vec3(0.0, 0.0, 0.0)
-    # faces for float64 wait until the others are done: the points of a warp rarely meet theirs at the same face
-    waiting = int(-1)
+    waiting = int(-1)  # faces for float64, done last: the points of a warp rarely meet theirs at the same face
     next_waiting = int(-1)
     f = int(0)
     while f < faces.shape[0] or waiting >= 0:

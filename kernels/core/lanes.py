@@ -1,9 +1,8 @@
 """A group of lanes that share an item: the 32 threads of a warp on CUDA, one thread on a CPU."""
 
-# Kernels written for a group take lane_count() times as many items as they have work for: item / lane_count() is what
-# to do, item % lane_count() the lane. Loops run with the lanes' stride, and all lanes of a group must reach every
-# function below that says "all lanes", so that the same kernel runs on both. Where there is little to share, octets are
-# enough: eight lanes of a warp, or one thread on a CPU.
+# Kernels for a group take lane_count() items for each piece of work: item / lane_count() is the piece, item %
+# lane_count() the lane. All lanes of a group must reach every function below that says "all lanes". Where there is
+# little to share, octets are enough: eight lanes of a warp, or one thread on a CPU.
 
 import warp as wp
 

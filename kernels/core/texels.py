@@ -1,9 +1,8 @@
 """Texels of three-dimensional textures: written one by one through a surface, and blended by a GPU's texture units."""
 
-# A texture unit reads the eight texels around a place and blends them in one instruction: of four halves in one cycle a
-# lane, of four floats in five (H200). It rounds the place to 1/256 of a texel, so that a blend is off by at most 1/512
-# of what neighbours differ along each axis (CUDA C++ Programming Guide, "Texture Fetching"). A CPU has no such units:
-# functions that use these in C++ have arrays there.
+# A texture unit blends the eight texels around a place in one instruction: of four halves in one cycle a lane, of four
+# floats in five (H200). It rounds the place to 1/256 of a texel: off by at most 1/512 of what neighbours differ along
+# each axis (CUDA C++ Programming Guide, "Texture Fetching"). CPUs have none: C++ functions take arrays there.
 
 import warp as wp
 

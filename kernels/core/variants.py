@@ -8,14 +8,12 @@ from typing import Any
 
 import warp as wp
 
-#: Held while kernels are declared, as Warp keeps modules by their names for all threads; and while they are loaded.
-lock = threading.RLock()
+lock = threading.RLock()  #: while kernels are declared or loaded: Warp keeps modules by their names for all threads
 
 
 def variant_module(file: str, variant: str, **options: Any) -> wp.Module:
     """The Warp module of a variant. file: `__name__` of the kernel file; options: beside those of all kernel files."""
-    # one for each, as the second of two kernels of one name replaces the first. Not "unique", which hashes all that a
-    # kernel calls as soon as it is declared, in each process: 13 ms
+    # one each, as a second kernel of a name replaces the first; "unique" would hash all callees at once: 13 ms
     module = wp.get_module(f"{file}.{variant}")
     wp.set_module_options({"enable_backward": False, "default_grid_stride": False, **options}, module=module)
     return module

@@ -227,9 +227,8 @@ def mark_edit_cells(
 ):
     """0 at the lattice cells of an edit in which a march must look, REACH_LIMIT at the others. Earlier edits' `skip`
     must be ready; step: of the march, world units."""
-    # The trilinear image of a cell lies in the bounding box of its eight corners' canonical positions; the scene
-    # beneath, canonical grid and earlier edits, is asked whether that box is empty. Sub-samples reach half a march step
-    # out of the cell. Cells that the map sends out of the rest cage are looked at, to be counted.
+    # The scene beneath, canonical grid and earlier edits, is asked whether the box of the corners' images is empty.
+    # Sub-samples reach half a step out of the cell. Cells mapped out of the rest cage are looked at, to be counted.
     n = first + wp.tid()
     k = n % marks.shape[2]
     j = (n // marks.shape[2]) % marks.shape[1]

@@ -101,11 +101,10 @@ def find_places(
 ):
     """How far from F(y) the place x is that psi leads to points y (n,) beside the rest cage, and how far from y psi
     leads at last, world units; the search ends where that is less than `enough`."""
-    # x <- x + F(y) - F(psi(x)), from x = F(y) on; the best of all x is kept
     n = first + wp.tid()
     y = points[n]
     goal = forward_position(walls, y)
-    x = goal
+    x = goal  # x <- x + F(y) - F(psi(x)) from here on; the best of all x is kept
     best = goal
     error = float(1.0e30)
     step = int(0)
@@ -209,7 +208,7 @@ def mark_carrying_cells(
     first: int, edit: LatticeEdit, marks: wp.array3d(dtype=wp.uint8), cells: wp.array3d(dtype=wp.uint8)
 ):
     """CELL_CARRIES at marked cells, and what else holds there, but for those wholly in the cage or at a narrow gap of
-    it. `cells` holds what deform/cells.mark_edit_cases says. One item per cell."""
+    it. `cells` holds what edits/cell_tables.mark_edit_cases says. One item per cell."""
     n = first + wp.tid()
     k = n % cells.shape[2]
     j = (n // cells.shape[2]) % cells.shape[1]

@@ -43,7 +43,7 @@ BITS_TO_BYTES = wp.constant(wp.uint32(0x00204081))
 
 @wp.func
 def cells_are_empty(grid: VoxelGrid, lower: wp.vec3, upper: wp.vec3):
-    """Whether nothing is in the cells of the grid that a box meets; no for one of very many. deform/cells.grid_is_empty
+    """Whether nothing is in the cells of the grid that a box meets; no for one of very many. edits/cell_tables.grid_is_empty
     says so by one read, for fewer boxes."""
     begin = grid_position(grid, lower)
     end = grid_position(grid, upper)
@@ -247,8 +247,7 @@ def fine_bits(
     bits = wp.uint64(0)
     begin = int(0)
     while begin < half:
-        # two on the same row, whose edges they share
-        low = fine_place(begin + lane)
+        low = fine_place(begin + lane)  # two on the same row, whose edges they share
         edges = fine_edges(edit, n, low[1], low[2])
         bounds = fine_bounds(edges, low[0])
         other_bounds = fine_bounds(edges, low[0] + 0.5)

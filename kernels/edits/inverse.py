@@ -133,9 +133,8 @@ def claim_nodes(
 ):
     """Each cell of the posed lattice puts its number down at the nodes of the rest lattice in its image; the lowest
     stays. An item a cell, all on one thread of a CPU. cells: CELL_... flags; grid: its `skip` tells where matter is."""
-    # owners: (nx, ny, nz) of the rest lattice, NO_CELL before: n, or n and the number of nodes of the posed lattice
-    # where the place is out of the posed cage. folds: (1,) becomes 1 where the map turns matter over, which then is in
-    # several places, or squeezes it too much to look.
+    # owners: (nx, ny, nz) of the rest lattice, NO_CELL before: n, or n plus the number of posed nodes out of the posed
+    # cage. folds: (1,) becomes 1 where the map turns matter over, into several places, or squeezes it too much to look.
     item = first + wp.tid()
     k = item % cells.shape[2]
     j = (item // cells.shape[2]) % cells.shape[1]

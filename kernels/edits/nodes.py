@@ -23,7 +23,7 @@ def expand_map_cells(
     polynomials: wp.array(dtype=wp.vec4),
 ):
     """The polynomial of the cell above each node, but for cells that are skipped as a whole; one item a node.
-    nodes, look: of deform/flat_edits; polynomials: (CELL_WORDS * nodes,)."""
+    nodes, look: of edits/structs; polynomials: (CELL_WORDS * nodes,)."""
     n = first + wp.tid()
     if int(look[n]) >= LOOK_SKIP:
         return

@@ -21,7 +21,7 @@ def map_points_precisely(
     region: wp.array(dtype=wp.int32),
     outside: wp.array(dtype=wp.uint8),
 ):
-    """As deform/points.map_points."""
+    """As edits/trace.map_points."""
     n = first + wp.tid()
     ray = canonical_ray(edits, points[n] - origin, directions[n], dt)
     canonical_points[n] = ray.point + origin

@@ -125,7 +125,7 @@ class EditData:
     spacing: float  # world units
     node_counts: wp.vec3i
     nodes: wp.array(dtype=wp.vec4)  # canonical position and signed distance
-    polynomials: wp.array(dtype=wp.vec4)  # the map again, by cells (deform/map_cells); marches for one edit read it
+    polynomials: wp.array(dtype=wp.vec4)  # the map again, by cells (edits/nodes); marches for one edit read it
     look: wp.array(dtype=wp.uint8)  # (nodes,) of the cell above each; the last of an axis have none
     fine_bits: int  # 2^fine_bits fine cells along each side of a cell are told apart
     last_fine: wp.vec3i  # number of the last one along each axis
@@ -165,7 +165,7 @@ def rest_distance(edit: EditData, x: wp.vec3):
 
 @wp.func
 def cell_exit(g: wp.vec3, inverse_rate: wp.vec3, reach: int):
-    """field/samples.exit_distance with the divisions done once per ray."""
+    """field/grid.exit_distance with the divisions done once per ray."""
     leave = float(1.0e30)
     for axis in range(3):
         cell = wp.floor(g[axis])

@@ -220,10 +220,9 @@ def edit_point(edit: ExactEdit, x: wp.vec3):  # noqa: F811
 @wp.func
 def traced_point(edits: Any, x: wp.vec3):
     """Trace a point of the deformed scene to canonical space: Eq. 5 for each of `edits`, the last first."""
-    # a cleared point goes on through the earlier edits, so that `position` says what was cleared there
     result = CanonicalPoint()
     position = x
-    cleared = int(0)
+    cleared = int(0)  # then it goes on through the earlier edits: `position` says what was cleared there
     e = int(edits.shape[0]) - 1
     while e >= 0 and result.vacant == 0:
         edit = edits[e]
@@ -293,8 +292,7 @@ def long_step(edits: Any, x: wp.vec3, direction: wp.vec3, dt: float, here: Canon
 @wp.func
 def canonical_step(edits: Any, x: wp.vec3, direction: wp.vec3, dt: float, here: CanonicalPoint, ahead: CanonicalPoint):
     """phi(x + dt d) - phi(x), world units; `here` and `ahead` are the canonical points of x and x + dt d."""
-    # Where x + dt d has left the cage it is the backward difference, where x - dt d has too a shorter one; where the
-    # point shares its map with no neighbour at all it is dt d.
+    # The backward difference where x + dt d has left the cage, a shorter one where x - dt d has too; dt d without any.
     if here.path == 0:
         return dt * direction
     if same_map(here, ahead):
@@ -372,9 +370,8 @@ class CanonicalRay:
 @wp.func
 def canonical_ray(edits: Any, x: wp.vec3, direction: wp.vec3, dt: float):
     """Point, direction and region of a point x seen along `direction` of any length; dt in world units."""
-    # a cleared point keeps x and its direction; one whose map leaves the rest cage is empty too, hence cleared
     result = CanonicalRay()
-    result.point = x
+    result.point = x  # cleared points keep it; one whose map leaves the rest cage is empty too, hence cleared
     result.direction = direction
     along = wp.normalize(direction)
     here = canonical_point(edits, x)

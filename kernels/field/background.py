@@ -1,11 +1,10 @@
 """Background layers around a voxel grid: what a ray meets behind everything that the grid holds."""
 
-# Multi-sphere images as in Fridovich-Keil and Yu et al., "Plenoxels" (CVPR 2022), section 3.3, with the spheres of the
-# max norm: concentric cubes, layer l of L magnified by L' / (L' - l), L' = L - 1, so that they are even in inverse
-# distance, the first around the grid and the last at infinity. A ray meets each cube where it leaves it; there are no
-# view-dependent colours. C = sum_l T_l (1 - exp(-max(0, tau_l))) c_l; the last layer is opaque. Values live at the
-# lattice points of a cube's surface: (i, j, k) in [0, side]^3 with one of them 0 or side, 6 side^2 + 2 of them, so that
-# faces join without a seam. Positions are relative to the cubes' centre, in world units.
+# Multi-sphere images as in Fridovich-Keil and Yu et al., "Plenoxels" (CVPR 2022), section 3.3, in the max norm:
+# concentric cubes, layer l of L magnified by L' / (L' - l), L' = L - 1, even in inverse distance, the first around the
+# grid, the last opaque at infinity. A ray meets each where it leaves it: C = sum_l T_l (1 - exp(-max(0, tau_l))) c_l,
+# without view-dependent colours. Values live at the 6 side^2 + 2 lattice points of a cube's surface, (i, j, k) in [0,
+# side]^3 with one of them 0 or side: no seams. Positions are relative to the cubes' centre, in world units.
 
 import warp as wp
 

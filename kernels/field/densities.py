@@ -1,8 +1,7 @@
 """Trilinear density of a sparse voxel grid, with few reads that wait for each other."""
 
-# On CUDA the densities of all nodes are laid out as halves, 0 where a node has no row: a place in a cell is eight reads
-# that wait for nothing, where links or bits would have to be asked first. They count in units of their own, so that
-# scenes of any size keep their digits. On a CPU, whose caches hold a grid's bits, the rows are found by them.
+# On CUDA the densities of all nodes are halves, 0 without a row: eight reads that wait for nothing, where links or bits
+# would be asked first. Their own units keep digits in scenes of any size. CPUs, whose caches hold bits, use those.
 
 import warp as wp
 

@@ -1,9 +1,8 @@
 """Real spherical harmonics up to degree 3, and the two ways in which a row of numbers makes a colour of them."""
 
-# Order and signs are those of Plenoxels / svox2 (and PlenOctrees). A row of 27 numbers has nine of degree 0 to 2 for
-# red, for green and for blue. A row of 24 numbers has sixteen of degree 0 to 3 for luminance, then four of degree 0 and
-# 1 for each of two differences of colour, orange and green: a highlight takes on the colour of the light, so that it is
-# luminance that changes fast with direction (Shafer 1985, dichromatic reflection; the differences are those of YCoCg).
+# Order and signs: Plenoxels / svox2 (and PlenOctrees). Rows of 27: degrees 0 to 2 of red, green and blue. Rows of 24:
+# sixteen of degree 0 to 3 for luminance, four each for differences of colour, orange and green (YCoCg): highlights take
+# on the light's colour, so luminance changes fast (Shafer 1985, dichromatic reflection).
 
 import warp as wp
 

@@ -1,4 +1,4 @@
-"""Views of a sparse voxel grid on a CPU: the march of field/render for the rays of a tile, sixteen side by side."""
+"""Views of a sparse voxel grid on a CPU: the march of field/march for the rays of a tile, sixteen side by side."""
 
 import warp as wp
 
@@ -31,7 +31,7 @@ def march_tile(
     stop: float,
     least: float,
 ) -> tile_radiance:
-    """Colour, transmittance, depth and what is pending of field/render.march for each ray of a tile.
+    """Colour, transmittance, depth and what is pending of field/march.march for each ray of a tile.
     start: node coordinates of the rays' origin. firsts, ends: the first sample, and where the ray leaves the grid."""
     ...
 
@@ -50,7 +50,7 @@ def render_tiles(
     alpha: wp.array(dtype=wp.float32),
     depth: wp.array(dtype=wp.float32),
 ):
-    """As field/render.render_image, on a CPU alone: one item per tile."""
+    """As field/march.render_image, on a CPU alone: one item per tile."""
     tile = first + wp.tid()
     start = wp.vec3(0.0, 0.0, 0.0)
     directions = tile_directions()

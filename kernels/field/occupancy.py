@@ -92,8 +92,7 @@ def note_densities(
     """Keep the densities (rows,), COMPARED_VALUES an item; `changed` (1,) becomes 1 where one is news."""
     begin = (first + wp.tid()) * COMPARED_VALUES
     if take_news(density, kept, begin, wp.min(begin + COMPARED_VALUES, density.shape[0])) == 1:
-        # all items write the same number
-        changed[0] = 1
+        changed[0] = 1  # all items write the same number
 
 
 #: Distances are cut here: larger empty regions are crossed in several jumps.
@@ -148,8 +147,7 @@ def note_signs(
     value = wp.uint8(wp.where(density[n] > 0.0, 1, 0))
     if positive[n] != value:
         positive[n] = value
-        # all items write the same number
-        changed[0] = 1
+        changed[0] = 1  # all items write the same number
 
 
 @wp.kernel

@@ -1,13 +1,12 @@
 """A sparse voxel grid in contracted space around a box: what lies between cameras and the box, and beyond it."""
 
-# In box units u (the box is [-1, 1]^3) with m = max |u_i| > 1, attained by coordinate a, a point goes to p_i = u_i / m
-# for the others and p_a = sign(u_a) (2 - 1 / m): the region before each face of the box into a slab on that face
-# (Reiser et al., "MeRF", SIGGRAPH 2023, its contraction function). In a region this map is projective: a straight ray
-# stays straight, and is marched cell by cell like any ray. It is continuous at the faces of the box; where two regions
-# meet, a ray goes on in another slab. Density is per unit of contracted length, so that a voxel stops as much light far
-# away as nearby. Colours do not depend on direction. C = sum_k T_k (1 - exp(-sigma_k d_k)) c_k + T_end sky, as in
-# field/march; the sky is a cube of colours at infinity (field/background). Node (i, j, k) of n^3 lies at
-# p = (i, j, k) 4 / n + 2 / n - 2. Positions are relative to the middle of the box, in world units.
+# In box units u (the box is [-1, 1]^3) with m = max |u_i| > 1, attained by coordinate a, p_i = u_i / m for the others
+# and p_a = sign(u_a) (2 - 1 / m): the region before each face becomes a slab on it (Reiser et al., "MeRF", SIGGRAPH
+# 2023). The map is continuous, and projective in a region: a straight ray stays straight, is marched cell by cell and
+# goes on in another slab. Density is per unit of contracted length: a voxel stops as much light far away as nearby.
+# Colours do not depend on direction. C = sum_k T_k (1 - exp(-sigma_k d_k)) c_k + T_end sky, a cube of colours at
+# infinity (field/background). Node (i, j, k) of n^3 lies at p = (i, j, k) 4 / n + 2 / n - 2; positions are from the
+# middle of the box, in world units.
 
 import warp as wp
 
@@ -98,9 +97,8 @@ def expanded(p: wp.vec3):
 @wp.func
 def region_span(o: wp.vec3, d: wp.vec3, region: int, begin: float, end: float):
     """Distances between which a ray o + t d, box units, is in a region; none where the second is not the larger."""
-    # neighbours share their borders to the bit, as their conditions are each other's negatives
     axis = region // 2
-    sign = 2.0 * float(region % 2) - 1.0
+    sign = 2.0 * float(region % 2) - 1.0  # regions share borders to the bit: conditions are each other's negatives
     near = begin
     far = end
     for side in range(5):

@@ -1,9 +1,8 @@
 """Colour of a sparse voxel grid at a place, with few reads: field/grid for marches that are to be fast."""
 
-# On CUDA the harmonics of a row are packed into two reads of 16 bytes: its three constant terms as halves, the others
-# in 8 bits, in units that the largest one sets. The basis is rounded in the same way, so that four products are one
-# instruction. Six words hold four numbers each: two words for each of red, green and blue; or four for luminance and
-# one for each difference of colour (field/harmonics). On a CPU the grid's own numbers are read, which lie together.
+# On CUDA a row's harmonics are two reads of 16 bytes: three constant terms as halves, the others in 8 bits, in units of
+# the largest; the basis is rounded alike: four products are one instruction. Of six words of four numbers two are for
+# each of red, green and blue, or four for luminance, one for each difference (field/harmonics). CPUs read the grid's.
 
 import warp as wp
 

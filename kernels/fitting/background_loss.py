@@ -1,8 +1,7 @@
 """Gradients of the photometric and total-variation losses by the values of background layers."""
 
-# A ray's background is C = sum_l w_l c_l, w_l = T_l (1 - exp(-tau_l)); with g = dL/dC, dL/dc_l = w_l g and
-# dL/dtau_l = T_{l+1} c_l . g - sum_{j>l} w_j c_j . g: the hand-written adjoint of fitting/loss with layers for samples
-# (Plenoxels 2022, section 3.2). The total variation is over the neighbours on a cube's surface (Eq. 3).
+# With C = sum_l w_l c_l, w_l = T_l (1 - exp(-tau_l)) and g = dL/dC, dL/dc_l = w_l g and
+# dL/dtau_l = T_{l+1} c_l . g - sum_{j>l} w_j c_j . g (Plenoxels 2022, section 3.2; TV on a cube's surface: Eq. 3).
 
 import warp as wp
 
@@ -52,7 +51,6 @@ def compare_surroundings(
 ):
     """grad_behind: (rays,) scale * gradient of the sum over channels of (s C - S)^2 by the background C. One item per
     ray. surroundings: (views, h, w) what masks split off a picture: S, its colour times its share s, and s."""
-    # The layers of such pictures are fitted to that alone, independently of the object.
     n = first + wp.tid()
     grad_behind[n] = wp.vec3(0.0, 0.0, 0.0)
     pixel = batch_pixel(rays, n)
@@ -136,8 +134,7 @@ def accumulate_layer_variation(
 ):
     """Adds the gradient of scale_color * TV(colors) + scale_depth * TV(optical depths). One item per node, from
     first_node on. moments, grad_values: (layers, nodes); on the CPU each thread needs grad_values of its own."""
-    # A node counts its differences to the next node along each axis on the cube's surface, where a ray has met both
-    # (their moments are not zero): what no ray met stays as it was.
+    # Differences to next nodes on the cube's surface count where a ray has met both (moments not zero).
     count = layers.values.shape[1]
     n = (first_node + first + wp.tid()) % (count * layers.values.shape[0])
     layer = n // count

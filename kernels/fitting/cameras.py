@@ -1,11 +1,10 @@
 """How the colours of rays change with their camera: what a fit refines cameras by."""
 
-# Forward-mode derivatives of the march (Max 1995; the loss is that of BARF, Lin et al. 2021, and NeRF--, Wang et al.
-# 2021). With x_k = o + t_k d, optical depth s_k = sigma_k dt and A_k = sum_{j<k} ds_j, a ray's colour C = sum_k w_k c_k
-# + T B changes by dC = sum_k [c_k (T_{k+1} ds_k - w_k A_k) + w_k dc_k] + T (dB - B A_end): one march, as there are few
-# numbers by which a camera changes. They are seven: small turns about its axes (x right, y down, z forward), shifts
-# along them in units of `reach`, and the logarithm of its focal length. A ray turns by d' = w x d, and by the focal
-# length as the point (x / f, y / f, 1) of its picture does.
+# Forward-mode derivatives of the march (Max 1995; BARF, Lin et al. 2021; NeRF--, Wang et al. 2021). With
+# x_k = o + t_k d, optical depth s_k = sigma_k dt and A_k = sum_{j<k} ds_j, a ray's C = sum_k w_k c_k + T B changes by
+# dC = sum_k [c_k (T_{k+1} ds_k - w_k A_k) + w_k dc_k] + T (dB - B A_end): one march for a camera's seven numbers.
+# They are small turns about its axes (x right, y down, z forward; d' = w x d), shifts along them in units of `reach`,
+# and the logarithm of its focal length (a ray turns as the point (x / f, y / f, 1) does).
 
 import warp as wp
 
@@ -105,8 +104,7 @@ def measure_camera_slopes(
 ):
     """records: (rays, 11) what a ray misses its pixel by, and how that changes with its camera; zero off the picture.
     One item per ray. reach: world units of a shift by 1. The others: see fitting/loss."""
-    # behind: (8, rays) colours behind the field, then those with one of the camera's seven numbers larger by `change`.
-    # front: (8, rays) what is before it and the light that passes, likewise. Both are empty where there is none.
+    # behind, front: (8, rays) of fitting/loss, then each with one of the camera's seven numbers larger by `change`.
     n = first + wp.tid()
     for number in range(RECORD):
         records[n, number] = wp.vec3()
@@ -204,9 +202,8 @@ def measure_camera_slopes(
 
 @wp.func
 def exposure_sum(records: wp.array2d(dtype=wp.vec3), n: int, number: int):
-    """A ray's part of one of the fifteen sums that tell its picture's exposure."""
-    # For each channel x x, x a, a a, x y and a y, of the colour x that the field has, y that the picture has, and its
-    # opacity a.
+    """A ray's part of one of the fifteen sums that tell its picture's exposure.
+    Of each channel x x, x a, a a, x y, a y: x the field's colour, y the picture's, a the field's opacity."""
     channel = number // 5
     which = number % 5
     x = records[n, PREDICTED][channel]
@@ -223,8 +220,7 @@ def sum_camera_slopes(
 ):
     """sums: (runs, 51) over each run of rays, all of one camera. One item per sum. records: (runs * run, 11).
     The upper triangle of J^T J, row after row; J^T e; the fifteen of exposure_sum; e^T e."""
-    # Each ray counts by 1 / (1 + |e|^2 / outlier^2)^2, the weight of Geman and McClure: what the field does not show
-    # yet says nothing of the camera.
+    # Rays count by 1 / (1 + |e|^2 / outlier^2)^2 (Geman and McClure): what a field lacks yet tells nothing of cameras.
     item = first + wp.tid()
     place = item // CAMERA_SUMS
     number = item % CAMERA_SUMS

@@ -1,9 +1,8 @@
 """Gradient of the photometric loss by the density and SH numbers of a voxel grid."""
 
 # Mean over pixels and channels of (C - C*)^2, C the mean of a pixel's sub-rays. With g = dL/dC, w_k = T_k alpha_k and
-# the background as the last sample, dL/dc_k = w_k g and dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): the
-# hand-written adjoint of the march as a second march (Plenoxels 2022, section 3.2; a tape cannot unroll a loop of
-# unknown length). Rows are those of 24 numbers (field/harmonics).
+# the background as last sample, dL/dc_k = w_k g, dL/dsigma_k = dt (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g): a second
+# march (Plenoxels 2022, section 3.2), as no tape unrolls a loop of unknown length. Rows: 24 numbers (field/harmonics).
 
 import warp as wp
 
@@ -44,7 +43,7 @@ class TrainingRays:
         dtype=wp.int32
     )  # flat indices of those that count: (view * tile rows + row) * tile columns + column
     tile_size: int
-    order: int  # key of the order in which `tiles` are taken (fitting/shuffle); below 0: as they are
+    order: int  # key of the order in which `tiles` are taken (fitting/batches); below 0: as they are
     first_tile: int  # where this batch begins in that order
     rays_per_side: int  # 1: through the middle of a pixel, 2: four rays, each somewhere in its quarter
 
@@ -166,11 +165,9 @@ def accumulate_photometric_gradient(
 ):
     """Adds scale * d(sum over channels of (C - C*)^2) for each pixel of a batch; squared_error: (pixels,) that sum.
     One item per pixel. Rows are shared: for CPU threads that have gradients (rows,), (rows, 24) of their own."""
-    # random_background: 1 puts a random colour behind both the image's alpha and the render of each pixel, so that
-    # opacity is supervised too; 0 takes `background` for all. own_background: (pixels,) a colour for each pixel
-    # instead, whose gradient goes to grad_background. front: (pixels,) the colour before the grid and the light that
-    # passes it, whose gradients go to grad_front. Both are empty where there is none. stop: transmittance at which a
-    # march ends.
+    # random_background: 1 puts a random colour behind image and render alike: opacity is supervised too.
+    # own_background: (pixels,) instead of `background`; front: (pixels,) colour before the grid and light that passes
+    # it; each with its gradient, empty where there is none. stop: transmittance at which a march ends.
     n = first + wp.tid()
     squared_error[n] = 0.0
     has_background = own_background.shape[0] > 0
@@ -202,8 +199,7 @@ def accumulate_photometric_gradient(
         direction = subray_direction(rays, camera, pixel, subray, seed, n)
         basis = sh_basis(direction)
         ray = grid_ray(grid, camera.center, direction, step)
-        # the part of C . dL/dC that comes from behind the current sample
-        later = wp.dot(colors[subray], grad_color)
+        later = wp.dot(colors[subray], grad_color)  # the part of C . dL/dC that comes from behind the current sample
         color = wp.vec3()
         transmittance = float(1.0)
         k = ray.first

@@ -1,10 +1,9 @@
 """The photometric gradient of fitting/loss, for CUDA: one warp per ray, one lane per coefficient."""
 
 # The sums are those of accumulate_photometric_gradient. The densities of 32 successive samples are looked up at once,
-# one per lane. Then the samples that hold matter are taken one by one: 24 neighbouring lanes read the 24 coefficients
-# of a voxel, so that a voxel's row is one run of memory instead of 24 scattered numbers. (Lanes for coefficients:
-# Plenoxels 2022, in its CUDA code.) What a sample was found to weigh and to show is kept for the adjoint, which then
-# reads no density and no colour again; a sub-ray for which there is no room left marches twice.
+# then samples with matter are taken one by one: 24 neighbouring lanes read the 24 coefficients of a voxel as one run of
+# memory (lanes for coefficients: Plenoxels 2022, in its CUDA code). What a sample weighs and shows is kept for the
+# adjoint, which reads none of it again; a sub-ray for which no room is left marches twice.
 
 import warp as wp
 
@@ -34,7 +33,7 @@ NEAR = wp.constant(4)
 #: Sample at which a march has nothing to do.
 BEYOND = wp.constant(1 << 28)
 
-#: What a warp keeps (core/warp_memory). For each lane CELL_FOURS times four numbers: weights and rows of the eight
+#: What a warp keeps (core/shared). For each lane CELL_FOURS times four numbers: weights and rows of the eight
 #: corners of its sample's cell, and four more. From HEADS on, eight numbers for each sub-ray: its colour, where its
 #: samples begin, their number or -1, where it first comes near to anything. From SAMPLES on, seven for each sample that
 #: holds matter: its index, transmittance before it, weight, colour, (none).
@@ -126,8 +125,7 @@ def part_gradients(change: wp.vec3):
     return change[0] + change[1] + change[2], change[0] - change[2], change[1] - 0.5 * (change[0] + change[2])
 
 
-# few registers: many rays in flight hide the latency of their loads
-@wp.kernel(launch_bounds=(128, 8))
+@wp.kernel(launch_bounds=(128, 8))  # few registers: many rays in flight hide the latency of their loads
 def accumulate_photometric_gradient_by_warps(
     first: int,
     grid: VoxelGrid,

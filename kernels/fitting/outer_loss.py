@@ -1,13 +1,10 @@
 """Gradients of the photometric loss and of the total variation by the values of an outer grid, and their steps."""
 
-# A pixel is C = F + T_F (inner), inner = ... + T B: the front F and the light T_F that passes it, and the back B, are
-# marches through field/outer, before and after the inner grid's. With the loss's gradients by F, T_F and B, a sample of
-# weight w_k = T_k alpha_k gets dL/dc_k = w_k g and dL/dsigma_k = d_k (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g - r),
-# where r is what the end of its march adds: T_F dL/dT_F in front, T sky . g behind. The adjoint of fitting/loss in two
-# parts.
-#
-# Opaque voxels hide the sky, which then learns nothing, and shows as it began wherever a new view looks past them. So
-# it also follows B, by a loss by_sky / 2 * T_F T |sky - B|^2 of the sky alone, T the light that passes the box.
+# C = F + T_F (inner), inner = ... + T B: the front F, the light T_F that passes it and the back B are marches through
+# field/outer, before and after the inner grid's. A sample of weight w_k = T_k alpha_k gets dL/dc_k = w_k g and
+# dL/dsigma_k = d_k (T_{k+1} c_k . g - sum_{j>k} w_j c_j . g - r), r what the end of its march adds: T_F dL/dT_F in
+# front, T sky . g behind. Opaque voxels hide the sky, which would learn nothing and show as it began in new views: it
+# also follows B, by a loss by_sky / 2 * T_F T |sky - B|^2 of the sky alone, T the light that passes the box.
 
 import warp as wp
 
@@ -130,9 +127,7 @@ def accumulate_outer_gradient(
 ):
     """Adds the gradient by the values of the grid (rows,) and of the sky (1, nodes). One item per ray. front, behind:
     (rays,) of gather_outer. What it adds to is shared: on the CPU each thread needs its own."""
-    # Of the loss, whose gradients by front and behind are grad_front and grad_behind, of by_front * opacity of the
-    # front, and of by_sky / 2 * (light that reaches what is behind the box) * |sky - what is behind the box|^2 by the
-    # sky.
+    # Of the loss, of by_front * opacity of the front, and of the loss of the sky alone by by_sky (above).
     n = first + wp.tid()
     pixel = batch_pixel(rays, n)
     if not in_picture(rays, pixel):
@@ -255,8 +250,7 @@ def accumulate_outer_variation(
 ):
     """Adds the gradient of scale_colour * TV(colours) + scale_density * TV(densities). One item per row, from first_row
     on. nodes: (rows,) grid indices. Neighbours share rows: on the CPU each thread needs grad_values of its own."""
-    # sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences, those to nodes without a row counting as zero
-    # (fitting/variation).
+    # As in fitting/variation: sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences, zero to nodes without a row.
     row = (first_row + first + wp.tid()) % nodes.shape[0]
     node = nodes[row]
     value = outer.values[row]
@@ -294,14 +288,13 @@ def apply_outer_rmsprop(
     values: wp.array(dtype=wp.vec4),
 ):
     """Step of RMSProp where the gradient is not zero, which is cleared. One item per row."""
-    # Colours stay within [0, 1], where they are saved: cut at the end, they would no longer be those that were fitted.
     row = first + wp.tid()
     gradient = gradients[row]
     if wp.length_sq(gradient) == 0.0:
         return
     value = values[row]
     moment = moments[row]
-    for channel in range(4):
+    for channel in range(4):  # colours stay within [0, 1], as saved: cut at the end they would not be what was fitted
         if gradient[channel] != 0.0:
             rate = wp.where(channel < 3, rate_color, rate_density)
             number, spread = rmsprop_update(value[channel], moment[channel], gradient[channel], rate, beta, epsilon)

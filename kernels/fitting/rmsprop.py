@@ -1,8 +1,7 @@
 """Optimiser step of a voxel field: RMSProp on the values that a gradient touched."""
 
-# v <- beta v + (1 - beta) g^2 (v = g^2 at the first touch), x <- x - rate g / (sqrt(v) + eps): Tieleman and Hinton
-# 2012, with the start of Plenoxels' optimiser. One item for four numbers of a row, which are read and written at once,
-# and one for its density.
+# v <- beta v + (1 - beta) g^2 (v = g^2 at the first touch, as Plenoxels), x <- x - rate g / (sqrt(v) + eps): Tieleman
+# and Hinton 2012. An item takes four numbers of a row, or its density.
 
 import warp as wp
 
@@ -66,8 +65,7 @@ def apply_rmsprop(
 ):
     """Step where the gradient is not zero, and clear the gradient for the next batch. ROW_PARTS items per row.
     touched: (rows,) 1 where any gradient may be. Densities: (rows,), per world unit; sh: (rows, 6) of four numbers."""
-    # Numbers of sh step by the one of rates_sh that is for their degree. Moments have 8 bits of mantissa: they only
-    # scale steps, and a share of 1 - beta moves them by more than a last bit.
+    # Moments have 8 bits of mantissa: they scale steps, and a share of 1 - beta moves them by more than a last bit.
     n = first + wp.tid()
     row = n // ROW_PARTS
     part = n % ROW_PARTS

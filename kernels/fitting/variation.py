@@ -1,7 +1,5 @@
-"""Gradient of the total variation of a voxel field's density and SH coefficients."""
-
-# Per node and number sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences (Plenoxels 2022, Eq. 3). The difference to a
-# node without a row counts as zero.
+"""Gradient of the total variation of a voxel field's density and SH coefficients.
+Per node and number sqrt(dx^2 + dy^2 + dz^2 + eps), differences to nodes without a row 0 (Plenoxels 2022, Eq. 3)."""
 
 import warp as wp
 
@@ -37,9 +35,8 @@ def accumulate_variation_gradient(
 ):
     """Adds the gradient of a sum of total variations over a run of rows. GRADIENT_ROW items per row, one per number.
     nodes: (rows,) grid indices. Rows are shared with neighbours: on the CPU each thread needs gradients of its own."""
-    # scale_density * TV(density / density_unit), scale_sh * TV(sh) of degrees 0 and 1 and scale_high_degree * TV(sh) of
-    # degrees 2 and 3. Neighbouring threads read neighbouring numbers. The run begins at first_row, and goes on at row 0
-    # after the last one. gradients: (25 rows,) of fitting/rmsprop. touched: (rows,) set to 1 where there is a gradient.
+    # scale_density * TV(density / density_unit), scale_sh * TV(sh) of degrees 0 and 1, scale_high_degree * TV(sh) of 2
+    # and 3. Rows from first_row on, then from 0. gradients: (25 rows,) of fitting/rmsprop. touched: (rows,) set to 1.
     n = first + wp.tid()
     number = n % GRADIENT_ROW
     row = (first_row + n // GRADIENT_ROW) % nodes.shape[0]

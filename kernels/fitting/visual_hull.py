@@ -47,10 +47,9 @@ def carve_visual_hull(
 ):
     """mask: 1 where no image shows a node's voxel as transparent. One item per node. lower: centre of the first voxel.
     opaque_sums: (views, h + 1, w + 1) summed-area tables of the opaque pixels."""
-    # Laurentini 1994, conservative in the voxel's extent. bounded: (views,) 1 where the silhouette keeps clear of the
-    # image's border, so that everything beyond the image is transparent too. Where it touches the border, a voxel
-    # beyond it is carved if nothing is opaque along the border within BEYOND_SPREAD times its distance from the image:
-    # silhouettes are assumed to widen no faster than that. A voxel that no image sees is carved.
+    # Laurentini 1994, conservative in the voxel's extent. bounded: (views,) 1 where a silhouette keeps clear of the
+    # border: all beyond is transparent. Else a voxel beyond is carved if nothing is opaque along the border within
+    # BEYOND_SPREAD times its distance from the image: silhouettes widen no faster. So are voxels that no image sees.
     n = first + wp.tid()
     k = n % mask.shape[2]
     j = (n // mask.shape[2]) % mask.shape[1]

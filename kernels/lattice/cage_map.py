@@ -62,10 +62,9 @@ def cell_sides(cage_map: CageMap, i: int, j: int, k: int):
     return cage_map.side_index[(i * cage_map.positions.shape[1] + j) * cage_map.positions.shape[2] + k]
 
 
-@wp.func(inline=False)  # rare
+@wp.func(inline=False)  # rare; takes the table alone, as a CageMap would be copied to the stack of every thread
 def side_position(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3):
     """Canonical position at a place in a cell with an entry that is not 0: of the side that the place is on."""
-    # Of a CageMap it takes the table alone: the whole struct would be copied to the stack of every thread.
     lowest = float(1.0e30)
     position = wp.vec3(0.0, 0.0, 0.0)
     for side in range(entry % 8):

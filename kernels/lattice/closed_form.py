@@ -1,11 +1,9 @@
 """Mean value and Green maps at the listed nodes of a lattice."""
 
-# Cage vertices are in node units (see crossings.py) relative to the middle of the lattice, so that float32 keeps most
-# digits where the cage is; `size` is the cage's size in them.
-#
-# Both maps are harmonic or nearly so, and smooth at CLEARANCE cells from the cage and more: there they are evaluated at
-# every second node along each axis, and the others take the polynomial of degree five through three nodes either side,
-# axis after axis. That errs by 1e-6 of the size in poses that bend or twist, by 4e-5 in wild ones.
+# Cage vertices are in node units relative to the middle of the lattice, which keeps most float32 digits; `size` is the
+# cage's. At CLEARANCE cells from the cage and more, where maps are smooth, every second node along each axis is
+# evaluated, the others take the polynomial of degree five through three nodes either side, axis after axis: off by 1e-6
+# of the size in poses that bend or twist, by 4e-5 in wild ones.
 
 import warp as wp
 
@@ -98,9 +96,8 @@ def stretch_normals(
 ):
     """values (f,): what psi in node units multiplies for the residual of a map after its affine part A x + b, as a
     share of the rest cage's size: stretched normals of the rest cage less A n, as x = sum phi v + sum psi n."""
-    # rest_normals: unit normals; rest_products: |s|^2, s.t, |t|^2 of the edges from the first corner of each face, over
-    # the rest cage's size squared; affine: as in add_affine. Stretch (Lipman et al. 2008, 3-D) from a face of area A
-    # with edges u, v: sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A).
+    # rest_products: |s|^2, s.t, |t|^2 of two edges of each face, over the rest size squared. Stretch (Lipman et al.
+    # 2008) from area A, edges u, v: sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A).
     f = first + wp.tid()
     face = faces[f]
     u = vertices[face[1]] - vertices[face[0]]
@@ -129,7 +126,7 @@ def map_crossings_green(
     boundary: wp.array2d(dtype=wp.vec3),
 ):
     """boundary (rows, 6): the map's limit from inside where links of cut nodes cross the cage. One level. Only of nodes
-    at cells that are marked, as lattice/gap_sides has them, or beside one: sides are continued from no others."""
+    at cells that are marked, as lattice/gaps has them, or beside one: sides are continued from no others."""
     item = first + wp.tid()
     row = item / 6
     direction = item % 6

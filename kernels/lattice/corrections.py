@@ -1,17 +1,12 @@
 """Corrections of a mean value map next to the cage, so that trilinear look-up errs less there."""
 
-# Mean value maps are not harmonic: in the cells next to the cage, most of all where it faces itself over a gap, their
-# second derivatives have one sign, and trilinear interpolation of exact values errs on one side, in the middle of a
-# cell by an eighth of the sum of the second differences. Half of that as an error of the other sign at the nodes halves
-# the largest one, so that cut inside nodes (see nodes.py) move by
-#
+# Second derivatives of mean value maps have one sign next to the cage, most of all where it faces itself over a gap: in
+# the middle of a cell trilinear interpolation errs by an eighth of the sum of the second differences. Half of that as
+# an error of the other sign at the nodes halves the largest one, so cut inside nodes (see nodes.py) move by
 #   - (d_0 + d_1 + d_2) / 16,    d_a = 2 ((u_+ - u_0) / theta_+ + (u_- - u_0) / theta_-) / (theta_+ + theta_-)
-#
-# with the neighbours, or the values where links cross the cage, a fraction theta of a cell away.
-#
-# Ring nodes are continued along grid edges (see rings.py), which does not see edges of the cage that reach into a cell
-# between them. Each is moved by MISFIT_SHARE of the error of the map at the point of the cage nearest to it, where its
-# value is known. All of it is linear in the values and zero for linear functions.
+# with the neighbours, or the values where links cross the cage, a fraction theta of a cell away. Ring nodes are
+# continued along grid edges (see rings.py), which miss edges of the cage between them: each moves by MISFIT_SHARE of
+# the map's error at the nearest point of the cage. All is linear in the values, zero for linear functions.
 
 import warp as wp
 
@@ -147,8 +142,7 @@ def measure_corrections(
     corrections: wp.array(dtype=wp.vec3),
 ):
     """corrections (cut nodes and rings 0 and 1,): what is to be added to the values (nodes,) of a map that is linear on
-    the cage's faces and takes vertex_values (v,) there. One item per node; one level."""
-    # vertices (v,) in node units; counts, near, boxes: see list_block_faces.
+    the cage's faces and takes vertex_values (v,) there. One item per node; one level. vertices (v,): node units."""
     n = first + wp.tid()
     if n >= levels.starts[RING_SECTION + 2] - levels.starts[CUT_SECTION]:
         return

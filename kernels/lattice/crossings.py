@@ -1,11 +1,10 @@
 """Where the lines of a lattice cross a triangle cage: inside / outside of nodes, and fractions of cut grid edges."""
 
-# A lattice has nodes at integer coordinates 0 .. shape - 1 ("node units"); cage vertices (v,) vec3 are given in the
-# same units. Lines run along the three axes through the nodes; each keeps its crossings with the cage in order, reduced
-# to those where the winding number turns from 0 to above 0 or back, so even places enter the inside and odd ones leave
-# it. Whether a line passes through a face is decided by edge functions in float64, of float32 input and with vertices
-# in one order for both faces of an edge: products are exact, so neighbouring faces agree and closed cages have no leaks
-# (compare Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection", JCGT 2013).
+# Node units: nodes lie at integer coordinates 0 .. shape - 1, and cage vertices (v,) vec3 are in the same units. Lines
+# along the three axes through the nodes keep their crossings where the winding number turns from 0 to above 0 or back,
+# in order: even places enter, odd ones leave. Edge functions in float64 of float32 input, vertices in one order for
+# both faces of an edge, are exact: neighbours agree, and closed cages have no leaks (compare Woop, Benthin and Wald,
+# "Watertight Ray/Triangle Intersection", JCGT 2013).
 
 import warp as wp
 
@@ -58,8 +57,7 @@ def edge_side(a: wp.vec3, b: wp.vec3, ordered: bool, axis0: int, axis1: int, p0:
     v0 = wp.float64(component(v, axis0))
     v1 = wp.float64(component(v, axis1))
     area = (v0 - u0) * (p1 - u1) - (v1 - u1) * (p0 - u0)
-    # a line exactly through an edge counts as on its left, for both faces
-    if area == wp.float64(0.0):
+    if area == wp.float64(0.0):  # a line exactly through an edge counts as on its left, for both faces
         area = wp.float64(1.0e-30)
     return wp.where(ordered, area, -area)
 
@@ -205,7 +203,6 @@ def cross_lines(
 ):
     """Crossings of all lines of a lattice with a cage. A group of lanes takes a run of RUN neighbouring lines.
     overflow (1,) becomes the crossings a line would need where they are more than the capacity."""
-    # The lanes look at as many faces at once, and then each at its own lines where these faces may meet them.
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes

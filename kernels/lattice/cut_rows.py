@@ -1,17 +1,12 @@
 """Rows of the Laplace equation at nodes whose grid edges cross the cage, with boundary values at the true crossings."""
 
-# At a node with values u_k at its six neighbours, or boundary values g_k at crossings a fraction theta_k of a cell
-# away,
-#
-#   sum_k (u_k - u_0) / theta_k = 0,    theta_k = 1 for links that do not cross the cage
-#
+# At a node with values u_k at its six neighbours, or boundary values g_k at crossings a fraction theta_k of a cell away
+# (1 for links that do not cross the cage),
+#   sum_k (u_k - u_0) / theta_k = 0
 # (Gibou, Fedkiw, Cheng and Kang, "A Second-Order-Accurate Symmetric Discretization of the Poisson Equation on Irregular
 # Domains", J. Comput. Phys. 2002): symmetric, exact for linear functions, second order. The nearest crossing counts,
-# even where the neighbour is inside again beyond a thin gap. Boundary values are linear on each cage triangle, as
-# harmonic coordinates have them (Joshi et al. 2007).
-#
-# Coarse levels take their crossings from the same lines of the finest lattice. Directions are numbered 2 * axis +
-# forward.
+# even where the neighbour is inside again beyond a thin gap. Boundary values are linear on each triangle (Joshi et al.
+# 2007). Coarse levels use the lines of the finest lattice. Directions: 2 * axis + forward.
 
 import warp as wp
 

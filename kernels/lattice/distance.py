@@ -1,9 +1,8 @@
 """Signed distance to a cage on the nodes of a lattice: exact in a narrow band, clamped outside it."""
 
-# The sign comes from the crossings of lattice lines with the cage, so it is exact at nodes; the size is the distance to
-# the nearest face, looked for among those that come near the block of 4 x 4 x 4 nodes around. Which octants of a block
-# are CLEARANCE cells and more from the cage is kept as well. A cage of many faces has them looked through for groups of
-# blocks first, by their bounding boxes. Units: node units (see crossings.py) for vertices, world units for the result.
+# The sign comes from the crossings of lattice lines, exact at nodes; the size from the nearest of the faces near the
+# block of 4 x 4 x 4 nodes around. Cages of many faces are looked through for groups of blocks first, by bounding boxes.
+# Vertices are in node units (see crossings.py), the result in world units.
 
 import warp as wp
 
@@ -206,9 +205,8 @@ def list_block_faces(
 ):
     """near (blocks, m): faces within BAND cells of a block's nodes, ascending; counts (blocks,): how many, also beyond
     m. One group of lanes per block, one lane per face."""
-    # clear_octants (blocks,): bit o is set where the nodes of octant o are at least CLEARANCE cells from the cage; bits
-    # 0, 1, 2 of o: its upper half along the axes. shapes: as in LineCrossings. boxes: see box_faces; group_side,
-    # candidates: see find_candidates; both empty where every block looks at all faces.
+    # clear_octants (blocks,): bit o is set where the nodes of octant o are CLEARANCE cells or more from the cage; bits
+    # 0, 1, 2 of o: its upper half along the axes. boxes, candidates: empty where every block looks at all faces.
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes

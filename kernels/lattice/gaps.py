@@ -411,8 +411,7 @@ def find_gap_nodes(
     count: wp.array(dtype=int),
 ):
     """flags (nodes of rings 0 and 1,): 1 at narrow gaps over which `values` (nodes,) differ by more than `least`;
-    count (1,) is above 0 where there are any."""
-    # Items of a CPU launch that is cut over threads may miss each other's additions to count.
+    count (1,) is above 0 where there are any, no more: threads of a CPU may miss each other's additions."""
     n = first + wp.tid()
     section = ring_section(levels)
     if n >= levels.starts[section + 2] - levels.starts[section]:

@@ -2,19 +2,14 @@
 
 # V-cycles of red-black Gauss-Seidel, full weighting and trilinear prolongation (Brandt 1977; Briggs, Henson and
 # McCormick, "A Multigrid Tutorial") for the rows of cut_rows.py. On level l the row at node 0 is
-#
 #   sum over uncut links u_k - d u_0 + b = 0,    d = 6, or the sum of 1 / theta at a cut node
-#
 # with b the boundary values' sources on level 0 and 4 times the restricted residual on coarser ones (the spacing
-# doubles), where the boundary values of the correction are zero. A sweep is red nodes, then black ones, whose residual
-# it leaves zero. So only red residuals are restricted, and as the next sweep sets red values anew, only black ones need
-# the correction, and the residuals can lie in the red values' place meanwhile. On coarser levels, which begin at zero,
-# the first half sweep is load / d. The half sweep that ends a cycle begins the next one: what it changes is the
-# residual.
-#
-# values (nodes of all levels,) vec3, as numbered by nodes.py; zero outside. A launch writes nodes of one colour and
-# reads the other, so items are independent. Every kernel takes its count from the device: launches may be longer than
-# the list, which lets one CUDA graph serve poses with different counts.
+# doubles), where the correction's boundary values are zero. A sweep is red nodes, then black ones, whose residual it
+# leaves zero: only red residuals are restricted, only black nodes need the correction, and residuals lie in the red
+# values' place meanwhile. Coarser levels begin at zero: their first half sweep is load / d. The half sweep that ends a
+# cycle begins the next one: what it changes is the residual.
+# values (nodes of all levels,) vec3, zero outside. A launch writes one colour and reads the other. Kernels take counts
+# from the device: launches may be longer than the list, so one CUDA graph serves poses with different counts.
 
 import warp as wp
 
@@ -90,12 +85,11 @@ def diagonal(system: LaplaceSystem, code: int):
 @wp.func
 def residual(system: LaplaceSystem, level: int, node: int):
     """Residual of a node's row; zero at outside nodes and at nodes that lie almost on the cage."""
-    # The rows of the latter hold 1 / theta times rounding errors, which coarse levels would take for a load.
     code = system.levels.codes[node]
     d = float(0.0)
     if code > OUTSIDE:
         d = diagonal(system, code)
-    if d == 0.0 or d > LARGEST_DIAGONAL:
+    if d == 0.0 or d > LARGEST_DIAGONAL:  # near the cage rows hold rounding errors over theta, a load to coarse levels
         return wp.vec3(0.0, 0.0, 0.0)
     return right_side(system, level, node, code) + link_sum(system, level, node, code) - d * system.values[node]
 
@@ -122,8 +116,7 @@ def restricted_load(system: LaplaceSystem, level: int, node: int):
             total += system.values[center + s * slab + t * row]
             total += system.values[center + s * slab + t]
             total += system.values[center + s * row + t]
-    # weights 1/8 and 1/32, times 4 for the doubled spacing
-    return total / 8.0
+    return total / 8.0  # weights 1/8 and 1/32, times 4 for the doubled spacing
 
 
 @wp.func

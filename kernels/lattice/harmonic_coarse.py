@@ -1,9 +1,8 @@
 """The coarse levels of a multigrid cycle in one launch of one block of threads."""
 
-# They hold too few nodes to fill a device, so one launch per sweep would cost more than the sweep. The threads of the
-# block share the nodes of a colour and wait for each other between colours; on a CPU one thread does all. A half sweep
-# takes as long as one value takes from memory and back. So a thread that has at most two nodes of a colour looks their
-# rows up once per level, and a half sweep reads the neighbours only.
+# They hold too few nodes to fill a device: a launch per sweep would cost more than the sweep. Threads share a colour's
+# nodes and wait between colours (one does all on a CPU). A half sweep takes as long as a value from memory and back: a
+# thread with at most two nodes of a colour looks their rows up once per level, and half sweeps read neighbours only.
 
 import warp as wp
 

@@ -1,22 +1,16 @@
 """Lists of the nodes of a lattice over a cage, for every level of a multigrid hierarchy."""
 
-# Level l keeps every 2^l-th node of the lattice along each axis. Nodes are numbered level after level, the last axis
-# fastest; node (i, j, k) of level l is first_node[l] + (i * ny + j) * nz + k. Each node has a code: its row in the
-# table of cut nodes (see cut_rows.py) where that is >= 0, else one of the constants below.
-#
-# The list `nodes` holds, section after section,
+# Level l keeps every 2^l-th node along each axis; its node (i, j, k) is first_node[l] + (i * ny + j) * nz + k. A node's
+# code is its row in the table of cut nodes (see cut_rows.py) where that is >= 0, else a constant below. Sections of the
+# list `nodes`, ascending within each, section s from starts[s] on:
 #   2 l + c         inside nodes of level l with (i + j + k) % 2 = c ("red" 0, "black" 1); where `interpolates` is set,
-#                   those that are evaluated (0) and those that are interpolated from them (1)
+#                   those evaluated (0) and those interpolated from them (1): with an odd coordinate, at least CLEARANCE
+#                   cells from the cage (see closed_form.py)
 #   2 L + l         inside nodes of level l whose cross of six grid edges meets the cage ("cut")
 #   3 L + r         outside nodes of level 0: r = 0 face neighbours of an inside node, r = 1 other corners of cells with
-#                   an inside node, r = 2 others within a cell's diagonal of the cage: corners of cells that it may
-#                   cross where a part of it is too thin or pointed for inside nodes
-# and starts[s] is where section s begins. Within a section nodes ascend, so that neighbours in the list are near in
-# memory. They are counted column by column, summed up (exclusive scan) and written: no atomics, the same lists on every
-# device.
-#
-# Maps of closed forms are smooth away from the cage: where `interpolates` is set, inside nodes with an odd coordinate
-# and at least CLEARANCE cells from the cage are interpolated (see closed_form.py) rather than evaluated.
+#                   an inside node, r = 2 others within a cell's diagonal of the cage, which may be too thin or pointed
+#                   there for inside nodes
+# Columns are counted, summed up and written: no atomics, the same lists on every device.
 
 import warp as wp
 
@@ -238,9 +232,8 @@ def classify_columns(
 ):
     """Codes of all nodes, and how many of each section each column has. One group of lanes per column, one lane per
     node. Cut nodes get 0 until list_columns numbers them."""
-    # distance (nodes of level 0,): signed, and scales[0] its units per cell. clear_octants (blocks,): see distance.py.
-    # narrow (1,) becomes 1 where the cage has gaps narrower than a cell: links that leave the cage and enter it again.
-    # counts lie section after section, one entry per column of its level.
+    # distance (nodes of level 0,): scales[0] units per cell. narrow (1,) becomes 1 where links leave the cage and enter
+    # it again: a gap below a cell. counts: section after section, an entry per column of its level.
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes
@@ -331,9 +324,7 @@ def list_columns(
     overflow: wp.array(dtype=int),
 ):
     """Write the nodes of each column to their sections, the rows of cut nodes to their codes, and starts.
-    One group of lanes per column, one lane per node."""
-    # offsets: the scanned counts. limits (sections,): room for entries; where one is exceeded, overflow (1,) becomes 1
-    # and all sections are empty.
+    One group of lanes per column, one lane per node. Beyond limits (sections,) overflow (1,) is 1, sections empty."""
     item = first + wp.tid()
     lanes = lane_count()
     lane = item % lanes

@@ -1,16 +1,11 @@
 """Values at the outside nodes of cells that the cage cuts, continued from inside, and the affine part of the map."""
 
-# Trilinear look-up near the cage needs all eight corners of a cell. Ring 0 (see nodes.py) is continued along grid edges
-# through the boundary value g at the true crossing: with u_in the value at the inside node, a fraction theta of a cell
-# from the crossing, and u_back the one behind it,
-#
-#   g + (g - u_in) (1 - theta) / theta                theta >= 1/2
-#   g + (g - u_back) (1 - theta) / (1 + theta)        else,
-#
-# averaged over the grid edges; the other rings take the mean of 2 u_1 - u_2 along the 26 directions of the lattice,
-# ring 1 from inside nodes alone where it can, else from what lies towards the nearest part of the cage. All of it is
-# linear in the values and exact for linear functions; where a part of the cage is too thin for that (no second value),
-# the mean of the neighbours or the value at the nearest point of the cage stands in.
+# Trilinear look-up needs all eight corners of a cell. Ring 0 (see nodes.py) is continued along grid edges through the
+# true crossing, its boundary value g: with u_in at the inside node, a fraction theta of a cell away, u_back behind it,
+#   g + (g - u_in) (1 - theta) / theta  where theta >= 1/2,    else  g + (g - u_back) (1 - theta) / (1 + theta),
+# averaged; other rings take the mean of 2 u_1 - u_2 along the lattice's 26 directions, ring 1 from inside nodes alone
+# where it can, else from what lies towards the nearest part of the cage. All is linear in the values, exact for linear
+# functions. Too thin a cage (no second value) takes the neighbours' mean or its nearest point's value.
 
 import warp as wp
 
@@ -68,8 +63,7 @@ def value_beyond(
         return g + (g - values[node]) * ((1.0 - theta) / theta)
     if (rows.links[row] >> back) & 1 == 1:
         return g + (g - values[node + node_step(levels, back)]) * ((1.0 - theta) / (1.0 + theta))
-    # the cage is crossed again behind the node
-    g_back = crossing_value(rows, faces, vertex_values, row, back)
+    g_back = crossing_value(rows, faces, vertex_values, row, back)  # the cage is crossed again behind the node
     return g + (g - g_back) * ((1.0 - theta) / wp.max(theta + rows.fractions[row, back], 0.5))
 
 
@@ -107,8 +101,7 @@ def with_direction(
     step = (i * shape[1] + j) * shape[2] + k
     ahead = wp.vec3(float(i), float(j), float(k))
     leads = wp.dot(ahead, towards) > 0.0 or wp.dot(towards, towards) == 0.0
-    # without branches around the codes, so that they are read at once
-    code = levels.codes[node + step]
+    code = levels.codes[node + step]  # without branches around the codes, so that they are read at once
     far_code = levels.codes[wp.clamp(node + 2 * step, 0, levels.codes.shape[0] - 1)]
     if step != 0 and leads and is_known(code, rings):
         value = values[node + step]

@@ -1,15 +1,12 @@
 """Values of a map for each side of a narrow gap of the cage."""
 
-# Where two sheets of a cage pass within a cell or two, one outside node cannot continue the map of both sides. Cells
-# there get eight corner values for each side instead (see gap_sides.py): the inside corners of a side have their nodes'
-# values, its other corners are continued from it alone, along a link through the boundary value at the crossing (see
-# rings.py), or have their ring's value where they serve no other, then by parallelograms, u_1 + u_2 - u_12. Sides of a
-# neighbouring cell are continued once more. All of it is linear in the values and exact for linear functions.
-#
-# A fourth channel holds the distance to the side: the signed distance at its own corners, at the others the mean of
-# what continues it alike, which is right at folds of the cage, and their largest height over the faces that the side's
-# links cross, which is right at its edges. A point belongs to the side where that is lowest; sides of a neighbouring
-# cell come second where both could be meant.
+# Where two sheets of a cage pass within a cell or two, one outside node cannot continue the map of both sides: each
+# side gets eight corner values of its own (see gaps.py). Inside corners have their nodes' values, others are continued
+# from that side alone, through the boundary value at the crossing (see rings.py), or have their ring's value where they
+# serve no other, then by parallelograms, u_1 + u_2 - u_12; sides of a neighbouring cell once more. All is linear in the
+# values, exact for linear functions. The fourth channel is the distance to the side: signed at its own corners,
+# elsewhere the mean of what continues it alike (right at folds) and the largest height over the faces that its links
+# cross (right at edges). A point belongs to the side where it is lowest; a neighbouring cell's sides come second.
 
 import warp as wp
 
@@ -185,10 +182,8 @@ def continue_sides(
 ):
     """sides (rows or more, 8): position and signed distance at the corners of a cell as one side sees them, UNKNOWN for
     a distance that no link of the side leads to. Eight items per row, one per corner."""
-    # boundary (rows of level 0, 6): values of the map, less the affine part, where links cross the cage. values,
-    # distance (nodes,): positions (the affine part added) and signed distances at nodes, scale the rest cage's.
-    # corrections: those that are in the values of cut nodes, row by row, less the scale (see corrections.py), or (0,).
-    # side_cells, side_masks (rows,): see list_column_sides.
+    # boundary (rows of level 0, 6): values, less the affine part, where links cross the cage. values, distance
+    # (nodes,): with it, and signed. corrections: those of cut nodes, less the scale (of the rest cage), or (0,).
     item = first + wp.tid()
     row = item / 8
     corner = item % 8
@@ -276,8 +271,7 @@ def place_sides(
 ):
     """Add the height over the cage to distances to sides at corners that are not their own. Four items per row, for
     two corners each along the axis that it is continued along. scales[0]: units per cell; vertices in node units."""
-    # Sides of a neighbouring cell are continued to the cell that gets them, HANDICAP farther away, so that sides of the
-    # cell itself come first where both could be meant.
+    # Sides of a neighbouring cell are continued to this one HANDICAP farther away: its own come first.
     item = first + wp.tid()
     row = item / 4
     if not has_row(row, counts, offsets, side_cells):

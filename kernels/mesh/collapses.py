@@ -1,10 +1,8 @@
 """Collapses of edges of a closed triangle mesh: where the new vertex goes, and what its faces are like."""
 
-# In float64, operation by operation as NumPy does them, so that the last digit is the same: products and sums are not
-# fused, sums of products go in the order of its einsum, and sums over faces in that of its pairwise sum.
-#
-# An edge (u, v) has around it (r,) the faces at its ends, -1 for none, with their unit normals, offsets of their planes
-# from the origin and doubled areas before the collapse.
+# In float64, operation by operation as NumPy does (products of sums as its einsum, sums over faces pairwise), nothing
+# fused: the last digit is the same. Around an edge (u, v) are (r,) the faces at its ends, -1 for none, with their unit
+# normals, offsets of their planes from the origin and doubled areas before the collapse.
 
 import warp as wp
 
@@ -80,9 +78,8 @@ def measure_collapses(
 ):
     """Place (e,) of the new vertex, room (e,) that it adds, square (e,) of the longest side of its faces and what they
     lack (e,) of being even; a negative square where the edge cannot collapse there."""
-    # The place is a base (e,), lifted along the mean normal (e,) to the outer side of every plane; what lies less than
-    # on_plane behind one lies on it. Refused are edges that cannot be lifted, that add no less than the room allowed,
-    # and those with a face that would turn farther than by the cosine least_turn or be flatter than least_even.
+    # The place is a base (e,) lifted along the mean normal (e,) to the outer side of all planes, less on_plane. Refused
+    # if not lifted, adding the room allowed, or with a face turned past least_turn or flatter than least_even.
     e = first + wp.tid()
     u = edges[e][0]
     v = edges[e][1]

@@ -1,12 +1,9 @@
 """Inside or outside of a closed triangle cage, and distance to it."""
 
-# Winding number: sum of signed solid angles / 4 pi (Jacobson et al., "Robust Inside-Outside Segmentation using
-# Generalized Winding Numbers", SIGGRAPH 2013), 1 inside a cage whose faces are counterclockwise seen from outside, 0
-# outside, each solid angle by Van Oosterom and Strackee 1983. Closest point on a triangle: Ericson, "Real-Time
-# Collision Detection" (2005), section 5.1.5, by Voronoi regions.
-#
-# vertices (v,) vec3, faces (f,) vec3i, points (n,) vec3, all relative to one origin that the caller keeps to. Every
-# point visits every face: meant for cages, up to a few hundred faces.
+# Winding number: sum of signed solid angles (Van Oosterom and Strackee 1983) / 4 pi, 1 inside faces counterclockwise
+# seen from outside, 0 outside (Jacobson et al., "Robust Inside-Outside Segmentation using Generalized Winding Numbers",
+# SIGGRAPH 2013). Closest point: Ericson, "Real-Time Collision Detection" (2005), section 5.1.5. vertices (v,) vec3,
+# faces (f,) vec3i, points (n,) vec3, from one origin. Points visit every face: for a few hundred.
 
 import warp as wp
 

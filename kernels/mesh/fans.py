@@ -1,8 +1,7 @@
 """Faces of a cage as the closed forms read them: in fans, with what all points have in common worked out."""
 
-# A face that begins with the edge a, c of the face before it, (a, b, c), goes on with a fan around a: what its first
-# two corners and their edge give is there already. So faces may come in any order, but cost least in long fans
-# (warpcage/mesh/fans.py).
+# A face (a, b, c) that begins with the edge a, c of the face before it goes on with a fan around a: what its first two
+# corners and their edge give is there. Faces come in any order, best in long fans (warpcage/mesh/mesh.py).
 
 import warp as wp
 

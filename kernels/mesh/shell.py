@@ -1,11 +1,9 @@
 """Look-ups around an object on a voxel grid: trilinear values, and the distance to the nearest of many points."""
 
-# In float64, operation by operation as SciPy does them (map_coordinates of order 1, KDTree.query), so that the last
-# digit is the same: products and sums are not fused. Node (0, 0, 0) of a grid is at `lower`, its nodes are `spacing`
-# apart. Beyond the grid a point takes the value at the grid's edge.
-#
-# Points (p,) are sorted by the voxel that they lie in, the last axis fastest: those of voxel (i, j, k), at most half a
-# spacing from its node along each axis, are starts[n] to starts[n + 1] with n = (i * ny + j) * nz + k.
+# In float64, operation by operation as SciPy (map_coordinates of order 1, KDTree.query), nothing fused: the last digit
+# is the same. Node (0, 0, 0) is at `lower`, nodes are `spacing` apart; beyond the grid a point takes the value at its
+# edge. Points (p,) are sorted by voxel, the last axis fastest: those of voxel (i, j, k), at most half a spacing from
+# its node along each axis, are starts[n] to starts[n + 1] with n = (i * ny + j) * nz + k.
 
 import warp as wp
 
@@ -163,8 +161,7 @@ def least_squared(
     last_i = wp.min(int(wp.floor(place_x + reach)), shape[0] - 1)
     first_j = wp.max(int(wp.ceil(place_y - reach)), 0)
     last_j = wp.min(int(wp.floor(place_y + reach)), shape[1] - 1)
-    # from the middle outwards: what is found there leaves the least to search
-    middle_i = int(wp.floor(place_x + HALF))
+    middle_i = int(wp.floor(place_x + HALF))  # from the middle outwards: what is found there leaves the least to search
     middle_j = int(wp.floor(place_y + HALF))
     best = radius * radius
     room = best * voxels + BESIDE

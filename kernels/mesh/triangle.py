@@ -14,8 +14,7 @@ _ONE = wp.constant(wp.float64(1.0))
 @wp.func
 def nearest_barycentric(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
     """Barycentric coordinates (of a, b, c) of the point nearest to the origin; the triangle must have an area."""
-    # Christer Ericson, "Real-Time Collision Detection" (2005), section 5.1.5.
-    ab = b - a
+    ab = b - a  # Christer Ericson, "Real-Time Collision Detection" (2005), section 5.1.5
     ac = c - a
     d1 = -wp.dot(ab, a)
     d2 = -wp.dot(ac, a)

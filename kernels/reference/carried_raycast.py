@@ -1,16 +1,10 @@
 """Ray casting of a deformed mesh that carries its colour and light along, as a posed radiance field does."""
 
-# Where a ray meets the posed mesh, the same point of the mesh at rest is shaded as in mesh_raycast, with the texture,
-# the normal, the shadows and the light that it has there. A matrix given at each vertex takes the view direction to
-# rest space; with the Jacobian of the map from posed to rest space this is Eq. 4 of "Deforming Radiance Fields with
-# Cages" (ECCV 2022). With the mesh at rest as both meshes and unit matrices, the result is the picture of the mesh at
-# rest.
-#
-# For comparison the posed mesh can be lit in its posed place instead, by lights fixed to the world. Only its texture
-# then comes from rest.
-#
-# The texture is solid: Perlin noise of the position at rest, in two octaves, over the colours of the faces. Positions
-# of each of the two meshes are relative to one origin; depths are in the unit of the posed mesh.
+# Where a ray meets the posed mesh, the same point of the mesh at rest is shaded as in mesh_raycast, with its texture,
+# normal, shadows and light there. Vertex matrices take the view direction to rest space: with the Jacobian of the posed
+# to rest map, Eq. 4 of "Deforming Radiance Fields with Cages" (ECCV 2022); with the mesh at rest as both and unit
+# matrices, its picture at rest. The texture is solid: two octaves of Perlin noise of the place at rest over the faces'
+# colours. Positions of each mesh are relative to one origin; depths are in the posed mesh's unit.
 
 import warp as wp
 
@@ -61,7 +55,7 @@ def cast_carried_rays(
 ):
     """One item per pixel, as in cast_mesh_rays; both meshes have the same faces. view_matrices (v,): posed to rest
     directions. depth (height * width,): mean distance over the samples that hit, inf unless all do."""
-    # light_stays: 1 lights the posed mesh by lights fixed to the world.
+    # light_stays: 1 lights the posed mesh by lights fixed to the world, to compare; only its texture is from rest.
     item = first + wp.tid()
     column = item % camera.width
     row = item // camera.width

@@ -1,21 +1,15 @@
 """The inverse of a cage's map in float64: which point of the deformed cage a point of the rest cage comes from."""
 
 # A Deformer maps posed space to rest space, x -> sum_j w_j(x) v_j with coordinates of the *deformed* cage; matter at p
-# in the rest cage is seen at the x that is mapped to p, which Newton's iteration finds. Coordinates computed on the
-# rest cage and applied to the deformed one give a different map, which serves as a first guess.
-#
-# Mean value coordinates as in mean_value (Floater, Kos and Reimers 2005; Ju, Schaefer and Warren 2005); Green
-# coordinates (Lipman, Levin and Cohen-Or 2008) and harmonic ones as layer potentials: u(x) = sum over triangles of the
-# double layer of linear data plus the single layer of a constant density. For Green coordinates the triangles are the
-# cage's faces and the densities the stretched normals; for harmonic ones they are pieces of the faces, and the
-# densities the fluxes that boundary elements give (collocation at centroids). With a, b, c the corners seen from x, m_e
-# the outward normal of edge e in the plane, d_e the distance of the foot point behind it,
-# L_e = log((r + s + l) / (r + s - l)), h the signed height and Omega the signed solid angle,
-#
+# at rest is seen at the x that is mapped to p, which Newton's iteration finds. Coordinates of the rest cage applied to
+# the deformed one, a different map, are the first guess.
+# Mean value coordinates are as in mean_value; Green (Lipman, Levin and Cohen-Or 2008) and harmonic ones are layer
+# potentials: over triangles, the double layer of linear data plus the single layer of a constant density. These are the
+# cage's faces and the stretched normals, or pieces of faces and the fluxes of boundary elements (collocation at
+# centroids). With a, b, c the corners seen from x, m_e the outward normal of edge e in the plane, d_e the distance of
+# the foot point behind it, L_e = log((r + s + l) / (r + s - l)), h the signed height and Omega the signed solid angle,
 #   psi = (sum_e d_e L_e - h Omega) / 4 pi,    phi_i = (lambda_i Omega - h grad(lambda_i) . sum_e m_e L_e) / 4 pi.
-#
-# All in float64, written for accuracy at points clear of the cage, not for speed. Corners are (f, 3), in one unit of
-# length.
+# Written for accuracy at points clear of the cage, not for speed. Corners are (f, 3), in one unit of length.
 
 import warp as wp
 
@@ -182,8 +176,7 @@ def invert_map(
     jacobians: wp.array(dtype=wp.mat33d),
 ):
     """points (n,) that the map takes to targets (n,), the remaining distances (n,), and the map's Jacobians (n,) there.
-    Newton's iteration from guesses (n,). Lengths are in the unit of the corners."""
-    # Steps are halved until the distance shrinks. It ends below `tolerance`, or where no step helps.
+    Newton's iteration from guesses (n,), steps halved until the distance shrinks; lengths in the corners' unit."""
     n = first + wp.tid()
     x = guesses[n]
     here = exact_position(exact, x)

@@ -40,8 +40,7 @@ def openness(mesh: wp.uint64, position: wp.vec3, normal: wp.vec3, reach: float):
     free = float(0.0)
     total = float(0.0)
     for i in range(OPENNESS_RAYS):
-        # a Fibonacci hemisphere about +z, mirrored to the surface's side
-        z = (float(i) + 0.5) / float(OPENNESS_RAYS)
+        z = (float(i) + 0.5) / float(OPENNESS_RAYS)  # a Fibonacci hemisphere about +z, mirrored to the surface's side
         r = wp.sqrt(1.0 - z * z)
         turn = 2.3999632 * float(i)
         direction = wp.vec3(r * wp.cos(turn), r * wp.sin(turn), z)

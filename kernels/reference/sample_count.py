@@ -1,7 +1,5 @@
 """Number of samples that a march takes along the rays of cameras: the work of a step of a fit."""
 
-# Steps along a ray as `march` of field/render does.
-
 import warp as wp
 
 from ..field.grid import (

@@ -168,7 +168,7 @@ def beam_begin(edit: EditData, grid: VoxelGrid, origin: wp.vec3, low: wp.vec3, h
 
 
 @wp.kernel
-def find_tile_begins(first: int, grid: VoxelGrid, edit: EditData, camera: PinholeCamera, begins: wp.array(dtype=float)):
+def find_tile_starts(first: int, grid: VoxelGrid, edit: EditData, camera: PinholeCamera, begins: wp.array(dtype=float)):
     """Distance up to which no ray of a tile meets anything. begins: (tiles,). One item a tile."""
     tile = first + wp.tid()
     low, high = tile_directions(camera, tile)
@@ -176,7 +176,7 @@ def find_tile_begins(first: int, grid: VoxelGrid, edit: EditData, camera: Pinhol
 
 
 @wp.kernel
-def find_tile_begins_of_edits(
+def find_tile_starts_of_edits(
     first: int,
     tiles: int,
     grid: VoxelGrid,

@@ -1,4 +1,4 @@
-"""The march through a voxel field that one edit deforms: that of deform/march, written for speed."""
+"""The march through a voxel field that one edit deforms: that of render/march_exact, written for speed."""
 
 import functools
 from typing import Any
@@ -282,7 +282,7 @@ def shade_layer(edit: EditData, mapped: int, distance: float):
 
 @wp.func
 def exit_of_fine_cell(fine: wp.vec3, inverse: wp.vec3, reach: int):
-    """field/samples.exit_of_cell without numbers that are the same for a whole ray, which a march would keep."""
+    """field/grid.exit_of_cell without numbers that are the same for a whole ray, which a march would keep."""
     g = fine - wp.vec3(wp.floor(fine[0]), wp.floor(fine[1]), wp.floor(fine[2]))
     half = float(reach) - 0.5
     x = half * wp.abs(inverse[0]) - (g[0] - 0.5) * inverse[0]
@@ -418,8 +418,7 @@ def gather_matter(
 @functools.cache
 def make_edit_march(has_sides: bool) -> Any:
     """The march through one edit. has_sides: cells may have corner values for each side of a narrow gap, or no
-    polynomials."""
-    # the functions of sides are calls, around which a GPU keeps more registers: edits without have a march of their own
+    polynomials. Around calls for these a GPU keeps more registers: edits without have a march of their own."""
 
     @wp.func
     def cell_place(edit: EditData, at: LatticePlace, f: wp.vec3, rate: wp.vec3, place: MappedPlace):

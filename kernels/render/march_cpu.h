@@ -43,7 +43,7 @@ auto along_ray = [](const four* a, const four* b, const four* c, const four* d, 
     return result;
 };
 
-// as deform/flat_edits has it
+// as edits/structs has it
 auto rest_distance = [&](float x, float y, float z) {
     const auto& rest = edit.rest;
     const int my = rest.distance.shape[1], mz = rest.distance.shape[2];

@@ -1,4 +1,4 @@
-"""Views of a voxel field that one edit deforms, on a CPU: march_single for the rays of a tile, sixteen side by side."""
+"""Views of a voxel field that one edit deforms, on a CPU: render/march for the rays of a tile, sixteen side by side."""
 
 import warp as wp
 
@@ -41,8 +41,7 @@ tile_rays = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
 
 tile_radiance = wp.types.matrix(shape=(32, 10), dtype=wp.float32)
 
-#: Constants of the march, by their names in C++.
-CONSTANTS = "".join(
+CONSTANTS = "".join(  #: of the march, by their names in C++
     f"const {kind} {name} = {value}{'f' if kind == 'float' else ''};\n"
     for kind, name, value in (
         ("int", "cell_inside", CELL_INSIDE),
@@ -71,10 +70,9 @@ def march_tile(
     options: MarchOptions,
     least: float,
 ) -> tile_radiance:
-    """What deform/march_single.march_edit gathers along each ray of a tile, beside what was gathered before, as
+    """What render/march.march_edit gathers along each ray of a tile, beside what was gathered before, as
     DeformedRadiance has it, and what is pending. start: the rays' origin in lattice cells."""
-    # rays: lattice cells per unit of distance (3), from where to where a ray is in the lattice's box (2) and among the
-    # grid's nodes (2), where it ends, its first sample, and a number more.
+    # rays: cells per distance (3), spans in the lattice's box (2) and the grid (2), end, first sample, one more.
     ...
 
 
@@ -91,7 +89,7 @@ def render_edit_tiles(
     options: MarchOptions,
     picture: Picture,
 ):
-    """As the kernels of deform/render_single, render_sides, render_part and render_part_sides, on a CPU alone: one item
+    """As the kernels of render/views, render_sides, render_part and render_part_sides, on a CPU alone: one item
     per tile. A single edit's part is the first and the last."""
     tile = first + wp.tid()
     start = (camera.center - edit.lower) * edit.inverse_spacing

@@ -66,8 +66,7 @@ def empty_reach_of_grid(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, t:
 @wp.func
 def empty_until(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, t: float):
     """Distance along a ray from t on up to which the deformed scene is certainly empty; t where it may hold matter."""
-    # The last edit whose box holds the point decides, as its `skip` knows the scene beneath; outside all boxes the
-    # canonical grid does. A jump ends where it would enter the box of a later edit, or leave the one it is in.
+    # The last edit whose box holds the point decides, as its `skip` knows what is beneath; else the grid does.
     x = origin + t * direction
     limit = float(1.0e30)
     reach = float(-1.0)

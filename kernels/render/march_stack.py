@@ -71,7 +71,7 @@ def lattice_place(edit: EditData, x: wp.vec3):
 
 @wp.struct
 class TracedPoint:
-    """What all edits say of a point: deform/edits.CanonicalPoint."""
+    """What all edits say of a point: edits/trace.CanonicalPoint."""
 
     position: wp.vec3
     path: int  # bit e is set where edit e mapped the point
@@ -111,13 +111,10 @@ def may_jump(part: RayPart, point: TracedPoint):
     return point.path == 1 << part.holder and (point.flags & (CELL_ALONE + CELL_STEEP)) == CELL_ALONE
 
 
-# Edits are simple where none has crumbs, or cells with corner values for each side of a narrow gap: a march that never
-# asks for them keeps fewer registers, so that it is a kernel of its own.
-
-
 @functools.cache
 def make_trace(is_simple: bool) -> Any:
-    """Functions that follow a point through the edits: its position, and the derivative of that."""
+    """Functions that follow a point through the edits: its position, and the derivative of that.
+    Simple edits have no crumbs and no sides of narrow gaps: a march that never asks for them keeps fewer registers."""
 
     @wp.func
     def side_entry(edit: EditData, cell: int):
@@ -155,7 +152,7 @@ def make_trace(is_simple: bool) -> Any:
 
     @wp.func
     def trace_stack(edits: wp.array(dtype=EditData), asked: int, x: wp.vec3):
-        """Trace a point to canonical space as deform/edits.traced_point does. Bit e of `asked`: edit e may have it in
+        """Trace a point to canonical space as edits/trace.traced_point does. Bit e of `asked`: edit e may have it in
         its posed cage or in its rest cage; where an edit maps it to, the ones before are asked in any case."""
         result = TracedPoint()
         result.room = float(1.0e30)

@@ -118,8 +118,7 @@ def finished(state: RayState):
 @wp.func
 def part_end(part: ScenePart, origin: wp.vec3, direction: wp.vec3):
     """Distance at which a part of the scene ends for a ray; 0 for one that has nothing to do with it."""
-    # As view/rays.box_span finds it, but for rays along a face of the box, which may count as beside it or not: without
-    # branches, as a march needs all registers.
+    # As view/rays.box_span, but without branches, as a march needs all registers: rays along a face may miss or not.
     end = float(RAY_END)
     if part.is_last == 0:
         inverse = wp.cw_div(wp.vec3(1.0, 1.0, 1.0), direction)  # infinite for rays across an axis

@@ -28,7 +28,7 @@ class ViewDirectionCage:
     aims: wp.array(dtype=wp.vec4)  # (nodes,) canonical view direction or 0, and signed distance to the rest cage
     depth: float  # rows up to so deep in the rest cage are read by samples of both layers
     height: float  # and those up to so far out of it
-    posed_lower: wp.vec3  # of the lattice over the posed cage, as deform/flat_edits has it
+    posed_lower: wp.vec3  # of the lattice over the posed cage, as edits/structs has it
     posed_inverse_spacing: float
     posed_counts: wp.vec3i
     posed_nodes: wp.array(dtype=wp.vec4)

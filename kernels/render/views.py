@@ -28,8 +28,7 @@ from .rays import (
 )
 from .volume import ShadedVolume
 
-#: The registers that each variant may take. Measured on an H200: parts and sides wait less with more of them, and large
-#: pictures have rays enough to keep a GPU busy, so that more in flight, of fewer registers each, take less time.
+#: Measured (H200): parts and sides wait less with more registers; with fewer, large pictures have more rays in flight.
 MAX_REGISTERS = {
     "rows": 96,
     "rows+sides": 128,
@@ -70,7 +69,7 @@ def begun_ray(state: RayState, picture: Picture, item: int):
 
 @declared_once
 def view_kernel(shaded: bool, has_sides: bool, *, large: bool = False) -> Any:
-    """The kernel for one edit, by a RowTable or ShadedVolume. has_sides: of march_single; large: for many pixels."""
+    """The kernel for one edit, by a RowTable or ShadedVolume. has_sides: of make_edit_march; large: for many pixels."""
     table_type = ShadedVolume if shaded else RowTable
     march = make_edit_march(has_sides)
 
@@ -170,7 +169,7 @@ def part_kernel(shaded: bool, has_sides: bool) -> Any:
 
 @declared_once
 def stack_kernel(is_simple: bool) -> Any:
-    """The kernel for several edits that may meet. is_simple: of march_several."""
+    """The kernel for several edits that may meet. is_simple: of make_stack_march."""
     march = make_stack_march(is_simple)
 
     @wp.kernel(**declaration("stack+simple" if is_simple else "stack"))
@@ -196,8 +195,8 @@ def stack_kernel(is_simple: bool) -> Any:
 
 @declared_once
 def exact_kernel() -> Any:
-    """The kernel that evaluates mean value or Green coordinates at every sample."""
-    # positions are exact everywhere: lattices only save work whose result is known (deform/settled_cells)
+    """The kernel that evaluates mean value or Green coordinates at every sample.
+    Positions are exact everywhere: lattices only save work whose result is known (edits/cell_tables)."""
 
     @wp.kernel(**declaration("exact"))
     def render(

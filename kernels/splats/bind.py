@@ -32,8 +32,7 @@ def edge_mean(b: wp.vec3d, c: wp.vec3d):
     normal = edge.cross / length
     edge.mean = beta * normal
     turning = wp.cross(normal, b / wp.length_sq(b) - c / wp.length_sq(c))
-    # dC = dx x (b - c) is the matrix -[b - c]_x
-    d_cross = -wp.skew(b - c)
+    d_cross = -wp.skew(b - c)  # dC = dx x (b - c) is the matrix -[b - c]_x
     across = d_cross - wp.outer(normal, wp.transpose(d_cross) * normal)
     edge.slope = wp.outer(normal, turning) + (beta / length) * across
     return edge
@@ -118,8 +117,7 @@ def edge_terms(p: wp.vec3d, q: wp.vec3d, normal: wp.vec3d):
     r = wp.length(p)
     s = wp.length(q)
     terms.area = wp.dot(normal, wp.cross(p, terms.along))
-    # d (p x q) = dx x (p - q), so that n . d (p x q) = ((p - q) x n) . dx
-    terms.area_slope = wp.cross(p - q, normal)
+    terms.area_slope = wp.cross(p - q, normal)  # d (p x q) = dx x (p - q), so that n . d (p x q) = ((p - q) x n) . dx
     both = r + s
     # both^2 - edge^2 = 2 (r s + p . q), which next to the edge is better told by the cross product
     cosine = wp.dot(p, q)

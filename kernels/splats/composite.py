@@ -44,8 +44,7 @@ def composite_pixels(
 ):
     """One thread per pixel of the tiles, 32 of them 8x4 pixels. Outputs (h * w,); depth: expected distance along the
     ray, world units, inf where almost nothing is seen."""
-    # view: (3 n,) of splats/project. members: splats of all tiles, tile by tile from front to back. starts: (tiles +
-    # 1,) where each begins.
+    # view: (3 n,) of splats/project. members: splats of tiles, front to back; starts: (tiles + 1,) of each tile.
     n = first + wp.tid()
     tile = n // (TILE_SIDE * TILE_SIDE)
     block = (n // 32) % (TILE_SIDE * TILE_SIDE // 32)

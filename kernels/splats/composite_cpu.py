@@ -39,7 +39,7 @@ def sum_slopes_of_tiles(
     slopes: wp.array(dtype=wp.vec3),
     entry_sums: wp.array(dtype=wp.float32),
 ):
-    """One item per tile; inputs and picture of splats/composite_tiles. sources: (entries,) place of each sorted entry
+    """One item per tile; inputs and picture of splats/composite_cpu. sources: (entries,) place of each sorted entry
     among those that were written. slopes: (h * w,) of the loss by the picture. entry_sums: (9 entries,), by place."""
     tile = first + wp.tid()
     sum_tile_slopes(view, members, sources, starts[tile], starts[tile + 1], tiles, tile, stop, rgb, slopes, entry_sums)
@@ -100,7 +100,6 @@ def composite_tiles(
 ):
     """One item per tile. Outputs (h * w,), row by row; depth: expected distance along the ray, world units, inf where
     almost nothing is seen."""
-    # view: (3 n,) of splats/project. members: splats of all tiles, tile by tile from front to back. starts: (tiles +
-    # 1,) where each begins.
+    # view: (3 n,) of splats/project. members: splats of tiles, front to back; starts: (tiles + 1,) of each tile.
     tile = first + wp.tid()
     draw_tile(view, members, starts[tile], starts[tile + 1], tiles, tile, background, stop, rgb, alpha, depth)

@@ -183,8 +183,7 @@ def slope_of_picture(
     errors: wp.array(dtype=wp.float32),
 ):
     """slopes, as `drawn` (h * side * width * side,): of the sum over all pixels; errors (h * width,): mean square of
-    the colors' differences. One item per pixel of the picture (h * width,) that should be seen."""
-    # side: parts along each side of a pixel. width: of the picture, pixels. squared: 1 for d^2 / 2.
+    the colors' differences. One item per pixel of the picture (h * width,) to be seen; squared: 1 for d^2 / 2."""
     n = first + wp.tid()
     mean = wp.vec3()
     share = 1.0 / float(side * side)

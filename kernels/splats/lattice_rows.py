@@ -1,8 +1,7 @@
 """Harmonic coordinates of points and their gradients, from a lattice: rows by which points are carried with a cage."""
 
-# Joshi et al., "Harmonic Coordinates for Character Articulation" (SIGGRAPH 2007): the weights of a vertex are solved on
-# a lattice over the cage at rest. At a point they are trilinear; gradients are central differences over a cell to each
-# side, which the three rings of nodes around the cage's inside hold.
+# Joshi et al., "Harmonic Coordinates for Character Articulation" (SIGGRAPH 2007). Weights are trilinear; gradients are
+# central differences over a cell to each side, which the three rings of nodes around the cage's inside hold.
 
 import warp as wp
 

@@ -1,14 +1,11 @@
 """Rows of weights and gradients in ten bytes an entry instead of sixteen, for devices that wait for memory."""
 
-# A pose reads every row once and does little with it (splats/pose), so that bytes are time. Weights stay float32:
-# places need their digits. Gradients are half floats, over a scale of each point's own, 1/1024 of its largest: each is
-# off by less than 2^-11 of itself, and neither overflows in cages with tiny faces nor vanishes beside large ones.
-#
-# Four rows of 32 points lie together, 1280 bytes that a warp reads from one place: of each row the weight and the first
-# two numbers of its gradient in a word of 64 bits, those of rows 0 and 1 of a point side by side, then those of rows 2
-# and 3; and at the end one word a point of the four third numbers. The next four rows of these points lie behind.
-#
-# Shapes: points (m,), rows (j, m) of weight and gradient, packed in groups (g,) of four, zeros behind the last row.
+# A pose reads every row once and does little with it (splats/pose): bytes are time. Weights stay float32, as places
+# need their digits. Gradients are halves over a scale of each point's own, 1/1024 of its largest: off by less than
+# 2^-11 of themselves, they neither overflow in cages with tiny faces nor vanish beside large ones. Four rows of 32
+# points lie together, 1280 bytes: of each row the weight and two numbers of the gradient in 64 bits, rows 0 and 1 of a
+# point side by side, then rows 2 and 3, at the end one word a point of the four third numbers.
+# Points (m,), rows (j, m), packed in groups (g,) of four, zeros behind the last row.
 
 import warp as wp
 

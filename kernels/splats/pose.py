@@ -267,8 +267,7 @@ def invert_map(
 ):
     """Splats members (m,) to the places that `backward` takes to targets (m,), their places at rest. missed (m,): 1
     where there is no such place near, and the splat stays where the forward map took it."""
-    # tolerance: how far outside of the posed cage a place may be; close: how near to its target it must be taken; world
-    # units.
+    # tolerance: how far out of the posed cage a place may be; close: to its target it must be taken; world units.
     m = first + wp.tid()
     n = members[m]
     target = targets[m]
@@ -286,8 +285,7 @@ def invert_map(
         length = wp.length(move)
         if length > LONGEST * reach:
             move = move * (LONGEST * reach / length)
-        # a shorter step where the whole one does not come nearer
-        share = float(1.0)
+        share = float(1.0)  # a shorter step where the whole one does not come nearer
         better = float(0.0)
         for _ in range(6):
             trial = wp.length(map_position(backward, x + share * move) - target)

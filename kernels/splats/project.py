@@ -1,22 +1,15 @@
 """What a camera sees of Gaussian splats: an ellipse on the image, opacity, colour and depth of each."""
 
 # Elliptical weighted averaging (Zwicker et al., "EWA Volume Splatting", 2001) as in 3DGS (Kerbl et al. 2023, Eq. 5):
-# the affine part A of the projection p -> (column, row, distance) at the centre of a splat makes its covariance S one
-# of three numbers, A S A^T. With the upper left 2x2 block E of it, blurred by b (pixels squared), and a pixel at d from
-# the centre on the image,
-#
-#   alpha = o exp(-1/2 d^T (E + b)^-1 d),    t = r + k . d,    k = (E + b)^-1 (A S A^T)_{columns and rows, distance},
-#
-# where r is the distance of the centre: t is the expected distance along the ray of the matter that the pixel sees, so
-# that a large slanted splat has a slanted depth. As in 3DGS, A is taken at most 0.3 of the picture beyond its rim,
-# alpha is at most 0.999, and what is below 1/255 is nothing. With `antialias`, o is weakened by sqrt(det E / det(E +
-# b)), so that the blur adds no matter (Yu et al., "Mip-Splatting", 2024, Eq. 10).
-#
-# The exponent is kept by its root: log2 alpha = strength - (l_0 dx + l_1 dy)^2 - (l_2 dy)^2, which keeps its digits for
-# splats that are long and thin, where the terms of d^T E^-1 d cancel.
-#
+# the affine part A of the projection p -> (column, row, distance) at a splat's centre makes its covariance S A S^T.
+# With its upper left 2x2 block E, blurred by b (pixels squared), a pixel at d and the centre at distance r,
+#   alpha = o exp(-1/2 d^T (E + b)^-1 d),    t = r + k . d,    k = (E + b)^-1 (A S A^T)_{columns and rows, distance};
+# t is the expected distance of the matter that the pixel sees: a large slanted splat has a slanted depth. As in 3DGS, A
+# is taken at most 0.3 of the picture beyond its rim, alpha is at most 0.999, and what is below 1/255 is nothing. With
+# `antialias`, o is weakened by sqrt(det E / det(E + b)), so that the blur adds no matter (Yu et al., "Mip-Splatting",
+# 2024, Eq. 10). The exponent is kept by its root, as the terms of d^T E^-1 d cancel for long thin splats:
+#   log2 alpha = strength - (l_0 dx + l_1 dy)^2 - (l_2 dy)^2.
 # A view of n splats is (3 n,) vec4: three for each,
-#
 #   column, row (pixels), strength, l_0    l_1, l_2, red, green    blue, r (world units), k (world units a pixel)
 
 import warp as wp

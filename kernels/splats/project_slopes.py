@@ -1,10 +1,9 @@
-"""Slopes of a loss by the values of splats, from the sums that splats/composite_slopes leaves of a picture."""
+"""Slopes of a loss by the values of splats, from the sums that splats/composite leaves of a picture."""
 
-# The adjoint of splats/project, line by line from its end to its beginning, and of splats/parameters: slopes by l_0,
-# l_1, l_2, strength, column and row become those by the ellipse E = A S A^T and by the blurred one, then by the rows of
-# A and by S = M M^T, M = R diag(s), and from there by the centre (through A, the direction that colours are seen in,
-# and the place on the picture), the logarithms of s, the quaternion and the logit (Kerbl et al. 2023, appendix A).
-# Where A is taken at the rim, and where a colour is held at 0, the slope is that of what is held: none.
+# The adjoint of splats/project, from its end to its beginning, and of splats/fit: slopes by l_0, l_1, l_2,
+# strength, column and row become those by E = A S A^T, blurred and not, by the rows of A and by S = M M^T, M = R
+# diag(s), then by centre (through A, view direction and place), log s, quaternion and logit (Kerbl et al. 2023,
+# appendix A). Where A is taken at the rim, or a colour held at 0, the slope is none.
 
 import warp as wp
 
@@ -131,8 +130,8 @@ def find_value_slopes(
     sums: wp.array(dtype=wp.float32),
     slopes: ValueSlopes,
 ):
-    """splats: as splats/parameters makes them from log_scales, quaternions; none turned, a row of harmonics each.
-    view: (3 n,) of splats/project. sums: (9 n,) of splats/composite_slopes, zeros for what is not seen."""
+    """splats: as splats/fit makes them from log_scales, quaternions; none turned, a row of harmonics each.
+    view: (3 n,) of splats/project. sums: (9 n,) of splats/composite, zeros for what is not seen."""
     n = first + wp.tid()
     by_place = wp.vec3(sums[9 * n], sums[9 * n + 1], sums[9 * n + 2])
     by_shape = wp.vec3(-2.0 * sums[9 * n + 3], -2.0 * sums[9 * n + 4], -2.0 * sums[9 * n + 5])

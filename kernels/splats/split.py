@@ -47,11 +47,10 @@ def measure_bends(
 ):
     """split[nodes[m]] becomes 1 where splat whole[m] (m,) is bent by more than the tolerance, world units. pieces (m,
     3): its pieces, -1 for one that does not go along; offsets (m, 3) to them at rest."""
-    # at_wall (m,): 1 where a splat goes along in part, and is split once it moves; rest (n,): splats at rest.
     m = first + wp.tid()
     n = whole[m]
     bend = float(0.0)
-    if at_wall[m] != wp.uint8(0):
+    if at_wall[m] != wp.uint8(0):  # goes along in part, and is split once it moves
         bend = wp.length(carried.positions[n] - rest[n])
     jacobian = carried.jacobians[n]
     for k in range(3):

@@ -1,8 +1,7 @@
 """Which splats each tile of a picture shows, from front to back."""
 
-# Splats are sorted by depth, then each writes one entry for every tile that its ellipse touches: the ellipse, not a box
-# around it. A stable sort of the entries by tile alone then leaves each tile's splats in the order of depth: two passes
-# over the entries instead of the six that keys of tile and depth need.
+# Splats are sorted by depth and write an entry for every tile that their ellipse, not a box around it, touches; a
+# stable sort by tile alone keeps the order of depth: two passes over entries instead of six for keys of both.
 
 import warp as wp
 

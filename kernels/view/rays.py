@@ -39,8 +39,7 @@ def pixel_direction(camera: PinholeCamera, column: int, row: int):
 @wp.func
 def tile_pixel(n: int, width: int):
     """Column and row of the n-th pixel when a picture is walked tile by tile; the last tiles reach beyond it."""
-    # A tile is one warp of a GPU: its rays lie together and read the same cells.
-    tile = n // TILE_SIZE
+    tile = n // TILE_SIZE  # one warp of a GPU: its rays lie together and read the same cells
     tiles_per_row = (width + TILE_WIDTH - 1) // TILE_WIDTH
     column = (tile % tiles_per_row) * TILE_WIDTH + n % TILE_WIDTH
     row = (tile // tiles_per_row) * TILE_HEIGHT + (n % TILE_SIZE) // TILE_WIDTH

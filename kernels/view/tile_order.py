@@ -1,9 +1,8 @@
 """The tiles of a picture in the order of how long they took in the view before, the longest first."""
 
-# A GPU starts the tiles of a picture one after the other. Where the longest come last, most of it has nothing to do
-# while they end. So each tile notes its clock ticks, and the next view of as many tiles begins with those that took
-# longest: scheduling by longest processing time (Graham, "Bounds on multiprocessing timing anomalies", SIAM J. Appl.
-# Math. 17, 1969). Whatever the order, each tile is followed once, so that it changes no picture.
+# A GPU starts tiles one after the other, and idles where the longest come last. So each tile notes its clock ticks, and
+# the next view of as many tiles begins with the longest (Graham, "Bounds on multiprocessing timing anomalies", SIAM J.
+# Appl. Math. 17, 1969). Each tile is followed once in any order, so no picture changes.
 
 import warp as wp
 

@@ -100,7 +100,7 @@ def run_mesh(args: argparse.Namespace) -> None:
             mesh.export(temporary, file_type=ending[1:])
     low, high = mesh.bounds
     print(
-        f"wrote {output}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces{', with colors' * colored}, from "
+        f"wrote {output}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces{', with colours' * colored}, from "
         f"{low.round(3).tolist()} to {high.round(3).tolist()}"
     )
 

@@ -16,9 +16,8 @@ from ..kernels.coordinates import green, local_points, mean_value
 from ..kernels.lattice import cage_map
 from ..lattice.position_map import PositionMap
 from ..mesh import faces as face_geometry
-from ..mesh.fans import prepared_fans
 from ..mesh.match import require_same_faces
-from ..mesh.mesh import ClosedMesh, require_mesh
+from ..mesh.mesh import ClosedMesh, prepared_fans, require_mesh
 from ..mesh.queries import SURFACE_TOLERANCE, inside_mesh
 from ..mesh.validity import require_usable, size_problem
 from .harmonic import HARMONIC_RESOLUTION, harmonic_weights

@@ -19,7 +19,7 @@ from ..edits.maps import EditLattices, cell_shape
 from ..kernels.edits import cell_tables, points_exact
 from ..kernels.edits.structs import CellTable, ExactEdit
 from ..kernels.render.views import exact_kernel
-from ..mesh.fans import prepared_fans
+from ..mesh.mesh import prepared_fans
 from ..mesh.queries import SURFACE_TOLERANCE
 from ..render.modules import load_pose_modules
 from ..render.view import PosedEdits

@@ -20,7 +20,7 @@ from ..kernels.edits.structs import FragmentCells
 from ..kernels.lattice.cage_map import CageMap
 from ..kernels.mesh.triangle import Walls
 from ..lattice.buffers import BufferPool
-from ..mesh.fans import prepared_fans
+from ..mesh.mesh import prepared_fans
 from .edits import CageEdit
 
 

@@ -42,7 +42,7 @@ class DensityWatch:
         return changed
 
 
-#: Bytes behind those that marches read, as a GPU reads whole words of them (kernels/core/entries.row_has_zero).
+#: Bytes behind those that marches read, as a GPU reads whole words of them (kernels/core/loads.row_has_zero).
 PADDING = 3
 
 

@@ -28,7 +28,7 @@ from .sparse import MatterSkip
 
 
 class MatterCellTable:
-    """The densities of a grid by cells, see kernels/field/matter_cells; links (nx, ny, nz) int32 on a CPU."""
+    """The densities of a grid by cells, see kernels/field/occupancy; links (nx, ny, nz) int32 on a CPU."""
 
     def __init__(self, links: wp.array):
         self._links = links

@@ -206,7 +206,7 @@ class Batches:
         self.rays.tiles = wp.array(tiles, dtype=wp.int32, device=self.device)
 
     def order(self, key: int, cursor: int) -> None:
-        """Go on in the order of a key, see kernels/fitting/shuffle; cursor: where the next batch begins."""
+        """Go on in the order of a key, see kernels/fitting/batches; cursor: where the next batch begins."""
         self.rays.order = key
         self.cursor = cursor
 

@@ -22,8 +22,7 @@ from ..kernels.lattice.closed_form import (
 from ..kernels.lattice.corrections import correct_values, measure_corrections
 from ..kernels.lattice.nodes import RINGS
 from ..mesh.faces import StretchTarget
-from ..mesh.fans import prepared_fans
-from ..mesh.mesh import ClosedMesh
+from ..mesh.mesh import ClosedMesh, prepared_fans
 from .gaps import MapTarget, launch_linear_boundary
 from .lattice import CageLattice
 from .nodes import CutRowTable, LatticeNodes, continue_outwards, continue_through_cage

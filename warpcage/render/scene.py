@@ -255,7 +255,7 @@ class LatticeEdits(PosedEdits):
             self.begin_view(field, center, step)
             rows = self.row_tables(field, center, step)
         has_begun = self._begin_tables(view.grid)
-        begins = self._tile_begins(view)
+        begins = self._tile_starts(view)
         if is_new and self.plan.is_shaded:
             self._find_places(view.grid)
             rows = self.row_tables(field, center, step)
@@ -287,7 +287,7 @@ class LatticeEdits(PosedEdits):
             super().render(view)
         self.carried_shades.release()
 
-    def _tile_begins(self, view: ViewRequest) -> list[wp.array | None]:
+    def _tile_starts(self, view: ViewRequest) -> list[wp.array | None]:
         """How far the rays of each tile go before they may meet anything, for each edit that is marched by itself; None
         where its kernel does not ask."""
         parts = self.plan.parts

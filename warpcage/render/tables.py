@@ -15,7 +15,7 @@ from ..kernels.edits.cell_tables import join_cell_tables, join_nodes
 from ..kernels.edits.fine_cells import FINE_COUNT, FINE_SIDE, FINE_WORDS, mark_fine_cells, spread_fine_cells
 from ..kernels.edits.nodes import CELL_WORDS, expand_map_cells
 from ..kernels.edits.structs import CELL_OUTSIDE, EditData
-from ..kernels.render.beams import find_tile_begins, find_tile_begins_of_edits
+from ..kernels.render.beams import find_tile_starts, find_tile_starts_of_edits
 from ..lattice.buffers import Buffer, BufferPool, SideStream
 
 #: Cells that are less than so many voxels wide are not told apart: fine cells would be smaller than what they skip.
@@ -179,10 +179,10 @@ class TileStarts:
         begins, array = needed
         stream = self._side.behind_mark()
         if is_single:
-            self._launch(find_tile_begins, tiles, [grid, edits[0], pinhole], [begins], stream=stream)
+            self._launch(find_tile_starts, tiles, [grid, edits[0], pinhole], [begins], stream=stream)
             return [begins]
         inputs = [tiles, grid, array, pinhole]
-        self._launch(find_tile_begins_of_edits, begins.size, inputs, [begins], stream=stream)
+        self._launch(find_tile_starts_of_edits, begins.size, inputs, [begins], stream=stream)
         return [
             array_view(begins, wp.float32, tiles, offset=number * tiles * DISTANCE_BYTES)
             for number in range(len(edits))

@@ -35,7 +35,7 @@ auto exponential = [&](lanes x) {
     sum = sum * (r * r) + r + 1.0f;
     return (lanes)((ints)sum + (__builtin_convertvector(n, ints) << 23));
 };
-// as field/samples.exit_of_cell
+// as field/grid.exit_of_cell
 auto exit_of_cells = [&](lanes x, lanes y, lanes z, lanes inverse_x, lanes inverse_y, lanes inverse_z, lanes reach) {
     const lanes back = 1.0f - reach;
     const lanes way_x = ((inverse_x > 0.0f ? reach : back) - x) * inverse_x;
