@@ -43,7 +43,7 @@ BITS_TO_BYTES = wp.constant(wp.uint32(0x00204081))
 
 @wp.func
 def cells_are_empty(grid: VoxelGrid, lower: wp.vec3, upper: wp.vec3):
-    """Whether nothing is in the cells of the grid that a box meets; no for one of very many. edits/cell_tables.grid_is_empty
+    """Whether nothing is in the cells of the grid that a box meets; no for very many. edits/cell_tables.grid_is_empty
     says so by one read, for fewer boxes."""
     begin = grid_position(grid, lower)
     end = grid_position(grid, upper)

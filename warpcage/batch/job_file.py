@@ -182,8 +182,6 @@ class JobFile:
                     "outputs must differ"
                 )
 
-    # -- lines
-
     def _found_lines(self) -> tuple[np.ndarray, np.ndarray]:
         """Where lines start (and the end of the file), and the numbers of those that hold something."""
         ends, place, blank = [np.zeros(1, np.int64)], 0, b" \t\r\n"

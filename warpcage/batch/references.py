@@ -112,8 +112,6 @@ class References:
             raise ValueError(f"{what}: {value!r} names no row: write {name}#17")
         return file.row(int(place))
 
-    # -- cages
-
     def rest_cage(self, edit: EditWords, field: AnyField) -> RestCage:
         """The cage at rest of an edit, usable; field: by which the axis of its file is found."""
         if isinstance(edit.cage, str):

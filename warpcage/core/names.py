@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import pathlib
 from collections.abc import Sequence
@@ -45,14 +46,8 @@ def require_name(value: object, names: Sequence[str], what: str) -> str:
     return value
 
 
-def require_coordinates(value: object) -> str:
-    """One of COORDINATES."""
-    return require_name(value, COORDINATES, "coordinates")
-
-
-def require_store(value: object) -> str:
-    """One of STORES."""
-    return require_name(value, STORES, "store")
+require_coordinates = functools.partial(require_name, names=COORDINATES, what="coordinates")
+require_store = functools.partial(require_name, names=STORES, what="store")
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:

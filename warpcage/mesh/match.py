@@ -152,9 +152,6 @@ def _edge_keys(faces: np.ndarray) -> np.ndarray:
     return np.unique((edges.min(axis=1) << 32) + edges.max(axis=1))
 
 
-# -- The walk
-
-
 @dataclasses.dataclass(frozen=True)
 class _Mesh:
     """Half-edge 3 i + k starts at corner k of face i; twin (3 f + 1,) leads across the edge, to 3 f if it is open."""

@@ -78,8 +78,6 @@ def _sideways_normals(cage: ClosedMesh, normal: np.ndarray) -> np.ndarray:
 
 _LEAST_COUNT, _MOST_COUNT = 8, 2000
 
-# -- Voxels
-
 
 def voxel_spacing(extent, vertex_count) -> float:
     """Side of a voxel: about 64^3 of them in the box, more for cages of many vertices, at most 160 along a side."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import pathlib
 import struct
+from typing import Any
 
 import numpy as np
 
@@ -95,9 +96,6 @@ def read_model(folder: pathlib.Path) -> Model:
         cameras,
         images,
     )
-
-
-# Text
 
 
 def _lines(path: pathlib.Path):
@@ -257,7 +255,7 @@ def _model_folder(folder: pathlib.Path) -> pathlib.Path | None:
     return None
 
 
-def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
+def read(folder: pathlib.Path, *, split: str, masks: bool | str, **options: Any) -> Scene:
     """Read a split: every eighth image, by name, is `test`, the others are `train`. Options as for `load_scene`."""
     # masks/<name>.png, as COLMAP itself takes it, or masks/<name> becomes the alpha; the bulk of the points the bounds.
     model_folder = _model_folder(folder)
@@ -271,7 +269,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
     views = [_view(folder, pictures, model, image, masks) for image in model.images]
     views = sorted(views_there(views, model.images_path), key=lambda view: str(view.file))
     views = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, views, downscale=downscale, background=background, masks=masks, points=model.points)
+    return make_scene(folder, views, masks=masks, **options, points=model.points)
 
 
 def _picture_folder(folder: pathlib.Path, model: Model) -> pathlib.Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import pathlib
 import re
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ def is_scene(folder: pathlib.Path) -> bool:
     return (folder / "image").is_dir() and any((folder / name).is_file() for name in FILES)
 
 
-def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
+def read(folder: pathlib.Path, *, split: str, masks: bool | str, **options: Any) -> Scene:
     """Read a split: every eighth view is `test`, the others `train`; masks become alphas. Options as `load_scene`."""
     path = next((folder / name for name in FILES if (folder / name).is_file()), folder / FILES[0])
     cameras = read_npz(path, "camera file", MATRICES.fullmatch)
@@ -47,9 +48,8 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
     return make_scene(
         folder,
         views,
-        downscale=downscale,
-        background=background,
         masks=masks,
+        **options,
         bounds=np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]),
         to_source=scales[0] if same else None,
     )

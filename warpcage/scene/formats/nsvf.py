@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import pathlib
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ def is_scene(folder: pathlib.Path) -> bool:
     return (folder / "rgb").is_dir() and (folder / "pose").is_dir() and (folder / "intrinsics.txt").is_file()
 
 
-def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str) -> Scene:
+def read(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     """Read a split; bbox.txt, where there is one, becomes the scene's bounds. Options as for `load_scene`."""
     intrinsics = _read_intrinsics(folder / "intrinsics.txt")
     pictures = pictures_in(folder / "rgb")
@@ -33,9 +34,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, background: np.nda
     for file in splits[split]:
         path = allowed.require(folder / "pose" / f"{file.stem}.txt", str(file))
         views.append(View(file, _read_pose(path), str(path), intrinsics))
-    return make_scene(
-        folder, views, downscale=downscale, background=background, masks=masks, bounds=_read_bounds(folder)
-    )
+    return make_scene(folder, views, **options, bounds=_read_bounds(folder))
 
 
 def _read_intrinsics(path: pathlib.Path) -> tuple[float, float, float, float]:

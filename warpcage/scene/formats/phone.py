@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +24,7 @@ def is_polycam(folder: pathlib.Path) -> bool:
     return (folder / "keyframes" / "cameras").is_dir()
 
 
-def read_polycam(
-    folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str
-) -> Scene:
+def read_polycam(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     """Read a split: every eighth picture, by name, is `test`, the others are `train`. Options as for `load_scene`."""
     keyframes = folder / "keyframes"
     views = _polycam_views(keyframes, "corrected_")
@@ -35,9 +34,7 @@ def read_polycam(
         raise ValueError(f"{keyframes / 'cameras'} holds no cameras (.json)")
     views = views_there(views, keyframes)
     views = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(
-        folder, views, downscale=downscale, background=background, masks=masks, to_source=np.linalg.inv(TO_Z_UP)
-    )
+    return make_scene(folder, views, **options, to_source=np.linalg.inv(TO_Z_UP))
 
 
 def _polycam_views(keyframes: pathlib.Path, kind: str) -> list[View]:
@@ -76,9 +73,7 @@ def is_record3d(folder: pathlib.Path) -> bool:
     return _metadata(folder) is not None and any((folder / name).is_dir() for name in ("rgb", "rgbd"))
 
 
-def read_record3d(
-    folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str
-) -> Scene:
+def read_record3d(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     """Read a split: every eighth picture is `test`, the others are `train`. Options as for `load_scene`."""
     path = _metadata(folder)
     if path is None:
@@ -91,9 +86,7 @@ def read_record3d(
     chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), MOST_PICTURES)).round().astype(int))
     views = views_there([_record3d_view(path, images, given, poses, int(index)) for index in chosen], path)
     views = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(
-        folder, views, downscale=downscale, background=background, masks=masks, to_source=np.linalg.inv(TO_Z_UP)
-    )
+    return make_scene(folder, views, **options, to_source=np.linalg.inv(TO_Z_UP))
 
 
 def _metadata(folder: pathlib.Path) -> pathlib.Path | None:

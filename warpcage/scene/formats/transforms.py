@@ -42,9 +42,7 @@ def is_transforms(folder: pathlib.Path) -> bool:
     return bool(files) and "fl_x" in read_json(files[0])
 
 
-def read_transforms(
-    folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str
-) -> Scene:
+def read_transforms(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     """Read a split: a file of its own, a list of file names in transforms.json, or every eighth frame, by name, as
     `test`. Options as for `load_scene`; mask_path becomes the alpha, ply_file_path the bounds."""
     single = folder / "transforms.json"
@@ -56,13 +54,7 @@ def read_transforms(
         views.sort(key=lambda view: str(view.file))
         views = _of_split(views, transforms, split, folder, path)
     return make_scene(
-        folder,
-        views,
-        downscale=downscale,
-        background=background,
-        masks=masks,
-        points=_points(folder, transforms, path),
-        to_source=_to_source(transforms, path),
+        folder, views, **options, points=_points(folder, transforms, path), to_source=_to_source(transforms, path)
     )
 
 
@@ -185,9 +177,7 @@ def is_blender(folder: pathlib.Path) -> bool:
     return "camera_angle_x" in content and "fl_x" not in content
 
 
-def read_blender(
-    folder: pathlib.Path, *, split: str, downscale: int, background: np.ndarray, masks: bool | str
-) -> Scene:
+def read_blender(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     """Read a split; camera axes are turned from Blender's (+y up, -z forward) to OpenCV's. Options as `load_scene`."""
     path = split_file(folder, split)
     transforms = read_json(path)
@@ -204,7 +194,7 @@ def read_blender(
         file = find_picture(folder, frame.get("file_path"), f"{where}: file_path")
         pose = matrix(frame.get("transform_matrix"), (4, 4), f"{where}: transform_matrix") @ TO_OPENCV
         views.append(View(file, pose, where, intrinsics))
-    return make_scene(folder, views, downscale=downscale, background=background, masks=masks)
+    return make_scene(folder, views, **options)
 
 
 class TransformsCameras:
