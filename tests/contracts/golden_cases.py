@@ -96,12 +96,13 @@ def write_selection(path, target):
 
 # -- splats
 
-SPLAT_PARTS = ("centres", "log_scales", "quaternions", "logits", "harmonics")
+#: Parts of splats by the names that the stored values have.
+SPLAT_PARTS = {"centres": "centers", **{name: name for name in ("log_scales", "quaternions", "logits", "harmonics")}}
 
 
 def read_splats(path):
     contents = SplatField.load(path, device="cpu").contents
-    return {name: getattr(contents, name) for name in SPLAT_PARTS}
+    return {stored: getattr(contents, name) for stored, name in SPLAT_PARTS.items()}
 
 
 def write_splats(source):

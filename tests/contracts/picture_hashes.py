@@ -129,7 +129,7 @@ def whole(**options):
 
 def sampled():
     points, directions = points_and_directions()
-    return dict(zip(("color", "density"), made_field().sample(points, directions), strict=True))
+    return dict(zip(("colour", "density"), made_field().sample(points, directions), strict=True))
 
 
 def field_values(field):
@@ -138,7 +138,7 @@ def field_values(field):
     points, directions = points_and_directions()
     color, density = field.sample(0.5 * (low + high) + 0.5 * (high - low) * points, directions)
     camera = Camera.look_at(field.center + (2.6, 1.0, 1.3), field.center, width=20, height=16)
-    return {"color": color, "density": density, **frame_parts(field.render(camera))}
+    return {"colour": color, "density": density, **frame_parts(field.render(camera))}
 
 
 def brick_views(count, size):

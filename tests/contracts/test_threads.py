@@ -389,7 +389,7 @@ def cached_module(tmp_path_factory):
 
 @pytest.mark.parametrize("ending, share", [(".o", 0.6), (".meta", 0.0)])
 def test_damaged_kernel_files_are_compiled_again(ending, share, cached_module):
-    (path,) = cached_module.glob(f"**/*downsample*{ending}")
+    (path,) = cached_module.glob(f"**/*pictures*{ending}")
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
     done = subprocess_of(CACHED, env={"WARP_CACHE_PATH": str(cached_module)})
@@ -399,7 +399,7 @@ def test_damaged_kernel_files_are_compiled_again(ending, share, cached_module):
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="needs POSIX permissions")
 def test_damaged_kernel_files_that_cannot_be_replaced_are_named(cached_module, monkeypatch):
-    (path,) = cached_module.glob("**/*downsample*.meta")
+    (path,) = cached_module.glob("**/*pictures*.meta")
     whole = path.read_bytes()
     path.write_bytes(b"")
     keeps = "import os\nos.replace = lambda *names: (_ for _ in ()).throw(PermissionError('read-only'))\n"

@@ -233,7 +233,7 @@ def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | N
         ("format", form),
         ("split", args.split),
         ("pictures", f"{len(scene)} of {camera.width}x{camera.height}"),
-        ("colors", _range(scene.images, "of 1")),
+        ("colours", _range(scene.images, "of 1")),
         ("opacity", "no" if scene.alphas is None else f"yes, {100 * float(scene.alphas.mean()):.1f} % covered"),
         ("focal length", _range(focal, "pixels")),
         ("cameras in", _box(centers.min(axis=0), centers.max(axis=0))),
