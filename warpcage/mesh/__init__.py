@@ -5,13 +5,12 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "fans": "face_fans prepared_fans",
         "io": "read_mesh",
         "io.gltf": "write_glb",
         "io.gltf_animation": "read_gltf_motion",
         "io.ply": "read_ply",
         "match": "require_same_faces",
-        "mesh": "MeshTopology",
+        "mesh": "MeshTopology face_fans prepared_fans",
         "polygons": "cut_polygon",
         "queries": "intersecting_faces",
     },
