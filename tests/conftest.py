@@ -60,7 +60,7 @@ def pytest_xdist_auto_num_workers(config):
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist starts its workers
 def pytest_sessionstart(session):
-    """Compile all kernels and variants for the CPU before workers do, each of which would compile most of them for itself."""
+    """Compile all kernels and variants for the CPU before workers do, each of which would compile most of them."""
     config = session.config
     if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
         return

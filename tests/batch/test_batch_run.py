@@ -450,7 +450,7 @@ KILLS = {
     "        Torn.count += 1\n"
     '        if Torn.count == 12: os.write(self.file.fileno(), b\'{"id": "shot\'); kill()\n'
     "        super().append(record)\n"
-    "place.Notes = Torn\nimport warpcage.batch.manifest\nwarpcage.batch.output_folder.Notes = Torn\n",
+    "place.Notes = Torn\n",
     "before the manifest is replaced": "place.atomic_path = kill\n",
     "before notes are removed": "unlink = pathlib.Path.unlink\n"
     "pathlib.Path.unlink = lambda path, **words: (kill if path.parent.name == 'notes' else unlink)(path, **words)\n",

@@ -37,7 +37,7 @@ def test_info_of_scenes(files, capsys, name):
     assert (rows["kind"], rows["format"]) == ("scene", name)
     assert rows["pictures"] == "8 of 24x20" and rows["split"] == "train"
     assert rows["focal length"] == "29.5 to 31 pixels"
-    assert rows["opacity"].startswith("yes, ") and rows["colors"].endswith("to 1 of 1")
+    assert rows["opacity"].startswith("yes, ") and rows["colours"].endswith("to 1 of 1")
     assert rows["bounds"] == {
         "nsvf": "[-1.5, -1.5, -1.5] to [1.5, 1.5, 1.5]",
         "dtu": "[-1.0, -1.0, -1.0] to [1.0, 1.0, 1.0]",

@@ -82,7 +82,7 @@ def test_models_are_closed_and_face_out(name):
 
 def test_refuses_what_does_not_fit():
     vertices, faces, colors = chair_model()
-    with pytest.raises(ValueError, match="color"):
+    with pytest.raises(ValueError, match="colours"):
         CarriedMesh(vertices, faces, colors[:-1])
     mesh = CarriedMesh(vertices, faces, colors)
     with pytest.raises(ValueError, match="posed"):

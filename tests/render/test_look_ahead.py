@@ -152,7 +152,7 @@ def test_no_frame_waits_for_a_compiler(scene, kind, device, monkeypatch):
     monkeypatch.setattr(pose_modules, "load_modules", load_and_note)
     monkeypatch.setattr(devices, "require_loaded", lambda kernel, *_: needed.add(kernel.module.name))
     folds = itertools.cycle([True, False])
-    monkeypatch.setattr(CarriedShades, "is_folded", lambda self: next(folds))
+    monkeypatch.setattr(CarriedShades, "has_inverted_cells", lambda self: next(folds))
     deformer = Deformer(field, rests, coordinates=kind, resolution=32)
     loaded |= needed  # it launched them
     needed.clear()

@@ -70,10 +70,10 @@ def test_several_edits_are_those_of_points(kind, device):
     rest = field.contents.centers.astype(float)
     left = rows_at(field, (-1, -1, -1), (0, 1, 1))
     place = centers[np.argsort(rows)]
-    through = warpcage.deform_points(rest[left] + [3.5, 0, 0], third, poses[2], kind, device)
+    through = warpcage.deform_points(rest[left] + [3.5, 0, 0], third, poses[2], kind, device=device)
     np.testing.assert_allclose(place[left], through, atol=3e-2 if kind == "harmonic" else 1e-3)
     right = np.setdiff1d(np.arange(150), left)
-    turned = warpcage.deform_points(rest[right], RIGHT_BOX, poses[1], "mean_value", device)
+    turned = warpcage.deform_points(rest[right], RIGHT_BOX, poses[1], "mean_value", device=device)
     np.testing.assert_allclose(place[right], turned, atol=1e-5)
     np.testing.assert_array_equal(opacities[np.argsort(rows)], field.splats.opacities.numpy())
     # the third keeps its source: what the first brought is there twice

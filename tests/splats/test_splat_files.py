@@ -264,7 +264,7 @@ def test_damaged_files_are_refused_or_read(ending, data, tmp_path_factory):
         ({"harmonics": np.zeros((4, 5, 3))}, "1, 4, 9, 16"),
         ({"logits": np.zeros(3)}, "logits of 4 splats"),
         ({"log_scales": np.full((4, 3), 60.0)}, "float32 cannot hold"),
-        ({"centers": np.full((4, 3), np.inf)}, "splat 0 has centres that are not finite"),
+        ({"centers": np.full((4, 3), np.inf)}, "splat 0 has centers that are not finite"),
     ],
 )
 def test_values_that_do_not_fit(values, said):

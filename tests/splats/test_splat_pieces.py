@@ -80,7 +80,7 @@ def test_bent_splats_are_drawn_in_pieces_that_follow(device):
     assert 3 <= len(centers) <= 81
     # samples of the matter, moved by the map, are near the posed splats' axes
     heights = np.linspace(-0.4, 0.4, 41)
-    matter = warpcage.deform_points(np.outer(heights, [0, 0, 1.0]), cage, bent, "mean_value", device)
+    matter = warpcage.deform_points(np.outer(heights, [0, 0, 1.0]), cage, bent, "mean_value", device=device)
     away = np.linalg.norm(matter[:, None] - centers[None], axis=2).min(axis=1)
     spread = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
     assert away.max() < 1.2 * spread.max() < 0.25

@@ -58,7 +58,7 @@ def test_rows_against_float64(kind, device):
 def test_rows_of_harmonic_coordinates(device):
     points = np.random.default_rng(2).uniform(-0.8, 0.8, (30, 3))
     rows = CageBinding(points, BOX, "harmonic", np.zeros(3), wp.get_device(device), 32, False).rows.numpy()
-    np.testing.assert_allclose(rows[..., 0].T, warpcage.harmonic_coordinates(points, BOX, 32, device), atol=2e-5)
+    np.testing.assert_allclose(rows[..., 0].T, warpcage.harmonic_coordinates(points, BOX, 32, device=device), atol=2e-5)
     # linear precision of weights and gradients
     np.testing.assert_allclose(rows[..., 0].T @ BOX.vertices, points, atol=1e-5)
     slopes = np.einsum("jna,jk->nka", rows[..., 1:].astype(np.float64), BOX.vertices) / BOX.size
@@ -127,7 +127,7 @@ def test_harmonic_splats_go_where_points_go(device):
     field = splats_in_box(device)
     twisted = BOX.twist(60)
     deformer = Deformer(field, BOX, resolution=32).pose(twisted)
-    weights = warpcage.harmonic_coordinates(field.contents.centers, BOX, 32, device)
+    weights = warpcage.harmonic_coordinates(field.contents.centers, BOX, 32, device=device)
     np.testing.assert_allclose(drawn(deformer)[1], weights @ twisted.vertices, atol=1e-4)
 
 
