@@ -21,8 +21,7 @@ import numpy as np
 from common import BENCHMARKS, CAGE, FIELD, JSON, command, eye_beside, option, pickle_by_value, write_results
 
 import warpcage
-from warpcage.batch import Options, write_jobs
-from warpcage.batch.run import _run
+from warpcage.batch import write_jobs
 
 #: Seconds between two looks at the GPUs.
 LOOK = 0.5
@@ -308,7 +307,7 @@ def handed_out(path: pathlib.Path, workers: int, args: argparse.Namespace) -> di
     out = path.parent / "out"
     shutil.rmtree(out, ignore_errors=True)
     called = time.time()
-    _run(path, out, Options(workers, device="cpu"), lambda state: None, print, Waiting)
+    warpcage.run_jobs(path, out, workers=workers, device="cpu", warn=print, make=Waiting)
     begin, course = course_of(out / "manifest.jsonl")
     ideal = args.load + args.items * args.make / workers + args.write
     return {"until_first": begin - called, **course, "over_ideal": course["items"] / course["rate"] / ideal}

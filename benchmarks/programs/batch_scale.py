@@ -20,7 +20,6 @@ from warpcage.batch import (
     ChunkQueue,
     Dispatcher,
     JobFile,
-    Options,
     OutputFolder,
     drive,
     merge_notes,
@@ -28,7 +27,6 @@ from warpcage.batch import (
     scheduler,
     write_jobs,
 )
-from warpcage.batch.run import _run
 
 #: Mean seconds of an item: a small frame on an H200, a large one, a film's frame on a CPU.
 MEANS = (0.02, 0.2, 2.0)
@@ -140,19 +138,19 @@ def message_costs(folder: pathlib.Path, count: int) -> dict[str, float]:
             write_tiny(folder / f"tiny{size}.jsonl", used)
             times = []
             with sized_chunks(size):
-                report = _run(
+                report = warpcage.run_jobs(
                     folder / f"tiny{size}.jsonl",
                     folder / f"tiny{size}",
-                    Options(2, None, "cpu", 2),
-                    lambda state, times=times: times.append((state.done, time.process_time())),
-                    lambda line: None,
-                    Nothing,
+                    workers=2,
+                    device="cpu",
+                    progress=lambda state, times=times: times.append((state.done, time.process_time())),
+                    make=Nothing,
                 )
             assert report.made == used
             made = [(done, when) for done, when in times if state_made(done, used)]
             begin, end = made[0], made[-1]
             rows.append((len(made) - 1, end[0] - begin[0], end[1] - begin[1]))
-            print(f"lots of {size}: {rows[-1][0]} lots, {rows[-1][1]} items, {rows[-1][2]:.2f} s of the driver")
+            print(f"chunks of {size}: {rows[-1][0]} chunks, {rows[-1][1]} items, {rows[-1][2]:.2f} s of the driver")
     finally:
         scheduler.LARGEST = largest
         ray.shutdown()
