@@ -26,9 +26,9 @@ def read(path):
 def test_notes_replace_what_the_manifest_said(tmp_path):
     manifest = tmp_path / "manifest.jsonl"
     write(manifest, record("a", inputs="old"), record("b", inputs="old"), record("c", inputs="old"), record("ü/d"))
-    one = [record("a", "started", chunk=1), record("a", inputs="new"), record("c", "started", chunk=1)]
+    one = [record("a", "started", lot=1), record("a", inputs="new"), record("c", "started", lot=1)]
     two = [
-        record("b", "started", chunk=2),
+        record("b", "started", lot=2),
         record("b", "error"),
         record("e", "started"),
         record("e", "failed", error="x"),
@@ -122,13 +122,8 @@ def test_two_ids_with_one_key_are_told_apart(tmp_path, monkeypatch):
 
 def test_what_a_dead_worker_left_of_a_chunk(tmp_path):
     path = tmp_path / "notes.jsonl"
-    chunks = [
-        record("a", "started", chunk=1),
-        record("a"),
-        record("b", "started", chunk=2),
-        record("c", "started", chunk=2),
-    ]
-    write(path, *chunks, record("b", "error"), record("d", "started", chunk=2), torn='{"id":"c","st')
+    chunks = [record("a", "started", lot=1), record("a"), record("b", "started", lot=2), record("c", "started", lot=2)]
+    write(path, *chunks, record("b", "error"), record("d", "started", lot=2), torn='{"id":"c","st')
     settled, begun = notes_of_chunk(path, 2)
     assert [(each["id"], each["state"]) for each in settled] == [("b", "error")] and begun == ["c", "d"]
     assert notes_of_chunk(path, 3) == ([], []) and notes_of_chunk(tmp_path / "none", 1) == ([], [])

@@ -204,13 +204,13 @@ def generated_cages():
 
 def cage_coordinates():
     points = 0.35 * points_and_directions()[0]
-    green, normals = warpcage.green_coordinates(points, BOX, "cpu")
+    green, normals = warpcage.green_coordinates(points, BOX, device="cpu")
     return {
-        "mean_value": warpcage.mean_value_coordinates(points, BOX, "cpu"),
+        "mean_value": warpcage.mean_value_coordinates(points, BOX, device="cpu"),
         "harmonic": warpcage.harmonic_coordinates(points, BOX, resolution=24, device="cpu"),
         "green": green,
         "green_normals": normals,
-        "moved": warpcage.deform_points(points, BOX, bent(), "green", "cpu"),
+        "moved": warpcage.deform_points(points, BOX, bent(), "green", device="cpu"),
     }
 
 

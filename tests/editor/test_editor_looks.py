@@ -34,9 +34,9 @@ for (const found of document.querySelectorAll("button, input, select, summary, a
 }
 const paper = Object.assign(document.createElement("canvas"), { width: 1, height: 1 });
 const pen = paper.getContext("2d", { willReadFrequently: true });
-const shade = (colours) => {
+const shade = (colors) => {
   pen.clearRect(0, 0, 1, 1);
-  for (const colour of colours) { pen.fillStyle = "#000"; pen.fillStyle = colour; pen.fillRect(0, 0, 1, 1); }
+  for (const color of colors) { pen.fillStyle = "#000"; pen.fillStyle = color; pen.fillRect(0, 0, 1, 1); }
   const linear = (v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
   const [r, g, b] = [...pen.getImageData(0, 0, 1, 1).data].map((v) => linear(v / 255));
   return 0.2126 * r + 0.7152 * g + 0.0722 * b;
@@ -53,7 +53,7 @@ for (const found of document.querySelectorAll("body *")) {
   const text = found.textContent.trim().slice(0, 30);
   if (ratio < 4.5) bad.push(`${name(found)} "${text}" has a contrast of ${ratio.toFixed(2)}`);
 }
-return { bad: [...new Set(bad)], texts, colour: getComputedStyle(document.body).backgroundColor };
+return { bad: [...new Set(bad)], texts, color: getComputedStyle(document.body).backgroundColor };
 """
 
 

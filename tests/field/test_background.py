@@ -7,7 +7,7 @@ import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
-from fit_gradients import photometric_gradient, training_rays
+from fit_oracles import photometric_gradient, training_rays
 from messages import MESSAGES
 from scenes import room_cameras, room_scene, write_room
 

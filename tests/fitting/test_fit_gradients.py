@@ -4,7 +4,7 @@ import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
-from fit_gradients import gradient_rows, photometric_gradient, training_rays
+from fit_oracles import gradient_rows, photometric_gradient, training_rays
 
 import warpcage
 from warpcage.kernels.fitting import background_loss

@@ -6,8 +6,8 @@ import gc
 import numpy as np
 import pytest
 import warp as wp
+from fit_oracles import shuffled
 from messages import MESSAGES
-from oracles import shuffled
 from scenes import room_scene
 from test_fit_edges import around, seen
 

@@ -1,5 +1,4 @@
-"""Float64 (or longer) NumPy references for cages, their coordinates and the order of a fit, written from other
-formulas than the kernels.
+"""Float64 (or longer) NumPy references for cages and their coordinates, written from other formulas than the kernels.
 
 Those of coordinates take points (n, 3), vertices (v, 3), faces (f, 3) and return weights (n, v), psi (n, f) or values
 (n, k).
@@ -353,39 +352,6 @@ def _layers(points, corners, data, own=False, block=256):
         )
         double[start : start + block] = np.einsum("mfi,fik->mk", hats, data)
     return single, double
-
-
-# -- The order of a fit's tiles, in whole numbers of Python: what fitting/shuffle is compared with
-
-
-def mixed(value: int) -> int:
-    value ^= value >> 16
-    value = value * 0x85EBCA6B & 0xFFFFFFFF
-    value ^= value >> 13
-    value = value * 0xC2B2AE35 & 0xFFFFFFFF
-    return value ^ value >> 16
-
-
-def shuffled_place(place: int, count: int, key: int) -> int:
-    bits = next(bits for bits in range(1, 16) if 4**bits >= count)
-    mask = 2**bits - 1
-    item = place
-    while True:
-        left, right = item >> bits, item & mask
-        for turn in range(4):
-            both = (key + turn * 0x9E3779B9 & 0xFFFFFFFF) ^ right << 8
-            left, right = right, left ^ mixed(both) & mask
-        item = left << bits | right
-        if item < count:
-            return item
-
-
-def shuffled(items: np.ndarray, key: int) -> np.ndarray:
-    """Items (n,) in the order of a key."""
-    return np.array([items[shuffled_place(place, len(items), key)] for place in range(len(items))])
-
-
-# -- Meshes
 
 
 def shuffled_cage(cage, seed=0):

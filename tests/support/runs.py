@@ -11,7 +11,7 @@ import time
 import numpy as np
 
 from warpcage import Cage, VoxelField, run_jobs
-from warpcage.batch import Worker, write_jobs
+from warpcage.batch import write_jobs
 from warpcage.cli import main
 from warpcage.reference import write_brick_scene
 
@@ -164,19 +164,3 @@ class Deadly(Making):
 def command(*words):
     """A command line of `warpcage`."""
     return [sys.executable, "-m", "warpcage", *map(str, words)]
-
-
-__all__ = [
-    "CAMERA",
-    "DEFAULTS",
-    "Deadly",
-    "Making",
-    "Moody",
-    "Worker",
-    "command",
-    "left_over",
-    "pictures",
-    "records",
-    "run_with",
-    "write_frames",
-]

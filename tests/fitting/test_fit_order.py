@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from oracles import shuffled
+from fit_oracles import shuffled
 
 from warpcage import FieldOptimizer, fit
 from warpcage.kernels.fitting.batches import shuffled_place
