@@ -38,18 +38,17 @@ from warpcage.view import RGB_BYTES, camera_array
 
 #: Kernels that only one kind of device launches.
 CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add_gradients",
-            "fitting.rmsprop.join_maximum", "deform.render_cpu.", "field.matter_cells.", "field.render_cpu.",
-            "field.skip.spread_lines",
-            "mesh.shell.", "mesh.collapses.", "splats.composite_tiles.", "splats.composite_slopes_tiles.",
-            "splats.pose.carry_bound"}  # fmt: skip
+            "fitting.rmsprop.join_maximum", "render.march_cpu.", "field.march_cpu.",
+            "field.occupancy.count_cells", "field.occupancy.gather_densities",
+            "field.occupancy.note_densities", "field.occupancy.spread_lines",
+            "mesh.shell.", "mesh.collapses.", "splats.composite_cpu.", "splats.pose.carry_bound"}  # fmt: skip
 CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows",
-             "field.densities.lay_densities", "field.halves.widen_rows",
-             "field.skip.spread_distance", "field.shades.",
-             "field.march.rows.", "field.march.shades.", "deform.views.rows", "deform.views.shades",
-             "deform.carried_shades.", "deform.fine_cells.", "deform.posed_places.", "core.texels.",
-             "deform.map_cells.", "deform.tile_begins.", "view.tile_order.",
-             "splats.composite.", "splats.composite_slopes.", "splats.packed_rows.",
-             "view.colour_bytes."}  # fmt: skip
+             "field.densities.lay_densities", "field.refine.widen_rows",
+             "field.occupancy.spread_distance", "field.shades.",
+             "field.march.rows.", "field.march.shades.", "render.views.rows", "render.views.shades",
+             "render.shading.", "edits.fine_cells.", "edits.inverse.", "core.texels.",
+             "edits.nodes.", "render.beams.", "view.tile_order.",
+             "splats.composite.", "splats.packed_rows.", "view.pictures.round_colors"}  # fmt: skip
 
 launched: set[str] = set()
 

@@ -39,7 +39,8 @@ def start_warp() -> None:
 def load_modules(modules: Iterable[types.ModuleType | Kernel], device: wp.DeviceLike) -> None:
     """Compile and load kernel files, or the modules of kernels, side by side; each for the block size that it names."""
     device = wp.get_device(device)
-    warp_modules = [each.module if isinstance(each, wp.Kernel) else wp.get_module(each.__name__) for each in modules]
+    named = [each.module if isinstance(each, wp.Kernel) else wp.get_module(each.__name__) for each in modules]
+    warp_modules = list(dict.fromkeys(named))  # two threads would compile one that is named twice
     with device_turn(device), variants.lock:  # Warp gives modules that two threads load at once the same name
         _ask_cpu_target()
         _tell(warp_modules, device)

@@ -53,7 +53,7 @@ class EditLattices:
         self._bands = list(bands) or [None] * len(edits)
         self.carried = list(carried) or [None] * len(edits)
         if any(self.carried):
-            load_modules([extension, extension, fans], device)
+            load_modules([extension, fans], device)
         self._plain: list[Any] = [None] * len(edits)
         self._faded: list[Any] = [None] * len(edits)
         self._walls: list[Any] = [None] * len(edits)

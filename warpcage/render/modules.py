@@ -33,7 +33,7 @@ from ..kernels.render.views import part_kernel, stack_kernel, view_kernel
 from ..kernels.view import tile_order
 
 #: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
-POSE_MODULES = (*(crossings, distance, nodes, rings, gaps, gaps, side_values, cell_tables, structs, grid_skip),)
+POSE_MODULES = (crossings, distance, nodes, rings, gaps, side_values, cell_tables, structs, grid_skip)
 
 SOLVER_MODULES = {
     "harmonic": (harmonic, harmonic_coarse, cut_rows),
