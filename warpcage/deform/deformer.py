@@ -20,7 +20,7 @@ from ..core.locks import owner_lock
 from ..core.names import COORDINATES, DENSITIES, SPLAT_MAPS, STORES, require_coordinates, require_name
 from ..edits.edits import CageEdit, checked_edits
 from ..edits.falloff import FalloffBand
-from ..edits.fragments import CarriedFragments
+from ..edits.fragments import found_fragments
 from ..field.render import STOP_TRANSMITTANCE, MakeArrays, March
 from ..field.voxel_field import VoxelField
 from ..kernels.edits.structs import MAPPED
@@ -386,12 +386,6 @@ class PosedDeformer:
         shared, options = self.deformer, (background, step, supersampling, antialias)
         with shared.lock:
             return shared._render(lambda: shared._hold(self.deformed), camera, *options)
-
-
-def found_fragments(edit: CageEdit, field: VoxelField, index: int) -> CarriedFragments | None:
-    """The crumbs that go with an edit, None where there are none; `index` is its number, for messages."""
-    carried = CarriedFragments(edit, field, index) if edit.crumbs > 0.0 else None
-    return carried if carried is not None and len(carried.voxels) else None
 
 
 def checked_pose(edit: CageEdit, cage: Any, index: int, band: FalloffBand | None = None) -> Cage | None:

@@ -10,6 +10,7 @@ import pathlib
 import shlex
 import shutil
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from ..view.film import FILM_ENDINGS, checked_rate, require_clear_film, write_fi
 from ..view.opacity import rgba_picture
 from ..view.overlay import draw_cage
 from ..view.pictures import write_png
-from .document import Document
+from .document import Document, checked_flag
 from .renderer import PosedScene, view_camera
 from .timeline import document_at, frame_rate, frame_times, pose_file
 
@@ -208,3 +209,10 @@ def _picture(scene: PosedScene, document: Document, film: Film) -> np.ndarray:
     for cage in cages:
         shown = draw_cage(shown, looking, cage)
     return shown
+
+
+def requested_film(message: dict[str, Any]) -> Film:
+    """Size and kind of a film's pictures."""
+    options = {name: message[name] for name in ("width", "height") if message.get(name) is not None}
+    flags = {name: checked_flag(message.get(name, False), name) for name in ("overlay", "transparent")}
+    return Film(**options, **flags)

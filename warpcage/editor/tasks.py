@@ -31,6 +31,7 @@ from ..splats.splat_field import AnyField, field_size
 from . import commands, exports, timeline
 from .commands import Step
 from .document import Document, checked_between, checked_choice, checked_flag, checked_id, checked_whole
+from .exports import requested_film
 from .renderer import view_camera
 from .session import ENDING, Session, Stamp, file_stamp
 
@@ -491,7 +492,7 @@ class Tasks:
         if what in ("cage", "poses"):
             number = document.edit(number).id
         rest = checked_flag(message.get("rest", False), "rest")
-        film = _film(message) if what in FILMS else None
+        film = requested_film(message) if what in FILMS else None
 
         def work(progress: Progress) -> Outcome:
             self.free_path(path.name, EXPORTS[what])  # it may have waited for others
@@ -518,7 +519,7 @@ class Tasks:
         session = self.session
         if session.path is None or self.field_path is None:
             raise ValueError("a field without a file has no command line: export the film here")
-        film, output = _film(message), message.get("file") or "film.mp4"
+        film, output = requested_film(message), message.get("file") or "film.mp4"
         if not isinstance(output, str) or not output.isprintable():
             raise ValueError("file must be the name of a film")
         await self._read(session.save)
@@ -588,13 +589,6 @@ class Tasks:
                     return done.result()  # it came just now, or is a TimeoutError of the function itself
                 if self._closed.is_set():
                     done.cancel()  # the loop may have ended
-
-
-def _film(message: dict[str, Any]) -> exports.Film:
-    """Size and kind of a film's pictures."""
-    options = {name: message[name] for name in ("width", "height") if message.get(name) is not None}
-    flags = {name: checked_flag(message.get(name, False), name) for name in ("overlay", "transparent")}
-    return exports.Film(**options, **flags)
 
 
 def _loaded(path: pathlib.Path, standing: UpAxis) -> str:

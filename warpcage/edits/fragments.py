@@ -207,3 +207,9 @@ class CarriedFragments:
         if has_sides:
             result.side_index, result.sides = sides, cage_map.sides
         return result
+
+
+def found_fragments(edit: CageEdit, field: VoxelField, index: int) -> CarriedFragments | None:
+    """The crumbs that go with an edit, None where there are none; `index` is its number, for messages."""
+    carried = CarriedFragments(edit, field, index) if edit.crumbs > 0.0 else None
+    return carried if carried is not None and len(carried.voxels) else None
