@@ -213,9 +213,9 @@ def edits(device) -> None:
     apart.pose([beside.translate((0, 0, 0.1)), slotted(0.03)]).render(camera())
     held = warpcage.CageEdit(slotted(0.5), falloff=0.4, held="still")
     warpcage.Deformer(field, held, resolution=16, device=device).pose(slotted(0.03)).render(camera())
-    low = warpcage.Cage.box((-1, -1, -1), (1, 1, 0.6))  # what stands out of it is a crumb
+    low = warpcage.Cage.box((-1, -1, -1), (1, 1, 0.6))  # what stands out of it is a fragment
     for options in ({"resolution": 12}, {"coordinates": "mean_value", "resolution": None}):
-        part = warpcage.Deformer(field, warpcage.CageEdit(low, crumbs=2.0), device=device, **options)
+        part = warpcage.Deformer(field, warpcage.CageEdit(low, fragments=2.0), device=device, **options)
         part.pose(low.bend(20)).render(camera())
     precise = warpcage.Deformer(field, cages, coordinates="mean_value", resolution=None, device=device)
     precise.pose([CAGE.translate((0, 0, 3)), POSE]).render(camera())

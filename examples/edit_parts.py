@@ -6,8 +6,8 @@
 Boxes around the cabin, the bucket and the arm. Writes to the folder of --out: order.png (the scene, the cabin copied on
 top of itself, the bucket removed besides, and the arm swung besides; the cages drawn over it), falloff.png (the arm
 lifted by a cage that cuts it off, and the same with a falloff at the cut), clean.png (close up: the bucket removed by
-its box; by the box with its walls snapped to gaps; and its crumbs with it), carried.png (the bucket moved aside: its
-crumbs left where they were; and taken along; and the cage over that), the cages, and excavator.edits.json, which
+its box; by the box with its walls snapped to gaps; and its fragments with it), carried.png (the bucket moved aside: its
+fragments left where they were; and taken along; and the cage over that), the cages, and excavator.edits.json, which
 `warpcage render --edits` takes.
 """
 
@@ -67,7 +67,8 @@ def main(argv=None) -> dict:
     )
     snapped = snap_to_gaps(bucket, field, reach=0.1)
     cuts = [
-        warpcage.CageEdit(cage, remove=True, crumbs=size) for cage, size in ((bucket, 0), (snapped, 0), (snapped, 0.5))
+        warpcage.CageEdit(cage, remove=True, fragments=size)
+        for cage, size in ((bucket, 0), (snapped, 0), (snapped, 0.5))
     ]
     panels = [panel(field, [(edit, None)], close, args.resolution) for edit in cuts]
     write_png(out / "clean.png", contact_sheet(panels, columns=3))
@@ -78,7 +79,7 @@ def main(argv=None) -> dict:
     beside = warpcage.Camera.look_at(
         (2.9, -1.9, 1.3), (0.5, -0.5, 0), width=args.size, height=args.size, fov_degrees=28
     )
-    left, taken = ([(warpcage.CageEdit(small, crumbs=most), aside)] for most in (0.0, 0.9))
+    left, taken = ([(warpcage.CageEdit(small, fragments=most), aside)] for most in (0.0, 0.9))
     panels = [panel(field, steps, beside, args.resolution) for steps in (left, taken)]
     panels.append(panel(field, taken, beside, args.resolution, overlay=True))
     write_png(out / "carried.png", contact_sheet(panels, columns=3))

@@ -133,7 +133,7 @@ def box_meets_cage(cage: CageMap, lower: wp.vec3, upper: wp.vec3):
 @wp.func
 def box_meets_edit(edit: LatticeEdit, lower: wp.vec3, upper: wp.vec3):
     """Whether anything of a box may be in an edit's posed cage or in its rest cage."""
-    if edit.crumbs.marks.shape[0] > 0:
+    if edit.fragments.marks.shape[0] > 0:
         return True
     meets = box_meets_cage(edit.deformed, lower, upper)
     if edit.keeps_source == 0:

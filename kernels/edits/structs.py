@@ -11,26 +11,26 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 @wp.struct
 class FragmentCells:
-    """The cells between voxels that crumbs lie in. `marks` without entries: there are none."""
+    """The cells between voxels that fragments lie in. `marks` without entries: there are none."""
 
     lower: wp.vec3  # position of the voxel at the lower corner of cell (0, 0, 0)
     inverse_voxel_size: wp.vec3
-    marks: wp.array3d(dtype=wp.uint8)  # 1 where any of a cell's eight corners is a voxel of a crumb
+    marks: wp.array3d(dtype=wp.uint8)  # 1 where any of a cell's eight corners is a voxel of a fragment
 
 
 @wp.func
-def in_fragments(crumbs: FragmentCells, x: wp.vec3):
-    """Whether a point of the scene at rest lies in a cell that holds any of a crumb."""
-    if crumbs.marks.shape[0] == 0:
+def in_fragments(fragments: FragmentCells, x: wp.vec3):
+    """Whether a point of the scene at rest lies in a cell that holds any of a fragment."""
+    if fragments.marks.shape[0] == 0:
         return False
-    g = wp.cw_mul(x - crumbs.lower, crumbs.inverse_voxel_size)
+    g = wp.cw_mul(x - fragments.lower, fragments.inverse_voxel_size)
     i = int(wp.floor(g[0]))
     j = int(wp.floor(g[1]))
     k = int(wp.floor(g[2]))
     found = bool(False)
     if i >= 0 and j >= 0 and k >= 0:
-        if i < crumbs.marks.shape[0] and j < crumbs.marks.shape[1] and k < crumbs.marks.shape[2]:
-            found = crumbs.marks[i, j, k] != wp.uint8(0)
+        if i < fragments.marks.shape[0] and j < fragments.marks.shape[1] and k < fragments.marks.shape[2]:
+            found = fragments.marks[i, j, k] != wp.uint8(0)
     return found
 
 
@@ -58,7 +58,7 @@ CELL_ALONE = wp.constant(32)
 #: A lattice reaches so many cells beyond the cage that it lies over, on each side, and its map does nothing there.
 LATTICE_BORDER = wp.constant(2.0)
 
-#: Both at once: not all in the cage, and what is out of it may be a crumb that the edit carries along.
+#: Both at once: not all in the cage, and what is out of it may be a fragment that the edit carries along.
 CELL_CARRIES = wp.constant(3)
 
 #: A sample that is this many steps long in canonical space is cut into several.
@@ -75,7 +75,7 @@ class LatticeEdit:
     slack: float  # a mapped point counts as inside the rest cage up to this distance
     keeps_source: int  # 1: the rest cage is not cleared
     removes: int  # 1: nothing is drawn in the deformed cage
-    crumbs: FragmentCells  # they count as in the rest cage
+    fragments: FragmentCells  # they count as in the rest cage
     cells: wp.array3d(dtype=wp.uint8)  # lattice cell -> CELL_... flags of the cases that it settles as a whole
     skip: wp.array3d(dtype=wp.uint8)  # lattice cell -> Chebyshev distance to the nearest that may hold anything
 
@@ -102,8 +102,8 @@ class ExactEdit:
     deformed_cells: CellTable
     rest_cells: CellTable  # its `skip` is not used
     walls: Walls  # the map fades to the identity towards them
-    crumbs: FragmentCells  # they count as in the rest cage
-    carried: CageMap  # the map on a lattice, where cells carry crumbs
+    fragments: FragmentCells  # they count as in the rest cage
+    carried: CageMap  # the map on a lattice, where cells carry fragments
     size: float  # longest side of the deformed cage
     is_green: int  # 1: Green, 0: mean value
     tolerance: float
@@ -144,7 +144,7 @@ class EditData:
     removes: int
     all_outside: int  # CELL_OUTSIDE if no place is mapped, as the edit removes; else 0
     carried_below: float  # rest distance of what shades have in the layer of matter that goes with the pose
-    crumbs: FragmentCells  # only the march through several edits knows them
+    fragments: FragmentCells  # only the march through several edits knows them
 
 
 @wp.func

@@ -124,7 +124,7 @@ def edit_point(edit: LatticeEdit, x: wp.vec3):
             position = side_position(edit.deformed.sides, sides, cell.offset)
         stays = (cell.flags & CELL_STAYS) != 0
         if not stays:
-            stays = in_fragments(edit.crumbs, position) or (inside and in_rest_cage(edit, position, edit.slack))
+            stays = in_fragments(edit.fragments, position) or (inside and in_rest_cage(edit, position, edit.slack))
         if inside or stays:
             result.mapped = 1
             result.flags = cell.flags
@@ -206,11 +206,11 @@ def edit_point(edit: ExactEdit, x: wp.vec3):  # noqa: F811
         result.flags = flags
         result.position = edit_position(edit, x)
         if (flags & CELL_STAYS) == 0:
-            stays = in_rest_cage(edit, result.position, edit.slack) or in_fragments(edit.crumbs, result.position)
+            stays = in_rest_cage(edit, result.position, edit.slack) or in_fragments(edit.fragments, result.position)
             result.leaves = wp.where(stays, 0, 1)
     elif case == CELL_CARRIES:
         position = map_position(edit.carried, x)
-        if in_fragments(edit.crumbs, position):
+        if in_fragments(edit.fragments, position):
             result.mapped = 1
             result.flags = CELL_CARRIES | CELL_STEEP  # a lattice's map, which is not asked whether it folds over
             result.position = position
@@ -236,7 +236,7 @@ def traced_point(edits: Any, x: wp.vec3):
                 result.vacant = 1
                 result.outside = 1 - cleared
             position = place.position
-        elif edit.keeps_source == 0 and (in_rest_cage(edit, position, 0.0) or in_fragments(edit.crumbs, position)):
+        elif edit.keeps_source == 0 and (in_rest_cage(edit, position, 0.0) or in_fragments(edit.fragments, position)):
             result.vacant = cleared  # what is cleared cannot be cleared again
             cleared = 1
         e -= 1

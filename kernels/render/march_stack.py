@@ -99,7 +99,7 @@ class RayPart:
     """A stretch of a ray that begins at a sample, in which it enters and leaves no box of an edit."""
 
     holder: int  # the last edit whose posed box holds it, -1 for none
-    asked: int  # bit e: the posed or the rest box of edit e holds it, or edit e has crumbs
+    asked: int  # bit e: the posed or the rest box of edit e holds it, or edit e has fragments
     end: float
 
 
@@ -114,7 +114,7 @@ def may_jump(part: RayPart, point: TracedPoint):
 @functools.cache
 def make_trace(is_simple: bool) -> Any:
     """Functions that follow a point through the edits: its position, and the derivative of that.
-    Simple edits have no crumbs and no sides of narrow gaps: a march that never asks for them keeps fewer registers."""
+    Simple edits have no fragments and no sides of narrow gaps: a march that never asks keeps fewer registers."""
 
     @wp.func
     def side_entry(edit: EditData, cell: int):
@@ -144,11 +144,11 @@ def make_trace(is_simple: bool) -> Any:
 
     @wp.func
     def is_in_fragments(edit: EditData, x: wp.vec3):
-        """Whether crumbs of an edit are at a point of the scene at rest."""
+        """Whether fragments of an edit are at a point of the scene at rest."""
         if wp.static(is_simple):
             return False
         else:
-            return in_fragments(edit.crumbs, x)
+            return in_fragments(edit.fragments, x)
 
     @wp.func
     def trace_stack(edits: wp.array(dtype=EditData), asked: int, x: wp.vec3):
@@ -239,16 +239,16 @@ def make_spans(is_simple: bool) -> Any:
 
     @wp.func
     def has_fragments(edit: EditData):
-        """Whether crumbs go with an edit."""
+        """Whether fragments go with an edit."""
         if wp.static(is_simple):
             return False
         else:
-            return edit.crumbs.marks.shape[0] > 0
+            return edit.fragments.marks.shape[0] > 0
 
     @wp.func
     def posed_span(edit: EditData, origin: wp.vec3, direction: wp.vec3):
         """Distances (near, far) at which a ray is in the box around an edit's posed cage, or around its lattice where
-        that carries crumbs."""
+        that carries fragments."""
         border = float(LATTICE_BORDER)
         if has_fragments(edit):
             border = float(0.0)

@@ -113,7 +113,7 @@ def test_drawn_poses_of_one_meaning_are_one_pose():
 
 
 def test_the_words_of_an_edit_are_those_of_a_cage_edit():
-    names = set(CageEdit.__dataclass_fields__) - {"cage", "keep_source"} | {"keep"}
+    names = set(CageEdit.__dataclass_fields__) - {"cage", "keep_source", "fragments"} | {"keep", "crumbs"}
     assert names <= set(FrameItem.known)
 
 

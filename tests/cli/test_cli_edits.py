@@ -11,6 +11,7 @@ from runs import SMALL, run, succeed, write_files
 
 from warpcage import Cage, CageEdit, Camera, Deformer, PoseFile, VoxelField
 from warpcage.cli.edit_words import EditWords, parse_edit, read_edits_file, write_edits_file
+from warpcage.cli.program import build_parser
 from warpcage.editor import Document, Selection, Settings, Timeline, View, new_edit, write_session
 from warpcage.view import read_image
 
@@ -54,7 +55,7 @@ def expected(files, edits, poses):
         (r"C:\me\cage.obj:D:\posed.obj", EditWords(r"C:\me\cage.obj", r"D:\posed.obj")),
         (r"C:cage.obj:C:poses.json:wave:keep", EditWords("C:cage.obj", "C:poses.json:wave", keep=True)),
         ("cage.obj:posed.obj:keep:falloff=0.5", EditWords("cage.obj", "posed.obj", keep=True, falloff=0.5)),
-        ("cage.obj:remove:crumbs=0.1", EditWords("cage.obj", remove=True, crumbs=0.1)),
+        ("cage.obj:remove:fragments=0.1", EditWords("cage.obj", remove=True, fragments=0.1)),
         ("a.obj:twist:30:held=3,4:falloff=1", EditWords("a.obj", "twist:30", falloff=1.0, held="3,4")),
         ("my.obj files/a.obj:b.obj", EditWords("my.obj files/a.obj", "b.obj")),
         ("a.obj:my.obj files/b.glb:wave", EditWords("a.obj", "my.obj files/b.glb:wave")),
@@ -113,14 +114,29 @@ def test_a_part_fades_to_rest_in_a_band(files, tmp_path):
 
 
 def test_fragments_go_with_the_part(files, tmp_path):
-    """A cap of the ball that a cage cuts off is a crumb of half its size."""
+    """A cap of the ball that a cage cuts off is a fragment of half its size."""
     Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.45)).save(tmp_path / "most.obj")
     cut = f"{tmp_path / 'most.obj'}:remove"
     cap = render(files, tmp_path, "--edit", cut)
     assert (cap < 0.9).any()
-    for words in ([f"{cut}:crumbs=1.2"], [cut, "--crumbs", 1.2]):
+    for words in ([f"{cut}:fragments=1.2"], [cut, "--fragments", 1.2]):
         assert (render(files, tmp_path, "--edit", *words) > 0.98).all()
-    np.testing.assert_array_equal(render(files, tmp_path, "--edit", cut, "--crumbs", 0.1), cap)
+    np.testing.assert_array_equal(render(files, tmp_path, "--edit", cut, "--fragments", 0.1), cap)
+
+
+def test_fragments_by_their_old_name_are_taken_with_a_warning(files, tmp_path, capsys):
+    assert build_parser().parse_args(["render", "a.npz", "-o", "a.png", "--fragments", "0.5"]).fragments == 0.5
+    with pytest.warns(UserWarning, match="--crumbs is called --fragments now"):
+        old = build_parser().parse_args(["render", "a.npz", "-o", "a.png", "--crumbs", "0.5"])
+    assert old.fragments == 0.5
+    with pytest.warns(UserWarning, match="crumbs= is called fragments= now"):
+        assert parse_edit("cage.obj:remove:crumbs=0.1") == EditWords("cage.obj", remove=True, fragments=0.1)
+    assert run(files, "edits", "--edit", "@top.obj:remove:crumbs=1", "-o", tmp_path / "a.json") == 0
+    (edit,) = json.loads((tmp_path / "a.json").read_text())["edits"]
+    assert edit["remove"] and edit["crumbs"] == 1.0  # the word of files, which stays
+    assert capsys.readouterr().err == (
+        "warpcage: warning: crumbs= is called fragments= now: the next version knows that name alone\n"
+    )
 
 
 def test_one_edit_is_what_cage_and_posed_are(files, tmp_path):
@@ -229,11 +245,11 @@ def test_bad_edits_end_in_one_line(files, tmp_path, capsys, words, message):
 
 
 def test_all_of_an_edit_is_said():
-    edits = [EditWords("a.obj", "b.obj", keep=True, falloff=0.5, held="3,4", crumbs=0.1),
-             EditWords("a.obj", remove=True, crumbs=0.1)]  # fmt: skip
+    edits = [EditWords("a.obj", "b.obj", keep=True, falloff=0.5, held="3,4", fragments=0.1),
+             EditWords("a.obj", remove=True, fragments=0.1)]  # fmt: skip
     assert [str(edit) for edit in edits] == [
-        "a.obj -> b.obj, the source stays (a copy), fades to rest over 0.5 (held=3,4), crumbs below 0.1 go too",
-        "a.obj: removed, crumbs below 0.1 go too",
+        "a.obj -> b.obj, the source stays (a copy), fades to rest over 0.5 (held=3,4), fragments below 0.1 go too",
+        "a.obj: removed, fragments below 0.1 go too",
     ]
 
 

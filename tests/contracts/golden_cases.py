@@ -384,7 +384,7 @@ SAID = {
 }
 WRITTEN = {
     "several.edits.json": (
-        "edits --edit cage.obj:posed.obj:keep --edit cage.obj:remove:crumbs=0.1 --edit "
+        "edits --edit cage.obj:posed.obj:keep --edit cage.obj:remove:fragments=0.1 --edit "
         "cage.obj:bend:40:x:z:falloff=0.25:held=1,2 --edit "
         "cage.obj:poses.json:bent:held=still:falloff=0.5 --cage-up z -o @/several.edits.json"
     ),

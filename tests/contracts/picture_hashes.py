@@ -300,7 +300,7 @@ CASES = {
     "removed and kept": removed_and_kept,
     "falloff": lambda: deformed([CageEdit(HALF, falloff=0.2)], [HALF.rotate(25)], **MEAN),
     "falloff, faces": lambda: deformed([CageEdit(BOX, falloff=0.1, held=(0, 1))], [BOX.rotate(25)], **MEAN),
-    "fragments": lambda: two([CageEdit(END, crumbs=0.5)], [END.translate((0, 0, 0.5))]),
+    "fragments": lambda: two([CageEdit(END, fragments=0.5)], [END.translate((0, 0, 0.5))]),
     **{f"to_canonical, {kind}": part(canonical, BOX, bent(), coordinates=kind, resolution=24) for kind in COORDINATES},
     "to_canonical, precise": lambda: canonical(BOX, bent(), coordinates="green", resolution=None),
     "to_canonical, float64": lambda: canonical(BOX, bent(), np.float64, **MEAN),

@@ -96,10 +96,10 @@ def test_edit_parts_of_the_bricks(tmp_path, device):
     clean = read_image(tmp_path / "out" / "clean.png")
     assert clean.shape[:2] == (48, 3 * 48 + 2 * 4)
     left = [(clean[:, 52 * i : 52 * i + 48] < 0.95).any(axis=-1).sum() for i in range(3)]
-    assert left[2] <= left[1] < left[0]  # snapped walls take more of the bucket along, crumbs the rest of it
+    assert left[2] <= left[1] < left[0]  # snapped walls take more of the bucket along, fragments the rest of it
     carried = read_image(tmp_path / "out" / "carried.png")
     left, taken = ((carried[:, 52 * i : 52 * i + 48] < 0.95).any(axis=-1) for i in range(2))
-    assert (left & ~taken).sum() > 10 and (taken & ~left).sum() > 10  # crumbs go from here, and come there
+    assert (left & ~taken).sum() > 10 and (taken & ~left).sum() > 10  # fragments go from here, and come there
     said = succeed_here("edits", tmp_path / "out" / "excavator.edits.json")
     assert said == 0
 

@@ -164,7 +164,7 @@ def test_stores_that_cannot_be_are_refused(options, message):
         Deformer(shiny_field(None, resolution=8), BOX, **options)
 
 
-# -- Several edits: the march without crumbs and narrow gaps, and cells that no earlier edit has anything in
+# -- Several edits: the march without fragments and narrow gaps, and cells that no earlier edit has anything in
 
 
 def into_each_other():

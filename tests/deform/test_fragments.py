@@ -6,7 +6,7 @@ from fields import INSIDE, KINDS, NUB, PART, boxes, make_field, nodes, plain, ps
 from messages import MESSAGES
 
 from warpcage import Cage, CageEdit, Camera, Deformer, VoxelField, bake
-from warpcage.edits import crumbs
+from warpcage.edits import fragment_voxels
 
 CAMERA = Camera.look_at([1.0, -4.0, 1.5], (0, 0, 0), width=48, height=48, fov_degrees=35)
 UNCHANGED, CLEARED, MAPPED = range(3)
@@ -32,24 +32,24 @@ def scene(device):
 
 
 def test_fragments_are_what_the_wall_cuts_off_and_is_small(scene):
-    found = crumbs(scene, PART, 0.35)
+    found = fragment_voxels(scene, PART, 0.35)
     x = nodes(40, scene.bounds)
     expected = boxes(NUB)(x) > 0
     expected &= x[..., 2] > 0.4
     dense = scene.node_densities()[tuple(found.T)] > 0
     np.testing.assert_array_equal(found[dense], np.argwhere(expected))
-    assert len(crumbs(scene, PART, 0.1)) == 0
-    both = crumbs(scene, PART, 0.9)
+    assert len(fragment_voxels(scene, PART, 0.1)) == 0
+    both = fragment_voxels(scene, PART, 0.9)
     assert len(both) > len(found) and (both[:, 2] > 27).all()  # the beam too, the speck never
     speck = (np.array(SPECK[0]) + SPECK[1]) / 2
     assert np.linalg.norm(scene.bounds[0] + (both + 0.5) * 0.05 - speck, axis=1).min() > 0.08
-    assert len(crumbs(scene, PART.translate([9, 0, 0]), 0.5)) == 0
+    assert len(fragment_voxels(scene, PART.translate([9, 0, 0]), 0.5)) == 0
 
 
 def test_a_field_without_matter_has_none(device):
     empty = make_field(lambda x: np.zeros(x.shape[:3]), plain([0.8, 0.3, 0.1]), device=device)
-    assert crumbs(empty, PART, 0.35).shape == (0, 3)
-    deformer = Deformer(empty, CageEdit(PART, crumbs=0.35), resolution=8).pose(PART.rotate(20))
+    assert fragment_voxels(empty, PART, 0.35).shape == (0, 3)
+    deformer = Deformer(empty, CageEdit(PART, fragments=0.35), resolution=8).pose(PART.rotate(20))
     assert deformer.render(CAMERA).alpha.max() == 0
 
 
@@ -58,7 +58,7 @@ def test_fragments_are_where_a_turn_takes_them_and_not_where_they_were(kind, res
     """Exact for every pose that the coordinates reproduce, in position and direction."""
     turn, middle, offset = rotation(30, 20), np.array([0.4, 0, 0]), np.array([0.6, 0.3, -0.1])
     posed = PART.with_vertices(1.2 * (PART.vertices - middle) @ turn.T + offset)
-    deformer = Deformer(scene, CageEdit(PART, crumbs=0.35), coordinates=kind, resolution=resolution).pose(posed)
+    deformer = Deformer(scene, CageEdit(PART, fragments=0.35), coordinates=kind, resolution=resolution).pose(posed)
     moved = 1.2 * (IN_NUB - middle) @ turn.T + offset
     came, seen, region, outside = deformer.to_canonical(moved, ALONG, return_outside=True)
     np.testing.assert_array_equal(region, MAPPED)
@@ -72,9 +72,9 @@ def test_fragments_are_where_a_turn_takes_them_and_not_where_they_were(kind, res
 
 @pytest.mark.parametrize(("kind", "resolution"), WAYS)
 def test_fragments_hang_on_their_part_in_any_pose(kind, resolution, scene):
-    """A line of the posed scene from the part into a crumb comes from a line without a jump; what is found of the crumb
+    """A line of the posed scene from the part into a fragment comes from a line without a jump; what is found of it
     is all of it, and nothing of it twice."""
-    deformer = Deformer(scene, CageEdit(PART, crumbs=0.35), coordinates=kind, resolution=resolution)
+    deformer = Deformer(scene, CageEdit(PART, fragments=0.35), coordinates=kind, resolution=resolution)
     deformer.pose(PART.bend(30, towards="y").twist(20, axis="x"))
     low, high = np.array([-0.1, -0.8, -0.8]), np.array([1.0, 1.0, 1.0])
     for _ in range(2):  # everywhere, then closely around what was found
@@ -105,20 +105,20 @@ def test_the_picture_is_that_of_the_moved_matter(device):
     camera = Camera.look_at([3.5, -1.0, 1.5], (0, 0, 0), width=48, height=48, fov_degrees=35)
     expected = truth.render(camera)
     for size in (0.35, 0.0):
-        deformer = Deformer(scene, CageEdit(PART, crumbs=size), resolution=24).pose(posed)
+        deformer = Deformer(scene, CageEdit(PART, fragments=size), resolution=24).pose(posed)
         frame = deformer.render(camera)
         likeness = psnr(frame.rgb, expected.rgb)
         assert likeness > 50 if size else likeness < 30, likeness
         if size:
             assert psnr(bake(deformer).render(camera).rgb, expected.rgb) > 40
-            precise = Deformer(scene, CageEdit(PART, crumbs=size), coordinates="mean_value", resolution=None)
+            precise = Deformer(scene, CageEdit(PART, fragments=size), coordinates="mean_value", resolution=None)
             assert psnr(precise.pose(posed).render(camera).rgb, expected.rgb) > 50
-            still = Deformer(scene, CageEdit(PART, crumbs=size), resolution=24).render(camera)
+            still = Deformer(scene, CageEdit(PART, fragments=size), resolution=24).render(camera)
             assert psnr(still.rgb, scene.render(camera).rgb) > 50
 
 
 def test_the_part_may_come_to_lie_where_its_fragment_was(scene):
-    deformer = Deformer(scene, CageEdit(PART, crumbs=0.35), resolution=24).pose(PART.translate([0, 0, 0.25]))
+    deformer = Deformer(scene, CageEdit(PART, fragments=0.35), resolution=24).pose(PART.translate([0, 0, 0.25]))
     came, _, region = deformer.to_canonical(IN_NUB, ALONG)
     np.testing.assert_array_equal(region, MAPPED)
     np.testing.assert_allclose(came, IN_NUB - [0, 0, 0.25], atol=1e-6)
@@ -131,7 +131,7 @@ def test_matter_two_voxels_from_a_fragment_stays_however_coarse_the_lattice(devi
     other = ([0.35, -0.1, 0.45], [0.9, 0.0, 0.9])  # beside the nub, one voxel between them
     scene = field(INSIDE, NUB, other, device=device)
     near = np.array([[0.33, -0.05, 0.49], [0.34, -0.05, 0.46]])
-    deformer = Deformer(scene, CageEdit(PART, crumbs=0.35), resolution=8).pose(PART.translate([-0.6, 0, 0.3]))
+    deformer = Deformer(scene, CageEdit(PART, fragments=0.35), resolution=8).pose(PART.translate([-0.6, 0, 0.3]))
     came, _, region = deformer.to_canonical(near, near)
     np.testing.assert_array_equal(region, UNCHANGED)
     np.testing.assert_array_equal(came, near)
@@ -140,8 +140,8 @@ def test_matter_two_voxels_from_a_fragment_stays_however_coarse_the_lattice(devi
 
 
 def test_a_later_edit_takes_the_fragments_of_an_earlier_one_along(scene):
-    """Each acts on what the one before it left; and where both cages are posed, each crumb is traced through both."""
-    first = CageEdit(PART, crumbs=0.35)
+    """Each acts on what the one before it left; where both cages are posed, each fragment is traced through both."""
+    first = CageEdit(PART, fragments=0.35)
     around = PART.translate([0, 0, -0.9]).scale(1.6)
     edits = [first, CageEdit(around)]
     posed = [PART.translate([0, 0, -0.9]), around.translate([0.2, -3.0, 0.1])]
@@ -158,11 +158,11 @@ def test_a_later_edit_takes_the_fragments_of_an_earlier_one_along(scene):
 
 
 def test_copies_bring_their_fragments_and_removals_take_them(scene, device):
-    copied = Deformer(scene, CageEdit(PART, keep_source=True, crumbs=0.35), resolution=24)
+    copied = Deformer(scene, CageEdit(PART, keep_source=True, fragments=0.35), resolution=24)
     copied.pose(PART.translate([0, 0, -0.95]))
     assert (copied.to_canonical(IN_NUB, ALONG)[2] == UNCHANGED).all()
     assert (copied.to_canonical(IN_NUB - [0, 0, 0.95], ALONG)[2] == MAPPED).all()
-    removed = CageEdit(PART, remove=True, crumbs=0.35)
+    removed = CageEdit(PART, remove=True, fragments=0.35)
     frame = Deformer(scene, removed, resolution=24).render(CAMERA)
     left = field(BODY, SPECK, ([0.45, -0.1, 0.4], BEAM[1]), device=device).render(CAMERA)
     without = Deformer(scene, CageEdit(PART, remove=True), resolution=24).render(CAMERA)
@@ -170,11 +170,11 @@ def test_copies_bring_their_fragments_and_removals_take_them(scene, device):
 
 
 def test_a_band_that_fades_holds_fragments_at_its_walls_too(device):
-    """A crumb at a wall that is held stays; one at another wall goes."""
+    """A fragment at a wall that is held stays; one at another wall goes."""
     side = ([0.6, 0.2, -0.1], [0.7, 0.5, 0.0])  # out of the wall y = 0.4
     scene = field(INSIDE, NUB, side, device=device)
     top = [f for f, face in enumerate(PART.faces) if (PART.vertices[face][:, 2] > 0.39).all()]
-    edit = CageEdit(PART, falloff=0.25, held=top, crumbs=0.35)
+    edit = CageEdit(PART, falloff=0.25, held=top, fragments=0.35)
     deformer = Deformer(scene, edit, resolution=32).pose(PART.translate([0, 0, -0.15]))
     came, _, region = deformer.to_canonical(IN_NUB, ALONG)
     np.testing.assert_array_equal(region, MAPPED)
@@ -188,20 +188,27 @@ def test_a_band_that_fades_holds_fragments_at_its_walls_too(device):
 
 def test_a_pose_without_a_place_for_fragments_says_so(scene):
     with pytest.warns(UserWarning, match=MESSAGES["deform.no_place"]):
-        Deformer(scene, CageEdit(PART, crumbs=0.35), resolution=16).pose(PART.taper(0.02))
+        Deformer(scene, CageEdit(PART, fragments=0.35), resolution=16).pose(PART.taper(0.02))
 
 
 def test_a_size_that_finds_no_fragments_changes_nothing(scene, recwarn):
-    none = Deformer(scene, CageEdit(PART, crumbs=0.05), resolution=16).pose(PART.translate([0, 0, -0.9]))
+    none = Deformer(scene, CageEdit(PART, fragments=0.05), resolution=16).pose(PART.translate([0, 0, -0.9]))
     plain = Deformer(scene, CageEdit(PART), resolution=16).pose(PART.translate([0, 0, -0.9]))
     np.testing.assert_array_equal(none.render(CAMERA).rgb, plain.render(CAMERA).rgb)
     assert not recwarn.list
-    with pytest.raises(ValueError, match="crumbs of an edit must be a size"):
-        CageEdit(PART, crumbs=-0.1)
+    with pytest.raises(ValueError, match="fragments of an edit must be a size"):
+        CageEdit(PART, fragments=-0.1)
+
+
+def test_the_old_name_is_taken_with_a_warning():
+    with pytest.warns(UserWarning, match="crumbs= is called fragments= now"):
+        edit = CageEdit(PART, crumbs=0.25)
+    with pytest.warns(UserWarning, match="CageEdit.crumbs is called fragments now"):
+        assert edit.crumbs == edit.fragments == 0.25
 
 
 def test_what_was_never_seen_is_no_matter(scene):
-    """Of a fitted field only what some picture showed counts: dark junk does not tie a crumb to something else."""
+    """Of a fitted field only what some picture showed counts: dark junk does not tie a fragment to something else."""
     weights = np.ones(scene.voxel_count, np.float32)
     x = nodes(40, scene.bounds).reshape(-1, 3)
     rows = scene.grid.links.numpy().reshape(-1)
@@ -209,4 +216,4 @@ def test_what_was_never_seen_is_no_matter(scene):
     weights[rows[beam]] = 0.0
     grid = scene.grid
     weighed = VoxelField(scene.bounds, grid.links, grid.density, grid.sh, weights=weights, device=scene.device)
-    assert len(crumbs(weighed, PART, 0.35)) > len(crumbs(scene, PART, 0.35))
+    assert len(fragment_voxels(weighed, PART, 0.35)) > len(fragment_voxels(scene, PART, 0.35))

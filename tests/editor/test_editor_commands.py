@@ -408,15 +408,15 @@ def test_walls_and_fragments_of_an_edit_are_changed_kept_and_checked():
     start = document()
     after = done(start, do="edit.change", id=1, falloff=0.25, held="still", crumbs=0.5)
     edit = after.edits[0]
-    assert (edit.falloff, edit.held, edit.crumbs) == (0.25, "still", 0.5)
+    assert (edit.falloff, edit.held, edit.fragments) == (0.25, "still", 0.5)
     made = edit.cage_edit
-    assert (made.falloff, made.held, made.crumbs, made.remove) == (0.25, "still", 0.5, False)
+    assert (made.falloff, made.held, made.fragments, made.remove) == (0.25, "still", 0.5, False)
     finer = done(after, do="cage.subdivide", edit=1).edits[0]
-    assert (finer.falloff, finer.held, finer.crumbs) == (0.25, "still", 0.5)
+    assert (finer.falloff, finer.held, finer.fragments) == (0.25, "still", 0.5)
     removed = done(after, do="edit.change", id=1, kind="remove").edits[0].cage_edit
-    assert removed.remove and removed.falloff == 0.0 and removed.crumbs == 0.5  # what is removed has nothing to fade
+    assert removed.remove and removed.falloff == 0.0 and removed.fragments == 0.5  # what is removed has nothing to fade
     again = Document.from_json(json.loads(json.dumps(after.to_json())))
-    assert again.edits[0].cage_edit.held == "still" and again.edits[0].crumbs == 0.5
+    assert again.edits[0].cage_edit.held == "still" and again.edits[0].fragments == 0.5
     for bad in ({"falloff": -1}, {"falloff": "wide"}, {"crumbs": np.inf}, {"held": "all"}, {"held": 3}):
         refused(start, do="edit.change", id=1, **bad)
     old = start.to_json()
@@ -424,6 +424,6 @@ def test_walls_and_fragments_of_an_edit_are_changed_kept_and_checked():
         del old["edits"][0][name]
     del old["settings"]["fill"]
     older = Document.from_json(old)  # a session of a version before these
-    assert (older.edits[0].falloff, older.edits[0].held, older.edits[0].crumbs) == (0.0, "cut", 0.0)
+    assert (older.edits[0].falloff, older.edits[0].held, older.edits[0].fragments) == (0.0, "cut", 0.0)
     assert older.settings.fill is False and done(start, do="settings", fill=True).settings.fill is True
     refused(start, do="settings", fill="yes")

@@ -340,10 +340,10 @@ def test_walls_and_fragments_are_set_on_the_page(window: Window, editor: Any) ->
     until(lambda: window.get('!document.querySelector("#edit-held").closest(".field").hidden'), "walls are offered")
     window.choose("#edit-held", "still")
     until(lambda: editor.document.edits[0].held == "still", "the walls are kept")
-    window.fill("#edit-crumbs", "0.4\n")
-    until(lambda: editor.document.edits[0].crumbs == 0.4, "the size of crumbs is kept")
+    window.fill("#edit-fragments", "0.4\n")
+    until(lambda: editor.document.edits[0].fragments == 0.4, "the size of fragments is kept")
     window.press("Ctrl+Z")
-    until(lambda: window.get("document.querySelector('#edit-crumbs').valueAsNumber") == 0, "undo shows in the field")
+    until(lambda: window.get("document.querySelector('#edit-fragments').valueAsNumber") == 0, "undo shows in the field")
     window.choose("#edit-kind", "remove")
     until(lambda: window.get('document.querySelector("#edit-falloff").closest(".field").hidden'), "nothing to fade")
     assert editor.document.edits[0].cage_edit.falloff == 0.0

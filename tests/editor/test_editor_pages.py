@@ -330,7 +330,7 @@ def test_the_check_follows_the_active_cage_and_says_why_it_cannot(tmp_path, monk
 
 
 def test_a_cage_around_the_object_that_is_clicked(tmp_path):
-    scene = TableScene(degrees=8.0, floor=False, crumbs=False)
+    scene = TableScene(degrees=8.0, floor=False, fragments=False)
 
     async def test(host, page):
         eye, target, up = (scene.world(each).tolist() for each in ((2.2, -2.4, 1.6), (0, 0, 0), (0, 0, 1)))

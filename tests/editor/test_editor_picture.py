@@ -311,13 +311,13 @@ def test_falloffs_and_fragments_of_the_document_are_in_the_picture(device):
     scene = new_document(field, [PART], 16)
     lifted = dataclasses.replace(scene.edits[0], posed=PART.translate([-0.5, 0, -0.3]).vertices)
     pictures = []
-    for changes in ({}, {"crumbs": 0.35}, {"falloff": 0.2, "held": "still"}, {"falloff": 0.2, "held": "cut"}):
+    for changes in ({}, {"fragments": 0.35}, {"falloff": 0.2, "held": "still"}, {"falloff": 0.2, "held": "cut"}):
         edit = dataclasses.replace(lifted, **changes)
         _, picture = sharp(field, scene.with_edit(edit))
         deformer = warpcage.Deformer(field, edit.cage_edit, resolution=16).pose(edit.posed_cage)
         assert warpcage.psnr(picture, deformer.render(view_camera(scene.view, 48, 48)).rgb) > 33.0
         pictures.append(picture)
-    assert np.abs(pictures[1] - pictures[0]).max() > 0.2  # the crumb went along
+    assert np.abs(pictures[1] - pictures[0]).max() > 0.2  # the fragment went along
     assert np.abs(pictures[3] - pictures[0]).max() > 0.2  # the wall that cuts it is held
     whole = dataclasses.replace(lifted, falloff=0.2, rest=(whole := PART.scale(2.4)).vertices, posed=whole.vertices)
     shown = Shown()

@@ -47,7 +47,7 @@ def folder(tmp_path_factory):
     write_brick_scene(root / "data" / "lego", train_views=8, size=40, device="cpu")
     for name in ("my_capture", "fox"):
         shutil.copytree(root / "data" / "lego", root / name)
-    table = TableScene(count=32, crumbs=False).field
+    table = TableScene(count=32, fragments=False).field
     for name in ("room", "lego", "fox"):
         table.save(root / f"{name}.npz")
     cage = warpcage.Cage.box((-0.9, -0.9, -0.9), (0.9, 0.9, 0.9))

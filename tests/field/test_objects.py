@@ -22,7 +22,7 @@ def scene(request):
 
 @pytest.fixture(scope="module")
 def table(request):
-    return TableScene(degrees=8.0, floor=False, crumbs=False)
+    return TableScene(degrees=8.0, floor=False, fragments=False)
 
 
 def belongs(scene, chosen, label, others=()):

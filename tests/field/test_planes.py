@@ -80,7 +80,7 @@ def test_floor_and_table_of_a_scene_that_is_held_askew(degrees):
 
 
 def test_kinds_of_planes_go_by_what_is_up():
-    scene = TableScene(degrees=40.0, crumbs=False)
+    scene = TableScene(degrees=40.0, fragments=False)
     assert not [plane for plane in find_planes(scene.field) if plane.share > 0.1]  # 40 degrees off
     up = scene.world((0, 0, 1))
     assert find_planes(scene.field, up=up)[0].normal @ up > 0.999

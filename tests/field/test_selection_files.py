@@ -16,7 +16,7 @@ from warpcage.reference import box, cylinder, joined, reference_cameras, render_
 
 @pytest.fixture(scope="module")
 def table():
-    return TableScene(degrees=8.0, floor=False, crumbs=False)
+    return TableScene(degrees=8.0, floor=False, fragments=False)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_any_mask_comes_back(tmp_path, ending):
 
 
 def test_files_for_other_fields_and_damaged_ones(files, table, lamp, tmp_path):
-    other = TableScene(degrees=9.0, floor=False, crumbs=False)
+    other = TableScene(degrees=9.0, floor=False, fragments=False)
     refused = [(files / "lamp.npz", other.field, "is of another field in the same box")]
     refused.append((files / "lamp.npz", TableScene(32).field, "is of another field, of 64x64x64 voxels"))
     moved = GridField(table.field.node_densities(), upper=(1, 1, 1.1))

@@ -247,8 +247,8 @@ def test_options_that_do_not_fit(options, said):
 
 def test_calls_that_do_not_fit():
     field = splats_in_box("cpu", count=3)
-    with pytest.raises(ValueError, match="crumbs are for voxels"):
-        Deformer(field, CageEdit(BOX, crumbs=0.1), coordinates="mean_value")
+    with pytest.raises(ValueError, match="fragments are for voxels"):
+        Deformer(field, CageEdit(BOX, fragments=0.1), coordinates="mean_value")
     deformer = Deformer(field, BOX, coordinates="mean_value")
     with pytest.raises(ValueError, match="splats move forward"):
         deformer.to_canonical(np.zeros((1, 3)), np.ones((1, 3)))

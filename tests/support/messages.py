@@ -61,7 +61,7 @@ MESSAGES = {
     "deform.falloff_inside_out": "edit 0 turns matter inside out in its falloff band of 0.3: make the band wider",
     "deform.falloff_walls": "faces that pass through each other.*the falloff of edit 0 holds walls",
     "deform.no_closed_form": "harmonic coordinates have no closed form",
-    "deform.no_place": "has no place for [0-9]+ of 48 voxels of crumbs.*move the cage less",
+    "deform.no_place": "has no place for [0-9]+ of 48 voxels of fragments.*move the cage less",
     "deform.one_cage_per_edit": "a pose needs one cage per edit, 1, got 2",
     "deform.posed_across": "posed cage of edit 0 is .* across, .* march steps of .*: make it smaller",
     "editor.extra_missing": r"the editor needs {missing}: pip install 'warpcage\[edit\]'",

@@ -42,10 +42,10 @@ class TableScene:
     Args:
         count: Nodes along each axis.
         degrees: How far everything is turned against +z, which is up for the field.
-        floor, crumbs: Whether there are any.
+        floor, fragments: Whether there are any.
     """
 
-    def __init__(self, count=64, degrees=0.0, floor=True, crumbs=True, device="cpu"):
+    def __init__(self, count=64, degrees=0.0, floor=True, fragments=True, device="cpu"):
         self.turn = tilt(degrees)
         self.bounds = np.array([[-1.0] * 3, [1.0] * 3])
         cells = (np.indices((count,) * 3).reshape(3, -1).T + 0.5) * (2.0 / count) - 1.0
@@ -62,7 +62,7 @@ class TableScene:
         foot = (np.hypot(x + 0.15, y - 0.1) < 0.2) & (z >= TABLE_TOP) & (z < TABLE_TOP + 0.14)
         shade = (np.abs(x + 0.05) < 0.3) & (np.abs(y - 0.1) < 0.12) & (np.abs(z - 0.4) < 0.1)
         label[stem | foot | shade] = LAMP
-        if crumbs:
+        if fragments:
             random = np.random.default_rng(1)
             free = np.flatnonzero((label == EMPTY) & (z > -0.1))
             label[random.choice(free, 30)] = FRAGMENT

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..core.checks import shown
+from ..core.names import FRAGMENTS_WORD, edit_fields, edit_words
 from . import words
 from .words import Checker, checked_words, drawn_pose, one_of, plain, text
 
@@ -51,7 +52,7 @@ EDIT_WORDS: dict[str, Checker] = {
     "remove": words.truth,
     "falloff": words.not_negative,
     "held": _held,
-    "crumbs": words.not_negative,
+    FRAGMENTS_WORD: words.not_negative,
     "up": one_of("y", "z"),
 }
 
@@ -66,7 +67,7 @@ class EditWords:
     remove: bool = False
     falloff: float = 0.0  # width of the band in which the edit fades to rest, world units
     held: str | tuple[int, ...] = "cut"  # the walls that it fades towards: "cut", "still", or numbers of faces
-    crumbs: float = 0.0  # size of the crumbs that go with the part, world units
+    fragments: float = 0.0  # size of the fragments that go with the part, world units
     up: str | None = None  # axis that points up in its cage files; None finds it
 
     def __post_init__(self) -> None:
@@ -89,12 +90,12 @@ class EditWords:
         given = checked_words(entry, EDIT_WORDS, what)
         if "cage" not in given:
             raise ValueError(f"{what} needs a 'cage'")
-        return cls(**given)
+        return cls(**edit_fields(given))
 
     def to_json(self) -> dict[str, Any]:
         """The edit as JSON: what differs from the default."""
         fields = ((field.name, getattr(self, field.name), field.default) for field in dataclasses.fields(self))
-        return {name: plain(value) for name, value, default in fields if value != default}
+        return edit_words({name: plain(value) for name, value, default in fields if value != default})
 
     @property
     def is_drawn(self) -> bool:

@@ -150,7 +150,7 @@ class FrameMaker:
         def bind() -> Bound:
             rests = [self.references.rest_cage(edit, field) for edit in item.edits]
             edits = [
-                CageEdit(cage.cage, edit.keep, edit.remove, edit.falloff, edit.held, edit.crumbs)
+                CageEdit(cage.cage, edit.keep, edit.remove, edit.falloff, edit.held, edit.fragments)
                 for cage, edit in zip(rests, item.edits, strict=True)
             ]
             self._require_kernels(item.coordinates)

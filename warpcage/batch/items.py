@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from ..core.checks import checked_bounds, shown
-from ..core.names import COORDINATES, DENSITIES, SPLAT_MAPS
+from ..core.names import COORDINATES, DENSITIES, SPLAT_MAPS, edit_fields
 from . import words
 from .edit_words import EDIT_WORDS, EditWords
 from .words import TRANSPARENT, Checker, checked_words, one_of, plain, safe_name, text
@@ -320,7 +320,7 @@ class FrameItem(Item):
         if short:
             if "cage" not in short:
                 raise ValueError(f"{next(iter(short))!r} needs a 'cage', the cage at rest")
-            given["edits"] = (EditWords(**short),)
+            given["edits"] = (EditWords(**edit_fields(short)),)
         outputs = given.get("outputs") or {"rgb": f"{ID}.png"}
         given["outputs"] = {
             part: output_path(path, given["id"], f"{part!r} of 'outputs'") for part, path in outputs.items()

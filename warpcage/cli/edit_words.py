@@ -11,8 +11,9 @@ import re
 from typing import Any
 
 from ..cage.pose_file import is_preset
-from ..core.checks import checked_number, listed
+from ..core.checks import checked_number, listed, warn_caller
 from ..core.files import PathLike, atomic_path, read_json, require_file
+from ..core.names import edit_fields, edit_words
 from .arguments.options import CAGE_ENDINGS, positive_float
 
 FORMAT, VERSION = "warpcage edits", 1
@@ -21,7 +22,7 @@ FORMAT, VERSION = "warpcage edits", 1
 EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remove"
 
 #: Words after the cages.
-_LAST_WORD = re.compile(r"(keep|remove)|(falloff|crumbs|held)=([^:]*)")
+_LAST_WORD = re.compile(r"(keep|remove)|(falloff|fragments|crumbs|held)=([^:]*)")
 
 #: A word that is none of them, after a posed cage: only glTF and pose files hold things with names.
 _SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)
@@ -41,7 +42,7 @@ class EditWords:
     remove: bool = False  # draw nothing in its place
     falloff: float | None = None  # width of the band in which the edit fades to rest, world units
     held: str = "cut"  # the walls that it fades towards: "cut", "still", or numbers of faces between commas
-    crumbs: float | None = None  # size of the crumbs that go with the part, world units
+    fragments: float | None = None  # size of the fragments that go with the part, world units
     up: str | None = None  # axis that points up in its cage files; None is that of the format or of --cage-up
 
     def __post_init__(self) -> None:
@@ -53,7 +54,7 @@ class EditWords:
             raise ValueError("what is removed has no band in which it fades to rest: leave falloff and held out")
         if not self.remove and self.posed is None:
             raise ValueError(f"there is no posed cage: write {EDIT_SHAPE}")
-        for name in ("falloff", "crumbs"):
+        for name in ("falloff", "fragments"):
             value = getattr(self, name)
             if value is not None and checked_number(value, name) < 0.0:
                 raise ValueError(f"{name} must be 0 or more, got {value:g}")
@@ -74,17 +75,17 @@ class EditWords:
             ) from None
 
     def __str__(self) -> str:
-        crumbs = f", crumbs below {self.crumbs:g} go too" if self.crumbs else ""
+        fragments = f", fragments below {self.fragments:g} go too" if self.fragments else ""
         if self.remove:
-            return f"{self.cage}: removed{crumbs}"
+            return f"{self.cage}: removed{fragments}"
         copy = ", the source stays (a copy)" if self.keep else ""
         walls = "" if self.held == "cut" else f" (held={self.held})"
         fades = f", fades to rest over {self.falloff:g}{walls}" if self.falloff else ""
-        return f"{self.cage} -> {self.posed}{copy}{fades}{crumbs}"
+        return f"{self.cage} -> {self.posed}{copy}{fades}{fragments}"
 
 
 def parse_edit(text: str) -> EditWords:
-    """An edit of --edit: CAGE:POSED, then ":keep", ":remove", ":falloff=WIDTH", ":held=WALLS" or ":crumbs=SIZE"."""
+    """An edit of --edit: CAGE:POSED, then ":keep", ":remove", ":falloff=WIDTH", ":held=WALLS", ":fragments=SIZE"."""
     found = _CAGE.fullmatch(text)
     if found is None:
         raise ValueError(f"--edit {text!r} names no cage file ({' '.join(CAGE_ENDINGS)}): write {EDIT_SHAPE}")
@@ -95,12 +96,16 @@ def parse_edit(text: str) -> EditWords:
         word = _LAST_WORD.fullmatch(last)
         if word is None or pathlib.Path(rest).exists():
             break
-        words |= {word[1]: True} if word[1] else {word[2]: word[3]}
+        name = word[1] or word[2]
+        if name == "crumbs":
+            warn_caller("crumbs= is called fragments= now: the next version knows that name alone")
+            name = "fragments"
+        words[name] = word[3] if word[2] else True
         rest = before or None
     try:
         if rest is not None and (slip := _SLIP.fullmatch(rest)) and not pathlib.Path(rest).exists():
-            raise ValueError(f"{slip[1]!r} is no word of an edit, only keep, remove, falloff=, held= and crumbs=")
-        words |= {name: positive_float(words[name]) for name in ("falloff", "crumbs") if name in words}
+            raise ValueError(f"{slip[1]!r} is no word of an edit, only keep, remove, falloff=, held= and fragments=")
+        words |= {name: positive_float(words[name]) for name in ("falloff", "fragments") if name in words}
         return EditWords(cage, rest or None, **words)
     except (ValueError, argparse.ArgumentTypeError) as error:
         raise ValueError(f"--edit {text!r}: {error}") from None
@@ -143,7 +148,7 @@ def _words(edit: Any, number: int, folder: pathlib.Path) -> EditWords:
     try:
         if not isinstance(edit, dict):
             raise ValueError(f"it must be an object with a cage, got {type(edit).__name__}")
-        known = {field.name: field for field in dataclasses.fields(EditWords)}
+        known = edit_words({field.name: field for field in dataclasses.fields(EditWords)})
         # what a later version adds has a higher version: an unknown word is a slip, and would be lost in silence
         if unknown := [name for name in edit if name not in known]:
             raise ValueError(f"it has no {unknown[0]!r}, only {listed(known)}")
@@ -152,7 +157,7 @@ def _words(edit: Any, number: int, folder: pathlib.Path) -> EditWords:
             _require_kind(name, value, known[name].type)
         if "cage" not in given:
             raise ValueError("it names no cage")
-        words = EditWords(**given)
+        words = EditWords(**edit_fields(given))
     except ValueError as error:
         raise ValueError(f"edit {number}: {error}") from None
     posed = words.posed
@@ -181,7 +186,7 @@ def _json(edit: EditWords, folder: pathlib.Path) -> dict[str, Any]:
         posed = _relative(posed, folder)
     content = dataclasses.asdict(dataclasses.replace(edit, cage=_relative(edit.cage, folder), posed=posed))
     defaults = {field.name: field.default for field in dataclasses.fields(EditWords)}
-    return {name: value for name, value in content.items() if value != defaults[name]}
+    return edit_words({name: value for name, value in content.items() if value != defaults[name]})
 
 
 def _relative(path: str, folder: pathlib.Path) -> str:

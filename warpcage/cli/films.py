@@ -24,7 +24,7 @@ from ..batch.job_file import write_jobs
 from ..batch.run import RunProgress, RunReport, run_jobs
 from ..batch.words import TRANSPARENT
 from ..core.files import PathLike, atomic_path
-from ..core.names import counted
+from ..core.names import FRAGMENTS_WORD, counted
 from ..editor.document import Document
 from ..editor.exports import Film
 from ..editor.renderer import view_camera
@@ -167,7 +167,7 @@ def _edit_words(edit: CageEdit) -> dict[str, Any]:
     """The words of an edit besides its cage and its pose, those that say nothing left out."""
     walls = edit.held if isinstance(edit.held, str) else list(edit.held)
     fading = {} if edit.remove or not edit.falloff else {"falloff": edit.falloff, "held": walls}
-    words = {"keep": edit.keep_source, "remove": edit.remove, "crumbs": edit.crumbs, **fading}
+    words = {"keep": edit.keep_source, "remove": edit.remove, FRAGMENTS_WORD: edit.fragments, **fading}
     return {name: value for name, value in words.items() if value and value != "cut"}
 
 

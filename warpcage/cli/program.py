@@ -206,15 +206,15 @@ def _line(error: Exception | str) -> str:
 
 def _run_command(argv: list[str] | None) -> int:
     parser = build_parser()
-    arguments = parser.parse_args(argv)
-    if arguments.command is None:
-        parser.print_help()
-        return 2
-    options.verbose = arguments.verbose
-    watched = sys.stderr.isatty() and not getattr(arguments, "quiet", False)
-    stderr.say = _tell_of_compiling if watched else None
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
+        arguments = parser.parse_args(argv)
+        if arguments.command is None:
+            parser.print_help()
+            return 2
+        options.verbose = arguments.verbose
+        watched = sys.stderr.isatty() and not getattr(arguments, "quiet", False)
+        stderr.say = _tell_of_compiling if watched else None
         return _command(arguments.command)(arguments) or 0
 
 

@@ -189,8 +189,8 @@ def _read_edit(
     falloff = 0.0 if words.remove else _own_or_all(words.falloff, args, "falloff")
     if words.held != "cut" and not falloff and not words.remove:
         raise ValueError("held names the walls that an edit fades towards: give it a falloff=WIDTH, or leave held out")
-    crumbs = _own_or_all(words.crumbs, args, "crumbs")
-    edit = CageEdit(rest, keep_source=words.keep, remove=words.remove, falloff=falloff, held=words.walls, crumbs=crumbs)
+    size = _own_or_all(words.fragments, args, "fragments")
+    edit = CageEdit(rest, words.keep, words.remove, falloff, words.walls, size)
     if words.remove:
         return PosedEdit(edit, None)
     up, timed = words.up or posed_up(args), getattr(args, "timed", False)
@@ -239,7 +239,7 @@ def _moves(part: PosedEdit) -> bool:
 
 def _edit_hash(edit: CageEdit) -> str:
     """A hash of an edit at rest."""
-    return _hash([cage_hash(edit.cage), edit.keep_source, edit.remove, edit.falloff, edit.held, edit.crumbs])
+    return _hash([cage_hash(edit.cage), edit.keep_source, edit.remove, edit.falloff, edit.held, edit.fragments])
 
 
 def _pose_hash(part: PosedEdit) -> str:

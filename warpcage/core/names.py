@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import os
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 #: Kinds of coordinates, as `coordinates=` takes them; the first is the default of a Deformer.
 COORDINATES = ("harmonic", "mean_value", "green")
@@ -15,6 +16,9 @@ DENSITIES = ("opacity", "paper")
 
 #: What a map on a lattice keeps, as `store=` takes them.
 STORES = ("map", "weights")
+
+#: The word for `CageEdit.fragments` in files of edits, jobs and sessions, which stay as they are.
+FRAGMENTS_WORD = "crumbs"
 
 #: How splats follow a cage, as `map=` takes them.
 SPLAT_MAPS = ("forward", "backward")
@@ -48,6 +52,16 @@ def require_name(value: object, names: Sequence[str], what: str) -> str:
 
 require_coordinates = functools.partial(require_name, names=COORDINATES, what="coordinates")
 require_store = functools.partial(require_name, names=STORES, what="store")
+
+
+def edit_fields(words: Mapping[str, Any]) -> dict[str, Any]:
+    """What a file says of an edit, by the names of fields."""
+    return {"fragments" if word == FRAGMENTS_WORD else word: value for word, value in words.items()}
+
+
+def edit_words(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of an edit, by the words of files."""
+    return {FRAGMENTS_WORD if name == "fragments" else name: value for name, value in fields.items()}
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:

@@ -140,7 +140,7 @@ class Deformer:
 
     @property
     def reached_bounds(self) -> np.ndarray:
-        """(2, 3) box of all that the field and the posed cages reach, crumbs that go with them too; world units."""
+        """(2, 3) box of all that the field and the posed cages reach, fragments that go with them too; world units."""
         with self.lock:
             self.posed_edits()
             boxes = [cage.bounds for cage in self.deformed or [] if cage is not None]
@@ -412,8 +412,8 @@ class SplatDeformer(Deformer):
 
     References: Xu and Harada, "Deforming Radiance Fields with Cages" (ECCV 2022), Eq. 5, with the map of Joshi et al.
     2007, Ju et al. 2005 or Lipman et al. 2008 from the cage at rest to the posed one.
-    Limitations: what an edit moves is carried through later edits as its centre goes, on a lattice; crumbs of edits are
-    for voxels.
+    Limitations: what an edit moves is carried through later edits as its centre goes, on a lattice; fragments of edits
+    are for voxels.
 
     Example::
 
@@ -466,8 +466,8 @@ class SplatDeformer(Deformer):
             raise ValueError(f'splats keep their weights: store must be "map", got {store!r}')
         self.store, self.resolution = store, resolution
         self.edits = checked_edits(rest)
-        if any(edit.crumbs > 0.0 for edit in self.edits):
-            raise ValueError("crumbs are for voxels: splats of a part that hang over its wall go by their shares")
+        if any(edit.fragments > 0.0 for edit in self.edits):
+            raise ValueError("fragments are for voxels: splats of a part that hang over its wall go by their shares")
         self.device = field.device if device is None else resolve_device(device)
         self.field = field.to(self.device)
         self.deformed = None

@@ -37,7 +37,7 @@ class ExactEdits(PosedEdits):
     """Edits whose mean value or Green coordinates are evaluated at every sample ("precise").
     bands, carried: one or None for each edit, () for none at all."""
 
-    # A lattice map of the same coordinates finds cells clear of a cage or that show nothing, and carries crumbs.
+    # A lattice map of the same coordinates finds cells clear of a cage or that show nothing, and carries fragments.
 
     def __init__(
         self,
@@ -102,7 +102,7 @@ class ExactEdits(PosedEdits):
         struct.tolerance = SURFACE_TOLERANCE * deformed.size
         struct.slack = CLOSED_FORM_SLACK * rest.size
         struct.deformed_cells, struct.rest_cells = deformed_cells, rest_cells
-        struct.crumbs, struct.carried = guide.crumbs, guide.deformed
+        struct.fragments, struct.carried = guide.fragments, guide.deformed
         struct.is_green = int(self._is_green)
         struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
         return struct

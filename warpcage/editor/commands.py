@@ -11,7 +11,7 @@ import numpy as np
 from ..cage import poses
 from ..cage.cage import Cage
 from ..coordinates.coordinates import deform_points
-from ..core.names import EASINGS, LOOPS
+from ..core.names import EASINGS, FRAGMENTS_WORD, LOOPS
 from ..edits.edits import MAX_EDITS
 from .document import (
     KINDS,
@@ -163,7 +163,7 @@ def delete_edit(document: Document, message: Message) -> Step:
 
 
 def change_edit(document: Document, message: Message) -> Step:
-    """Rename an edit, show or hide it, make it another kind, or say what becomes of its walls and crumbs."""
+    """Rename an edit, show or hide it, make it another kind, or say what becomes of its walls and fragments."""
     edit, changes = document.edit(message["id"]), checked_walls(message)
     if "name" in message:
         changes["name"] = checked_name(message["name"])
@@ -172,7 +172,7 @@ def change_edit(document: Document, message: Message) -> Step:
     if "visible" in message:
         changes["visible"] = checked_flag(message["visible"], "visible")
     if not changes:
-        raise ValueError("nothing to change: give a name, a kind, visible, falloff, held or crumbs")
+        raise ValueError("nothing to change: give a name, a kind, visible, falloff, held or " + FRAGMENTS_WORD)
     label = f"{', '.join(changes)} of {edit.name}"
     return label, document.with_edit(dataclasses.replace(edit, **changes))
 
@@ -328,7 +328,7 @@ def run_command(document: Document, message: Message) -> Step:
 def _with_cage(document: Document, edit: Edit, cage: Cage, posed: Callable[[np.ndarray], np.ndarray]) -> Document:
     """The document with another cage for an edit; posed: carries vertices of a pose over."""
     fresh = new_edit(edit.id, cage, edit.name, edit.kind, posed(edit.posed))
-    kept = {"visible": edit.visible, "falloff": edit.falloff, "held": edit.held, "crumbs": edit.crumbs}
+    kept = {"visible": edit.visible, "falloff": edit.falloff, "held": edit.held, "fragments": edit.fragments}
     document = document.with_edit(dataclasses.replace(fresh, **kept))
     document = _with_key_poses(document, edit.id, lambda pose: frozen_vertices(posed(pose), len(cage.vertices)))
     if document.selection.edit == edit.id:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..core.checks import checked_number, shown
-from ..core.names import COORDINATES, DENSITIES, EASINGS, LOOPS
+from ..core.names import COORDINATES, DENSITIES, EASINGS, FRAGMENTS_WORD, LOOPS, edit_fields
 from ..edits.edits import HELD, MAX_EDITS, CageEdit
 from ..mesh.mesh import ClosedMesh
 from ..view.frame import MAX_SUPERSAMPLING, parse_background
@@ -232,7 +232,7 @@ KINDS = ("move", "copy", "remove")
 
 PICKS = ("vertex", "edge", "face")
 
-#: Largest width of a falloff and size of crumbs, world units.
+#: Largest width of a falloff and size of fragments, world units.
 LARGEST_LENGTH = 1e9
 
 
@@ -249,7 +249,7 @@ class Edit:
     posed: np.ndarray
     falloff: float = 0.0  # width of the band at held walls in which the edit fades to rest, world units; see `CageEdit`
     held: str = "cut"  # the walls that are held: "cut" or "still"
-    crumbs: float = 0.0  # size of the crumbs that go with the part, world units
+    fragments: float = 0.0  # size of the fragments that go with the part, world units
 
     @property
     def rest_cage(self) -> Cage:
@@ -275,7 +275,7 @@ class Edit:
             remove=removes,
             falloff=0.0 if removes else self.falloff,
             held=self.held,
-            crumbs=self.crumbs,
+            fragments=self.fragments,
         )
 
 
@@ -398,7 +398,7 @@ def edit_json(edit: Edit) -> dict[str, Any]:
         "posed": edit.posed.tolist(),
         "falloff": edit.falloff,
         "held": edit.held,
-        "crumbs": edit.crumbs,
+        FRAGMENTS_WORD: edit.fragments,
     }
 
 
@@ -416,13 +416,13 @@ def new_edit(number: int, cage: ClosedMesh, name: str, kind: str = "move", posed
 
 
 def checked_walls(content: Mapping[str, Any]) -> dict[str, Any]:
-    """What a message or a session says of falloff, held and crumbs of an edit: those of them that it has."""
+    """What a message or a session says of falloff, held and fragments of an edit: those of them that it has."""
     lengths = {
-        name: checked_between(content[name], 0.0, LARGEST_LENGTH, name)
-        for name in ("falloff", "crumbs")
-        if name in content
+        word: checked_between(content[word], 0.0, LARGEST_LENGTH, word)
+        for word in ("falloff", FRAGMENTS_WORD)
+        if word in content
     }
-    return lengths | ({"held": checked_choice(content["held"], HELD, "held")} if "held" in content else {})
+    return edit_fields(lengths) | ({"held": checked_choice(content["held"], HELD, "held")} if "held" in content else {})
 
 
 def _key_json(key: Key) -> dict[str, Any]:

@@ -312,7 +312,7 @@ def _same_rest(edits: Sequence[Edit], others: Sequence[Edit]) -> bool:
     """Whether a Deformer of some edits is a Deformer of others too."""
 
     def kinds(of: Sequence[Edit]) -> list[tuple]:
-        return [(edit.kind, edit.falloff, edit.held, edit.crumbs) for edit in of]
+        return [(edit.kind, edit.falloff, edit.held, edit.fragments) for edit in of]
 
     return kinds(edits) == kinds(others) and _same_arrays(
         [array for edit in edits for array in (edit.faces, edit.rest)],
@@ -569,7 +569,8 @@ def same_pose(one: Document, two: Document) -> bool:
         and all(
             a.posed is b.posed
             and a.rest is b.rest
-            and (a.kind, a.visible, a.falloff, a.held, a.crumbs) == (b.kind, b.visible, b.falloff, b.held, b.crumbs)
+            and (a.kind, a.visible, a.falloff, a.held) == (b.kind, b.visible, b.falloff, b.held)
+            and a.fragments == b.fragments
             for a, b in zip(one.edits, two.edits, strict=True)
         )
     )

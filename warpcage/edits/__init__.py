@@ -3,5 +3,6 @@
 from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
-    __name__, {"apart": "EditBoxes box_gaps edit_boxes front_to_back", "falloff": "walls_share", "fragments": "crumbs"}
+    __name__,
+    {"apart": "EditBoxes box_gaps edit_boxes front_to_back", "falloff": "walls_share", "fragments": "fragment_voxels"},
 )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.checks import checked_number
+from ..core.checks import checked_number, renamed, warn_caller
 from ..mesh.validity import require_usable
 from ..view.camera import Camera
 
@@ -21,6 +21,7 @@ HELD = ("cut", "still")
 MAX_EDITS = 31
 
 
+@renamed(fragments="crumbs")
 @dataclasses.dataclass(frozen=True)
 class CageEdit:
     """One edit of a scene: what is in `cage` goes where the posed cage is.
@@ -33,7 +34,7 @@ class CageEdit:
             the cage cuts off does not tear. 0 holds no wall.
         held: The walls that a falloff holds: "cut", the faces of the cage that cut matter; "still", those whose
             vertices a pose leaves in place; or the numbers of the faces.
-        crumbs: Pieces of matter outside the cage that its wall cuts off the part, and that are smaller than this
+        fragments: Pieces of matter outside the cage that its wall cuts off the part, and that are smaller than this
             (diagonal of their box, world units), go with the part, by the map continued beyond the wall, instead of
             floating where they were. 0 leaves all where it is.
 
@@ -47,7 +48,13 @@ class CageEdit:
     remove: bool = False
     falloff: float = 0.0
     held: str | tuple[int, ...] = "cut"
-    crumbs: float = 0.0
+    fragments: float = 0.0
+
+    @property
+    def crumbs(self) -> float:
+        """The old name of `fragments`, for one release."""
+        warn_caller("CageEdit.crumbs is called fragments now: the next version knows that name alone")
+        return self.fragments
 
     def __post_init__(self) -> None:
         if not isinstance(self.cage, Cage):
@@ -60,9 +67,9 @@ class CageEdit:
             raise ValueError(f"the falloff of an edit must be a width, 0 or more, got {self.falloff}")
         if self.falloff > 0.0 and self.remove:
             raise ValueError("an edit that removes its cage's content has no pose to fade: leave the falloff out")
-        object.__setattr__(self, "crumbs", checked_number(self.crumbs, "the crumbs of an edit"))
-        if self.crumbs < 0.0:
-            raise ValueError(f"the crumbs of an edit must be a size, 0 or more, got {self.crumbs}")
+        object.__setattr__(self, "fragments", checked_number(self.fragments, "the fragments of an edit"))
+        if self.fragments < 0.0:
+            raise ValueError(f"the fragments of an edit must be a size, 0 or more, got {self.fragments}")
         object.__setattr__(self, "held", checked_walls(self.held, len(self.cage.faces)))
 
 

@@ -24,14 +24,14 @@ from ..mesh.mesh import prepared_fans
 from .edits import CageEdit
 
 
-def crumbs(field: VoxelField, cage: Cage, size: float) -> np.ndarray:
-    """Indices (n, 3) of the voxels of crumbs outside a cage at rest, whose boxes have diagonals below `size`, world
+def fragment_voxels(field: VoxelField, cage: Cage, size: float) -> np.ndarray:
+    """Indices (n, 3) of the voxels of fragments outside a cage at rest, whose boxes have diagonals below `size`, world
     units."""
     # Connected (over faces, edges, corners) visible matter outside the cage that touches visible matter inside it.
     from scipy.ndimage import binary_dilation
     from skimage.measure import label, regionprops
 
-    # a crumb lies within its size of the cage; what reaches the border of this block is none
+    # a fragment lies within its size of the cage; what reaches the border of this block is none
     margin = size + 2.0 * field.voxel_size
     low = np.floor((cage.bounds[0] - margin - field.bounds[0]) / field.voxel_size).astype(int)
     high = np.ceil((cage.bounds[1] + margin - field.bounds[0]) / field.voxel_size).astype(int)
@@ -63,7 +63,7 @@ def crumbs(field: VoxelField, cage: Cage, size: float) -> np.ndarray:
         if piece.label in touching and not cut.any():
             if np.linalg.norm((end - begin) * field.voxel_size) < size:
                 chosen[tuple(piece.coords.T)] = True
-    # faint voxels around a crumb go with it, where no other matter is next to them
+    # faint voxels around a fragment go with it, where no other matter is next to them
     faint = grown(chosen) & ~grown(outside & ~chosen) & held & np.logical_not(matter)
     return np.argwhere(chosen | (faint & ~in_cage(faint))) + low
 
@@ -82,12 +82,13 @@ NODE_BYTES = 25
 
 
 class CarriedFragments:
-    """The crumbs of one edit, and the lattices of its poses made as large as to hold them where they go.
+    """The fragments of one edit, and the lattices of its poses made as large as to hold them where they go.
     `index` is the number of the edit, for messages."""
 
     def __init__(self, edit: CageEdit, field: VoxelField, index: int):
         self._edit, self._index, self._device, self._origin = edit, index, field.device, field.center
-        self.voxels = crumbs(field, edit.cage, edit.crumbs) if edit.crumbs > 0.0 else np.zeros((0, 3), int)  # (n, 3)
+        size = edit.fragments
+        self.voxels = fragment_voxels(field, edit.cage, size) if size > 0.0 else np.zeros((0, 3), int)  # (n, 3)
         self.cells = FragmentCells()
         self.bounds: np.ndarray | None = None  # (2, 3) box of the last pose's lattice, world units; None: nothing moves
         if not len(self.voxels):
@@ -122,7 +123,7 @@ class CarriedFragments:
         return wp.array((np.asarray(vertices) - self._origin).astype(np.float32), dtype=wp.vec3, device=self._device)
 
     def extended(self, cage: Cage, plain: Any, cage_map: Any, walls: Any = None) -> Any:
-        """The CageMap of a pose on a lattice that reaches as far as its crumbs. plain: the CageMap before it fades;
+        """The CageMap of a pose on a lattice that reaches as far as its fragments. plain: the CageMap before it fades;
         cage_map: once it is faded, or `plain` again; walls: the Walls towards which it fades, or None."""
         data = self._walls
         data.posed = self._local(cage.vertices)
@@ -138,8 +139,8 @@ class CarriedFragments:
         require_memory(
             NODE_BYTES * int(np.prod(padded)),
             self._device,
-            f"the crumbs of edit {self._index} go so far that their lattice needs {{size}}: give a smaller size of "
-            "crumbs, or a lower resolution",
+            f"the fragments of edit {self._index} go so far that their lattice needs {{size}}: give a smaller size of "
+            "fragments, or a lower resolution",
             held=self._pool.bytes,
         )
         result = self._padded(cage_map, padded)
@@ -156,7 +157,7 @@ class CarriedFragments:
         return result
 
     def mark(self, edit: Any, cells: wp.array) -> None:
-        """Mark the cells of the last pose, of which `edit` is the LatticeEdit, through which crumbs go.
+        """Mark the cells of the last pose, of which `edit` is the LatticeEdit, through which fragments go.
         cells: (nx-1, ny-1, nz-1) uint8, the CELL_... flags of `mark_edit_cases`."""
         if self._marks is not None:
             launch(extension.mark_carrying_cells, cells.size, [edit, self._marks], [cells], device=self._device)
@@ -181,8 +182,8 @@ class CarriedFragments:
         if not found.all():
             warn_caller(
                 f"the pose of edit {self._index} has no place for {np.count_nonzero(~found)} of {count} voxels of "
-                "crumbs beside the cage, where its map folds over: they are left out; move the cage less, or give "
-                "crumbs a smaller size"
+                "fragments beside the cage, where its map folds over: they are left out; move the cage less, or give "
+                "fragments a smaller size"
             )
         low, high = images[found].min(axis=1), images[found].max(axis=1)
         spare = IMAGE_SHARE * (high - low) + IMAGE_CELLS
@@ -210,6 +211,6 @@ class CarriedFragments:
 
 
 def found_fragments(edit: CageEdit, field: VoxelField, index: int) -> CarriedFragments | None:
-    """The crumbs that go with an edit, None where there are none; `index` is its number, for messages."""
-    carried = CarriedFragments(edit, field, index) if edit.crumbs > 0.0 else None
+    """The fragments that go with an edit, None where there are none; `index` is its number, for messages."""
+    carried = CarriedFragments(edit, field, index) if edit.fragments > 0.0 else None
     return carried if carried is not None and len(carried.voxels) else None

@@ -121,8 +121,8 @@ class EditLattices:
         """Make the structs of the edits, with the arrays of their tables. maps: a CageMap each, None for an edit that
         removes."""
         self._structs = [
-            posed_struct(edit, rest, cage_map, cage, crumbs)
-            for edit, rest, cage_map, cage, crumbs in zip(
+            posed_struct(edit, rest, cage_map, cage, fragments)
+            for edit, rest, cage_map, cage, fragments in zip(
                 self._edits, self._rest_maps, maps, self._cages, self.carried, strict=True
             )
         ]
@@ -146,7 +146,7 @@ class EditLattices:
         return faded_map(data, walls, self._faded[index])
 
     def _extended_map(self, index: int, cage: Cage | None) -> Any:
-        """The same, on a lattice that reaches as far as the edit's crumbs where it has any."""
+        """The same, on a lattice that reaches as far as the edit's fragments where it has any."""
         carried, faded = self.carried[index], self._faded[index]
         if carried is None or cage is None:
             return faded
@@ -230,7 +230,7 @@ def posed_struct(
     struct.slack = LATTICE_SLACK * rest.spacing
     struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
     if carried is not None:
-        struct.crumbs = carried.cells
+        struct.fragments = carried.cells
     return struct
 
 

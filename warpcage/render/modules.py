@@ -53,7 +53,7 @@ def load_usual_modules(coordinates: str, device: wp.Device) -> None:
 
 
 def render_modules(device: wp.Device, edit_count: int = 1, has_fragments: bool = False) -> list[ModuleType | Kernel]:
-    """What renders views, kernel files and variants; has_crumbs: crumbs go with one of the edits."""
+    """What renders views, kernel files and variants; has_fragments: fragments go with one of the edits."""
     if has_fragments:
         return [stack_kernel(False)]
     several = [stack_kernel(True), stack_kernel(False)] if edit_count > 1 else []

@@ -85,7 +85,7 @@ class LatticeEdits(PosedEdits):
         bands: Sequence[FalloffBand | None] = (),
         carried: Sequence[CarriedFragments | None] = (),
     ):
-        # the marches for one edit alone know no crumbs
+        # the marches for one edit alone know no fragments
         self._edits, self._device, self._origin = edits, device, np.asarray(origin)
         self._is_single, self._has_fragments = len(edits) == 1 and not any(carried), any(carried)
         self._by_tiles = device.is_cpu and tables.TILES_ON_CPU
@@ -304,7 +304,7 @@ class LatticeEdits(PosedEdits):
     def scene_parts(self, center: wp.vec3, step: float) -> list[tuple[Any, np.ndarray]] | None:
         """The EditData of each edit and its box (2, 3), front to back from `centre`, relative to the edits' origin, as
         a view takes them one by one. None where one kernel takes the whole scene."""
-        # One kernel takes: one edit on CUDA, crumbs, edits that may meet, boxes that hide each other in a circle.
+        # One kernel takes: one edit on CUDA, fragments, edits that may meet, boxes that hide each other in a circle.
         if self._is_single:
             return [(self.flat[0], NOWHERE)] if self._by_tiles else None
         if self._boxes is None:

@@ -89,7 +89,7 @@ def edit_data(edit: Any, look: Buffer, nodes: Buffer) -> Any:
     flat.rest = edit.rest
     flat.by_nodes = int(not edit.removes)  # until there are polynomials
     flat.tolerance, flat.slack = edit.tolerance, edit.slack
-    flat.keeps_source, flat.removes, flat.crumbs = edit.keeps_source, edit.removes, edit.crumbs
+    flat.keeps_source, flat.removes, flat.fragments = edit.keeps_source, edit.removes, edit.fragments
     flat.all_outside = int(CELL_OUTSIDE) if edit.removes else 0
     flat.carried_below = -math.inf if edit.removes else 0.0
     return flat

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+
 from ...core.names import COORDINATES, DENSITIES, SPLAT_MAPS
 from . import options
 
@@ -84,11 +86,14 @@ def add_edits(parser: options.Arguments) -> None:
         "inside them, world units, so that a part does not tear off (default: no wall is held)",
     )
     parser.add_argument(
-        "--crumbs",
+        "--fragments",
         type=options.positive_float,
         metavar="SIZE",
         help="take pieces smaller than this, world units, that a cage cuts off its part, along with the part (default: "
         "they stay)",
+    )
+    parser.add_argument(
+        "--crumbs", dest="fragments", action=options.OldName, type=options.positive_float, help=argparse.SUPPRESS
     )
     parser.add_argument(
         "--edits",

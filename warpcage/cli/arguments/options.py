@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import fractions
 import pathlib
+import warnings
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ...core.names import BACKGROUNDS
 
@@ -36,6 +37,21 @@ BY_SIZE = "by size"
 
 #: What takes arguments: a parser, or a group of its arguments.
 Arguments = argparse._ActionsContainer
+
+
+class OldName(argparse.Action):
+    """An option by its old name, which the next version does not know."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        old, new = self.option_strings[0], self.dest.replace("_", "-")
+        warnings.warn(f"{old} is called --{new} now: the next version knows that name alone", stacklevel=2)
+        setattr(namespace, self.dest, values)
 
 
 class Command(NamedTuple):

@@ -185,9 +185,10 @@ EDITS_EXAMPLE = """\
 An edit is a cage and what becomes of what is in it: CAGE:POSED moves it to where the posed cage is, CAGE:POSED:keep
 leaves a copy where it was, CAGE:remove takes it away. CAGE:POSED:falloff=WIDTH holds the walls of the cage that cut
 through matter and fades to rest in a band of that width inside them, so that the part does not tear off (held=still:
-the walls that the pose leaves in place; held=3,4: these faces). crumbs=SIZE takes pieces smaller than that along, which
-the cage cuts off. POSED is a cage file, a keyframe of a pose file (poses.json:NAME) or a preset (bend:40:x:z). Edits
-act in their order, each on what the ones before it left. A Windows drive (C:\\cage.obj:C:\\posed.obj) is no separator.
+the walls that the pose leaves in place; held=3,4: these faces). fragments=SIZE takes pieces smaller than that along,
+which the cage cuts off. POSED is a cage file, a keyframe of a pose file (poses.json:NAME) or a preset (bend:40:x:z).
+Edits act in their order, each on what the ones before it left. A Windows drive (C:\\cage.obj:C:\\posed.obj) is no
+separator.
 
 The file is JSON, with paths relative to its own folder. Sessions of the editor (.session.json) are read too. Pictures
 of what edits do are in docs/edits.md.

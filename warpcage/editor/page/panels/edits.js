@@ -149,9 +149,9 @@ export function editsGroup() {
     options: HELD,
     onChange: changeTo("held"),
   });
-  const crumbs = length({
-    id: "edit-crumbs",
-    label: "Crumbs",
+  const fragments = length({
+    id: "edit-fragments",
+    label: "Fragments",
     title: "Pieces outside the cage that hang on the part alone and are smaller than this go with it. 0: they stay",
     onChange: changeTo("crumbs"),
   });
@@ -166,7 +166,7 @@ export function editsGroup() {
     button({ id: "edit-down", label: "Later", icon: "down", title: "Move the active edit down (Alt+Down in the list)", onClick: withActiveEdit((edit) => shift(edit.id, 1)) }),
     button({ id: "edit-delete", label: "Delete", icon: "delete", title: "Delete the active edit (Delete in the list)", onClick: withActiveEdit(remove) }),
   );
-  const details = el("div", { class: "stack" }, name.root, kind.root, meaning, falloff.root, held.root, crumbs.root);
+  const details = el("div", { class: "stack" }, name.root, kind.root, meaning, falloff.root, held.root, fragments.root);
   const made = group("edits", "Edits", true, ...list.parts, tools, details);
   const show = () => {
     const { edits = [] } = store.sections;
@@ -183,7 +183,7 @@ export function editsGroup() {
     setText(meaning, MEANINGS[edit.kind]);
     falloff.set(edit.falloff);
     held.set(edit.held);
-    crumbs.set(edit.crumbs);
+    fragments.set(edit.crumbs);
     falloff.root.hidden = edit.kind === "remove";
     held.root.hidden = edit.kind === "remove" || !edit.falloff;
     setIcon(shown, edit.visible ? "eye" : "eye-off");
