@@ -7,8 +7,6 @@ Each name is loaded when it is first used (PEP 562, SPEC 1), so that `import war
 tells type checkers what the names are.
 """
 
-from __future__ import annotations
-
 from .package import find_kernels, lazy_exports, require_dependencies
 
 require_dependencies()
@@ -49,25 +47,8 @@ _HOMES = {
 }
 
 _ROOMS = (
-    "batch",
-    "cage",
-    "captures",
-    "cli",
-    "coordinates",
-    "core",
-    "deform",
-    "editor",
-    "edits",
-    "field",
-    "fitting",
-    "kernels",
-    "lattice",
-    "mesh",
-    "reference",
-    "render",
-    "scene",
-    "splats",
-    "view",
-)
+    "batch cage captures cli coordinates core deform editor edits field "
+    "fitting kernels lattice mesh reference render scene splats view"
+).split()
 
 __getattr__, __dir__, __all__ = lazy_exports(__name__, _HOMES, _ROOMS)  # pyright: ignore[reportUnsupportedDunderAll]

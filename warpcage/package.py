@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
+# `typing` and `importlib` take longer to load than all else here: types are plain, imports at their use
 import os.path
 import sys
-from importlib import import_module
-
-TYPE_CHECKING = False  # type checkers take it for true; `typing` takes as long to load as all else here
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
 
 #: Modules that the package's own modules import at once, and the names under which they are installed. The other
 #: dependencies are imported where they are used.
@@ -22,54 +17,54 @@ _ROOT = os.path.dirname(_PACKAGE)
 
 def require_dependencies() -> None:
     """Refuse to begin where a module is missing that the package imports."""
-    missing = [name for module, name in NEEDED.items() if importlib.util.find_spec(module) is None]
+    missing = " ".join([NEEDED[module] for module in NEEDED if not _is_installed(module)])
     if missing:
-        import shlex
+        from .core.names import install_line
 
-        names = " ".join(missing)
-        # a checkout installs all its dependencies, those that are imported later too
-        what = f"-e {shlex.quote(_ROOT)}" if os.path.isfile(os.path.join(_ROOT, "setup.py")) else names
-        raise ImportError(f"warpcage needs {names}: pip install {what}")
+        raise ImportError(install_line(missing, _ROOT))
+
+
+def _is_installed(module: str) -> bool:
+    """Whether a top-level module can be imported."""
+    for finder in sys.meta_path:
+        if hasattr(finder, "find_spec") and finder.find_spec(module, None):
+            return True
+    return module in sys.modules
 
 
 def find_kernels(package: str) -> None:
     """Make `kernels` of a checkout importable as a part of the package where nothing else does."""
     # A checkout's warpcage/kernels is a link to ../kernels, which Git on Windows and zip programs do not keep.
-    name = f"{package}.kernels"
-    found = importlib.util.find_spec(name)
-    if found is not None and found.origin is not None:
+    if os.path.isfile(os.path.join(_PACKAGE, "kernels", "__init__.py")):
         return
-    folder = os.path.join(_ROOT, "kernels")
-    path = os.path.join(folder, "__init__.py")
-    spec = importlib.util.spec_from_file_location(name, path, submodule_search_locations=[folder])
-    if not os.path.isfile(path) or spec is None or spec.loader is None:
+    name, beside = f"{package}.kernels", os.path.join(_ROOT, "kernels", "__init__.py")
+    if not os.path.isfile(beside):
         raise ImportError(f"{name} is missing: {_PACKAGE} is not whole, install warpcage again")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
+    from importlib import util
+
+    spec = util.spec_from_file_location(name, beside, submodule_search_locations=[os.path.dirname(beside)])
+    assert spec and spec.loader
+    module = sys.modules[name] = util.module_from_spec(spec)
     spec.loader.exec_module(module)
     vars(sys.modules[package])["kernels"] = module  # as the import system does for modules that it finds itself
 
 
-def lazy_exports(
-    package: str, homes: Mapping[str, str | Sequence[str]], rooms: Iterable[str] = ()
-) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
+def lazy_exports(package: str, homes: dict, rooms: list | tuple = ()) -> tuple:
     """`__getattr__`, `__dir__` and `__all__` of a package. homes: names by module, as a list or as words;
     rooms: its modules that are names themselves."""
-    modules = {
-        name: module for module, names in homes.items() for name in (names.split() if isinstance(names, str) else names)
-    }
+    modules = {}
+    for module, names in homes.items():
+        modules |= dict.fromkeys(names.split() if isinstance(names, str) else names, module)
 
     def load(name: str) -> object:
-        if name in modules:
-            found = getattr(import_module(f"{package}.{modules[name]}"), name)
-        elif name in rooms:
-            found = import_module(f"{package}.{name}")
-        else:
+        if name not in modules and name not in rooms:
             raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name)
+        from importlib import import_module
+
+        found = import_module(f"{package}.{modules.get(name, name)}")
+        if name in modules:
+            found = getattr(found, name)
         setattr(sys.modules[package], name, found)  # the next time Python finds it by itself
         return found
 
-    def names() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *modules, *rooms})
-
-    return load, names, sorted(modules, key=lambda name: (name[0].islower(), name))
+    return load, lambda: sorted({*vars(sys.modules[package]), *modules, *rooms}), sorted(modules)

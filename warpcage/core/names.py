@@ -74,6 +74,15 @@ def agreed(count: int, one: str, several: str) -> str:
     return one if count == 1 else several
 
 
+def install_line(missing: str, root: str) -> str:
+    """What an import without some of its needs says; missing: their names, root: the folder above the package."""
+    import shlex
+
+    # a checkout installs all its dependencies, those that are imported later too
+    what = f"-e {shlex.quote(root)}" if os.path.isfile(os.path.join(root, "setup.py")) else missing
+    return f"warpcage needs {missing}: pip install {what}"
+
+
 def error_line(error: object, limit: int | None = None, *, named: bool = False, folders: bool = True) -> str:
     """What went wrong in one line, such as "no space left on device 'film.mp4'", cut to `limit` letters.
     named: say the kind of an error that is no sentence for users; folders: names of files with their folders."""
