@@ -332,11 +332,9 @@ class Tasks:
 
     def download(self, name: str) -> pathlib.Path | None:
         """The path of a file that the editor made, by its name; None where there is no such file."""
-        if name not in self._made:
-            return None
         with contextlib.suppress(ValueError, OSError):
-            path = self.path_of(name)
-            return path if path.is_file() else None
+            if name in self._made and (path := self.path_of(name)).is_file():
+                return path
         return None
 
     async def _files(self, message: dict[str, Any]) -> dict[str, Any]:
@@ -376,9 +374,7 @@ class Tasks:
             self.session.document.edit(number)
         count = checked_whole(message.get("count", 100), *COUNTS, "count")
         method = checked_choice(message.get("method", "auto"), ("auto", "shell", "voxel"), "method")
-        symmetry = message.get("symmetry")
-        if symmetry is not None:
-            checked_choice(symmetry, ("x", "y", "z"), "symmetry")
+        symmetry = _axis(message, "symmetry", ("x", "y", "z"))
         margin = message.get("margin")
         if margin is not None:
             margin = checked_between(margin, 0.0, MAX_MARGIN, "margin")
@@ -430,7 +426,7 @@ class Tasks:
     async def _load_cage(self, message: dict[str, Any]) -> None:
         """A cage from a file, for an edit or as a new one."""
         path, number = self.path_of(message["file"]), message.get("edit")
-        up = _up(message)
+        up = _axis(message, "up", ("y", "z"))
         if number is not None:
             self.session.document.edit(number)
 
@@ -446,7 +442,7 @@ class Tasks:
         """A posed cage from a file, in any order that `Cage.match` takes."""
         path = self.path_of(message["file"])
         edit = self.session.document.edit(message.get("edit", self.session.document.selection.edit))
-        up = _up(message)
+        up = _axis(message, "up", ("y", "z"))
         loaded, standing = await self._read(lambda: load_standing(Cage, path, up=up, reference=edit.rest_cage))
 
         def pose(document: Document) -> Step:
@@ -596,7 +592,7 @@ def _loaded(path: pathlib.Path, standing: UpAxis) -> str:
     return f"load {path.name}" + (f" ({standing.up} up)" if standing.turned else "")
 
 
-def _up(message: dict[str, Any]) -> str | None:
-    """The axis that points up in a file."""
-    up = message.get("up")
-    return None if up is None else checked_choice(up, ("y", "z"), "up")
+def _axis(message: dict[str, Any], word: str, axes: tuple[str, ...]) -> str | None:
+    """The axis that a word of a message names; None where it has no such word."""
+    axis = message.get(word)
+    return None if axis is None else checked_choice(axis, axes, word)
