@@ -123,7 +123,7 @@ def has_matter_near(grid: VoxelGrid, edit: EditData, node: wp.vec3):
 
 
 @wp.kernel(cuda_max_registers=128)
-def claim_nodes(
+def scatter_cells(
     first: int,
     edit: EditData,
     cells: wp.array3d(dtype=wp.uint8),
@@ -175,7 +175,7 @@ def claim_nodes(
 
 
 @wp.kernel(cuda_max_registers=128)
-def settle_nodes(first: int, edit: EditData, owners: wp.array3d(dtype=int), places: wp.array3d(dtype=wp.vec4)):
+def gather_inverse(first: int, edit: EditData, owners: wp.array3d(dtype=int), places: wp.array3d(dtype=wp.vec4)):
     """Where each node of the rest lattice is in the posed scene, in cells of the posed lattice, with 1; 0 where no cell
     of the posed lattice leads to it. places: as owners, which become NO_CELL again."""
     item = first + wp.tid()

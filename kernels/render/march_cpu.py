@@ -29,10 +29,10 @@ from .rays import (
     ScenePart,
     fill_pixel,
     finished,
-    leave_ray,
     part_end,
     ray_start,
     ray_state,
+    store_ray,
 )
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -158,4 +158,4 @@ def render_edit_tiles(
             if part.is_last == 1:
                 fill_pixel(picture, pixel, finished(ray), background)
             elif end > 0.0 or part.is_first == 1:
-                leave_ray(part, pixel, ray)
+                store_ray(part, pixel, ray)

@@ -154,7 +154,7 @@ def ray_state(part: ScenePart, n: int):
 
 
 @wp.func
-def leave_ray(part: ScenePart, n: int, state: RayState):
+def store_ray(part: ScenePart, n: int, state: RayState):
     """Keep the state of ray n for the marches that follow."""
     seen = state.seen
     part.progress[n] = wp.vec4(seen.transmittance, state.reached, seen.cleared_transmittance, state.pending)

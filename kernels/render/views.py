@@ -21,10 +21,10 @@ from .rays import (
     ScenePart,
     fill_pixel,
     finished,
-    leave_ray,
     part_end,
     ray_start,
     ray_state,
+    store_ray,
 )
 from .volume import ShadedVolume
 
@@ -60,7 +60,7 @@ def view_name(shaded: bool, has_sides: bool, part: bool = False, large: bool = F
 
 
 @wp.func
-def begun_ray(state: RayState, picture: Picture, item: int):
+def advance_ray(state: RayState, picture: Picture, item: int):
     """A ray of an item that has passed what holds nothing for all rays of its tile."""
     if picture.begins.shape[0] > 0:
         state.reached = wp.max(state.reached, picture.begins[item // TILE_SIZE])
@@ -89,7 +89,7 @@ def view_kernel(shaded: bool, has_sides: bool, *, large: bool = False) -> Any:
         column, row = tile_pixel(place, camera.width)
         if column < camera.width and row < camera.height:
             direction = pixel_direction(camera, column, row)
-            start = begun_ray(ray_start(), picture, place)
+            start = advance_ray(ray_start(), picture, place)
             ray = march(edit, grid, table, camera.center, direction, options, start, RAY_END)
             fill_pixel(picture, row * camera.width + column, finished(ray), background)
             note_ticks(picture.order, place, begin)
@@ -139,14 +139,14 @@ def part_kernel(shaded: bool, has_sides: bool) -> Any:
             if end > 0.0:
                 ray = ray_state(part, pixel)
                 if ray.seen.transmittance > options.stop:
-                    ray = begun_ray(ray, picture, place)
+                    ray = advance_ray(ray, picture, place)
                     ray = march(edit, grid, table, camera.center, direction, options, ray, end)
                     if part.is_last == 0:
-                        leave_ray(part, pixel, ray)
+                        store_ray(part, pixel, ray)
                 if part.is_last == 1:
                     fill_pixel(picture, pixel, finished(ray), background)
             elif part.is_first == 1:
-                leave_ray(part, pixel, ray_start())
+                store_ray(part, pixel, ray_start())
             note_ticks(picture.order, place, begin)
 
     @wp.kernel(**declaration(view_name(shaded, has_sides, part=True)))

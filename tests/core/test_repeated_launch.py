@@ -84,7 +84,7 @@ def test_keeps_nothing_alive_that_passes(device):
     for begin in (0.0, 1.0, 1.0, 5.0):
         found = wp.zeros(2, dtype=float, device=device)
         alive = weakref.ref(found)
-        repeated(2, [line, none, begin], [found], passing=2)
+        repeated(2, [line, none, begin], [found], transient=2)
         assert found.numpy().tolist() == [begin + 2.0, begin + 3.0]
         del found
         gc.collect()

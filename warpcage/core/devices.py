@@ -98,12 +98,12 @@ class RecordedLaunch:
         inputs: Sequence[Any],
         outputs: Iterable[Any] = (),
         *,
-        passing: int = 0,
+        transient: int = 0,
         stream: wp.Stream | None = None,
         threads: int | None = None,
         work: float = USUAL_WORK,
     ) -> None:
-        """Launch it; the last `passing` arguments are not kept alive: what one frame alone has."""
+        """Launch it; the last `transient` arguments are not kept alive: what one frame alone has."""
         if self._device.is_cpu:
             launch(self.kernel, count, inputs, outputs, device=self._device, threads=threads, work=work)
         elif count > 0:
@@ -111,7 +111,7 @@ class RecordedLaunch:
                 recorded = self._command(count, [0, *inputs, *outputs])
                 _record(self.kernel)
                 recorded.launch(stream)
-                for index in range(len(self._arguments) - passing, len(self._arguments)):
+                for index in range(len(self._arguments) - transient, len(self._arguments)):
                     self._arguments[index] = recorded.fwd_args[index] = None
                 self._recorded = recorded
 

@@ -259,8 +259,8 @@ class MarchTables:
             arrays = make_arrays()
             outputs = [arrays[name] for name in PART_NAMES]
             view = [pinhole, color, step, STOP_TRANSMITTANCE]
-            passing = len(view) + len(outputs)
-            self._launch_of(kernel)(threads // rays, [*inputs, *view], outputs, passing=passing, work=rays * work)
+            transient = len(view) + len(outputs)
+            self._launch_of(kernel)(threads // rays, [*inputs, *view], outputs, transient=transient, work=rays * work)
 
         return march
 

@@ -11,7 +11,7 @@ import warp as wp
 from ..core.arrays import empty_array
 from ..core.devices import HALF_TEXEL_BYTES, MOST_TEXELS, HostFlag, RecordedLaunches, launch
 from ..field.tables import ColumnTable, whole_warps
-from ..kernels.edits.inverse import NO_CELL, claim_nodes, settle_nodes
+from ..kernels.edits.inverse import NO_CELL, gather_inverse, scatter_cells
 from ..kernels.render.shading import (
     ViewDirectionCage,
     find_view_directions,
@@ -83,8 +83,8 @@ class CarriedShades:
             owners.fill_(int(NO_CELL))
         # one thread on a CPU, where atomics are none
         claims = [owners, self._folds.array]
-        self._launch(claim_nodes, flags.size, [edit, flags, grid], claims, number=number, threads=1)
-        self._launch(settle_nodes, owners.size, [edit, owners], [found], number=number)
+        self._launch(scatter_cells, flags.size, [edit, flags, grid], claims, number=number, threads=1)
+        self._launch(gather_inverse, owners.size, [edit, owners], [found], number=number)
         self._settled = max(settled, owners.size)
         self.posed.append((edit, found, self._aimed_cage(number, edit, found, grid)))
 

@@ -74,7 +74,7 @@ class PosedEdits(abc.ABC):
         work = view.work * self.sample_work * item_rays
         if self._launches is None:
             self._launches = RecordedLaunches(view.field.device)
-        self._launches(kernel, view.threads // item_rays, inputs, number=number, passing=len(end), work=work)
+        self._launches(kernel, view.threads // item_rays, inputs, number=number, transient=len(end), work=work)
 
     @abc.abstractmethod
     def pose(self, cages: Sequence[Cage | None]) -> None:
