@@ -53,3 +53,13 @@ def test_jpeg(tmp_path, extension):
     write_transforms(tmp_path, pictures, ending=".jpg", extension=extension)
     scene = load_scene(tmp_path, background=BACKGROUND)
     assert np.abs(scene.images[0] - smooth / 255).mean() < 0.01 and scene.alphas is None
+
+
+@pytest.mark.parametrize("downscale", [1, 2, 3, 4])
+@pytest.mark.parametrize("distortion", [None, {"k1": 0.05, "k2": -0.02}])
+def test_opaque_pictures_have_no_alphas_at_any_size(tmp_path, downscale, distortion):
+    cameras = spiral_cameras(9, width=69, height=123)
+    colors = np.random.default_rng(0).integers(0, 256, (9, 123, 69, 3), dtype=np.uint8)
+    opaque = np.full((*colors.shape[:3], 1), 255, np.uint8)
+    write_transforms(tmp_path, Pictures(np.concatenate([colors, opaque], axis=-1), cameras), distortion=distortion)
+    assert load_scene(tmp_path, downscale=downscale).alphas is None

@@ -176,8 +176,9 @@ def quaternion(rotation):
 
 
 def write_colmap(
-    folder, pictures, *, binary, model="PINHOLE", distortion=(), points=None, masks=False, where="sparse/0"
+    folder, pictures, *, binary, model="PINHOLE", distortion=(), points=None, colors=None, masks=False, where="sparse/0"
 ):
+    """colors: (n, 3) whole numbers to 255 of the points; None is grey."""
     (folder / where).mkdir(parents=True)
     cameras, images = [], []
     for i, (name, rgba, camera) in enumerate(zip(pictures.names, pictures.rgba, pictures.cameras, strict=True)):
@@ -189,19 +190,21 @@ def write_colmap(
         inverse = np.linalg.inv(camera.camera_to_world)
         images.append((i + 1, *quaternion(inverse[:3, :3]), *inverse[:3, 3], i + 1, f"{name}.png"))
     write = write_colmap_binary if binary else write_colmap_text
-    write(folder / where, cameras, images[::-1], np.zeros((0, 3)) if points is None else points)
+    points = np.zeros((0, 3)) if points is None else points
+    write(folder / where, cameras, images[::-1], points, np.full((len(points), 3), 128) if colors is None else colors)
 
 
-def write_colmap_text(folder, cameras, images, points):
+def write_colmap_text(folder, cameras, images, points, colors):
     lines = ["# Camera list", *(" ".join(map(str, [*row[:4], *row[4]])) for row in cameras)]
     (folder / "cameras.txt").write_text("\n".join(lines) + "\n")
     lines = ["# Image list", *(" ".join(map(str, row)) + "\n" + ("" if row[0] % 2 else "1.5 2.5 -1") for row in images)]
     (folder / "images.txt").write_text("\n".join(lines) + "\n")
-    lines = [f"{i + 1} {x} {y} {z} 128 128 128 0.5 1 0 2 0" for i, (x, y, z) in enumerate(points)]
+    rows = zip(points, colors, strict=True)
+    lines = [f"{i + 1} {x} {y} {z} {r} {g} {b} 0.5 1 0 2 0" for i, ((x, y, z), (r, g, b)) in enumerate(rows)]
     (folder / "points3D.txt").write_text("# 3D points\n" + "\n".join(lines) + "\n")
 
 
-def write_colmap_binary(folder, cameras, images, points):
+def write_colmap_binary(folder, cameras, images, points, colors):
     data = struct.pack("<Q", len(cameras))
     for number, model, width, height, parameters in cameras:
         data += struct.pack(f"<iiQQ{len(parameters)}d", number, MODEL_NUMBERS[model], width, height, *parameters)
@@ -213,8 +216,8 @@ def write_colmap_binary(folder, cameras, images, points):
         data += struct.pack("<ddq", 1.5, 2.5, -1) * keypoints
     (folder / "images.bin").write_bytes(data)
     data = struct.pack("<Q", len(points))
-    for i, point in enumerate(points):
-        data += struct.pack("<Q3d3Bd", i + 1, *point, 128, 128, 128, 0.5) + struct.pack("<Q4i", 2, 1, 0, 2, 0)
+    for i, (point, color) in enumerate(zip(points, colors, strict=True)):
+        data += struct.pack("<Q3d3Bd", i + 1, *point, *color, 0.5) + struct.pack("<Q4i", 2, 1, 0, 2, 0)
     (folder / "points3D.bin").write_bytes(data)
 
 

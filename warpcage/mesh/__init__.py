@@ -8,7 +8,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "io": "read_mesh",
         "io.gltf": "write_glb",
         "io.gltf_animation": "read_gltf_motion",
-        "io.ply": "read_ply",
+        "io.ply": "read_ply read_ply_points",
         "match": "require_same_faces",
         "mesh": "MeshTopology face_fans prepared_fans",
         "polygons": "cut_polygon",

@@ -35,20 +35,36 @@ def view_box(cameras: Sequence[Camera]) -> np.ndarray:
     # Its centre is the point nearest to all optical axes (least squares; ahead of the cameras where those are
     # parallel), its half side the largest radius that most cameras see whole, at most their distance to the centre.
     centers = np.stack([camera.center for camera in cameras])
-    axes = np.stack([camera.rotation[:, 2] for camera in cameras])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    system = across.sum(axis=0)
-    if np.linalg.cond(system) < MAX_CONDITION:
-        center = np.linalg.solve(system, (across @ centers[:, :, None])[..., 0].sum(axis=0))
-    else:  # one camera, or parallel ones: nothing says how far the object is, so go by how far apart they are
-        spread = float(np.ptp(centers, axis=0).max())
-        center = (centers + axes * (PARALLEL_DISTANCE * spread if spread > 0 else 1.0)).mean(axis=0)
+    center = axes_meeting(cameras)
+    center = center_ahead(cameras) if center is None else center
     distance = np.linalg.norm(centers - center, axis=1)
     tangent = np.array([max(camera.width / camera.fx, camera.height / camera.fy) / 2 for camera in cameras])
     # an object that fills the image's longer side at that distance
     half = float(np.median(distance * tangent / np.sqrt(1 + tangent**2))) * BOX_ROOM
     half = min(half, MOST_OF_DISTANCE * float(distance.min())) if distance.min() > 0 else half
     return np.stack([center - half, center + half])
+
+
+def _centers_and_axes(cameras: Sequence[Camera]) -> tuple[np.ndarray, np.ndarray]:
+    """Places and directions of view of cameras, (n, 3) each."""
+    return np.stack([camera.center for camera in cameras]), np.stack([camera.rotation[:, 2] for camera in cameras])
+
+
+def axes_meeting(cameras: Sequence[Camera]) -> np.ndarray | None:
+    """The point (3,) nearest to all optical axes, by least squares; None for one camera and for parallel ones."""
+    centers, axes = _centers_and_axes(cameras)
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    system = across.sum(axis=0)
+    if not np.linalg.cond(system) < MAX_CONDITION:
+        return None
+    return np.linalg.solve(system, (across @ centers[:, :, None])[..., 0].sum(axis=0))
+
+
+def center_ahead(cameras: Sequence[Camera]) -> np.ndarray:
+    """A point (3,) ahead of cameras that look the same way, by how far apart they are: nothing says how far it is."""
+    centers, axes = _centers_and_axes(cameras)
+    spread = float(np.ptp(centers, axis=0).max())
+    return (centers + axes * (PARALLEL_DISTANCE * spread if spread > 0 else 1.0)).mean(axis=0)
 
 
 def scene_box(cameras: Sequence[Camera], bounds: np.ndarray | None = None) -> np.ndarray:

@@ -108,6 +108,10 @@ STRIP_BYTES = 1 << 22
 MOST_WORKERS = 32
 
 
+#: By how much opacities miss 1 where opaque pictures were shrunk or a lens was undone.
+ALPHA_ROUNDING = 1e-5
+
+
 @dataclasses.dataclass
 class View:
     """One picture and its camera, as a format's reader found them."""
@@ -144,7 +148,8 @@ def make_scene(
     background: np.ndarray,  # (3,) colour behind transparent pixels
     masks: bool | str = True,  # as for `load_scene`
     bounds: np.ndarray | None = None,  # (2, 3) box of the object, world units
-    points: np.ndarray | None = None,  # (n, 3) points of a reconstruction, world units
+    points: np.ndarray | None = None,  # (m, 3) points of a reconstruction, world units
+    point_colors: np.ndarray | None = None,  # (m, 3) in [0, 1]
     to_source: np.ndarray | None = None,  # (4, 4) as Scene has it
 ) -> Scene:
     """Read the pictures of views, undo their distortion, shrink them and put them on the background."""
@@ -183,7 +188,9 @@ def make_scene(
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(load, range(len(views))))
     cameras = [camera.resized(width, height) for camera in cameras]
-    opaque = all((alpha == 1.0).all() for alpha in alphas)  # such images say nothing about the object's outline
+    # opaque images say nothing about the object's outline; averages of ones are not 1 to the last bit
+    opaque = all(alpha.min() > 1.0 - ALPHA_ROUNDING for alpha in alphas)
+    has_points = points is not None and len(points) > 0
     if bounds is None and points is not None:
         bounds = bulk_box(points, view_box(cameras), common_up(cameras))
     return Scene(
@@ -196,6 +203,8 @@ def make_scene(
         to_source=to_source,
         surroundings=None if opaque else surroundings,
         captured=any(view.mask is not None for view in views),
+        points=points if has_points else None,
+        point_colors=point_colors if has_points else None,
     )
 
 

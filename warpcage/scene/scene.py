@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_bounds
+from ..core.checks import checked_bounds, real_array
 from ..view.camera import Camera, CameraFile, common_up, rigid_motion
 from ..view.frame import parse_background
 from ..view.motion import axis_rotation
@@ -44,10 +44,14 @@ class Scene:
             `straightened`. None where they are the same.
         captured: Whether the opacity comes from mask files: such pictures were taken, not rendered, and `fit` smooths
             more.
+        points: (m, 3) float64, points of the reconstruction that the cameras come from, world units. None where the
+            data have none.
+        point_colors: (m, 3) float32 in [0, 1], the colours of these points. None where there are no points, or they
+            have no colours.
 
     Raises:
-        ValueError: If the parts do not fit together, or images or alphas hold values that are not finite or far from
-            [0, 1].
+        ValueError: If the parts do not fit together, or images, alphas, points or their colours hold values that are
+            not finite or, but for points, far from [0, 1].
     """
 
     images: np.ndarray
@@ -60,6 +64,8 @@ class Scene:
     surroundings: np.ndarray | None = None
     captured: bool = False
     straightening: np.ndarray | None = None
+    points: np.ndarray | None = None
+    point_colors: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         images = _checked_images(self.images)
@@ -81,6 +87,7 @@ class Scene:
             if alphas is None or surroundings.shape != images.shape:
                 raise ValueError(f"scene surroundings must be {images.shape} beside alphas, got {surroundings.shape}")
         to_source = _checked_matrix(self.to_source, "to_source")
+        points, point_colors = _checked_points(self.points, self.point_colors)
         checked = {
             "images": images,
             "alphas": alphas,
@@ -90,6 +97,8 @@ class Scene:
             "to_source": to_source,
             "straightening": _checked_matrix(self.straightening, "straightening"),
             "surroundings": surroundings,
+            "points": points,
+            "point_colors": point_colors,
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -193,6 +202,7 @@ class Scene:
         return dataclasses.replace(
             self,
             cameras=[camera.moved(motion) for camera in self.cameras],
+            points=None if self.points is None else self.points @ motion[:3, :3].T + motion[:3, 3],
             bounds=bounds,
             to_source=source @ np.linalg.inv(motion),
             straightening=motion @ before,
@@ -220,6 +230,27 @@ def _checked_matrix(matrix: ArrayLike | None, name: str) -> np.ndarray | None:
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError(f"scene {name} must be a finite (4, 4) matrix, got shape {matrix.shape}")
     return matrix
+
+
+def _checked_points(points: ArrayLike | None, colors: ArrayLike | None) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Finite points (m, 3) float64 and colours (m, 3) float32 in [0, 1], or None."""
+    if points is None:
+        if colors is not None:
+            raise ValueError("scene point_colors need points")
+        return None, None
+    places = real_array(points, "scene points")
+    if places.ndim != 2 or places.shape[1] != 3 or not np.isfinite(places).all():
+        raise ValueError(f"scene points must be finite and (m, 3), got shape {places.shape}")
+    if colors is None:
+        return places, None
+    shades = real_array(colors, "scene point_colors", np.float32)
+    if shades.shape != places.shape:
+        raise ValueError(f"scene point_colors must be {places.shape}, as the points, got {shades.shape}")
+    if shades.size and not (shades.min() >= 0.0 and shades.max() <= 1.0):  # false for NaN too
+        raise ValueError(
+            f"scene point_colors hold values from {shades.min():g} to {shades.max():g}: they must lie in [0, 1]"
+        )
+    return places, shades
 
 
 def _checked_images(images: np.ndarray) -> np.ndarray:

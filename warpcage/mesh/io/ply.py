@@ -30,12 +30,24 @@ PROPERTY_BYTES, LIST_ROOM = 300, 40
 
 def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list[int]]]]:
     """Vertices (v, 3) float64, and (line or name, indices of vertices) of each polygon of a PLY file."""
+    vertices, polygons, _ = _read(path, colors=False)
+    return vertices, polygons
+
+
+def read_ply_points(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Vertices (v, 3) float64 of a PLY file and their colours (v, 3) float32 in [0, 1], None where it has none."""
+    vertices, _, colors = _read(path, colors=True)
+    return vertices, colors
+
+
+def _read(path: pathlib.Path, *, colors: bool) -> tuple[np.ndarray, list, np.ndarray | None]:
+    """Vertices, polygons, and where they are asked for and there, colours of the vertices."""
     data = read_limited(path, "PLY file")
     order, elements, body, body_line = ply_header(path, data)
     if order == "ascii":
         require_host_memory(TEXT_ROOM * len(data), f"{path}: its {len(data)} bytes of text need")
     rows = _ply_text_rows if order == "ascii" else _ply_binary_rows
-    vertices, polygons = None, []
+    vertices, polygons, shades = None, [], None
     for name, properties, values in rows(path, data[body:], elements, order, body_line):
         names = [each[0] for each in properties]
         if name == "vertex":
@@ -43,12 +55,9 @@ def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list
                 raise ValueError(f"{path} holds splats, without faces, no mesh and no cage")
             if not {"x", "y", "z"} <= set(names):
                 raise ValueError(f"{path}: PLY vertices need properties x, y, z, got {listed(names)}")
-            columns = [names.index(axis) for axis in "xyz"]
-            if isinstance(values, np.ndarray):
-                fields = [values.dtype.names[column] for column in columns]
-                vertices = np.stack([values[field].astype(np.float64) for field in fields], axis=1)
-            else:
-                vertices = np.array([[row[column] for column in columns] for _, row in values], dtype=np.float64)
+            vertices = _columns(values, [names.index(axis) for axis in "xyz"])
+            if colors and set(CHANNELS) <= set(names):
+                shades = _vertex_colors(path, properties, values)
             if not np.isfinite(vertices).all():
                 number = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
                 raise ValueError(f"{path}: PLY vertex {number} is not finite")
@@ -59,7 +68,35 @@ def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list
             polygons = [(line, [int(index) for index in row[column]]) for line, row in values]
     if vertices is None:
         raise ValueError(f"{path}: no vertices in it")
-    return vertices.reshape(-1, 3), polygons
+    return vertices, polygons, shades
+
+
+def _columns(values: Any, columns: list[int]) -> np.ndarray:
+    """(rows, columns) float64 of some properties of an element."""
+    if isinstance(values, np.ndarray):
+        return np.stack([values[f"p{column}"].astype(np.float64) for column in columns], axis=1)
+    return np.array([[row[column] for column in columns] for _, row in values], np.float64).reshape(-1, len(columns))
+
+
+#: Properties of a vertex that are its colour, and what is white in those of whole numbers.
+CHANNELS, WHITE = ("red", "green", "blue"), {"u1": 255.0, "u2": 65535.0}
+
+
+def _vertex_colors(path: pathlib.Path, properties: list[tuple[str, Any]], values: Any) -> np.ndarray:
+    """(v, 3) float32 in [0, 1], of properties of any type; numbers with a point reach to 1, or to 255."""
+    kinds = dict(properties)
+    if any(isinstance(kinds[name], tuple) for name in CHANNELS):
+        raise ValueError(f"{path}: PLY colours must be numbers, not lists")
+    names = [each[0] for each in properties]
+    colors = _columns(values, [names.index(name) for name in CHANNELS])
+    whites = [WHITE.get(kinds[name]) for name in CHANNELS]
+    if None in whites:  # other types say nothing, their values do
+        whites = [1.0 if colors.max(initial=0.0) <= 1.0 and kinds["red"][0] == "f" else 255.0] * 3
+    colors = colors / whites
+    if not (colors.min(initial=0.0) >= 0.0 and colors.max(initial=0.0) <= 1.0):  # false for NaN too
+        wrong = int(np.flatnonzero(~((colors >= 0.0) & (colors <= 1.0)).all(axis=1))[0])
+        raise ValueError(f"{path}: the colour of PLY vertex {wrong} is no colour: {(colors[wrong] * whites).tolist()}")
+    return colors.astype(np.float32)
 
 
 def ply_header(path: pathlib.Path, data: bytes) -> tuple[str, list[Element], int, int]:

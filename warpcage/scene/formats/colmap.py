@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import array
 import dataclasses
 import pathlib
 import struct
@@ -80,6 +81,7 @@ class Model:
     cameras: dict[int, ModelCamera]  # by number
     images: list[ModelImage]  # in the order of the file
     points: np.ndarray | None  # (n, 3) float64, None where there is no such file
+    colors: np.ndarray | None  # (n, 3) float32 in [0, 1], None where the file has none for all points
     cameras_path: pathlib.Path  # for messages, as the next
     images_path: pathlib.Path
 
@@ -92,7 +94,7 @@ def read_model(folder: pathlib.Path) -> Model:
     return Model(
         (_cameras_bin if binary else _cameras_txt)(cameras),
         (_images_bin if binary else _images_txt)(images),
-        (_points_bin if binary else _points_txt)(points) if points.is_file() else None,
+        *((_points_bin if binary else _points_txt)(points) if points.is_file() else (None, None)),
         cameras,
         images,
     )
@@ -139,16 +141,23 @@ def _images_txt(path: pathlib.Path) -> list[ModelImage]:
     return images
 
 
-def _points_txt(path: pathlib.Path) -> np.ndarray:
-    points = []
+def _points_txt(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray | None]:
+    points, colors, has_colors = array.array("d"), array.array("d"), True  # lists would take four times the memory
     for line, text in _lines(path):
-        words = text.split(maxsplit=4)
+        where, words = f"{path}:{line}", text.split(maxsplit=7)
         if not words:
             continue
         if len(words) < 4:
-            raise ValueError(f"{path}:{line}: POINT3D_ID X Y Z expected, got {text[:60]!r}")
-        points.append(floats(" ".join(words[1:4]), f"{path}:{line}"))
-    return np.array(points, np.float64).reshape(-1, 3)
+            raise ValueError(f"{where}: POINT3D_ID X Y Z expected, got {text[:60]!r}")
+        points.extend(floats(" ".join(words[1:4]), where))
+        has_colors = has_colors and len(words) >= 7
+        if has_colors:
+            color = floats(" ".join(words[4:7]), where)
+            if min(color) < 0 or max(color) > 255:
+                raise ValueError(f"{where}: R G B must lie in 0 to 255, got {' '.join(words[4:7])[:60]!r}")
+            colors.extend(color)
+    places = np.array(points, np.float64).reshape(-1, 3)
+    return places, (np.array(colors) / 255.0).astype(np.float32).reshape(-1, 3) if has_colors else None
 
 
 # Binary: little endian, a count and then records
@@ -209,17 +218,17 @@ def _images_bin(path: pathlib.Path) -> list[ModelImage]:
     return images
 
 
-def _points_bin(path: pathlib.Path) -> np.ndarray:
-    file, points = _Bytes(path), []
+def _points_bin(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
+    file, points, colors = _Bytes(path), array.array("d"), bytearray()
     for _ in range(file.count(51)):
-        _, x, y, z = file.take("<Q3d")
-        points.append((x, y, z))
-        file.skip(11)  # colour and error
-        file.skip(8 * file.take("<Q")[0])
-    points = np.array(points, np.float64).reshape(-1, 3)
-    if not np.isfinite(points).all():
+        _, x, y, z, red, green, blue, _, track = file.take("<Q3d3BdQ")
+        points.extend((x, y, z))
+        colors.extend((red, green, blue))
+        file.skip(8 * track)
+    places = np.array(points, np.float64).reshape(-1, 3)
+    if not np.isfinite(places).all():
         raise ValueError(f"{path} holds points that are not finite")
-    return points
+    return places, np.frombuffer(colors, np.uint8).reshape(-1, 3) / np.float32(255)
 
 
 MARK = "sparse/0/ with cameras and images, .bin or .txt"
@@ -269,7 +278,7 @@ def read(folder: pathlib.Path, *, split: str, masks: bool | str, **options: Any)
     views = [_view(folder, pictures, model, image, masks) for image in model.images]
     views = sorted(views_there(views, model.images_path), key=lambda view: str(view.file))
     views = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, views, masks=masks, **options, points=model.points)
+    return make_scene(folder, views, masks=masks, **options, points=model.points, point_colors=model.colors)
 
 
 def _picture_folder(folder: pathlib.Path, model: Model) -> pathlib.Path:

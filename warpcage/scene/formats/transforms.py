@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.checks import listed, shown
 from ...core.files import PathLike, require_file
-from ...mesh.io.ply import read_ply
+from ...mesh.io.ply import read_ply_points
 from ...view.camera import Camera
 from ...view.pictures import image_size
 from ..box import Bounds
@@ -53,8 +53,9 @@ def read_transforms(folder: pathlib.Path, *, split: str, **options: Any) -> Scen
     if path == single:
         views.sort(key=lambda view: str(view.file))
         views = _of_split(views, transforms, split, folder, path)
+    points, colors = _points(folder, transforms, path)
     return make_scene(
-        folder, views, **options, points=_points(folder, transforms, path), to_source=_to_source(transforms, path)
+        folder, views, **options, points=points, point_colors=colors, to_source=_to_source(transforms, path)
     )
 
 
@@ -144,13 +145,15 @@ def _of_split(views: list[View], transforms: dict, split: str, folder: pathlib.P
     return [by_file[file] for file in chosen]
 
 
-def _points(folder: pathlib.Path, transforms: dict, path: pathlib.Path) -> np.ndarray | None:
-    """The points that ply_file_path names, in the coordinates of the poses."""
+def _points(
+    folder: pathlib.Path, transforms: dict, path: pathlib.Path
+) -> tuple[np.ndarray, np.ndarray | None] | tuple[None, None]:
+    """The points that ply_file_path names, in the coordinates of the poses, and their colours."""
     if transforms.get("ply_file_path") is None:
-        return None
+        return None, None
     where = f"{path}: ply_file_path"
     file = Bounds(folder).require(inside(folder, transforms["ply_file_path"], where), where)
-    return read_ply(require_file(file, where))[0]
+    return read_ply_points(require_file(file, where))
 
 
 def _to_source(transforms: dict, path: pathlib.Path) -> np.ndarray | None:
