@@ -27,6 +27,7 @@ from warpcage import FieldOptimizer, PositionMap
 from warpcage.core import launch, limit_threads
 from warpcage.editor import frame_pixels
 from warpcage.field import harmonics_on_device
+from warpcage.fitting.splats import PictureLoss
 from warpcage.kernels.coordinates.green import map_green
 from warpcage.kernels.reference.sample_count import count_samples
 from warpcage.lattice import HarmonicSolver, PoseGraph
@@ -48,6 +49,7 @@ CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "fie
              "field.march.rows.", "field.march.shades.", "render.views.rows", "render.views.shades",
              "render.shading.", "edits.fine_cells.", "edits.inverse.", "core.texels.",
              "edits.nodes.", "render.beams.", "view.tile_order.",
+             "fitting.splat_loss.find_slopes_of_tiles", "fitting.splat_loss.find_window_slopes_of_tiles",
              "splats.composite.", "splats.packed_rows.", "view.pictures.round_colors"}  # fmt: skip
 
 launched: set[str] = set()
@@ -258,6 +260,10 @@ def splats(device) -> None:
     pictures = [np.full((each.height, each.width, 3), 0.5) for each in cameras]
     options = {"supersampling": 2, "growth": 1.5, "progress": False}
     warpcage.fit_splats(field, cameras, pictures, steps=3, antialias=True, **options)
+    drawn, truth = (wp.array(rng.random((37 * 23, 3)), dtype=wp.vec3, device=device) for _ in range(2))
+    weights = wp.array(rng.random(37 * 23), dtype=wp.float32, device=device)
+    for tiled in (True, False):
+        PictureLoss(37, 23, device, tiled=tiled).slopes(drawn, truth, weights)
 
 
 def posed_splats(device) -> None:
