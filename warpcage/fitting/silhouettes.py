@@ -89,9 +89,11 @@ def possible_voxels(
     resolution: tuple[int, ...],
     view_share: float,
     device: wp.Device,
+    *,
+    neighbors: bool = True,
 ) -> wp.array:
     """(nx, ny, nz) uint8 mask of the voxels of bounds (2, 3) that may hold something of the object.
-    Those that a share of the cameras see, inside all silhouettes, and then their neighbours."""
+    Those that a share of the cameras see, inside all silhouettes, and then their neighbours if these are asked for."""
     if silhouettes is None:
         mask = wp.ones(resolution, dtype=wp.uint8, device=device)
     else:
@@ -103,7 +105,7 @@ def possible_voxels(
             if silhouettes is None
             else "no voxel of the bounds lies inside all silhouettes: check bounds, cameras and alphas"
         )
-    return mask if silhouettes is None else dilated(mask)
+    return dilated(mask) if neighbors and silhouettes is not None else mask
 
 
 def _node_places(bounds, resolution, cameras: list[Camera], device: wp.DeviceLike) -> list:

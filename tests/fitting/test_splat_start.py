@@ -1,0 +1,241 @@
+"""Where fits of splats begin: at points of the capture, inside silhouettes, at places that views share."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from warpcage import Camera, Scene, turntable
+from warpcage.fitting.splats import scene_units, starting_splats
+from warpcage.view.motion import axis_rotation
+
+SIZE = 48
+CENTER = np.array([10.0, -3.0, 2.0])
+
+
+def cameras_around(count=8, distance=4.0, size=SIZE, target=CENTER):
+    """Two rings of cameras, above and below."""
+    options = {"fov_degrees": 50, "width": size, "height": size}
+    return [
+        camera
+        for lift, start in ((-25, 0.0), (35, 20.0))
+        for camera in turntable(target, distance, lift, count // 2, start_degrees=start, **options)
+    ]
+
+
+def plain_scene(cameras, color=(0.2, 0.5, 0.8), **options):
+    first = cameras[0]
+    images = np.broadcast_to(np.float32(color), (len(cameras), first.height, first.width, 3))
+    return Scene(images, None, cameras, **options)
+
+
+def ball_scene(radius, color=(0.9, 0.3, 0.1), count=24, **options):
+    """A ball of one colour on a blue background, every pixel whose ray meets it opaque."""
+    cameras, background = cameras_around(count), np.array([0.0, 0.2, 1.0], np.float32)
+    alphas = np.empty((count, SIZE, SIZE), np.float32)
+    for alpha, camera in zip(alphas, cameras, strict=True):
+        origins, directions = camera.rays()
+        offset = origins - CENTER
+        nearest = offset - (offset * directions).sum(axis=-1, keepdims=True) * directions
+        alpha[:] = np.linalg.norm(nearest, axis=-1) < radius
+    images = alphas[..., None] * np.float32(color) + (1.0 - alphas[..., None]) * background
+    return Scene(images, alphas, cameras, background, **options)
+
+
+def lattice(side, count=6):
+    return CENTER + side * (np.indices((count,) * 3).reshape(3, -1).T - 0.5 * (count - 1))
+
+
+def start_of(scene, most=200_000, seed=0, device="cpu", kind="auto"):
+    start = starting_splats(scene, most=most, seed=seed, device=device, kind=kind)
+    assert start.centers.dtype == np.float64 and start.colors.dtype == start.log_scales.dtype == np.float32
+    assert start.centers.shape == start.colors.shape == (*start.log_scales.shape, 3)
+    assert np.isfinite(start.centers).all() and np.isfinite(start.log_scales).all()
+    assert start.colors.min() >= 0.0 and start.colors.max() <= 1.0
+    return start
+
+
+def views_with(scene, places):
+    """How many cameras have each place in their picture, by their matrices."""
+    counts = np.zeros(len(places), int)
+    for camera in scene.cameras:
+        to_camera = np.linalg.inv(camera.camera_to_world)
+        x, y, z = (places @ to_camera[:3, :3].T + to_camera[:3, 3]).T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        counts += (z > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    return counts
+
+
+def test_splats_lie_at_the_points_as_large_as_their_neighbors_are_far():
+    points = lattice(0.07)
+    colors = np.random.default_rng(0).random((len(points), 3), np.float32)
+    start = start_of(plain_scene(cameras_around(), points=points, point_colors=colors))
+    assert np.array_equal(start.centers, points) and np.array_equal(start.colors, colors)
+    np.testing.assert_allclose(start.log_scales, np.log(0.07), atol=1e-6)  # corners have three neighbours too
+    assert start.source == "216 points of the capture"
+
+
+def test_sizes_are_root_mean_squares_of_three_distances():
+    points = CENTER + np.random.default_rng(0).normal(size=(150, 3))
+    apart = np.sort(np.linalg.norm(points[:, None] - points, axis=-1), axis=1)[:, 1:4]
+    start = start_of(plain_scene(cameras_around(), points=points))
+    np.testing.assert_allclose(np.exp(start.log_scales), np.sqrt((apart**2).mean(axis=1)), rtol=1e-5)
+
+
+def test_many_points_are_drawn_from():
+    points = lattice(0.07, 12)
+    colors = (points - points.min(axis=0)) / np.ptp(points, axis=0)
+    scene = plain_scene(cameras_around(), points=points, point_colors=colors)
+    start = start_of(scene, most=500)
+    assert len(np.unique(start.centers, axis=0)) == 500 and start.source == "500 of 1,728 points of the capture"
+    np.testing.assert_allclose(start.colors, (start.centers - points.min(axis=0)) / np.ptp(points, axis=0), atol=1e-6)
+    assert np.array_equal(start_of(scene, most=500).centers, start.centers)
+    assert not np.array_equal(start_of(scene, most=500, seed=1).centers, start.centers)
+
+
+def test_points_on_each_other_and_far_off():
+    points = np.concatenate([np.repeat(CENTER[None], 80, axis=0), lattice(0.1, 4), CENTER + [[1e6, 0, 0]]])
+    start = start_of(plain_scene(cameras_around(), points=points))
+    assert len(start.centers) == len(points) - 1  # no camera tells anything about the last one
+    assert np.exp(start.log_scales).min() > 1e-5
+    same = start_of(plain_scene(cameras_around(), points=np.repeat(CENTER[None], 120, axis=0)))
+    assert 1e-4 < np.exp(same.log_scales).max() < 1.0
+
+
+def test_colors_that_points_lack_are_those_of_the_pictures():
+    cameras = cameras_around()
+    pictures = np.zeros((len(cameras), SIZE, SIZE, 3), np.float32)
+    pictures[:, : SIZE // 2] = (0.0, 1.0, 0.5)  # the upper half
+    pictures[:, SIZE // 2 :] = (0.5, 0.0, 0.0)
+    points = np.concatenate([lattice(0.01) + [0, 0, 0.5], lattice(0.01) - [0, 0, 0.5], lattice(0.01) + [0, 0, 900]])
+    start = start_of(Scene(pictures, None, cameras, points=points))
+    np.testing.assert_allclose(start.colors[:216], np.broadcast_to([0.0, 1.0, 0.5], (216, 3)), atol=1e-6)
+    np.testing.assert_allclose(start.colors[216:432], np.broadcast_to([0.5, 0.0, 0.0], (216, 3)), atol=1e-6)
+    np.testing.assert_array_equal(start.colors[432:], 0.5)  # in no picture
+
+
+def test_points_outside_the_silhouettes_are_left_out():
+    inside, outside = lattice(0.05), lattice(0.05) + [0, 0, 1.2]
+    both = {"points": np.concatenate([inside, outside])}
+    start = start_of(ball_scene(0.5, **both))
+    assert np.array_equal(start.centers, inside)
+    np.testing.assert_allclose(start.colors, np.broadcast_to([0.9, 0.3, 0.1], inside.shape), atol=1e-6)
+    split = ball_scene(0.5, **both)
+    around = (1.0 - split.alphas[..., None]) * np.float32([0.1, 0.6, 0.1])
+    whole = start_of(dataclasses.replace(split, surroundings=around))
+    assert np.array_equal(whole.centers, both["points"])  # what is around the object is fitted too
+    assert np.abs(whole.colors[: len(inside)] - [0.9, 0.3, 0.1]).max() < 1e-6
+    assert np.abs(whole.colors[len(inside) :] - [0.1, 0.6, 0.1]).mean() < 0.1
+
+
+@pytest.mark.parametrize("points", [None, lattice(0.05, 3), lattice(0.05) + [0, 0, 1.2]])
+def test_without_points_splats_begin_inside_the_silhouettes(points):
+    radius = 0.6
+    start = start_of(ball_scene(radius, points=points), most=20_000)
+    assert len(start.centers) == 20_000 and start.source == "20,000 random places inside the silhouettes"
+    away = np.linalg.norm(start.centers - CENTER, axis=1) / radius
+    pixel = 4.0 * 2 * np.tan(np.radians(25)) / SIZE  # at the ball
+    assert away.max() < 1.2 + pixel / radius  # the hull of two rings of views is a little larger than the ball
+    for low, high in ((0.0, 0.5), (0.5, 0.8), (0.8, 0.95)):  # evenly
+        share = ((away > low) & (away < high)).sum() / (away < 0.95).sum()
+        assert share == pytest.approx((high**3 - low**3) / 0.95**3, abs=0.02)
+    inner = away < 0.9
+    np.testing.assert_allclose(start.colors[inner], np.broadcast_to([0.9, 0.3, 0.1], (inner.sum(), 3)), atol=1e-5)
+    spacing = (4 / 3 * np.pi * radius**3 / 20_000) ** (1 / 3)
+    assert 0.4 * spacing < np.exp(np.median(start.log_scales)) < 1.2 * spacing
+
+
+def test_more_views_than_are_carved_by():
+    start = start_of(ball_scene(0.6, count=80), most=1000)
+    assert np.linalg.norm(start.centers - CENTER, axis=1).max() < 0.85
+
+
+def test_transparent_pictures_have_no_start():
+    scene = ball_scene(0.6)
+    with pytest.raises(ValueError, match="transparent"):
+        starting_splats(dataclasses.replace(scene, alphas=np.zeros_like(scene.alphas)), most=1000, seed=0)
+
+
+def test_whole_pictures_begin_where_three_views_look():
+    scene = plain_scene(cameras_around())
+    start = start_of(scene, most=5000, kind="random")
+    assert len(start.centers) == 5000 and start.source == "5,000 random places that several views see"
+    assert views_with(scene, start.centers).min() >= 3
+    places = np.stack([camera.center for camera in scene.cameras])
+    nearest = np.linalg.norm(start.centers[:, None] - places, axis=-1).min(axis=1)
+    assert nearest.min() > 0.05 * 4.0 and nearest.max() < 10.1 * 4.0
+    np.testing.assert_allclose(start.colors, np.broadcast_to([0.2, 0.5, 0.8], (5000, 3)), atol=1e-6)
+    # places are near in many views and far in few
+    away = np.linalg.norm(start.centers - CENTER, axis=1)
+    assert 0.2 < np.median(away) / 4.0 < 3.0
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_view_and_two(count):
+    scene = plain_scene(cameras_around()[:count])
+    start = start_of(scene, most=1000)
+    assert len(start.centers) == 1000 and views_with(scene, start.centers).min() == count
+
+
+def test_views_that_share_nothing_begin_too():
+    eyes = [(0, 0, 0), (100, 0, 0), (0, 100, 0), (0, 0, 100)]
+    away = [Camera.look_at(eye, 2 * np.array(eye) + [0, 1e-3, 1], fov_degrees=30, width=9, height=9) for eye in eyes]
+    start = start_of(plain_scene(away), most=500)
+    assert len(start.centers) == 500 and views_with(plain_scene(away), start.centers).min() >= 1
+
+
+@pytest.mark.parametrize("kind", ["points", "hull", "views"])
+def test_a_seed_makes_the_same_start(device, kind):
+    scene = {
+        "points": plain_scene(cameras_around(), points=lattice(0.07)),
+        "hull": ball_scene(0.6),
+        "views": plain_scene(cameras_around()),
+    }[kind]
+    one = start_of(scene, most=200, seed=3, device=device)
+    same, other = (start_of(scene, most=200, seed=seed, device=device) for seed in (3, 4))
+    for field in dataclasses.fields(one):
+        assert np.array_equal(getattr(one, field.name), getattr(same, field.name)), field.name
+    assert not np.array_equal(one.centers, other.centers)
+
+
+def test_units_of_a_ring():
+    scene = plain_scene(turntable(CENTER, 5.0, 30, 12, width=8, height=8))
+    focus, unit, extent = scene_units(scene)
+    np.testing.assert_allclose(focus, CENTER, atol=1e-9)
+    assert unit == pytest.approx(5.0) and extent == pytest.approx(1.1 * np.cos(np.radians(30)))
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = axis_rotation(np.array([0.6, 0, 0.8]), 1.0), (5, 0, -2)
+    moved_focus, *same = scene_units(scene.moved(motion))
+    np.testing.assert_allclose(moved_focus, motion[:3, :3] @ CENTER + motion[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(same, [unit, extent])
+    larger = plain_scene(turntable(CENTER, 50.0, 30, 12, width=8, height=8))
+    np.testing.assert_allclose(scene_units(larger)[1:], [50.0, extent])
+
+
+def shifted(eyes, directions):
+    return plain_scene(
+        [Camera.look_at(e, np.add(e, d), width=8, height=8) for e, d in zip(eyes, directions, strict=True)]
+    )
+
+
+def test_units_of_parallel_single_and_turning_cameras():
+    eyes = np.array([[x, y, 7.0] for x in range(3) for y in range(4)], float)
+    down = np.tile([0.0, 0, -1], (12, 1))
+    focus, unit, extent = scene_units(shifted(eyes, down))
+    assert focus[2] < 7.0 and np.allclose(focus[:2], [1.0, 1.5]) and 1.0 < unit < 30.0 and 0.1 <= extent < 1.1
+    from_bounds = dataclasses.replace(shifted(eyes, down), bounds=[[0, 0, -1], [2, 3, 1]])
+    np.testing.assert_allclose(scene_units(from_bounds)[0], [1, 1.5, 0])
+    apart = down + 0.05 * (eyes - eyes.mean(axis=0)) * [1, 1, 0]  # nearly parallel, they meet 20 behind
+    focus, unit, _ = scene_units(shifted(eyes, apart))
+    assert focus[2] < 7.0 and 1.0 < unit < 30.0
+    for scene in (
+        shifted(eyes[:1], down[:1]),
+        shifted(np.zeros((4, 3)), [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]]),
+    ):
+        focus, unit, extent = scene_units(scene)
+        assert np.isfinite(focus).all() and unit == pytest.approx(1.0) and extent == pytest.approx(0.1)
+    turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    outward = np.stack([np.cos(turn), np.sin(turn), np.zeros(12)], axis=1)
+    _, unit, extent = scene_units(shifted(0.3 * outward, outward))  # a hand's circle in the middle of a room
+    assert unit == pytest.approx(0.3) and extent == pytest.approx(1.1)
