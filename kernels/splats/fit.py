@@ -146,29 +146,33 @@ def quaternion_slope(q: wp.vec4, g: wp.mat33):
     return wp.where(square > 0.0, along / wp.sqrt(wp.max(square, 1.0e-30)), wp.vec4())
 
 
+@wp.func
+def write_splat(splats: Splats, n: int, log_scales: wp.vec3, quaternion: wp.vec4, logit: float):
+    """Covariance and opacity of splat n from its values."""
+    axes = splat_axes(quaternion)
+    factor = axes * wp.diag(wp.vec3(wp.exp(log_scales[0]), wp.exp(log_scales[1]), wp.exp(log_scales[2])))
+    covariance = factor * wp.transpose(factor)
+    splats.covariances[n, 0] = covariance[0, 0]
+    splats.covariances[n, 1] = covariance[0, 1]
+    splats.covariances[n, 2] = covariance[0, 2]
+    splats.covariances[n, 3] = covariance[1, 1]
+    splats.covariances[n, 4] = covariance[1, 2]
+    splats.covariances[n, 5] = covariance[2, 2]
+    splats.opacities[n] = 1.0 / (1.0 + wp.exp(-logit))
+
+
 @wp.kernel
 def make_splats(
     first: int,
     log_scales: wp.array(dtype=wp.vec3),
     quaternions: wp.array(dtype=wp.vec4),
     logits: wp.array(dtype=wp.float32),
-    covariances: wp.array2d(dtype=wp.float32),
-    opacities: wp.array(dtype=wp.float32),
+    splats: Splats,
 ):
-    """log_scales: (n,) of world units. quaternions: (n,) w x y z. logits: (n,). covariances: (n, 6) and opacities:
-    (n,) of splats/splats."""
+    """log_scales: (n,) of world units. quaternions: (n,) w x y z. logits: (n,). splats: their covariances (n, 6) and
+    opacities (n,) are written."""
     n = first + wp.tid()
-    axes = splat_axes(quaternions[n])
-    scales = log_scales[n]
-    factor = axes * wp.diag(wp.vec3(wp.exp(scales[0]), wp.exp(scales[1]), wp.exp(scales[2])))
-    covariance = factor * wp.transpose(factor)
-    covariances[n, 0] = covariance[0, 0]
-    covariances[n, 1] = covariance[0, 1]
-    covariances[n, 2] = covariance[0, 2]
-    covariances[n, 3] = covariance[1, 1]
-    covariances[n, 4] = covariance[1, 2]
-    covariances[n, 5] = covariance[2, 2]
-    opacities[n] = 1.0 / (1.0 + wp.exp(-logits[n]))
+    write_splat(splats, n, log_scales[n], quaternions[n], logits[n])
 
 
 @wp.kernel

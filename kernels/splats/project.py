@@ -47,18 +47,16 @@ def rim_slope(slope: float, principal: float, focal: float, size: float):
     return wp.clamp(slope, -principal / focal - beyond, (size - principal) / focal + beyond)
 
 
-@wp.kernel
-def project_splats(
-    first: int,
+@wp.func
+def project_splat(
+    n: int,
     splats: Splats,
     lens: Lens,
     view: wp.array(dtype=wp.vec4),
     depths: wp.array(dtype=wp.float32),
     order: wp.array(dtype=wp.int32),
 ):
-    """view: (3 n,), see above. depths: (n,) along the optical axis, inf for what is not seen. order: (n,) 0 to
-    n - 1."""
-    n = first + wp.tid()
+    """One splat of `project_splats`."""
     order[n] = n
     depths[n] = wp.inf
     camera = lens.camera
@@ -121,6 +119,33 @@ def project_splats(
         (cc * along_row - cr * along_column) / blurred,
     )
     depths[n] = z
+
+
+@wp.kernel
+def project_splats(
+    first: int,
+    splats: Splats,
+    lens: Lens,
+    view: wp.array(dtype=wp.vec4),
+    depths: wp.array(dtype=wp.float32),
+    order: wp.array(dtype=wp.int32),
+):
+    """view: (3 n,), see above. depths: (n,) along the optical axis, inf for what is not seen. order: (n,) 0 to
+    n - 1."""
+    project_splat(first + wp.tid(), splats, lens, view, depths, order)
+
+
+@wp.kernel
+def project_by_lens(
+    first: int,
+    splats: Splats,
+    lens: wp.array(dtype=Lens),
+    view: wp.array(dtype=wp.vec4),
+    depths: wp.array(dtype=wp.float32),
+    order: wp.array(dtype=wp.int32),
+):
+    """`project_splats` by a lens that lies on the device, (1,), as graphs of training steps replay it."""
+    project_splat(first + wp.tid(), splats, lens[0], view, depths, order)
 
 
 @wp.func

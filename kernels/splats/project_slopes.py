@@ -18,14 +18,26 @@ LN_2 = wp.constant(0.6931471805599453)
 
 
 @wp.struct
-class ValueSlopes:
-    """Slopes by the values of n splats."""
+class SplatValues:
+    """Numbers of n splats by kind: their values, slopes by them, or means of those."""
 
     centers: wp.array(dtype=wp.vec3)  # (n,)
     log_scales: wp.array(dtype=wp.vec3)  # (n,)
     quaternions: wp.array(dtype=wp.vec4)  # (n,) w x y z
     logits: wp.array(dtype=wp.float32)  # (n,)
     harmonics: wp.array2d(dtype=wp.float32)  # (n, 3 (degree + 1)^2)
+
+
+@wp.struct
+class RowSlopes:
+    """Slopes by the values of one splat. Those by its harmonics are Y_b(direction) color."""
+
+    center: wp.vec3
+    log_scales: wp.vec3
+    quaternion: wp.vec4
+    logit: float
+    direction: wp.vec3  # in which it is seen, of length one
+    color: wp.vec3  # by the color before it is held at 0
 
 
 @wp.struct
@@ -66,19 +78,20 @@ def basis_slope(d: wp.vec3, g: vec16):
 
 
 @wp.func
-def color_slope(splats: Splats, n: int, direction: wp.vec3, color: wp.vec3, slopes: ValueSlopes):
-    """Slope by a unit direction from that by the colour seen along it; writes the slopes by the harmonics."""
+def color_slope(splats: Splats, n: int, direction: wp.vec3, by_color: wp.vec3):
+    """Slopes by a unit direction and by the color before it is held at 0, from that by the color seen along it."""
     basis = sh_basis(direction)
     count = (splats.degree + 1) * (splats.degree + 1)
-    red = float(0.5)
-    green = float(0.5)
-    blue = float(0.5)
+    color = wp.vec3(0.5, 0.5, 0.5)
     for b in range(count):
-        red += basis[b] * splats.harmonics[n, 3 * b]
-        green += basis[b] * splats.harmonics[n, 3 * b + 1]
-        blue += basis[b] * splats.harmonics[n, 3 * b + 2]
+        coefficient = wp.vec3(
+            splats.harmonics[n, 3 * b], splats.harmonics[n, 3 * b + 1], splats.harmonics[n, 3 * b + 2]
+        )
+        color += basis[b] * coefficient
     g = wp.vec3(
-        wp.where(red > 0.0, color[0], 0.0), wp.where(green > 0.0, color[1], 0.0), wp.where(blue > 0.0, color[2], 0.0)
+        wp.where(color[0] > 0.0, by_color[0], 0.0),
+        wp.where(color[1] > 0.0, by_color[1], 0.0),
+        wp.where(color[2] > 0.0, by_color[2], 0.0),
     )
     weights = vec16()
     for b in range(count):
@@ -87,10 +100,7 @@ def color_slope(splats: Splats, n: int, direction: wp.vec3, color: wp.vec3, slop
             + g[1] * splats.harmonics[n, 3 * b + 1]
             + g[2] * splats.harmonics[n, 3 * b + 2]
         )
-        slopes.harmonics[n, 3 * b] = basis[b] * g[0]
-        slopes.harmonics[n, 3 * b + 1] = basis[b] * g[1]
-        slopes.harmonics[n, 3 * b + 2] = basis[b] * g[2]
-    return basis_slope(direction, weights)
+    return basis_slope(direction, weights), g
 
 
 @wp.func
@@ -119,31 +129,23 @@ def ellipse_slopes(cc: float, cr: float, rr: float, blur: float, antialias: int,
     return found
 
 
-@wp.kernel
-def find_value_slopes(
-    first: int,
+@wp.func
+def row_slopes(
     splats: Splats,
+    n: int,
     lens: Lens,
-    log_scales: wp.array(dtype=wp.vec3),
-    quaternions: wp.array(dtype=wp.vec4),
+    logs: wp.vec3,
+    quaternion: wp.vec4,
     view: wp.array(dtype=wp.vec4),
     sums: wp.array(dtype=wp.float32),
-    slopes: ValueSlopes,
 ):
-    """splats: as splats/fit makes them from log_scales, quaternions; none turned, a row of harmonics each.
-    view: (3 n,) of splats/project. sums: (9 n,) of splats/composite, zeros for what is not seen."""
-    n = first + wp.tid()
+    """Slopes of splat n, see `find_value_slopes`; all are 0 where it is not seen."""
     by_place = wp.vec3(sums[9 * n], sums[9 * n + 1], sums[9 * n + 2])
     by_shape = wp.vec3(-2.0 * sums[9 * n + 3], -2.0 * sums[9 * n + 4], -2.0 * sums[9 * n + 5])
     by_color = wp.vec3(sums[9 * n + 6], sums[9 * n + 7], sums[9 * n + 8])
+    found = RowSlopes()
     if wp.length_sq(by_place) + wp.length_sq(by_shape) + wp.length_sq(by_color) == 0.0:
-        slopes.centers[n] = wp.vec3()
-        slopes.log_scales[n] = wp.vec3()
-        slopes.quaternions[n] = wp.vec4()
-        slopes.logits[n] = 0.0
-        for i in range(3 * (splats.degree + 1) * (splats.degree + 1)):
-            slopes.harmonics[n, i] = 0.0
-        return
+        return found
     strength = by_place[0]
     place = view[3 * n]
     shape = view[3 * n + 1]
@@ -181,8 +183,7 @@ def find_value_slopes(
     # E = A S A^T by its two rows, and S = M M^T: M' = 2 S' M
     slope_column = 2.0 * ellipse.cc * by_column + ellipse.cr * by_row
     slope_row = 2.0 * ellipse.rr * by_row + ellipse.cr * by_column
-    axes = splat_axes(quaternions[n])
-    logs = log_scales[n]
+    axes = splat_axes(quaternion)
     by_axes = wp.mat33()
     by_logs = wp.vec3()
     for i in range(3):
@@ -194,9 +195,9 @@ def find_value_slopes(
         by_logs[i] = scale * wp.dot(factor, axis)
         for j in range(3):
             by_axes[j, i] = scale * factor[j]
-    slopes.log_scales[n] = by_logs
-    slopes.quaternions[n] = quaternion_slope(quaternions[n], by_axes)
-    slopes.logits[n] = strength * (1.0 - splats.opacities[n]) / LN_2
+    found.log_scales = by_logs
+    found.quaternion = quaternion_slope(quaternion, by_axes)
+    found.logit = strength * (1.0 - splats.opacities[n]) / LN_2
 
     by_x = camera.focal[0] * column
     by_y = camera.focal[1] * row
@@ -207,6 +208,34 @@ def find_value_slopes(
     by_z = -(wp.dot(slope_column, to_column) + wp.dot(slope_row, to_row) + by_x * x + by_y * y) / z
     distance = wp.length(offset)
     direction = offset / distance
-    by_direction = color_slope(splats, n, direction, by_color, slopes)
+    by_direction, color = color_slope(splats, n, direction, by_color)
+    found.direction = direction
+    found.color = color
     seen = (by_direction - wp.dot(by_direction, direction) * direction) / distance
-    slopes.centers[n] = (by_x / z) * axis_x + (by_y / z) * axis_y + by_z * axis_z + seen
+    found.center = (by_x / z) * axis_x + (by_y / z) * axis_y + by_z * axis_z + seen
+    return found
+
+
+@wp.kernel
+def find_value_slopes(
+    first: int,
+    splats: Splats,
+    lens: Lens,
+    log_scales: wp.array(dtype=wp.vec3),
+    quaternions: wp.array(dtype=wp.vec4),
+    view: wp.array(dtype=wp.vec4),
+    sums: wp.array(dtype=wp.float32),
+    slopes: SplatValues,
+):
+    """splats: as splats/fit makes them from log_scales, quaternions; none turned, a row of harmonics each.
+    view: (3 n,) of splats/project. sums: (9 n,) of splats/composite, zeros for what is not seen."""
+    n = first + wp.tid()
+    found = row_slopes(splats, n, lens, log_scales[n], quaternions[n], view, sums)
+    slopes.centers[n] = found.center
+    slopes.log_scales[n] = found.log_scales
+    slopes.quaternions[n] = found.quaternion
+    slopes.logits[n] = found.logit
+    basis = sh_basis(found.direction)
+    for b in range((splats.degree + 1) * (splats.degree + 1)):
+        for channel in range(3):
+            slopes.harmonics[n, 3 * b + channel] = basis[b] * found.color[channel]

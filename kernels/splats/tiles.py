@@ -90,15 +90,16 @@ def write_entries(
     order: wp.array(dtype=wp.int32),
     ends: wp.array(dtype=wp.int64),
     tiles: TileGrid,
+    room: int,
     keys: wp.array(dtype=wp.int32),
     members: wp.array(dtype=wp.int32),
 ):
-    """ends: (n,) running sums of the counts. keys, members: tile and splat of each entry."""
+    """ends: (n,) running sums of the counts. keys, members: tile and splat of each entry, `room` of them at most."""
     i = first + wp.tid()
     at = int(0)
     if i > 0:
-        at = int(ends[i - 1])
-    end = int(ends[i])
+        at = int(wp.min(ends[i - 1], wp.int64(room)))
+    end = int(wp.min(ends[i], wp.int64(room)))
     if at == end:
         return
     n = order[i]

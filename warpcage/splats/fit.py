@@ -25,7 +25,7 @@ from ..core.devices import launch
 from ..core.locks import device_turn
 from ..kernels.splats import composite, composite_cpu, fit, project_slopes, tiles
 from ..kernels.splats.composite import SUMS
-from ..kernels.splats.project_slopes import ValueSlopes
+from ..kernels.splats.project_slopes import SplatValues
 from ..kernels.splats.splats import Splats
 from ..lattice.buffers import BufferPool
 from ..view.camera import Camera
@@ -73,7 +73,7 @@ class SplatParameters:
         self.splats.harmonics, self.splats.degree = self.values["harmonics"], field.degree
         self.splats.turns = empty_array(0, wp.quat, field.device)
         self.splats.rows = empty_array(0, wp.int32, field.device)
-        self.value_slopes: Any = ValueSlopes()  # The slopes as kernels/splats/project_slopes.py writes them.
+        self.value_slopes: Any = SplatValues()  # The slopes as kernels/splats/project_slopes.py writes them.
         for name in VALUE_TYPES:
             setattr(self.value_slopes, name, self.by_rows(name, self.slopes))
 
@@ -86,8 +86,7 @@ class SplatParameters:
         """Make the covariances and opacities of `splats` from the values as they are now."""
         names = ("log_scales", "quaternions", "logits")
         inputs = [self.by_rows(name, self.values) for name in names]
-        outputs = [self.splats.covariances, self.splats.opacities]
-        launch(fit.make_splats, len(self.field), inputs, outputs, device=self.field.device)
+        launch(fit.make_splats, len(self.field), inputs, [self.splats], device=self.field.device)
 
     def to_field(self) -> SplatField:
         """A field of the values as they are now, with what else the file of the first one says."""
@@ -120,30 +119,47 @@ class SplatGradients(SplatRenderer):
         pool = BufferPool(self.device)
         self._sums, self._entry_sums = pool.buffer(wp.float32), pool.buffer(wp.float32)
         self._tiles, self._sources = pool.buffer(wp.int32), pool.buffer(wp.int32)
-        self._rgb, self._parts = pool.buffer(wp.vec3), pool.buffer(wp.float32)
+        self._rgb, self._alpha, self._depth = pool.buffer(wp.vec3), pool.buffer(wp.float32), pool.buffer(wp.float32)
         self._drawn: tuple[Any, ...] = ()
+        self._parameters: Any = None
+        self._lens: Any = None
 
     def draw(self, parameters: SplatParameters, camera: Camera, lens: Any, color: wp.vec3) -> wp.array:
         """The picture (h * w,) vec3, one ray a pixel, valid until the next one; `parameters` are refreshed before.
         lens: of `splat_lens`, of the same camera; colour: behind the splats."""
-        grid, pixels = tile_grid(camera), camera.width * camera.height
-        seen = self._project(parameters.splats, lens)
-        total = self.entry_count = self._count(grid, *seen)
+        grid, seen = tile_grid(camera), self._project(parameters.splats, lens)
+        total = self._count(grid, *seen)
         if total > MOST_ENTRIES:
             raise ValueError(f"splats touch {total} tiles of a picture, at most {MOST_ENTRIES}: fit smaller pictures")
-        keys, members = self._write(grid, total, seen)
-        sources = self._write_sources(grid, total, keys) if self.device.is_cpu else None
-        starts = self._sort(grid, total, keys, members)
-        rgb, parts = self._rgb.take(pixels), self._parts.take((2, pixels))
-        inputs = [seen[1], members, starts, grid]
-        self._composite(grid, [*inputs, color, STOP_TRANSMITTANCE], [rgb, parts[0], parts[1]])
-        self._drawn = parameters, lens, grid, seen, inputs, sources, total, rgb
+        rgb, _ = self._draw_entries(grid, seen, total, color)
+        self._parameters, self._lens = parameters, lens
         return rgb
 
     def take_back(self, slopes: wp.array) -> None:
         """Set the slopes of the parameters drawn last, from those (h * w,) vec3 of a loss by the picture's colours."""
-        parameters, lens, grid, seen, inputs, sources, total, rgb = self._drawn
-        count, view, _, order = seen
+        parameters, sums = self._parameters, self._sum_slopes(slopes)
+        count, view = self._drawn[1][:2]
+        held = [parameters.by_rows(name, parameters.values) for name in ("log_scales", "quaternions")]
+        inputs = [parameters.splats, self._lens, *held, view, sums]
+        outputs = [parameters.value_slopes]
+        kernel = project_slopes.find_value_slopes
+        launch(kernel, count, inputs, outputs, device=self.device, work=2 * PROJECT_WORK)
+
+    def _draw_entries(self, grid: Any, seen: tuple, total: int, color: wp.vec3) -> tuple[wp.array, wp.array]:
+        """Colours (h * w,) vec3 and opacities (h * w,) of a picture of so many entries."""
+        self.entry_count, pixels = total, grid.width * grid.height
+        keys, members = self._write(grid, total, seen)
+        sources = self._write_sources(grid, total, keys) if self.device.is_cpu else None
+        starts = self._sort(grid, total, keys, members)
+        rgb, alpha, depth = self._rgb.take(pixels), self._alpha.take(pixels), self._depth.take(pixels)
+        inputs = [seen[1], members, starts, grid]
+        self._composite(grid, [*inputs, color, STOP_TRANSMITTANCE], [rgb, alpha, depth])
+        self._drawn = grid, seen, inputs, sources, total, rgb
+        return rgb, alpha
+
+    def _sum_slopes(self, slopes: wp.array) -> wp.array:
+        """The sums (9 n,) of the splats drawn last, see kernels/splats/project_slopes.py."""
+        grid, (count, _, _, order), inputs, sources, total, rgb = self._drawn
         sums = self._sums.take(SUM_COUNT * count)
         inputs = [*inputs, STOP_TRANSMITTANCE, rgb, slopes]
         tile_count = grid.columns * grid.rows
@@ -158,11 +174,7 @@ class SplatGradients(SplatRenderer):
             sums.zero_()
             items = tile_count * tiles.TILE_SIDE**2
             launch(composite.add_slopes, items, inputs, [sums], device=self.device)
-        held = [parameters.by_rows(name, parameters.values) for name in ("log_scales", "quaternions")]
-        inputs = [parameters.splats, lens, *held, view, sums]
-        outputs = [parameters.value_slopes]
-        kernel = project_slopes.find_value_slopes
-        launch(kernel, count, inputs, outputs, device=self.device, work=2 * PROJECT_WORK)
+        return sums
 
     def _write_sources(self, grid: Any, total: int, keys: wp.array) -> wp.array:
         """The place before they were sorted of entries that are sorted by tile."""

@@ -106,7 +106,7 @@ class SplatRenderer:
         count, view, _, order = seen
         keys, members = self._keys.take(2 * total), self._members.take(2 * total)
         ends = self._ends.take(count)
-        inputs = [view, order, ends, grid]
+        inputs = [view, order, ends, grid, total]
         launch(tiles.write_entries, count if total else 0, inputs, [keys, members], device=self.device)
         return keys, members
 

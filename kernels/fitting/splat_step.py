@@ -1,0 +1,252 @@
+"""One step of splats that are fitted to pictures: the view that is due, and Adam on the values, in one pass."""
+
+# Kingma and Ba, "Adam" (2015), on the slopes of splats/project_slopes, with the regularisers and the noise of
+# Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo" (2024): mean opacity and mean scale are losses,
+# and a splat that is almost nothing wanders, x += S xi noise / (1 + exp(100 (o - 0.005))), xi normal, S its covariance.
+# Lengths are in units in which cameras are 1 from what they look at: noise and the loss of scales depend on them. All
+# that changes from step to step lies on the device, so that a graph replays the steps without the host.
+
+import warp as wp
+
+from ..field.harmonics import sh_basis
+from ..splats.fit import write_splat
+from ..splats.project import Lens
+from ..splats.project_slopes import SplatValues, row_slopes
+from ..splats.splats import Splats, covariance_of
+from .batches import Pictures, picture_pixel
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
+
+#: Opacity about which splats begin to wander, how sharply, and above which none does.
+DEAD_OPACITY = wp.constant(0.005)
+
+SHARPNESS = wp.constant(100.0)
+
+STILL_OPACITY = wp.constant(0.15)
+
+
+@wp.struct
+class SplatStep:
+    """What a step does."""
+
+    view: int  # number of the picture
+    seed: int  # of the noise
+    every: int  # 1: values that the picture does not see step too, as Adam is written
+    background: wp.vec3  # behind the splats
+    rate_centers: float
+    rate_log_scales: float
+    rate_quaternions: float
+    rate_logits: float
+    rate_colors: float  # of harmonics of degree 0
+    rate_harmonics: float  # of the others
+    beta1: float
+    beta2: float
+    epsilon: float
+    share1: float  # 1 - beta1^t
+    share2: float  # 1 - beta2^t
+    opacity_weight: float  # of the sum of opacities: the weight of their mean over their number
+    scale_weight: float  # of the sum of scales
+    noise: float  # rate of centers times what the noise is relative to it
+    most_log_scale: float  # scales are held at most at this
+
+
+@wp.kernel
+def begin_step(
+    first: int,
+    plan: wp.array(dtype=SplatStep),
+    lenses: wp.array(dtype=Lens),
+    counter: wp.array(dtype=wp.int32),
+    step: wp.array(dtype=SplatStep),
+    lens: wp.array(dtype=Lens),
+):
+    """One item. plan: (steps,). lenses: of each picture. counter: (1,) steps begun, goes on by one. step, lens: (1,) of
+    this step."""
+    if first + wp.tid() > 0:
+        return
+    number = wp.min(counter[0], plan.shape[0] - 1)
+    step[0] = plan[number]
+    lens[0] = lenses[plan[number].view]
+    counter[0] = number + 1
+
+
+@wp.kernel
+def check_room(
+    first: int,
+    count: int,
+    room: int,
+    ends: wp.array(dtype=wp.int64),
+    most: wp.array(dtype=wp.int64),
+    missed: wp.array(dtype=wp.int32),
+):
+    """One item. ends: (count,) running sums of entries, of which `room` can be kept. most: (1,) entries of any step
+    yet. missed: (2,) 1 where this step has more, and the number of such steps."""
+    if first + wp.tid() > 0:
+        return
+    total = ends[count - 1]
+    most[0] = wp.max(most[0], total)
+    missed[0] = wp.where(total > wp.int64(room), 1, 0)
+    missed[1] = missed[1] + missed[0]
+
+
+@wp.kernel
+def take_picture(
+    first: int,
+    width: int,
+    pictures: Pictures,
+    step: wp.array(dtype=SplatStep),
+    alpha: wp.array(dtype=wp.float32),
+    drawn: wp.array(dtype=wp.vec3),
+    truth: wp.array(dtype=wp.vec3),
+):
+    """truth: (h * width,) the step's picture before its background. drawn: (h * width,) of opacity `alpha`, gets that
+    background too."""
+    n = first + wp.tid()
+    behind = step[0].background
+    pixel = picture_pixel(pictures, step[0].view, n // width, n % width)
+    truth[n] = wp.vec3(pixel[0], pixel[1], pixel[2]) + (1.0 - pixel[3]) * behind
+    drawn[n] = drawn[n] + (1.0 - alpha[n]) * behind
+
+
+@wp.kernel
+def shrink_pictures(first: int, side: int, fine: Pictures, coarse: wp.array3d(dtype=wp.vec4h)):
+    """coarse: (views, h // side, w // side) means of side by side pixels of `fine`. One item per coarse pixel."""
+    n = first + wp.tid()
+    column = n % coarse.shape[2]
+    row = (n // coarse.shape[2]) % coarse.shape[1]
+    view = n // (coarse.shape[2] * coarse.shape[1])
+    total = wp.vec4()
+    for i in range(side):
+        for j in range(side):
+            total += picture_pixel(fine, view, side * row + i, side * column + j)
+    total = total / float(side * side)
+    coarse[view, row, column] = wp.vec4h(
+        wp.float16(total[0]), wp.float16(total[1]), wp.float16(total[2]), wp.float16(total[3])
+    )
+
+
+@wp.func
+def adam_change(step: SplatStep, rate: float, slope: float, mean: float, square: float):
+    """How far a value goes, and the means of its slopes and of their squares after it."""
+    m = step.beta1 * mean + (1.0 - step.beta1) * slope
+    v = step.beta2 * square + (1.0 - step.beta2) * slope * slope
+    return rate * (m / step.share1) / (wp.sqrt(v / step.share2) + step.epsilon), m, v
+
+
+@wp.func
+def wander(step: SplatStep, n: int, opacity: float, covariance: wp.mat33):
+    """How far splat n wanders: not at all unless it is almost nothing."""
+    moved = wp.vec3()
+    if step.noise > 0.0 and opacity < STILL_OPACITY:
+        state = wp.rand_init(step.seed, n)
+        share = step.noise / (1.0 + wp.exp(SHARPNESS * (opacity - DEAD_OPACITY)))
+        moved = share * (covariance * wp.vec3(wp.randn(state), wp.randn(state), wp.randn(state)))
+    return moved
+
+
+@wp.kernel
+def step_splats(
+    first: int,
+    splats: Splats,
+    lens: wp.array(dtype=Lens),
+    step: wp.array(dtype=SplatStep),
+    missed: wp.array(dtype=wp.int32),
+    view: wp.array(dtype=wp.vec4),
+    sums: wp.array(dtype=wp.float32),
+    values: SplatValues,
+    means: SplatValues,
+    squares: SplatValues,
+    colors: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+):
+    """Step all values but the harmonics, and make the splats of them. colors, directions: (n,) slopes by the colors
+    and where they are seen from, for `step_harmonics`. missed: 1 where nothing may move."""
+    n = first + wp.tid()
+    now = step[0]
+    logs = values.log_scales[n]
+    quaternion = values.quaternions[n]
+    found = row_slopes(splats, n, lens[0], logs, quaternion, view, sums)
+    is_seen = wp.length_sq(found.direction) > 0.0
+    colors[n] = found.color
+    directions[n] = found.direction
+    if missed[0] == 1:
+        directions[n] = wp.vec3()
+        return
+    opacity = splats.opacities[n]
+    center = values.centers[n]
+    if is_seen or now.every == 1:
+        mean = means.centers[n]
+        square = squares.centers[n]
+        for i in range(3):
+            change, m, v = adam_change(now, now.rate_centers, found.center[i], mean[i], square[i])
+            center[i] = center[i] - change
+            mean[i] = m
+            square[i] = v
+        means.centers[n] = mean
+        squares.centers[n] = square
+
+        scale_mean = means.log_scales[n]
+        scale_square = squares.log_scales[n]
+        for i in range(3):
+            slope = found.log_scales[i] + now.scale_weight * wp.exp(logs[i])
+            change, m, v = adam_change(now, now.rate_log_scales, slope, scale_mean[i], scale_square[i])
+            logs[i] = wp.min(logs[i] - change, now.most_log_scale)
+            scale_mean[i] = m
+            scale_square[i] = v
+        means.log_scales[n] = scale_mean
+        squares.log_scales[n] = scale_square
+
+        turn_mean = means.quaternions[n]
+        turn_square = squares.quaternions[n]
+        for i in range(4):
+            change, m, v = adam_change(now, now.rate_quaternions, found.quaternion[i], turn_mean[i], turn_square[i])
+            quaternion[i] = quaternion[i] - change
+            turn_mean[i] = m
+            turn_square[i] = v
+        means.quaternions[n] = turn_mean
+        squares.quaternions[n] = turn_square
+
+        slope = found.logit + now.opacity_weight * opacity * (1.0 - opacity)
+        change, m, v = adam_change(now, now.rate_logits, slope, means.logits[n], squares.logits[n])
+        logit = values.logits[n] - change
+        means.logits[n] = m
+        squares.logits[n] = v
+        values.log_scales[n] = logs
+        values.quaternions[n] = quaternion
+        values.logits[n] = logit
+        write_splat(splats, n, logs, quaternion, logit)
+    values.centers[n] = center + wander(now, n, splats.opacities[n], covariance_of(splats.covariances, n))
+
+
+@wp.kernel
+def step_harmonics(
+    first: int,
+    bases: int,
+    step: wp.array(dtype=SplatStep),
+    missed: wp.array(dtype=wp.int32),
+    colors: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    values: wp.array2d(dtype=wp.float32),
+    means: wp.array2d(dtype=wp.float32),
+    squares: wp.array2d(dtype=wp.float32),
+):
+    """Step the harmonics (n, 3 * all bases). One item per splat and each of the `bases` that are used yet."""
+    item = first + wp.tid()
+    n = item // bases
+    b = item % bases
+    now = step[0]
+    direction = directions[n]
+    is_seen = wp.length_sq(direction) > 0.0
+    if missed[0] == 1 or not (is_seen or now.every == 1):
+        return
+    basis = sh_basis(direction)
+    weight = basis[b]
+    if not is_seen:
+        weight = 0.0
+    color = colors[n]
+    rate = wp.where(b == 0, now.rate_colors, now.rate_harmonics)
+    for channel in range(3):
+        at = 3 * b + channel
+        change, m, v = adam_change(now, rate, weight * color[channel], means[n, at], squares[n, at])
+        values[n, at] = values[n, at] - change
+        means[n, at] = m
+        squares[n, at] = v
