@@ -28,6 +28,9 @@ from .fitting.evaluation import psnr as psnr
 from .fitting.fit import fit as fit
 from .fitting.optimizer import FieldOptimizer as FieldOptimizer
 from .fitting.options import FitOptions as FitOptions
+from .fitting.splats.from_voxels import to_splats as to_splats
+from .fitting.splats.optimizer import SplatFit as SplatFit
+from .fitting.splats.options import SplatFitOptions as SplatFitOptions
 from .lattice.position_map import PositionMap as PositionMap
 from .scene.load import load_scene as load_scene
 from .scene.scene import Scene as Scene
@@ -62,6 +65,8 @@ __all__ = [
     "Scene",
     "SplatDeformer",
     "SplatField",
+    "SplatFit",
+    "SplatFitOptions",
     "SplatRates",
     "VoxelField",
     "bake",
@@ -82,5 +87,6 @@ __all__ = [
     "run_jobs",
     "select_nodes",
     "select_object",
+    "to_splats",
     "turntable",
 ]

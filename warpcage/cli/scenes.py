@@ -8,10 +8,13 @@ import json
 from ..captures.capture import capture
 from ..core.files import atomic_path
 from ..core.names import FIT_BACKGROUNDS, counted
+from ..field.voxel_field import VoxelField
 from ..fitting.cameras import tuned_scene
 from ..fitting.evaluation import comparison, error_image, evaluation_report, in_world_of
 from ..fitting.fit import fit
 from ..fitting.memory import memory_size
+from ..splats.io import is_splat_file
+from ..splats.splat_field import SplatField
 from ..view.pictures import side_by_side, write_png
 from . import shared
 from .arguments import options
@@ -35,13 +38,13 @@ def run_evaluate(args: argparse.Namespace) -> None:
     report = None if args.json is None else options.check_output(args.json, (".json",), "report")
     worst = None if args.worst is None else options.check_output(args.worst, (".png",), "picture")
     options.require_folder(args.scene)
-    field = shared.require_voxels(shared.read_field(args), "evaluate")
+    field = shared.read_field(args)
 
     background = field.background if args.background is None else args.background
     scene = shared.read_scene(args, background)
     scene = in_world_of(field, scene)
     if args.tune_cameras:
-        scene = tuned_scene(field, scene)
+        scene = tuned_scene(shared.require_voxels(field, "--tune-cameras"), scene)
         print("the poses of these views were fitted to the field: the figures say how good it is, not where they are")
     found = evaluation_report(field, scene, progress=not args.quiet)
     rows, index = found.rows, found.worst
@@ -73,41 +76,58 @@ def run_evaluate(args: argparse.Namespace) -> None:
             temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
+#: Options of `warpcage fit` that only one kind of field has.
+VOXEL_OPTIONS = ("resolution", "epochs", "variation", "bounds", "refine_cameras")
+SPLAT_OPTIONS = ("steps", "most_splats")
+
+
 def run_fit(args: argparse.Namespace) -> None:
-    output = options.check_output(args.output, (".npz",), "field file")
+    kind = args.representation
+    if kind is None:
+        kind = "splats" if is_splat_file(args.output) else "voxels"
+    output = options.check_output(args.output, options.SPLAT_ENDINGS if kind == "splats" else (".npz",), "field file")
     checkpoint = None if args.checkpoint is None else options.check_output(args.checkpoint, (".npz",), "checkpoint")
+    for name in VOXEL_OPTIONS if kind == "splats" else SPLAT_OPTIONS:
+        if getattr(args, name):
+            raise ValueError(f"--{name.replace('_', '-')} is not for fits of {kind}")
     if args.max_memory is not None:
         args.max_memory = memory_size(args.max_memory)
     options.require_folder(args.scene)
     device = shared.chosen_device(args)
 
-    is_kind = args.background in FIT_BACKGROUNDS
-    kind = args.background if is_kind else "auto"
-    color = "white" if is_kind or args.background is None else args.background
+    names_behind = args.background in FIT_BACKGROUNDS
+    if kind == "splats" and args.background in ("outer", "layers"):
+        raise ValueError(f"--background {args.background} is for voxels: splats reach as far as the pictures do")
+    behind = args.background if names_behind else "auto"
+    color = "white" if names_behind or args.background is None else args.background
     scene = shared.read_scene(args, color, orient="up" if args.straighten else None)
-    names = ("resolution", "epochs", "variation", "max_memory")
-    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    names = ("resolution", "epochs", "variation", "max_memory", "steps", "most_splats", "refine_cameras")
+    given = {name: getattr(args, name) for name in names if getattr(args, name)}
     if args.bounds is not None:
         given["bounds"] = [args.bounds[:3], args.bounds[3:]]
     field = fit(
         scene,
+        representation=kind,
         quality=args.quality,
         device=device,
         seed=args.seed,
         progress=not args.quiet,
-        background=kind,
+        background=behind,
         checkpoint=checkpoint,
         checkpoint_seconds=args.checkpoint_seconds,
-        refine_cameras=args.refine_cameras,
         **given,
     )
     field.save(output)
-    if field.refined_cameras is not None:
+    if isinstance(field, VoxelField) and field.refined_cameras is not None:
         beside = field.refined_cameras.save(output.with_suffix(".cameras.json"))
         print(f"wrote {beside}: {counted(len(field.refined_cameras), 'refined camera')}")
+    print(f"wrote {output}: {_described(field)}, {output.stat().st_size / 1e6:.1f} MB")
+
+
+def _described(field: VoxelField | SplatField) -> str:
+    """What a field is made of."""
+    if isinstance(field, SplatField):
+        return counted(field.splat_count, "splat")
     size = "x".join(str(n) for n in field.resolution)
     behind = "" if field.background_model is None else f", {field.background_model.summary}"
-    print(
-        f"wrote {output}: {counted(field.voxel_count, 'voxel')} in a grid of {size}{behind}, "
-        f"{output.stat().st_size / 1e6:.1f} MB"
-    )
+    return f"{counted(field.voxel_count, 'voxel')} in a grid of {size}{behind}"

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import require_type
-from ..field.voxel_field import VoxelField
 from ..scene.scene import Scene
 from ..view.camera import Camera
 from ..view.frame import Frame
@@ -26,7 +25,7 @@ OPAQUE = 0.5
 
 
 class Renderer(Protocol):
-    """What `evaluate` compares with pictures: a VoxelField or a Deformer."""
+    """What `evaluate` compares with pictures: a field or a Deformer."""
 
     def render(self, camera: Camera, *, background: Any = None) -> Frame: ...
 
@@ -102,7 +101,7 @@ def evaluate(
     opacity, or were split at their masks). Otherwise both are on the scene's background colour.
 
     Args:
-        renderer: A VoxelField, a Deformer, or anything with .render(camera, background=...) -> Frame.
+        renderer: A VoxelField, a SplatField, a Deformer, or anything with .render(camera, background=...) -> Frame.
         scene: The views. Those of a field that was straightened may be in the world of their files.
         similarity: Whether the structural similarity is measured too.
         progress: Whether to show a bar.
@@ -146,6 +145,8 @@ def comparison(renderer: Renderer, scene: Scene) -> tuple[np.ndarray | None, np.
     has_surroundings = scene.alphas is None or scene.surroundings is not None
     if getattr(field, "background_model", None) is not None and has_surroundings:
         return None, scene.whole
+    if scene.alphas is None:  # nothing of whole pictures is on a colour of the scene's
+        return None, scene.images
     return scene.background, scene.images
 
 
@@ -210,7 +211,7 @@ class Report:
         return sum(values) / len(values) if values else None
 
 
-def evaluation_report(field: VoxelField, scene: Scene, *, progress: bool = False) -> Report:
+def evaluation_report(field: Renderer, scene: Scene, *, progress: bool = False) -> Report:
     """Compare a field with the pictures of a scene; the structural similarity too where they are large enough."""
     return Report(evaluate(field, scene, similarity=min(scene.images.shape[1:3]) >= SSIM_WINDOW, progress=progress))
 

@@ -1,11 +1,11 @@
-"""Fit a voxel field to posed images, with a bar of its progress and checkpoints."""
+"""Fit a field to posed images, with a bar of its progress and checkpoints."""
 
 from __future__ import annotations
 
 import pathlib
 import sys
 import time
-from typing import Any
+from typing import Any, Literal, overload
 
 import warp as wp
 from numpy.typing import ArrayLike
@@ -14,16 +14,32 @@ from ..core.devices import resolve_device
 from ..core.locks import device_turn
 from ..field.voxel_field import VoxelField
 from ..scene.scene import Scene
-from .checkpoint import load_progress, require_writable, save_progress
+from ..splats.splat_field import SplatField
+from . import checkpoint as voxel_checkpoint
+from .checkpoint import require_writable
 from .optimizer import FieldOptimizer
+from .splats import checkpoint as splat_checkpoint
+from .splats.optimizer import SplatFit
 
 #: Seconds between two updates of the progress bar.
 SHOWN_EVERY = 1.0
+
+#: What a fit can make of pictures.
+REPRESENTATIONS = ("voxels", "splats")
+
+
+@overload
+def fit(scene: Scene, *, representation: Literal["voxels"] = "voxels", **options: Any) -> VoxelField: ...
+
+
+@overload
+def fit(scene: Scene, *, representation: Literal["splats"], **options: Any) -> SplatField: ...
 
 
 def fit(
     scene: Scene,
     *,
+    representation: str = "voxels",
     quality: str = "standard",
     device: wp.DeviceLike = None,
     seed: int = 0,
@@ -32,23 +48,29 @@ def fit(
     checkpoint: str | pathlib.Path | None = None,
     checkpoint_seconds: float = 60.0,
     **options: Any,
-) -> VoxelField:
-    """Optimise a VoxelField from a Scene.
+) -> VoxelField | SplatField:
+    """Optimise a VoxelField, or a SplatField, from a Scene.
+
+    Voxels show objects best, above all where masks or opacity cut them out; splats show whole places. Splats begin at
+    the points of the scene where it has any.
 
     Args:
         scene: The images with their cameras.
+        representation: "voxels" or "splats".
         quality: "fast", "standard" or "high": time against detail.
         device: Warp device. None is CUDA where there is one.
         seed: Of the pixel order and the backgrounds; see FieldOptimizer.
         progress: Whether to show a bar with the PSNR of the last batch.
-        bounds: (2, 3) box of the object, world units. None finds it: the visual hull where the images have alpha.
+        bounds: (2, 3) box of the object, world units, for voxels. None finds it: the visual hull where the images have
+            alpha.
         checkpoint: File (.npz) that holds the progress, always whole. The fit goes on from a file that is there, and
             removes it when it is done. None keeps no progress.
         checkpoint_seconds: Time between two writes of the checkpoint.
-        options: Fields of FitOptions by name, e.g. resolution=256, epochs=12 or max_memory="4GB".
+        options: Fields of FitOptions by name, e.g. resolution=256, epochs=12 or max_memory="4GB"; for splats those of
+            SplatFitOptions, e.g. steps=7000 or most_splats=200000.
 
     Returns:
-        The field, pruned, with its rendering weights.
+        The field, pruned: of voxels with its rendering weights, or of splats.
 
     Raises:
         ValueError: For a scene with nothing in it, options out of range, too little memory, or a checkpoint of another
@@ -57,11 +79,21 @@ def fit(
     from tqdm import tqdm
 
     held = None if checkpoint is None else require_writable(checkpoint)
+    if representation not in REPRESENTATIONS:
+        raise ValueError(f"representation must be one of {', '.join(REPRESENTATIONS)}, got {representation!r}")
     turn = device_turn(resolve_device(device))
+    kept: Any = voxel_checkpoint if representation == "voxels" else splat_checkpoint
+    optimizer: FieldOptimizer | SplatFit
     with turn:
-        optimizer = FieldOptimizer(scene, device=device, seed=seed, bounds=bounds, quality=quality, **options)
+        options = {"device": device, "seed": seed, "quality": quality, **options}
+        if representation == "voxels":
+            optimizer = FieldOptimizer(scene, bounds=bounds, **options)
+        elif bounds is not None:
+            raise ValueError("bounds are for voxels: splats are fitted to all that the pictures show")
+        else:
+            optimizer = SplatFit(scene, **options)
         if held is not None and held.exists():
-            load_progress(optimizer, held)
+            kept.load_progress(optimizer, held)
     with tqdm(total=optimizer.total_steps, initial=optimizer.step_count, desc="fit", disable=not progress) as bar:
         shown = saved = time.monotonic()
         while optimizer.step_count < optimizer.total_steps:
@@ -69,11 +101,10 @@ def fit(
             bar.update()
             if progress and time.monotonic() - shown > SHOWN_EVERY:
                 shown = time.monotonic()
-                size = "x".join(str(n) for n in optimizer.field.resolution)
-                bar.set_postfix_str(f"{optimizer.measure_psnr():.2f} dB at {size}")
+                bar.set_postfix_str(f"{optimizer.measure_psnr():.2f} dB, {optimizer.size_text}")
             if held is not None and time.monotonic() - saved > checkpoint_seconds:
                 with turn:
-                    save_progress(optimizer, held)
+                    kept.save_progress(optimizer, held)
                 saved = time.monotonic()
     optimizer.measure_psnr()
     if progress and optimizer.coarser:

@@ -197,6 +197,11 @@ class FieldOptimizer:
         return self.current.field
 
     @property
+    def size_text(self) -> str:
+        """How fine the field is so far, for people."""
+        return "x".join(str(n) for n in self.field.resolution)
+
+    @property
     def pictures(self) -> TrainingPictures:
         """The scene's pictures on the device, at the precision that memory allows."""
         return self.batches.pictures

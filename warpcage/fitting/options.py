@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import textwrap
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -37,24 +37,24 @@ class Range:
         return isinstance(value, kinds) and not isinstance(value, bool) and bool(self.low <= value <= self.high)
 
 
-def _option(default: object, text: str, values: Range | None = None) -> Any:
+def option(default: object, text: str, values: Range | None = None) -> Any:
     return dataclasses.field(default=default, metadata={"text": text, "range": values})
 
 
-def _whole(default: int | None, low: int, high: int, text: str) -> Any:
-    return _option(default, text, Range(low, high, whole=True))
+def whole(default: int | None, low: int, high: int, text: str) -> Any:
+    return option(default, text, Range(low, high, whole=True))
 
 
-def _number(default: float | None, low: float, high: float, text: str) -> Any:
-    return _option(default, text, Range(low, high, whole=False))
+def number(default: float | None, low: float, high: float, text: str) -> Any:
+    return option(default, text, Range(low, high, whole=False))
 
 
-def _positive(default: float, text: str) -> Any:
-    return _number(default, SMALLEST, LARGEST, text)
+def positive(default: float, text: str) -> Any:
+    return number(default, SMALLEST, LARGEST, text)
 
 
-def _weight(default: float, text: str) -> Any:
-    return _number(default, 0.0, LARGEST_WEIGHT, text)
+def weight(default: float, text: str) -> Any:
+    return number(default, 0.0, LARGEST_WEIGHT, text)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,109 +65,109 @@ class FitOptions:
     default.
     """
 
-    resolution: int | None = _whole(
+    resolution: int | None = whole(
         None,
         8,
         2048,
         "Voxels along the longest side of the last level. None follows the size of a pixel at the object.",
     )
-    max_resolution: int = _whole(512, 8, 2048, "Most voxels along the longest side where `resolution` is None.")
-    footprint: float = _positive(
+    max_resolution: int = whole(512, 8, 2048, "Most voxels along the longest side where `resolution` is None.")
+    footprint: float = positive(
         0.7, "Side of a voxel over the width of a pixel at the object, where `resolution` is None."
     )
-    levels: int = _whole(
+    levels: int = whole(
         3,
         1,
         MAX_LEVELS,
         "Levels of the fit. The resolution doubles from each to the next. A fit adds levels if it "
         "has to start coarser.",
     )
-    level_growth: float = _positive(2.6, "Rays of a level over the rays of the level before.")
-    epochs: float = _positive(11.0, "Passes over the pixels that see the object.")
-    least_steps: int = _whole(
+    level_growth: float = positive(2.6, "Rays of a level over the rays of the level before.")
+    epochs: float = positive(11.0, "Passes over the pixels that see the object.")
+    least_steps: int = whole(
         600,
         0,
         2**24,
         "Smallest number of steps. It is 0 where `epochs` is given. A pass over few pixels takes few steps.",
     )
-    batch_rays: int | None = _whole(
+    batch_rays: int | None = whole(
         None, 1, 2**24, "Rays per batch. None follows the number of pixels, so that there are enough steps."
     )
-    tile_size: int = _whole(
+    tile_size: int = whole(
         2, 1, 64, "Side in pixels of the square tiles that make up a batch. Pixels of a tile share voxels."
     )
-    rate_density: float = _positive(0.083, "First learning rate of density, in optical depth per voxel of the level.")
-    rate_density_end: float = _positive(0.0042, "Last learning rate of density.")
-    rate_sh: float = _positive(3e-2, "First learning rate of the SH coefficients.")
-    rate_sh_end: float = _positive(1.5e-3, "Last learning rate of the SH coefficients.")
-    decay_power: float = _positive(
+    rate_density: float = positive(0.083, "First learning rate of density, in optical depth per voxel of the level.")
+    rate_density_end: float = positive(0.0042, "Last learning rate of density.")
+    rate_sh: float = positive(3e-2, "First learning rate of the SH coefficients.")
+    rate_sh_end: float = positive(1.5e-3, "Last learning rate of the SH coefficients.")
+    decay_power: float = positive(
         2.0, "Rates fall with this power of the share of steps done. Above 1 they fall slowly first, then fast."
     )
-    directional: float | None = _number(
+    directional: float | None = number(
         None,
         SMALLEST,
         LARGEST,
         "First learning rate of the coefficients of degree 1 over the rate of the "
         "constant ones. None follows the number of steps.",
     )
-    directional_end: float | None = _number(
+    directional_end: float | None = number(
         None, SMALLEST, LARGEST, "The same at the end. None is 0.7, or `directional` if that is more."
     )
-    degree_falloff: float = _number(
+    degree_falloff: float = number(
         0.5,
         SMALLEST,
         1.0,
         "Learning rate of the SH coefficients of degree 2 over that of degree 1, and of degree 3 over degree 2.",
     )
-    beta: float = _number(0.95, 0.0, 1.0 - 1e-6, "Decay of RMSProp's second moments per step.")
-    scarcity: float | None = _number(
+    beta: float = number(0.95, 0.0, 1.0 - 1e-6, "Decay of RMSProp's second moments per step.")
+    scarcity: float | None = number(
         None,
         0.0,
         LARGEST_FACTOR,
         "Factor that stands for few views: it raises the total variation and `shrink_sh`. "
         "None follows the number of rays that see a voxel.",
     )
-    variation_density: float = _weight(
+    variation_density: float = weight(
         3e-6, "Weight of the total variation of density (per half of the box) per voxel of the box."
     )
-    variation_sh: float = _weight(6e-4, "Weight of the total variation of the SH coefficients per voxel of the box.")
-    variation_high_degree: float = _number(
+    variation_sh: float = weight(6e-4, "Weight of the total variation of the SH coefficients per voxel of the box.")
+    variation_high_degree: float = number(
         5.0,
         0.0,
         LARGEST_FACTOR,
         "Factor on that weight for the coefficients of degree 2 and 3: how a surface reflects changes less from place "
         "to place than its colour.",
     )
-    variation: float | None = _number(
+    variation: float | None = number(
         None,
         0.0,
         LARGEST_FACTOR,
         "Factor on both total variations. None follows the scarcity, and is at least 30 "
         "(density) and 15 (SH) with layers behind the field or with opacity from mask files.",
     )
-    shrink_sh: float = _weight(
+    shrink_sh: float = weight(
         0.06,
         "Decay of the coefficients that depend on direction, relative to a step of `rate_sh`, where views are scarce.",
     )
-    variation_share: float = _number(
+    variation_share: float = number(
         0.125, 1e-6, 1.0, "Share of the voxels that get a gradient of the total variation in one step."
     )
-    prune_weight: float = _weight(
+    prune_weight: float = weight(
         0.13, "A voxel is removed after a level if its largest rendering weight is below this over the resolution."
     )
-    keep_weight: float = _number(
+    keep_weight: float = number(
         0.01,
         0.0,
         1.0,
         "Late in the last level and at the end, a voxel stays if its own largest rendering weight or "
         "that of a neighbour reaches this.",
     )
-    keep_at: float = _number(0.4, 0.0, 1.0, "Share of the last level's steps after which `keep_weight` is first used.")
-    supersampling: int = _whole(
+    keep_at: float = number(0.4, 0.0, 1.0, "Share of the last level's steps after which `keep_weight` is first used.")
+    supersampling: int = whole(
         1, 1, 2, "Rays along each side of a pixel, in the last level and in renders of the field."
     )
-    view_share: float = _number(0.1, 0.0, 1.0, "Voxels that fewer than this share of the cameras see are left empty.")
-    background: str = _option(
+    view_share: float = number(0.1, 0.0, 1.0, "Voxels that fewer than this share of the cameras see are left empty.")
+    background: str = option(
         "auto",
         'What is behind the field. "random": random colours that supervise opacity, for images with alpha. '
         '"outer": an OuterField around the box, for whole images. "layers": a LayeredBackground behind it, for whole '
@@ -175,55 +175,55 @@ class FitOptions:
         '"auto": "random" for images with alpha, with layers where masks split them; "outer" for whole images, but '
         '"constant" where their border shows the colour of the scene alone.',
     )
-    opacity_share: float = _number(
+    opacity_share: float = number(
         0.4,
         0.0,
         1.0,
         "Share of the steps after which random colours supervise opacity less often, for images with alpha: most of "
         "the steps then compare with the images as they are.",
     )
-    background_layers: int = _whole(16, 2, MAX_LAYERS, "Layers behind the field.")
-    background_side: int | None = _whole(
+    background_layers: int = whole(16, 2, MAX_LAYERS, "Layers behind the field.")
+    background_side: int | None = whole(
         None, 2, MAX_LAYER_SIDE, "Cells along the edge of a layer. None follows the pixels of the images."
     )
-    max_background_side: int = _whole(
+    max_background_side: int = whole(
         512, 2, MAX_LAYER_SIDE, "Most cells along the edge of a layer where `background_side` is None."
     )
-    background_detail: float = _positive(0.25, "Cells per pixel where `background_side` is None.")
-    rate_background: float = _positive(0.2, "First learning rate of the layers' colours and optical depths.")
-    rate_background_end: float = _positive(0.01, "Last learning rate of the layers.")
-    variation_background: float = _weight(0.03, "Weight of the total variation of the layers' colours.")
-    variation_background_depth: float = _weight(0.03, "Weight of the total variation of the layers' optical depths.")
-    outer_resolution: int | None = _whole(
+    background_detail: float = positive(0.25, "Cells per pixel where `background_side` is None.")
+    rate_background: float = positive(0.2, "First learning rate of the layers' colours and optical depths.")
+    rate_background_end: float = positive(0.01, "Last learning rate of the layers.")
+    variation_background: float = weight(0.03, "Weight of the total variation of the layers' colours.")
+    variation_background_depth: float = weight(0.03, "Weight of the total variation of the layers' optical depths.")
+    outer_resolution: int | None = whole(
         None,
         8,
         MAX_OUTER_SIDE,
         "Voxels along each side of the contracted space around the box. None is the field's resolution, at most "
         "`max_outer_resolution`.",
     )
-    max_outer_resolution: int = _whole(
+    max_outer_resolution: int = whole(
         512, 8, MAX_OUTER_SIDE, "Most voxels along each side of contracted space where `outer_resolution` is None."
     )
-    rate_outer: float = _positive(0.06, "First learning rate of the outer field's colours.")
-    rate_outer_end: float = _positive(0.003, "Last learning rate of the outer field's colours.")
-    rate_outer_density: float = _positive(
+    rate_outer: float = positive(0.06, "First learning rate of the outer field's colours.")
+    rate_outer_end: float = positive(0.003, "Last learning rate of the outer field's colours.")
+    rate_outer_density: float = positive(
         0.083, "First learning rate of the outer field's density, in optical depth per voxel of the level."
     )
-    rate_outer_density_end: float = _positive(0.0042, "Last learning rate of the outer field's density.")
-    variation_outer: float = _weight(0.03, "Weight of the total variation of the outer field's colours.")
-    variation_outer_density: float = _weight(1e-4, "Weight of the total variation of the outer field's density.")
-    front_opacity: float = _weight(
+    rate_outer_density_end: float = positive(0.0042, "Last learning rate of the outer field's density.")
+    variation_outer: float = weight(0.03, "Weight of the total variation of the outer field's colours.")
+    variation_outer_density: float = weight(1e-4, "Weight of the total variation of the outer field's density.")
+    front_opacity: float = weight(
         0.01, "Weight of the opacity of what an outer field holds between the cameras and the box, mean over the rays."
     )
-    sky_follows: float = _weight(
+    sky_follows: float = weight(
         0.1,
         "Weight of a loss by which the sky of an outer field follows what is seen behind the box, relative to the "
         "photometric one. Views that look where no training view did see the sky.",
     )
-    refine_cameras: bool = _option(
+    refine_cameras: bool = option(
         False, "Whether poses, focal lengths and the exposure of each picture are refined with the field."
     )
-    max_memory: int | str | None = _option(
+    max_memory: int | str | None = option(
         None,
         'Memory that the fit may take on its device, images included, in bytes or as text such as "4GB". None '
         "is most of what is free. Where memory is short, images are kept at 8 bits per channel instead of 16 if that "
@@ -231,18 +231,19 @@ class FitOptions:
     )
 
 
-def _arguments() -> str:
-    """The `Args:` block of FitOptions, with the default and the range of each option."""
+def with_arguments(kind: type) -> type:
+    """Add an `Args:` block to the docstring of a class of options, with the default and the range of each."""
     blocks = ["Args:"]
-    for field in dataclasses.fields(FitOptions):
+    for field in dataclasses.fields(kind):
         values, default = field.metadata["range"], field.default
         span = "" if values is None else f" {str(values)[0].upper()}{str(values)[1:]}."
         text = f"{field.name}: {field.metadata['text']}{span} Default: {default}."
         blocks.append(textwrap.fill(text, 116, initial_indent=" " * 4, subsequent_indent=" " * 8))
-    return "\n".join(blocks)
+    kind.__doc__ = f"{inspect.cleandoc(kind.__doc__ or '')}\n\n" + "\n".join(blocks) + "\n"
+    return kind
 
 
-FitOptions.__doc__ = f"{inspect.cleandoc(FitOptions.__doc__ or '')}\n\n{_arguments()}\n"
+with_arguments(FitOptions)
 
 _FAST = {"epochs": 3.1}
 _HIGH = {"epochs": 22.0, "max_resolution": 720, "supersampling": 2, "variation_sh": 1.8e-3, "decay_power": 3.0}
@@ -260,22 +261,30 @@ def checked_seed(seed: object) -> int:
 
 def checked_options(options: dict) -> FitOptions:
     """The options of a caller, `quality` and fields of FitOptions by name, checked; `max_memory` in bytes."""
+    if "epochs" in options:
+        options = {"least_steps": 0, **options}
+    if not isinstance(options.get("refine_cameras", False), bool):
+        raise ValueError(f"refine_cameras must be True or False, got {options['refine_cameras']!r}")
+    return checked_fields(FitOptions, _SET_BY_QUALITY, options)
+
+
+Options = TypeVar("Options")
+
+
+def checked_fields(kind: type[Options], by_quality: dict[str, dict[str, Any]], options: dict) -> Options:
+    """Options of a kind from `quality`, by what each sets, and fields by name, which have priority; checked."""
     options = dict(options)
-    names = {field.name for field in dataclasses.fields(FitOptions)} | {"quality"}
+    names = {field.name for field in dataclasses.fields(kind)} | {"quality"}  # type: ignore[arg-type]
     unknown = sorted(set(options) - names)
     if unknown:
         raise ValueError(f"fit has no option {unknown[0]!r}; it has {', '.join(sorted(names))}")
     quality = options.pop("quality", "standard")
     if quality not in QUALITIES:
         raise ValueError(f"quality {quality!r} is not known: {', '.join(QUALITIES)}")
-    if "epochs" in options:
-        options.setdefault("least_steps", 0)
-    if not isinstance(options.get("refine_cameras", False), bool):
-        raise ValueError(f"refine_cameras must be True or False, got {options['refine_cameras']!r}")
     if options.get("max_memory") is not None:
         options["max_memory"] = memory_size(options["max_memory"])
-    checked = FitOptions(**{**_SET_BY_QUALITY[quality], **options})  # fields have priority
-    for field in dataclasses.fields(FitOptions):
+    checked = kind(**{**by_quality[quality], **options})
+    for field in dataclasses.fields(checked):  # type: ignore[arg-type]
         value, values = getattr(checked, field.name), field.metadata["range"]
         if values is None or (value is None and field.default is None):
             continue

@@ -50,12 +50,26 @@ FIT_EXAMPLE = """\
   warpcage fit data/lego -o lego.npz --quality high --checkpoint progress.npz --max-memory 6GB
   warpcage fit data/dtu/scan24 -o house.npz --split-masks
   warpcage fit my_phone_pictures -o fox.npz --refine-cameras
+  warpcage fit my_phone_pictures -o fox.ply                  splats, which show whole places best
 """
 
 
 def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("-o", "--output", required=True, metavar="FIELD", help="field file to write (.npz)")
+    parser.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        metavar="FIELD",
+        help=f"field file to write: of voxels (.npz) or of splats ({' '.join(options.SPLAT_ENDINGS)})",
+    )
     options.add_scene(parser, split="train")
+    parser.add_argument(
+        "--as",
+        dest="representation",
+        choices=("voxels", "splats"),
+        help="what to make: voxels show objects best, above all with masks or opacity, splats whole places (default: "
+        "by the ending of --output)",
+    )
     options.add_background(
         parser,
         "white, behind pictures with opacity",
@@ -100,6 +114,8 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="passes over the pixels that see the object (default: depends on --quality)",
     )
+    parser.add_argument("--steps", type=options.positive_int, metavar="N", help="splats: pictures that are drawn")
+    parser.add_argument("--most-splats", type=options.positive_int, metavar="N", help="splats: how many at the end")
     parser.add_argument(
         "--variation",
         type=options.positive_float,

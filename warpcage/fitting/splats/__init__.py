@@ -1,0 +1,16 @@
+"""From posed pictures to Gaussian splats."""
+
+from ...package import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "from_voxels": "to_splats",
+        "growth": "GrowingSplats",
+        "loss": "PictureLoss",
+        "optimizer": "SplatFit",
+        "options": "SplatFitOptions checked_splat_options",
+        "schedule": "SplatSchedule",
+        "start": "Start scene_units starting_splats",
+    },
+)

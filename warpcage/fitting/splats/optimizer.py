@@ -1,0 +1,397 @@
+"""Fit Gaussian splats to posed images, step by step."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...core.arrays import empty_array, struct_array
+from ...core.checks import require_type
+from ...core.devices import launch, resolve_device
+from ...core.locks import device_turn, in_turn
+from ...core.modules import load_modules
+from ...core.names import counted
+from ...kernels.fitting import splat_growth, splat_step
+from ...kernels.fitting.batches import Pictures
+from ...kernels.splats import composite, composite_cpu, fit, project, tiles
+from ...scene.scene import Scene
+from ...splats.fit import SplatGradients
+from ...splats.io.contents import LEAST_OPACITY, Y0, SplatContents, logits_of, opacities_of
+from ...splats.render import IMAGE_BLUR, MOST_ENTRIES, PROJECT_WORK, splat_lens
+from ...splats.splat_field import SplatField
+from ...view.camera import Camera
+from ..batches import LEAST_ERROR, PRECISIONS, TrainingPictures, picture_bytes
+from ..memory import memory_limit, memory_text, require_image_memory
+from ..options import checked_seed
+from .growth import GrowingSplats
+from .loss import PictureLoss
+from .options import checked_splat_options
+from .schedule import SplatSchedule
+from .start import Start, scene_units, starting_splats
+
+#: Nothing nearer to a camera than this is drawn, of the distance of the cameras from what they look at.
+NEAR = 0.01
+
+#: Room for entries of splats in tiles, of the most that any picture was seen to have; and for how few at least.
+ROOM_SHARE, LEAST_ROOM = 1.5, 1 << 16
+
+#: Pictures that are counted to find that room, and the share of it above which it is found anew.
+COUNTED_VIEWS, FULL_SHARE = 24, 0.85
+
+#: Pictures are kept at 16 bits a channel where they take at most this share of the memory.
+PICTURE_SHARE = 0.05
+
+#: Bytes of an entry while it is sorted.
+ENTRY_BYTES = 16
+
+
+class TrainingView(SplatGradients):
+    """Draws splats by a lens on the device, without the host between, and takes slopes back to their sums."""
+
+    def __init__(self, width: int, height: int, device: wp.Device):
+        super().__init__(device)
+        self.pixels = width * height
+        self.grid: Any = tiles.TileGrid()
+        side = int(tiles.TILE_SIDE)
+        self.grid.columns, self.grid.rows = -(-width // side), -(-height // side)
+        self.grid.width, self.grid.height = width, height
+        self.room = LEAST_ROOM
+        self.most = wp.zeros(1, dtype=wp.int64, device=device)  # entries of any picture yet
+        self.missed = wp.zeros(2, dtype=wp.int32, device=device)  # whether this picture has too many, and how many had
+
+    def count_entries(self, splats: Any, count: int, lens: wp.array) -> int:
+        """Entries of the picture of a lens, (1,) Lens."""
+        return super()._count(self.grid, *self._project_by(splats, count, lens))
+
+    def draw_by(self, splats: Any, count: int, lens: wp.array) -> tuple[wp.array, wp.array, wp.array]:
+        """Colours (h * w,) on black, opacities (h * w,), and the view (3 n,) of the first `count` splats."""
+        seen = self._project_by(splats, count, lens)
+        total = self._count(self.grid, *seen)
+        rgb, alpha = self._draw_entries(self.grid, seen, total, wp.vec3())
+        return rgb, alpha, seen[1]
+
+    def sum_slopes(self, slopes: wp.array) -> wp.array:
+        """The sums (9 n,) of the picture drawn last, from the slopes (h * w,) vec3 by its colours."""
+        return self._sum_slopes(slopes)
+
+    def _project_by(self, splats: Any, count: int, lens: wp.array) -> tuple[int, wp.array, wp.array, wp.array]:
+        view = self._view.take(3 * count)
+        depths, order = self._depths.take(2 * count), self._order.take(2 * count)
+        outputs = [view, depths, order]
+        launch(project.project_by_lens, count, [splats, lens], outputs, device=self.device, work=PROJECT_WORK)
+        wp.utils.radix_sort_pairs(depths, order, count)
+        return count, view, depths, order
+
+    def _count(self, grid: Any, count: int, view: wp.array, depths: wp.array, order: wp.array) -> int:
+        """All entries on a CPU; on CUDA the room for them, as the host does not wait for their number."""
+        if self.device.is_cpu:
+            return super()._count(grid, count, view, depths, order)
+        counts, ends = self._counts.take(count), self._ends.take(count)
+        launch(tiles.count_tiles, count, [view, depths, order, grid], [counts], device=self.device)
+        wp.utils.array_scan(counts, ends)
+        inputs, outputs = [count, self.room, ends], [self.most, self.missed]
+        launch(splat_step.check_room, 1, inputs, outputs, device=self.device)
+        return self.room
+
+    def _write(self, grid: Any, total: int, seen: tuple) -> tuple[wp.array, wp.array]:
+        if self.device.is_cuda:  # places that no entry takes are sorted behind all tiles
+            self._keys.take(2 * total).fill_(grid.columns * grid.rows)
+        return super()._write(grid, total, seen)
+
+
+class SplatFit:
+    """Fits Gaussian splats to the images of a Scene.
+
+    Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo" (NeurIPS 2024), on the slopes of Kerbl et al.
+    (SIGGRAPH 2023): L1 and structural dissimilarity, dead splats that begin anew as copies of living ones, and as many
+    splats at the end as asked for. Use `fit` with representation="splats" unless you need the steps.
+
+    Args:
+        scene: The images with their cameras.
+        device: Warp device. None is CUDA where there is one.
+        seed: Of the order of pictures, the places where splats begin and grow, and the noise. On the CPU the same seed
+            and scene give the same splats to the bit.
+        first: Splats to begin with. None takes what the option `start` says.
+        options: `quality`, and fields of SplatFitOptions by name, which have priority over it.
+
+    Raises:
+        ValueError: For options out of range, a scene with nothing in it, or too little memory.
+
+    Attributes:
+        options: All options.
+        device: The Warp device.
+        step_count: Steps done.
+        total_steps: Steps of the whole fit.
+        psnr: Of the last measured picture, in dB.
+        source: Where the splats began, for people.
+    """
+
+    coarser = None  # a fit of voxels says here that its field is coarser than planned
+
+    def __init__(
+        self, scene: Scene, *, device: wp.DeviceLike = None, seed: int = 0, first: Start | None = None, **options: Any
+    ):
+        require_type(scene, Scene, "a fit needs")
+        self.scene, self.options = scene, checked_splat_options(options)
+        self.device, self.seed = resolve_device(device), checked_seed(seed)
+        self.step_count, self.psnr = 0, float("nan")
+        self.memory_limit = memory_limit(self.options.max_memory, self.device)
+        modules = [composite_cpu] if self.device.is_cpu else [composite]
+        load_modules([*modules, project, tiles, fit, splat_step, splat_growth], self.device)
+        self._center, self._unit, extent = scene_units(scene)
+        self.most_splats = self._planned_splats()
+        if first is None:
+            wanted = self.options.start
+            first = starting_splats(scene, most=self.most_splats, seed=self.seed, device=self.device, kind=wanted)
+        self.source = first.source
+        self.given = {
+            "seed": self.seed,
+            "first": hashlib.blake2b(np.ascontiguousarray(first.centers).tobytes(), digest_size=16).hexdigest(),
+            **dataclasses.asdict(self.options),
+        }
+        self.growing = GrowingSplats(self._contents(first), self.most_splats, self.options.degree, self.device)
+        self._first_count = self.growing.count
+        height, width = scene.images.shape[1:3]
+        self.schedule = SplatSchedule(self.options, len(scene), (width, height), extent, self._background(), self.seed)
+        self.total_steps = self.schedule.total_steps
+        self._counts = self._planned_counts()
+        self._plan = self.schedule.table(self._counts, self.device)
+        self._counter = wp.zeros(1, dtype=wp.int32, device=self.device)
+        self._step: wp.array = empty_array(1, splat_step.SplatStep, self.device)
+        self._lens: wp.array = empty_array(1, project.Lens, self.device)
+        self._colors, self._directions = (empty_array(self.growing.room, wp.vec3, self.device) for _ in range(2))
+        bits = PRECISIONS[0] if picture_bytes(scene, 16) <= PICTURE_SHARE * self.memory_limit else PRECISIONS[-1]
+        self._pictures = TrainingPictures(scene, bits, self.device)
+        self._graph: Any = None
+        self._is_warm = False  # whether a step ran by launches since sizes changed last
+        self._shrinkage = 0
+        with device_turn(self.device):
+            self._show(self.schedule.shrinkage(0))
+
+    # State
+
+    @property
+    def splat_count(self) -> int:
+        """Splats so far."""
+        return self.growing.count
+
+    def _planned_splats(self) -> int:
+        """Splats at the end: as many as are asked for, and as the pictures and the memory allow."""
+        scene, pixels = self.scene, self.scene.images.shape[0] * math.prod(self.scene.images.shape[1:3])
+        held = picture_bytes(scene, PRECISIONS[-1])
+        require_image_memory(held, self.memory_limit)
+        room = (self.memory_limit - held - 150 * math.prod(scene.images.shape[1:3])) // (
+            GrowingSplats.row_bytes(self.options.degree) + 4 * ENTRY_BYTES
+        )
+        most = min(self.options.most_splats, int(pixels / self.options.pixels_per_splat))
+        if room < 1000:
+            raise ValueError(
+                f"a fit of splats within {memory_text(self.memory_limit)} (max_memory) is not possible: the images "
+                f"take {memory_text(held)}"
+            )
+        return int(max(1, min(most, room)))
+
+    def _background(self) -> np.ndarray | None:
+        """Colour behind the splats, (3,), None for random ones."""
+        wanted = self.options.background
+        if wanted in ("auto", "random"):
+            return None
+        return np.asarray(self.scene.background, np.float64) if wanted == "constant" else np.zeros(3)
+
+    def _contents(self, first: Start) -> SplatContents:
+        """The first splats in units of the fit."""
+        count = len(first.centers)
+        options = self.options
+        scales = first.log_scales - math.log(self._unit) + math.log(options.start_scale)
+        turns = np.random.default_rng(self.seed).normal(size=(count, 4)).astype(np.float32)
+        return SplatContents(
+            ((first.centers - self._center) / self._unit).astype(np.float32),
+            np.repeat(scales.astype(np.float32)[:, None], 3, axis=1),
+            turns / np.linalg.norm(turns, axis=1, keepdims=True),
+            logits_of(np.full(count, options.start_opacity)),
+            ((np.asarray(first.colors, np.float32) - 0.5) / Y0)[:, None, :],
+        )
+
+    def _planned_counts(self) -> np.ndarray:
+        """(steps,) splats of each step."""
+        counts, count = np.empty(self.total_steps), self._first_count
+        for step in range(self.total_steps):
+            if self.schedule.revives(step):
+                count = self.schedule.count_after(step, count, self._first_count, self.most_splats)
+            counts[step] = count
+        return counts
+
+    def count_at(self, step: int) -> int:
+        """Splats that there are after some steps, whatever is learnt.
+
+        Args:
+            step: How many steps.
+
+        Returns:
+            The number of splats.
+        """
+        return int(self._counts[step - 1]) if step else self._first_count
+
+    def restore(self, step: int, state: dict[str, dict[str, np.ndarray]]) -> None:
+        """Go on where another fit of the same scene and options was.
+
+        Args:
+            step: How many steps that fit had made.
+            state: Its splats: what the `state` of its `growing` gave.
+        """
+        self.growing.restore(state)
+        self.step_count = step
+        self._counter.fill_(step)
+        last = max(step - 1, 0)
+        self.growing.splats.degree = self.schedule.degree(last)
+        self._show(self.schedule.shrinkage(last))
+
+    # Steps
+
+    @in_turn
+    def step(self) -> None:
+        """One step: a picture, its slopes, and what they change."""
+        step, schedule = self.step_count, self.schedule
+        if schedule.revives(step):
+            self._grow(step)
+        if schedule.shrinkage(step) != self._shrinkage:
+            self._show(schedule.shrinkage(step))
+        if schedule.degree(step) != self.growing.splats.degree:
+            self.growing.splats.degree = schedule.degree(step)
+            self._change()
+        if self.device.is_cpu or not self._is_warm:
+            self._launch_step()
+            self._is_warm = True
+        else:
+            if self._graph is None:
+                with wp.ScopedCapture(self.device, force_module_load=False) as capture:
+                    self._launch_step()
+                self._graph = capture.graph
+            wp.capture_launch(self._graph)
+        self.step_count += 1
+
+    def _grow(self, step: int) -> None:
+        """Let dead splats begin anew, and add others."""
+        seed = int(self.schedule.seeds[step])
+        self.growing.revive(seed)
+        count = int(self._counts[step])
+        if count > self.growing.count:
+            self.growing.grow(count, seed + 1)
+            self._change()
+        if self.device.is_cuda and int(self._view.most.numpy()[0]) > FULL_SHARE * self._view.room:
+            self._find_room()
+
+    def _change(self) -> None:
+        """Steps have other sizes from now on."""
+        self._graph, self._is_warm = None, False
+
+    def _show(self, shrinkage: int) -> None:
+        """Compare with pictures of another size from now on."""
+        scene, device = self.scene, self.device
+        count, height, width = scene.images.shape[0], *scene.images.shape[1:3]
+        self._shrinkage, self._width, self._height = shrinkage, width // shrinkage, height // shrinkage
+        self._shown = self._pictures.seen
+        if shrinkage > 1:
+            coarse = empty_array((count, self._height, self._width), wp.vec4h, device)
+            launch(splat_step.shrink_pictures, coarse.size, [shrinkage, self._pictures.seen], [coarse], device=device)
+            self._shown = Pictures()
+            self._shown.halves = coarse
+        lenses = [self._lens_of(camera) for camera in scene.cameras]
+        self._lenses = struct_array(lenses, project.Lens, device)
+        self._loss = PictureLoss(self._width, self._height, device, self.options.ssim)
+        self._truth = empty_array(self._width * self._height, wp.vec3, device)
+        self._view = TrainingView(self._width, self._height, device)
+        self._find_room()
+        self._change()
+
+    def _lens_of(self, camera: Camera) -> Any:
+        """How a picture is drawn, in units of the fit."""
+        pose = camera.camera_to_world.copy()
+        pose[:3, 3] = (pose[:3, 3] - self._center) / self._unit
+        side = self._shrinkage
+        small = dataclasses.replace(
+            camera,
+            fx=camera.fx / side,
+            fy=camera.fy / side,
+            cx=camera.cx / side,
+            cy=camera.cy / side,
+            width=self._width,
+            height=self._height,
+            camera_to_world=pose,
+        )
+        return splat_lens(small, np.zeros(3), NEAR, IMAGE_BLUR, self.options.antialias)
+
+    def _find_room(self) -> None:
+        """Keep room for the entries of pictures, as some of them have now, and then some."""
+        if self.device.is_cpu:
+            return
+        most = int(self._view.most.numpy()[0])
+        for number in np.linspace(0, len(self.scene) - 1, min(COUNTED_VIEWS, len(self.scene))).astype(int):
+            wp.copy(self._lens, self._lenses, src_offset=int(number), count=1)
+            most = max(most, self._view.count_entries(self.growing.splats, self.growing.count, self._lens))
+        room = max(LEAST_ROOM, int(ROOM_SHARE * most))
+        if room > MOST_ENTRIES:
+            raise ValueError(f"splats touch {most} tiles of a picture: fit smaller pictures, or fewer splats")
+        self._view.room = room
+        self._change()
+
+    def _launch_step(self) -> None:
+        """All launches of a step."""
+        device, splats, view = self.device, self.growing, self._view
+        inputs, outputs = [self._plan, self._lenses], [self._counter, self._step, self._lens]
+        launch(splat_step.begin_step, 1, inputs, outputs, device=device)
+        rgb, alpha, seen = view.draw_by(splats.splats, splats.count, self._lens)
+        inputs, outputs = [self._width, self._shown, self._step, alpha], [rgb, self._truth]
+        launch(splat_step.take_picture, view.pixels, inputs, outputs, device=device)
+        sums = view.sum_slopes(self._loss.slopes(rgb, self._truth))
+        rows = [splats.values, splats.means, splats.squares]
+        inputs = [splats.splats, self._lens, self._step, view.missed, seen, sums, *rows]
+        outputs = [self._colors, self._directions]
+        launch(splat_step.step_splats, splats.count, inputs, outputs, device=device, work=3 * PROJECT_WORK)
+        bases = (splats.splats.degree + 1) ** 2
+        arrays = [rows[0].harmonics, rows[1].harmonics, rows[2].harmonics]
+        inputs = [bases, self._step, view.missed, self._colors, self._directions]
+        launch(splat_step.step_harmonics, splats.count * bases, inputs, arrays, device=device)
+
+    def measure_psnr(self) -> float:
+        """PSNR in dB of the last picture, before its step."""
+        if self.step_count:
+            with device_turn(self.device):
+                error = float(self._loss.errors.numpy().mean())
+            self.psnr = -10.0 * math.log10(max(error, LEAST_ERROR))
+        return self.psnr
+
+    @property
+    def missed_steps(self) -> int:
+        """Steps that changed nothing, as their pictures had more entries than there was room for."""
+        return int(self._view.missed.numpy()[1])
+
+    @in_turn
+    def finish(self) -> SplatField:
+        """The field at the end."""
+        return self.field
+
+    @property
+    def size_text(self) -> str:
+        """How large the field is so far, for people."""
+        return counted(self.splat_count, "splat")
+
+    @property
+    def field(self) -> SplatField:
+        """The splats so far, in the scene's own world, without those that nobody sees."""
+        values: dict[str, Any] = self.growing.to_contents(self.growing.splats.degree)
+        kept = opacities_of(values["logits"]) >= LEAST_OPACITY
+        values = {name: rows[kept] for name, rows in values.items()}
+        values["centers"] = values["centers"].astype(np.float64) * self._unit + self._center
+        values["log_scales"] = values["log_scales"] + np.float32(math.log(self._unit))
+        if np.abs(values["centers"]).max(initial=0.0) < 1e4 * self._unit:
+            values["centers"] = values["centers"].astype(np.float32)
+        behind = self._background()
+        if behind is None:
+            behind = np.zeros(3) if self.scene.alphas is None else self.scene.background
+        return SplatField(**values, background=behind, up=self.scene.up, device=self.device)
