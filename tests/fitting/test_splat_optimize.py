@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import imageio.v3 as imageio
 import numpy as np
 import pytest
 
@@ -125,6 +126,21 @@ def test_progress_is_kept_and_gone_on_with(tmp_path, monkeypatch):
     assert not path.exists()
     for name in ("centers", "log_scales", "quaternions", "logits", "harmonics"):
         assert (getattr(resumed.contents, name) == getattr(whole.contents, name)).all()
+
+
+@pytest.mark.parametrize("representation", ["splats", "voxels"])
+def test_a_preview_grows_beside_a_picture_of_the_scene(tmp_path, representation):
+    truth = true_field("cpu", 60)
+    scene = scene_of(truth, ring(4, 20, (40, 32)), points=truth.contents.centers)
+    options = {"steps": 5} if representation == "splats" else {"epochs": 1, "resolution": 16}
+    path = tmp_path / "preview.png"
+    options |= {"device": "cpu", "progress": False, "representation": representation}
+    warpcage.fit(scene, preview=path, preview_seconds=0.0, **options)
+    shown = imageio.imread(path)
+    assert shown.shape[0] == 32 and shown.shape[1] > 80
+    assert np.abs(shown[:, :40] / 255.0 - scene.images[2]).max() < 0.003
+    with pytest.raises(ValueError, match="a picture that ends in .png"):
+        warpcage.fit(scene, preview=tmp_path / "preview.jpg", **options)
 
 
 @pytest.mark.parametrize("damage", ["format", "count", "nan"])

@@ -32,6 +32,7 @@ def run_capture(args: argparse.Namespace) -> None:
     print(f"wrote {args.output}: {report.summary()}")
     for sentence in report.advice:
         print(f"  {sentence}")
+    print(f"  warpcage fit {args.output} -o place.ply makes splats of it: best for whole captures")
 
 
 def run_evaluate(args: argparse.Namespace) -> None:
@@ -87,6 +88,7 @@ def run_fit(args: argparse.Namespace) -> None:
         kind = "splats" if is_splat_file(args.output) else "voxels"
     output = options.check_output(args.output, options.SPLAT_ENDINGS if kind == "splats" else (".npz",), "field file")
     checkpoint = None if args.checkpoint is None else options.check_output(args.checkpoint, (".npz",), "checkpoint")
+    preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
     for name in VOXEL_OPTIONS if kind == "splats" else SPLAT_OPTIONS:
         if getattr(args, name):
             raise ValueError(f"--{name.replace('_', '-')} is not for fits of {kind}")
@@ -115,6 +117,7 @@ def run_fit(args: argparse.Namespace) -> None:
         background=behind,
         checkpoint=checkpoint,
         checkpoint_seconds=args.checkpoint_seconds,
+        preview=preview,
         **given,
     )
     field.save(output)

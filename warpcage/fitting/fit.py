@@ -10,13 +10,16 @@ from typing import Any, Literal, overload
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ..core.checks import checked_path
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
 from ..field.voxel_field import VoxelField
 from ..scene.scene import Scene
 from ..splats.splat_field import SplatField
+from ..view.pictures import side_by_side, write_png
 from . import checkpoint as voxel_checkpoint
 from .checkpoint import require_writable
+from .evaluation import comparison
 from .optimizer import FieldOptimizer
 from .splats import checkpoint as splat_checkpoint
 from .splats.optimizer import SplatFit
@@ -47,6 +50,8 @@ def fit(
     bounds: ArrayLike | None = None,
     checkpoint: str | pathlib.Path | None = None,
     checkpoint_seconds: float = 60.0,
+    preview: str | pathlib.Path | None = None,
+    preview_seconds: float = 20.0,
     **options: Any,
 ) -> VoxelField | SplatField:
     """Optimise a VoxelField, or a SplatField, from a Scene.
@@ -66,6 +71,9 @@ def fit(
         checkpoint: File (.npz) that holds the progress, always whole. The fit goes on from a file that is there, and
             removes it when it is done. None keeps no progress.
         checkpoint_seconds: Time between two writes of the checkpoint.
+        preview: Picture (.png) that is written anew while the fit goes on: a picture of the scene beside the field's
+            view of its camera. None writes none.
+        preview_seconds: Time between two writes of the preview, of which the first comes after as long.
         options: Fields of FitOptions by name, e.g. resolution=256, epochs=12 or max_memory="4GB"; for splats those of
             SplatFitOptions, e.g. steps=7000 or most_splats=200000.
 
@@ -79,6 +87,7 @@ def fit(
     from tqdm import tqdm
 
     held = None if checkpoint is None else require_writable(checkpoint)
+    picture = None if preview is None else _preview_path(preview)
     if representation not in REPRESENTATIONS:
         raise ValueError(f"representation must be one of {', '.join(REPRESENTATIONS)}, got {representation!r}")
     turn = device_turn(resolve_device(device))
@@ -95,7 +104,7 @@ def fit(
         if held is not None and held.exists():
             kept.load_progress(optimizer, held)
     with tqdm(total=optimizer.total_steps, initial=optimizer.step_count, desc="fit", disable=not progress) as bar:
-        shown = saved = time.monotonic()
+        shown = saved = pictured = time.monotonic()
         while optimizer.step_count < optimizer.total_steps:
             optimizer.step()
             bar.update()
@@ -106,10 +115,31 @@ def fit(
                 with turn:
                     kept.save_progress(optimizer, held)
                 saved = time.monotonic()
+            if picture is not None and time.monotonic() - pictured > preview_seconds:
+                with turn:
+                    _write_preview(picture, optimizer.field, scene)
+                pictured = time.monotonic()
     optimizer.measure_psnr()
     if progress and optimizer.coarser:
         print(f"fit: {optimizer.coarser}", file=sys.stderr)
     field = optimizer.finish()
     if held is not None:
         held.unlink(missing_ok=True)
+    if picture is not None:
+        _write_preview(picture, field, scene)
     return field
+
+
+def _preview_path(preview: str | pathlib.Path) -> pathlib.Path:
+    """The file of a preview; ValueError where it is none."""
+    path = checked_path(preview, "the preview")
+    if path.suffix.lower() != ".png" or path.is_dir():
+        raise ValueError(f"a preview is a picture that ends in .png, got {str(path)!r}")
+    return path
+
+
+def _write_preview(path: pathlib.Path, field: VoxelField | SplatField, scene: Scene) -> None:
+    """Write a picture of the scene beside the field's view of its camera."""
+    background, images = comparison(field, scene)
+    view = len(scene) // 2
+    write_png(path, side_by_side([images[view], field.render(scene.cameras[view], background=background).rgb]))

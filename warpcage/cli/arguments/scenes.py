@@ -97,6 +97,11 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
         help="time between two checkpoints (default: %(default)s)",
     )
     parser.add_argument(
+        "--preview",
+        metavar="PICTURE",
+        help="write this picture (.png) anew every 20 seconds: a picture of the scene beside the field so far",
+    )
+    parser.add_argument(
         "--resolution",
         type=options.positive_int,
         metavar="N",
