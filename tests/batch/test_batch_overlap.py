@@ -184,8 +184,8 @@ def engine(files, tmp_path):
         nodes=lambda: [{"Alive": True}],
     )
     with JobFile(files / "jobs.jsonl") as job:
-        likely = tuple((job.data(index), job.line(index)) for index in (4, 5))
-        settings = RunnerSettings(str(files), job.reader, str(folder.path), "run", likely=likely)
+        prefetch = tuple((job.data(index), job.line(index)) for index in (4, 5))
+        settings = RunnerSettings(str(files), job.reader, str(folder.path), "run", prefetch=prefetch)
 
         def order(chunk):
             lines = [(job.data(index), job.line(index)) for index in chunk.items]
@@ -199,8 +199,8 @@ def test_one_that_takes_the_place_of_a_worker_that_died_reads_nothing_beforehand
     engine, actors, _, _ = engine
     for worker in ("0", "1", "0"):
         engine.launch(worker)
-    likely = engine.settings.likely
-    assert [actor.settings.likely for actor in actors] == [likely[:1], likely[1:], ()]
+    prefetch = engine.settings.prefetch
+    assert [actor.settings.prefetch for actor in actors] == [prefetch[:1], prefetch[1:], ()]
 
 
 def test_chunks_beside_one_whose_device_is_lost_are_as_they_were_noted(engine):
@@ -352,7 +352,7 @@ def test_a_worker_begins_with_what_is_likely_and_fails_with_the_item_alone(files
     path = write_frames(tmp_path / "job", 5, changes=changes)
     with JobFile(path) as job:
         settings = RunnerSettings(
-            str(path.parent), job.reader, str(tmp_path / "out"), "run", "cpu", likely=((job.data(0), job.line(0)),)
+            str(path.parent), job.reader, str(tmp_path / "out"), "run", "cpu", prefetch=((job.data(0), job.line(0)),)
         )
         OutputFolder(tmp_path / "out").prepare()
         runner = runners.make_runner(settings)

@@ -6,7 +6,7 @@ import trimesh
 from test_cage_generation import winding
 
 from warpcage import Cage
-from warpcage.cage import nested
+from warpcage.cage import progressive_hull
 from warpcage.cage.generate import decimate as nested_module
 from warpcage.mesh import intersecting_faces
 
@@ -24,7 +24,7 @@ def surfaces():
 def test_every_surface_holds_the_one_before(name, most):
     fine = before = surfaces()[name]
     for count in (160, 80):
-        cage = Cage(*nested(before.vertices, before.faces, count))
+        cage = Cage(*progressive_hull(before.vertices, before.faces, count))
         cage.require_usable()
         assert len(cage.vertices) == count and not len(intersecting_faces(cage.vertices, cage.faces))
         assert cage.topology.genus == fine.topology.genus
@@ -40,15 +40,15 @@ def test_every_surface_holds_the_one_before(name, most):
 
 def test_a_box_keeps_its_corners_and_edges():
     box = surfaces()["box"]
-    cage = Cage(*nested(box.vertices, box.faces, 60))
+    cage = Cage(*progressive_hull(box.vertices, box.faces, 60))
     assert cage.volume < 1.01 * box.volume and np.allclose(cage.bounds, box.bounds, atol=0.05)
 
 
 def test_it_stops_where_no_collapse_is_left():
     tetrahedron = trimesh.creation.icosahedron()
-    vertices, _ = nested(tetrahedron.vertices, tetrahedron.faces, 4)
+    vertices, _ = progressive_hull(tetrahedron.vertices, tetrahedron.faces, 4)
     assert 4 <= len(vertices) <= 12
-    again = nested(tetrahedron.vertices, tetrahedron.faces, 12)
+    again = progressive_hull(tetrahedron.vertices, tetrahedron.faces, 12)
     assert np.array_equal(again[0], tetrahedron.vertices)
 
 
@@ -93,6 +93,6 @@ def test_collapses_are_measured_as_by_numpy(monkeypatch):
 
     monkeypatch.setattr(nested_module, "EdgeCollapses", Watched)
     fine = surfaces()["torus"]
-    nested(fine.vertices, fine.faces, 300)
+    progressive_hull(fine.vertices, fine.faces, 300)
     some, every = np.array(counts).T
     assert len(counts) >= 20 and (some > 0).all() and (some < every).any()

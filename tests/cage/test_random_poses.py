@@ -9,7 +9,7 @@ import pytest
 from messages import MESSAGES
 
 from warpcage import Cage, RandomPoses
-from warpcage.cage import POSE_MODES, PoseProbe, PoseWay, RandomNumbers, check_pose, poses, random_poses
+from warpcage.cage import POSE_MODES, PosePath, PoseProbe, RandomNumbers, check_pose, poses, random_poses
 from warpcage.coordinates import host_mean_value_weights, mean_value_gradients
 from warpcage.mesh import intersecting_faces
 
@@ -33,7 +33,7 @@ def made(request):
 
 def random_ways(modes, count=6, vertices=None):
     vertices = Cage.icosphere([1, 2, 3], 2.0, 2).vertices if vertices is None else vertices
-    return [PoseWay(vertices, RandomNumbers(11, (k,)), modes) for k in range(count)]
+    return [PosePath(vertices, RandomNumbers(11, (k,)), modes) for k in range(count)]
 
 
 @pytest.mark.parametrize("make", [oracles.box, oracles.icosphere, oracles.concave_l, oracles.two_boxes])

@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from warpcage import Camera, FieldOptimizer, Scene, evaluate, fit, mean_psnr, turntable
-from warpcage.fitting import MOST_SCARCE, PLENTY, checked_options, plan_batches, scarcity
+from warpcage.fitting import MOST_SCARCE, RAYS_PER_VOXEL, checked_options, plan_batches, scarcity
 from warpcage.kernels.fitting.rmsprop import shrink_view_dependence
 from warpcage.reference import KINDS, MODELS, synthetic_scene
 
@@ -55,8 +55,8 @@ def test_scarcity_by_hand():
         Camera.look_at((3, 0, 0), (0, 0, 0), fov_degrees=2 * np.degrees(np.arctan(0.5)), width=300, height=200),
         *turntable((0, 0, 0), 3.0, 10.0, 4, fov_degrees=2 * np.degrees(np.arctan(0.5)), width=300, height=200),
     ]
-    assert scarcity(cameras, np.zeros(3), 0.02) == pytest.approx(PLENTY / 20)
-    assert scarcity(cameras, np.zeros(3), 0.04) == pytest.approx(PLENTY / 80)
+    assert scarcity(cameras, np.zeros(3), 0.02) == pytest.approx(RAYS_PER_VOXEL / 20)
+    assert scarcity(cameras, np.zeros(3), 0.04) == pytest.approx(RAYS_PER_VOXEL / 80)
     assert scarcity(cameras, np.zeros(3), 0.2) == 1.0
     assert scarcity(cameras, np.zeros(3), 0.001) == MOST_SCARCE
 

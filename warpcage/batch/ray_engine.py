@@ -237,11 +237,11 @@ class RayEngine:
     def launch(self, worker: str) -> None:
         """Start an actor."""
         self._starts[worker] = self._starts.get(worker, 0) + 1
-        likely = self.settings.likely
-        if likely:  # whoever takes the place of one that died knows nothing: what it read may have been to blame
-            likely = (likely[int(worker) % len(likely)],) if self._starts[worker] == 1 else ()
+        prefetch = self.settings.prefetch
+        if prefetch:  # whoever takes the place of one that died knows nothing: what it read may have been to blame
+            prefetch = (prefetch[int(worker) % len(prefetch)],) if self._starts[worker] == 1 else ()
         notes = self._notes_name(worker)
-        settings = dataclasses.replace(self.settings, worker=worker, notes=notes, likely=likely)
+        settings = dataclasses.replace(self.settings, worker=worker, notes=notes, prefetch=prefetch)
         actor = self._actors[worker] = self._actor.remote(settings)
         if not self._ready:
             self._waiting_since = self.now()

@@ -77,7 +77,7 @@ WORKERS_PER_SECOND = 100  # for which a chunk takes a second more
 CHECKED_AT_ONCE = 100
 
 #: Items that are told to workers which start, so that they read what those need.
-MOST_LIKELY = 64
+MOST_PREFETCHED = 64
 
 Progress = Callable[[RunProgress], None]
 
@@ -198,7 +198,7 @@ def _run(
             options.device,
             retries=options.retries,
             maker=maker,
-            likely=tuple((job.data(index), job.line(index)) for index in plan.first_items(MOST_LIKELY)),
+            prefetch=tuple((job.data(index), job.line(index)) for index in plan.first_items(MOST_PREFETCHED)),
         )
         if not len(plan.items):
             # there is nothing but shards to be packed

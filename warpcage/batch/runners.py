@@ -35,7 +35,7 @@ class RunnerSettings:
     retries: int = 2
     threads: int = 0  # for kernels on the CPU; 0 is what there is
     maker: Callable[[str, str, Any], Maker] | None = None  # of base, out and device; None is `Worker`
-    likely: tuple[tuple[bytes, int], ...] = ()  # lines for `reader`: likely first items, whose needs are read early
+    prefetch: tuple[tuple[bytes, int], ...] = ()  # lines for `reader`: likely first items, whose needs are read early
 
 
 def make_runner(settings: RunnerSettings) -> ChunkRunner:
@@ -49,7 +49,7 @@ def make_runner(settings: RunnerSettings) -> ChunkRunner:
             )
     held = folder.worked_in()
     fingerprints = Fingerprints(settings.base, settings.out)
-    first = settings.reader.item(*settings.likely[0]) if settings.likely else None
+    first = settings.reader.item(*settings.prefetch[0]) if settings.prefetch else None
     if isinstance(first, FrameItem | EvaluateItem):
         fingerprints.expect(first.field)
     if settings.maker is None:

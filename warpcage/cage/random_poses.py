@@ -1,4 +1,4 @@
-"""Smooth random ways from rest (bends, twists, tapers, waves, bumps), to the bit the same everywhere."""
+"""Smooth random paths from rest (bends, twists, tapers, waves, bumps), to the bit the same everywhere."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from .check import grid_points
 #: The kinds of modes, in the order in which their numbers are drawn.
 POSE_MODES = ("bend", "twist", "stretch", "taper", "wave", "bump")
 
-#: The ends of ways: radians over the whole length; the ratio of the lengths of a stretch's ends, (1 + s) / (1 - s); the
-#: change of width of a taper; shares of the size for the amplitude of waves and bumps.
+#: The ends of paths: radians over the whole length; the ratio of the lengths of a stretch's ends, (1 + s) / (1 - s);
+#: the change of width of a taper; shares of the size for the amplitude of waves and bumps.
 MAX_BEND, MAX_TWIST, MAX_STRETCH, MAX_TAPER, MAX_WAVE, MAX_BUMP = 3.0, 3.4, 0.5, 0.8, 0.12, 0.45
 
 #: Lengths of waves and radii of bumps, shares of the size.
 _WAVE_NUMBERS, _BUMP_RADII = (0.25, 0.75), (0.35, 0.8)
 
-#: Waves and bumps of a way.
+#: Waves and bumps of a path.
 _WAVES, _BUMPS = 2, 3
 
 #: Coefficients of sin(p) / p and of (1 - cos(p)) / p^2 in powers of p^2: exact to a bit or two up to |p| = pi.
@@ -66,8 +66,8 @@ class RandomNumbers:
                 return x / length, y / length, z / length
 
 
-class PoseWay:
-    """A random way of a cage's vertices (v, 3), world units, away from rest; `modes` may act, of `POSE_MODES`."""
+class PosePath:
+    """A random path of a cage's vertices (v, 3), world units, away from rest; `modes` may act, of `POSE_MODES`."""
 
     def __init__(self, vertices: np.ndarray, random: RandomNumbers, modes: Sequence[str] = POSE_MODES):
         low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -105,7 +105,7 @@ class PoseWay:
         return found[kind] if kind in found else [getattr(self, kind)]
 
     def at(self, t: float) -> np.ndarray:
-        """The vertices (v, 3), world units, at a place of the way from 0, at rest, to 1; their mean stays."""
+        """The vertices (v, 3), world units, at a place of the path from 0, at rest, to 1; their mean stays."""
         x = rest = self._places
         # first bumps and waves, then what changes widths and lengths, then what turns
         for kind, act in (("bump", self._bumped), ("wave", self._waved), ("stretch", self._stretched),
@@ -387,13 +387,13 @@ def _singular_values(jacobian: np.ndarray) -> tuple[float, float]:
 
 Posed = TypeVar("Posed", bound=ClosedMesh)
 
-#: Steps of a way from rest, and how often the last one is halved: the farthest pose is known to 1 / 256 of the way.
+#: Steps of a path from rest, and how often the last one is halved: the farthest pose is known to 1 / 256 of the way.
 STEPS, HALVINGS = 8, 5
 
-#: A pose that is out of bounds after all goes back to this share of its way, so often at most.
+#: A pose that is out of bounds after all goes back to this share of its path, so often at most.
 BACK, MOST_BACK = 0.75, 8
 
-#: Ways that are tried before a cage is given up.
+#: Paths that are tried before a cage is given up.
 MOST_WAYS = 64
 
 
@@ -474,10 +474,10 @@ class RandomPoses(Generic[Posed]):
         for attempt in range(MOST_WAYS):
             random = RandomNumbers(self.seed, (number, attempt))
             share = random.number(*self.reach)
-            way = PoseWay(self.rest.vertices, random, self.modes)
-            t = self._farthest(way) * share
+            path = PosePath(self.rest.vertices, random, self.modes)
+            t = self._farthest(path) * share
             for _ in range(MOST_BACK if t > 0.0 else 0):
-                posed = self.rest.with_vertices(way.at(t))
+                posed = self.rest.with_vertices(path.at(t))
                 if self._allowed(posed):
                     return posed.vertices
                 t *= BACK
@@ -486,14 +486,14 @@ class RandomPoses(Generic[Posed]):
             "more stretch, or look for crossing faces and slivers (Cage.check)"
         )
 
-    def _farthest(self, way: PoseWay) -> float:
-        """The end of the allowed part of a way; 0 where it ends within the first 256th."""
+    def _farthest(self, path: PosePath) -> float:
+        """The end of the allowed part of a path; 0 where it ends within the first 256th."""
         good, step = 0.0, 1.0 / STEPS
-        while good < 1.0 and self._smooth(self.rest.with_vertices(way.at(good + step))):
+        while good < 1.0 and self._smooth(self.rest.with_vertices(path.at(good + step))):
             good += step
         for _ in range(HALVINGS if good < 1.0 else 0):
             step *= 0.5
-            if self._smooth(self.rest.with_vertices(way.at(good + step))):
+            if self._smooth(self.rest.with_vertices(path.at(good + step))):
                 good += step
         return good
 

@@ -228,9 +228,9 @@ class _Matter:
         block = tuple(slice(a, b + steps + 1) for a, b in zip(low, cells.max(axis=0), strict=True))
         free = self.visible[block] & ~self._solid[block]
         if floor is not None:
-            fringe = np.argwhere(free)
-            under = floor.heights(_centers(self.region, fringe + low)) <= 0.0
-            free[tuple(fringe[under].T)] = False
+            halo = np.argwhere(free)
+            under = floor.heights(_centers(self.region, halo + low)) <= 0.0
+            free[tuple(halo[under].T)] = False
         own, other = mask[block], self._solid[block] & ~mask[block]
         cube = np.ones((3, 3, 3), bool)
         for _ in range(steps):

@@ -33,7 +33,7 @@ COARSE_SIDE = 24
 
 #: Rays per voxel from which on the regularisers of FitOptions hold as they are: 87 views of 800x800 at 512 voxels along
 #: the longest side, or at 720 with four rays per pixel.
-PLENTY = 160.0
+RAYS_PER_VOXEL = 160.0
 
 #: How the weights of the total variations follow the scarcity; measured (benchmarks/NOTES-fit-scenes.md).
 DENSITY_POWER, SH_POWER = 1.8, 1.0
@@ -121,11 +121,11 @@ def pixel_size(cameras: list[Camera], center: np.ndarray) -> float:
 
 
 def scarcity(cameras: list[Camera], center: np.ndarray, voxel: float, supersampling: int = 1) -> float:
-    """How few rays see a voxel, relative to PLENTY: 1 where there are as many or more, 2 where there are half as many.
+    """How few rays see a voxel, relative to RAYS_PER_VOXEL: 1 where as many or more do, 2 where half as many.
     center: (3,) of the object, voxel: side of one of the last level, world units."""
     # The loss is a mean: where fewer pixels show a voxel the prior must weigh more, or it fits these views alone.
     seen = len(cameras) * (supersampling * voxel / pixel_size(cameras, center)) ** 2
-    return float(np.clip(PLENTY / max(seen, 1e-9), 1.0, MOST_SCARCE))
+    return float(np.clip(RAYS_PER_VOXEL / max(seen, 1e-9), 1.0, MOST_SCARCE))
 
 
 def directional_rate(steps: int) -> float:

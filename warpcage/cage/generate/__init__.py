@@ -13,7 +13,7 @@ from ...field.surface import require_field
 from ...mesh.mesh import ClosedMesh
 from ...mesh.queries import inside_mesh, intersecting_faces
 from ...mesh.validity import first_problem, require_usable
-from .decimate import nested
+from .decimate import progressive_hull
 from .fit import cleared, face_samples, row_sums
 from .shell import ObjectShell, decimated, flaw, shell_cage
 from .voxel import voxel_cage
@@ -231,7 +231,7 @@ def _tell(progress, line: str) -> None:
 def simplified_cage(vertices, faces, points, spacing, need, vertex_count) -> tuple[np.ndarray, np.ndarray]:
     """A cage decimated outward, or else plainly, then moved off points (p, 3) where faces come nearer than `need`."""
     reasons = []
-    for decimate, closing in ((nested, 0.0), (decimated, 0.05), (decimated, 0.1), (decimated, 0.2), (decimated, 0.4)):
+    for decimate, closing in ((progressive_hull, 0.0), *((decimated, each) for each in (0.05, 0.1, 0.2, 0.4))):
         reach = need + max(2.0 * spacing, closing * np.ptp(points, axis=0).max())
         shell = ObjectShell(points, spacing, reach, need)
         found, triangles = decimate(vertices, faces, vertex_count)

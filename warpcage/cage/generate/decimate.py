@@ -30,7 +30,7 @@ _COST_DIGITS = 9
 _LEAST_TURN, _LEAST_EVEN = 0.2, 0.15
 
 
-def nested(vertices, faces, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
+def progressive_hull(vertices, faces, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a closed manifold surface around the one given, with fewer vertices.
     They are `vertex_count`, or more where no collapse is left."""
     # Cheapest first (room, long edges, uneven faces). It stays manifold and outside the one before; faces do not fold.

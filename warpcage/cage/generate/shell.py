@@ -15,7 +15,7 @@ from ...mesh.mesh import ClosedMesh
 from ...mesh.queries import inside_mesh, intersecting_faces
 from ...mesh.validity import require_usable, winding_numbers
 from ..shapes import box
-from .decimate import nested, on_cpu
+from .decimate import on_cpu, progressive_hull
 from .fit import cleared, drawn_close, shortfall, spread
 
 #: Steps of a look-up, and of a search for the nearest point, as `launch` counts them.
@@ -218,7 +218,7 @@ _ROUNDS, _DRAWN, _LAST_ROUNDS = (25, 10, 4), (1.0, 0.75, 0.5, 0.25, 0.0), (0,)
 #: What is wrong with a cage that is neither spread evenly nor drawn: it holds, but a wider closing may be tighter.
 _LOOSE = "it could not be drawn close"
 
-#: Vertices of the surface that nested decimation begins with, for each that it leaves, and whether the last rounds are
+#: Vertices of the surface that a progressive hull begins with, for each that it leaves, and whether the last rounds are
 #: tried: all closings are tried with the first, then, where none of them holds, with the next.
 _ATTEMPTS = ((6, False), (9, False), (4, False), (6, True))
 
@@ -238,7 +238,7 @@ def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
             shell = ObjectShell(points, coarse, need + room, need)
             step = 2 if edge > 8.0 * coarse else 1
             start = decimated(*shell.surface(need + _START * (shell.reach - need), step), fine * vertex_count)
-            cage, reason = sound(shell, *nested(*start, vertex_count), need, vertex_count, last=last)
+            cage, reason = sound(shell, *progressive_hull(*start, vertex_count), need, vertex_count, last=last)
             found += [cage] if cage else []
             if not reason:
                 break

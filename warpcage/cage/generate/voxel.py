@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 
 from ...mesh.mesh import ClosedMesh
-from .decimate import nested
+from .decimate import progressive_hull
 from .fit import row_sums
 from .shell import ObjectShell, sound
 
@@ -45,7 +45,7 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
             nodes, faces = outer_surface(marks, axis)
             vertices = np.matmul(lower + nodes * side, frame.T)
             if len(vertices) > 1.1 * vertex_count and axis is None:
-                vertices, faces = nested(vertices, faces, vertex_count)
+                vertices, faces = progressive_hull(vertices, faces, vertex_count)
             mirror = None if axis is None else _mirror(_partners(nodes, marks.shape, axis), axis, middle)
             vertices = _smoothed_improved(vertices, ClosedMesh(vertices, faces).edges)
             # a mirrored count is even in its pairs and has no decimation to help it

@@ -105,11 +105,11 @@ class Channel:
     def __init__(self, document: dict, buffers: list[bytes], channel: dict, sampler: dict, shape_count: int):
         self.node, self.path = channel["target"]["node"], channel["target"]["path"]
         self.times = values_of(document, buffers, sampler["input"]).reshape(-1).astype(np.float64)
-        self.way = sampler.get("interpolation", "LINEAR")
+        self.interpolation = sampler.get("interpolation", "LINEAR")
         values = values_of(document, buffers, sampler["output"])
         numbers = _as_floats(values)
         width = {"rotation": 4, "weights": shape_count}.get(self.path, 3)
-        sets = 3 if self.way == "CUBICSPLINE" else 1
+        sets = 3 if self.interpolation == "CUBICSPLINE" else 1
         if not len(self.times) or numbers.size != len(self.times) * sets * width or (np.diff(self.times) < 0).any():
             raise ValueError(f"the animation of node {self.node} has {numbers.size} values at {len(self.times)} times")
         if not (np.isfinite(self.times).all() and np.isfinite(numbers).all()):
@@ -121,11 +121,11 @@ class Channel:
         index = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 1))
         middle = self.values.shape[1] // 2
         begin = self.values[index, middle]
-        if index == len(self.times) - 1 or time <= self.times[0] or self.way == "STEP":
+        if index == len(self.times) - 1 or time <= self.times[0] or self.interpolation == "STEP":
             return begin
         length = self.times[index + 1] - self.times[index]
         share, end = (time - self.times[index]) / length, self.values[index + 1, middle]
-        if self.way == "CUBICSPLINE":
+        if self.interpolation == "CUBICSPLINE":
             leaving, arriving = self.values[index, 2], self.values[index + 1, 0]
             value = _hermite(begin, end, length * leaving, length * arriving, share)
         elif self.path == "rotation":
