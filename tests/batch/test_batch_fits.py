@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from runs import run, write_files
 
-from warpcage import Camera, FieldOptimizer, VoxelField
+import warpcage
+from warpcage import Camera, FieldOptimizer, SplatField, VoxelField, load_scene
 from warpcage.batch import CHECKPOINTS, Item, Worker
 from warpcage.fitting import save_progress
 
@@ -44,6 +45,44 @@ def test_a_fit_and_an_evaluation_are_those_of_the_commands(files, tmp_path):
     made, expected = (json.loads(path.read_text()) for path in (tmp_path / "out/psnr.json", tmp_path / "psnr.json"))
     assert made["views"] == expected["views"] and len(made["views"]) == 2
     assert without(made, "field") == without(expected, "field")
+
+
+def test_splats_are_fitted_and_evaluated_as_by_the_commands(files, tmp_path):
+    options = {"representation": "splats", "steps": 20, "pixels_per_splat": 4.0, "seed": 3}
+    fit = Item.from_json({"id": "ball", "kind": "fit", "scene": "scene", "options": options, "output": "f/{id}.ply"})
+    with Worker(files, tmp_path / "out", "cpu") as worker:
+        assert list(worker.run(fit)) == ["f/ball.ply"]
+    other = Item.from_json({"id": "ball", "kind": "fit", "scene": "scene", "options": options | {"seed": 4}})
+    assert other.outputs == {"field": "ball.ply"}
+    scene = load_scene(files / "scene")
+    expected = warpcage.fit(scene, device="cpu", progress=False, **options)
+    made = SplatField.load(tmp_path / "out/f/ball.ply", device="cpu")
+    np.testing.assert_array_equal(made.contents.logits, expected.contents.logits)
+    words = ["fit", "@scene", "-o", tmp_path / "ball.ply", "--steps", 20, "--most-splats", 200, "--quiet"]
+    assert run(files, *words, "--device", "cpu") == 0
+    assert 0 < SplatField.load(tmp_path / "ball.ply", device="cpu").splat_count <= 200
+
+    entry = {"id": "psnr", "kind": "evaluate", "field": "out/f/ball.ply", "scene": f"{files}/scene"}
+    with Worker(tmp_path, tmp_path / "out", "cpu") as worker:
+        worker.run(Item.from_json(entry))
+    words = ["evaluate", tmp_path / "out/f/ball.ply", "@scene", "--json", tmp_path / "psnr.json", "--quiet"]
+    assert run(files, *words, "--device", "cpu") == 0
+    made, expected = (json.loads(path.read_text()) for path in (tmp_path / "out/psnr.json", tmp_path / "psnr.json"))
+    assert made["views"] == expected["views"] and len(made["views"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("-o", "x.ply", "--epochs", "2"), "--epochs is not for fits of splats"),
+        (("-o", "x.npz", "--steps", "5"), "--steps is not for fits of voxels"),
+        (("-o", "x.npz", "--as", "splats"), "must end in .ply"),
+        (("-o", "x.ply", "--background", "layers"), "is for voxels"),
+    ],
+)
+def test_options_of_the_other_kind_are_refused(files, capsys, words, message):
+    assert run(files, "fit", "@scene", *words, "--device", "cpu") != 0
+    assert message in capsys.readouterr().err
 
 
 def test_fits_of_one_scene_read_its_pictures_once(files, tmp_path):

@@ -41,7 +41,7 @@ class FitMaker:
             checkpoint.parent.mkdir(parents=True, exist_ok=True)
         field = fit(scene, device=self.device, progress=False, checkpoint=checkpoint, **item.options)
         writers: dict[str, Writer] = {item.outputs["field"]: field.save}
-        refined = field.refined_cameras
+        refined = field.refined_cameras if isinstance(field, VoxelField) else None
         if refined is not None:
             writers[item.outputs["cameras"]] = refined.save
         return MadeItem(writers)
@@ -69,8 +69,6 @@ class FitMaker:
 def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFields) -> MadeItem:
     """Compare a field with pictures of a scene, as `warpcage evaluate` does; what is made writes the report."""
     key, field = fields.get(item.field, item.scene_scale)
-    if not isinstance(field, VoxelField):
-        raise ValueError(f"evaluations are for fields of voxels (.npz), {item.field!r} is of splats")
     scene = load_scene(
         references.path(item.scene),
         split=item.split,
@@ -82,6 +80,8 @@ def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFi
     )
     scene = in_world_of(field, scene)
     if item.tune_cameras:
+        if not isinstance(field, VoxelField):
+            raise ValueError(f"'tune_cameras' is for fields of voxels (.npz), {item.field!r} is of splats")
         scene = tuned_scene(field, scene)
     found = evaluation_report(field, scene)
     fields.settle(key)

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 from ..core.checks import checked_bounds, shown
 from ..core.names import COORDINATES, DENSITIES, SPLAT_MAPS, edit_fields
+from ..splats.io import SPLAT_ENDINGS
 from . import words
 from .edit_words import EDIT_WORDS, EditWords
 from .words import TRANSPARENT, Checker, checked_words, one_of, plain, safe_name, text
@@ -348,12 +349,18 @@ def _require_possible(given: dict[str, Any]) -> None:
 
 
 def _options(value: Any, word: str) -> dict[str, Any]:
-    from ..fitting.options import checked_options, checked_seed  # which needs Warp
+    from ..fitting.fit import REPRESENTATIONS  # these need Warp
+    from ..fitting.options import checked_options, checked_seed
+    from ..fitting.splats.options import checked_splat_options
 
     if not isinstance(value, dict):
         raise ValueError(f'{word} must be an object such as {{"quality": "fast"}}, got {shown(value)}')
+    kind = value.get("representation", "voxels")
+    if kind not in REPRESENTATIONS or (kind == "splats" and "bounds" in value):
+        raise ValueError(f"{word}: 'representation' must be voxels, or splats without 'bounds', got {shown(kind)}")
     try:
-        checked_options({name: each for name, each in value.items() if name not in ("seed", "bounds")})
+        check = checked_options if kind == "voxels" else checked_splat_options
+        check({name: each for name, each in value.items() if name not in ("seed", "bounds", "representation")})
         checked_seed(value.get("seed", 0))
         if value.get("bounds") is not None:
             checked_bounds(value["bounds"])
@@ -409,7 +416,7 @@ class FitItem(Item):
         "options": _options,
         "background": words.color,
         "straighten": words.truth,
-        "output": _output(".npz"),
+        "output": _output(".npz", *SPLAT_ENDINGS),
         "outputs": words.anything,
         "extra": words.anything,
     }
@@ -423,6 +430,14 @@ class FitItem(Item):
         if "scene" not in given:
             raise ValueError("a fit needs a 'scene', the folder of its pictures")
         refined = bool(given.get("options", {}).get("refine_cameras"))
+        of_splats = given.get("options", {}).get("representation") == "splats"
+        if "output" in given:
+            _output(*SPLAT_ENDINGS if of_splats else (".npz",))(given["output"], "'output'")
+        if of_splats:
+            named = given.get("output") or (given.get("outputs") or {}).get("field", "")
+            ending = next((ending for ending in SPLAT_ENDINGS if str(named).lower().endswith(ending)), ".ply")
+            given["outputs"] = _outputs(given, {"field": ending})
+            return given
         given["outputs"] = _outputs(given, {"field": ".npz"} | ({"cameras": ".cameras.json"} if refined else {}))
         return given
 

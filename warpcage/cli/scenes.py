@@ -13,7 +13,6 @@ from ..fitting.cameras import tuned_scene
 from ..fitting.evaluation import comparison, error_image, evaluation_report, in_world_of
 from ..fitting.fit import fit
 from ..fitting.memory import memory_size
-from ..splats.io import is_splat_file
 from ..splats.splat_field import SplatField
 from ..view.pictures import side_by_side, write_png
 from . import shared
@@ -85,7 +84,7 @@ SPLAT_OPTIONS = ("steps", "most_splats")
 def run_fit(args: argparse.Namespace) -> None:
     kind = args.representation
     if kind is None:
-        kind = "splats" if is_splat_file(args.output) else "voxels"
+        kind = "splats" if args.output.lower().endswith(options.SPLAT_ENDINGS) else "voxels"
     output = options.check_output(args.output, options.SPLAT_ENDINGS if kind == "splats" else (".npz",), "field file")
     checkpoint = None if args.checkpoint is None else options.check_output(args.checkpoint, (".npz",), "checkpoint")
     preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
