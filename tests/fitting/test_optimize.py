@@ -136,7 +136,7 @@ import os, signal, sys
 sys.path.insert(0, sys.argv[2])
 import warpcage
 from scenes import blob_scene
-from warpcage.fitting import fit as fits
+from warpcage.fitting import checkpoint as fits
 saves = []
 write = fits.save_progress
 def save_then_die(fit, path):
