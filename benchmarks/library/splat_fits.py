@@ -18,6 +18,7 @@ from library.splats import times_by_turns
 
 import warpcage
 from warpcage.fitting.evaluation import ssim
+from warpcage.fitting.splats import checked_splat_options
 
 #: Views, factor on their size and on the number of points of the fit that compiles kernels, and steps of gsplat's.
 WARM_VIEWS, WARM_SHRINK, WARM_STEPS = 8, 8, 40
@@ -104,7 +105,7 @@ def ours(args) -> None:
             print(f"kernels compiled, {compiled:.1f} s", flush=True)
         for quality, seed in itertools.product(args.quality, args.seeds):
             chosen = {"quality": quality, "seed": seed, **options}
-            steps, before = planned_steps(views.train, device, chosen), memory_peak(device)
+            steps, before = planned_steps(chosen), memory_peak(device)
             seconds, field = seconds_of_fit(views.train, device, chosen)
             fit = {
                 "program": f"warpcage, {quality}",
@@ -138,9 +139,9 @@ def optimizer_of(scene: warpcage.Scene, device, options: dict):
     return SplatFit(scene, device=device, **options)
 
 
-def planned_steps(scene: warpcage.Scene, device, options: dict) -> int:
+def planned_steps(options: dict) -> int:
     """How many steps a fit of ours is going to make."""
-    return optimizer_of(scene, device, options).total_steps
+    return checked_splat_options({name: value for name, value in options.items() if name != "seed"}).steps
 
 
 # Steps of ours
