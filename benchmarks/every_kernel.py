@@ -49,7 +49,8 @@ CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "fie
              "field.march.rows.", "field.march.shades.", "render.views.rows", "render.views.shades",
              "render.shading.", "edits.fine_cells.", "edits.inverse.", "core.texels.",
              "edits.nodes.", "render.beams.", "view.tile_order.",
-             "fitting.splat_loss.find_slopes_of_tiles", "fitting.splat_loss.find_window_slopes_of_tiles",
+             "fitting.splat_step.check_room", "fitting.splat_loss.find_slopes_of_tiles",
+             "fitting.splat_loss.find_window_slopes_of_tiles",
              "splats.composite.", "splats.packed_rows.", "view.pictures.round_colors"}  # fmt: skip
 
 launched: set[str] = set()
@@ -264,6 +265,10 @@ def splats(device) -> None:
     weights = wp.array(rng.random(37 * 23), dtype=wp.float32, device=device)
     for tiled in (True, False):
         PictureLoss(37, 23, device, tiled=tiled).slopes(drawn, truth, weights)
+    shown = warpcage.turntable((0, 0, 0), 3.0, 20, 3, width=300, height=270)  # large enough for coarse pictures too
+    scene = warpcage.Scene(np.stack([field.render(each).rgb for each in shown]), None, shown)
+    options = {"steps": 9, "grow_every": 2, "most_splats": 500, "start": "random", "every_value": True}
+    warpcage.fit(scene, representation="splats", device=device, progress=False, **options)
 
 
 def posed_splats(device) -> None:
