@@ -7,7 +7,8 @@ import pytest
 import warp as wp
 from splat_scenes import reference_view
 
-from warpcage import Camera, SplatField
+from warpcage import Cage, Camera, SplatField
+from warpcage.cage import standing_of_rest
 from warpcage.kernels.splats.splats import Splats
 from warpcage.splats import SplatRenderer, render
 
@@ -306,3 +307,22 @@ def test_a_field_renders(device):
             field.render(view, **options)
     with pytest.raises(ValueError, match="Camera"):
         field.render("front")
+
+
+def test_a_cage_around_an_object_is_its_cage_however_far_other_splats_lie(device):
+    """Fits of whole places have a few splats thousands of times as far as their objects."""
+    rng = np.random.default_rng(0)
+    centers = np.concatenate([rng.uniform(-0.5, 0.5, (600, 3)), rng.uniform(-9, 9, (600, 3)), [[5e3, -4e3, 3e3]]])
+    count = len(centers)
+    values = (
+        np.full((count, 3), np.log(0.05)),
+        rng.normal(size=(count, 4)),
+        np.full(count, 2.0),
+        np.zeros((count, 1, 3)),
+    )
+    field = SplatField(centers, *values, device=device)
+    assert len(field.shown_points) > 1100 and np.abs(field.shown_points).max() < 10
+    standing = standing_of_rest(Cage.box((-0.6, -0.6, -0.6), (0.6, 0.6, 0.6)), "z", field)
+    assert not standing.lost and not standing.turned
+    away = standing_of_rest(Cage.box((50, 50, 50), (51, 51, 51)), "z", field)
+    assert away.lost

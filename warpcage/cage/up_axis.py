@@ -204,7 +204,8 @@ def restood(cage: Mesh, was: str, up: str) -> Mesh:
 
 def _object_points(thing: Any, count: int) -> np.ndarray:
     """(n, 3) at most `count` points of a field, a selection or a mesh, world units."""
-    vertices = getattr(thing, "vertices", None)
+    # splats of whole places reach so far that the cells of a grid over all of them are larger than the object
+    vertices = getattr(thing, "vertices", getattr(thing, "shown_points", None))
     if vertices is None:
         return some_visible_nodes(thing, count)
     points = np.asarray(vertices, dtype=np.float64)

@@ -272,6 +272,13 @@ class SplatField:
         return np.array([np.maximum(low - reach, self.bounds[0]), np.minimum(high + reach, self.bounds[1])])
 
     @property
+    def shown_points(self) -> np.ndarray:
+        """(n, 3) float64 centres of the splats that can be seen, within `shown_bounds`; world units."""
+        centers = self.contents.centers[self.opacities >= LEAST_OPACITY].astype(np.float64)
+        low, high = self.shown_bounds
+        return centers[((centers >= low) & (centers <= high)).all(axis=1)]
+
+    @property
     def center(self) -> np.ndarray:
         """(3,) float64 middle of the bounds: the origin that kernels' positions are relative to."""
         return self.bounds.mean(axis=0)
