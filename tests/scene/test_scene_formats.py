@@ -229,6 +229,40 @@ def test_a_model_beside_its_pictures(tmp_path, bricks, pictures):
 
 
 @pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize("base", ["sparse", "sparse/0/models"])
+def test_of_several_models_the_one_with_most_pictures_is_read(tmp_path, bricks, binary, base):
+    """As COLMAP's mapper writes them where pictures do not hang together; hloc has another folder."""
+    write_colmap(tmp_path, bricks, binary=binary, where=f"{base}/1")
+    few = bricks.pick([0, 1])
+    write_colmap(tmp_path, few, binary=binary, where=f"{base}/0")
+    with pytest.warns(UserWarning, match=rf"{base}/1 is taken.*\({len(bricks.names)}\); others: {base}/0 \(2\)"):
+        scene = load_scene(tmp_path, split="all")
+    assert sorted(scene.names) == sorted(bricks.names)
+    chosen = load_scene(tmp_path, split="all", model="0")
+    assert len(chosen) == 2 and len(load_scene(tmp_path, split="all", model=f"{base}/1")) == len(bricks.names)
+    with pytest.raises(ValueError, match=f"no COLMAP model '7', only {base}/0, {base}/1"):
+        load_scene(tmp_path, model="7")
+
+
+def test_models_are_those_of_colmap_alone(tmp_path, bricks):
+    write_transforms(tmp_path, bricks)
+    with pytest.raises(ValueError, match="model chooses among COLMAP models"):
+        load_scene(tmp_path, model="0")
+
+
+@pytest.mark.parametrize("kept", ["none", "some"])
+def test_images_without_a_line_of_keypoints_are_all_read(tmp_path, bricks, kept):
+    """As tools write images.txt that have no features; a name of digits alone is no keypoint."""
+    write_colmap(tmp_path, bricks, binary=False)
+    file = tmp_path / "sparse/0/images.txt"
+    head, *lines = file.read_text().splitlines()
+    records = [line for line in lines if len(line.split()) > 3]
+    rows = [row for i, record in enumerate(records) for row in ([record, ""] if kept == "some" and i % 3 else [record])]
+    file.write_text("\n".join([head, *rows]) + "\n")
+    assert sorted(load_scene(tmp_path, split="all").names) == sorted(bricks.names)
+
+
+@pytest.mark.parametrize("binary", [False, True])
 def test_colmap_without_points(tmp_path, bricks, binary):
     write_colmap(tmp_path, bricks, binary=binary)
     assert load(tmp_path).bounds is None

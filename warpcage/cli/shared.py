@@ -298,6 +298,7 @@ def read_scene(args: argparse.Namespace, background: str | ArrayLike, orient: st
         masks=args.masks,
         orient=orient,
         cameras=args.cameras,
+        model=args.model,
     )
 
 

@@ -50,6 +50,7 @@ def load_scene(
     masks: bool | str = True,
     orient: str | ArrayLike | None = None,
     cameras: str | os.PathLike | None = None,
+    model: str | None = None,
 ) -> Scene:
     """Read one split of a scene from disk.
 
@@ -73,6 +74,8 @@ def load_scene(
             as the files have them.
         cameras: Camera file (.json) whose cameras the pictures get, by their names, as `RefinedCameras.save` writes
             them after a fit. They are in the world that `orient` leads to. None takes those of the scene's files.
+        model: Which of several COLMAP models, by its folder such as "1" or "sparse/1". None takes the one with most
+            pictures.
 
     Returns:
         The scene.
@@ -97,9 +100,13 @@ def load_scene(
         raise ValueError(f"orient must be 'up', a rigid (4, 4), or None for the coordinates of files, got {orient!r}")
     motion = None if orient is None or isinstance(orient, str) else rigid_motion(orient, "orient")
 
+    if model is not None and format != "colmap":
+        raise ValueError(f"model chooses among COLMAP models: this scene is of the format {format!r}")
+    chosen = {} if model is None else {"model": model}
+
     def read(name: str) -> Scene:
-        color = parse_background(background)
-        return READERS[format].read(folder, split=name, downscale=int(downscale), background=color, masks=masks)
+        color, factor = parse_background(background), int(downscale)
+        return READERS[format].read(folder, split=name, downscale=factor, background=color, masks=masks, **chosen)
 
     scene = read(split)
     if isinstance(orient, str):

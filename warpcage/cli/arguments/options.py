@@ -98,6 +98,11 @@ def add_scene(parser: Arguments, split: str) -> None:
         help="camera file (.json) that has a camera for each picture, by its name, instead of those of the scene: as "
         "`fit --refine-cameras` writes it",
     )
+    parser.add_argument(
+        "--model",
+        metavar="NAME",
+        help='which of several COLMAP models, such as "1" (default: the one with most pictures)',
+    )
 
 
 def add_scene_format(parser: Arguments) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.checks import warn_caller
 from ...core.files import read_limited
 from ...core.names import error_line
 from ..pictures import COEFFICIENTS, View, make_scene, views_there
@@ -86,6 +87,12 @@ class Model:
     images_path: pathlib.Path
 
 
+def read_images(folder: pathlib.Path) -> list[ModelImage]:
+    """The pictures of a model alone."""
+    binary = (folder / "images.bin").is_file()
+    return (_images_bin if binary else _images_txt)(folder / f"images{'.bin' if binary else '.txt'}")
+
+
 def read_model(folder: pathlib.Path) -> Model:
     """Read a model, binary where cameras.bin is there."""
     binary = (folder / "cameras.bin").is_file()
@@ -128,17 +135,34 @@ def _cameras_txt(path: pathlib.Path) -> dict[int, ModelCamera]:
 
 
 def _images_txt(path: pathlib.Path) -> list[ModelImage]:
-    images, lines = [], _lines(path)
-    for line, text in lines:
-        if not text:
+    images, is_open = [], False  # whether the keypoints of the last image may follow, which some programs leave out
+    for line, text in _lines(path):
+        words = text.split(maxsplit=9)
+        if is_open and not _is_image(words):
+            is_open = False
             continue
-        where, words = f"{path}:{line}", text.split(maxsplit=9)
+        if not words:
+            continue
+        where = f"{path}:{line}"
         if len(words) < 10:
             raise ValueError(f"{where}: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME expected, got {text[:60]!r}")
         values = floats(" ".join(words[1:8]), where)
         images.append(ModelImage(words[9], tuple(values[:4]), tuple(values[4:]), _whole(words[8], where)))
-        next(lines, None)  # the line of its keypoints, empty where it has none
+        is_open = True
     return images
+
+
+def _is_image(words: list[str]) -> bool:
+    """Whether the words of a line, the rest in the tenth, are those of an image, and not keypoints: X Y POINT3D_ID."""
+    if len(words) < 10 or not (words[0].isdigit() and words[8].isdigit()):
+        return False
+    rest = words[9].split()
+    try:
+        for word in rest[:3]:
+            float(word)
+    except ValueError:
+        return True
+    return (9 + len(rest)) % 3 != 0  # a name of digits alone
 
 
 def _points_txt(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray | None]:
@@ -233,11 +257,12 @@ def _points_bin(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
 
 MARK = "sparse/0/ with cameras and images, .bin or .txt"
 
-#: Where a model lies: COLMAP's own folders, nerfstudio's, and beside the pictures, as RealityScan exports it.
-MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", "dense/sparse", "")
+#: Where models lie, themselves or in folders by number: COLMAP's own folders, nerfstudio's, hloc's, and beside the
+#: pictures, as RealityScan exports them.
+MODEL_FOLDERS = ("sparse", "colmap/sparse", "sparse/0/models", "dense/sparse", "dense/0/sparse", "")
 
-#: Where its pictures lie.
-PICTURE_FOLDERS = ("images", "dense/images", "")
+#: Where their pictures lie.
+PICTURE_FOLDERS = ("images", "dense/images", "dense/0/images", "")
 
 #: Camera models and where their parameters go: fx, fy, cx, cy, then distortion by name.
 PARAMETERS = {
@@ -252,33 +277,60 @@ PARAMETERS = {
 
 def is_scene(folder: pathlib.Path) -> bool:
     """Whether a folder holds a COLMAP model."""
-    return _model_folder(folder) is not None
+    return bool(_models(folder))
 
 
-def _model_folder(folder: pathlib.Path) -> pathlib.Path | None:
-    """The folder of the model, or None."""
+def _models(folder: pathlib.Path) -> list[str]:
+    """Models of a scene, relative to it: of the first of MODEL_FOLDERS that has any."""
     for name in MODEL_FOLDERS:
-        model = folder / name
-        if any((model / f"cameras{e}").is_file() and (model / f"images{e}").is_file() for e in (".bin", ".txt")):
-            return folder / name
-    return None
+        base = folder / name
+        numbers = [path.name for path in base.iterdir() if path.name.isdigit()] if name and base.is_dir() else []
+        found = [f"{name}/{number}" for number in sorted(numbers, key=int)] + [name]
+        models = [each for each in found if _has_model(folder / each)]
+        if models:
+            return models
+    return []
 
 
-def read(folder: pathlib.Path, *, split: str, masks: bool | str, **options: Any) -> Scene:
+def _has_model(folder: pathlib.Path) -> bool:
+    return any((folder / f"cameras{e}").is_file() and (folder / f"images{e}").is_file() for e in (".bin", ".txt"))
+
+
+def _chosen_model(folder: pathlib.Path, wanted: str | None) -> pathlib.Path:
+    """The folder of the model that was asked for, or of the one with most pictures; others are told of."""
+    models = _models(folder)
+    if not models:
+        raise FileNotFoundError(f"{str(folder)!r} holds no COLMAP model ({MARK})")
+    counts = {name: len(read_images(folder / name)) for name in models} if len(models) > 1 else {}
+    if wanted is not None:
+        fitting = [name for name in models if wanted in (name, name.rpartition("/")[2])]
+        if not fitting:
+            raise ValueError(f"{str(folder)!r} holds no COLMAP model {wanted!r}, only {', '.join(models)}")
+        return folder / fitting[0]
+    if not counts:
+        return folder / models[0]
+    most = max(models, key=counts.__getitem__)
+    others = [f"{name} ({counts[name]})" for name in models if name != most]
+    if counts[most] and any(counts[name] for name in models if name != most):
+        warn_caller(
+            f"{folder}: of {len(models)} COLMAP models {most} is taken, which has most pictures ({counts[most]}); "
+            f"others: {', '.join(others)}; model= chooses (--model)"
+        )
+    return folder / most
+
+
+def read(folder: pathlib.Path, *, split: str, masks: bool | str, model: str | None = None, **options: Any) -> Scene:
     """Read a split: every eighth image, by name, is `test`, the others are `train`. Options as for `load_scene`."""
     # masks/<name>.png, as COLMAP itself takes it, or masks/<name> becomes the alpha; the bulk of the points the bounds.
-    model_folder = _model_folder(folder)
-    if model_folder is None:
-        raise FileNotFoundError(f"{str(folder)!r} holds no COLMAP model ({MARK})")
-    model = read_model(model_folder)
-    if not model.images:
-        raise ValueError(f"{model.images_path} holds no images")
+    found = read_model(_chosen_model(folder, model))
+    if not found.images:
+        raise ValueError(f"{found.images_path} holds no images")
     masks = masks and (folder / "masks").is_dir()
-    pictures = _picture_folder(folder, model)
-    views = [_view(folder, pictures, model, image, masks) for image in model.images]
-    views = sorted(views_there(views, model.images_path), key=lambda view: str(view.file))
+    pictures = _picture_folder(folder, found)
+    views = [_view(folder, pictures, found, image, masks) for image in found.images]
+    views = sorted(views_there(views, found.images_path), key=lambda view: str(view.file))
     views = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, views, masks=masks, **options, points=model.points, point_colors=model.colors)
+    return make_scene(folder, views, masks=masks, **options, points=found.points, point_colors=found.colors)
 
 
 def _picture_folder(folder: pathlib.Path, model: Model) -> pathlib.Path:
