@@ -136,3 +136,20 @@ def test_a_file_that_is_no_video(tmp_path, content):
     with pytest.raises(ValueError, match=MESSAGES["captures.no_video"]) as error:
         scan_video(file)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("word_is_known", [True, False])
+def test_versions_of_pyav_with_and_without_the_word_for_names(tmp_path, monkeypatch, word_is_known):
+    """From version 19 on `av.open` does not take `metadata_errors`."""
+    import av
+
+    video, usual = write_video(tmp_path / "v.mp4", moving_pictures([0, 9, 18])), av.open
+
+    def opened(name, **options):
+        known = options.pop("metadata_errors", None) is None
+        if not (known or word_is_known):
+            raise TypeError("open() got an unexpected keyword argument 'metadata_errors'")
+        return usual(name, **options)
+
+    monkeypatch.setattr(av, "open", opened)
+    assert len(scan_video(video).times) == 3

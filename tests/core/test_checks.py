@@ -1,5 +1,7 @@
 """What callers give is checked in one place each: what passes, and what the one line says of what does not."""
 
+import fractions
+
 import numpy as np
 import pytest
 from messages import MESSAGES
@@ -15,6 +17,7 @@ from warpcage.core import (
     checked_whole,
     warn_caller,
 )
+from warpcage.core.checks import real_array
 
 
 @pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.int64(2), np.array(2.0)])
@@ -66,3 +69,13 @@ def test_warnings_point_at_the_caller():
     with pytest.warns(UserWarning, match="mind the gap") as caught:
         warn_caller("mind the gap")
     assert caught[0].filename == __file__
+
+
+def test_arrays_of_numbers_hold_numbers_alone():
+    """NumPy makes NaN of None, and a number of text, where an array holds objects."""
+    assert real_array([1, fractions.Fraction(1, 2), 10**30], "it").tolist() == [1.0, 0.5, 1e30]
+    given = np.ones(3, np.float32)
+    assert real_array(given, "it", np.float32) is given and real_array([], "it").shape == (0,)
+    for wrong in (None, [1.0, None], [[1, 2], [None, 4]], np.array([1, "2"], object), ["1"], [1j], [1, [2]]):
+        with pytest.raises(ValueError, match="it must be real numbers, got "):
+            real_array(wrong, "it")

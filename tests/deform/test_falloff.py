@@ -160,6 +160,7 @@ def test_shares_of_walls_that_meet_multiply():
         ({"falloff": 0.1, "remove": True}, "no pose to fade"),
         ({"falloff": 0.1, "held": "some"}, "held must be 'cut' or 'still'"),
         ({"falloff": 0.1, "held": [999]}, "names face 999"),
+        ({"falloff": 0.1, "held": [3, -2, 999]}, "names face -2"),
         ({"falloff": 0.1, "held": [0.5]}, "numbers of faces"),
     ],
 )

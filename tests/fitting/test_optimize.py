@@ -2,9 +2,11 @@
 
 import subprocess
 import sys
+import types
 
 import numpy as np
 import pytest
+import warp as wp
 from runs import SUPPORT
 from scenes import blob_scene
 
@@ -12,6 +14,8 @@ import warpcage
 from warpcage import FieldOptimizer, evaluate, mean_psnr, psnr
 from warpcage.core import resolve_device
 from warpcage.fitting import error_image, object_bounds, ssim
+from warpcage.fitting.level import Level
+from warpcage.view.camera import camera_array
 
 SMALL = {"resolution": 32, "levels": 2, "epochs": 8, "batch_rays": 512}
 
@@ -177,3 +181,22 @@ def test_checkpoints_of_other_fits_are_refused(tmp_path):
         load_progress(optimizer, tmp_path / "d.npz")
     with pytest.raises(ValueError, match="ends in .npz"):
         warpcage.fit(scene, progress=False, checkpoint=tmp_path / "c.pt")
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_thin_boxes_are_seen_voxel_by_voxel(device, axis):
+    """What is seen of a box is found by a ray for each half voxel of its longest side, whichever side is thin."""
+    shape = tuple(3 if k == axis else 41 for k in range(3))
+    half = 0.025 * (np.array(shape) - 1.0)
+    eye = 3.0 * np.eye(3)[axis] * 2.0
+    camera = warpcage.Camera.look_at(
+        eye, (0, 0, 0), up=np.eye(3)[(axis + 1) % 3], width=160, height=160, fov_degrees=22
+    )
+    level = Level(wp.full(shape, 1, dtype=wp.uint8, device=device), np.stack([-half, half]), np.ones(3, np.float32), 1)
+    density = np.zeros(shape, np.float32)
+    spots = tuple(1 if k == axis else slice(4, -4, 4) for k in range(3))
+    density[spots] = 1e3
+    level.field.grid.density.assign(density.reshape(-1))
+    cameras = camera_array([camera], level.field.center, device)
+    rays = types.SimpleNamespace(cameras=cameras, width=camera.width, height=camera.height)
+    assert level.weighty_mask(rays, 0.1).numpy()[spots].all()

@@ -65,6 +65,19 @@ def test_a_camera_that_moves_comes_frame_for_frame(tmp_path):
     assert len(two.path("other")) == 5
 
 
+def test_cameras_of_a_file_share_their_clock(tmp_path):
+    """Times count from the first key of the file, also where a camera begins to move later, or a mesh before it."""
+    writer = document()
+    writer.nodes.append({"camera": 0, "name": "late"})
+    times, places = np.arange(5) / 25, np.stack([np.arange(5), np.zeros(5), np.ones(5)], axis=1)
+    writer.animate((1, "translation", times + 1.0, places, "LINEAR"), (2, "translation", times + 2.0, places, "LINEAR"))
+    file = CameraFile.load(writer.save(tmp_path / "two.gltf"))
+    np.testing.assert_allclose([key.time for key in file], [*times, *(times + 1.0)], atol=1e-6)
+    writer.animate((0, "translation", [0.5, 1.0], [[0, 0, 0], [0, 0, 1]], "LINEAR"))
+    file = CameraFile.load(writer.save(tmp_path / "mesh_first.gltf"))
+    np.testing.assert_allclose([key.time for key in file], [*(times + 0.5), *(times + 1.5)], atol=1e-6)
+
+
 @pytest.mark.parametrize(
     "changes, said",
     [

@@ -159,7 +159,11 @@ def _opened(path: pathlib.Path) -> Any:
 
     try:
         # by name, some names are taken for addresses
-        container = av.open(f"file:{path.absolute()}", metadata_errors="ignore")
+        name = f"file:{path.absolute()}"
+        try:
+            container = av.open(name, metadata_errors="ignore")
+        except TypeError:  # from version 19 on PyAV takes no such word
+            container = av.open(name)
     except (FFmpegError, OSError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
         raise ValueError(f"{str(path)!r} cannot be read as a video: {reason}") from error

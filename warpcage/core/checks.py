@@ -130,7 +130,9 @@ def real_array(values: Any, name: str, dtype: Any = np.float64) -> np.ndarray:
     """Real numbers of any shape as an array, the one that was given where it fits."""
     try:
         given = np.asarray(values)
-        if given.dtype.kind in "biuf" or given.dtype == object:
+        # of other objects NumPy makes floats too: None becomes NaN, and text is read
+        unreal = given.dtype == object and any(value is None or isinstance(value, str | bytes) for value in given.flat)
+        if given.dtype.kind in "biuf" or (given.dtype == object and not unreal):
             return given.astype(dtype, copy=False)
     except (TypeError, ValueError, OverflowError):
         pass

@@ -83,7 +83,8 @@ def checked_walls(held: Any, face_count: int) -> str | tuple[int, ...]:
     if faces.ndim != 1 or not len(faces) or faces.dtype.kind not in "iu":
         raise ValueError(f"held must be {' or '.join(map(repr, HELD))} or numbers of faces, got {str(held)[:60]}")
     if faces.min() < 0 or faces.max() >= face_count:
-        raise ValueError(f"held names face {faces.max()}, the cage has faces 0 to {face_count - 1}")
+        wrong = faces[(faces < 0) | (faces >= face_count)][0]
+        raise ValueError(f"held names face {wrong}, the cage has faces 0 to {face_count - 1}")
     return tuple(int(face) for face in np.unique(faces))
 
 

@@ -186,7 +186,8 @@ class Level:
         """(nx, ny, nz) uint8 mask of the voxels with a rendering weight from a threshold on, and their neighbours.
         Of those that have a row; rays: TrainingRays, whose cameras are taken."""
         field = self.field
-        stride = max(1, int(0.5 * field.resolution[0] ** -1 * rays.width))
+        # a ray for each half voxel where the longest side of the box fills the shorter one of a picture
+        stride = max(1, int(0.5 * min(rays.width, rays.height) / max(field.resolution)))
         weights = self.measure_weights(rays, stride)
         mask = wp.zeros(field.resolution, dtype=wp.uint8, device=field.device)
         inputs = [self.nodes, weights, threshold]

@@ -428,7 +428,7 @@ class OuterOptimizer:
     def _weighty_mask(self, rays: Any, field: VoxelField, threshold: float) -> wp.array:
         """The voxels whose rendering weight reaches a threshold in some view, and their neighbours."""
         outer, rows = self.outer, self.nodes.shape[0]
-        stride = max(1, int(0.5 * rays.width / outer.side))
+        stride = max(1, int(0.5 * min(rays.width, rays.height) / outer.side))
         count = rays.cameras.shape[0] * -(-rays.width // stride) * -(-rays.height // stride)
         weights = [wp.zeros(rows, dtype=wp.float32, device=self.device) for _ in range(self.shards)]
         inputs = [outer.grid, field.grid, rays.cameras, stride, field.step]

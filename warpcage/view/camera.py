@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import collections
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -460,8 +462,14 @@ class CameraFile(list[CameraKey]):
         """
         if name:
             return [key for key in self if key.name == name] or [CameraKey(self.named(name))]
-        times = [key.time for key in self if key.time is not None]
-        if len(set(times)) < len(times):
+        timed = [(key.time, key.name) for key in self if key.time is not None]
+        counts = collections.Counter(name for _, name in timed)
+        # cameras of glTF files that each move, one after the other in the file, at times that overlap
+        apart = any(
+            before != after and later <= earlier and min(counts[before], counts[after]) > 1
+            for (earlier, before), (later, after) in itertools.pairwise(timed)
+        )
+        if apart or len({time for time, _ in timed}) < len(timed):
             names = listed(dict.fromkeys(key.name for key in self if key.name))
             raise ValueError(f"several of its cameras are at one time: name the one that moves, of {names}")
         return list(self)

@@ -77,6 +77,8 @@ def _read_gltf_entries(path: pathlib.Path, size: tuple[int, int] | None) -> list
         if not found:
             raise ValueError("there is no camera in it: export with cameras (in Blender: Include, Cameras)")
         channels = _channels(document, read_buffers(path, document, chunk))
+        # all cameras count from the first key of the file, so that they stay together, and with what else moves in it
+        begin = min((float(each.times[0]) for each in channels), default=0.0)
         entries: list[dict[str, Any]] = []
         for node in found:
             lens = _lens(document["cameras"][nodes[node]["camera"]], size)
@@ -93,7 +95,7 @@ def _read_gltf_entries(path: pathlib.Path, size: tuple[int, int] | None) -> list
                 for each in moving:
                     places.setdefault(each.node, {})[each.path] = each.at(time)
                 matrix = node_matrices(document, places)[node]
-                entry = {"name": name, "time": time - times[0], "easing": "linear"}
+                entry = {"name": name, "time": time - begin, "easing": "linear"}
                 entries.append({**entry, **lens, "camera_to_world": _pose(matrix)})
         return entries
 
