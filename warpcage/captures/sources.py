@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import listed
+from ..core.files import require_file
 from ..core.names import agreed
 from ..view.pictures import MAX_PIXELS
 
@@ -75,6 +76,7 @@ def load_upright(file: pathlib.Path) -> np.ndarray:
     """A picture as it is looked at, turned as its EXIF orientation says: (h, w, 3) uint8, or (h, w, 4) with opacity."""
     from PIL import Image, ImageOps
 
+    require_file(file, "picture")
     try:
         with open(file, "rb") as stream, Image.open(stream, formats=FORMATS) as picture:
             upright = ImageOps.exif_transpose(picture)
@@ -95,6 +97,7 @@ def _source(file: pathlib.Path, name: str) -> Source:
     """What the header of a picture says; raises where the file is cut off."""
     from PIL import Image
 
+    require_file(file, "picture")
     with open(file, "rb") as stream, Image.open(stream, formats=FORMATS) as picture:
         width, height = picture.size
         if width * height > MAX_PIXELS:

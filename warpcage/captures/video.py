@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.files import atomic_path
+from ..core.files import atomic_path, require_file
 from ..core.names import agreed, counted
 from ..core.threads import cpu_threads
 from .sources import Source, bar, load_upright, shrink_factor
@@ -157,6 +157,7 @@ def _opened(path: pathlib.Path) -> Any:
     import av
     from av.error import FFmpegError
 
+    path = require_file(path, "video")
     try:
         # by name, some names are taken for addresses
         name = f"file:{path.absolute()}"

@@ -281,13 +281,46 @@ def _temporary_name(stem: str, suffix: str) -> str:
 
 
 def require_file(path: PathLike, what: str) -> pathlib.Path:
-    """The path of a file that must be there."""
+    """The path of a file that must be there, itself and not a pointer to it or a page about it."""
     path = checked_path(path, f"the {what}")
     if path.is_dir():
         raise FileNotFoundError(f"{what} {str(path)!r} is a folder")
     if not path.is_file():
         raise FileNotFoundError(f"{what} {str(path)!r} is not there")
+    stand_in = _stand_in(path)
+    if stand_in:
+        raise ValueError(f"{what} {str(path)!r} is {stand_in}")
     return path
+
+
+#: Bytes at the beginning of a file that are looked at, and how pointers begin that version control leaves in place of
+#: large files: https://github.com/git-lfs/git-lfs/blob/main/docs/spec.md, with the address of its first releases, and
+#: https://git-annex.branchable.com/internals/pointer_file/.
+HEAD = 1024
+_LFS_BEGINNINGS = (b"version https://git-lfs.github.com/spec/", b"version https://hawser.github.com/spec/")
+_ANNEX_BEGINNING = b"/annex/objects/"
+
+#: How web pages begin, in lower case; before it there may be a declaration of XML or a comment.
+_PAGE_BEGINNINGS = (b"<!doctype html", b"<html")
+
+
+def _stand_in(path: pathlib.Path) -> str:
+    """What stands in place of a file, and what to do; "" where the file itself is there."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD)
+    except OSError:  # told by who reads it
+        return ""
+    if head.startswith(_LFS_BEGINNINGS):
+        return "a Git LFS pointer, not the file itself: fetch it with `git lfs pull`, or download it"
+    if head.startswith(_ANNEX_BEGINNING):
+        return "a git-annex pointer, not the file itself: fetch it with `git annex get`"
+    page = head.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    if page.startswith(_PAGE_BEGINNINGS) or (
+        page.startswith((b"<?xml", b"<!--")) and any(beginning in page for beginning in _PAGE_BEGINNINGS)
+    ):
+        return "a web page, not the file itself: download the file that the page tells of"
+    return ""
 
 
 def file_stamp(path: PathLike) -> tuple[int, int]:

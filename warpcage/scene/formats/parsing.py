@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from ...core.checks import listed, shown
-from ...core.files import JSON_ROOM, TEXT_ROOM, read_limited
+from ...core.files import JSON_ROOM, TEXT_ROOM, read_limited, require_file
 from ...core.names import error_line
 
 #: Endings of pictures, and what is tried where a name has none.
@@ -28,6 +28,7 @@ TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 def read_json(path: pathlib.Path) -> dict:
     """The JSON object that a file holds."""
+    path = require_file(path, "file")
     try:
         content = json.loads(read_limited(path, "file", JSON_ROOM).decode("utf-8"))
     except (ValueError, RecursionError) as error:  # wrong bytes, wrong syntax, brackets without end
