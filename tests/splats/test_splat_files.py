@@ -3,6 +3,7 @@
 import gzip
 import os
 import pathlib
+import struct
 
 import numpy as np
 import pytest
@@ -287,3 +288,20 @@ def test_values_on_the_device(device):
     np.testing.assert_array_equal(splats.harmonics.numpy().reshape(contents.harmonics.shape), contents.harmonics)
     np.testing.assert_allclose(splats.opacities.numpy(), 1 / (1 + np.exp(-contents.logits)), rtol=1e-6)
     assert field.to(device) is field and (splats.degree, splats.turns.size, splats.rows.size) == (3, 0, 0)
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
+@pytest.mark.parametrize("faces", [0, 1])
+def test_points_and_meshes_are_no_splats(tmp_path, kind, faces):
+    head = f"ply\nformat {kind} 1.0\nelement vertex 3\n" + "".join(f"property float {name}\n" for name in "xyz")
+    head += "property float nx\n" + "element face 1\nproperty list uchar int vertex_indices\n" * faces + "end_header\n"
+    if kind == "ascii":
+        body = b"0 0 0 1\n1 0 0 1\n0 1 0 1\n" + b"3 0 1 2\n" * faces
+    else:
+        body = bytes(48) + struct.pack("<Biii", 3, 0, 1, 2) * faces
+    (tmp_path / "scan.ply").write_bytes(head.encode() + body)
+    with pytest.raises(ValueError) as error:
+        warpcage.SplatField.load(tmp_path / "scan.ply")
+    said = str(error.value)
+    assert "scan.ply: no 3DGS splats" in said
+    assert said.endswith("it holds a mesh" if faces else "it holds points without scales")

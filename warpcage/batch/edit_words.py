@@ -54,6 +54,7 @@ EDIT_WORDS: dict[str, Checker] = {
     "held": _held,
     FRAGMENTS_WORD: words.not_negative,
     "up": one_of("y", "z"),
+    "object": text,
 }
 
 
@@ -69,6 +70,7 @@ class EditWords:
     held: str | tuple[int, ...] = "cut"  # the walls that it fades towards: "cut", "still", or numbers of faces
     fragments: float = 0.0  # size of the fragments that go with the part, world units
     up: str | None = None  # axis that points up in its cage files; None finds it
+    object: str | None = None  # the object of its file that is the cage; None is the only one
 
     def __post_init__(self) -> None:
         if self.keep and self.remove:

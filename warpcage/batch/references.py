@@ -116,7 +116,8 @@ class References:
         """The cage at rest of an edit, usable; field: by which the axis of its file is found."""
         if isinstance(edit.cage, str):
             path = self.path(edit.cage)
-            cage, standing = load_standing(Cage, require_file(path, "cage file"), up=edit.up, reference=field)
+            file = require_file(path, "cage file")
+            cage, standing = load_standing(Cage, file, up=edit.up, reference=field, object=edit.object)
             ups = {path.suffix.lower(): standing.up}
         else:
             vertices = self.array(edit.cage["vertices"], "'vertices' of 'cage'")

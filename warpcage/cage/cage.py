@@ -146,8 +146,13 @@ class Cage(PosableMesh):
         *,
         up: str | None = None,
         reference: Cage | VoxelField | NodeSelection | SplatField | TriangleMesh | None = None,
+        object: str | None = None,
     ) -> Cage:
-        """Read an OBJ, PLY, OFF or glTF file. All vertices keep their order, used or not; polygons are cut.
+        """Read an OBJ, PLY, OFF or glTF file, or one of another package's format (`warpcage.mesh.MeshFormat`).
+
+        All vertices keep their order, used or not; polygons are cut. In glTF files, and in PLY files with texture
+        coordinates or normals, vertices at one place that differ in these alone are one, at the place of the first in
+        the order: programs split vertices so along seams.
 
         Args:
             path: The file; its ending says which format it has.
@@ -158,20 +163,23 @@ class Cage(PosableMesh):
             reference: What the cage belongs to: the field or the mesh that a cage at rest stands around, or the Cage
                 at rest that it is a pose of. A given axis is obeyed, with a warning where another would fit much
                 better. None compares the cage with nothing.
+            object: The name of one object of the file: of an `o` line of OBJ, of a node of glTF. "*" takes all as one
+                cage. None is for files of one; of several it takes, for a pose, the one that is called as the cage at
+                rest (`object_name`), or the only one that is a pose of it, and glTF files as one cage.
 
         Returns:
             The cage.
 
         Raises:
             FileNotFoundError: If there is no such file.
-            ValueError: File name and line of what cannot be read, "auto" without a reference, or a cage that holds
-                nothing of its object.
+            ValueError: File name and line of what cannot be read, "auto" without a reference, a cage that holds
+                nothing of its object, or the names of several objects of which none is chosen.
         """
         if up == "auto" and reference is None:
             raise ValueError(
                 "up='auto' needs a reference: the field that a cage at rest stands around, or the rest cage of a pose"
             )
-        cage, standing = load_standing(cls, path, up=None if up == "auto" else up, reference=reference)
+        cage, standing = load_standing(cls, path, up=None if up == "auto" else up, reference=reference, object=object)
         if standing.doubtful or standing.turned:
             warn_caller(f"cage {str(path)!r} {standing.note} (up='y' or up='z' says which it is)")
         return cage

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.checks import checked_positive
 from ..core.files import PathLike, require_file
-from ..mesh.io import ENDINGS, turned_up
+from ..mesh.io import ALL_OBJECTS, ENDINGS, object_names, turned_up
 from ..mesh.io.gltf_animation import read_gltf_motion
 from .cage import Cage
 from .pose_file import PoseFile
@@ -25,11 +25,12 @@ def gltf_poses(path: PathLike, rest: Cage, *, name: str = "", up: str | None = N
     `name` "" takes the only animation, or all shapes; `up` None is "y", as the specification says."""
     # An animation is a keyframe for each frame, straight between; shapes (Blender's keys) alone are ones without times.
     path = require_file(path, "cage file")
-    motion = read_gltf_motion(path, name)
+    chosen = _object_of(path, rest)
+    motion = read_gltf_motion(path, name, chosen)
     if motion is None:
         return None
     was = up or "y"
-    base = Cage.load(path, up=was)
+    base = Cage.load(path, up=was, object=chosen or ALL_OBJECTS)
     order = _order(rest, base, str(path))
     file = PoseFile(rest)
     for key, vertices in zip(motion.names, motion.vertices, strict=True):
@@ -44,12 +45,18 @@ def gltf_shown(path: PathLike, rest: Cage, *, up: str | None = None) -> Cage | N
     """The pose that the shapes of a glTF file show together, as a program that opens it does.
     None where the file has no shape on, or an animation."""
     path = require_file(path, "cage file")
-    motion = read_gltf_motion(path)
+    chosen = _object_of(path, rest)
+    motion = read_gltf_motion(path, object=chosen)
     if motion is None or motion.shown is None:
         return None
     was = up or "y"
-    order = _order(rest, Cage.load(path, up=was), str(path))
+    order = _order(rest, Cage.load(path, up=was, object=chosen or ALL_OBJECTS), str(path))
     return rest.with_vertices(turned_up(motion.shown, was, "z")[order])
+
+
+def _object_of(path: pathlib.Path, rest: Cage) -> str:
+    """The object of a glTF file that is called as the cage at rest, "" for all of it."""
+    return rest.object_name if rest.object_name and rest.object_name in object_names(path) else ""
 
 
 def sequence_poses(
@@ -66,7 +73,7 @@ def sequence_poses(
     order = _order(rest, first, str(paths[0]))  # vertices may come in another order, the same in all files
     file = PoseFile(rest)
     for path, number in zip(paths, numbers, strict=True):
-        cage = first if path is paths[0] else Cage.load(path, up=standing.up)
+        cage = first if path is paths[0] else Cage.load(path, up=standing.up, object=first.object_name or None)
         if cage.faces.shape != first.faces.shape or not np.array_equal(cage.faces, first.faces):
             raise ValueError(f"cage {str(path)!r} has other faces than {str(paths[0])!r}: one cage moves in a sequence")
         name = pathlib.Path(path).stem

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from ..core.files import PathLike
 from ..field.selection import some_visible_nodes
-from ..mesh.io import UPS, file_up, read_mesh, turned_up
+from ..mesh.io import UPS, file_up, read_object, turned_up
 from ..mesh.match import matched_vertices
 from ..mesh.mesh import ClosedMesh
 from ..mesh.queries import inside_mesh
@@ -73,13 +74,18 @@ def load_standing(
     reference: object = None,
     expected: str | None = None,
     anywhere: bool = False,
+    object: str | None = None,
 ) -> tuple[Mesh, UpAxis]:
     """Read a cage file, and say how it stands by its `reference`: the cage at rest, or the object that it is around.
     `up` None finds the axis so, else `expected`, else the format's; `anywhere` takes a cage that holds nothing."""
+    # object: as `read_object` takes it; without it the pose of a cage is that of its name, or the only one that fits
     chosen = up or expected or file_up(path)
-    path, vertices, faces = read_mesh(path, chosen)
+    rest = reference if isinstance(reference, ClosedMesh) else None
+    fits = None if rest is None else functools.partial(_fits, rest)
+    file = read_object(path, chosen, object, fits, "" if rest is None else rest.object_name)
+    path = file.path
     try:
-        cage, standing = make(vertices, faces), UpAxis(chosen)
+        cage, standing = make(file.vertices, file.faces).named(file.name), UpAxis(chosen)
         if reference is not None:
             given = up is not None
             if isinstance(reference, ClosedMesh):
@@ -91,6 +97,15 @@ def load_standing(
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     return restood(cage, chosen, standing.up), standing
+
+
+def _fits(rest: ClosedMesh, vertices: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether a mesh is a pose of a cage."""
+    try:
+        matched_vertices(rest, ClosedMesh(vertices, faces))
+    except ValueError:
+        return False
+    return True
 
 
 def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = False) -> UpAxis:

@@ -17,10 +17,11 @@ from ..cage.up_axis import load_standing
 from ..core.files import require_file
 from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
-from ..mesh.io.gltf import require_gltf_room
+from ..mesh.io import ALL_OBJECTS, read_object
+from ..mesh.io.formats import mesh_endings
+from ..mesh.io.ply import read_ply
 from . import shared
 from .arguments import options
-from .fields import TO_Y_UP
 from .pose_words import ending, pose_file, posed_up, read_pose, say_standing
 
 if TYPE_CHECKING:
@@ -31,12 +32,14 @@ MARGIN = 0.03
 
 
 def run_cage(args: argparse.Namespace) -> None:
-    output = options.check_output(args.output, options.CAGE_ENDINGS, "cage file")
+    output = options.check_output(args.output, tuple(mesh_endings("write")), "cage file")
     _check_combination(args)
     shared.require_field_scale(args)
     shared.quiet_warp()
     is_field = shared.is_field(args.field)
-    thing: Any = shared.read_field(args) if is_field else read_mesh(args.field)
+    if is_field and args.object is not None:
+        raise ValueError(f"--object names an object of a mesh file, {args.field!r} is a field")
+    thing: Any = shared.read_field(args) if is_field else read_mesh(args.field, args.object)
     if args.snap is not None:
         if not is_field:
             raise ValueError(f"--snap needs a field (.npz), got {args.field!r}")
@@ -64,7 +67,7 @@ def run_cage(args: argparse.Namespace) -> None:
 
 def _snap(field: Any, args: argparse.Namespace, output: pathlib.Path) -> None:
     """Move the walls of a cage to gaps, and say how much less they cut."""
-    cage = Cage.load(args.snap, up=args.cage_up)
+    cage = Cage.load(args.snap, up=args.cage_up, object=args.cage_object)
     snapped = snap_to_gaps(cage, field, args.reach)
     snapped.save(output, up=args.cage_up)
     before, after = cut_matter(cage, field), cut_matter(snapped, field)
@@ -132,8 +135,9 @@ def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelec
     return selection
 
 
-def read_mesh(name: str) -> trimesh.Trimesh:
-    """Read a mesh file: vertices in the order of the file, z up (glTF, which has y up, is turned)."""
+def read_mesh(name: str, object: str | None = None) -> trimesh.Trimesh:
+    """Read a mesh file: vertices in the order of the file, z up (glTF, which has y up, is turned).
+    object: the name of one object of it; None takes all."""
     import trimesh
 
     path = require_file(name, "mesh file")
@@ -141,15 +145,18 @@ def read_mesh(name: str) -> trimesh.Trimesh:
         raise ValueError(
             f"mesh file {str(path)!r} must end in {' or '.join(options.MESH_ENDINGS)}, or in .npz for a field"
         )
-    if path.suffix.lower() == ".glb":
-        require_gltf_room(path)
+    if object is not None or path.suffix.lower() == ".glb":  # strips and fans too, split vertices joined
+        found = read_object(path, object=object or ALL_OBJECTS)
+        return trimesh.Trimesh(found.vertices, found.faces, process=False)
     try:
         mesh = trimesh.load(path, force="mesh", process=False, maintain_order=True)
     except Exception as error:
         raise ValueError(f"{path} cannot be read as a mesh, it is cut off or damaged: {error}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        if path.suffix.lower() == ".ply":
+            read_ply(path)  # which tells of points without faces
         raise ValueError(f"{path} holds no triangles")
-    return mesh.apply_transform(np.transpose(TO_Y_UP)) if path.suffix.lower() == ".glb" else mesh
+    return mesh
 
 
 def _margin(mesh: trimesh.Trimesh, args: argparse.Namespace) -> float:
@@ -177,12 +184,16 @@ def _cylinder_around(mesh: trimesh.Trimesh, args: argparse.Namespace) -> Cage:
 
 def run_check(args: argparse.Namespace) -> int:
     shared.require_field_scale(args)
-    output = None if args.repair is None else options.check_output(args.repair, options.CAGE_ENDINGS, "cage file")
+    output = (
+        None if args.repair is None else options.check_output(args.repair, tuple(mesh_endings("write")), "cage file")
+    )
     shared.quiet_warp()
 
     thing = _enclosed(args)
     reference = next(iter(thing.values()), None)
-    cage, standing = load_standing(Cage, args.cage, up=args.cage_up, reference=reference, anywhere=True)
+    cage, standing = load_standing(
+        Cage, args.cage, up=args.cage_up, reference=reference, anywhere=True, object=args.cage_object
+    )
     if standing.turned:  # the table says what else there is
         say_standing(args.cage, standing, "--cage-up")
     pose = None if args.posed is None else _pose(args, cage, standing.up)

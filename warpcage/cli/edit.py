@@ -44,7 +44,7 @@ def run_edit(args: argparse.Namespace) -> None:
             f"{str(kept)!r} holds a session of this field: leave {option} out to go on with it, or give --new"
         )
     field = load_field(args.field, scene_scale=args.scene_scale, device=device)
-    cages = [read_rest(path, args.cage_up, field, part=True)[0] for path in args.cage or ()]
+    cages = [read_rest(path, args.cage_up, field, part=True, name=args.cage_object)[0] for path in args.cage or ()]
     if args.selection:
         voxels = shared.require_voxels(field, "--selection")
         cages.append(Cage.from_field(NodeSelection.load(args.selection, voxels)))

@@ -22,7 +22,7 @@ FORMAT, VERSION = "warpcage edits", 1
 EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remove"
 
 #: Words after the cages.
-_LAST_WORD = re.compile(r"(keep|remove)|(falloff|fragments|crumbs|held)=([^:]*)")
+_LAST_WORD = re.compile(r"(keep|remove)|(falloff|fragments|crumbs|held|object)=([^:]*)")
 
 #: A word that is none of them, after a posed cage: only glTF and pose files hold things with names.
 _SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)
@@ -44,6 +44,7 @@ class EditWords:
     held: str = "cut"  # the walls that it fades towards: "cut", "still", or numbers of faces between commas
     fragments: float | None = None  # size of the fragments that go with the part, world units
     up: str | None = None  # axis that points up in its cage files; None is that of the format or of --cage-up
+    object: str | None = None  # the object of its file that is the cage; None is the only one, or that of --cage-object
 
     def __post_init__(self) -> None:
         if self.keep and self.remove:
@@ -85,7 +86,8 @@ class EditWords:
 
 
 def parse_edit(text: str) -> EditWords:
-    """An edit of --edit: CAGE:POSED, then ":keep", ":remove", ":falloff=WIDTH", ":held=WALLS", ":fragments=SIZE"."""
+    """An edit of --edit: CAGE:POSED, then ":keep", ":remove", ":falloff=WIDTH", ":held=WALLS", ":fragments=SIZE",
+    ":object=NAME"."""
     found = _CAGE.fullmatch(text)
     if found is None:
         raise ValueError(f"--edit {text!r} names no cage file ({' '.join(CAGE_ENDINGS)}): write {EDIT_SHAPE}")
@@ -104,7 +106,9 @@ def parse_edit(text: str) -> EditWords:
         rest = before or None
     try:
         if rest is not None and (slip := _SLIP.fullmatch(rest)) and not pathlib.Path(rest).exists():
-            raise ValueError(f"{slip[1]!r} is no word of an edit, only keep, remove, falloff=, held= and fragments=")
+            raise ValueError(
+                f"{slip[1]!r} is no word of an edit, only keep, remove, falloff=, held=, fragments= and object="
+            )
         words |= {name: positive_float(words[name]) for name in ("falloff", "fragments") if name in words}
         return EditWords(cage, rest or None, **words)
     except (ValueError, argparse.ArgumentTypeError) as error:

@@ -159,7 +159,7 @@ def _regions(args: argparse.Namespace, field: VoxelField) -> dict:
     if args.sphere is not None:
         given["sphere"] = args.sphere
     if args.in_cage is not None:
-        given["cage"] = read_rest(args.in_cage, args.cage_up, field, part=True)[0]
+        given["cage"] = read_rest(args.in_cage, args.cage_up, field, part=True, name=args.cage_object)[0]
     if args.masks is not None:
         scene = shared.masked_scene(args.masks, field)
         given |= {"masks": scene.alphas, "cameras": scene.cameras}

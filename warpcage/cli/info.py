@@ -17,6 +17,8 @@ from ..core.modules import start_warp
 from ..core.names import counted
 from ..core.threads import cpu_threads
 from ..field.surroundings import LayeredBackground, OuterField
+from ..mesh.io import object_names
+from ..mesh.io.formats import format_lines, mesh_endings
 from ..scene.load import detect_format, load_scene
 from ..scene.scene import Scene
 from ..splats.io import is_splat_file
@@ -48,14 +50,14 @@ def run_info(args: argparse.Namespace) -> None:
         rows = _field(path, args)
     elif is_splat_file(path):
         rows = _splats(path)
-    elif path.suffix.lower() in options.CAGE_ENDINGS:
+    elif path.suffix.lower() in mesh_endings():
         rows = _cage(path)
     elif path.suffix.lower() == ".json":
         rows = _json(path)
     else:
         raise ValueError(
             f"{args.field!r} is not a field (.npz), splats (.ply, .splat, .spz), cage "
-            f"({' '.join(options.CAGE_ENDINGS)}), poses, edits or cameras (.json) or scene folder"
+            f"({' '.join(mesh_endings())}), poses, edits or cameras (.json) or scene folder"
         )
     width = max(len(name) for name, _ in rows)
     for name, value in rows:
@@ -72,6 +74,7 @@ def _machine() -> Rows:
         ("python", platform.python_version()),
         ("platform", platform.platform()),
     ]
+    rows += [("meshes and cages", line) for line in format_lines()]
     return rows + [(device.alias, _device_line(device)) for device in wp.get_devices()]
 
 
@@ -141,6 +144,9 @@ def _around(background: LayeredBackground | OuterField | None) -> str:
 
 def _cage(path: pathlib.Path) -> Rows:
     shared.quiet_warp()
+    names = object_names(path)
+    if len(names) > 1:
+        return _objects(path, names)
     cage = Cage.load(path)
     try:
         cage.require_usable("the cage")
@@ -158,6 +164,16 @@ def _cage(path: pathlib.Path) -> Rows:
         ("usable", state),
         ("file", _file_size(path)),
     ]
+
+
+def _objects(path: pathlib.Path, names: list[str]) -> Rows:
+    """Each object of a mesh file of several."""
+    rows: Rows = [("kind", f"{len(names)} objects: --cage-object chooses one as the cage")]
+    for name in names:
+        cage = Cage.load(path, object=name)
+        counts = f"{counted(len(cage.vertices), 'vertex', 'vertices')}, {counted(len(cage.faces), 'face')}"
+        rows.append((f"object {name!r}", f"{counts}, {_box(*cage.bounds)}"))
+    return [*rows, ("file", _file_size(path))]
 
 
 def _json(path: pathlib.Path) -> Rows:

@@ -22,10 +22,12 @@ from ..view.motion import frame_rate, frame_times, pose_along, value_along
 from .arguments.options import CAGE_ENDINGS
 
 
-def read_rest(path: str, up: str | None, thing: object = None, *, part: bool = False) -> tuple[Cage, dict[str, str]]:
-    """A cage at rest around a field or mesh, usable, and the axis to expect in files of its ending.
+def read_rest(
+    path: str, up: str | None, thing: object = None, *, part: bool = False, name: str | None = None
+) -> tuple[Cage, dict[str, str]]:
+    """A cage at rest around a field or mesh, usable, and the axis to expect in files of its ending; name: its object's.
     up: "y" or "z"; None finds it by what the cage holds of `thing`, without which it is that of the format."""
-    rest, standing = load_standing(Cage, path, up=up, reference=thing)
+    rest, standing = load_standing(Cage, path, up=up, reference=thing, object=name)
     rest.require_usable(f"cage {path!r}")
     # A cage that may hold a part alone, as one of several, is told of only where another axis would hold far more.
     if standing.turned or standing.doubtful or standing.likelier or not part:

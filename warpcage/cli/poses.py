@@ -12,6 +12,7 @@ from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile, is_preset
 from ..core.files import require_file
 from ..core.names import counted
+from ..mesh.io.formats import mesh_endings
 from ..splats.splat_field import load_field
 from ..view.camera import CameraKey
 from . import shared
@@ -37,13 +38,13 @@ def run_edits(args: argparse.Namespace) -> None:
     words += [parse_edit(text) for text in args.edit or ()]
     deformation = numbered_edits(words, args, "smooth")
     if output is not None:
-        write_edits_file(output, [_with_up(edit, args.cage_up) for edit in words])
+        write_edits_file(output, [_with_file_words(edit, args) for edit in words])
     _list(f"wrote {output}" if output is not None else str(args.file), deformation, [str(edit) for edit in words])
 
 
-def _with_up(edit: EditWords, up: str | None) -> EditWords:
-    """An edit that says which axis points up in its cages, where it was said for all."""
-    return edit if edit.up is not None else dataclasses.replace(edit, up=up)
+def _with_file_words(edit: EditWords, args: argparse.Namespace) -> EditWords:
+    """An edit that says which axis points up in its cages, and which object they are, where it was said for all."""
+    return dataclasses.replace(edit, up=edit.up or args.cage_up, object=edit.object or args.cage_object)
 
 
 def _list(what: str, deformation: Deformation, names: list[str]) -> None:
@@ -197,7 +198,7 @@ def _described(file: PoseFile) -> str:
 
 
 def run_pose(args: argparse.Namespace) -> None:
-    output = options.check_output(args.output, (*options.CAGE_ENDINGS, ".json"), "cage file")
+    output = options.check_output(args.output, (*mesh_endings("write"), ".json"), "cage file")
     if output.suffix.lower() == ".json":
         run_pose_keys(args, output)
         return
@@ -224,7 +225,7 @@ def read_cage(args: argparse.Namespace) -> tuple[Cage, dict[str, str]]:
     if field is not None and args.up is None:
         args.up = tuple(field.up)
     args.straightening = None if field is None else field.straightening  # for cameras of its scene
-    return read_rest(args.cage, args.cage_up, field, part=True)
+    return read_rest(args.cage, args.cage_up, field, part=True, name=args.cage_object)
 
 
 def stepped(cage: Cage, args: argparse.Namespace) -> Cage:

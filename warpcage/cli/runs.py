@@ -164,7 +164,7 @@ def run_sweep(args: argparse.Namespace) -> None:
     background = _background(args)
     _check_words(args)
     field = shared.read_field(args)
-    rest, expected = read_rest(args.cage, args.cage_up, field)
+    rest, expected = read_rest(args.cage, args.cage_up, field, name=args.cage_object)
     sources = _pose_sources(args, rest, expected)
     shown, up = shared.visible_points(field, None, None), tuple(field.up.tolist())
     given = _given_cameras(args)
@@ -175,6 +175,7 @@ def run_sweep(args: argparse.Namespace) -> None:
         "background": background,
         "resolution": None if args.resolution == options.BY_SIZE else args.resolution or "precise",
         "up": args.cage_up,
+        "object": args.cage_object,
         "falloff": args.falloff,
         "supersampling": args.supersampling,
         "scene_scale": None if args.scene_scale == 1.0 else args.scene_scale,

@@ -184,7 +184,8 @@ def _read_edit(
     part: bool = False,
 ) -> PosedEdit:
     """An edit with the cages that its words name. texts: words of --posed; part: whether it is one of several."""
-    rest, expected = read_rest(words.cage, words.up or args.cage_up, field, part=part)
+    name = words.object or args.cage_object
+    rest, expected = read_rest(words.cage, words.up or args.cage_up, field, part=part, name=name)
     texts = [with_up(text, None if field is None else field.up.tolist()) if is_preset(text) else text for text in texts]
     falloff = 0.0 if words.remove else _own_or_all(words.falloff, args, "falloff")
     if words.held != "cut" and not falloff and not words.remove:

@@ -5,7 +5,8 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "io": "read_mesh",
+        "io": "read_mesh read_object",
+        "io.formats": "MeshFormat mesh_formats",
         "io.gltf": "write_glb",
         "io.gltf_animation": "read_gltf_motion",
         "io.ply": "read_ply read_ply_points",

@@ -220,13 +220,14 @@ class ClosedMesh:
     """
 
     # __weakref__: mesh/usable.py remembers what it found for as long as the mesh lives
-    __slots__ = ("_vertices", "_faces", "_topology", "_bounds", "__weakref__")
+    __slots__ = ("_vertices", "_faces", "_topology", "_bounds", "_object_name", "__weakref__")
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike):
         self._vertices = _checked_vertices(vertices)
         self._faces = _checked_faces(faces, len(self._vertices))
         self._topology: MeshTopology | None = None
         self._bounds: np.ndarray | None = None
+        self._object_name = ""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({len(self.vertices)} vertices, {len(self.faces)} faces, size {self.size:.4g})"
@@ -240,6 +241,11 @@ class ClosedMesh:
     def faces(self) -> np.ndarray:
         """(f, 3) int32, read-only."""
         return self._faces
+
+    @property
+    def object_name(self) -> str:
+        """The name of the object of a file that the mesh was read as, and is a pose of; "" for others."""
+        return self._object_name
 
     @property
     def topology(self) -> MeshTopology:
@@ -313,6 +319,19 @@ class ClosedMesh:
         posed = copy.copy(self)
         posed._vertices, posed._bounds = checked, None
         return posed
+
+    def named(self: Mesh, name: str) -> Mesh:
+        """The same mesh with another `object_name`.
+
+        Args:
+            name: The name.
+
+        Returns:
+            The mesh with it.
+        """
+        renamed = copy.copy(self)
+        renamed._object_name = name
+        return renamed
 
 
 def require_mesh(value: object, what: str) -> None:

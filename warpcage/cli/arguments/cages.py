@@ -29,6 +29,9 @@ def add_cage_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_cage_up(parser)
     parser.add_argument(
+        "--object", metavar="NAME", help="the object of a mesh file of several to put the cage around (default: all)"
+    )
+    parser.add_argument(
         "--vertices",
         type=options.positive_int,
         metavar="N",

@@ -135,6 +135,11 @@ def add_cage_up(parser: Arguments, *, found: bool = False, posed: bool = False) 
     if found:
         default = "found by what the cage holds of the object; where that does not tell, y for glTF, z for others"
     parser.add_argument("--cage-up", choices=("y", "z"), help=f"axis that points up in cage files (default: {default})")
+    parser.add_argument(
+        "--cage-object",
+        metavar="NAME",
+        help="the object that is the cage in a file of several (OBJ, glTF); '*' takes all as one cage",
+    )
     if posed:
         parser.add_argument(
             "--posed-up",

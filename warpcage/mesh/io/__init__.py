@@ -2,40 +2,130 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pathlib
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...core.checks import checked_path
+from ...core.checks import checked_path, listed, require_type
 from ...core.files import PathLike, atomic_path, require_file
+from ...core.names import counted
 from ..polygons import cut_polygon
-from .gltf import read_gltf, write_glb, write_gltf
-from .obj_off import Polygons, read_obj, read_off, write_obj, write_off
-from .ply import read_ply, write_ply
+from .formats import ENDINGS, MeshFormat, mesh_format
+from .obj_off import UNNAMED, Polygons
 
-# our own parsers: mesh libraries merge, split and drop vertices, and a posed cage must match its rest cage one to one
-_READERS = {".obj": read_obj, ".ply": read_ply, ".off": read_off, ".glb": read_gltf, ".gltf": read_gltf}
-
-_WRITERS = {".obj": write_obj, ".ply": write_ply, ".off": write_off, ".glb": write_glb, ".gltf": write_gltf}
-
-#: Endings of mesh files, lower case.
-ENDINGS = tuple(_READERS)
+__all__ = [
+    "ALL_OBJECTS",
+    "ENDINGS",
+    "UPS",
+    "MeshFile",
+    "file_up",
+    "object_names",
+    "read_mesh",
+    "read_object",
+    "turned_up",
+    "write_mesh",
+]
 
 #: Axes that may point up in a file.
 UPS = ("z", "y")
 
+#: The word that takes all objects of a file together.
+ALL_OBJECTS = "*"
+
+
+@dataclasses.dataclass(frozen=True)
+class MeshFile:
+    """What was read from a mesh file."""
+
+    path: pathlib.Path
+    vertices: np.ndarray  # (v, 3) float64 in the file's order
+    faces: np.ndarray  # (f, 3) int64; polygons are cut into them
+    name: str = ""  # of the object that it is; "" where the file has no names, or all of it was taken
+
 
 def read_mesh(path: PathLike, up: str | None = None) -> tuple[pathlib.Path, np.ndarray, np.ndarray]:
-    """The path, vertices (v, 3) float64 in the file's order, and triangles (f, 3) int64; polygons are cut into them.
-    up: the axis that points up in the file, "z" or "y", which is turned to z: (x, -z, y); None is that of `file_up`."""
+    """Path, vertices and triangles of a file; see `read_object`."""
+    found = read_object(path, up)
+    return found.path, found.vertices, found.faces
+
+
+def read_object(
+    path: PathLike,
+    up: str | None = None,
+    object: str | None = None,
+    fits: Callable[[np.ndarray, np.ndarray], bool] | None = None,
+    likely: str = "",
+) -> MeshFile:
+    """A mesh file, or one `object` of it, "*" for all; of several without a name, that which is called `likely`, or the
+    only one that `fits`. up: the axis that points up in the file, "z" or "y"; None is that of `file_up`."""
+    # what has y up is turned to z: (x, -z, y)
     path = require_file(path, "cage file")
-    turned = _turned(path, up)
-    vertices, polygons = _READERS[_format(path)](path)
+    turned, format = _turned(path, up), mesh_format(path)
+    assert format.read is not None
+    names = [] if object == ALL_OBJECTS or format.object_names is None else format.object_names(path)
+    name = _chosen(path, names, format, object, fits, likely)
+    found = _whole(path, *(format.read(path) if not name or len(names) == 1 else _read_named(format, path, name)))
+    vertices = turned_up(found.vertices, "y", "z") if turned else found.vertices
+    return dataclasses.replace(found, vertices=vertices, name=name)
+
+
+def object_names(path: PathLike) -> list[str]:
+    """The names of the objects of a mesh file; none where its format has no names."""
+    path = require_file(path, "cage file")
+    format = mesh_format(path)
+    return [] if format.object_names is None else format.object_names(path)
+
+
+def _whole(path: pathlib.Path, vertices: np.ndarray, polygons: np.ndarray | Polygons) -> MeshFile:
+    """What a reader gives, checked, in triangles."""
     if not len(vertices) or not len(polygons):
         raise ValueError(f"{path}: no {'faces' if len(vertices) else 'vertices'} in it")
-    triangles = polygons if isinstance(polygons, np.ndarray) else _cut(path, vertices, polygons)
-    return path, turned_up(vertices, "y", "z") if turned else vertices, triangles
+    return MeshFile(path, vertices, polygons if isinstance(polygons, np.ndarray) else _cut(path, vertices, polygons))
+
+
+def _read_named(format: MeshFormat, path: pathlib.Path, name: str) -> tuple[np.ndarray, np.ndarray | Polygons]:
+    assert format.read_object is not None
+    return format.read_object(path, name)
+
+
+def _chosen(
+    path: pathlib.Path,
+    names: list[str],
+    format: MeshFormat,
+    object: str | None,
+    fits: Callable[[np.ndarray, np.ndarray], bool] | None,
+    likely: str,
+) -> str:
+    """The name of the object of a file to read, of those in it; "" for the whole file."""
+    if object not in (None, ALL_OBJECTS):
+        require_type(object, str, "the name of an object must be")
+        if object not in names and names not in ([], [UNNAMED]):
+            raise ValueError(f"{path}: there is no object {object!r} in it, only {listed(names)}")
+        return object if object in names else ""
+    if len(names) < 2:
+        return "" if names in ([], [UNNAMED]) else names[0]
+    if likely in names:
+        return likely
+    if format.together:
+        return ""
+    what = f"{path} holds {counted(len(names), 'object')} ({listed(names)})"
+    if fits is not None:
+        fitting = [name for name in names if _fits(path, format, name, fits)]
+        if len(fitting) == 1:
+            return fitting[0]
+        what += f", of which {listed(fitting)} fit the cage at rest"
+    raise ValueError(f"{what}: choose one by object= (--cage-object NAME), or {ALL_OBJECTS!r} for all as one")
+
+
+def _fits(path: pathlib.Path, format: MeshFormat, name: str, fits: Callable[[np.ndarray, np.ndarray], bool]) -> bool:
+    try:
+        found = _whole(path, *_read_named(format, path, name))
+    except ValueError:
+        return False
+    return fits(found.vertices, found.faces)
 
 
 def turned_up(vertices: np.ndarray, was: str, up: str) -> np.ndarray:
@@ -48,7 +138,7 @@ def turned_up(vertices: np.ndarray, was: str, up: str) -> np.ndarray:
 
 def file_up(path: PathLike) -> str:
     """The axis that points up in a mesh file by its format: "y" for glTF, as its specification says, "z" for others."""
-    return "y" if _format(checked_path(path, "the mesh file")) in (".glb", ".gltf") else "z"
+    return _up(checked_path(path, "the mesh file"))
 
 
 def _cut(path: pathlib.Path, vertices: np.ndarray, polygons: Polygons) -> np.ndarray:
@@ -70,23 +160,21 @@ def _cut(path: pathlib.Path, vertices: np.ndarray, polygons: Polygons) -> np.nda
 def write_mesh(path: PathLike, vertices: ArrayLike, faces: ArrayLike, up: str | None = None) -> None:
     """Write a mesh file, whole or not at all; vertices (v, 3), z up; up: as in `read_mesh`."""
     path = checked_path(path, "the mesh file")
-    writer = _WRITERS[_format(path)]  # glTF holds float32 from the middle of the vertices, others every bit
+    writer = mesh_format(path, "write").write
+    assert writer is not None  # glTF holds float32 from the middle of the vertices, others every bit
     vertices = np.asarray(vertices, dtype=np.float64)
-    if _turned(path, up):
+    if _turned(path, up, "write"):
         vertices = turned_up(vertices, "z", "y")
     with atomic_path(path) as temporary:
         temporary.write_bytes(writer(vertices, np.asarray(faces, dtype=np.int32)))
 
 
-def _format(path: pathlib.Path) -> str:
-    ending = path.suffix.lower()
-    if ending not in ENDINGS:
-        raise ValueError(f"cage file {str(path)!r} must end in {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}")
-    return ending
+def _up(path: pathlib.Path, verb: str = "read") -> str:
+    return mesh_format(path, verb).up
 
 
-def _turned(path: pathlib.Path, up: str | None) -> bool:
+def _turned(path: pathlib.Path, up: str | None, verb: str = "read") -> bool:
     """Whether the file has y up."""
     if up not in (None, *UPS):
         raise ValueError(f"up must be 'z' or 'y', or None for the format's own, got {up!r}")
-    return (up or file_up(path)) == "y"
+    return (up or _up(path, verb)) == "y"

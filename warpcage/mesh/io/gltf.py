@@ -15,6 +15,7 @@ import numpy as np
 from ...core.checks import shown
 from ...core.files import JSON_ROOM, read_limited
 from ...core.memory import require_host_memory
+from .joining import joined_rows
 
 #: Kinds of the chunks of a .glb file.
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -115,11 +116,20 @@ def node_matrices(document: dict, moved: Mapping[int, dict] | None = None) -> di
     return found
 
 
-def mesh_nodes(document: dict) -> list[tuple[int, np.ndarray]]:
-    """Number of the mesh and world matrix (4, 4) of each node of the scene that has a mesh, depth first."""
+def placed_nodes(document: dict) -> list[tuple[int, np.ndarray]]:
+    """Number and world matrix (4, 4) of each node of the scene that has a mesh, depth first."""
     nodes = document.get("nodes", [])
-    matrices = node_matrices(document).items()
-    return [(nodes[index]["mesh"], matrix) for index, matrix in matrices if "mesh" in nodes[index]]
+    return [(index, matrix) for index, matrix in node_matrices(document).items() if "mesh" in nodes[index]]
+
+
+def mesh_nodes(document: dict, name: str = "") -> list[tuple[int, np.ndarray]]:
+    """Number of the mesh and world matrix (4, 4) of each node of the scene that has a mesh, depth first, or of those of
+    one name."""
+    return [
+        (document["nodes"][node]["mesh"], matrix)
+        for node, matrix in placed_nodes(document)
+        if not name or object_name(document, node) == name
+    ]
 
 
 def local_matrix(node: dict) -> np.ndarray:
@@ -179,7 +189,9 @@ def _viewed(
     return np.ndarray((count, width), kind, data, start, (stride, kind.itemsize)).copy()
 
 
-_TRIANGLES = 4
+#: Kinds of primitives that are surfaces; points, lines and loops of lines are none.
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_SURFACES = (_TRIANGLES, _STRIP, _FAN)
 
 #: Most triangles of all nodes together: a thousand times what a large cage has.
 MAX_TRIANGLES = 10_000_000
@@ -188,11 +200,25 @@ MAX_TRIANGLES = 10_000_000
 VERTEX_BYTES, TRIANGLE_BYTES = 200, 150
 
 
-def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (v, 3) float64, y up as in the file, and triangles (t, 3) int64 of a glTF file."""
+def gltf_object_names(path: pathlib.Path) -> list[str]:
+    """The names of the nodes with meshes of a glTF file, or of their meshes, in the order of `read_gltf`."""
+    with errors_of_file(path):
+        document, _ = opened(path)
+        return list(dict.fromkeys(object_name(document, node) for node, _ in placed_nodes(document)))
+
+
+def object_name(document: dict, node: int) -> str:
+    """What a node with a mesh is called."""
+    own = document["nodes"][node]
+    return str(own.get("name") or document["meshes"][own["mesh"]].get("name") or f"node {node}")
+
+
+def read_gltf(path: pathlib.Path, name: str = "") -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (v, 3) float64, y up as in the file, and triangles (t, 3) int64 of a glTF file, or of the nodes of one
+    name."""
     with errors_of_file(path):
         document, chunk = opened(path)
-        nodes = mesh_nodes(document)
+        nodes = mesh_nodes(document, name)
         _require_room(document, nodes)  # nodes may share a mesh: a few bytes stand for a triangle each time
         buffers = read_buffers(path, document, chunk)
         meshes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
@@ -211,13 +237,6 @@ def read_gltf(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
     return joined, np.concatenate(triangles)
 
 
-def require_gltf_room(path: pathlib.Path) -> None:
-    """Refuse a glTF file whose nodes come to too many triangles, before another library reads it."""
-    with errors_of_file(path):
-        document, _ = opened(path)
-        _require_room(document, mesh_nodes(document))
-
-
 def _require_room(document: dict, nodes: list[tuple[int, np.ndarray]]) -> None:
     """Refuse more triangles than a mesh may have, or than there is memory for, before the first is read."""
     counts = {mesh: _counts(document, document["meshes"][mesh]) for mesh in {mesh for mesh, _ in nodes}}
@@ -231,10 +250,12 @@ def _require_room(document: dict, nodes: list[tuple[int, np.ndarray]]) -> None:
 def _counts(document: dict, mesh: dict) -> tuple[int, int]:
     """Vertices and triangles that a mesh claims to have."""
     accessors = document["accessors"]
-    drawn = [each for each in mesh["primitives"] if each.get("mode", _TRIANGLES) == _TRIANGLES]
+    drawn = [each for each in mesh["primitives"] if each.get("mode", _TRIANGLES) in _SURFACES]
     positions = [each["attributes"]["POSITION"] for each in drawn]
     corners = [accessors[each.get("indices", each["attributes"]["POSITION"])]["count"] for each in drawn]
-    return sum(accessors[index]["count"] for index in set(positions)), sum(corners) // 3
+    plain = [each.get("mode", _TRIANGLES) == _TRIANGLES for each in drawn]
+    triangles = sum(count // 3 if whole else max(0, count - 2) for count, whole in zip(corners, plain, strict=True))
+    return sum(accessors[index]["count"] for index in set(positions)), triangles
 
 
 def _mesh(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray, np.ndarray]:
@@ -242,7 +263,7 @@ def _mesh(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray,
     positions, faces, _, split = mesh_parts(document, buffers, mesh)
     if not split:  # positions alone are taken as they are
         return positions, faces
-    first, number = joined_vertices(positions)
+    first, number = joined_rows(positions)
     return positions[first], number[faces]
 
 
@@ -251,7 +272,8 @@ def mesh_parts(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.nda
     order, and whether vertices may be split."""
     positions, faces, starts, owners, split = [], [], {}, [], len(mesh["primitives"]) > 1
     for primitive in mesh["primitives"]:
-        if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
+        mode = primitive.get("mode", _TRIANGLES)
+        if mode not in _SURFACES:
             continue  # points and lines: loose vertices and edges of the exporting program
         if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
             raise ValueError("it is compressed (Draco): export it without compression")
@@ -267,23 +289,25 @@ def mesh_parts(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.nda
             if "indices" in primitive
             else np.arange(count)
         )
-        if len(indices) % 3 or (len(indices) and (indices.max() >= count or indices.min() < 0)):
+        uneven = mode == _TRIANGLES and len(indices) % 3
+        if uneven or (len(indices) and (indices.max() >= count or indices.min() < 0)):
             raise ValueError(f"a mesh of {count} vertices has {len(indices)} indices up to {indices.max(initial=0)}")
-        faces.append(indices.reshape(-1, 3) + starts[accessor])
+        faces.append(_as_triangles(indices, mode) + starts[accessor])
     if not positions:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), [], False
     return np.concatenate(positions), np.concatenate(faces), owners, split
 
 
-def joined_vertices(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (v, 3) at exactly the same place made one, in the order of the first at each place.
-    Returns (u,) the vertices that stay, and (v,) the new number of each vertex."""
-    # Exporters split a vertex wherever its normal, texture coordinate or material changes.
-    _, first, place = np.unique(positions + 0.0, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    number = np.empty(len(order), dtype=np.int64)
-    number[order] = np.arange(len(order))
-    return first[order], number[place.reshape(-1)]
+def _as_triangles(indices: np.ndarray, mode: int) -> np.ndarray:
+    """Triangles (t, 3) of the indices of a primitive; those that only lead a strip on to its next part are left out."""
+    if mode == _TRIANGLES:
+        return indices.reshape(-1, 3)
+    first = np.arange(max(0, len(indices) - 2))
+    # glTF 2.0, 3.7.2.1: strips (v_i, v_(i + 1 + i % 2), v_(i + 2 - i % 2)), fans (v_(i + 1), v_(i + 2), v_0)
+    odd = first % 2
+    corners = (first, first + 1 + odd, first + 2 - odd) if mode == _STRIP else (first + 1, first + 2, 0 * first)
+    found = indices[np.stack(corners, axis=1)]
+    return found[(found != np.roll(found, 1, axis=1)).all(axis=1)]
 
 
 # -- Writing

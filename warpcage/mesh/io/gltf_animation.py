@@ -10,7 +10,8 @@ import numpy as np
 
 from ...core.checks import listed
 from ...core.memory import require_host_memory
-from .gltf import errors_of_file, joined_vertices, mesh_parts, node_matrices, opened, read_buffers, values_of
+from .gltf import errors_of_file, mesh_parts, node_matrices, object_name, opened, placed_nodes, read_buffers, values_of
+from .joining import joined_rows
 
 #: Rates at which programs write animations, in the order in which they are tried.
 RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 12.0, 15.0, 120.0, 30000 / 1001, 24000 / 1001)
@@ -36,12 +37,12 @@ class GltfMotion:
     shown: np.ndarray | None = None  # (v, 3) shapes that are on in the file, together; None without, and for animations
 
 
-def read_gltf_motion(path: pathlib.Path, name: str = "") -> GltfMotion | None:
+def read_gltf_motion(path: pathlib.Path, name: str = "", object: str = "") -> GltfMotion | None:
     """How the vertices of a glTF file move; None where nothing does. Without an animation each shape is a pose.
-    name: the animation or the shape; "" takes the only animation, or all shapes."""
+    name: the animation or the shape; "" takes the only animation, or all shapes; object: as `read_gltf` takes it."""
     with errors_of_file(path):
         document, chunk = opened(path)
-        moving = _Moving(document, read_buffers(path, document, chunk))
+        moving = _Moving(document, read_buffers(path, document, chunk), object)
         animations = moving.animations()
         shapes = moving.shape_names()
         if name and name not in animations and name not in shapes:
@@ -169,7 +170,7 @@ class _Body:
         self.node = node
         mesh = document["meshes"][document["nodes"][node]["mesh"]]
         positions, _, primitives, split = mesh_parts(document, buffers, mesh)
-        self.kept = joined_vertices(positions)[0] if split else np.arange(len(positions))
+        self.kept = joined_rows(positions)[0] if split else np.arange(len(positions))
         self.positions = positions[self.kept]
         counts = [document["accessors"][one["attributes"]["POSITION"]]["count"] for one in primitives]
 
@@ -240,10 +241,10 @@ class _Body:
 class _Moving:
     """The meshes of a scene, and how their vertices follow nodes and shapes."""
 
-    def __init__(self, document: dict, buffers: list[bytes]):
+    def __init__(self, document: dict, buffers: list[bytes], name: str = ""):
         self.document, self.buffers = document, buffers
-        nodes = document.get("nodes", [])
-        self.bodies = [_Body(document, buffers, node) for node in node_matrices(document) if "mesh" in nodes[node]]
+        nodes = [node for node, _ in placed_nodes(document) if not name or object_name(document, node) == name]
+        self.bodies = [_Body(document, buffers, node) for node in nodes]
         self.count = sum(len(body.positions) for body in self.bodies)
 
     def animations(self) -> dict[str, list[Channel]]:

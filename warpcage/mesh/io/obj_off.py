@@ -12,25 +12,74 @@ from ...core.checks import shown
 from ...core.files import TEXT_ROOM, read_limited
 from ...core.names import counted
 
-#: (line, indices of vertices) of each polygon of a file.
-Polygons = list[tuple[int, list[int]]]
+#: (line or name, indices of vertices) of each polygon of a file.
+Polygons = list[tuple[int | str, list[int]]]
 
 # -- OBJ: `v x y z`, `f a b c` with a, a/t, a//n or a/t/n, counted from 1, or from the end when negative
 
 
+#: The name of faces that stand before the first `o` line of an OBJ file, and of an `o` without a name.
+UNNAMED = "unnamed"
+
+
 def read_obj(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
     """Vertices (v, 3) float64, and (line, indices of vertices) of each polygon of an OBJ file."""
-    vertices, polygons = [], []
+    vertices, polygons, _, _ = _parsed_obj(path)
+    return vertices, polygons
+
+
+def obj_object_names(path: pathlib.Path) -> list[str]:
+    """The names of the objects of an OBJ file that have faces, in their order; groups are none."""
+    # numbers are not looked at, which takes most of the time of a file
+    name, found = UNNAMED, {}
+    for line in read_limited(path, "cage file", TEXT_ROOM).removeprefix(b"\xef\xbb\xbf").splitlines():
+        word = line[:16].split(maxsplit=1)[:1]
+        if word == [b"f"]:
+            found[name] = None
+        elif word == [b"o"]:
+            words = line.split(b"#", 1)[0].decode("utf-8", errors="replace").split()
+            name = " ".join(words[1:]) or UNNAMED
+    return list(found)
+
+
+def read_obj_object(path: pathlib.Path, name: str) -> tuple[np.ndarray, Polygons]:
+    """One object of an OBJ file as `read_obj` gives the whole: the vertices of its faces, and those that stand among
+    its lines and that no other object has, in the order of the file."""
+    vertices, polygons, declared, owners = _parsed_obj(path)
+    count = len(vertices)
+    used: dict[bool, set[int]] = {True: set(), False: set()}
+    for (_, polygon), owner in zip(polygons, owners, strict=True):
+        used[owner == name].update(polygon)
+    kept = [
+        k for k, owner in enumerate(declared) if k in used[True] or (owner == name and k not in used[False])
+    ]  # some programs write all vertices first, others those of an object before its `o`
+    number = {old: new for new, old in enumerate(kept)}
+    own = [
+        # what points nowhere stays so, and is told with its line
+        (line, [number.get(index, index if index < 0 else index + count) for index in polygon])
+        for (line, polygon), owner in zip(polygons, owners, strict=True)
+        if owner == name
+    ]
+    return vertices[kept], own
+
+
+def _parsed_obj(path: pathlib.Path) -> tuple[np.ndarray, Polygons, list[str], list[str]]:
+    """Vertices, polygons, and the names of the objects that vertices and polygons stand among the lines of."""
+    vertices, polygons, declared, owners, name = [], [], [], [], UNNAMED
     for line, words in text_lines(path):
         if words[0] == "v":
             vertices.append(point(words[1:], path, line))
+            declared.append(name)
         elif words[0] == "f":
             polygon = []
             for index in whole([word.split("/", 1)[0] for word in words[1:]], path, line):
                 # a negative index counts back from the vertices read so far
                 polygon.append(index - 1 if index > 0 else len(vertices) + index if index < 0 else _zero(path, line))
             polygons.append((line, polygon))
-    return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons
+            owners.append(name)
+        elif words[0] == "o":
+            name = " ".join(words[1:]) or UNNAMED
+    return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons, declared, owners
 
 
 def _zero(path: pathlib.Path, line: int) -> NoReturn:

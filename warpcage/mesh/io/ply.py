@@ -11,6 +11,8 @@ import numpy as np
 from ...core.checks import listed, shown
 from ...core.files import TEXT_ROOM, read_limited
 from ...core.memory import require_host_memory
+from ...core.names import counted
+from .joining import joined_rows
 from .obj_off import floats, text_lines, whole
 
 _PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -47,7 +49,7 @@ def _read(path: pathlib.Path, *, colors: bool) -> tuple[np.ndarray, list, np.nda
     if order == "ascii":
         require_host_memory(TEXT_ROOM * len(data), f"{path}: its {len(data)} bytes of text need")
     rows = _ply_text_rows if order == "ascii" else _ply_binary_rows
-    vertices, polygons, shades = None, [], None
+    vertices, polygons, shades, seams = None, [], None, None
     for name, properties, values in rows(path, data[body:], elements, order, body_line):
         names = [each[0] for each in properties]
         if name == "vertex":
@@ -56,6 +58,7 @@ def _read(path: pathlib.Path, *, colors: bool) -> tuple[np.ndarray, list, np.nda
             if not {"x", "y", "z"} <= set(names):
                 raise ValueError(f"{path}: PLY vertices need properties x, y, z, got {listed(names)}")
             vertices = _columns(values, [names.index(axis) for axis in "xyz"])
+            seams = None if colors else _seams(properties, values)
             if colors and set(CHANNELS) <= set(names):
                 shades = _vertex_colors(path, properties, values)
             if not np.isfinite(vertices).all():
@@ -68,7 +71,29 @@ def _read(path: pathlib.Path, *, colors: bool) -> tuple[np.ndarray, list, np.nda
             polygons = [(line, [int(index) for index in row[column]]) for line, row in values]
     if vertices is None:
         raise ValueError(f"{path}: no vertices in it")
+    if len(vertices) and not polygons and not colors:
+        raise ValueError(f"{path} holds {counted(len(vertices), 'point')} without faces, no mesh and no cage")
+    if seams is not None:
+        kept, number = seams
+        count = len(vertices)
+        polygons = [(line, [int(number[k]) if 0 <= k < count else k for k in polygon]) for line, polygon in polygons]
+        vertices = vertices[kept]
     return vertices, polygons, shades
+
+
+#: Properties of a vertex by which programs split it, along seams and at sharp edges: texture coordinates and normals.
+SEAM_NAMES = frozenset("s t u v texture_s texture_t texture_u texture_v nx ny nz".split())
+
+
+def _seams(properties: list[tuple[str, Any]], values: Any) -> tuple[np.ndarray, np.ndarray] | None:
+    """Which vertices stay (u,), in their order, and the new number of each (v,), where those at one place that differ
+    in nothing but texture coordinates and normals are one; None where there is nothing to join."""
+    names = [name for name, _ in properties]
+    if not SEAM_NAMES & set(names):
+        return None
+    alike = [k for k, (name, kind) in enumerate(properties) if name not in SEAM_NAMES and not isinstance(kind, tuple)]
+    kept, number = joined_rows(_columns(values, alike))
+    return None if len(kept) == len(number) else (kept, number)
 
 
 def _columns(values: Any, columns: list[int]) -> np.ndarray:

@@ -43,6 +43,7 @@ def read_parts(path: pathlib.Path, wanted: tuple[str, ...]) -> PlyParts:
     """Read the wanted elements of a binary PLY file as tables; those that are not there are left out."""
     data = read_limited(path, "splat file", room=_ROOM)
     order, elements, begin, _ = ply_header(path, data)
+    _require_scales(path, elements)
     if order == "ascii":
         raise ValueError(f"{path}: splats in PLY files of text are not read: write it as a binary file")
     names = [name for name, _, _ in elements]
@@ -62,6 +63,15 @@ def read_parts(path: pathlib.Path, wanted: tuple[str, ...]) -> PlyParts:
         position += count * row.itemsize
     begins[""] = position - begin
     return PlyParts(data[:begin], order, elements, tables, data[begin:], begins)
+
+
+def _require_scales(path: pathlib.Path, elements: list[Element]) -> None:
+    """Refuse a file of points or of a mesh, which have the same ending."""
+    fields = {field for name, _, properties in elements if name == "vertex" for field, _ in properties}
+    if {"x", "y", "z"} <= fields and not fields & {"scale_0", "opacity", "rot_0", "f_dc_0"}:
+        meant = "a mesh" if any(name == "face" and count for name, count, _ in elements) else "points without scales"
+        lacking = listed(name for name in _NEEDED if name not in fields)
+        raise ValueError(f"{path}: no 3DGS splats: the vertices lack {lacking}: it holds {meant}")
 
 
 def read_splat_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:

@@ -1,0 +1,104 @@
+"""The one table of mesh formats: their names, endings, readers and writers, those of other packages too."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import importlib.metadata
+import pathlib
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from ...core.checks import warn_caller
+from ...core.names import error_line
+from .gltf import gltf_object_names, read_gltf, write_glb, write_gltf
+from .obj_off import Polygons, obj_object_names, read_obj, read_obj_object, read_off, write_obj, write_off
+from .ply import read_ply, write_ply
+
+#: The group of entry points by which other packages add formats.
+GROUP = "warpcage.mesh_formats"
+
+#: What a reader gives: vertices (v, 3) float64, and triangles (t, 3) or polygons with the lines that they are on.
+Surface = tuple[np.ndarray, "np.ndarray | Polygons"]
+
+
+@dataclasses.dataclass(frozen=True)
+class MeshFormat:
+    """A format of mesh files; another package adds one by an entry point of GROUP that leads to a MeshFormat.
+    Readers keep the order of vertices, by which a posed cage matches its rest cage."""
+
+    name: str  # for messages, as "OBJ"
+    endings: tuple[str, ...]  # of its files, lower case with the dot
+    read: Callable[[pathlib.Path], Surface] | None = None  # raises ValueError; None for what is only written
+    write: Callable[[np.ndarray, np.ndarray], bytes] | None = None  # of vertices (v, 3) float64, triangles (t, 3) int32
+    up: str = "z"  # the axis that points up in its files, "z" or "y"
+    object_names: Callable[[pathlib.Path], list[str]] | None = None  # of the objects in a file; None where it has one
+    read_object: Callable[[pathlib.Path, str], Surface] | None = None  # one of them by its name, as `read` does
+    together: bool = False  # whether all objects of a file are one mesh where none is chosen
+
+
+# our own parsers: mesh libraries merge, split and drop vertices, and a posed cage must match its rest cage one to one
+FORMATS = (
+    MeshFormat("OBJ", (".obj",), read_obj, write_obj, object_names=obj_object_names, read_object=read_obj_object),
+    MeshFormat("PLY", (".ply",), read_ply, write_ply),
+    MeshFormat("OFF", (".off",), read_off, write_off),
+    MeshFormat("GLB", (".glb",), read_gltf, write_glb, "y", gltf_object_names, read_gltf, together=True),
+    MeshFormat("glTF", (".gltf",), read_gltf, write_gltf, "y", gltf_object_names, read_gltf, together=True),
+)
+
+#: Endings of mesh files that are read without other packages, lower case.
+ENDINGS = tuple(ending for format in FORMATS for ending in format.endings)
+
+
+@functools.cache
+def mesh_formats() -> tuple[MeshFormat, ...]:
+    """All formats: our own first, then those of other packages, by name; an ending belongs to the first that has it."""
+    found = list(FORMATS)
+    for entry in sorted(importlib.metadata.entry_points(group=GROUP), key=lambda entry: entry.name):
+        try:
+            format = entry.load()
+            _require_format(format)
+        except Exception as error:  # whatever another package raises
+            warn_caller(f"the mesh format {entry.name!r} of {entry.value} cannot be used: {error_line(error, 200)}")
+            continue
+        found.append(format)
+    return tuple(found)
+
+
+def _require_format(format: object) -> None:
+    if not isinstance(format, MeshFormat):
+        raise ValueError(f"it must be a warpcage.mesh.MeshFormat, got {type(format).__name__}")
+    if not format.endings or not all(each.startswith(".") and each == each.lower() for each in format.endings):
+        raise ValueError(f"its endings must be lower case and begin with a dot, got {format.endings!r}")
+    if format.up not in ("z", "y"):
+        raise ValueError(f"its up must be 'z' or 'y', got {format.up!r}")
+
+
+def mesh_format(path: pathlib.Path, verb: str = "read") -> MeshFormat:
+    """The format of a file to "read" or "write" by its ending. Raises ValueError, with what is known, where there is
+    none."""
+    ending = path.suffix.lower()
+    # our own without a look at other packages
+    formats = FORMATS if ending in ENDINGS else mesh_formats()
+    found = next((format for format in formats if ending in format.endings), None)
+    if found is None:
+        known = list(dict.fromkeys(mesh_endings(verb)))
+        raise ValueError(f"cage file {str(path)!r} must end in {', '.join(known[:-1])} or {known[-1]}")
+    if getattr(found, verb) is None:
+        raise ValueError(f"{str(path)!r}: {found.name} files are not {'read' if verb == 'read' else 'written'}")
+    return found
+
+
+def mesh_endings(verb: str = "read") -> Iterable[str]:
+    """Endings of the files that can be read, or with "write" written."""
+    return (ending for format in mesh_formats() if getattr(format, verb) for ending in format.endings)
+
+
+def format_lines() -> list[str]:
+    """Each format in words: name, endings, and what is done with it."""
+    return [
+        f"{format.name} ({' '.join(format.endings)}): "
+        + " and ".join(word for word, can in (("read", format.read), ("written", format.write)) if can)
+        for format in mesh_formats()
+    ]
