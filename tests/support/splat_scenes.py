@@ -45,6 +45,79 @@ def drawn(deformer):
     return rows, centers, covariances_of(splats)[seen], opacities[seen]
 
 
+#: What a splat of the place belongs to.
+FLOOR, WALL, TABLE, CUP, BALL, FLOATER = range(6)
+
+#: Where the place's table top and its floaters are, and the cup's middle, radius and height.
+TABLE_TOP, FLOATERS, CUP_AT, CUP_RADIUS, CUP_HEIGHT = 0.7, ((-1.2, 1.0, 1.6), (1.1, -1.3, 1.2)), (0.2, 0.1), 0.09, 0.22
+
+
+def place(device="cpu", spacing=1.0, seed=0, faint=50):
+    """A room of 5 x 5 x 2.5 with a table, a cup on it, a ball on the floor, and floaters in the air; (field, labels).
+    spacing: of the splats, as a share of the usual one; faint: splats that nobody sees, labelled FLOATER."""
+    rng = np.random.default_rng(seed)
+    parts = []
+
+    def sheet(label, origin, along, across, step, color, bump=0.0):
+        """Flat splats over a parallelogram."""
+        origin, along, across = (np.asarray(each, float) for each in (origin, along, across))
+        counts = [max(2, int(round(np.linalg.norm(each) / (spacing * step)))) for each in (along, across)]
+        u, v = (np.indices(counts).reshape(2, -1) + 0.5) / np.array(counts)[:, None]
+        normal = np.cross(along, across)
+        normal /= np.linalg.norm(normal)
+        centers = origin + u[:, None] * along + v[:, None] * across
+        add(label, centers, np.broadcast_to(normal, centers.shape), spacing * step, color, bump)
+
+    def add(label, centers, normals, step, color, bump=0.0):
+        """Splats as flat as paint, which turn towards normals."""
+        centers = centers + bump * rng.normal(size=(len(centers), 1)) * normals
+        half = normals + [0.0, 0.0, 1.0 + 1e-9]  # the turn that takes z to the normal: half way between both
+        half = np.where(np.linalg.norm(half, axis=1, keepdims=True) < 1e-6, [1.0, 0.0, 0.0], half)
+        half /= np.linalg.norm(half, axis=1, keepdims=True)
+        turn = np.concatenate([half[:, 2:], np.stack([-half[:, 1], half[:, 0], 0 * half[:, 0]], axis=1)], axis=1)
+        scales = step * rng.uniform(0.6, 0.9, (len(centers), 3)) * [1.0, 1.0, 0.15]
+        parts.append((np.full(len(centers), label), centers, scales, turn, np.tile(color, (len(centers), 1))))
+
+    half, tall, t = 2.5, 2.5, TABLE_TOP
+    sheet(FLOOR, (-half, -half, 0), (2 * half, 0, 0), (0, 2 * half, 0), 0.1, (0.4, 0.4, 0.5), 0.004)
+    sheet(WALL, (-half, half, 0), (2 * half, 0, 0), (0, 0, tall), 0.12, (0.8, 0.8, 0.7), 0.004)
+    sheet(WALL, (-half, -half, 0), (0, 2 * half, 0), (0, 0, tall), 0.12, (0.7, 0.8, 0.8), 0.004)
+    sheet(TABLE, (-0.6, -0.4, t), (1.2, 0, 0), (0, 0.8, 0), 0.035, (0.6, 0.4, 0.2), 0.002)
+    sheet(TABLE, (-0.6, -0.4, t - 0.06), (0, 0.8, 0), (1.2, 0, 0), 0.05, (0.6, 0.4, 0.2))
+    for x, y in ((-0.55, -0.35), (0.5, -0.35), (-0.55, 0.3), (0.5, 0.3)):
+        for origin, along in (((x, y), (0.06, 0)), ((x, y + 0.06), (0.06, 0)), ((x, y), (0, 0.06)), ((x + 0.06, y), (0, 0.06))):
+            sheet(TABLE, (*origin, 0), (*along, 0), (0, 0, t - 0.06), 0.03, (0.5, 0.3, 0.1))
+    angles = np.arange(0, 2 * np.pi, spacing * 0.016 / CUP_RADIUS)
+    heights = np.arange(0.005, CUP_HEIGHT, spacing * 0.016)
+    a, h = (each.ravel() for each in np.meshgrid(angles, heights))
+    out = np.stack([np.cos(a), np.sin(a), 0 * a], axis=1)
+    add(CUP, out * CUP_RADIUS + np.stack([0 * a, 0 * a, t + h], axis=1) + [*CUP_AT, 0], out, spacing * 0.016, (0.8, 0.1, 0.1))
+    disc = rng.uniform(-1, 1, (int(400 / spacing**2), 2))
+    disc = CUP_RADIUS * disc[np.hypot(*disc.T) < 1]
+    top = np.concatenate([disc + CUP_AT, np.full((len(disc), 1), t + CUP_HEIGHT)], axis=1)
+    add(CUP, top, np.tile([0.0, 0.0, 1.0], (len(top), 1)), spacing * 0.016, (0.9, 0.2, 0.1))
+    around = rng.normal(size=(int(1500 / spacing**2), 3))
+    around /= np.linalg.norm(around, axis=1, keepdims=True)
+    add(BALL, 0.3 * around + [1.5, 1.2, 0.3], around, 0.03 * spacing, (0.1, 0.2, 0.8))
+    for middle in FLOATERS:
+        add(FLOATER, np.array(middle) + 0.02 * rng.normal(size=(12, 3)), np.tile([0.0, 0.0, 1.0], (12, 1)), 0.03, (0, 0, 0))
+    label, centers, scales, turns, colors = (np.concatenate(each) for each in zip(*parts, strict=True))
+    logits = rng.uniform(2.0, 4.0, len(centers))
+    if faint:
+        label = np.concatenate([label, np.full(faint, FLOATER)])
+        centers = np.concatenate([centers, rng.uniform([-2, -2, 0.2], [2, 2, 2], (faint, 3))])
+        scales, turns = np.concatenate([scales, np.full((faint, 3), 0.02)]), np.concatenate([turns, np.eye(4)[[0] * faint]])
+        colors, logits = np.concatenate([colors, np.zeros((faint, 3))]), np.concatenate([logits, np.full(faint, -7.0)])
+    harmonics = ((colors - 0.5) / SH_0)[:, None]
+    up = (0.0, 0.0, 1.0)
+    return warpcage.SplatField(centers, np.log(scales), turns, logits, harmonics, up=up, device=device), label
+
+
+def place_camera(eye=(1.6, -1.5, 1.7), target=(0.2, 0.1, 0.8), size=160):
+    """A camera in the place, which sees the cup on its table."""
+    return warpcage.Camera.look_at(eye, target, up=(0, 0, 1), fov_degrees=50, width=size, height=size)
+
+
 SH_0 = 0.28209479177387814
 SH_1 = 0.4886025119029199
 

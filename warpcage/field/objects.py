@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,7 @@ from ..core.checks import checked_number, checked_vector, require_type, shown
 from ..core.names import PLANES, require_name
 from ..mesh.mesh import ClosedMesh
 from ..view.camera import Camera
+from .closer import choose_closer, is_splats, region_box
 from .planes import Plane, find_planes, plane_below, plane_through
 from .selection import SEED_VOXELS, NodeSelection, _centers, root_field, select_nodes
 from .surface import DensityField, node_grid, surface_density
@@ -42,6 +43,11 @@ def pick_point(field: VoxelField, camera: Camera, pixel: ArrayLike) -> np.ndarra
     in_camera = np.array([(column + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy, 1.0])
     direction = camera.rotation @ (in_camera / np.linalg.norm(in_camera))
     nothing = f"the click at pixel {column} {row} is on nothing: the field is not half opaque there"
+    if hasattr(field, "distance_seen"):  # splats
+        far = cast(Any, field).distance_seen(camera.center, direction, spread=1.0 / camera.fx)
+        if not np.isfinite(far):
+            raise ValueError(nothing)
+        return camera.center + far * direction
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = (field.bounds - camera.center) / direction
     along = np.where(np.isnan(ends), [[-np.inf], [np.inf]], np.sort(ends, axis=0))
@@ -96,13 +102,16 @@ def select_object(
     (`warpcage.field.surface.surface_density`), so that haze connects nothing; what else can be seen within two voxels
     of that, or a fiftieth of its longest side, belongs to it.
 
+    The matter of a SplatField is looked at on grids that become finer around what is found, so that an object in a
+    whole place is as many cells long as one that fills its field.
+
     Example::
 
         cup = select_object(field, point=(0.2, 0.1, 0.4))
         cage = Cage.from_field(cup, 80)
 
     Args:
-        field: A VoxelField, a NodeSelection or the like.
+        field: A VoxelField, a SplatField, a NodeSelection or the like.
         point: (3,) or (k, 3) places on the object, world units. None is no click.
         pixel: (2,) or (k, 2) column and row of pixels of `camera` that show the object. None is no click.
         camera: The camera of `pixel`.
@@ -129,7 +138,6 @@ def select_object(
         ValueError: In one line: a click on nothing or on the plane, no such plane, nothing left, or values that make no
             sense.
     """
-    region = _region(field, box, sphere, cage, cameras, masks, depth)
     clicks = _clicks(field, point, pixel, camera)
     if clearance is not None:
         clearance = checked_number(clearance, "clearance")
@@ -139,6 +147,31 @@ def select_object(
             raise ValueError("clearance is the distance from a plane: choose one")
     if plane is None and plane_at is not None:
         raise ValueError("plane_at is a point on the plane: choose 'ground', 'wall' or 'any'")
+    given = {"box": box, "sphere": sphere, "cage": cage, "cameras": cameras, "masks": masks, "depth": depth}
+    given = {name: list(value) if name in _SEVERAL and _is_several(value) else value for name, value in given.items()}
+    given = {name: value for name, value in given.items() if value is not None}
+
+    def choose(seen: DensityField) -> NodeSelection:
+        chosen = _object_in(select_nodes(seen, **given), clicks, plane, plane_at, up, clearance)
+        if parts is None and floaters == 0.0:
+            return chosen
+        kept = select_nodes(chosen, parts=parts, floaters=floaters)
+        return dataclasses.replace(chosen, mask=kept.mask, notes=(*chosen.notes, *kept.notes))
+
+    return choose_closer(field, choose, clicks, region_box(box, sphere, cage)) if is_splats(field) else choose(field)
+
+
+#: Options of which there are as many as pictures; they may be read only once.
+_SEVERAL = ("cameras", "masks")
+
+
+def _is_several(value: object) -> bool:
+    return isinstance(value, Iterable) and not isinstance(value, str)
+
+
+def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: float | None) -> NodeSelection:
+    """The object in what is visible of a region of a field, by clicks (k, 3) or all of it, above its plane."""
+    field = region.field
     matter = _Matter(region)
     if clicks is not None:
         matter.connected(matter.above(None), clicks)
@@ -152,8 +185,9 @@ def select_object(
                 raise ValueError(_on_plane(click, base, above, plane))
         floor = Plane(base.normal, base.offset + above)
         voxels = above / float(np.max(field.voxel_size))
+        node = getattr(root_field(field), "node_name", "voxel")
         notes.append(
-            f"cut {above:.4g} ({voxels:.1f} voxels) above the {_plane_word(plane)} through "
+            f"cut {above:.4g} ({voxels:.1f} {node}s) above the {_plane_word(plane)} through "
             f"{(base.normal * base.offset).round(4).tolist()}, normal {base.normal.round(3).tolist()}"
             + (f", {100 * base.share:.0f} % of the surface" if len(base.points) else "")
         )
@@ -165,11 +199,7 @@ def select_object(
         raise ValueError(f"nothing is selected: no matter that is dense enough for a surface is left{where}")
     notes += _cut_off(field, mask)
     mask = matter.with_fringe(mask, floor)
-    chosen = NodeSelection(region.field, mask, tuple(notes), floor)
-    if parts is None and floaters == 0.0:
-        return chosen
-    kept = select_nodes(chosen, parts=parts, floaters=floaters)
-    return dataclasses.replace(chosen, mask=kept.mask, notes=(*notes, *kept.notes))
+    return NodeSelection(region.field, mask, tuple(notes), floor)
 
 
 class _Matter:
@@ -258,12 +288,6 @@ def _cut_off(field: DensityField, mask: np.ndarray) -> list[str]:
     return [f"the object reaches the {where} of the field's box and may be cut off there: fit with larger --bounds"]
 
 
-def _region(field, box, sphere, cage, cameras, masks, depth) -> NodeSelection:
-    """The visible nodes of a field in a region."""
-    given = {"box": box, "sphere": sphere, "cage": cage, "cameras": cameras, "masks": masks, "depth": depth}
-    return select_nodes(field, **{name: value for name, value in given.items() if value is not None})
-
-
 def _clicks(field: DensityField, point, pixel, camera) -> np.ndarray | None:
     """(k, 3) places of clicks, None where there are none."""
     if (pixel is None) != (camera is None):
@@ -274,7 +298,8 @@ def _clicks(field: DensityField, point, pixel, camera) -> np.ndarray | None:
         clicks += [checked_vector(row, "point") for row in rows]
     if pixel is not None and camera is not None:
         whole = root_field(field)
-        if not hasattr(whole, "sample"):
+        whole = getattr(whole, "field", whole)  # the splats, of densities on a grid of theirs
+        if not (hasattr(whole, "sample") or is_splats(whole)):
             raise ValueError("a click at a pixel needs a field that can be sampled")
         rows = [pixel] if np.ndim(pixel) < 2 else list(np.asarray(pixel))
         clicks += [pick_point(cast("VoxelField", whole), camera, row) for row in rows]

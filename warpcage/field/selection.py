@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ from ..core.names import counted
 from ..mesh.mesh import ClosedMesh
 from ..mesh.queries import inside_mesh
 from ..view.camera import Camera
+from ..view.frame import Frame
 from .io.selection_file import SelectionContents, load_selection, occupancy_digest, same_box, save_selection
 from .planes import Plane
 from .sparse import harmonics_on_host
@@ -65,10 +66,25 @@ def cut_out(field: VoxelField, mask: np.ndarray) -> VoxelField:
 
 
 def tinted_view(
-    field: VoxelField, mask: np.ndarray, camera: Camera, *, color: ArrayLike = TINT, strength: float = TINT_SHARE
+    field: Any, mask: np.ndarray, camera: Camera, *, color: ArrayLike = TINT, strength: float = TINT_SHARE
 ) -> np.ndarray:
-    """A view (h, w, 3) float32 in [0, 1], the voxels of a mask (nx, ny, nz) bool tinted as far as they are seen.
-    strength: share of the tint where nothing else is seen, 0 to 1."""
+    """A view (h, w, 3) float32 in [0, 1], the nodes of a mask (nx, ny, nz) bool tinted as far as they are seen.
+    field: of voxels, or the matter of splats; strength: share of the tint where nothing else is seen, 0 to 1."""
+    of_splats = splat_matter(field)
+    # the same matter, white where it is chosen: what a pixel shows of it is the chosen share of its light
+    white = painted_voxels(field, mask) if of_splats is None else of_splats.painted(mask)
+    seen = white.render(camera, supersampling=getattr(field, "supersampling", None))
+    return tinted(field.render(camera).rgb, seen, color, strength)
+
+
+def tinted(rgb: np.ndarray, white: Frame, color: ArrayLike = TINT, strength: float = TINT_SHARE) -> np.ndarray:
+    """A picture (h, w, 3) float32 in [0, 1], tinted where a view of the same matter in black and white is white."""
+    share = strength * white.rgb[..., :1].clip(0.0, 1.0)
+    return (np.clip(rgb, 0.0, 1.0) * (1.0 - share) + share * np.asarray(color, np.float32)).astype(np.float32)
+
+
+def painted_voxels(field: VoxelField, mask: np.ndarray) -> VoxelField:
+    """A field of the same matter before black, white in the voxels of a mask (nx, ny, nz) bool and black elsewhere."""
     from scipy.ndimage import binary_dilation
 
     links = field.grid.links.numpy()
@@ -79,14 +95,17 @@ def tinted_view(
     rows[links[mask & (links >= 0)]] = True
     shown = np.zeros((field.voxel_count, 9, 3), np.float32)
     shown[:, 0] = np.where(rows, 0.5, -0.5)[:, None] / SH_MEAN
-    # the same matter, white where it is chosen: what a pixel shows of it is the chosen share of its light
-    white = VoxelField(
+    return VoxelField(
         field.bounds, links, field.grid.density, shown, background="black", up=field.up, device=field.device
     )
-    supersampling = field.supersampling
-    share = strength * white.render(camera, supersampling=supersampling).rgb[..., :1].clip(0.0, 1.0)
-    picture = np.clip(field.render(camera).rgb, 0.0, 1.0)
-    return (picture * (1.0 - share) + share * np.asarray(color, np.float32)).astype(np.float32)
+
+
+def splat_matter(field: Any) -> Any:
+    """The densities on a grid (SplatDensity) of a field of splats, or of what was taken of them; None of voxels."""
+    whole = root_field(field)
+    if hasattr(whole, "splats_in"):
+        return whole
+    return whole.matter() if hasattr(whole, "matter") else None
 
 
 #: Pixels along the longer side of the views that depths are taken from.
@@ -214,7 +233,10 @@ def visible_mask(field: DensityField, threshold: float | None = None) -> np.ndar
 
 
 def _occupancy(field: DensityField) -> str:
-    """What tells the field of a selection from others: which voxels hold values."""
+    """What tells the field of a selection from others: which voxels hold values, or what splats there are."""
+    of_splats = splat_matter(field)
+    if of_splats is not None:
+        return of_splats.digest
     whole = root_field(field)
     grid = getattr(whole, "grid", None)
     return occupancy_digest(whole.node_densities() > 0.0 if grid is None else grid.links.numpy() >= 0)
@@ -241,7 +263,7 @@ class NodeSelection:
     """Nodes of a field.
 
     Args:
-        field: The field, a VoxelField or the like.
+        field: The field, a VoxelField or the like; of splats their matter on a grid.
         mask: (nx, ny, nz) bool, the chosen nodes.
         notes: A line for each thing that was left out.
         floor: Plane that the chosen nodes lie above, where they were cut off what they stand on; a cage around them
@@ -271,15 +293,19 @@ class NodeSelection:
     def __repr__(self) -> str:
         return f"NodeSelection({np.count_nonzero(self.mask)} of {self.mask.size} nodes)"
 
-    def cut_out(self) -> VoxelField:
-        """The chosen voxels as a field of their own, before the colour of the field that they are of.
+    def cut_out(self) -> Any:
+        """What is chosen as a field of its own, before the colour of the field that it is of.
 
         Returns:
-            A field of the same voxels, whose box ends a voxel beyond them.
+            A VoxelField of the same voxels, whose box ends a voxel beyond them. Or a SplatField of the splats whose
+            centre, or most of whose matter, lies in the chosen cells; those that cannot be seen are left out.
 
         Raises:
-            ValueError: If the selection is not of a VoxelField, or of nothing.
+            ValueError: If the selection is not of a VoxelField or a SplatField, or of nothing.
         """
+        of_splats = splat_matter(self)
+        if of_splats is not None:
+            return of_splats.cut_out(self.mask)
         return cut_out(self._voxels("to be cut out"), self.mask)
 
     def preview(self, camera: Camera, *, color: ArrayLike = (0.1, 0.9, 0.2), strength: float = 0.55) -> np.ndarray:
@@ -294,9 +320,10 @@ class NodeSelection:
             (h, w, 3) float32 in [0, 1].
 
         Raises:
-            ValueError: If the selection is not of a VoxelField.
+            ValueError: If the selection is not of a VoxelField or a SplatField.
         """
-        return tinted_view(self._voxels("for a preview"), self.mask, camera, color=color, strength=strength)
+        shown = splat_matter(self) or self._voxels("for a preview")
+        return tinted_view(shown, self.mask, camera, color=color, strength=strength)
 
     def save(self, path: PathLike) -> None:
         """Write a selection file, whole or not at all. It is for this field, and for no other.
@@ -320,15 +347,19 @@ class NodeSelection:
             field: The field that it was made in, as it was or from its compact file.
 
         Returns:
-            The selection.
+            The selection. Of a SplatField its `field` is the matter in the box of the file.
 
         Raises:
             FileNotFoundError: If there is no such file.
             ValueError: What is wrong with the file; for the selection of another field; for an empty one.
         """
         held = load_selection(path)
-        size, own = "x".join(map(str, held.mask.shape)), "x".join(map(str, node_grid(field)[0].shape))
         other = f"{path}: the selection is of another field"
+        if hasattr(field, "matter"):
+            if held.occupied != _occupancy(field):
+                raise ValueError(f"{other} than these splats: choose the object anew in this one")
+            field = cast(Any, field).matter(held.bounds, max(held.mask.shape))
+        size, own = "x".join(map(str, held.mask.shape)), "x".join(map(str, node_grid(field)[0].shape))
         if size != own:
             raise ValueError(f"{other}, of {size} voxels: this one has {own}")
         bounds, voxel_size = np.asarray(field.bounds, np.float64), np.asarray(field.voxel_size)

@@ -16,6 +16,7 @@ from ..core.checks import (
     checked_bounds,
     checked_direction,
     checked_flag,
+    checked_vector,
     checked_whole,
     real_array,
     renamed,
@@ -34,12 +35,16 @@ from ..kernels.splats.splats import Splats
 from ..view.camera import Camera
 from ..view.frame import Frame, parse_background
 from .io import is_splat_file, read_splats, write_splats
-from .io.contents import LEAST_OPACITY, PlyLayout, SplatContents, checked_contents, opacities_of
+from .io.contents import LEAST_OPACITY, Y0, PlyLayout, SplatContents, checked_contents, opacities_of
 from .io.ply import chosen_layout
+from .matter import finest_side, half_light, in_nodes, splat_digest
 from .render import SplatRenderer, near_distance
 
 #: Nodes along the longest side of a grid where nobody asks for another number, and at most.
 RESOLUTION, MOST_RESOLUTION = 128, 1024
+
+#: What messages call a node of a grid of splats.
+SPLAT_NODE = "cell"
 
 
 class SplatDensity:
@@ -47,6 +52,8 @@ class SplatDensity:
     resolution: nodes along the longest side, 2 to 1024; bounds: (2, 3) box, world units, None is that of all splats."""
 
     # Node (i, j, k): bounds[0] + (i + 0.5) * voxel_size. Covariance and opacity count (kernels/splats/fit.py).
+
+    node_name = SPLAT_NODE
 
     def __init__(self, field: SplatField, resolution: int = RESOLUTION, bounds: ArrayLike | None = None):
         self.field, self.straightening = field, None  # the coordinates are those of the file
@@ -79,6 +86,39 @@ class SplatDensity:
 
         places = (np.asarray(points, np.float64) - self.bounds[0]) / self.voxel_size - 0.5
         return None, map_coordinates(self._density, places.T, order=1, mode="nearest", output=np.float64)
+
+    @property
+    def device(self) -> wp.Device:
+        """Where the splats are."""
+        return self.field.device
+
+    def render(self, camera: Camera, **options: Any) -> Frame:
+        """The view of the splats, as `SplatField.render`."""
+        return self.field.render(camera, **options)
+
+    def splats_in(self, mask: np.ndarray) -> np.ndarray:
+        """Which splats can be seen and have their centre, or most of their matter, in nodes of a mask (nx, ny, nz) bool;
+        (n,) bool."""
+        whole = self.field
+        inside = in_nodes(whole.contents.centers, whole.rotations * whole.scales[:, None, :], mask, self.bounds)
+        return inside & (whole.opacities >= LEAST_OPACITY)
+
+    def cut_out(self, mask: np.ndarray) -> SplatField:
+        """A field of the splats of a mask of nodes alone."""
+        rows = self.splats_in(mask)
+        if not rows.any():
+            raise ValueError("nothing is chosen that could be cut out: no splat lies in the chosen cells")
+        return self.field.chosen(rows)
+
+    def painted(self, mask: np.ndarray) -> SplatField:
+        """The same splats, white in a mask of nodes and black elsewhere."""
+        return self.field.painted(self.splats_in(mask))
+
+    @property
+    def digest(self) -> str:
+        """32 hexadecimal digits that tell the splats from others, on any device."""
+        held = self.field.contents
+        return splat_digest(held.centers, held.logits)
 
 
 def whole_voxels(box: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarray]:
@@ -129,7 +169,7 @@ class SplatField:
     straightening = background_model = None
 
     #: What messages call a node of `node_densities`.
-    node_name = "cell"
+    node_name = SPLAT_NODE
 
     @renamed(centers="centres")
     def __init__(
@@ -292,9 +332,76 @@ class SplatField:
         """(nx, ny, nz) float32 densities of the splats' matter in the middle of each voxel, per world unit.
 
         Cages, selections and surfaces are made of them (kernels/splats/fit.py)."""
+        return self.matter().node_densities()
+
+    def matter(self, bounds: ArrayLike | None = None, resolution: int = RESOLUTION) -> SplatDensity:
+        """The densities of the splats on a grid, finer where a box is smaller than the field.
+
+        `Cage.from_field`, `select_nodes` and `select_object` take it in place of the field.
+
+        Args:
+            bounds: (2, 3) box of the grid, world units, which is made larger to whole cells. None is that of all splats.
+            resolution: Cells along its longest side, 2 to 1024.
+
+        Returns:
+            The densities, with `bounds`, `voxel_size` and `node_densities` as of a field.
+
+        Raises:
+            ValueError: For a box or a number that makes no sense.
+        """
+        if bounds is not None or resolution != RESOLUTION:
+            return SplatDensity(self, resolution, bounds)
         if self._density is None:
             self._density = SplatDensity(self)
-        return self._density.node_densities()
+        return self._density
+
+    def finest_cell(self, bounds: ArrayLike) -> float:
+        """The smallest side of a cell at which the splats in a box still hang together.
+
+        Args:
+            bounds: (2, 3) the box, world units.
+
+        Returns:
+            The side, world units; 0 for a box without splats that can be seen.
+
+        Raises:
+            ValueError: For a box that makes no sense.
+        """
+        (low, high), places = checked_bounds(bounds), self.contents.centers
+        inside = ((places >= low) & (places <= high)).all(axis=1)
+        return finest_side(self.contents.log_scales[inside & (self.opacities >= LEAST_OPACITY)])
+
+    def distance_seen(self, origin: ArrayLike, direction: ArrayLike, spread: float = 0.0) -> float:
+        """How far along a ray half of its light is gone.
+
+        Args:
+            origin: (3,) where the ray begins, world units.
+            direction: (3,) where it goes, of any length but zero.
+            spread: Width of the pixel that the ray goes through at distance 1, by which views blur splats.
+
+        Returns:
+            The distance, world units; infinite where more than half of the light passes.
+
+        Raises:
+            ValueError: For a direction of length zero.
+        """
+        start, along = checked_vector(origin, "origin"), checked_direction(direction, "direction")
+        places = self.contents.centers
+        return half_light(places, self.covariances, self.opacities, start, along, spread, self.near)
+
+    def painted(self, rows: np.ndarray) -> SplatField:
+        """The same matter, white where it is chosen and black elsewhere: views are the chosen share of the light.
+
+        Args:
+            rows: (n,) bool, the chosen splats.
+
+        Returns:
+            The field, before black.
+        """
+        held = self.contents
+        paint = np.where(rows, 0.5, -0.5).astype(np.float32)[:, None, None] / np.float32(Y0)
+        values = (held.centers, held.log_scales, held.quaternions, held.logits)
+        return SplatField(*values, np.repeat(paint, 3, axis=2), up=self.up, device=self.device)
 
     @property
     def splats(self) -> Any:
