@@ -14,7 +14,9 @@ from ..cage.generate import checked_count
 from ..cage.pose_file import is_preset
 from ..cage.snap import cut_matter, snap_to_gaps
 from ..cage.up_axis import load_standing
+from ..core.checks import checked_bounds
 from ..core.files import require_file
+from ..field.closer import is_splats, matter_around
 from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
 from ..mesh.io import ALL_OBJECTS, read_object
@@ -121,11 +123,13 @@ def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelec
         raise ValueError(f"--{'in-box' if 'box' in chosen else next(iter(chosen))} is for fields, not for meshes")
     selected = field
     if "selection" in chosen:
-        selected = NodeSelection.load(chosen.pop("selection"), shared.require_voxels(field, "--selection"))
+        selected = NodeSelection.load(chosen.pop("selection"), field)
         if not chosen:
             return selected
     if "box" in chosen:
         chosen["box"] = [args.in_box[:3], args.in_box[3:]]
+        if selected is field and is_splats(field):  # a part of a place is looked at as closely as the whole of an object
+            selected = matter_around(field, checked_bounds(chosen["box"], "box"))
     if "masks" in chosen:
         scene = shared.masked_scene(args.masks, field)
         chosen |= {"masks": scene.alphas, "cameras": scene.cameras}

@@ -46,8 +46,7 @@ def run_edit(args: argparse.Namespace) -> None:
     field = load_field(args.field, scene_scale=args.scene_scale, device=device)
     cages = [read_rest(path, args.cage_up, field, part=True, name=args.cage_object)[0] for path in args.cage or ()]
     if args.selection:
-        voxels = shared.require_voxels(field, "--selection")
-        cages.append(Cage.from_field(NodeSelection.load(args.selection, voxels)))
+        cages.append(Cage.from_field(NodeSelection.load(args.selection, field)))
     if args.demo and (args.new or not kept.exists()):
         cages = [Cage.load(demo_cage)]
     options = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import pathlib
 
 import numpy as np
 
@@ -11,10 +12,11 @@ from ..core.names import counted
 from ..deform.bake import bake
 from ..deform.deformer import SplatDeformer
 from ..field.objects import select_object
-from ..field.selection import NodeSelection
+from ..field.selection import NodeSelection, splat_matter
 from ..field.voxel_field import VoxelField
 from ..mesh.io.gltf import write_glb
 from ..splats.io import is_splat_file
+from ..splats.splat_field import AnyField, SplatField
 from ..view.camera import Camera, CameraFile
 from ..view.pictures import write_png
 from . import shared
@@ -37,30 +39,40 @@ def run_bake(args: argparse.Namespace) -> None:
         raise ValueError("--frames 1 would write the pose at rest alone: give 2 or more, or leave it out")
     if args.frames is None and of_splats and "##" in output.name:
         raise ValueError("-o with # for a number writes numbered files: give --frames, how many")
-    if args.selection is None:
-        shared.require_deformation(args, "bake")
+    if args.selection is None or args.frames is not None:
+        shared.require_deformation(args, "bake" if args.frames is None else "--frames")
     elif args.voxels is not None and not is_deformed(args):
         raise ValueError("--voxels is for a deformed scene: what is only cut out keeps its voxels")
     field = shared.read_field(args)
-    deformation = read_deformation(args, field)
     if args.selection is not None:
-        field = NodeSelection.load(args.selection, shared.require_voxels(field, "--selection")).cut_out()
+        field = NodeSelection.load(args.selection, field).cut_out()
+    deformation = read_deformation(args, field)
     if deformation is None:
-        baked = shared.require_voxels(field, "--selection")
+        if isinstance(field, SplatField):
+            _write_splats(field, output)
+            return
+        baked = field
     else:
         deformer = shared.make_deformer(field, deformation, args).pose(deformation.posed)
         if isinstance(deformer, SplatDeformer):
             if args.frames is not None:
                 return _write_sequence(deformer, deformation, args)
-            splats = deformer.baked()
-            splats.save(output)
-            print(f"wrote {output}: {counted(splats.splat_count, 'splat')}, {output.stat().st_size / 1e6:.1f} MB")
+            _write_splats(deformer.baked(), output)
             return
         baked = bake(deformer, resolution=args.voxels)
-    baked.save(output, format=args.format or "warpcage")
-    size = "x".join(map(str, baked.resolution))
+    _write_voxels(baked, output, args.format or "warpcage")
+
+
+def _write_splats(field: SplatField, output: pathlib.Path) -> None:
+    field.save(output)
+    print(f"wrote {output}: {counted(field.splat_count, 'splat')}, {output.stat().st_size / 1e6:.1f} MB")
+
+
+def _write_voxels(field: VoxelField, output: pathlib.Path, format: str = "warpcage") -> None:
+    field.save(output, format=format)
+    size = "x".join(map(str, field.resolution))
     print(
-        f"wrote {output}: {counted(baked.voxel_count, 'voxel')} in a grid of {size}, "
+        f"wrote {output}: {counted(field.voxel_count, 'voxel')} in a grid of {size}, "
         f"{output.stat().st_size / 1e6:.1f} MB"
     )
 
@@ -120,9 +132,8 @@ def run_select(args: argparse.Namespace) -> None:
         raise ValueError("--masks and --depth cannot be combined: give one of them")
     if args.plane == "none" and (args.plane_at is not None or args.clearance is not None):
         raise ValueError("--plane none leaves nothing out: --plane-at and --clearance belong to a plane")
-    field = shared.require_voxels(shared.read_field(args), "select")
-    low, high = field.bounds
-    corners = np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
+    field = shared.read_field(args)
+    corners = shared.visible_points(field, None, None)
     camera = shared.chosen_camera(args, corners) if args.pixel or preview or args.save_camera else None
     chosen = select_object(
         field,
@@ -146,12 +157,21 @@ def run_select(args: argparse.Namespace) -> None:
         shared.save_cameras(args, [camera])
     low, high = chosen.points.min(axis=0), chosen.points.max(axis=0)
     print(
-        f"wrote {output}: {counted(int(np.count_nonzero(chosen.mask)), 'voxel')}, from {low.round(3).tolist()} to "
+        f"wrote {output}: {_chosen_size(chosen)}, from {low.round(3).tolist()} to "
         f"{high.round(3).tolist()}{'' if preview is None else f', and {preview}'}"
     )
 
 
-def _regions(args: argparse.Namespace, field: VoxelField) -> dict:
+def _chosen_size(chosen: NodeSelection) -> str:
+    """How much is chosen, in words such as "12000 voxels"."""
+    of_splats, nodes = splat_matter(chosen), int(np.count_nonzero(chosen.mask))
+    if of_splats is None:
+        return counted(nodes, "voxel")
+    splats = int(np.count_nonzero(of_splats.splats_in(chosen.mask)))
+    return f"{counted(nodes, of_splats.node_name)} with {counted(splats, 'splat')}"
+
+
+def _regions(args: argparse.Namespace, field: AnyField) -> dict:
     """The regions of the arguments, as `select_object` takes them."""
     given: dict = {}
     if args.in_box is not None:

@@ -315,7 +315,7 @@ def require_voxels(field: AnyField, what: str) -> VoxelField:
     return field
 
 
-def masked_scene(path: str, field: VoxelField) -> Scene:
+def masked_scene(path: str, field: AnyField) -> Scene:
     """The training pictures of a scene in the world of a field, as masks of its object."""
     scene = load_scene(path, orient=field.straightening)
     if scene.alphas is None:

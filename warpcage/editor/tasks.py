@@ -24,7 +24,6 @@ from ..core.files import atomic_path
 from ..core.names import PLANES, counted, error_line
 from ..field.objects import select_object
 from ..field.selection import NodeSelection
-from ..field.voxel_field import VoxelField
 from ..mesh.io import ENDINGS
 from ..splats.io import SPLAT_ENDINGS
 from ..splats.splat_field import AnyField, field_size
@@ -398,8 +397,6 @@ class Tasks:
             return lambda: field
         if not isinstance(click, dict):
             raise ValueError("click must hold across, down, aspect and plane")
-        if not isinstance(field, VoxelField):
-            raise ValueError("an object can be clicked in a field of voxels alone")
         across, down = (checked_between(click.get(name), 0.0, 1.0, name) for name in ("across", "down"))
         aspect = checked_between(click.get("aspect"), 0.05, 20.0, "aspect")
         plane = checked_choice(click.get("plane"), (*PLANES, "none"), "plane")

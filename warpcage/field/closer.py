@@ -46,6 +46,12 @@ def region_box(box: ArrayLike | None, sphere: ArrayLike | None, cage: Any) -> np
     return _common(boxes) if boxes else None
 
 
+def matter_around(field: Any, region: np.ndarray) -> Any:
+    """The matter (SplatDensity) of a field of splats on a grid about a region (2, 3)."""
+    window = _clipped(_around(region), field)
+    return field.matter(window, _cells(field, window))
+
+
 def choose_closer(
     field: Any, choose: Callable[[DensityField], NodeSelection], clicks: np.ndarray | None, region: np.ndarray | None
 ) -> NodeSelection:
