@@ -1,4 +1,4 @@
-"""`warpcage select`, `mesh` and `bake`: fields into parts, surfaces and other fields."""
+"""`warpcage select`, `clean`, `mesh` and `bake`: fields into parts, surfaces and other fields."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from ..core.files import atomic_path, require_file
 from ..core.names import counted
 from ..deform.bake import bake
 from ..deform.deformer import SplatDeformer
+from ..field.clean import CleanOptions, clean_voxels
 from ..field.objects import select_object
-from ..field.selection import NodeSelection, splat_matter
+from ..field.selection import NodeSelection, painted_voxels, splat_matter, tinted
 from ..field.voxel_field import VoxelField
 from ..mesh.io.gltf import write_glb
+from ..splats.clean import clean_splats
 from ..splats.io import is_splat_file
 from ..splats.splat_field import AnyField, SplatField
 from ..view.camera import Camera, CameraFile
@@ -82,6 +84,47 @@ def _write_sequence(deformer: SplatDeformer, deformation: Deformation, args: arg
     places = np.linspace(0.0, deformation.pose_count - 1.0, args.frames)
     written = deformer.save_sequence(args.output, (deformation.at(place) for place in places), overwrite=args.overwrite)
     print(f"wrote {counted(len(written), 'file')}, {written[0]} to {written[-1]}")
+
+
+#: The tint of what went.
+GONE_COLOR = (0.95, 0.1, 0.1)
+
+
+def run_clean(args: argparse.Namespace) -> None:
+    require_file(args.field, "field file")
+    of_splats = is_splat_file(args.field)
+    output = options.check_output(args.output, options.SPLAT_ENDINGS if of_splats else (".npz",), "field file")
+    preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
+    shared.check_saved(args)
+    if args.views is None and (args.least_views is not None or args.least_weight is not None):
+        raise ValueError("--least-views and --least-weight belong to --views, the cameras that must show what is kept")
+    if args.largest_scale is not None and not of_splats:
+        raise ValueError(f"--largest-scale is for files of splats, got {args.field!r}")
+    field = shared.read_field(args)
+    options_of_view = {"least_views": args.least_views, "least_weight": args.least_weight}
+    wanted = CleanOptions(
+        args.floaters,
+        args.parts,
+        None if args.views is None else named_views(args),
+        **{name: value for name, value in options_of_view.items() if value is not None},
+    )
+    camera = None
+    if preview is not None or args.save_camera:
+        camera = shared.chosen_camera(args, shared.visible_points(field, None, None))
+    if isinstance(field, SplatField):
+        cleaned = clean_splats(field, wanted, args.largest_scale)
+        _write_splats(cleaned.field, output)
+    else:
+        cleaned = clean_voxels(field, wanted)
+        _write_voxels(cleaned.field, output)
+    for note in cleaned.notes or ("nothing was removed",):
+        print(note)
+    if camera is not None:
+        if preview is not None:
+            of_gone = field.painted(cleaned.gone) if isinstance(field, SplatField) else painted_voxels(field, cleaned.gone)
+            write_png(preview, tinted(field.render(camera).rgb, of_gone.render(camera), GONE_COLOR))
+            print(f"wrote {preview}")
+        shared.save_cameras(args, [camera])
 
 
 #: Takes (x, y, z) to (x, z, -y): glTF has y up, while the other formats take coordinates as they are.
@@ -184,11 +227,12 @@ def _regions(args: argparse.Namespace, field: AnyField) -> dict:
         scene = shared.masked_scene(args.masks, field)
         given |= {"masks": scene.alphas, "cameras": scene.cameras}
     if args.depth is not None:
-        given |= {"depth": args.depth, "cameras": _depth_views(args)}
+        given |= {"depth": args.depth, "cameras": named_views(args)}
     return given
 
 
-def _depth_views(args: argparse.Namespace) -> list[Camera]:
+def named_views(args: argparse.Namespace) -> list[Camera]:
+    """The cameras that --views names."""
     if shared.camera_file(args.views):
         return [key.camera for key in CameraFile.load(args.views)]
     return shared.scene_cameras(args, args.views)

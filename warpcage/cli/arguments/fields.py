@@ -1,4 +1,4 @@
-"""Arguments of `warpcage select`, `mesh` and `bake`."""
+"""Arguments of `warpcage select`, `clean`, `mesh` and `bake`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ SELECT_EXAMPLE = """\
   warpcage select fox.npz -o fox_chosen.npz --camera data/fox:12 --pixel 486 518 --plane wall --preview fox.png
   warpcage select room.npz -o table.npz --sphere 0 0 0.3 0.8 --floaters 0.05
   warpcage select room.npz -o near.json --depth 0.5 1.2 --views data/room
+  warpcage select place.ply -o cup.npz --point 0.2 0.1 0.4 --preview cup.png
   warpcage cage room.npz --selection cup.npz -o cup.obj
 """
 
@@ -91,6 +92,59 @@ def _add_region(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--views", metavar="FILE|SCENE[:SPLIT]", help="camera file, or scene of the cameras, of --depth")
 
 
+CLEAN_HELP = "remove what hangs loose in a field, and what no view shows"
+
+CLEAN_EXAMPLE = """\
+  warpcage clean place.ply -o clean.ply --preview gone.png
+  warpcage clean place.ply -o clean.ply --views data/room --largest-scale 0.5
+  warpcage clean room.npz -o clean.npz --floaters 0.01
+  warpcage clean lego.npz -o clean.npz --parts 1 --views data/lego --least-views 3
+"""
+
+
+def add_clean_arguments(parser: argparse.ArgumentParser) -> None:
+    options.add_field(parser)
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="FIELD", help="field to write (.npz, of splats as they come)"
+    )
+    parser.add_argument("--preview", metavar="PICTURE", help="also write a view with what went tinted red (.png)")
+    loose = parser.add_argument_group("what hangs loose (splats fainter than 1/255 go too)")
+    loose.add_argument(
+        "--floaters",
+        type=options.length,
+        default=0.002,
+        metavar="SHARE",
+        help="connected parts with fewer voxels than this share of the largest, and more than three voxels away from "
+        "what is kept; 0 for none (default: %(default)s)",
+    )
+    loose.add_argument(
+        "--parts", type=options.positive_int, metavar="N", help="all but the N largest connected parts (default: none)"
+    )
+    loose.add_argument(
+        "--largest-scale",
+        type=options.positive_float,
+        metavar="LENGTH",
+        help="splats only: those with a standard deviation above this, world units (default: none)",
+    )
+    shown = parser.add_argument_group("what no view shows")
+    shown.add_argument(
+        "--views", metavar="FILE|SCENE[:SPLIT]", help="camera file, or scene of the cameras, that must show what is kept"
+    )
+    shown.add_argument(
+        "--least-views", type=options.positive_int, metavar="N", help="so many of them must show it (default: 1)"
+    )
+    shown.add_argument(
+        "--least-weight",
+        type=options.positive_float,
+        metavar="WEIGHT",
+        help="rendering weight from which a view shows something: of a splat summed over the pixels of a picture of at "
+        "most 800, of a voxel the largest of any pixel (default: 0.01)",
+    )
+    options.add_view(parser)
+    options.add_scene_scale(parser)
+    options.add_device(parser)
+
+
 MESH_HELP = "extract the surface of a field as a triangle mesh"
 
 MESH_EXAMPLE = """\
@@ -146,6 +200,7 @@ BAKE_EXAMPLE = """\
   warpcage bake scene.ply --cage cage.obj --posed bend:40:x:z -o bent.ply
   warpcage bake scene.ply --cage cage.obj --posed bend:40:x:z -o bend_####.ply --frames 30
   warpcage bake room.npz --selection cup.npz -o cup_alone.npz
+  warpcage bake place.ply --selection cup.npz -o cup.ply
 """
 
 
@@ -184,6 +239,7 @@ def add_bake_arguments(parser: argparse.ArgumentParser) -> None:
 
 COMMANDS = (
     Command("select", SELECT_HELP, SELECT_EXAMPLE, add_select_arguments, "fields"),
+    Command("clean", CLEAN_HELP, CLEAN_EXAMPLE, add_clean_arguments, "fields"),
     Command("mesh", MESH_HELP, MESH_EXAMPLE, add_mesh_arguments, "fields"),
     Command("bake", BAKE_HELP, BAKE_EXAMPLE, add_bake_arguments, "fields"),
 )
