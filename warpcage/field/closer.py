@@ -20,7 +20,7 @@ MOST_CELLS, LEAST_CELLS = 128, 32
 AROUND = 0.75
 
 #: A grid is done where a finer one would be longer than this share of it.
-NEAR_ENOUGH = 0.7
+NEAR_ENOUGH = 0.85
 
 #: Grids that are tried, and the share of one that the next has around a click on nothing or on a plane.
 GRIDS, CLOSER = 9, 0.5
