@@ -85,13 +85,24 @@ def place(device="cpu", spacing=1.0, seed=0, faint=50):
     sheet(TABLE, (-0.6, -0.4, t), (1.2, 0, 0), (0, 0.8, 0), 0.035, (0.6, 0.4, 0.2), 0.002)
     sheet(TABLE, (-0.6, -0.4, t - 0.06), (0, 0.8, 0), (1.2, 0, 0), 0.05, (0.6, 0.4, 0.2))
     for x, y in ((-0.55, -0.35), (0.5, -0.35), (-0.55, 0.3), (0.5, 0.3)):
-        for origin, along in (((x, y), (0.06, 0)), ((x, y + 0.06), (0.06, 0)), ((x, y), (0, 0.06)), ((x + 0.06, y), (0, 0.06))):
+        for origin, along in (
+            ((x, y), (0.06, 0)),
+            ((x, y + 0.06), (0.06, 0)),
+            ((x, y), (0, 0.06)),
+            ((x + 0.06, y), (0, 0.06)),
+        ):
             sheet(TABLE, (*origin, 0), (*along, 0), (0, 0, t - 0.06), 0.03, (0.5, 0.3, 0.1))
     angles = np.arange(0, 2 * np.pi, spacing * 0.016 / CUP_RADIUS)
     heights = np.arange(0.005, CUP_HEIGHT, spacing * 0.016)
     a, h = (each.ravel() for each in np.meshgrid(angles, heights))
     out = np.stack([np.cos(a), np.sin(a), 0 * a], axis=1)
-    add(CUP, out * CUP_RADIUS + np.stack([0 * a, 0 * a, t + h], axis=1) + [*CUP_AT, 0], out, spacing * 0.016, (0.8, 0.1, 0.1))
+    add(
+        CUP,
+        out * CUP_RADIUS + np.stack([0 * a, 0 * a, t + h], axis=1) + [*CUP_AT, 0],
+        out,
+        spacing * 0.016,
+        (0.8, 0.1, 0.1),
+    )
     disc = rng.uniform(-1, 1, (int(400 / spacing**2), 2))
     disc = CUP_RADIUS * disc[np.hypot(*disc.T) < 1]
     top = np.concatenate([disc + CUP_AT, np.full((len(disc), 1), t + CUP_HEIGHT)], axis=1)
@@ -100,13 +111,22 @@ def place(device="cpu", spacing=1.0, seed=0, faint=50):
     around /= np.linalg.norm(around, axis=1, keepdims=True)
     add(BALL, 0.3 * around + [1.5, 1.2, 0.3], around, 0.03 * spacing, (0.1, 0.2, 0.8))
     for middle in FLOATERS:
-        add(FLOATER, np.array(middle) + 0.02 * rng.normal(size=(12, 3)), np.tile([0.0, 0.0, 1.0], (12, 1)), 0.03, (0, 0, 0))
+        add(
+            FLOATER,
+            np.array(middle) + 0.02 * rng.normal(size=(12, 3)),
+            np.tile([0.0, 0.0, 1.0], (12, 1)),
+            0.03,
+            (0, 0, 0),
+        )
     label, centers, scales, turns, colors = (np.concatenate(each) for each in zip(*parts, strict=True))
     logits = rng.uniform(2.0, 4.0, len(centers))
     if faint:
         label = np.concatenate([label, np.full(faint, FLOATER)])
         centers = np.concatenate([centers, rng.uniform([-2, -2, 0.2], [2, 2, 2], (faint, 3))])
-        scales, turns = np.concatenate([scales, np.full((faint, 3), 0.02)]), np.concatenate([turns, np.eye(4)[[0] * faint]])
+        scales, turns = (
+            np.concatenate([scales, np.full((faint, 3), 0.02)]),
+            np.concatenate([turns, np.eye(4)[[0] * faint]]),
+        )
         colors, logits = np.concatenate([colors, np.zeros((faint, 3))]), np.concatenate([logits, np.full(faint, -7.0)])
     harmonics = ((colors - 0.5) / SH_0)[:, None]
     up = (0.0, 0.0, 1.0)

@@ -128,7 +128,9 @@ def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelec
             return selected
     if "box" in chosen:
         chosen["box"] = [args.in_box[:3], args.in_box[3:]]
-        if selected is field and is_splats(field):  # a part of a place is looked at as closely as the whole of an object
+        if selected is field and is_splats(
+            field
+        ):  # a part of a place is looked at as closely as the whole of an object
             selected = matter_around(field, checked_bounds(chosen["box"], "box"))
     if "masks" in chosen:
         scene = shared.masked_scene(args.masks, field)

@@ -121,7 +121,9 @@ def run_clean(args: argparse.Namespace) -> None:
         print(note)
     if camera is not None:
         if preview is not None:
-            of_gone = field.painted(cleaned.gone) if isinstance(field, SplatField) else painted_voxels(field, cleaned.gone)
+            of_gone = (
+                field.painted(cleaned.gone) if isinstance(field, SplatField) else painted_voxels(field, cleaned.gone)
+            )
             write_png(preview, tinted(field.render(camera).rgb, of_gone.render(camera), GONE_COLOR))
             print(f"wrote {preview}")
         shared.save_cameras(args, [camera])

@@ -24,7 +24,8 @@ from .arguments.options import package_version
 _GROUPS = (scenes, fields, cages, edit, poses, render, runs, info)
 
 _ORDER = (  # of commands in their help
-    "capture fit select clean mesh cage check edit pose edits render animate sweep run bake evaluate info kernels".split()
+    "capture fit select clean mesh cage check edit pose edits render animate sweep run bake evaluate info "
+    "kernels".split()
 )
 
 COMMANDS = {command.name: command for group in _GROUPS for command in group.COMMANDS}

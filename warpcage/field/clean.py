@@ -14,14 +14,15 @@ from ..core.devices import launch
 from ..core.locks import device_turn
 from ..core.names import counted
 from ..kernels.field.march import record_weights
+from ..kernels.view.rays import PinholeCamera
 from ..view.camera import Camera, camera_struct
 from .render import STOP_TRANSMITTANCE
 from .selection import _parts, visible_mask
 from .sparse import harmonics_on_host
 from .voxel_field import VoxelField
 
-#: Connected parts with fewer nodes than this share of the largest are floaters, where they are farther than so many nodes
-#: from what is kept: what is nearer may be a thin piece of it.
+#: Connected parts with fewer nodes than this share of the largest are floaters, where they are farther than so many
+#: nodes from what is kept: what is nearer may be a thin piece of it.
 FLOATERS, GAP = 0.002, 3
 
 #: Views that must show what is kept, and the rendering weight from which one does.
@@ -73,16 +74,18 @@ def clean_voxels(field: VoxelField, options: CleanOptions) -> Cleaned:
     seen, linked = visible_mask(field), links >= 0
     loose, count = detached_nodes(seen, options)
     # with what fades around them, but not what fades around what stays
-    fringe = np.asarray(binary_dilation(loose, cube, 2)) & ~np.asarray(binary_dilation(seen & ~loose, cube, 1))
+    fringe = np.asarray(binary_dilation(loose, cube, 2), bool) & ~np.asarray(binary_dilation(seen & ~loose, cube), bool)
     gone = (loose | fringe) & linked
-    notes = [went(int(gone.sum()), int(linked.sum()), "voxel", f"in {counted(count, 'detached part')}")] if count else []
+    notes = (
+        [went(int(gone.sum()), int(linked.sum()), "voxel", f"in {counted(count, 'detached part')}")] if count else []
+    )
     if options.cameras is not None:
         views = np.zeros(field.voxel_count, np.int64)
         for camera in small_cameras(options.cameras):
             views += voxel_weights(field, camera) >= options.least_weight
         shown = np.zeros_like(linked)
         shown[linked] = views[links[linked]] >= options.least_views
-        hidden = linked & ~np.asarray(binary_dilation(shown, cube)) & ~gone  # samples lie between nodes
+        hidden = linked & ~np.asarray(binary_dilation(shown, cube), bool) & ~gone  # samples lie between nodes
         if hidden.any():
             notes.append(went(int(hidden.sum()), int(linked.sum()), "voxel", unshown(options)))
         gone = gone | hidden
@@ -138,8 +141,7 @@ def voxel_weights(field: VoxelField, camera: Camera) -> np.ndarray:
     """(rows,) float32, the largest rendering weight that a ray of a view gives to each voxel."""
     weights = wp.zeros(field.voxel_count, dtype=wp.float32, device=field.device)
     with device_turn(field.device):
-        struct = camera_struct(camera, field.bounds.mean(axis=0))
-        cameras = wp.array([struct], dtype=type(struct), device=field.device)
+        cameras = wp.array([camera_struct(camera, field.center)], dtype=PinholeCamera, device=field.device)
         inputs = [field.grid, cameras, 1, field.step, STOP_TRANSMITTANCE]
         count = camera.width * camera.height
         launch(record_weights, count, inputs, [weights], device=field.device, threads=1, work=RAY_WORK)

@@ -147,9 +147,10 @@ def select_object(
             raise ValueError("clearance is the distance from a plane: choose one")
     if plane is None and plane_at is not None:
         raise ValueError("plane_at is a point on the plane: choose 'ground', 'wall' or 'any'")
-    given = {"box": box, "sphere": sphere, "cage": cage, "cameras": cameras, "masks": masks, "depth": depth}
-    given = {name: list(value) if name in _SEVERAL and _is_several(value) else value for name, value in given.items()}
-    given = {name: value for name, value in given.items() if value is not None}
+    cameras, masks = _held(cameras), _held(masks)  # several grids may ask for them
+    all_of: dict[str, Any] = {"box": box, "sphere": sphere, "cage": cage}
+    all_of |= {"cameras": cameras, "masks": masks, "depth": depth}
+    given = {name: value for name, value in all_of.items() if value is not None}
 
     def choose(seen: DensityField) -> NodeSelection:
         chosen = _object_in(select_nodes(seen, **given), clicks, plane, plane_at, up, clearance)
@@ -161,12 +162,9 @@ def select_object(
     return choose_closer(field, choose, clicks, region_box(box, sphere, cage)) if is_splats(field) else choose(field)
 
 
-#: Options of which there are as many as pictures; they may be read only once.
-_SEVERAL = ("cameras", "masks")
-
-
-def _is_several(value: object) -> bool:
-    return isinstance(value, Iterable) and not isinstance(value, str)
+def _held(values: Any) -> Any:
+    """What may be read only once as a list; what is none stays, for the checks."""
+    return list(values) if isinstance(values, Iterable) and not isinstance(values, str) else values
 
 
 def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: float | None) -> NodeSelection:

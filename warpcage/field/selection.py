@@ -102,7 +102,7 @@ def painted_voxels(field: VoxelField, mask: np.ndarray) -> VoxelField:
 
 def splat_matter(field: Any) -> Any:
     """The densities on a grid (SplatDensity) of a field of splats, or of what was taken of them; None of voxels."""
-    whole = root_field(field)
+    whole: Any = root_field(field)
     if hasattr(whole, "splats_in"):
         return whole
     return whole.matter() if hasattr(whole, "matter") else None

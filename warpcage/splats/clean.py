@@ -11,7 +11,6 @@ from ..core.locks import device_turn
 from ..core.names import counted
 from ..field.clean import Cleaned, CleanOptions, detached_nodes, require_left, small_cameras, unshown, went
 from ..field.selection import visible_mask
-from ..kernels.splats.project import Lens
 from ..view.camera import Camera
 from .fit import SplatGradients, SplatParameters
 from .io.contents import LEAST_OPACITY, Y0
@@ -33,7 +32,8 @@ def clean_splats(field: SplatField, options: CleanOptions, largest_scale: float 
     loose, count = loose_splats(field, options)
     kinds.append((loose, f"in {counted(count, 'detached part')}"))
     if options.cameras is not None:
-        kinds.append((views_of_splats(field, options.cameras, options.least_weight) < options.least_views, unshown(options)))
+        views = views_of_splats(field, options.cameras, options.least_weight)
+        kinds.append((views < options.least_views, unshown(options)))
     gone, notes = np.zeros(len(field), bool), []
     for rows, where in kinds:
         rows = rows & ~gone
@@ -58,24 +58,22 @@ def loose_splats(field: SplatField, options: CleanOptions) -> tuple[np.ndarray, 
     nodes, count = detached_nodes(mask, options)
     if not count:
         return np.zeros(len(field), bool), 0
-    around = np.asarray(binary_dilation(nodes, np.ones((3, 3, 3), bool))) & ~(mask & ~nodes)
+    around = np.asarray(binary_dilation(nodes, np.ones((3, 3, 3), bool)), bool) & ~(mask & ~nodes)
     return matter.splats_in(around), count
 
 
 def views_of_splats(field: SplatField, cameras: Sequence[Camera], least: float) -> np.ndarray:
     """(n,) number of views in which a splat's rendering weights add up to `least` pixels."""
     # The slope of all pixels' sum by a grey splat's first harmonic is Y_0 times its weights.
-    grey = SplatField(
-        *(getattr(field.contents, name) for name in ("centers", "log_scales", "quaternions", "logits")),
-        np.zeros((len(field), 1, 3), np.float32),
-        device=field.device,
-    )
+    held = field.contents
+    values = (held.centers, held.log_scales, held.quaternions, held.logits)
+    grey = SplatField(*values, np.zeros((len(field), 1, 3), np.float32), device=field.device)
     views = np.zeros(len(field), np.int64)
     parameters, gradients = SplatParameters(grey), SplatGradients(field.device)
     with device_turn(field.device):
         parameters.refresh()
         for camera in small_cameras(cameras):
-            lens: Lens = splat_lens(camera, grey.center, grey.near, IMAGE_BLUR, False)
+            lens = splat_lens(camera, grey.center, grey.near, IMAGE_BLUR, False)
             gradients.draw(parameters, camera, lens, wp.vec3(0.0, 0.0, 0.0))
             ones = wp.full(camera.width * camera.height, wp.vec3(1.0, 1.0, 1.0), dtype=wp.vec3, device=field.device)
             gradients.take_back(ones)

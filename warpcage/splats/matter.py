@@ -1,4 +1,4 @@
-"""Where the matter of splats lies: which of them are in nodes of a grid, where a ray meets them, how fine a grid may be."""
+"""Where the matter of splats lies: which are in nodes of a grid, where a ray meets them, how fine a grid may be."""
 
 from __future__ import annotations
 

@@ -97,8 +97,8 @@ class SplatDensity:
         return self.field.render(camera, **options)
 
     def splats_in(self, mask: np.ndarray) -> np.ndarray:
-        """Which splats can be seen and have their centre, or most of their matter, in nodes of a mask (nx, ny, nz) bool;
-        (n,) bool."""
+        """Which splats have their centre, or most of their matter, in nodes of a mask (nx, ny, nz) bool, (n,) bool.
+        Those that cannot be seen are left out."""
         whole = self.field
         inside = in_nodes(whole.contents.centers, whole.rotations * whole.scales[:, None, :], mask, self.bounds)
         return inside & (whole.opacities >= LEAST_OPACITY)
@@ -340,7 +340,7 @@ class SplatField:
         `Cage.from_field`, `select_nodes` and `select_object` take it in place of the field.
 
         Args:
-            bounds: (2, 3) box of the grid, world units, which is made larger to whole cells. None is that of all splats.
+            bounds: (2, 3) box of the grid, world units, made larger to whole cells. None is that of all splats.
             resolution: Cells along its longest side, 2 to 1024.
 
         Returns:

@@ -128,7 +128,9 @@ def add_clean_arguments(parser: argparse.ArgumentParser) -> None:
     )
     shown = parser.add_argument_group("what no view shows")
     shown.add_argument(
-        "--views", metavar="FILE|SCENE[:SPLIT]", help="camera file, or scene of the cameras, that must show what is kept"
+        "--views",
+        metavar="FILE|SCENE[:SPLIT]",
+        help="camera file, or scene of the cameras, that must show what is kept",
     )
     shown.add_argument(
         "--least-views", type=options.positive_int, metavar="N", help="so many of them must show it (default: 1)"

@@ -1,0 +1,174 @@
+"""Splats without what cannot be seen, hangs loose, is too large or is shown by no view; and the command for it."""
+
+import re
+
+import numpy as np
+import pytest
+from splat_scenes import CUP, FLOATER, TABLE, one_splat, place, place_camera
+
+from warpcage import Cage, NodeSelection, SplatField
+from warpcage.cli import main
+from warpcage.field.clean import CleanOptions
+from warpcage.splats.clean import clean_splats, views_of_splats
+from warpcage.view.pictures import read_image
+
+FAINT = 50
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return place(faint=FAINT)
+
+
+@pytest.fixture
+def folder(scene, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scene[0].save("place.ply")
+    place_camera(size=96).save("view.json")
+    return tmp_path
+
+
+def test_floaters_go_and_nothing_else(scene):
+    field, labels = scene
+    cleaned = clean_splats(field, CleanOptions())
+    np.testing.assert_array_equal(cleaned.gone, labels == FLOATER)
+    assert len(cleaned.field) == np.count_nonzero(labels != FLOATER)
+    np.testing.assert_array_equal(cleaned.field.contents.centers, field.contents.centers[labels != FLOATER])
+    assert cleaned.notes == (
+        "removed 50 splats (0.59 %) fainter than 1/255",
+        "removed 24 splats (0.28 %) in 2 detached parts",
+    )
+    again = clean_splats(cleaned.field, CleanOptions())
+    assert again.notes == () and not again.gone.any()
+    kept = clean_splats(field, CleanOptions(floaters=0.0))
+    assert kept.gone.sum() == FAINT
+
+
+def test_parts_that_are_kept_and_splats_that_are_too_large(scene):
+    field, labels = scene
+    # the room with its table is one part, the ball on the floor another only where it does not touch it
+    cleaned = clean_splats(field, CleanOptions(parts=1))
+    assert cleaned.gone[labels == FLOATER].all() and not cleaned.gone[(labels == CUP) | (labels == TABLE)].any()
+    large = clean_splats(field, CleanOptions(floaters=0.0), largest_scale=0.1)
+    np.testing.assert_array_equal(large.gone, (field.scales.max(axis=1) > 0.1) | (field.opacities < 1 / 255))
+
+
+def test_what_a_view_shows_of_each_splat(device):
+    """Opacities of splats beside each other, and of one behind an opaque one."""
+    camera = place_camera((0, -3, 0), (0, 0, 0), 101)
+    contents = [
+        one_splat(device, center, (0.1,) * 3, opacity).contents
+        for center, opacity in (((-0.8, 0, 0), 0.5), ((0.8, 0, 0), 0.1), ((0.24, 9, 0), 0.9), ((0, -9, 0), 0.9))
+    ]
+    names = ("centers", "log_scales", "quaternions", "logits", "harmonics")
+    values = [np.concatenate([getattr(each, name) for each in contents]) for name in names]
+    field = SplatField(*values, device=device)
+    alpha = field.render(camera).alpha
+    for pixels, row in ((alpha[:, :35].sum(), 0), (alpha[:, 65:].sum(), 1)):
+        assert views_of_splats(field, [camera], 0.99 * pixels)[row] == 1
+        assert views_of_splats(field, [camera], 1.01 * pixels)[row] == 0
+    np.testing.assert_array_equal(views_of_splats(field, [camera, camera], 0.01), [2, 2, 2, 0])
+
+
+def test_what_no_view_shows_goes(scene):
+    field, labels = scene
+    camera = place_camera(size=96)
+    away = place_camera(target=(1.6, -9.0, 1.7), size=96)  # sees nothing
+    cleaned = clean_splats(field, CleanOptions(cameras=[camera, away]))
+    before, after = field.render(camera), cleaned.field.render(camera)
+    assert cleaned.gone.mean() > 0.2 and cleaned.notes[-1].endswith("that none of 2 views show")
+    # but for the floaters the view is what it was
+    free = clean_splats(field, CleanOptions()).field.render(camera)
+    assert np.abs(free.rgb - after.rgb).max() < 0.03 and np.abs(before.rgb - free.rgb).max() > 0.3
+    assert views_of_splats(cleaned.field, [camera], 0.005).all()
+    both = "nothing would be left: all that can be seen would go, ask for less"
+    with pytest.raises(ValueError, match=both):
+        clean_splats(field, CleanOptions(cameras=[camera, away], least_views=2))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"floaters": 1.0}, "floaters must be a share of the largest part, 0 to below 1, got 1"),
+        ({"floaters": -0.1}, "floaters must be a share"),
+        ({"parts": 0}, "parts must be"),
+        ({"least_weight": 0.0}, "least_weight must be"),
+        ({"least_views": 0}, "least_views must be"),
+        ({"cameras": [place_camera()], "least_views": 2}, "at most the number of views, got 2 of 1 view"),
+    ],
+)
+def test_options_that_make_no_sense(options, message):
+    with pytest.raises(ValueError, match=message):
+        CleanOptions(**options)
+
+
+def run(*words):
+    return main([str(word) for word in words])
+
+
+def test_the_command_cleans_and_says_how_much(folder, scene, capsys):
+    view = ("--camera", "view.json", "--preview", "gone.png")
+    assert run("clean", "place.ply", "-o", "clean.ply", *view) == 0
+    said = capsys.readouterr().out
+    assert "removed 24 splats (0.28 %) in 2 detached parts" in said and "wrote clean.ply: 8421 splats" in said
+    assert len(SplatField.load("clean.ply")) == np.count_nonzero(scene[1] != FLOATER)
+    picture = read_image(folder / "gone.png")
+    assert picture.shape[:2] == (96, 96)
+    assert run("clean", "place.ply", "-o", "shown.spz", "--views", "view.json", "--least-weight", "0.1") == 0
+    assert "that none of 1 view show" in capsys.readouterr().out and len(SplatField.load("shown.spz")) < 8000
+
+
+def test_the_way_from_a_place_to_its_cup(folder, scene, capsys):
+    field, labels = scene
+    options = ("--up", "0", "0", "1", "--point", "0.29", "0.1", "0.85")
+    assert run("select", "place.ply", "-o", "cup.npz", *options, "--camera", "view.json", "--preview", "cup.png") == 0
+    assert "splats, from [" in capsys.readouterr().out and (folder / "cup.png").exists()
+    assert run("cage", "place.ply", "--selection", "cup.npz", "-o", "cup.obj", "--vertices", "60") == 0
+    assert run("bake", "place.ply", "--selection", "cup.npz", "-o", "cup.ply") == 0
+    alone = SplatField.load("cup.ply")
+    chosen = NodeSelection.load("cup.npz", SplatField.load("place.ply"))
+    rows = chosen.field.splats_in(chosen.mask)
+    assert set(labels[rows]) == {CUP} and len(alone) == rows.sum() > 0.9 * (labels == CUP).sum()
+    np.testing.assert_array_equal(alone.contents.centers, field.contents.centers[rows].astype(np.float32))
+    assert Cage.load("cup.obj").contains(alone.contents.centers.astype(np.float64)).all()
+    capsys.readouterr()
+    posed = ("--cage", "cup.obj", "--posed", "twist:40", "-o", "turned.ply")
+    assert run("bake", "place.ply", "--selection", "cup.npz", *posed) == 0
+    captured = capsys.readouterr()
+    # the cage is looked at beside what is cut out, not the whole place: a rim of the foot is below it
+    held = re.search(r"holds ([\d.]+) % of the object", captured.err)
+    assert "wrote turned.ply" in captured.out and (held is None or float(held[1]) > 90.0)
+    assert run("cage", "place.ply", "--in-box", "0", "0", "0.74", "0.4", "0.3", "1", "--box", "-o", "box.obj") == 0
+    low, high = Cage.load("box.obj").vertices[[0, -1]].min(axis=0), Cage.load("box.obj").vertices.max(axis=0)
+    assert (low > [0.05, -0.05, 0.7]).all() and (high < [0.36, 0.26, 1.0]).all()  # not to a cell of the whole room
+
+
+BAD = {
+    "another format": (["clean", "place.ply", "-o", "a.npz"], "must end in .ply or .compressed.ply"),
+    "no file": (["clean", "no.ply", "-o", "a.ply"], "no.ply"),
+    "nothing left": (["clean", "place.ply", "-o", "a.ply", "--largest-scale", "1e-6"], "nothing would be left"),
+    "share": (["clean", "place.ply", "-o", "a.ply", "--floaters", "2"], "floaters must be a share"),
+    "views without": (["clean", "place.ply", "-o", "a.ply", "--least-views", "2"], "belong to --views"),
+    "few views": (
+        ["clean", "place.ply", "-o", "a.ply", "--views", "view.json", "--least-views", "2"],
+        "got 2 of 1 view",
+    ),
+    "preview": (["clean", "place.ply", "-o", "a.ply", "--preview", "a.jpg"], "must end in .png"),
+    "frames": (
+        ["bake", "place.ply", "--selection", "cup.npz", "-o", "a_##.ply", "--frames", "3"],
+        "needs a deformation",
+    ),
+    "air": (["select", "place.ply", "-o", "a.npz", "--up", "0", "0", "1", "--point", "-1", "-1", "1"], "is on nothing"),
+    "no selection": (["bake", "place.ply", "--selection", "no.npz", "-o", "a.ply"], "no.npz"),
+    "mesh": (["mesh", "place.ply", "-o", "a.obj"], "mesh is for fields of voxels"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_words_are_one_line_and_write_nothing(folder, case, capsys):
+    words, message = BAD[case]
+    before = sorted(folder.iterdir())
+    assert run(*words) != 0
+    line = capsys.readouterr().err.strip()
+    assert message in line and "\n" not in line
+    assert sorted(folder.iterdir()) == before
