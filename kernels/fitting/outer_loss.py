@@ -250,7 +250,7 @@ def accumulate_outer_variation(
 ):
     """Adds the gradient of scale_colour * TV(colours) + scale_density * TV(densities). One item per row, from first_row
     on. nodes: (rows,) grid indices. Neighbours share rows: on the CPU each thread needs grad_values of its own."""
-    # As in fitting/variation: sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences, zero to nodes without a row.
+    # As in fitting/rmsprop: sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences, zero to nodes without a row.
     row = (first_row + first + wp.tid()) % nodes.shape[0]
     node = nodes[row]
     value = outer.values[row]

@@ -9,7 +9,6 @@ from fit_oracles import gradient_rows, photometric_gradient, training_rays
 import warpcage
 from warpcage.kernels.fitting import background_loss
 from warpcage.kernels.fitting import rmsprop as field_step
-from warpcage.kernels.fitting import variation as field_variation
 
 
 def test_photometric_gradient_matches_finite_differences(device):
@@ -147,7 +146,7 @@ def test_variation_gradient_matches_finite_differences(device):
     touched = wp.zeros(rows, dtype=wp.uint8, device=device)
     unit, scale_density, scale_sh, scale_high_degree = 0.7, 0.3, 0.2, 0.9
     wp.launch(
-        field_variation.accumulate_variation_gradient,
+        field_step.accumulate_variation_gradient,
         dim=25 * rows,
         device=device,
         inputs=[

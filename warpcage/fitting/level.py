@@ -20,7 +20,6 @@ from ..kernels.field.march import record_weights
 from ..kernels.fitting import rmsprop
 from ..kernels.fitting.loss import accumulate_photometric_gradient
 from ..kernels.fitting.loss_warps import accumulate_photometric_gradient_by_warps
-from ..kernels.fitting.variation import accumulate_variation_gradient
 from .batches import Batch, ShardedWork, launch_shards, sum_shards
 from .memory import FitMemory
 from .schedule import Rates
@@ -219,7 +218,7 @@ class Level:
         # a share of the rows stands for all of them
         boost = field.voxel_count / varied / float(np.prod(field.resolution)) * (max(field.resolution) / VARIATION_SIDE)
         variation = ShardedWork(
-            accumulate_variation_gradient,
+            rmsprop.accumulate_variation_gradient,
             varied,
             [
                 field.grid,

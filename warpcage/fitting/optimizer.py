@@ -18,7 +18,7 @@ from ..core.modules import load_modules
 from ..field.sparse import mask_count
 from ..field.voxel_field import VoxelField
 from ..kernels.field import occupancy, refine
-from ..kernels.fitting import batches, loss, loss_warps, rmsprop, variation, visual_hull
+from ..kernels.fitting import batches, loss, loss_warps, rmsprop, visual_hull
 from ..scene.box import scene_box
 from ..scene.scene import Scene
 from ..view.camera import Camera
@@ -96,7 +96,7 @@ class FieldOptimizer:
         self.random_background, around = chosen_background(scene, self.options.background)
         self.memory_limit = memory_limit(self.options.max_memory, self.device)
         gradients = loss if self.device.is_cpu else loss_warps
-        load_modules([visual_hull, refine, occupancy, batches, gradients, variation, rmsprop], self.device)
+        load_modules([visual_hull, refine, occupancy, batches, gradients, rmsprop], self.device)
 
         silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
