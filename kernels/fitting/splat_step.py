@@ -39,6 +39,7 @@ class SplatStep:
     rate_logits: float
     rate_colors: float  # of harmonics of degree 0
     rate_harmonics: float  # of the others
+    rate_exposure: float  # of the picture's gains and offsets
     beta1: float
     beta2: float
     epsilon: float
@@ -48,6 +49,16 @@ class SplatStep:
     scale_weight: float  # of the sum of scales
     noise: float  # rate of centers times what the noise is relative to it
     most_log_scale: float  # scales are held at most at this
+
+
+@wp.struct
+class Exposures:
+    """How pictures differ from the splats: exp(gain) light + alpha offset, premultiplied. Without rows none do."""
+
+    values: wp.array2d(dtype=wp.vec3)  # (views, 2) logarithms of gains, and offsets
+    means: wp.array2d(dtype=wp.vec3)
+    squares: wp.array2d(dtype=wp.vec3)
+    steps: wp.array(dtype=wp.int32)  # (views,) of each picture
 
 
 @wp.kernel
@@ -88,23 +99,89 @@ def check_room(
     missed[1] = missed[1] + missed[0]
 
 
+@wp.func
+def exposure_gain(exposures: Exposures, view: int):
+    """Factors on the light of a picture."""
+    logs = exposures.values[view, 0]
+    return wp.vec3(wp.exp(logs[0]), wp.exp(logs[1]), wp.exp(logs[2]))
+
+
+@wp.func
+def unexposed_background(exposures: Exposures, view: int, behind: wp.vec3):
+    """The color behind the splats with which gain * drawn + offset has `behind` there: no picture exposes that."""
+    return wp.cw_div(behind - exposures.values[view, 1], exposure_gain(exposures, view))
+
+
 @wp.kernel
 def take_picture(
     first: int,
     width: int,
     pictures: Pictures,
     step: wp.array(dtype=SplatStep),
+    exposures: Exposures,
     alpha: wp.array(dtype=wp.float32),
     drawn: wp.array(dtype=wp.vec3),
     truth: wp.array(dtype=wp.vec3),
+    shown: wp.array(dtype=wp.vec3),
 ):
     """truth: (h * width,) the step's picture before its background. drawn: (h * width,) of opacity `alpha`, gets that
-    background too."""
+    background too. shown: as the picture exposes it; not written without exposures."""
     n = first + wp.tid()
+    view = step[0].view
     behind = step[0].background
-    pixel = picture_pixel(pictures, step[0].view, n // width, n % width)
+    pixel = picture_pixel(pictures, view, n // width, n % width)
     truth[n] = wp.vec3(pixel[0], pixel[1], pixel[2]) + (1.0 - pixel[3]) * behind
-    drawn[n] = drawn[n] + (1.0 - alpha[n]) * behind
+    if exposures.values.shape[0] > 0:
+        behind = unexposed_background(exposures, view, behind)
+    color = drawn[n] + (1.0 - alpha[n]) * behind
+    drawn[n] = color
+    if exposures.values.shape[0] > 0:
+        shown[n] = wp.cw_mul(exposure_gain(exposures, view), color) + exposures.values[view, 1]
+
+
+@wp.kernel
+def sum_exposure_slopes(
+    first: int,
+    lanes: int,
+    step: wp.array(dtype=SplatStep),
+    exposures: Exposures,
+    alpha: wp.array(dtype=wp.float32),
+    drawn: wp.array(dtype=wp.vec3),
+    slopes: wp.array(dtype=wp.vec3),
+    sums: wp.array2d(dtype=wp.vec3),
+):
+    """slopes: (pixels,) by what was shown, become those by what was drawn. sums: (lanes, 2) of the slopes by gains and
+    offsets over every `lanes`th pixel, one item each."""
+    lane = first + wp.tid()
+    view = step[0].view
+    gain = exposure_gain(exposures, view)
+    behind = unexposed_background(exposures, view, step[0].background)
+    by_gain = wp.vec3()
+    by_offset = wp.vec3()
+    n = lane
+    while n < slopes.shape[0]:
+        by_drawn = wp.cw_mul(gain, slopes[n])
+        by_gain += wp.cw_mul(by_drawn, drawn[n] - (1.0 - alpha[n]) * behind)
+        by_offset += alpha[n] * slopes[n]
+        slopes[n] = by_drawn
+        n += lanes
+    sums[lane, 0] = by_gain
+    sums[lane, 1] = by_offset
+
+
+@wp.kernel
+def join_sums(first: int, sums: wp.array2d(dtype=wp.vec3), joined: wp.array2d(dtype=wp.vec3)):
+    """joined: (rows, 2) sums of every `rows`th row of `sums`, one item per row."""
+    row = first + wp.tid()
+    by_gain = wp.vec3()
+    by_offset = wp.vec3()
+    n = row
+    while n < sums.shape[0]:
+        by_gain += sums[n, 0]
+        by_offset += sums[n, 1]
+        n += joined.shape[0]
+    joined[row, 0] = by_gain
+    joined[row, 1] = by_offset
 
 
 @wp.kernel
@@ -130,6 +207,49 @@ def adam_change(step: SplatStep, rate: float, slope: float, mean: float, square:
     m = step.beta1 * mean + (1.0 - step.beta1) * slope
     v = step.beta2 * square + (1.0 - step.beta2) * slope * slope
     return rate * (m / step.share1) / (wp.sqrt(v / step.share2) + step.epsilon), m, v
+
+
+@wp.kernel
+def step_exposure(
+    first: int,
+    step: wp.array(dtype=SplatStep),
+    missed: wp.array(dtype=wp.int32),
+    sums: wp.array2d(dtype=wp.vec3),
+    exposures: Exposures,
+):
+    """One item. Step the gains and the offsets of the step's picture by the sums (rows, 2) of their slopes."""
+    if first + wp.tid() > 0 or missed[0] == 1 or step[0].rate_exposure == 0.0:
+        return
+    now = step[0]
+    done = exposures.steps[now.view] + 1  # what other pictures learn does not move this one
+    share1 = 1.0 - wp.pow(now.beta1, float(done))
+    share2 = 1.0 - wp.pow(now.beta2, float(done))
+    for kind in range(2):
+        slope = wp.vec3()
+        for row in range(sums.shape[0]):
+            slope += sums[row, kind]
+        m = now.beta1 * exposures.means[now.view, kind] + (1.0 - now.beta1) * slope
+        v = now.beta2 * exposures.squares[now.view, kind] + (1.0 - now.beta2) * wp.cw_mul(slope, slope)
+        value = exposures.values[now.view, kind]
+        for i in range(3):
+            value[i] = value[i] - now.rate_exposure * (m[i] / share1) / (wp.sqrt(v[i] / share2) + now.epsilon)
+        exposures.values[now.view, kind] = value
+        exposures.means[now.view, kind] = m
+        exposures.squares[now.view, kind] = v
+    exposures.steps[now.view] = done
+
+
+@wp.kernel
+def center_exposures(first: int, exposures: Exposures):
+    """Take the mean over all pictures from the gains and the offsets, which the splats' own colors are. Two items."""
+    kind = first + wp.tid()
+    views = exposures.values.shape[0]
+    mean = wp.vec3()
+    for view in range(views):
+        mean += exposures.values[view, kind]
+    mean = mean / float(views)
+    for view in range(views):
+        exposures.values[view, kind] = exposures.values[view, kind] - mean
 
 
 @wp.func

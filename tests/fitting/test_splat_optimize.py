@@ -5,41 +5,13 @@ import dataclasses
 import imageio.v3 as imageio
 import numpy as np
 import pytest
+from splat_scenes import held_out_psnr, ring, scene_of, true_field
 
 import warpcage
-from warpcage import Scene, SplatField, turntable
+from warpcage import SplatField
 from warpcage.fitting.splats import SplatFit, SplatFitOptions, SplatSchedule
 
 FAST = {"steps": 500, "most_splats": 2500, "pixels_per_splat": 1.0}
-
-
-def true_field(device, count=250, background="black"):
-    rng = np.random.default_rng(0)
-    return SplatField(
-        rng.uniform(-1, 1, (count, 3)) + (3, 2, 1),
-        np.log(0.1) + 0.3 * rng.normal(size=(count, 3)),
-        rng.normal(size=(count, 4)),
-        2 + rng.normal(size=count),
-        0.3 * rng.normal(size=(count, 4, 3)),
-        background=background,
-        device=device,
-    )
-
-
-def ring(count, elevation, size=(72, 60)):
-    return turntable((3, 2, 1), 4.0, elevation, count, width=size[0], height=size[1])
-
-
-def scene_of(field, cameras, *, alphas=False, points=None):
-    frames = [field.render(camera) for camera in cameras]
-    opacity = np.stack([frame.alpha for frame in frames]) if alphas else None
-    images = np.stack([frame.rgb for frame in frames])
-    scene = Scene(images, opacity, cameras, background=field.background)
-    return scene if points is None else dataclasses.replace(scene, points=points)
-
-
-def held_out_psnr(field, truth):
-    return float(np.mean([row["psnr"] for row in warpcage.evaluate(field, scene_of(truth, ring(6, 5)))]))
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +76,7 @@ def test_progress_is_kept_and_gone_on_with(tmp_path, monkeypatch):
     truth = true_field("cpu", 60)
     scene = scene_of(truth, ring(8, 20, (40, 32)), points=truth.contents.centers)
     options = {"representation": "splats", "device": "cpu", "progress": False, "steps": 60, "pixels_per_splat": 1.0}
-    options |= {"most_splats": 400, "grow_every": 10}
+    options |= {"most_splats": 400, "grow_every": 10, "exposure": True}
     whole = warpcage.fit(scene, **options)
     path, steps = tmp_path / "progress.npz", []
 
@@ -144,6 +116,7 @@ def test_a_preview_grows_beside_a_picture_of_the_scene(tmp_path, representation)
 
 
 @pytest.mark.parametrize("damage", ["format", "count", "nan"])
+@pytest.mark.parametrize("damage", ["format", "count", "nan", "exposures"])
 def test_damaged_progress_is_refused(tmp_path, damage):
     truth = true_field("cpu", 60)
     scene = scene_of(truth, ring(4, 20, (40, 32)), points=truth.contents.centers)
@@ -161,6 +134,8 @@ def test_damaged_progress_is_refused(tmp_path, damage):
         contents["values_logits"] = contents["values_logits"][:-1]
     if damage == "nan":
         contents["means_centers"][3] = np.nan
+    if damage == "exposures":
+        contents["exposures"] = np.zeros((2, 19))
     np.savez(path, **contents)
     with pytest.raises(ValueError, match="progress.npz is (a damaged|no) "):
         checkpoint.load_progress(SplatFit(scene, **options), path)
@@ -175,6 +150,7 @@ def test_damaged_progress_is_refused(tmp_path, damage):
         ({"bounds": [[0, 0, 0], [1, 1, 1]]}, "bounds are for voxels"),
         ({"max_memory": "1MB"}, "max_memory"),
         ({"antialias": 1}, "antialias must be True or False"),
+        ({"exposure": "auto"}, "exposure must be True, False or None"),
         ({"representation": "mesh"}, "representation must be one of"),
     ],
 )

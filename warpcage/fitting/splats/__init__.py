@@ -7,7 +7,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
     {
         "from_voxels": "to_splats",
         "growth": "GrowingSplats",
-        "loss": "PictureLoss",
+        "loss": "PictureExposures PictureLoss",
         "optimizer": "SplatFit",
         "options": "SplatFitOptions checked_splat_options",
         "schedule": "SplatSchedule",

@@ -15,7 +15,7 @@ from ..checkpoint import ROOM, scene_digest
 if TYPE_CHECKING:
     from .optimizer import SplatFit
 
-KIND, VERSION = "warpcage splat fit", 1
+KIND, VERSION = "warpcage splat fit", 2
 
 #: Arrays of a splat, and which of them a checkpoint holds: values, and means of slopes and of their squares.
 NAMES = ("centers", "log_scales", "quaternions", "logits", "harmonics")
@@ -29,6 +29,7 @@ def save_progress(fit: SplatFit, path: str | pathlib.Path) -> None:
         "version": np.array(VERSION),
         "fingerprint": np.array(fingerprint(fit)),
         "step_count": np.array(fit.step_count),
+        "exposures": fit.exposure_state,
     }
     for part, rows in fit.growing.state().items():
         contents |= {f"{part}_{name}": array for name, array in rows.items()}
@@ -38,7 +39,8 @@ def save_progress(fit: SplatFit, path: str | pathlib.Path) -> None:
 
 def load_progress(fit: SplatFit, path: str | pathlib.Path) -> None:
     """Put a fresh fit, of the same scene, seed and options, where a saved one was."""
-    names = {"format", "version", "fingerprint", "step_count", *(f"{part}_{name}" for part in PARTS for name in NAMES)}
+    known = ("format", "version", "fingerprint", "step_count", "exposures")
+    names = {*known, *(f"{part}_{name}" for part in PARTS for name in NAMES)}
     contents = read_npz(path, "checkpoint", names.__contains__, room=ROOM)
     if str(contents.get("format", "")) != KIND:
         raise ValueError(f"{path} is no checkpoint of a fit of splats: remove it or name another file")
@@ -63,10 +65,13 @@ def load_progress(fit: SplatFit, path: str | pathlib.Path) -> None:
                 if not np.isfinite(array).all():
                     raise ValueError("values that are not finite")
                 found[part][name] = array
+        exposures = require_numbers(contents, "exposures", fit.exposure_state.shape, pathlib.Path(path))
+        if not np.isfinite(exposures).all():
+            raise ValueError("values that are not finite")
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"{path} is a damaged fit checkpoint, remove it or name another file: {reason}") from error
-    fit.restore(step, found)
+    fit.restore(step, found, exposures)
 
 
 def fingerprint(fit: SplatFit) -> str:

@@ -1,19 +1,25 @@
-"""Loss of a drawn picture beside the true one, and its slopes by the drawn colors."""
+"""Loss of a drawn picture beside the true one, its slopes by the drawn colors, and exposures of pictures."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import warp as wp
 
 from ...core.arrays import empty_array
 from ...core.devices import launch, module_block_dim
 from ...core.modules import require_loaded
-from ...kernels.fitting import splat_loss
+from ...kernels.fitting import splat_loss, splat_step
 
 #: Share of the structural similarity in the loss (Kerbl et al. 2023).
 SSIM_SHARE = 0.2
 
 #: Windows or pixels of a block's tile on CUDA.
 TILE_ITEMS = int(splat_loss.TILE) ** 2
+
+#: Partial sums of the slopes by a picture's exposure, those that they are joined to, and what a partial sum costs.
+EXPOSURE_LANES, EXPOSURE_ROWS, LANE_WORK = 8192, 64, 400
 
 
 class PictureLoss:
@@ -79,3 +85,40 @@ def _tile_items(rows: int, columns: int) -> int:
     """Threads of all tiles over so many items."""
     side = int(splat_loss.TILE)
     return -(-rows // side) * -(-columns // side) * TILE_ITEMS
+
+
+class PictureExposures:
+    """Gains and offsets of pictures, and how they are learnt; of no picture where exposures are not."""
+
+    def __init__(self, count: int, device: wp.Device):
+        self.count, self.device = count, device
+        self.rows: Any = splat_step.Exposures()
+        for name in ("values", "means", "squares"):
+            setattr(self.rows, name, wp.zeros((count, 2), dtype=wp.vec3, device=device))
+        self.rows.steps = wp.zeros(count, dtype=wp.int32, device=device)
+        lanes, rows = (EXPOSURE_LANES, EXPOSURE_ROWS) if count else (0, 0)
+        self._sums, self._joined = (empty_array((number, 2), wp.vec3, device) for number in (lanes, rows))
+
+    def take_back(self, step: wp.array, missed: wp.array, alpha: wp.array, drawn: wp.array, slopes: wp.array) -> None:
+        """Make slopes (h * w,) by the picture as it is exposed those by the drawn one, and step its exposure."""
+        device, (lanes, rows) = self.device, (len(self._sums), len(self._joined))
+        inputs = [lanes, step, self.rows, alpha, drawn]
+        launch(splat_step.sum_exposure_slopes, lanes, inputs, [slopes, self._sums], device=device, work=LANE_WORK)
+        launch(splat_step.join_sums, rows, [self._sums], [self._joined], device=device)
+        launch(splat_step.step_exposure, min(1, rows), [step, missed, self._joined], [self.rows], device=device)
+
+    def center(self) -> None:
+        """Leave to the splats what all pictures share."""
+        launch(splat_step.center_exposures, 2 * min(1, self.count), [], [self.rows], device=self.device)
+
+    def state(self) -> np.ndarray:
+        """(n, 19) float64 values, means, squares, and steps."""
+        parts = [getattr(self.rows, name).numpy().reshape(-1, 6) for name in ("values", "means", "squares")]
+        return np.concatenate([*parts, self.rows.steps.numpy()[:, None]], axis=1, dtype=np.float64)
+
+    def restore(self, state: np.ndarray) -> None:
+        """Go on with what `state` gave."""
+        for index, name in enumerate(("values", "means", "squares")):
+            part = np.ascontiguousarray(state[:, 6 * index : 6 * index + 6], np.float32).reshape(-1, 2, 3)
+            setattr(self.rows, name, wp.array(part, dtype=wp.vec3, device=self.device))
+        self.rows.steps = wp.array(state[:, 18].astype(np.int32), dtype=wp.int32, device=self.device)

@@ -29,7 +29,7 @@ from ..batches import LEAST_ERROR, PRECISIONS, TrainingPictures, picture_bytes
 from ..memory import memory_limit, memory_text, require_image_memory
 from ..options import checked_seed
 from .growth import GrowingSplats
-from .loss import PictureLoss
+from .loss import PictureExposures, PictureLoss
 from .options import checked_splat_options
 from .schedule import SplatSchedule
 from .start import Start, scene_units, starting_splats
@@ -167,6 +167,7 @@ class SplatFit:
         self._colors, self._directions = (empty_array(self.growing.room, wp.vec3, self.device) for _ in range(2))
         bits = PRECISIONS[0] if picture_bytes(scene, 16) <= PICTURE_SHARE * self.memory_limit else PRECISIONS[-1]
         self._pictures = TrainingPictures(scene, bits, self.device)
+        self._exposures = PictureExposures(len(scene) if self.options.exposure else 0, self.device)
         self._graph: Any = None
         self._is_warm = False  # whether a step ran by launches since sizes changed last
         self._shrinkage = 0
@@ -237,14 +238,33 @@ class SplatFit:
         """
         return int(self._counts[step - 1]) if step else self._first_count
 
-    def restore(self, step: int, state: dict[str, dict[str, np.ndarray]]) -> None:
+    @property
+    def exposures(self) -> np.ndarray:
+        """(n, 6) float32, how each picture differs from the splats: logarithms of three gains, then three offsets.
+
+        Their means over the pictures are 0. All are 0 where exposures are not learnt (option `exposure`)."""
+        if not self._exposures.count:
+            return np.zeros((len(self.scene), 6), np.float32)
+        with device_turn(self.device):
+            found = self._exposures.state()[:, :6]
+        return (found - found.mean(axis=0)).astype(np.float32)
+
+    @property
+    def exposure_state(self) -> np.ndarray:
+        """(n, 19) float64, `exposures` with what Adam keeps of them, for checkpoints."""
+        return self._exposures.state()
+
+    def restore(self, step: int, state: dict[str, dict[str, np.ndarray]], exposures: np.ndarray) -> None:
         """Go on where another fit of the same scene and options was.
 
         Args:
             step: How many steps that fit had made.
             state: Its splats: what the `state` of its `growing` gave.
+            exposures: Its `exposure_state`.
         """
         self.growing.restore(state)
+        self._exposures.restore(exposures)
+        self._change()
         self.step_count = step
         self._counter.fill_(step)
         last = max(step - 1, 0)
@@ -264,6 +284,8 @@ class SplatFit:
         if schedule.degree(step) != self.growing.splats.degree:
             self.growing.splats.degree = schedule.degree(step)
             self._change()
+        if step % len(self.scene) == 0:
+            self._exposures.center()
         if self.device.is_cpu or not self._is_warm:
             self._launch_step()
             self._is_warm = True
@@ -305,6 +327,7 @@ class SplatFit:
         self._lenses = struct_array(lenses, project.Lens, device)
         self._loss = PictureLoss(self._width, self._height, device, self.options.ssim)
         self._truth = empty_array(self._width * self._height, wp.vec3, device)
+        self._exposed = empty_array(self._width * self._height if self._exposures.count else 0, wp.vec3, device)
         self._view = TrainingView(self._width, self._height, device)
         self._find_room()
         self._change()
@@ -346,9 +369,12 @@ class SplatFit:
         inputs, outputs = [self._plan, self._lenses], [self._counter, self._step, self._lens]
         launch(splat_step.begin_step, 1, inputs, outputs, device=device)
         rgb, alpha, seen = view.draw_by(splats.splats, splats.count, self._lens)
-        inputs, outputs = [self._width, self._shown, self._step, alpha], [rgb, self._truth]
-        launch(splat_step.take_picture, view.pixels, inputs, outputs, device=device)
-        sums = view.sum_slopes(self._loss.slopes(rgb, self._truth))
+        exposures = self._exposures
+        inputs = [self._width, self._shown, self._step, exposures.rows, alpha]
+        launch(splat_step.take_picture, view.pixels, inputs, [rgb, self._truth, self._exposed], device=device)
+        slopes = self._loss.slopes(self._exposed if exposures.count else rgb, self._truth)
+        exposures.take_back(self._step, view.missed, alpha, rgb, slopes)
+        sums = view.sum_slopes(slopes)
         rows = [splats.values, splats.means, splats.squares]
         inputs = [splats.splats, self._lens, self._step, view.missed, seen, sums, *rows]
         outputs = [self._colors, self._directions]

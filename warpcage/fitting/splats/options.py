@@ -49,6 +49,15 @@ class SplatFitOptions:
     rate_logits: float = positive(5e-2, "Learning rate of the logits of opacities.")
     rate_colors: float = positive(2.5e-3, "Learning rate of the harmonics of degree 0.")
     rate_harmonics: float = positive(1.25e-4, "Learning rate of the other harmonics.")
+    exposure: bool | None = option(
+        None,
+        "Whether three gains and three offsets of each picture are learnt with the splats, for pictures of changing "
+        "exposure or white balance; their means over all pictures stay 1 and 0. None: no.",
+    )
+    exposure_from: float = number(0.07, 0.0, 1.0, "Share of the steps before exposures are learnt.")
+    rate_exposure: float = positive(
+        5e-3, "Learning rate of the logarithms of gains, and of offsets, in the steps that see the picture."
+    )
     last: float = number(0.2, 1e-6, 1.0, "Share of the rates, but those of centers, that is left at the end.")
     fall_from: float = number(0.8, 0.0, 1.0, "Share of the steps after which those rates fall.")
     noise: float = number(5e5, 0.0, 1e9, "How far splats of almost no opacity wander, relative to the rate of centers.")
@@ -88,6 +97,8 @@ def checked_splat_options(options: dict) -> SplatFitOptions:
     for name in ("every_value", "antialias"):
         if not isinstance(options.get(name, False), bool):
             raise ValueError(f"{name} must be True or False, got {options[name]!r}")
+    if not isinstance(options.get("exposure"), bool | None):
+        raise ValueError(f"exposure must be True, False or None, got {options['exposure']!r}")
     checked = checked_fields(SplatFitOptions, SET_BY_QUALITY, options)
     for name, known in (("background", BACKGROUNDS), ("start", STARTS)):
         if getattr(checked, name) not in known:

@@ -112,6 +112,10 @@ class SplatSchedule:
             "rate_logits": fall * options.rate_logits,
             "rate_colors": fall * options.rate_colors,
             "rate_harmonics": fall * options.rate_harmonics,
+            "rate_exposure": fall
+            * options.rate_exposure
+            * (options.exposure is True)
+            * (share >= options.exposure_from),
             "beta1": BETAS[0],
             "beta2": BETAS[1],
             "epsilon": EPSILON,
