@@ -115,7 +115,6 @@ def test_a_preview_grows_beside_a_picture_of_the_scene(tmp_path, representation)
         warpcage.fit(scene, preview=tmp_path / "preview.jpg", **options)
 
 
-@pytest.mark.parametrize("damage", ["format", "count", "nan"])
 @pytest.mark.parametrize("damage", ["format", "count", "nan", "exposures"])
 def test_damaged_progress_is_refused(tmp_path, damage):
     truth = true_field("cpu", 60)

@@ -1,4 +1,4 @@
-"""Scenes of known splats."""
+"""Splats that tests make, and their view in float64: every splat at every pixel, by the equations alone."""
 
 import dataclasses
 
@@ -8,29 +8,34 @@ import warpcage
 from warpcage import Scene, SplatField, turntable
 
 
-def true_field(device, count=250, background="black"):
-    rng = np.random.default_rng(0)
-    return SplatField(
-        rng.uniform(-1, 1, (count, 3)) + (3, 2, 1),
-        np.log(0.1) + 0.3 * rng.normal(size=(count, 3)),
+def splats_in_box(device, count=200, half=0.7, scales=(-6.0, -4.0), degree=3, seed=0):
+    """Small splats in a cube about the origin."""
+    rng = np.random.default_rng(seed)
+    return warpcage.SplatField(
+        rng.uniform(-half, half, (count, 3)).astype(np.float32),
+        rng.uniform(*scales, (count, 3)),
         rng.normal(size=(count, 4)),
-        2 + rng.normal(size=count),
-        0.3 * rng.normal(size=(count, 4, 3)),
-        background=background,
+        rng.normal(size=count),
+        0.2 * rng.normal(size=(count, (degree + 1) ** 2, 3)),
         device=device,
     )
 
 
-def ring(count, elevation, size=(72, 60)):
-    return turntable((3, 2, 1), 4.0, elevation, count, width=size[0], height=size[1])
+def one_splat(device, center=(0, 0, 0), scales=(0.1, 0.1, 0.1), opacity=0.5, degree=0, quaternion=(1, 0, 0, 0)):
+    """One splat of a given opacity."""
+    return warpcage.SplatField(
+        [center],
+        np.log([scales]),
+        [quaternion],
+        [np.log(opacity / (1 - opacity))],
+        np.full((1, (degree + 1) ** 2, 3), 0.3),
+        device=device,
+    )
 
 
-def scene_of(field, cameras, *, alphas=False, points=None):
-    frames = [field.render(camera) for camera in cameras]
-    opacity = np.stack([frame.alpha for frame in frames]) if alphas else None
-    images = np.stack([frame.rgb for frame in frames])
-    scene = Scene(images, opacity, cameras, background=field.background)
-    return scene if points is None else dataclasses.replace(scene, points=points)
+def covariances_of(splats):
+    """(n, 3, 3) of a Splats."""
+    return splats.covariances.numpy()[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3).astype(np.float64)
 
 
 def drawn(deformer):
@@ -236,5 +241,36 @@ def reference_view(
         opacity.reshape(shape),
         far.reshape(shape),
     )
+
+
+def true_field(device, count=250, background="black"):
+    """Splats about (3, 2, 1) that fits are to find again."""
+    rng = np.random.default_rng(0)
+    return SplatField(
+        rng.uniform(-1, 1, (count, 3)) + (3, 2, 1),
+        np.log(0.1) + 0.3 * rng.normal(size=(count, 3)),
+        rng.normal(size=(count, 4)),
+        2 + rng.normal(size=count),
+        0.3 * rng.normal(size=(count, 4, 3)),
+        background=background,
+        device=device,
+    )
+
+
+def ring(count, elevation, size=(72, 60)):
+    """Cameras around them."""
+    return turntable((3, 2, 1), 4.0, elevation, count, width=size[0], height=size[1])
+
+
+def scene_of(field, cameras, *, alphas=False, points=None):
+    """A scene of a field's views."""
+    frames = [field.render(camera) for camera in cameras]
+    opacity = np.stack([frame.alpha for frame in frames]) if alphas else None
+    images = np.stack([frame.rgb for frame in frames])
+    scene = Scene(images, opacity, cameras, background=field.background)
+    return scene if points is None else dataclasses.replace(scene, points=points)
+
+
 def held_out_psnr(field, truth):
+    """PSNR of a fit in views between the rings."""
     return float(np.mean([row["psnr"] for row in warpcage.evaluate(field, scene_of(truth, ring(6, 5)))]))
