@@ -9,6 +9,7 @@ pytest.importorskip("aiohttp")
 pytest.importorskip("simplejpeg")
 
 from editor_pages import BOX, nothing_logged, with_pages  # noqa: F401
+from splat_scenes import CUP, CUP_AT, CUP_HEIGHT, CUP_RADIUS, FLOATER, TABLE_TOP, place
 
 import warpcage
 from warpcage import Deformer, SplatField
@@ -55,6 +56,24 @@ def test_pages_see_splats_move(splats, tmp_path):
         await page.ask(do="pose.set", edit=1, vertices=(BOX.vertices + (0, 0, 0.3)).tolist())
         await page.until(lambda: page.frames[-1]["sharp"] and len(page.frames) > 1)
         assert all(frame["error"] is None for frame in page.frames)
+
+    with_pages(test, tmp_path, session=session)
+
+
+def test_a_click_puts_a_cage_around_an_object_of_splats(tmp_path):
+    field, labels = place()
+    at = np.array([*CUP_AT, TABLE_TOP + 0.5 * CUP_HEIGHT])
+    session = Session(field, new_document(field, [], 16), None)
+
+    async def test(server, page):
+        await page.do(do="view", eye=[1.6, -1.5, 1.7], target=at.tolist(), up=[0, 0, 1], fov=40)
+        camera = view_camera(session.document.view, 300, 200)
+        across, down = (camera.project((at - [0, CUP_RADIUS, 0])[None])[0][0] / [300, 200]).tolist()
+        click = {"across": across, "down": down, "aspect": 1.5, "plane": "ground"}
+        await page.do(do="cage.generate", edit=None, count=40, click=click)
+        await page.until(lambda: page.sections["jobs"] and page.sections["jobs"][0]["state"] == "done")
+        inside = session.document.edits[-1].rest_cage.contains(field.contents.centers.astype(np.float64))
+        assert inside[labels == CUP].mean() > 0.9 and not inside[(labels != CUP) & (labels != FLOATER)].any()
 
     with_pages(test, tmp_path, session=session)
 
