@@ -451,7 +451,8 @@ def make_names():
     for command in ["", *golden_names.commands()]:
         path = DATA / "help" / f"{command or golden_names.PROGRAM}.txt"
         path.write_text(compact(golden_names.help_text(command)), encoding="utf-8")
-    lines = [f"{json.dumps(name)}: {json.dumps(what)}" for name, what in golden_names.public_names().items()]
+    names = golden_names.public_names().items()
+    lines = [f"{json.dumps(name)}:{json.dumps(what, separators=(',', ':'))}" for name, what in names]
     (DATA / "public_names.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
 
 
