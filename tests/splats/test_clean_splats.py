@@ -81,20 +81,19 @@ def test_what_no_view_shows_goes(scene):
     free = clean_splats(field, CleanOptions()).field.render(camera)
     assert np.abs(free.rgb - after.rgb).max() < 0.03 and np.abs(before.rgb - free.rgb).max() > 0.3
     assert views_of_splats(cleaned.field, [camera], 0.005).all()
-    both = "nothing would be left: all that can be seen would go, ask for less"
-    with pytest.raises(ValueError, match=both):
+    with pytest.raises(ValueError, match="nothing would be left"):
         clean_splats(field, CleanOptions(cameras=[camera, away], least_views=2))
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"floaters": 1.0}, "floaters must be a share of the largest part, 0 to below 1, got 1"),
+        ({"floaters": 1.0}, "0 to below 1, got 1"),
         ({"floaters": -0.1}, "floaters must be a share"),
         ({"parts": 0}, "parts must be"),
         ({"least_weight": 0.0}, "least_weight must be"),
         ({"least_views": 0}, "least_views must be"),
-        ({"cameras": [place_camera()], "least_views": 2}, "at most the number of views, got 2 of 1 view"),
+        ({"cameras": [place_camera()], "least_views": 2}, "got 2 of 1 view"),
     ],
 )
 def test_options_that_make_no_sense(options, message):

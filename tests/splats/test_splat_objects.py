@@ -151,7 +151,7 @@ def test_files_of_selections_find_their_splats(scene, ending, tmp_path):
     held = NodeSelection.load(tmp_path / f"whole.{ending}", again)
     np.testing.assert_array_equal(held.mask, whole.mask)
     assert len(held.cut_out()) == rows_of(held).sum() == len(whole.cut_out())
-    with pytest.raises(ValueError, match="is of another field than these splats: choose the object anew"):
+    with pytest.raises(ValueError, match="is of another field than these splats"):
         NodeSelection.load(tmp_path / f"cup.{ending}", again.chosen(np.arange(100)))
 
 
@@ -200,15 +200,15 @@ def test_a_click_through_haze_is_on_what_is_behind(scene):
 
 
 CLICKS = {
-    "on the floor": ({"point": (-1.5, -1.0, 0.0)}, "is on the ground plane, not on an object"),
-    "on nothing": ({"point": (-1.5, -1.0, 1.0)}, "is on nothing: no matter that is dense enough"),
+    "on the floor": ({"point": (-1.5, -1.0, 0.0)}, "is on the ground plane"),
+    "on nothing": ({"point": (-1.5, -1.0, 1.0)}, "is on nothing: no matter"),
     "beside everything": (
         {"pixel": (5, 5), "camera": Camera.look_at((9, 9, 9), (20, 20, 20), up=(0, 0, 1), width=10, height=10)},
-        "is on nothing: the field is not half opaque there",
+        "is not half opaque there",
     ),
-    "in an empty box": ({"box": [(-2, -2, 1), (-1.8, -1.8, 1.2)]}, "nothing is selected: the field shows nothing"),
+    "in an empty box": ({"box": [(-2, -2, 1), (-1.8, -1.8, 1.2)]}, "the field shows nothing"),
     "in a box of no size": ({"box": [(0, 0, 1), (0, 0, 1)]}, "box"),
-    "in a sphere of no size": ({"sphere": (0, 0, 0, 0)}, "sphere must be a centre and a positive radius"),
+    "in a sphere of no size": ({"sphere": (0, 0, 0, 0)}, "a positive radius"),
     "in no cage": ({"cage": 3}, "takes a ClosedMesh, got int"),
     "of a wall that is not there": ({"point": ON_CUP, "plane_at": (9, 9, 9)}, "no ground plane passes near"),
 }
@@ -231,7 +231,7 @@ def test_matter_on_a_grid_of_any_box(scene):
     every = matter.splats_in(np.ones((40, 40, 30), bool))
     assert every[labels == CUP].all() and not every[labels == FLOOR].any()
     assert not matter.splats_in(np.zeros((40, 40, 30), bool)).any()
-    with pytest.raises(ValueError, match="nothing is chosen that could be cut out"):
+    with pytest.raises(ValueError, match="nothing is chosen"):
         matter.cut_out(np.zeros((40, 40, 30), bool))
     with pytest.raises(ValueError, match="resolution"):
         field.matter(None, 1)
