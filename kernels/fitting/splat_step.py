@@ -49,6 +49,8 @@ class SplatStep:
     scale_weight: float  # of the sum of scales
     noise: float  # rate of centers times what the noise is relative to it
     most_log_scale: float  # scales are held at most at this
+    most_elongation: float  # of the longest axis over the middle one, beyond which it is a loss; 0: none
+    elongation_weight: float  # of the sum of what is beyond
 
 
 @wp.struct
@@ -253,6 +255,47 @@ def center_exposures(first: int, exposures: Exposures):
 
 
 @wp.func
+def elongation_slopes(step: SplatStep, logs: wp.vec3):
+    """Slopes by the logarithms of scales of the loss of what is longer than it may be."""
+    found = wp.vec3()
+    if step.most_elongation > 0.0:
+        longest = int(wp.argmax(logs))
+        shortest = int(wp.argmin(logs))
+        middle = wp.where(longest == shortest, (longest + 1) % 3, 3 - longest - shortest)
+        ratio = wp.exp(logs[longest] - logs[middle])
+        if ratio > step.most_elongation:
+            found[longest] = step.elongation_weight * ratio
+            found[middle] = -step.elongation_weight * ratio
+    return found
+
+
+@wp.kernel
+def find_floors(
+    first: int,
+    pixels: float,
+    lenses: wp.array(dtype=Lens),
+    centers: wp.array(dtype=wp.vec3),
+    floors: wp.array(dtype=wp.float32),
+):
+    """floors: (n,) logarithm of the size of so many pixels of the nearest lens that has a splat in its picture."""
+    # Yu et al., "Mip-Splatting" (2024), Eq. 7 and 9: a splat smaller than half a pixel of all pictures is noise
+    n = first + wp.tid()
+    center = centers[n]
+    least = float(wp.inf)
+    for view in range(lenses.shape[0]):
+        camera = lenses[view].camera
+        place = wp.transpose(camera.rotation) * (center - camera.center)
+        z = place[2]
+        if z >= lenses[view].near:
+            # in the picture, or 15 % of it beside
+            x = (camera.focal[0] * place[0] / z + camera.principal_point[0]) / float(camera.width)
+            y = (camera.focal[1] * place[1] / z + camera.principal_point[1]) / float(camera.height)
+            if wp.abs(x - 0.5) <= 0.65 and wp.abs(y - 0.5) <= 0.65:
+                least = wp.min(least, z / wp.max(camera.focal[0], camera.focal[1]))
+    floors[n] = wp.where(least < wp.inf, wp.log(pixels * least), -wp.inf)
+
+
+@wp.func
 def wander(step: SplatStep, n: int, opacity: float, covariance: wp.mat33):
     """How far splat n wanders: not at all unless it is almost nothing."""
     moved = wp.vec3()
@@ -270,6 +313,7 @@ def step_splats(
     lens: wp.array(dtype=Lens),
     step: wp.array(dtype=SplatStep),
     missed: wp.array(dtype=wp.int32),
+    floors: wp.array(dtype=wp.float32),
     view: wp.array(dtype=wp.vec4),
     sums: wp.array(dtype=wp.float32),
     values: SplatValues,
@@ -279,7 +323,8 @@ def step_splats(
     directions: wp.array(dtype=wp.vec3),
 ):
     """Step all values but the harmonics, and make the splats of them. colors, directions: (n,) slopes by the colors
-    and where they are seen from, for `step_harmonics`. missed: 1 where nothing may move."""
+    and where they are seen from, for `step_harmonics`. missed: 1 where nothing may move. floors: (n,) least logarithms
+    of scales, or empty."""
     n = first + wp.tid()
     now = step[0]
     logs = values.log_scales[n]
@@ -306,12 +351,15 @@ def step_splats(
 
         scale_mean = means.log_scales[n]
         scale_square = squares.log_scales[n]
+        beyond = elongation_slopes(now, logs)
         for i in range(3):
-            slope = found.log_scales[i] + now.scale_weight * wp.exp(logs[i])
+            slope = found.log_scales[i] + now.scale_weight * wp.exp(logs[i]) + beyond[i]
             change, m, v = adam_change(now, now.rate_log_scales, slope, scale_mean[i], scale_square[i])
             logs[i] = wp.min(logs[i] - change, now.most_log_scale)
             scale_mean[i] = m
             scale_square[i] = v
+        if floors.shape[0] > 0:
+            logs = wp.max(logs, wp.vec3(floors[n], floors[n], floors[n]))
         means.log_scales[n] = scale_mean
         squares.log_scales[n] = scale_square
 

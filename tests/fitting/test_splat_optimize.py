@@ -72,6 +72,23 @@ def test_sizes_of_scenes_do_not_matter(device):
     assert abs(near - 1) < 0.05
 
 
+def test_bounds_of_scales(device):
+    """Needles become shorter, and no splat that pictures see is smaller than a part of a pixel."""
+    truth = true_field(device, 60)
+    scene = scene_of(truth, ring(8, 20, (40, 32)), points=truth.contents.centers)
+    options = {"device": device, "steps": 150, "pixels_per_splat": 1.0, "most_splats": 400, "grow_every": 20}
+    options |= {"most_elongation": 1.05, "least_scale": 1.5}
+    scales = {}
+    for name, bounds in (("free", {"most_elongation": None, "least_scale": 0.0}), ("bound", {})):
+        field = warpcage.fit(scene, representation="splats", progress=False, **{**options, **bounds})
+        scales[name] = np.sort(field.scales, axis=1)
+    nearest = 2.2 / scene.cameras[0].fx  # views are 4 from the middle of a cube of side 2
+    assert (scales["free"][:, 0] < 1.5 * nearest).mean() > 0.1
+    assert (scales["bound"][:, 0] < 1.5 * nearest).mean() < 0.02
+    ratios = {name: np.percentile(each[:, 2] / each[:, 1], 90) for name, each in scales.items()}
+    assert ratios["bound"] < 1.17 and ratios["free"] > ratios["bound"] + 0.05
+
+
 def test_progress_is_kept_and_gone_on_with(tmp_path, monkeypatch):
     truth = true_field("cpu", 60)
     scene = scene_of(truth, ring(8, 20, (40, 32)), points=truth.contents.centers)

@@ -42,6 +42,7 @@ class Stepper:
         self.numbers = numbers
         self.colors, self.directions = (wp.zeros(self.count, dtype=wp.vec3, device=device) for _ in range(2))
         self.missed = wp.zeros(2, dtype=wp.int32, device=device)
+        self.floors = wp.zeros(0, dtype=wp.float32, device=device)
 
     def step(self, number, sums):
         """The slopes that the step goes by, in float64, after it was made."""
@@ -66,7 +67,7 @@ class Stepper:
         launch(project_slopes.find_value_slopes, self.count, inputs, [slopes], device=device)
         found = {name: getattr(slopes, name).numpy().astype(np.float64) for name in KINDS}
         rows = [growing.values, growing.means, growing.squares]
-        inputs = [growing.splats, self.lens, steps, self.missed, view, sums, *rows]
+        inputs = [growing.splats, self.lens, steps, self.missed, self.floors, view, sums, *rows]
         launch(splat_step.step_splats, self.count, inputs, [self.colors, self.directions], device=device)
         bases = growing.numbers // 3
         inputs = [bases, steps, self.missed, self.colors, self.directions]
@@ -131,6 +132,63 @@ def test_scales_are_held(device):
     stepper = Stepper(some_contents(), device, most_log_scale=-2.0)
     stepper.step(1, np.random.default_rng(0).normal(size=(50, 9)))
     assert stepper.values()["log_scales"].max() == -2.0
+
+
+def beyond(log_scales, most):
+    """Sum of what longest axes are longer than middle ones allow, and its slopes by central differences, float64."""
+
+    def ratios(logs):
+        ordered = np.sort(logs, axis=-1)
+        return np.maximum(np.exp(ordered[..., 2] - ordered[..., 1]) - most, 0.0)
+
+    changes = 1e-6 * np.eye(3)
+    ends = [ratios(log_scales[:, None, :] + side * changes) for side in (1, -1)]
+    return ratios(log_scales), (ends[0] - ends[1]) / 2e-6
+
+
+def test_needles_are_a_loss(device):
+    """Adam's means after a first step are a tenth of the slopes."""
+    contents, weight, most = some_contents(), 0.02, 1.5
+    found = []
+    for options in ({}, {"most_elongation": most, "elongation_weight": weight}):
+        stepper = Stepper(contents, device, **options)
+        stepper.step(1, np.random.default_rng(0).normal(size=(50, 9)))
+        found.append(10 * stepper.growing.means.log_scales.numpy().astype(np.float64))
+    long, slopes = beyond(contents.log_scales.astype(np.float64), most)
+    assert 5 < (long > 0).sum() < 45
+    assert np.abs(found[1] - found[0] - weight * slopes).max() < 1e-5 * np.abs(found[0]).max()
+
+
+def test_splats_are_no_smaller_than_pixels_of_the_nearest_picture_that_has_them(device):
+    rng, device = np.random.default_rng(0), wp.get_device(device)
+    centers = rng.uniform(-3, 3, (400, 3)).astype(np.float32)
+    cameras = [
+        Camera.look_at(3 * (eye / np.linalg.norm(eye)), 0.3 * rng.normal(size=3), width=64, height=40 + 9 * number)
+        for number, eye in enumerate(rng.normal(size=(3, 3)))
+    ]
+    lenses = wp.array([splat_lens(each, np.zeros(3), 0.01, 0.3, False) for each in cameras], dtype=project.Lens)
+    floors = wp.zeros(400, dtype=wp.float32, device=device)
+    inputs = [0.447, lenses.to(device), wp.array(centers, dtype=wp.vec3, device=device)]
+    launch(splat_step.find_floors, 400, inputs, [floors], device=device)
+    least = np.full(400, np.inf)
+    for camera in cameras:
+        pixels, depths = camera.project(centers.astype(np.float64))
+        shares = pixels / (camera.width, camera.height)
+        seen = (depths > 0.01) & (np.abs(shares - 0.5) <= 0.65).all(axis=1)
+        least[seen] = np.minimum(least[seen], depths[seen] / max(camera.fx, camera.fy))
+    seen = np.isfinite(least)
+    assert 100 < seen.sum() < 390
+    assert np.abs(floors.numpy()[seen] - np.log(0.447 * least[seen])).max() < 1e-4
+    assert (floors.numpy()[~seen] == -np.inf).all()
+
+
+def test_scales_stay_above_their_floors(device):
+    stepper = Stepper(some_contents(), device)
+    floors = np.where(np.arange(50) % 2, -2.0, -np.inf).astype(np.float32)
+    stepper.floors = wp.array(floors, dtype=wp.float32, device=device)
+    stepper.step(1, np.random.default_rng(0).normal(size=(50, 9)))
+    logs = stepper.values()["log_scales"]
+    assert logs[1::2].min() == -2.0 and logs[::2].min() < -2.2 and (logs[1::2] > -2).any()
 
 
 def test_a_picture_without_room_changes_nothing(device):

@@ -46,6 +46,9 @@ COUNTED_VIEWS, FULL_SHARE = 24, 0.85
 #: Pictures are kept at 16 bits a channel where they take at most this share of the memory.
 PICTURE_SHARE = 0.05
 
+#: Steps after which it is found anew how small splats may be, and what that costs for a splat.
+FLOORS_EVERY, FLOOR_WORK = 100, 200
+
 #: Bytes of an entry while it is sorted.
 ENTRY_BYTES = 16
 
@@ -165,6 +168,8 @@ class SplatFit:
         self._step: wp.array = empty_array(1, splat_step.SplatStep, self.device)
         self._lens: wp.array = empty_array(1, project.Lens, self.device)
         self._colors, self._directions = (empty_array(self.growing.room, wp.vec3, self.device) for _ in range(2))
+        floors = self.growing.room if self.options.least_scale > 0.0 else 0
+        self._floors: wp.array = empty_array(floors, wp.float32, self.device)
         bits = PRECISIONS[0] if picture_bytes(scene, 16) <= PICTURE_SHARE * self.memory_limit else PRECISIONS[-1]
         self._pictures = TrainingPictures(scene, bits, self.device)
         self._exposures = PictureExposures(len(scene) if self.options.exposure else 0, self.device)
@@ -286,6 +291,8 @@ class SplatFit:
             self._change()
         if step % len(self.scene) == 0:
             self._exposures.center()
+        if step % FLOORS_EVERY == 0 or schedule.revives(step):
+            self._find_floors()
         if self.device.is_cpu or not self._is_warm:
             self._launch_step()
             self._is_warm = True
@@ -296,6 +303,12 @@ class SplatFit:
                 self._graph = capture.graph
             wp.capture_launch(self._graph)
         self.step_count += 1
+
+    def _find_floors(self) -> None:
+        """How small splats may be where they are now."""
+        count = self.growing.count if len(self._floors) else 0
+        inputs = [self.options.least_scale, self._lenses, self.growing.values.centers]
+        launch(splat_step.find_floors, count, inputs, [self._floors], device=self.device, work=FLOOR_WORK)
 
     def _grow(self, step: int) -> None:
         """Let dead splats begin anew, and add others."""
@@ -329,6 +342,7 @@ class SplatFit:
         self._truth = empty_array(self._width * self._height, wp.vec3, device)
         self._exposed = empty_array(self._width * self._height if self._exposures.count else 0, wp.vec3, device)
         self._view = TrainingView(self._width, self._height, device)
+        self._find_floors()
         self._find_room()
         self._change()
 
@@ -376,7 +390,7 @@ class SplatFit:
         exposures.take_back(self._step, view.missed, alpha, rgb, slopes)
         sums = view.sum_slopes(slopes)
         rows = [splats.values, splats.means, splats.squares]
-        inputs = [splats.splats, self._lens, self._step, view.missed, seen, sums, *rows]
+        inputs = [splats.splats, self._lens, self._step, view.missed, self._floors, seen, sums, *rows]
         outputs = [self._colors, self._directions]
         launch(splat_step.step_splats, splats.count, inputs, outputs, device=device, work=3 * PROJECT_WORK)
         bases = (splats.splats.degree + 1) ** 2

@@ -69,6 +69,17 @@ class SplatFitOptions:
     largest_scale: float | None = number(
         None, 1e-6, 1e6, "Largest scale of a splat, of the distance of the cameras. None sets no limit."
     )
+    most_elongation: float | None = number(
+        None, 1.0, 1e6, "How much longer than its middle axis the longest axis of a splat is at no loss. None: any."
+    )
+    elongation_weight: float = weight(0.01, "Weight in the loss of the mean of what is longer.")
+    least_scale: float = number(
+        0.0,
+        0.0,
+        10.0,
+        "Least scale of a splat along an axis, pixels of the nearest picture that has it, found anew every 100 steps; "
+        "0.447 as in Mip-Splatting. 0 sets no limit.",
+    )
     antialias: bool = option(False, "Whether splats are weakened where the blur makes them larger (Mip-Splatting).")
     background: str = option(
         "auto",

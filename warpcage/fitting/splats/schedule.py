@@ -125,6 +125,8 @@ class SplatSchedule:
             "scale_weight": settles * options.scale_weight / (3.0 * counts),
             "noise": settles * options.noise * centers,
             "most_log_scale": NO_LIMIT if options.largest_scale is None else np.log(options.largest_scale),
+            "most_elongation": options.most_elongation or 0.0,
+            "elongation_weight": options.elongation_weight / counts,
         }
         for name, values in columns.items():
             rows[name] = values  # pyright: ignore[reportCallIssue, reportArgumentType]
