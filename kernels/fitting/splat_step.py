@@ -121,13 +121,17 @@ def take_picture(
     pictures: Pictures,
     step: wp.array(dtype=SplatStep),
     exposures: Exposures,
+    counted: wp.array3d(dtype=wp.uint8),
     alpha: wp.array(dtype=wp.float32),
     drawn: wp.array(dtype=wp.vec3),
     truth: wp.array(dtype=wp.vec3),
     shown: wp.array(dtype=wp.vec3),
+    weights: wp.array(dtype=wp.float32),
 ):
     """truth: (h * width,) the step's picture before its background. drawn: (h * width,) of opacity `alpha`, gets that
-    background too. shown: as the picture exposes it; not written without exposures."""
+    background too."""
+    # shown: as exposed, not written without exposures. counted: (views, h, width) in 1/255, which goes to
+    # `weights`, or empty
     n = first + wp.tid()
     view = step[0].view
     behind = step[0].background
@@ -139,6 +143,8 @@ def take_picture(
     drawn[n] = color
     if exposures.values.shape[0] > 0:
         shown[n] = wp.cw_mul(exposure_gain(exposures, view), color) + exposures.values[view, 1]
+    if counted.shape[0] > 0:
+        weights[n] = float(counted[view, n // width, n % width]) / 255.0
 
 
 @wp.kernel
@@ -201,6 +207,20 @@ def shrink_pictures(first: int, side: int, fine: Pictures, coarse: wp.array3d(dt
     coarse[view, row, column] = wp.vec4h(
         wp.float16(total[0]), wp.float16(total[1]), wp.float16(total[2]), wp.float16(total[3])
     )
+
+
+@wp.kernel
+def shrink_weights(first: int, side: int, fine: wp.array3d(dtype=wp.uint8), coarse: wp.array3d(dtype=wp.uint8)):
+    """coarse: (views, h // side, w // side) least of side by side weights of `fine`. One item per coarse pixel."""
+    n = first + wp.tid()
+    column = n % coarse.shape[2]
+    row = (n // coarse.shape[2]) % coarse.shape[1]
+    view = n // (coarse.shape[2] * coarse.shape[1])
+    least = int(255)
+    for i in range(side):
+        for j in range(side):
+            least = wp.min(least, int(fine[view, side * row + i, side * column + j]))
+    coarse[view, row, column] = wp.uint8(least)
 
 
 @wp.func
@@ -323,8 +343,8 @@ def step_splats(
     directions: wp.array(dtype=wp.vec3),
 ):
     """Step all values but the harmonics, and make the splats of them. colors, directions: (n,) slopes by the colors
-    and where they are seen from, for `step_harmonics`. missed: 1 where nothing may move. floors: (n,) least logarithms
-    of scales, or empty."""
+    and where they are seen from, for `step_harmonics`. missed: 1 where nothing may move."""
+    # floors: (n,) least logarithms of scales, or empty
     n = first + wp.tid()
     now = step[0]
     logs = values.log_scales[n]

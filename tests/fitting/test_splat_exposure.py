@@ -44,8 +44,10 @@ class Exposing:
         steps = wp.array([self.step], dtype=splat_step.SplatStep, device=self.device)
         drawn, alpha = self.array(self.light), self.array(self.alpha, wp.float32)
         truth, shown = (wp.zeros(pixels, dtype=wp.vec3, device=self.device) for _ in range(2))
-        inputs = [WIDTH, pictures, steps, self.exposures.rows, alpha]
-        launch(splat_step.take_picture, pixels, inputs, [drawn, truth, shown], device=self.device)
+        counted = wp.zeros((0, 0, 0), dtype=wp.uint8, device=self.device)
+        inputs = [WIDTH, pictures, steps, self.exposures.rows, counted, alpha]
+        outputs = [drawn, truth, shown, wp.zeros(0, dtype=wp.float32, device=self.device)]
+        launch(splat_step.take_picture, pixels, inputs, outputs, device=self.device)
         slopes = self.array(self.weights)
         self.exposures.take_back(steps, self.missed, alpha, drawn, slopes)
         return drawn.numpy(), shown.numpy(), slopes.numpy()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warpcage import Camera, Scene, turntable
-from warpcage.fitting.splats import scene_units, starting_splats
+from warpcage.fitting.splats import fitted_scene, scene_units, starting_splats
 from warpcage.view.motion import axis_rotation
 
 SIZE = 48
@@ -123,7 +123,7 @@ def test_points_outside_the_silhouettes_are_left_out():
     np.testing.assert_allclose(start.colors, np.broadcast_to([0.9, 0.3, 0.1], inside.shape), atol=1e-6)
     split = ball_scene(0.5, **both)
     around = (1.0 - split.alphas[..., None]) * np.float32([0.1, 0.6, 0.1])
-    whole = start_of(dataclasses.replace(split, surroundings=around))
+    whole = start_of(fitted_scene(dataclasses.replace(split, surroundings=around)))
     assert np.array_equal(whole.centers, both["points"])  # what is around the object is fitted too
     assert np.abs(whole.colors[: len(inside)] - [0.9, 0.3, 0.1]).max() < 1e-6
     assert np.abs(whole.colors[len(inside) :] - [0.1, 0.6, 0.1]).mean() < 0.1

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import require_type
 from ..scene.scene import Scene
+from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import Frame
 
@@ -143,7 +144,8 @@ def comparison(renderer: Renderer, scene: Scene) -> tuple[np.ndarray | None, np.
     None for the colour is what the field has around it."""
     field = getattr(renderer, "field", renderer)
     has_surroundings = scene.alphas is None or scene.surroundings is not None
-    if getattr(field, "background_model", None) is not None and has_surroundings:
+    shows_place = isinstance(field, SplatField) or getattr(field, "background_model", None) is not None
+    if shows_place and has_surroundings:
         return None, scene.whole
     if scene.alphas is None:  # nothing of whole pictures is on a colour of the scene's
         return None, scene.images

@@ -75,7 +75,7 @@ def fit(
             view of its camera. None writes none.
         preview_seconds: Time between two writes of the preview, of which the first comes after as long.
         options: Fields of FitOptions by name, e.g. resolution=256, epochs=12 or max_memory="4GB"; for splats those of
-            SplatFitOptions, e.g. steps=7000 or most_splats=200000.
+            SplatFitOptions, e.g. steps=7000 or most_splats=200000, and the `weights` of SplatFit.
 
     Returns:
         The field, pruned: of voxels with its rendering weights, or of splats.

@@ -11,6 +11,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "optimizer": "SplatFit",
         "options": "SplatFitOptions checked_splat_options",
         "schedule": "SplatSchedule",
-        "start": "Start scene_units starting_splats",
+        "start": "Start fitted_scene scene_units starting_splats",
     },
 )

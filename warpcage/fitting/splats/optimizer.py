@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from ...core.arrays import empty_array, struct_array
 from ...core.checks import require_type
@@ -29,10 +30,10 @@ from ..batches import LEAST_ERROR, PRECISIONS, TrainingPictures, picture_bytes
 from ..memory import memory_limit, memory_text, require_image_memory
 from ..options import checked_seed
 from .growth import GrowingSplats
-from .loss import PictureExposures, PictureLoss
+from .loss import PictureExposures, PictureLoss, weight_bytes
 from .options import checked_splat_options
 from .schedule import SplatSchedule
-from .start import Start, scene_units, starting_splats
+from .start import Start, fitted_scene, scene_units, starting_splats
 
 #: Nothing nearer to a camera than this is drawn, of the distance of the cameras from what they look at.
 NEAR = 0.01
@@ -120,6 +121,8 @@ class SplatFit:
         seed: Of the order of pictures, the places where splats begin and grow, and the noise. On the CPU the same seed
             and scene give the same splats to the bit.
         first: Splats to begin with. None takes what the option `start` says.
+        weights: (n, h, w) in [0, 1], how much each pixel of the pictures counts: 0 for what is to be ignored, such as
+            people who walk by. Where splats begin is not told of it. None counts all.
         options: `quality`, and fields of SplatFitOptions by name, which have priority over it.
 
     Raises:
@@ -137,17 +140,26 @@ class SplatFit:
     coarser = None  # a fit of voxels says here that its field is coarser than planned
 
     def __init__(
-        self, scene: Scene, *, device: wp.DeviceLike = None, seed: int = 0, first: Start | None = None, **options: Any
+        self,
+        scene: Scene,
+        *,
+        device: wp.DeviceLike = None,
+        seed: int = 0,
+        first: Start | None = None,
+        weights: ArrayLike | None = None,
+        **options: Any,
     ):
         require_type(scene, Scene, "a fit needs")
-        self.scene, self.options = scene, checked_splat_options(options)
+        self.options = checked_splat_options(options)
+        self.scene = scene = fitted_scene(scene)
+        counted = weight_bytes(weights, scene.images.shape[:3])
         self.device, self.seed = resolve_device(device), checked_seed(seed)
         self.step_count, self.psnr = 0, float("nan")
         self.memory_limit = memory_limit(self.options.max_memory, self.device)
         modules = [composite_cpu] if self.device.is_cpu else [composite]
         load_modules([*modules, project, tiles, fit, splat_step, splat_growth], self.device)
         self._center, self._unit, extent = scene_units(scene)
-        self.most_splats = self._planned_splats()
+        self.most_splats = self._planned_splats(counted.size)
         if first is None:
             wanted = self.options.start
             first = starting_splats(scene, most=self.most_splats, seed=self.seed, device=self.device, kind=wanted)
@@ -155,6 +167,7 @@ class SplatFit:
         self.given = {
             "seed": self.seed,
             "first": hashlib.blake2b(np.ascontiguousarray(first.centers).tobytes(), digest_size=16).hexdigest(),
+            "weights": hashlib.blake2b(counted.tobytes(), digest_size=16).hexdigest() if counted.size else None,
             **dataclasses.asdict(self.options),
         }
         self.growing = GrowingSplats(self._contents(first), self.most_splats, self.options.degree, self.device)
@@ -173,6 +186,7 @@ class SplatFit:
         bits = PRECISIONS[0] if picture_bytes(scene, 16) <= PICTURE_SHARE * self.memory_limit else PRECISIONS[-1]
         self._pictures = TrainingPictures(scene, bits, self.device)
         self._exposures = PictureExposures(len(scene) if self.options.exposure else 0, self.device)
+        self._counted: wp.array = wp.array(counted, dtype=wp.uint8, device=self.device)
         self._graph: Any = None
         self._is_warm = False  # whether a step ran by launches since sizes changed last
         self._shrinkage = 0
@@ -186,10 +200,10 @@ class SplatFit:
         """Splats so far."""
         return self.growing.count
 
-    def _planned_splats(self) -> int:
+    def _planned_splats(self, held_bytes: int) -> int:
         """Splats at the end: as many as are asked for, and as the pictures and the memory allow."""
         scene, pixels = self.scene, self.scene.images.shape[0] * math.prod(self.scene.images.shape[1:3])
-        held = picture_bytes(scene, PRECISIONS[-1])
+        held = picture_bytes(scene, PRECISIONS[-1]) + held_bytes
         require_image_memory(held, self.memory_limit)
         room = (self.memory_limit - held - 150 * math.prod(scene.images.shape[1:3])) // (
             GrowingSplats.row_bytes(self.options.degree) + 4 * ENTRY_BYTES
@@ -330,16 +344,21 @@ class SplatFit:
         scene, device = self.scene, self.device
         count, height, width = scene.images.shape[0], *scene.images.shape[1:3]
         self._shrinkage, self._width, self._height = shrinkage, width // shrinkage, height // shrinkage
-        self._shown = self._pictures.seen
+        self._shown, counted = self._pictures.seen, self._counted
         if shrinkage > 1:
             coarse = empty_array((count, self._height, self._width), wp.vec4h, device)
             launch(splat_step.shrink_pictures, coarse.size, [shrinkage, self._pictures.seen], [coarse], device=device)
             self._shown = Pictures()
             self._shown.halves = coarse
+            if counted.size:
+                counted = empty_array(coarse.shape, wp.uint8, device)
+                launch(splat_step.shrink_weights, coarse.size, [shrinkage, self._counted], [counted], device=device)
+        self._shown_counted = counted
         lenses = [self._lens_of(camera) for camera in scene.cameras]
         self._lenses = struct_array(lenses, project.Lens, device)
         self._loss = PictureLoss(self._width, self._height, device, self.options.ssim)
         self._truth = empty_array(self._width * self._height, wp.vec3, device)
+        self._weights = empty_array(self._width * self._height if counted.size else 0, wp.float32, device)
         self._exposed = empty_array(self._width * self._height if self._exposures.count else 0, wp.vec3, device)
         self._view = TrainingView(self._width, self._height, device)
         self._find_floors()
@@ -384,9 +403,11 @@ class SplatFit:
         launch(splat_step.begin_step, 1, inputs, outputs, device=device)
         rgb, alpha, seen = view.draw_by(splats.splats, splats.count, self._lens)
         exposures = self._exposures
-        inputs = [self._width, self._shown, self._step, exposures.rows, alpha]
-        launch(splat_step.take_picture, view.pixels, inputs, [rgb, self._truth, self._exposed], device=device)
-        slopes = self._loss.slopes(self._exposed if exposures.count else rgb, self._truth)
+        inputs = [self._width, self._shown, self._step, exposures.rows, self._shown_counted, alpha]
+        outputs = [rgb, self._truth, self._exposed, self._weights]
+        launch(splat_step.take_picture, view.pixels, inputs, outputs, device=device)
+        shown, weights = self._exposed if exposures.count else rgb, self._weights if self._weights.size else None
+        slopes = self._loss.slopes(shown, self._truth, weights)
         exposures.take_back(self._step, view.missed, alpha, rgb, slopes)
         sums = view.sum_slopes(slopes)
         rows = [splats.values, splats.means, splats.squares]

@@ -69,6 +69,13 @@ class Start:
     source: str  # for people: "206,613 points of the capture"
 
 
+def fitted_scene(scene: Scene) -> Scene:
+    """What splats are fitted to: whole pictures, where masks split them and nothing is lost."""
+    if scene.surroundings is None:
+        return scene
+    return dataclasses.replace(scene, images=scene.whole, alphas=None, surroundings=None)
+
+
 def scene_units(scene: Scene) -> tuple[np.ndarray, float, float]:
     """The point (3,) that cameras look at; their median distance from it, the unit of a fit; and 1.1 times the greatest
     distance of a camera from their mean, in that unit. All finite, unit and extent above 0."""
@@ -116,8 +123,7 @@ def _captured_points(scene: Scene, most: int, random: np.random.Generator) -> tu
     focus, unit, _ = scene_units(scene)
     kept = np.flatnonzero(np.linalg.norm(scene.points - focus, axis=1) <= FARTHEST * unit)
     colors = None if scene.point_colors is None else scene.point_colors[kept]
-    is_cut = scene.alphas is not None and scene.surroundings is None  # nothing is to be fitted around the object
-    if is_cut:
+    if scene.alphas is not None:  # nothing is to be fitted around the object
         pictured, share = _pictured(scene, scene.points[kept])
         inside = share >= OBJECT_SHARE  # masks are rough: some may miss what others show
         kept, colors = kept[inside], (pictured if colors is None else colors)[inside]
@@ -255,11 +261,8 @@ def _pictured(scene: Scene, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         if scene.alphas is not None:
             alphas = scene.alphas[view, rows, columns].astype(np.float64)[:, None]
             colors -= (1.0 - alphas) * scene.background
-            if scene.surroundings is not None:
-                colors += scene.surroundings[view, rows, columns]
-            else:
-                is_shown = alphas[:, 0] >= OPAQUE
-                colors /= np.maximum(alphas, OPAQUE)
+            is_shown = alphas[:, 0] >= OPAQUE
+            colors /= np.maximum(alphas, OPAQUE)
         sums[indices[is_shown]] += colors[is_shown]
         shown[indices[is_shown]] += 1.0
         seen[indices] += 1.0
