@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scene_writers import brick_pictures, write_colmap, write_nsvf
 
-from warpcage import Cage, Camera, Deformer, Scene, VoxelField, fit, load_scene, turntable
+from warpcage import Cage, Camera, Deformer, Scene, SplatField, VoxelField, bake, fit, load_scene, to_splats, turntable
+from warpcage.cli import main
 from warpcage.core import resolve_device
 from warpcage.fitting import object_bounds
 from warpcage.scene import view_box
@@ -18,6 +19,7 @@ WORLDS = {
     "a thousandth": (1e-3, 0 * FAR),
     "far": (1.0, FAR),
     "1000 times and far": (1000.0, 1000.0 * FAR),
+    "UTM": (1.0, np.array([500000.0, 5400000.0, 300.0])),
 }
 
 
@@ -72,7 +74,7 @@ def test_a_fit_is_the_same_anywhere(pictures, fitted, world, alpha):
     assert 0.02 < seen.mean() < 0.98
 
 
-@pytest.mark.parametrize("world", ["1000 times", "far"])
+@pytest.mark.parametrize("world", ["1000 times", "far", "UTM"])
 def test_an_edit_is_the_same_anywhere(pictures, fitted, world):
     scale, shift = WORLDS[world]
     field = short_fit(make_scene(pictures, scale, shift, True))
@@ -149,3 +151,85 @@ def test_a_field_keeps_what_is_up(pictures, fitted, tmp_path, monkeypatch):
 
 def exit_early():
     raise ValueError("the camera is all that is asked for")
+
+
+# What leaves the program far from the origin: coordinates of UTM, in metres, where float32 tells half a metre apart
+
+UTM = WORLDS["UTM"][1]
+
+
+@pytest.mark.parametrize("ending", [".ply", ".obj", ".glb"])
+@pytest.mark.parametrize("colors", ["--colors", "--no-colors"])
+def test_meshes_are_written_where_they_are(tmp_path, fitted, pictures, ending, colors):
+    plain, far = fitted[True], short_fit(make_scene(pictures, 1.0, UTM, True))
+    for name, field in (("plain", plain), ("far", far)):
+        field.save(tmp_path / f"{name}.npz")
+        words = ["mesh", f"{tmp_path}/{name}.npz", "-o", f"{tmp_path}/{name}{ending}", colors]
+        assert main(words) == 0
+    one, two = (Cage.load(tmp_path / f"{name}{ending}") for name in ("plain", "far"))
+    size = one.size
+    np.testing.assert_allclose(two.bounds - UTM, one.bounds, atol=2e-2 * size)  # two fits are not the same to the bit
+    steps = np.diff(np.unique(np.round(two.vertices[:, 1] - UTM[1], 6)))
+    assert len(steps) > 20 and np.median(steps) < 0.02 * size  # float32 has two steps there
+    np.testing.assert_allclose(two.vertices.mean(axis=0) - UTM, one.vertices.mean(axis=0), atol=2e-2 * size)
+
+
+def test_stl_says_that_it_rounds(tmp_path, fitted, pictures, capsys):
+    short_fit(make_scene(pictures, 1.0, UTM, True)).save(tmp_path / "far.npz")
+    assert main(["mesh", f"{tmp_path}/far.npz", "-o", f"{tmp_path}/far.stl"]) == 0
+    assert "STL holds float32, which rounds places so far from the origin to 0.5 units" in capsys.readouterr().err
+
+
+def some_splats(shift):
+    rng = np.random.default_rng(4)
+    centers = rng.normal(size=(60, 3)) * 0.4 + shift
+    values = (np.full((60, 3), -2.5), rng.normal(size=(60, 4)), rng.normal(size=60), rng.normal(size=(60, 1, 3)))
+    return SplatField(centers, *values)
+
+
+def test_splats_are_the_same_far_away(tmp_path):
+    """Rendered, posed, baked, saved as .ply and read again: within float32 of the size of the scene."""
+    camera = Camera.look_at((3, 1, 1), (0, 0, 0), width=48, height=40)
+    rest = Cage.box((-2, -2, -2), (2, 2, 2), segments=2)
+    found = []
+    for shift in (0 * UTM, UTM):
+        field, here = some_splats(shift), placed([camera], 1.0, shift)[0]
+        field.save(tmp_path / "a.ply")
+        again = SplatField.load(tmp_path / "a.ply")
+        cage = rest.translate(shift)
+        posed = Deformer(field, cage, coordinates="mean_value").pose(rest.twist(40, axis="z").translate(shift))
+        baked = bake(posed)
+        baked.save(tmp_path / "b.ply")
+        read = SplatField.load(tmp_path / "b.ply").contents.centers
+        frames = [each.render(here).rgb for each in (field, again, posed, baked)]
+        found.append((frames, again.contents.centers - shift, read - shift))
+    for one, two in zip(*(each[0] for each in found), strict=True):
+        assert np.abs(one - two).max() < 1e-3
+    np.testing.assert_allclose(found[1][1], found[0][1], atol=1e-6)
+    np.testing.assert_allclose(found[1][2], found[0][2], atol=1e-5)
+
+
+@pytest.mark.parametrize("ending", [".splat", ".compressed.ply"])
+def test_formats_of_float32_say_that_they_round(tmp_path, ending):
+    some_splats(0 * UTM).save(tmp_path / f"near{ending}")
+    with pytest.warns(UserWarning, match="so far from the origin to 0.5 units"):
+        some_splats(UTM).save(tmp_path / f"far{ending}")
+
+
+def test_splats_of_a_voxel_field_keep_their_places(tmp_path, fitted, pictures):
+    field = short_fit(make_scene(pictures, 1.0, UTM, True))
+    to_splats(field).save(tmp_path / "a.ply")
+    splats, camera = SplatField.load(tmp_path / "a.ply"), placed(pictures.cameras[:1], 1.0, UTM)[0]
+    assert splats.contents.centers.dtype == np.float64
+    near = to_splats(fitted[True]).render(pictures.cameras[0])
+    assert np.abs(splats.render(camera).alpha - near.alpha).mean() < 5e-3 < 0.1 < near.alpha.mean()
+
+
+def test_a_scene_is_recentred_by_a_motion_that_the_field_keeps(pictures):
+    """`orient` of load_scene, `Scene.moved`: the inverse leads back to the coordinates of the files."""
+    motion = np.eye(4)
+    motion[:3, 3] = -UTM
+    scene = make_scene(pictures, 1.0, UTM, True).moved(motion)
+    np.testing.assert_allclose(scene.cameras[3].center, pictures.cameras[3].center, atol=1e-8)
+    field = short_fit(scene)
+    np.testing.assert_allclose(np.linalg.inv(field.straightening)[:3, 3], UTM)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 import pathlib
+import sys
+from typing import Any
 
 import numpy as np
 
+from ..core.checks import float32_spacing
 from ..core.files import atomic_path, require_file
 from ..core.names import counted
 from ..deform.bake import bake
@@ -16,6 +19,7 @@ from ..field.objects import select_object
 from ..field.selection import NodeSelection, painted_voxels, splat_matter, tinted
 from ..field.voxel_field import VoxelField
 from ..mesh.io.gltf import write_glb
+from ..mesh.io.ply import write_ply
 from ..splats.clean import clean_splats
 from ..splats.io import is_splat_file
 from ..splats.splat_field import AnyField, SplatField
@@ -153,13 +157,31 @@ def run_mesh(args: argparse.Namespace) -> None:
             colors = np.asarray(getattr(mesh.visual, "vertex_colors"))[:, :3] / 255.0 if colored else None  # noqa: B009
             upright = np.asarray(mesh.vertices) @ np.array(TO_Y_UP, np.float64)[:3, :3].T
             temporary.write_bytes(write_glb(upright, np.asarray(mesh.faces, np.int32), colors, name=output.stem))
+        elif ending == ".ply" and _is_far(mesh):  # trimesh writes float32
+            colors = np.asarray(getattr(mesh.visual, "vertex_colors"))[:, :3] if colored else None  # noqa: B009
+            faces = np.asarray(mesh.faces, np.int32)
+            temporary.write_bytes(write_ply(np.asarray(mesh.vertices), faces, colors, comment=output.stem))
         else:
             mesh.export(temporary, file_type=ending[1:])
+    if ending == ".stl" and _is_far(mesh):
+        print(
+            f"warpcage: warning: {output}: STL holds float32, which rounds places so far from the origin to "
+            f"{float32_spacing(float(np.abs(mesh.bounds).max())):.3g} units: the other formats keep them",
+            file=sys.stderr,
+        )
     low, high = mesh.bounds
     print(
         f"wrote {output}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces{', with colours' * colored}, from "
         f"{low.round(3).tolist()} to {high.round(3).tolist()}"
     )
+
+
+#: A mesh so many times its size from the origin is rounded by float32 to more than 1e-6 of its size.
+FAR = 16.0
+
+
+def _is_far(mesh: Any) -> bool:
+    return float(np.abs(mesh.bounds).max()) > FAR * float(np.ptp(mesh.bounds, axis=0).max())
 
 
 def run_select(args: argparse.Namespace) -> None:

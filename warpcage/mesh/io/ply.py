@@ -218,13 +218,20 @@ def _ply_binary_rows(
         yield name, properties, rows
 
 
-def write_ply(vertices: np.ndarray, faces: np.ndarray) -> bytes:
-    """A binary PLY file with vertices (v, 3) in float64."""
+def write_ply(
+    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None, *, comment: str = "cage"
+) -> bytes:
+    """A binary PLY file with vertices (v, 3) in float64, and colours (v, 3) uint8 where they are given."""
+    shades = "" if colors is None else "".join(f"property uchar {name}\n" for name in CHANNELS)
     header = (
-        "ply\nformat binary_little_endian 1.0\ncomment cage\n"
-        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"ply\nformat binary_little_endian 1.0\ncomment {comment}\n"
+        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n{shades}"
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     rows = np.zeros(len(faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
     rows["count"], rows["indices"] = 3, faces
-    return header.encode() + vertices.astype("<f8").tobytes() + rows.tobytes()
+    points = np.zeros(len(vertices), [("place", "<f8", 3), ("color", "u1", 0 if colors is None else 3)])
+    points["place"] = vertices
+    if colors is not None:
+        points["color"] = colors
+    return header.encode() + points.tobytes() + rows.tobytes()
