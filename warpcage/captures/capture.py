@@ -230,6 +230,12 @@ def _video_sources(
     picked = pick_frames(scores, count)
     facts["frames_of_the_video"] = len(scores.times)
     facts["frames_that_cannot_be_decoded"] = scores.broken
+    if scores.transfer:
+        facts["tone_mapped"] = f"from {scores.transfer} (BT.2100) to sRGB"
+        warnings.warn(
+            f"{str(video)!r} is of high dynamic range ({scores.transfer}): its frames are tone-mapped to sRGB",
+            stacklevel=3,
+        )
     if len(picked) < LEAST_PICTURES:
         return [Source(str(k), video, scores.size, None, (), False) for k in picked]  # too few to be worth writing
     folder = work / "frames"
@@ -247,11 +253,13 @@ def _kept_scores(video: pathlib.Path, file: pathlib.Path, progress: bool) -> Fra
     if file.is_file():
         kept = np.load(file)
         width, height, broken = (int(value) for value in kept["numbers"])
-        return FrameScores(kept["times"], kept["sharpness"], kept["way"], (width, height), broken)
+        transfer = str(kept["transfer"]) if "transfer" in kept else ""
+        return FrameScores(kept["times"], kept["sharpness"], kept["way"], (width, height), broken, transfer)
     scores = scan_video(video, progress=progress)
     with atomic_path(file) as temporary:
         numbers = np.array([*scores.size, scores.broken])
-        np.savez(temporary, times=scores.times, sharpness=scores.sharpness, way=scores.way, numbers=numbers)
+        measures = {"times": scores.times, "sharpness": scores.sharpness, "way": scores.way}
+        np.savez(temporary, **measures, numbers=numbers, transfer=scores.transfer)
     return scores
 
 

@@ -15,6 +15,7 @@ from ..core.files import atomic_path, require_file
 from ..core.names import agreed, counted
 from ..core.threads import cpu_threads
 from .sources import Source, bar, load_upright, shrink_factor
+from .tones import mapped_picture, transfer_of
 
 #: Pictures are compared at this width or height, whichever is longer, pixels.
 COMPARED_SIZE = 640
@@ -85,12 +86,14 @@ class FrameScores:
     way: np.ndarray  # (n,) how far the view has moved until each frame, in longer sides of the picture
     size: tuple[int, int]  # width and height as it is looked at, pixels
     broken: int  # frames and packets that could not be decoded
+    transfer: str = ""  # "HLG" or "PQ" for videos of high dynamic range, which are tone-mapped
 
 
 def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
     """Decode a video once and measure each frame."""
-    times, scores, steps, size, broken, before = [], [], [], None, [0], None
+    times, scores, steps, size, broken, before, transfer = [], [], [], None, [0], None, ""
     with _opened(path) as container:
+        context = container.streams.video[0].codec_context
         total = container.streams.video[0].frames or None
         with bar(total, "frames", progress) as shown:
             for frame in _frames(container, broken):
@@ -99,6 +102,7 @@ def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
                 steps.append(0.0 if before is None or before.shape != small.shape else motion(before, small))
                 scores.append(sharpness(shrunk_grey(grey, COMPARED_SIZE)))
                 times.append(frame.pts)
+                transfer = transfer or transfer_of(frame, context)
                 size = (frame.height, frame.width) if _quarters(frame) % 2 else (frame.width, frame.height)
                 before = small
                 shown.update()
@@ -110,7 +114,8 @@ def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
             f"{agreed(broken[0], 'is', 'are')} left out",
             stacklevel=3,
         )
-    return FrameScores(np.array(times, np.int64), np.array(scores), np.cumsum(np.array(steps)), size, broken[0])
+    way = np.cumsum(np.array(steps))
+    return FrameScores(np.array(times, np.int64), np.array(scores), way, size, broken[0], transfer)
 
 
 def pick_frames(scores: FrameScores, count: int) -> np.ndarray:
@@ -137,10 +142,13 @@ def write_frames(path: pathlib.Path, times: np.ndarray, files: list[pathlib.Path
         if not missing:
             return
         with _opened(path) as container:
+            context = container.streams.video[0].codec_context
             for frame in _frames(container, [0]):
                 file = missing.pop(frame.pts, None)
                 if file is not None:
-                    picture = np.rot90(frame.to_ndarray(format="rgb24"), _quarters(frame))
+                    transfer = transfer_of(frame, context)
+                    stored = mapped_picture(frame, transfer) if transfer else frame.to_ndarray(format="rgb24")
+                    picture = np.rot90(stored, _quarters(frame))
                     with atomic_path(file) as temporary:
                         Image.fromarray(np.ascontiguousarray(picture)).save(temporary, quality=97, subsampling=0)
                     shown.update()
