@@ -258,8 +258,14 @@ def _kept_scores(video: pathlib.Path, file: pathlib.Path, progress: bool) -> Fra
     scores = scan_video(video, progress=progress)
     with atomic_path(file) as temporary:
         numbers = np.array([*scores.size, scores.broken])
-        measures = {"times": scores.times, "sharpness": scores.sharpness, "way": scores.way}
-        np.savez(temporary, **measures, numbers=numbers, transfer=scores.transfer)
+        np.savez(
+            temporary,
+            times=scores.times,
+            sharpness=scores.sharpness,
+            way=scores.way,
+            numbers=numbers,
+            transfer=np.array(scores.transfer),
+        )
     return scores
 
 

@@ -21,7 +21,6 @@ from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
 from ..mesh.io import ALL_OBJECTS, read_object
 from ..mesh.io.formats import mesh_endings
-from ..mesh.io.ply import read_ply
 from . import shared
 from .arguments import options
 from .pose_words import ending, pose_file, posed_up, read_pose, say_standing
@@ -160,7 +159,7 @@ def read_mesh(name: str, object: str | None = None) -> trimesh.Trimesh:
         raise ValueError(f"{path} cannot be read as a mesh, it is cut off or damaged: {error}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         if path.suffix.lower() == ".ply":
-            read_ply(path)  # which tells of points without faces
+            read_object(path)  # which tells of points without faces
         raise ValueError(f"{path} holds no triangles")
     return mesh
 

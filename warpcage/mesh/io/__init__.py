@@ -81,6 +81,8 @@ def object_names(path: PathLike) -> list[str]:
 
 def _whole(path: pathlib.Path, vertices: np.ndarray, polygons: np.ndarray | Polygons) -> MeshFile:
     """What a reader gives, checked, in triangles."""
+    if len(vertices) and not len(polygons) and path.suffix.lower() == ".ply":
+        raise ValueError(f"{path} holds {counted(len(vertices), 'point')} without faces, no mesh and no cage")
     if not len(vertices) or not len(polygons):
         raise ValueError(f"{path}: no {'faces' if len(vertices) else 'vertices'} in it")
     return MeshFile(path, vertices, polygons if isinstance(polygons, np.ndarray) else _cut(path, vertices, polygons))

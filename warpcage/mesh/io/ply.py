@@ -11,7 +11,6 @@ import numpy as np
 from ...core.checks import listed, shown
 from ...core.files import TEXT_ROOM, read_limited
 from ...core.memory import require_host_memory
-from ...core.names import counted
 from .joining import joined_rows
 from .obj_off import floats, text_lines, whole
 
@@ -71,8 +70,6 @@ def _read(path: pathlib.Path, *, colors: bool) -> tuple[np.ndarray, list, np.nda
             polygons = [(line, [int(index) for index in row[column]]) for line, row in values]
     if vertices is None:
         raise ValueError(f"{path}: no vertices in it")
-    if len(vertices) and not polygons and not colors:
-        raise ValueError(f"{path} holds {counted(len(vertices), 'point')} without faces, no mesh and no cage")
     if seams is not None:
         kept, number = seams
         count = len(vertices)
