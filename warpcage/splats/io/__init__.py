@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import pathlib
 
-import numpy as np
-
-from ...core.checks import checked_path, float32_spacing, warn_caller
+from ...core.checks import checked_path, warn_caller
 from ...core.files import PathLike, atomic_path, require_file
 from .compressed import is_compressed, read_compressed_ply, write_compressed_ply
-from .contents import SplatContents, checked_contents
+from .contents import SplatContents, checked_contents, rounding_of
 from .ply import read_parts, read_splat_ply, write_splat_ply
 from .splat import read_splat, write_splat
 from .spz import read_spz, write_spz
@@ -18,9 +16,6 @@ from .spz import read_spz, write_spz
 WRITERS = {".compressed.ply": write_compressed_ply, ".ply": write_splat_ply, ".splat": write_splat, ".spz": write_spz}
 
 SPLAT_ENDINGS = tuple(WRITERS)
-
-#: Positions are told to be rounded where float32 tells apart no more than this share of the usual splat's length.
-FINEST = 0.1
 
 
 def splat_ending(path: PathLike) -> str:
@@ -53,10 +48,9 @@ def write_splats(contents: SplatContents, path: PathLike) -> None:
     """Write a file of splats, whole or not at all; its ending says the format."""
     ending = splat_ending(path)
     data = WRITERS[ending](contents)
-    if ending in (".splat", ".compressed.ply") and contents.count:
-        rounded = float32_spacing(float(np.abs(contents.centers).max()))
-        size = float(np.median(np.exp(contents.log_scales.max(axis=1).astype(np.float64))))
-        if rounded > FINEST * size:  # .spz refuses what is so far away
+    if ending in (".splat", ".compressed.ply"):
+        rounded, size = rounding_of(contents)
+        if rounded:  # .spz refuses what is so far away
             warn_caller(
                 f"{path}: {ending} files hold float32, which rounds positions so far from the origin to {rounded:.3g} "
                 f"units, and splats of {size:.3g} units with them: a .ply file keeps them"

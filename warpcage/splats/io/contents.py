@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from ...core.checks import listed
+from ...core.checks import float32_spacing, listed
 
 #: The first of the real harmonics, Y_0.
 Y0 = 0.28209479177387814
@@ -16,6 +16,9 @@ DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}
 
 #: A splat less opaque than this is not seen in pictures of bytes.
 LEAST_OPACITY = 1.0 / 255.0
+
+#: Positions are rounded by much where float32 tells apart no more than this share of the usual splat's length.
+FINEST = 0.1
 
 #: Logarithms of scales beyond which float32 cannot hold a covariance.
 MOST_LOG_SCALE = 40.0
@@ -79,6 +82,16 @@ def checked_contents(contents: SplatContents) -> SplatContents:
             f"splat {row} has a scale of exp({contents.log_scales[row].max():.3g}): float32 cannot hold it"
         )
     return contents
+
+
+def rounding_of(contents: SplatContents) -> tuple[float, float]:
+    """By how much float32 rounds positions, and the length of the usual splat, world units; 0 for the first where that
+    is little beside the second, as it is anywhere near the origin."""
+    if not contents.count:
+        return 0.0, 0.0
+    rounded = float32_spacing(float(np.abs(contents.centers).max()))
+    size = float(np.median(np.exp(contents.log_scales.max(axis=1).astype(np.float64))))
+    return (rounded if rounded > FINEST * size else 0.0), size
 
 
 def logits_of(opacities: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from ...core.checks import listed
 from ...core.files import read_limited
 from ...mesh.io.ply import Element, ply_header
-from .contents import PlyLayout, SplatContents
+from .contents import PlyLayout, SplatContents, rounding_of
 
 #: What a splat needs beside its harmonics.
 _NEEDED = (
@@ -124,14 +124,13 @@ def write_splat_ply(contents: SplatContents) -> bytes:
 
 
 def usual_layout(contents: SplatContents) -> PlyLayout:
-    """The layout that 3DGS's own training writes, its values zero; positions in double where float would round them."""
+    """The layout that 3DGS's own training writes, its values zero; positions double where float rounds by much."""
     rest = 3 * (contents.harmonics.shape[1] - 1)
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
     names += [f"f_rest_{k}" for k in range(rest)]
     names += ["opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4))]
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {contents.count}"]
-    with np.errstate(over="ignore"):
-        wide = "xyz" if (contents.centers.astype(np.float32) != contents.centers).any() else ""
+    wide = "xyz" if contents.centers.dtype == np.float64 and rounding_of(contents)[0] else ""
     lines += [f"property {'double' if name in wide else 'float'} {name}" for name in names] + ["end_header", ""]
     table = np.zeros(contents.count, [(name, "<f8" if name in wide else "<f4") for name in names])
     return PlyLayout("\n".join(lines).encode(), b"", table, b"")
