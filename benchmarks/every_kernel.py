@@ -268,7 +268,11 @@ def splats(device) -> None:
     shown = warpcage.turntable((0, 0, 0), 3.0, 20, 3, width=300, height=270)  # large enough for coarse pictures too
     scene = warpcage.Scene(np.stack([field.render(each).rgb for each in shown]), None, shown)
     options = {"steps": 9, "grow_every": 2, "most_splats": 500, "start": "random", "every_value": True}
-    warpcage.fit(scene, representation="splats", device=device, progress=False, **options)
+    options |= {"exposure": True, "least_scale": 1.0, "weights": np.ones((3, 270, 300))}
+    fit = warpcage.SplatFit(scene, device=device, **options)
+    while fit.step_count < fit.total_steps:
+        fit.step()
+    fit.finish()
 
 
 def posed_splats(device) -> None:
