@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib.metadata
 import inspect
 import math
 import os
@@ -14,6 +15,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from .names import error_line
 
 #: Most samples that a caller may ask for along the diagonal of a field: with more a picture takes minutes, and no pixel
 #: differs.
@@ -215,6 +218,25 @@ def warn_caller(message: str) -> None:
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         depth, frame = depth + 1, frame.f_back
     warnings.warn(message, stacklevel=depth + 1)
+
+
+def registered_formats(group: str, what: str, require: Callable[[object], None]) -> Iterable[Any]:
+    """What other packages register under a group of entry points, by name; what cannot be used is left out with a
+    warning. what: "the mesh format" for messages, require: refuses by an exception what is none."""
+    for entry in sorted(importlib.metadata.entry_points(group=group), key=lambda entry: entry.name):
+        try:
+            format = entry.load()
+            require(format)
+        except Exception as error:  # whatever another package raises
+            warn_caller(f"{what} {entry.name!r} of {entry.value} cannot be used: {error_line(error, 200)}")
+        else:
+            yield format
+
+
+def require_endings(endings: tuple[str, ...]) -> None:
+    """Refuse endings of a format's files that are no ends of names in small letters."""
+    if not endings or not all(each.startswith(".") and each == each.lower() for each in endings):
+        raise ValueError(f"its endings must be lower case and begin with a dot, got {endings!r}")
 
 
 def renamed(**names: str) -> Callable[[Decorated], Decorated]:

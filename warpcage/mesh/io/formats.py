@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib.metadata
 import pathlib
 from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from ...core.checks import warn_caller
-from ...core.names import error_line
+from ...core.checks import registered_formats, require_endings
 from .gltf import gltf_object_names, read_gltf, write_glb, write_gltf
 from .obj_off import Polygons, obj_object_names, read_obj, read_obj_object, read_off, write_obj, write_off
 from .ply import read_ply, write_ply
@@ -54,23 +52,13 @@ ENDINGS = tuple(ending for format in FORMATS for ending in format.endings)
 @functools.cache
 def mesh_formats() -> tuple[MeshFormat, ...]:
     """All formats: our own first, then those of other packages, by name; an ending belongs to the first that has it."""
-    found = list(FORMATS)
-    for entry in sorted(importlib.metadata.entry_points(group=GROUP), key=lambda entry: entry.name):
-        try:
-            format = entry.load()
-            _require_format(format)
-        except Exception as error:  # whatever another package raises
-            warn_caller(f"the mesh format {entry.name!r} of {entry.value} cannot be used: {error_line(error, 200)}")
-            continue
-        found.append(format)
-    return tuple(found)
+    return (*FORMATS, *registered_formats(GROUP, "the mesh format", _require_format))
 
 
 def _require_format(format: object) -> None:
     if not isinstance(format, MeshFormat):
         raise ValueError(f"it must be a warpcage.mesh.MeshFormat, got {type(format).__name__}")
-    if not format.endings or not all(each.startswith(".") and each == each.lower() for each in format.endings):
-        raise ValueError(f"its endings must be lower case and begin with a dot, got {format.endings!r}")
+    require_endings(format.endings)
     if format.up not in ("z", "y"):
         raise ValueError(f"its up must be 'z' or 'y', got {format.up!r}")
 
