@@ -346,6 +346,8 @@ def read_json(path: PathLike, what: str) -> dict[str, Any]:
         place = f"line {error.lineno}, column {error.colno}"
         wrong = f"its JSON breaks off or is damaged at {place}" if data.strip() else "it is empty"
         raise ValueError(f"{not_a(what)}: {wrong}") from None
+    except ValueError:  # of Python, which reads no longer ones
+        raise ValueError(f"{not_a(what)}: a number in it has thousands of digits") from None
     if not isinstance(content, dict):
         raise ValueError(f"{not_a(what)}: it holds no JSON object")
     return content

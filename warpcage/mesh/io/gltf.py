@@ -61,8 +61,14 @@ def opened(path: pathlib.Path) -> tuple[dict, bytes | None]:
     chunks, position = {}, 12
     while position + 8 <= length:
         size, kind = struct.unpack_from("<II", data, position)
+        if position + 8 + size > length:
+            raise ValueError(
+                f"a chunk of {size} bytes from byte {position + 8} on ends beyond the {length} of the file"
+            )
         chunks.setdefault(kind, data[position + 8 : position + 8 + size])
         position += 8 + size
+    if JSON_CHUNK not in chunks:
+        raise ValueError(f"there is no chunk of JSON in the {length} bytes of the file")
     require_host_memory(JSON_ROOM * len(chunks[JSON_CHUNK]), f"its {len(chunks[JSON_CHUNK])} bytes of JSON need")
     return json.loads(chunks[JSON_CHUNK].decode("utf-8")), chunks.get(BINARY_CHUNK)
 
