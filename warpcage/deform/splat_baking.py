@@ -10,8 +10,7 @@ import numpy as np
 from ..core.checks import listed
 from ..core.names import counted
 from ..splats.binding import turned_harmonics
-from ..splats.io.contents import SplatContents, logits_of
-from ..splats.io.ply import chosen_layout
+from ..splats.io.contents import SplatContents, chosen_layout, logits_of
 from ..splats.splat_field import SplatField, rotation_matrices
 from .splat_edits import SplatEdits
 

@@ -19,6 +19,7 @@ from ..lattice.harmonic import HarmonicSolver
 from ..lattice.lattice import CageLattice
 from ..mesh.faces import StretchTarget, column_cross, column_dot, face_edges, stretched_normals
 from ..mesh.mesh import ClosedMesh
+from .io.axes import sh_basis
 
 #: Rows of x, y, z, x, y, of which cross products take slices.
 _AROUND = np.array([0, 1, 2, 0, 1])
@@ -217,33 +218,6 @@ def _columns(height: int, count: int, dtype: Any, device: wp.Device) -> wp.array
     if device.is_cpu:
         return empty_array((count, height), dtype, device).transpose([1, 0])
     return empty_array((height, count), dtype, device)
-
-
-def sh_basis(directions: np.ndarray) -> np.ndarray:
-    """The real harmonics of kernels/field/harmonics.py, degree 0 to 3: (..., 16) float64 at unit vectors (..., 3)."""
-    x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
-    xx, yy, zz = x * x, y * y, z * z
-    return np.stack(
-        [
-            np.full_like(x, 0.28209479177387814),
-            -0.4886025119029199 * y,
-            0.4886025119029199 * z,
-            -0.4886025119029199 * x,
-            1.0925484305920792 * x * y,
-            -1.0925484305920792 * y * z,
-            0.31539156525252005 * (2.0 * zz - xx - yy),
-            -1.0925484305920792 * x * z,
-            0.5462742152960396 * (xx - yy),
-            -0.5900435899266435 * y * (3.0 * xx - yy),
-            2.890611442640554 * x * y * z,
-            -0.4570457994644658 * y * (4.0 * zz - xx - yy),
-            0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
-            -0.4570457994644658 * x * (4.0 * zz - xx - yy),
-            1.445305721320277 * z * (xx - yy),
-            -0.5900435899266435 * x * (xx - 3.0 * yy),
-        ],
-        axis=-1,
-    )
 
 
 def turned_harmonics(harmonics: np.ndarray, rotations: np.ndarray) -> np.ndarray:

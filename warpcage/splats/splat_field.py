@@ -35,8 +35,7 @@ from ..kernels.splats.splats import Splats
 from ..view.camera import Camera
 from ..view.frame import Frame, parse_background
 from .io import is_splat_file, read_splats, write_splats
-from .io.contents import LEAST_OPACITY, Y0, PlyLayout, SplatContents, checked_contents, opacities_of
-from .io.ply import chosen_layout
+from .io.contents import LEAST_OPACITY, Y0, PlyLayout, SplatContents, checked_contents, chosen_layout, opacities_of
 from .matter import finest_side, half_light, in_nodes, splat_digest
 from .render import SplatRenderer, near_distance
 

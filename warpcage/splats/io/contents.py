@@ -104,3 +104,25 @@ def opacities_of(logits: np.ndarray) -> np.ndarray:
     """Opacities (n,) of logits; float64."""
     with np.errstate(over="ignore"):
         return 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
+
+
+def chosen_layout(layout: PlyLayout | None, rows: np.ndarray) -> PlyLayout | None:
+    """The layout of some of the splats, or of copies; rows: (m,) the splat that each has its foreign values from."""
+    if layout is None:
+        return None
+    whole = len(rows) == len(layout.table)  # elements after the splats may speak of all of them
+    header = layout.header if whole else _without_elements_after(layout.header)
+    return PlyLayout(header, layout.before, layout.table[rows], layout.after if whole else b"")
+
+
+def _without_elements_after(header: bytes) -> bytes:
+    """A header without the elements that follow the vertices."""
+    lines, kept, seen = header.splitlines(keepends=True), [], False
+    dropping = False
+    for line in lines:
+        words = line.split()
+        if words[:1] == [b"element"]:
+            dropping, seen = seen, seen or words[1] == b"vertex"
+        if not (dropping and words[:1] in ([b"element"], [b"property"])):
+            kept.append(line)
+    return b"".join(kept)

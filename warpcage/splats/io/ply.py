@@ -136,15 +136,6 @@ def usual_layout(contents: SplatContents) -> PlyLayout:
     return PlyLayout("\n".join(lines).encode(), b"", table, b"")
 
 
-def chosen_layout(layout: PlyLayout | None, rows: np.ndarray) -> PlyLayout | None:
-    """The layout of some of the splats, or of copies; rows: (m,) the splat that each has its foreign values from."""
-    if layout is None:
-        return None
-    whole = len(rows) == len(layout.table)  # elements after the splats may speak of all of them
-    header = layout.header if whole else _without_elements_after(layout.header)
-    return PlyLayout(header, layout.before, layout.table[rows], layout.after if whole else b"")
-
-
 def _properties(contents: SplatContents) -> dict[str, np.ndarray]:
     """The values of splats by the names of their properties."""
     rest = contents.harmonics.shape[1] - 1
@@ -163,16 +154,3 @@ def _with_count(header: bytes, count: int) -> bytes:
     if int(found[1]) == count:
         return header
     return header[: found.start(1)] + str(count).encode() + header[found.end(1) :]
-
-
-def _without_elements_after(header: bytes) -> bytes:
-    """A header without the elements that follow the vertices."""
-    lines, kept, seen = header.splitlines(keepends=True), [], False
-    dropping = False
-    for line in lines:
-        words = line.split()
-        if words[:1] == [b"element"]:
-            dropping, seen = seen, seen or words[1] == b"vertex"
-        if not (dropping and words[:1] in ([b"element"], [b"property"])):
-            kept.append(line)
-    return b"".join(kept)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.files import MAX_RATIO, read_limited
 from ...core.memory import require_host_memory
+from .axes import turned_over
 from .compressed import with_largest, without_largest
 from .contents import DEGREES, SplatContents, logits_of, opacities_of
 
@@ -27,9 +28,6 @@ _MOST = (1 << 23) - 1
 
 #: Flag of splats that were fitted with antialiasing.
 _ANTIALIASED = 1
-
-#: Harmonics that change their sign with y and z, of degree 1 to 3: odd in y and z together.
-FLIPPED = np.array([1, 1, 0, 1, 0, 0, 1, 0, 1, 0, 1, 1, 0, 1, 0], dtype=bool)
 
 
 def read_spz(path: pathlib.Path) -> SplatContents:
@@ -92,16 +90,6 @@ def write_spz(contents: SplatContents) -> bytes:
     body += [_turn_bytes(contents.quaternions), np.clip(np.round(octets), 0, 255).astype(np.uint8).tobytes()]
     packer = zlib.compressobj(9, zlib.DEFLATED, 31)
     return packer.compress(header + b"".join(body)) + packer.flush()
-
-
-def turned_over(contents: SplatContents) -> SplatContents:
-    """Splats with the signs of y and z changed, which is half a turn about x; twice gives the same bits."""
-    signs = np.array([1.0, -1.0, -1.0], np.float32)
-    harmonics = contents.harmonics.copy()
-    flipped = FLIPPED[: harmonics.shape[1] - 1]
-    harmonics[:, 1:][:, flipped] *= np.float32(-1.0)
-    quaternions = contents.quaternions * np.array([1.0, 1.0, -1.0, -1.0], np.float32)
-    return SplatContents(contents.centers * signs, contents.log_scales, quaternions, contents.logits, harmonics)
 
 
 def _unpacked(path: pathlib.Path, data: bytes) -> bytes:
