@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from messages import MESSAGES
+from splat_scenes import scene_of
 
 import warpcage
 from warpcage import Camera, SplatField, SplatRates, fit_splats, turntable
@@ -43,6 +44,25 @@ def pictures(field, cameras, **options):
 
 def psnr(field, cameras, images, **options):
     return np.mean([warpcage.psnr(*each) for each in zip(pictures(field, cameras, **options), images, strict=True)])
+
+
+def test_a_fitted_field_is_drawn_as_it_was_fitted(device):
+    """Where nobody says whether splats are antialiased, the field does."""
+    field, cameras = some_field(device, 40, degree=0), views(2, 16)
+    for flag in (False, True):
+        begin = SplatField.from_contents(field.contents, background="white", antialias=flag, device=device)
+        images = pictures(begin, cameras)
+        np.testing.assert_array_equal(images, pictures(field, cameras, antialias=flag))
+        fits = [
+            fit_splats(begin, cameras, images, steps=2, progress=False, **options)
+            for options in ({}, {"antialias": True}, {"antialias": False})
+        ]
+        assert [each.antialias for each in fits] == [flag, True, False]
+        same = fits[1 if flag else 2].contents
+        np.testing.assert_allclose(fits[0].contents.log_scales, same.log_scales, atol=1e-5)
+        assert begin.painted(np.ones(40, bool)).antialias is flag
+    fit = warpcage.SplatFit(scene_of(field, cameras), device=device, antialias=True, most_splats=50)
+    assert fit.field.antialias
 
 
 @pytest.mark.parametrize("options", [{}, {"supersampling": 2, "antialias": True}])

@@ -113,7 +113,7 @@ class FrameMaker:
             renderer, drawn = bound.deformer, _drawn(bound) if item.overlay else []
         else:
             bound_key, renderer, drawn = None, field, []
-        if item.antialias and isinstance(field, VoxelField):
+        if item.antialias is not None and isinstance(field, VoxelField):
             raise ValueError("'antialias' is for files of splats, this field is one of voxels (.npz)")
         frame = renderer.render(camera, **_render_options(item))
         if item.fill:
@@ -187,8 +187,8 @@ def _drawn(bound: Bound) -> list[Cage]:
 
 def _render_options(item: FrameItem) -> dict[str, Any]:
     options: dict[str, Any] = {} if item.supersampling is None else {"supersampling": item.supersampling}
-    if item.antialias:
-        options["antialias"] = True
+    if item.antialias is not None:
+        options["antialias"] = item.antialias
     if item.background is None:
         return options
     return options | {"background": "black" if item.background == TRANSPARENT else item.background}

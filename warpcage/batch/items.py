@@ -260,7 +260,9 @@ class FrameItem(Item):
     fill: bool = False  # whether what was uncovered is filled
     overlay: bool = False  # whether the cages are drawn into the picture
     supersampling: int | None = None  # rays along each side of a pixel; None is the field's
-    antialias: bool = False  # of splats: whether those smaller than a pixel are weakened; see `SplatField.render`
+    antialias: bool | None = (
+        None  # of splats: whether those smaller than a pixel are weakened; None is as their file says
+    )
     disparity_scale: tuple[float, float] | None = None  # low and high of such pictures; None is the frame's range
     scene_scale: float = 1.0  # as `VoxelField.load` has it
 

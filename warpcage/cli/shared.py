@@ -277,7 +277,7 @@ def read_field(args: argparse.Namespace) -> AnyField:
     require_file(args.field, "field file")  # before Warp starts, which takes a while
     if is_splat_file(args.field):
         require_field_scale(args)
-    elif getattr(args, "antialias", None):
+    elif getattr(args, "antialias", None) is not None:
         raise ValueError(f"--antialias is for files of splats, got {args.field!r}")
     elif getattr(args, "map", None) == "forward":
         raise ValueError(f"--map forward is for files of splats, voxels are looked up backward, got {args.field!r}")
@@ -385,7 +385,7 @@ def is_transparent(args: argparse.Namespace) -> bool:
 
 def render_view(renderer: AnyField | Deformer, camera: Camera, args: argparse.Namespace) -> Frame:
     """The view of a camera before the chosen background; what no picture showed is filled where --fill asks for it."""
-    splats = {"antialias": True} if args.antialias else {}
+    splats = {} if args.antialias is None else {"antialias": args.antialias}
     frame = renderer.render(camera, **background_option(args), **splats)
     if not args.fill or frame.reveal is None:
         return frame

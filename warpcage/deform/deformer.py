@@ -256,7 +256,7 @@ class Deformer:
         background: str | ArrayLike | None = None,
         step: float | None = None,
         supersampling: int | None = None,
-        antialias: bool = False,
+        antialias: bool | None = None,
     ) -> Frame:
         """The view of a camera of the deformed scene, with the masks reveal, fold and outside.
 
@@ -267,6 +267,7 @@ class Deformer:
             step: March step, world units, at least 1e-5 of the field's diagonal. None is the field's.
             supersampling: Rays along each side of a pixel. None is the field's.
             antialias: Of splats only: weaken those that the blur of the picture makes larger; see `SplatField.render`.
+                None is the field's own.
 
         Returns:
             The frame, its arrays on the device.
@@ -320,10 +321,10 @@ class Deformer:
         background: str | ArrayLike | None,
         step: float | None,
         supersampling: int | None,
-        antialias: bool,
+        antialias: bool | None,
     ) -> Frame:
         """`render` of a pose, which is worked out once the rest is checked."""
-        if checked_flag(antialias, "antialias"):
+        if antialias is not None and checked_flag(antialias, "antialias"):
             raise ValueError("antialias is for splats: voxels take more rays a pixel (supersampling)")
         march_step, work = self.field.march_step(step, camera)
         field, center = self.field, wp.vec3(*(camera.center - self.field.center).tolist())
@@ -380,7 +381,7 @@ class PosedDeformer:
         background: str | ArrayLike | None = None,
         step: float | None = None,
         supersampling: int | None = None,
-        antialias: bool = False,
+        antialias: bool | None = None,
     ) -> Frame:
         """The view of a camera of the scene in this pose; see `Deformer.render`."""
         shared, options = self.deformer, (background, step, supersampling, antialias)
@@ -581,7 +582,7 @@ class SplatDeformer(Deformer):
         background: str | ArrayLike | None,
         step: float | None,
         supersampling: int | None,
-        antialias: bool,
+        antialias: bool | None,
     ) -> Frame:
         """`render` of a pose."""
         if step is not None:
@@ -595,5 +596,5 @@ class SplatDeformer(Deformer):
             origin=field.center,
             near=field.near,
             supersampling=1 if supersampling is None else supersampling,
-            antialias=checked_flag(antialias, "antialias"),
+            antialias=field.antialias if antialias is None else checked_flag(antialias, "antialias"),
         )

@@ -73,7 +73,7 @@ def views_of_splats(field: SplatField, cameras: Sequence[Camera], least: float) 
     with device_turn(field.device):
         parameters.refresh()
         for camera in small_cameras(cameras):
-            lens = splat_lens(camera, grey.center, grey.near, IMAGE_BLUR, False)
+            lens = splat_lens(camera, grey.center, grey.near, IMAGE_BLUR, field.antialias)
             gradients.draw(parameters, camera, lens, wp.vec3(0.0, 0.0, 0.0))
             ones = wp.full(camera.width * camera.height, wp.vec3(1.0, 1.0, 1.0), dtype=wp.vec3, device=field.device)
             gradients.take_back(ones)

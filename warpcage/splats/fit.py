@@ -88,7 +88,7 @@ class SplatParameters:
         inputs = [self.by_rows(name, self.values) for name in names]
         launch(fit.make_splats, len(self.field), inputs, [self.splats], device=self.field.device)
 
-    def to_field(self) -> SplatField:
+    def to_field(self, antialias: bool) -> SplatField:
         """A field of the values as they are now, with what else the file of the first one says."""
         held, count = self.field.contents, len(self.field)
         host = {name: array.numpy() for name, array in self.values.items()}
@@ -102,7 +102,7 @@ class SplatParameters:
             host["harmonics"].reshape(held.harmonics.shape),
             layout=held.layout,
             device=self.field.device,
-            **self.field.view_options(),
+            **self.field.view_options() | {"antialias": antialias},
         )
 
 
@@ -256,7 +256,7 @@ def fit_splats(
     steps: int = 2000,
     loss: str = "l2",
     supersampling: int = 1,
-    antialias: bool = False,
+    antialias: bool | None = None,
     blur: float = IMAGE_BLUR,
     background: str | ArrayLike | None = None,
     growth: float | None = None,
@@ -280,8 +280,8 @@ def fit_splats(
         loss: What differences of colours count by: "l2", their squares, for a high PSNR, or "l1", as 3DGS has it (here
             without its structural term).
         supersampling: Rays along each side of a pixel, 1 to 8.
-        antialias: Weaken splats that the blur of the picture makes larger (Mip-Splatting). Draw the fitted field in the
-            same way.
+        antialias: Weaken splats that the blur of the picture makes larger (Mip-Splatting). The fitted field is drawn in
+            the same way. None is the field's own.
         blur: Variance by which pictures are blurred, pixels squared.
         background: Colour behind the splats, a name or (3,) in [0, 1]. None is the field's own.
         growth: How many times as large as at first, along each of its axes, a splat may become, 1 or more; fields that
@@ -318,7 +318,7 @@ def fit_splats(
         loss=loss,
         supersampling=checked_supersampling(supersampling),
         blur=checked_positive(blur, "blur"),
-        antialias=checked_flag(antialias, "antialias"),
+        antialias=field.antialias if antialias is None else checked_flag(antialias, "antialias"),
         background=field.background if background is None else parse_background(background),
         growth=math.inf if growth is None else checked_growth(growth),
         rates=rates,
@@ -398,6 +398,7 @@ class SplatOptimizer:
     ):
         self.device, self.step_count, self._steps = field.device, 0, steps
         self._side, self._squared, self._rates = supersampling, int(loss == "l2"), rates
+        self._antialias = antialias
         self._background = wp.vec3(*map(float, background))
         self._parameters, self._gradients = SplatParameters(field), SplatGradients(field.device)
         self._cameras = [finer_camera(camera, supersampling) for camera in cameras]
@@ -436,7 +437,7 @@ class SplatOptimizer:
     def to_field(self) -> SplatField:
         """The field of the values as they are now."""
         with device_turn(self.device):
-            return self._parameters.to_field()
+            return self._parameters.to_field(self._antialias)
 
     def mean_error(self) -> float:
         """Mean square of the colours' errors in the last picture, before its step."""

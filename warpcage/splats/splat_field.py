@@ -151,6 +151,7 @@ class SplatField:
         layout: The PLY file that the splats come from, for what else is in it. None is the usual layout.
         background: Colour behind the splats, a name or (3,) in [0, 1].
         up: (3,) what is up in the world, for views of it, of any length but zero.
+        antialias: Whether the splats were fitted with what `render` calls by this name, which is its default then.
         device: Warp device. None is CUDA where there is one.
 
     Raises:
@@ -162,6 +163,7 @@ class SplatField:
         contents: The values as files have them. They are not to be written to.
         background: (3,) float32 colour behind the splats.
         up: (3,) float64 unit vector.
+        antialias: Whether views are antialiased where nobody says otherwise.
         device: Warp device.
     """
 
@@ -182,6 +184,7 @@ class SplatField:
         layout: PlyLayout | None = None,
         background: str | ArrayLike = "black",
         up: ArrayLike = (0.0, -1.0, 0.0),
+        antialias: bool = False,
         device: wp.DeviceLike = None,
     ):
         held = np.asarray(centers)
@@ -191,6 +194,7 @@ class SplatField:
         if places.ndim != 2 or colors.ndim != 3:
             raise ValueError(f"centres must be (n, 3) and harmonics (n, b, 3), got {places.shape}, {colors.shape}")
         self.contents = checked_contents(SplatContents(places, scales, turns, opacities, colors, layout))
+        self.antialias = checked_flag(antialias, "antialias")
         self.device = resolve_device(device)
         self.background = parse_background(background)
         self.up = checked_direction(up, "up")
@@ -220,7 +224,8 @@ class SplatField:
 
         Args:
             contents: The values.
-            options: `background`, `up` and `device`, as for the constructor.
+            options: `background`, `up`, `antialias` and `device`, as for the constructor. Where antialias is not given
+                it is that of the values.
 
         Returns:
             The field.
@@ -229,6 +234,7 @@ class SplatField:
             ValueError: As the constructor.
         """
         values = (contents.log_scales, contents.quaternions, contents.logits, contents.harmonics)
+        options = {"antialias": contents.antialias} | options
         return cls(contents.centers, *values, layout=contents.layout, **options)
 
     def save(self, path: str | os.PathLike) -> None:
@@ -400,7 +406,9 @@ class SplatField:
         held = self.contents
         paint = np.where(rows, 0.5, -0.5).astype(np.float32)[:, None, None] / np.float32(Y0)
         values = (held.centers, held.log_scales, held.quaternions, held.logits)
-        return SplatField(*values, np.repeat(paint, 3, axis=2), up=self.up, device=self.device)
+        return SplatField(
+            *values, np.repeat(paint, 3, axis=2), up=self.up, antialias=self.antialias, device=self.device
+        )
 
     @property
     def splats(self) -> Any:
@@ -477,7 +485,7 @@ class SplatField:
         *,
         background: str | ArrayLike | None = None,
         supersampling: int | None = None,
-        antialias: bool = False,
+        antialias: bool | None = None,
     ) -> Frame:
         """The view of a camera.
 
@@ -488,7 +496,7 @@ class SplatField:
             background: Colour behind the splats, a name or (3,) in [0, 1]. None is the field's own.
             supersampling: Rays along each side of a pixel. None is one.
             antialias: Weaken splats that the blur of the picture makes larger (Mip-Splatting), for fields that were
-                fitted in that way. Others get thinner where they are far away.
+                fitted in that way. Others get thinner where they are far away. None is the field's own.
 
         Returns:
             The frame, its arrays on the field's device.
@@ -505,7 +513,7 @@ class SplatField:
             origin=self.center,
             near=self.near,
             supersampling=1 if supersampling is None else supersampling,
-            antialias=checked_flag(antialias, "antialias"),
+            antialias=self.antialias if antialias is None else checked_flag(antialias, "antialias"),
         )
 
     @functools.cached_property
@@ -520,7 +528,7 @@ class SplatField:
 
     def view_options(self) -> dict[str, Any]:
         """What views of the field depend on besides its splats, by the constructor's names."""
-        return {"background": self.background, "up": self.up}
+        return {"background": self.background, "up": self.up, "antialias": self.antialias}
 
     def __len__(self) -> int:
         return self.splat_count

@@ -238,10 +238,10 @@ def add_antialias(parser: Arguments) -> None:
     """How small splats are drawn."""
     parser.add_argument(
         "--antialias",
-        action="store_true",
+        action=argparse.BooleanOptionalAction,
         default=None,
         help="splats only: weaken those that are smaller than a pixel, for files that were fitted in that way "
-        "(Mip-Splatting); others get thinner where they are far away",
+        "(Mip-Splatting); others get thinner where they are far away (default: as the file says)",
     )
 
 

@@ -455,4 +455,5 @@ class SplatFit:
         behind = self._background()
         if behind is None:
             behind = np.zeros(3) if self.scene.alphas is None else self.scene.background
-        return SplatField(**values, background=behind, up=self.scene.up, device=self.device)
+        made_for = {"antialias": self.options.antialias, "device": self.device}
+        return SplatField(**values, background=behind, up=self.scene.up, **made_for)

@@ -44,6 +44,7 @@ class SplatContents:
     logits: np.ndarray  # (n,) float32, logarithm of opacity / (1 - opacity); infinite for 0 and 1
     harmonics: np.ndarray  # (n, b, 3) float32, b = 1, 4, 9 or 16 coefficients in red, green and blue
     layout: PlyLayout | None = None  # of the PLY file that they come from
+    antialias: bool = False  # whether they were fitted with what `SplatField.render` calls by this name
 
     @property
     def count(self) -> int:
