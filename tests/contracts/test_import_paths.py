@@ -37,6 +37,7 @@ FIXED = {
     "warpcage.reference.cage_scenes": {"CAGE_SCENES": "dict", "scene_field": "function"},
     "warpcage.reference.raycast": {"render_mesh_views": "function"},
     "warpcage.reference.viewpoints": {"reference_cameras": "function", "spread_eyes": "function"},
+    "warpcage.splats": {"SplatContents": "class", "SplatFormat": "class"},
     "warpcage.view.camera": {"Camera": "class", "framing_orbit": "function"},
     "warpcage.view.exr": {"write_exr": "function"},
     "warpcage.view.film": {"write_film": "function", "write_gif": "function", "write_video": "function"},

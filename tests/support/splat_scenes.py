@@ -6,6 +6,7 @@ import numpy as np
 
 import warpcage
 from warpcage import Scene, SplatField, turntable
+from warpcage.splats import SplatContents
 
 
 def splats_in_box(device, count=200, half=0.7, scales=(-6.0, -4.0), degree=3, seed=0):
@@ -274,3 +275,16 @@ def scene_of(field, cameras, *, alphas=False, points=None):
 def held_out_psnr(field, truth):
     """PSNR of a fit in views between the rings."""
     return float(np.mean([row["psnr"] for row in warpcage.evaluate(field, scene_of(truth, ring(6, 5)))]))
+
+
+def some_splats(count=300, degree=3, seed=0, antialias=False):
+    """Values of splats as files have them."""
+    rng = np.random.default_rng(seed)
+    return SplatContents(
+        rng.uniform(-2.0, 2.0, (count, 3)).astype(np.float32),
+        rng.uniform(-6.0, -2.0, (count, 3)).astype(np.float32),
+        (rng.normal(size=(count, 4)) * rng.uniform(0.2, 5.0, (count, 1))).astype(np.float32),
+        rng.uniform(-4.0, 4.0, count).astype(np.float32),
+        rng.uniform(-0.5, 0.5, (count, (degree + 1) ** 2, 3)).astype(np.float32),
+        antialias=antialias,
+    )

@@ -31,7 +31,7 @@ from ..mesh.match import require_same_faces
 from ..mesh.validity import is_usable, require_usable
 from ..render.scene import LatticeEdits
 from ..render.view import PosedEdits, ViewRequest, cage_span, require_short_march
-from ..splats.io import splat_ending
+from ..splats.io.formats import format_to_write
 from ..splats.splat_field import SplatDensity, SplatField
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame, parse_background
@@ -556,7 +556,7 @@ class SplatDeformer(Deformer):
         marks = re.findall("#+", pattern.name)
         if len(marks) != 1:
             raise ValueError(f"a sequence needs one run of # in its name, such as walk_####.ply, got {pattern.name!r}")
-        splat_ending(pattern)
+        format_to_write(pattern)
         checked_whole(first, "first", 0)
         written: list[pathlib.Path] = []
         for number, cages in enumerate(poses, first):

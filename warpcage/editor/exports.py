@@ -19,7 +19,7 @@ from ..core.checks import checked_whole
 from ..core.files import PathLike
 from ..core.overlap import BackgroundWriter
 from ..deform.bake import bake
-from ..splats.io import splat_ending
+from ..splats.io.formats import format_to_write
 from ..splats.splat_field import AnyField, SplatField, field_size
 from ..view.film import FILM_ENDINGS, checked_rate, require_clear_film, write_film
 from ..view.opacity import rgba_picture
@@ -158,7 +158,7 @@ def export_baked(document: Document, field: AnyField, path: PathLike, report: Re
     """Write the scene, deformed by the poses of now, as a field of its own, whole or not at all; returns that field.
     Without visible edits it is the field. A file of voxels ends in .npz. What `report` raises ends the work."""
     if isinstance(field, SplatField):
-        splat_ending(path)
+        format_to_write(path)
     elif pathlib.Path(path).suffix.lower() != ".npz":
         raise ValueError(f"field {str(path)!r} must end in .npz")
     report(None, "poses the cages")

@@ -1,0 +1,128 @@
+"""The formats of files of splats in one table: how each is called and recognized, read and written."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import pathlib
+from collections.abc import Callable, Iterator
+from typing import cast
+
+from ...core.checks import checked_path, registered_formats, require_endings, require_type
+from ...core.files import PathLike
+from .compressed import is_compressed, read_compressed_ply, write_compressed_ply
+from .contents import SplatContents
+from .ply import read_parts, read_splat_ply, write_splat_ply
+from .splat import read_splat, write_splat
+from .spz import read_spz, write_spz
+
+#: Where other packages register a SplatFormat, in the entry points of their setup.
+ENTRY_POINTS = "warpcage.splat_formats"
+
+
+@dataclasses.dataclass(frozen=True)
+class SplatFormat:
+    """A format of files of splats, as another package registers it too: see docs/splats.md."""
+
+    name: str  # what it is called, such as "Niantic SPZ"
+    endings: tuple[str, ...]  # of its files, such as (".spz",), in small letters
+    read: Callable[..., SplatContents] | None = None  # from the path of a file; None where it is only written
+    write: Callable[..., bytes] | None = None  # from values to the bytes of a file; None where it is only read
+    # whether a file of those endings, which may not be there, holds splats; None where no others have the ending
+    recognize: Callable[[pathlib.Path], bool] | None = None
+    read_options: tuple[str, ...] = ()  # names of options of `SplatField.load` that `read` takes
+    write_options: tuple[str, ...] = ()  # names of options of `SplatField.save` that `write` takes
+    rounds: bool = False  # whether `write` keeps positions as float32, which is said where that rounds them by much
+
+    def has_ending(self, path: PathLike) -> bool:
+        """Whether a path ends as files of the format do."""
+        return pathlib.Path(path).name.lower().endswith(self.endings)
+
+    def holds(self, path: PathLike) -> bool:
+        """Whether a file is one of the format, by its ending and, where that does not tell, by its beginning."""
+        return self.has_ending(path) and (self.recognize is None or self.recognize(pathlib.Path(path)))
+
+
+def read_ply(path: pathlib.Path) -> SplatContents:
+    """The splats of a .ply file; whether it is a compressed one its header tells."""
+    parts = read_parts(path, ("chunk", "vertex", "sh"))
+    return read_compressed_ply(path, parts) if is_compressed(parts) else read_splat_ply(path, parts)
+
+
+def _is_splat_ply(path: pathlib.Path) -> bool:
+    """Whether a .ply file, which may be a mesh, holds splats, by its header."""
+    if not path.is_file():
+        return path.name.lower().endswith(".compressed.ply")
+    with path.open("rb") as opened:
+        head = opened.read(1 << 16).partition(b"end_header")[0]
+    return b"packed_position" in head or (b"f_dc_0" in head and b"rot_0" in head)
+
+
+#: Endings that no format of splats has: others are not looked for.
+_OTHERS = ("", ".npz", ".json", ".ply", ".png")
+
+#: All that warpcage knows by itself. The first whose ending fits counts.
+BUILT_IN = (
+    SplatFormat(
+        "SuperSplat compressed PLY", (".compressed.ply",), read_ply, write_compressed_ply, _is_splat_ply, rounds=True
+    ),
+    SplatFormat("3DGS PLY", (".ply",), read_ply, write_splat_ply, _is_splat_ply),
+    SplatFormat("splat of web viewers", (".splat",), read_splat, write_splat, rounds=True),
+    SplatFormat("Niantic SPZ", (".spz",), read_spz, write_spz),
+)
+
+
+def splat_formats() -> tuple[SplatFormat, ...]:
+    """All formats: warpcage's own, then those that other packages registered."""
+    return (*BUILT_IN, *other_formats())
+
+
+@functools.cache
+def other_formats() -> tuple[SplatFormat, ...]:
+    """The formats of other packages; an ending belongs to the first format that has it."""
+    return tuple(registered_formats(ENTRY_POINTS, "the splat format", _require_format))
+
+
+def _require_format(format: object) -> None:
+    require_type(format, SplatFormat, "it must be")
+    require_endings(cast(SplatFormat, format).endings)
+
+
+def _candidates(path: PathLike) -> Iterator[SplatFormat]:
+    """The formats that a file may have; those of other packages last, as to look for them takes a while."""
+    yield from BUILT_IN
+    if pathlib.Path(path).suffix.lower() not in _OTHERS:
+        yield from other_formats()
+
+
+def endings_read() -> list[str]:
+    """The endings of files that are read."""
+    return [ending for each in splat_formats() if each.read for ending in each.endings]
+
+
+def endings_written() -> list[str]:
+    """The endings of files that are written."""
+    return [ending for each in splat_formats() if each.write for ending in each.endings]
+
+
+def format_to_read(path: PathLike) -> SplatFormat:
+    """The format of a file, by its ending; ValueError for one that is not known."""
+    named = checked_path(path, "the file of splats")
+    for each in _candidates(named):
+        if each.read and each.has_ending(named):
+            return each
+    raise ValueError(f"splat file {str(path)!r} must end in {', '.join(endings_read())}")
+
+
+def format_to_write(path: PathLike) -> SplatFormat:
+    """The format that a file is written in, by its ending; ValueError for one that is not known."""
+    named = checked_path(path, "the file of splats")
+    for each in _candidates(named):
+        if each.write and each.has_ending(named):
+            return each
+    raise ValueError(f"splat file {str(path)!r} must end in {', '.join(endings_written())} to be written")
+
+
+def holding_format(path: PathLike) -> SplatFormat | None:
+    """The format of a file that holds splats; None for any other."""
+    return next((each for each in _candidates(path) if each.read and each.holds(path)), None)
