@@ -196,7 +196,8 @@ def test_spz_of_version_2(tmp_path):
         (lambda text: text.replace(b"property float nx", b"property list uchar float nx"), "lists"),
         (lambda text: text.replace(b"float nx", b"float x"), "twice"),
         (lambda text: text[:-3], "ends within"),
-        (lambda text: text[:-4] + np.float32(np.nan).tobytes(), MESSAGES["splats.not_finite"]),
+        # a few such rows are left out: here it is all of them
+        (lambda text: text[:-520] + 5 * (text[-104:-4] + np.float32(np.nan).tobytes()), MESSAGES["splats.not_finite"]),
     ],
 )
 def test_other_layouts_are_refused_in_one_line(change, said, tmp_path):
@@ -226,6 +227,7 @@ def test_files_of_no_splats(tmp_path):
     assert list(tmp_path.glob("*far*")) == []
 
 
+@pytest.mark.filterwarnings("ignore")  # of rows that are left out
 @pytest.mark.parametrize("ending", list(WRITERS))
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())

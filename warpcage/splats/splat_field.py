@@ -35,7 +35,7 @@ from ..kernels.splats.splats import Splats
 from ..view.camera import Camera
 from ..view.frame import Frame, parse_background
 from .io import is_splat_file, read_splats, write_splats
-from .io.contents import LEAST_OPACITY, Y0, PlyLayout, SplatContents, checked_contents, chosen_layout, opacities_of
+from .io.contents import LEAST_OPACITY, Y0, PlyLayout, SplatContents, checked_contents, chosen_contents, opacities_of
 from .matter import finest_side, half_light, in_nodes, splat_digest
 from .render import SplatRenderer, near_distance
 
@@ -202,11 +202,18 @@ class SplatField:
         self._density: SplatDensity | None = None
 
     @classmethod
-    def load(cls, path: str | os.PathLike, *, device: wp.DeviceLike = None) -> SplatField:
+    def load(
+        cls, path: str | os.PathLike, *, activated: bool | None = None, device: wp.DeviceLike = None
+    ) -> SplatField:
         """Read splats from a file.
 
+        Splats with values that are not finite or scales of zero are left out where they are few (10, or 1 % of a large
+        file), with a warning that counts them. The 3D filter of Mip-Splatting is applied.
+
         Args:
-            path: A .ply of 3DGS, a .compressed.ply of SuperSplat, a .splat or an .spz.
+            path: A .ply of 3DGS, a .compressed.ply of SuperSplat, a .splat or an .spz, and others' formats.
+            activated: Of .ply files: whether they have opacities and scales instead of logits and logarithms. None
+                finds out from their ranges, and says so in a warning where they have.
             device: Warp device. None is CUDA where there is one.
 
         Returns:
@@ -214,9 +221,12 @@ class SplatField:
 
         Raises:
             FileNotFoundError: If there is no such file.
-            ValueError: For a file of another layout, or with values that are not finite.
+            ValueError: For a file of another layout, one with more splats whose values are not finite, or one that
+                was never filled: with zeros alone, without scales, or without rotations.
         """
-        return cls.from_contents(read_splats(path), device=device)
+        if activated is not None:
+            checked_flag(activated, "activated")
+        return cls.from_contents(read_splats(path, activated=activated), device=device)
 
     @classmethod
     def from_contents(cls, contents: SplatContents, **options: Any) -> SplatField:
@@ -469,15 +479,7 @@ class SplatField:
         ):
             raise ValueError(f"rows must be whole numbers from 0 to {self.splat_count - 1}, got {rows!r:.60}")
         rows = rows.astype(np.int64)
-        held = self.contents
-        values = (held.log_scales, held.quaternions, held.logits, held.harmonics)
-        return SplatField(
-            held.centers[rows],
-            *(each[rows] for each in values),
-            layout=chosen_layout(held.layout, rows),
-            device=self.device,
-            **self.view_options(),
-        )
+        return self.from_contents(chosen_contents(self.contents, rows), device=self.device, **self.view_options())
 
     def render(
         self,

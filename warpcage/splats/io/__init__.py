@@ -6,7 +6,7 @@ from typing import Any
 
 from ...core.checks import warn_caller
 from ...core.files import PathLike, atomic_path, require_file
-from .contents import SplatContents, checked_contents, rounding_of
+from .contents import SplatContents, rounding_of, sound_contents
 from .formats import BUILT_IN, format_to_read, format_to_write, holding_format
 
 #: Endings of the files, and what writes them. The first that fits counts.
@@ -22,11 +22,7 @@ def read_splats(path: PathLike, **options: Any) -> SplatContents:
     given = _given(options, format.read_options, f"{format.name} files are not read", path)
     file = require_file(path, "splat file")
     assert format.read is not None
-    contents = format.read(file, **given)
-    try:
-        return checked_contents(contents)
-    except ValueError as error:
-        raise ValueError(f"{file}: {error}") from None
+    return sound_contents(file, format.read(file, **given))
 
 
 def write_splats(contents: SplatContents, path: PathLike, **options: Any) -> None:

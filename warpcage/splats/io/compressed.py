@@ -7,7 +7,7 @@ import pathlib
 import numpy as np
 
 from ...core.checks import listed
-from .contents import Y0, SplatContents, logits_of, opacities_of
+from .contents import Y0, SplatContents, byte_logits, opacities_of, unit_quaternions
 from .ply import PlyParts
 
 #: Splats of a chunk.
@@ -17,8 +17,6 @@ CHUNK = 256
 MOST_LOG_SCALE = 20.0
 
 _WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
-
-_ALPHA_EDGE = 0.25 / 255.0
 
 
 def is_compressed(parts: PlyParts) -> bool:
@@ -49,8 +47,7 @@ def read_compressed_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
             return low * (1.0 - values) + high * values
 
     colors = _bytes(vertex["packed_color"])
-    opacities = np.clip(colors[:, 3], _ALPHA_EDGE, 1.0 - _ALPHA_EDGE)
-    colors = colors[:, :3]
+    opacities, colors = colors[:, 3], colors[:, :3]
     named = chunk.dtype.names or ()
     if "min_r" in named:
         lacking = [f"{end}_{c}" for end in ("min", "max") for c in "rgb" if f"{end}_{c}" not in named]
@@ -66,7 +63,7 @@ def read_compressed_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
             within(_thirds(vertex["packed_position"]), "", "xyz").astype(np.float32),
             within(_thirds(vertex["packed_scale"]), "scale_", "xyz").astype(np.float32),
             _unpacked_quaternions(vertex["packed_rotation"]).astype(np.float32),
-            logits_of(opacities),
+            byte_logits(255.0 * opacities),
             harmonics,
         )
 
@@ -182,9 +179,7 @@ def with_largest(others: np.ndarray, largest: np.ndarray) -> np.ndarray:
 def without_largest(quaternions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """All numbers of quaternions (n, 4) but the largest, which is made positive: (n, 3), and (n,) which that is.
     They may have any length; of length zero means w = 1."""
-    quaternions = quaternions.astype(np.float64)
-    length = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    unit = np.where(length > 0.0, quaternions / np.where(length > 0.0, length, 1.0), [1.0, 0.0, 0.0, 0.0])
+    unit = unit_quaternions(quaternions)
     largest = np.argmax(np.abs(unit), axis=1)
     rows = np.arange(len(unit))
     unit *= np.where(unit[rows, largest] < 0.0, -1.0, 1.0)[:, None]

@@ -1,12 +1,14 @@
-"""What a file of Gaussian splats holds, as plain arrays."""
+"""What a file of Gaussian splats holds, as plain arrays: what of it are splats, and fields that are none."""
 
 from __future__ import annotations
 
 import dataclasses
+import pathlib
 
 import numpy as np
 
-from ...core.checks import float32_spacing, listed
+from ...core.checks import float32_spacing, listed, warn_caller
+from ...core.names import agreed, counted
 
 #: The first of the real harmonics, Y_0.
 Y0 = 0.28209479177387814
@@ -20,8 +22,22 @@ LEAST_OPACITY = 1.0 / 255.0
 #: Positions are rounded by much where float32 tells apart no more than this share of the usual splat's length.
 FINEST = 0.1
 
+#: Opacities of bytes 0 and 255 are so far from 0 and 1.
+_ALPHA_EDGE = 0.25 / 255.0
+
+#: The arrays of SplatContents.
+_ARRAYS = ("centers", "log_scales", "quaternions", "logits", "harmonics")
+
 #: Logarithms of scales beyond which float32 cannot hold a covariance.
 MOST_LOG_SCALE = 40.0
+
+
+#: Splats that may all be the same: made by hand they are few.
+_FEW_EQUAL = 16
+
+#: Rows that are no splats are left out up to this number, or this share of a file where that is more, but never more
+#: than half of it; a file with more of them is damaged.
+_FEW_BAD, _BAD_SHARE = 10, 0.01
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,30 +75,30 @@ class SplatContents:
 
 def checked_contents(contents: SplatContents) -> SplatContents:
     """Splats whose arrays fit together and are finite; ValueError with the row of the first that is not."""
-    count = len(contents.centers)
-    shapes = {
-        "centers": (count, 3),
-        "log_scales": (count, 3),
-        "quaternions": (count, 4),
-        "logits": (count,),
-        "harmonics": (count, contents.harmonics.shape[1] if contents.harmonics.ndim == 3 else 1, 3),
-    }
-    for name, shape in shapes.items():
+    _require_shapes(contents)
+    for name in _ARRAYS:
         values = getattr(contents, name)
-        if values.shape != shape:
-            raise ValueError(f"{name} of {count} splats must be {shape}, got {values.shape}")
         bad = np.isnan(values) if name == "logits" else ~np.isfinite(values)
         if bad.any():
             row = int(np.argwhere(bad)[0][0])
             raise ValueError(f"splat {row} has {name} that are not finite: {values[row].tolist()}")
-    if contents.harmonics.shape[1] not in DEGREES:
-        raise ValueError(f"splats need {listed(DEGREES)} harmonics a channel, got {contents.harmonics.shape[1]}")
-    if count and contents.log_scales.max() > MOST_LOG_SCALE:
+    if contents.count and contents.log_scales.max() > MOST_LOG_SCALE:
         row = int(np.argmax(contents.log_scales.max(axis=1)))
         raise ValueError(
             f"splat {row} has a scale of exp({contents.log_scales[row].max():.3g}): float32 cannot hold it"
         )
     return contents
+
+
+def _require_shapes(contents: SplatContents) -> None:
+    """Refuse arrays that do not fit together."""
+    count, harmonics = len(contents.centers), contents.harmonics
+    width = harmonics.shape[1] if harmonics.ndim == 3 else 1
+    for name, shape in zip(_ARRAYS, ((3,), (3,), (4,), (), (width, 3)), strict=True):
+        if (found := getattr(contents, name).shape) != (count, *shape):
+            raise ValueError(f"{name} of {count} splats must be {(count, *shape)}, got {found}")
+    if width not in DEGREES:
+        raise ValueError(f"splats need {listed(DEGREES)} harmonics a channel, got {width}")
 
 
 def rounding_of(contents: SplatContents) -> tuple[float, float]:
@@ -93,6 +109,108 @@ def rounding_of(contents: SplatContents) -> tuple[float, float]:
     rounded = float32_spacing(float(np.abs(contents.centers).max()))
     size = float(np.median(np.exp(contents.log_scales.max(axis=1).astype(np.float64))))
     return (rounded if rounded > FINEST * size else 0.0), size
+
+
+def joined(parts: list[SplatContents], degree: int) -> SplatContents:
+    """Splats one after another, their harmonics filled up with zeros to a degree."""
+    total = sum(part.count for part in parts)
+    harmonics, begin = np.zeros((total, (degree + 1) ** 2, 3), np.float32), 0
+    for part in parts:
+        harmonics[begin : begin + part.count, : part.harmonics.shape[1]] = part.harmonics
+        begin += part.count
+
+    def all_of(name: str, *width: int) -> np.ndarray:
+        return np.concatenate([np.zeros((0, *width), np.float32), *(getattr(part, name) for part in parts)])
+
+    return SplatContents(
+        all_of("centers", 3),
+        all_of("log_scales", 3),
+        all_of("quaternions", 4),
+        all_of("logits"),
+        harmonics,
+        antialias=any(part.antialias for part in parts),
+    )
+
+
+def sound_contents(path: pathlib.Path, contents: SplatContents) -> SplatContents:
+    """What of a file's splats can be used; path: for messages. A few rows that are none are left out, and counted in a
+    warning; ValueError where they are more, and for fields that no program meant to write."""
+    try:
+        _require_shapes(contents)
+        _require_field(contents)
+        bad = bad_rows(contents)
+        many, count = int(bad.sum()), contents.count
+        if not many:
+            return contents
+        if many > min(max(_FEW_BAD, int(_BAD_SHARE * count)), count // 2):
+            _refuse_rows(contents, many)
+        warn_caller(
+            f"{path}: {many} of {counted(count, 'splat')} {agreed(many, 'is', 'are')} left out, with values that are "
+            f"not finite, too large, or scales of zero: the first is splat {np.argmax(bad)}"
+        )
+        return chosen_contents(contents, np.flatnonzero(~bad))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _refuse_rows(contents: SplatContents, many: int) -> None:
+    """Refuse a file of many bad rows: what is wrong with the first of them."""
+    try:
+        checked_contents(contents)
+    except ValueError as error:
+        raise ValueError(f"{error}: {many} of {contents.count} are such, so the file is damaged") from None
+
+
+def chosen_contents(contents: SplatContents, rows: np.ndarray) -> SplatContents:
+    """The splats of some rows."""
+    layout = chosen_layout(contents.layout, rows)
+    return dataclasses.replace(contents, layout=layout, **{name: getattr(contents, name)[rows] for name in _ARRAYS})
+
+
+def _require_field(contents: SplatContents) -> None:
+    """Refuse values that are a file's room for splats, and not splats: zeros, or one row again and again."""
+    count, turns = contents.count, contents.quaternions
+    if not count:
+        return
+    values = (contents.centers, contents.log_scales, contents.logits, contents.harmonics)
+    if not turns.any() and not any(each.any() for each in values):
+        raise ValueError(f"all values of its {counted(count, 'splat')} are zero: the file was never filled")
+    if np.isneginf(contents.log_scales).any(axis=1).all():
+        raise ValueError(f"the scales of its {counted(count, 'splat')} are zero: the file was never filled")
+    if count > 1 and not turns.any():
+        raise ValueError(
+            f"all its {count} quaternions are of length zero: write 1, 0, 0, 0 for splats that are not turned"
+        )
+    if count >= _FEW_EQUAL and (contents.centers == contents.centers[0]).all():
+        raise ValueError(f"all its {count} splats are at one place: the file is damaged")
+
+
+def bad_rows(contents: SplatContents) -> np.ndarray:
+    """(n,) bool which splats have values that are not finite, or that float32 cannot hold a covariance of. An opacity
+    whose logit is infinite is 0 or 1, and good."""
+    bad = np.isnan(contents.logits) | (contents.log_scales > MOST_LOG_SCALE).any(axis=1)
+    for values in (contents.centers, contents.log_scales, contents.quaternions, contents.harmonics):
+        bad |= ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    return bad
+
+
+def logs_of(scales: np.ndarray) -> np.ndarray:
+    """Logarithms of scales, float32. What has none becomes infinite or NaN."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return np.log(scales.astype(np.float64)).astype(np.float32)
+
+
+def byte_logits(octets: np.ndarray) -> np.ndarray:
+    """Logits of opacities in bytes (n,), float32: 0 and 255 are a quarter of a step from 0 and 1, and stay finite."""
+    return logits_of(np.clip(octets / 255.0, _ALPHA_EDGE, 1.0 - _ALPHA_EDGE))
+
+
+def unit_quaternions(quaternions: np.ndarray) -> np.ndarray:
+    """Quaternions (n, 4) w x y z of length 1, float64; of length zero turn nothing."""
+    values = quaternions.astype(np.float64)
+    largest = np.abs(values).max(axis=1, keepdims=True, initial=0.0)
+    values = np.where(largest > 0.0, values / np.where(largest > 0.0, largest, 1.0), [1.0, 0.0, 0.0, 0.0])
+    return values / np.linalg.norm(values, axis=1, keepdims=True)
 
 
 def logits_of(opacities: np.ndarray) -> np.ndarray:

@@ -43,10 +43,14 @@ class SplatFormat:
         return self.has_ending(path) and (self.recognize is None or self.recognize(pathlib.Path(path)))
 
 
-def read_ply(path: pathlib.Path) -> SplatContents:
+def read_ply(path: pathlib.Path, activated: bool | None = None) -> SplatContents:
     """The splats of a .ply file; whether it is a compressed one its header tells."""
     parts = read_parts(path, ("chunk", "vertex", "sh"))
-    return read_compressed_ply(path, parts) if is_compressed(parts) else read_splat_ply(path, parts)
+    if not is_compressed(parts):
+        return read_splat_ply(path, parts, activated)
+    if activated is not None:
+        raise ValueError(f"{path}: activated is for plain .ply files: what packed ones hold is known")
+    return read_compressed_ply(path, parts)
 
 
 def _is_splat_ply(path: pathlib.Path) -> bool:
@@ -66,7 +70,7 @@ BUILT_IN = (
     SplatFormat(
         "SuperSplat compressed PLY", (".compressed.ply",), read_ply, write_compressed_ply, _is_splat_ply, rounds=True
     ),
-    SplatFormat("3DGS PLY", (".ply",), read_ply, write_splat_ply, _is_splat_ply),
+    SplatFormat("3DGS PLY", (".ply",), read_ply, write_splat_ply, _is_splat_ply, ("activated",)),
     SplatFormat("splat of web viewers", (".splat",), read_splat, write_splat, rounds=True),
     SplatFormat("Niantic SPZ", (".spz",), read_spz, write_spz),
 )

@@ -8,10 +8,10 @@ import re
 
 import numpy as np
 
-from ...core.checks import listed
+from ...core.checks import listed, warn_caller
 from ...core.files import read_limited
 from ...mesh.io.ply import Element, ply_header
-from .contents import PlyLayout, SplatContents, rounding_of
+from .contents import PlyLayout, SplatContents, logits_of, logs_of, opacities_of, rounding_of
 
 #: What a splat needs beside its harmonics.
 _NEEDED = (
@@ -25,6 +25,12 @@ _ROOM = 4
 _REST = re.compile(r"f_rest_(\d+)")
 
 _FLOATS = ("f4", "f8")
+
+#: What an opacity of 1 may be rounded up by.
+_ROUNDED = 1e-5
+
+#: The property by which Mip-Splatting widens a splat.
+_FILTER = "filter_3D"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,8 +80,9 @@ def _require_scales(path: pathlib.Path, elements: list[Element]) -> None:
         raise ValueError(f"{path}: no 3DGS splats: the vertices lack {lacking}: it holds {meant}")
 
 
-def read_splat_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
-    """The splats of a 3DGS .ply file, and what else is in it; path: for messages."""
+def read_splat_ply(path: pathlib.Path, parts: PlyParts, activated: bool | None = None) -> SplatContents:
+    """The splats of a 3DGS .ply file, and what else is in it; path: for messages. activated: whether it has opacities
+    and scales instead of logits and logarithms; None finds out, and says so."""
     table = parts.tables.get("vertex")
     if table is None:
         raise ValueError(f"{path}: a PLY file of splats has an element 'vertex', got {listed(parts.tables)}")
@@ -86,7 +93,7 @@ def read_splat_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
     rest = sorted(int(found[1]) for found in map(_REST.fullmatch, names) if found)
     if rest != list(range(len(rest))) or len(rest) not in (0, 9, 24, 45):
         raise ValueError(f"{path}: splats have 0, 9, 24 or 45 properties f_rest_0 and on, got {len(rest)}")
-    used = (*_NEEDED, *(f"f_rest_{k}" for k in rest))
+    used = (*_NEEDED, *(f"f_rest_{k}" for k in rest), *((_FILTER,) if _FILTER in names else ()))
     odd = [name for name in used if table.dtype[name].str[1:] not in _FLOATS]
     if odd:
         raise ValueError(f"{path}: properties {listed(odd)} of splats must be float or double")
@@ -102,14 +109,74 @@ def read_splat_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
         for k in rest:
             channel, coefficient = divmod(k, len(rest) // 3)
             harmonics[:, 1 + coefficient, channel] = table[f"f_rest_{k}"]
+        log_scales = columns("scale_0", "scale_1", "scale_2").astype(np.float32)
+        logits = columns("opacity")[:, 0].astype(np.float32)
+    if activated is None:
+        activated = _look_activated(log_scales, logits)
+        if activated:
+            warn_caller(
+                f"{path}: no opacity leaves 0 to 1 and no scale is below 0, so they are taken as they are, "
+                "not as logits and logarithms: activated=False reads them as those"
+            )
+    if activated:
+        log_scales = logs_of(log_scales)
+        with np.errstate(invalid="ignore"):
+            logits = logits_of(np.where(logits <= 1.0 + _ROUNDED, np.minimum(logits, 1.0), np.nan).astype(np.float64))
+    header, kept = parts.header, table
+    if _FILTER in names:
+        log_scales, logits = _filtered(log_scales, logits, table[_FILTER].astype(np.float64))
+        header, kept = _without_filter(header), _without_field(table, _FILTER)
+    with np.errstate(over="ignore"):
         return SplatContents(
             columns("x", "y", "z"),
-            columns("scale_0", "scale_1", "scale_2").astype(np.float32),
+            log_scales,
             columns("rot_0", "rot_1", "rot_2", "rot_3").astype(np.float32),
-            columns("opacity")[:, 0].astype(np.float32),
+            logits,
             harmonics,
-            PlyLayout(parts.header, parts.body[: parts.begins["vertex"]], table, parts.body[parts.begins[""] :]),
+            PlyLayout(header, parts.body[: parts.begins["vertex"]], kept, parts.body[parts.begins[""] :]),
+            antialias=_FILTER in names,  # such splats were fitted with the 2D filter of the same paper
         )
+
+
+def _look_activated(scales: np.ndarray, opacities: np.ndarray) -> bool:
+    """Whether values are those of scales and opacities, not their logarithms and logits: logits leave 0 to 1 in any
+    field that was fitted, and logarithms above 0 are of splats larger than a unit of the world."""
+    good = np.isfinite(scales).all(axis=1) & np.isfinite(opacities)
+    scales, opacities = scales[good], opacities[good]
+    if not len(scales) or scales.min() < 0.0 or scales.max() == 0.0:
+        return False
+    return bool(opacities.min() >= 0.0 and 0.0 < opacities.max() <= 1.0 + _ROUNDED)
+
+
+def _filtered(log_scales: np.ndarray, logits: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Logarithms of scales and logits of splats that are widened by the 3D filter of Mip-Splatting, its standard
+    deviation (n,) in world units."""
+    # Yu et al., "Mip-Splatting: Alias-free 3D Gaussian Splatting" (CVPR 2024), eq. 7: a splat is smoothed, and weakened
+    # by the ratio of its volumes
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        logs = log_scales.astype(np.float64)
+        wider = 0.5 * np.logaddexp(2.0 * logs, 2.0 * np.log(np.abs(widths))[:, None])
+        weaker = logits_of(opacities_of(logits) * np.exp((logs - wider).sum(axis=1)))
+        still = widths == 0.0  # which keep their bits
+        return (
+            np.where(still[:, None], log_scales, wider).astype(np.float32),
+            np.where(still, logits, weaker).astype(np.float32),
+        )
+
+
+def _without_filter(header: bytes) -> bytes:
+    """A header without the property of Mip-Splatting, whose values hold what it says."""
+    lines = header.splitlines(keepends=True)
+    return b"".join(line for line in lines if line.split()[:1] != [b"property"] or line.split()[-1] != _FILTER.encode())
+
+
+def _without_field(table: np.ndarray, left_out: str) -> np.ndarray:
+    """A table without one of its fields, its rows packed."""
+    names = [name for name in table.dtype.names or () if name != left_out]
+    fewer = np.empty(len(table), [(name, table.dtype[name].str) for name in names])
+    for name in names:
+        fewer[name] = table[name]
+    return fewer
 
 
 def write_splat_ply(contents: SplatContents) -> bytes:
@@ -117,6 +184,8 @@ def write_splat_ply(contents: SplatContents) -> bytes:
     layout = contents.layout or usual_layout(contents)
     table = layout.table.copy()
     values = _properties(contents)
+    if contents.layout is None:  # others divide by the length, and read zeros as a file that was never filled
+        values["rot_0"] = np.where(contents.quaternions.any(axis=1), values["rot_0"], np.float32(1.0))
     for name, new in values.items():  # what did not change keeps its last bit, also in double
         changed = table[name].astype(new.dtype) != new
         table[name][changed] = new[changed]
