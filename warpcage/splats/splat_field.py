@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import os
 from collections.abc import Callable
@@ -163,7 +164,7 @@ class SplatField:
         contents: The values as files have them. They are not to be written to.
         background: (3,) float32 colour behind the splats.
         up: (3,) float64 unit vector.
-        antialias: Whether views are antialiased where nobody says otherwise.
+        antialias: Whether views are antialiased where nobody says otherwise. Files of .spz tell.
         device: Warp device.
     """
 
@@ -247,7 +248,7 @@ class SplatField:
         options = {"antialias": contents.antialias} | options
         return cls(contents.centers, *values, layout=contents.layout, **options)
 
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike, *, version: int | None = None) -> None:
         """Write the splats to a file, whole or not at all.
 
         What was loaded from a .ply and is saved as one is the same file, bit for bit. The other formats quantise:
@@ -255,12 +256,13 @@ class SplatField:
         .splat has no harmonics but the first.
 
         Args:
-            path: The file; it must end in .ply, .compressed.ply, .splat or .spz.
+            path: The file; it must end in .ply, .compressed.ply, .splat or .spz, or as another package's.
+            version: Of .spz files: 3 (gzip, which all programs read) or 4 (zstd). None is 3.
 
         Raises:
-            ValueError: For another ending, or splats that the format cannot hold.
+            ValueError: For another ending, splats that the format cannot hold, or a version that is not written.
         """
-        write_splats(self.contents, path)
+        write_splats(dataclasses.replace(self.contents, antialias=self.antialias), path, version=version)
 
     @property
     def splat_count(self) -> int:

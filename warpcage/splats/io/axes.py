@@ -2,22 +2,63 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from .contents import SplatContents
 
-#: Harmonics that change their sign with y and z, of degree 1 to 3: odd in y and z together.
-FLIPPED = np.array([1, 1, 0, 1, 0, 0, 1, 0, 1, 0, 1, 1, 0, 1, 0], dtype=bool)
+#: Where x, y and z of each kind of file point: right or left, down or up, front or back. A field has those of PLY.
+OWN, SPZ_AXES, GLTF_AXES = "RDF", "RUB", "LUF"
+
+_DIRECTIONS = {"R": (1, 0, 0), "L": (-1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
+
+#: The axes whose signs change that of each harmonic, of degree 1 to 3.
+_ODD = "y z x xy yz . xz . y xyz y z x z x".split()
+
+
+def axes_matrix(axes: str) -> np.ndarray:
+    """The matrix (3, 3) from the axes of a file, three letters such as "RUB", to those of a field."""
+    return np.array([_DIRECTIONS[letter] for letter in axes], np.float64).T
+
+
+def turned(contents: SplatContents, matrix: np.ndarray) -> SplatContents:
+    """Splats turned or mirrored by an orthogonal matrix (3, 3) about the origin. One that only changes signs of axes
+    rounds nothing: twice gives the same bits."""
+    if np.array_equal(matrix, np.eye(3)):
+        return contents
+    harmonics = contents.harmonics.copy()
+    further = harmonics.shape[1] - 1
+    signs = np.diag(matrix)
+    if np.array_equal(np.abs(matrix), np.eye(3)):
+        x, y, z = signs.astype(np.float32)
+        centers = contents.centers * signs.astype(contents.centers.dtype)
+        quaternions = contents.quaternions * np.array([1.0, y * z, x * z, x * y], np.float32)
+        sign_of = {"x": x, "y": y, "z": z, ".": np.float32(1.0)}
+        harmonics[:, 1:] *= np.array([np.prod([sign_of[a] for a in odd]) for odd in _ODD[:further]], np.float32)[
+            :, None
+        ]
+    else:
+        centers = (contents.centers.astype(np.float64) @ matrix.T).astype(contents.centers.dtype)
+        # a mirrored splat is as well a turned one: it looks the same from both ends of its axes
+        turn = _quaternion_of(matrix * np.linalg.det(matrix))
+        quaternions = _product(turn, contents.quaternions.astype(np.float64)).astype(np.float32)
+        harmonics[:] = np.einsum("ab,nbc->nac", harmonics_matrix(matrix, harmonics.shape[1]), harmonics)
+    return dataclasses.replace(contents, centers=centers, quaternions=quaternions, harmonics=harmonics, layout=None)
 
 
 def turned_over(contents: SplatContents) -> SplatContents:
     """Splats with the signs of y and z changed, which is half a turn about x; twice gives the same bits."""
-    signs = np.array([1.0, -1.0, -1.0], np.float32)
-    harmonics = contents.harmonics.copy()
-    flipped = FLIPPED[: harmonics.shape[1] - 1]
-    harmonics[:, 1:][:, flipped] *= np.float32(-1.0)
-    quaternions = contents.quaternions * np.array([1.0, 1.0, -1.0, -1.0], np.float32)
-    return SplatContents(contents.centers * signs, contents.log_scales, quaternions, contents.logits, harmonics)
+    return turned(dataclasses.replace(contents, layout=None), axes_matrix(SPZ_AXES))
+
+
+def harmonics_matrix(matrix: np.ndarray, count: int) -> np.ndarray:
+    """(count, count) what takes harmonics to those of the world moved by an orthogonal matrix (3, 3)."""
+    directions = np.random.default_rng(0).normal(size=(64, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    # a colour that was seen along d is now seen along M d
+    after, before = sh_basis(directions)[:, :count], sh_basis(directions @ matrix)[:, :count]
+    return np.linalg.lstsq(after, before, rcond=None)[0]
 
 
 def sh_basis(directions: np.ndarray) -> np.ndarray:
@@ -45,3 +86,26 @@ def sh_basis(directions: np.ndarray) -> np.ndarray:
         ],
         axis=-1,
     )
+
+
+def _quaternion_of(rotation: np.ndarray) -> np.ndarray:
+    """(4,) w x y z of a rotation matrix (3, 3)."""
+    r = rotation
+    # the quaternion is the eigenvector of the largest eigenvalue (Bar-Itzhack 2000), which no case is left out of
+    k = np.array(
+        [
+            [r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[0, 2] + r[2, 0]],
+            [r[0, 2] - r[2, 0], r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2]],
+            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1]],
+        ]
+    )
+    return np.linalg.eigh(k)[1][:, -1]
+
+
+def _product(turn: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
+    """(n, 4) turn (4,) after quaternions (n, 4), all w x y z; those of length zero, which turn nothing, count as 1."""
+    whole = np.where(np.abs(quaternions).max(axis=1, keepdims=True, initial=0.0) > 0.0, quaternions, [1.0, 0, 0, 0])
+    w, v = whole[:, :1], whole[:, 1:]
+    scalar = turn[0] * w - v @ turn[1:, None]
+    return np.concatenate([scalar, turn[0] * v + w * turn[1:] + np.cross(turn[1:], v)], axis=1)

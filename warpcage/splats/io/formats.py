@@ -72,7 +72,7 @@ BUILT_IN = (
     ),
     SplatFormat("3DGS PLY", (".ply",), read_ply, write_splat_ply, _is_splat_ply, ("activated",)),
     SplatFormat("splat of web viewers", (".splat",), read_splat, write_splat, rounds=True),
-    SplatFormat("Niantic SPZ", (".spz",), read_spz, write_spz),
+    SplatFormat("Niantic SPZ", (".spz",), read_spz, write_spz, None, (), ("version",)),
 )
 
 

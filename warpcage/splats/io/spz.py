@@ -1,24 +1,29 @@
-"""Niantic's .spz files: splats of 20 bytes and a byte for each further harmonic, packed by gzip."""
+"""Niantic's .spz files: splats of 20 bytes and a byte for each further harmonic, packed by gzip (version 1 to 3), by
+zstd (version 4), or not at all."""
 
 from __future__ import annotations
 
 import pathlib
 import struct
 import zlib
+from collections.abc import Iterator
 
 import numpy as np
 
-from ...core.files import MAX_RATIO, read_limited
+from ...core.checks import shown, warn_caller
+from ...core.files import read_limited
 from ...core.memory import require_host_memory
-from .axes import turned_over
+from .axes import SPZ_AXES, axes_matrix, turned, turned_over
 from .compressed import with_largest, without_largest
-from .contents import DEGREES, SplatContents, logits_of, opacities_of
+from .contents import DEGREES, SplatContents, byte_logits, opacities_of
+from .unpacking import gunzipped, gunzipped_head, require_packed, unzstd, zstd_packed
 
-_HEADER = struct.Struct("<IIIBBBB")
+_HEADER, _HEADER_4 = struct.Struct("<4sIIBBBB"), struct.Struct("<4sIIBBBBI12x")
 
-_MAGIC = 0x5053474E
+#: Sizes packed and unpacked of a stream of version 4; kind and bytes of an extension.
+_STREAM, _RECORD = struct.Struct("<QQ"), struct.Struct("<II")
 
-_ALPHA_EDGE = 0.25 / 255.0
+_MAGIC, _GZIP = b"NGSP", b"\x1f\x8b"
 
 #: What the colours of a file are scaled by, and bits after the point of the positions that are written.
 COLOR_SCALE, FRACTIONAL_BITS = 0.15, 12
@@ -26,53 +31,73 @@ COLOR_SCALE, FRACTIONAL_BITS = 0.15, 12
 #: The most that a position of 24 bits holds, in its units.
 _MOST = (1 << 23) - 1
 
-#: Flag of splats that were fitted with antialiasing.
-_ANTIALIASED = 1
+#: Flags: of splats that were fitted with antialiasing, and of files with extensions.
+_ANTIALIASED, _EXTENDED = 1, 2
+
+#: The extension that says where the axes point, and its values from 1 on (Adobe's; 0 says nothing).
+_AXES_RECORD = 0xADBE0003
+_AXES = "LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split()
+
+#: Most bytes of extensions.
+_MOST_EXTENSIONS = 1 << 20
+
+#: Bytes of memory that an unpacked byte takes until its splats are made.
+_ROOM = 16
+
+#: Harmonics of a channel that a field has room for.
+_MOST_HARMONICS = 15
 
 
 def read_spz(path: pathlib.Path) -> SplatContents:
     """The splats of an .spz file."""
-    data = _unpacked(path, read_limited(path, "splat file"))
-    if len(data) < _HEADER.size:
-        raise ValueError(f"{path}: an .spz file has a header of {_HEADER.size} bytes, got {len(data)}")
-    magic, version, count, degree, bits, _flags, _reserved = _HEADER.unpack_from(data)
+    return read_spz_data(path, read_limited(path, "splat file"))
+
+
+def read_spz_data(path: pathlib.Path, data: bytes) -> SplatContents:
+    """The splats that the bytes of an .spz file hold, with the axes of a field; path: for messages."""
+    packed = data.startswith(_GZIP)
+    head = gunzipped_head(path, data, _HEADER.size) if packed else data[: _HEADER.size]
+    if len(head) < _HEADER.size:
+        raise ValueError(f"{path}: an .spz file has a header of {_HEADER.size} bytes, got {len(head)}")
+    magic, version, count, degree, bits, flags, _ = _HEADER.unpack(head)
     if magic != _MAGIC:
-        raise ValueError(f"{path}: no .spz file: it begins with {data[:4]!r}")
-    if version not in (2, 3):
-        raise ValueError(f"{path}: .spz files of version 2 and 3 are read, this is version {version}")
-    if degree > 3 or bits > 23:
-        raise ValueError(f"{path}: harmonics of degree {degree} and {bits} bits after the point: at most 3 and 23")
+        raise ValueError(f"{path}: no .spz file: it begins with {head[:4]!r}")
+    if not 1 <= version <= (3 if packed else 4):
+        most = "1 to 3 in gzip" if packed else "1 to 4"
+        raise ValueError(f"{path}: .spz files of version {most} are read, this is version {version}")
+    if degree > 4 or bits > 23:
+        raise ValueError(f"{path}: harmonics of degree {degree} and {bits} bits after the point: at most 4 and 23")
     further = (degree + 1) ** 2 - 1
-    turn_bytes = 3 if version == 2 else 4
-    widths = (9, 1, 3, 3, turn_bytes, 3 * further)
-    if len(data) != (size := _HEADER.size + count * sum(widths)):
-        raise ValueError(f"{path}: {count} splats of degree {degree} take {size} bytes, got {len(data)}")
-    parts, position = [], _HEADER.size
-    for width in widths:
-        parts.append(np.frombuffer(data, np.uint8, count * width, position).reshape(count, width))
-        position += count * width
-    places, alphas, colors, scales, turns, octets = parts
-    words = places.reshape(count, 3, 3).astype(np.int32)
-    fixed = words[..., 0] | words[..., 1] << 8 | words[..., 2] << 16
-    fixed = np.where(fixed > _MOST, fixed - (1 << 24), fixed)
-    harmonics = np.empty((count, 1 + further, 3), np.float32)
-    harmonics[:, 0] = (colors / 255.0 - 0.5) / COLOR_SCALE
-    harmonics[:, 1:] = (octets.reshape(count, further, 3) - 128.0) / 128.0
-    quaternions = _three_bytes(turns) if version == 2 else _four_bytes(turns)
-    contents = SplatContents(
-        (fixed / float(1 << bits)).astype(np.float32),
-        (scales / 16.0 - 10.0).astype(np.float32),
-        quaternions.astype(np.float32),
-        logits_of(np.clip(alphas[:, 0] / 255.0, _ALPHA_EDGE, 1.0 - _ALPHA_EDGE)),
-        harmonics,
-    )
-    return turned_over(contents)
+    widths = (6 if version == 1 else 9, 1, 3, 3, 3 if version < 3 else 4, 3 * further)
+    size = count * sum(widths)
+    require_packed(path, size, len(data), f"its {count} splats of degree {degree}")
+    require_host_memory(_ROOM * size, f"{path}: its {count} splats of degree {degree} need")
+    if version == 4:
+        parts, extensions = _streams(path, data, [count * width for width in widths])
+    else:
+        whole = gunzipped(path, data, _HEADER.size + size + _MOST_EXTENSIONS) if packed else data
+        extra = len(whole) - _HEADER.size - size
+        if extra < 0 or (extra and not flags & _EXTENDED):
+            raise ValueError(
+                f"{path}: {count} splats of degree {degree} take {_HEADER.size + size} bytes, got {len(whole)}"
+            )
+        ends = np.cumsum([_HEADER.size, *(count * width for width in widths)])
+        parts = [whole[begin:end] for begin, end in zip(ends[:-1], ends[1:], strict=True)]
+        extensions = whole[len(whole) - extra :]
+    tables = [np.frombuffer(part, np.uint8).reshape(count, width) for part, width in zip(parts, widths, strict=True)]
+    if degree == 4:
+        warn_caller(f"{path}: its harmonics of degree 4 are left out: those of degree 0 to 3 are read")
+    contents = _splats(tables, version, bits, min(further, _MOST_HARMONICS), bool(flags & _ANTIALIASED))
+    axes = _declared_axes(path, extensions) if flags & _EXTENDED else SPZ_AXES
+    return turned(contents, axes_matrix(axes))
 
 
-def write_spz(contents: SplatContents) -> bytes:
-    """An .spz file of version 3; ValueError for splats too far from the origin for 24 bits."""
+def write_spz(contents: SplatContents, version: int = 3) -> bytes:
+    """An .spz file of version 3 or 4; ValueError for splats too far from the origin for 24 bits."""
+    if version not in (3, 4) or isinstance(version, bool):
+        raise ValueError(f".spz files of version 3 and 4 are written, got {shown(version)}")
     contents = turned_over(contents)
-    count = contents.count
+    count, degree = contents.count, DEGREES[contents.harmonics.shape[1]]
     reach = float(np.abs(contents.centers).max()) if count else 0.0
     bits = FRACTIONAL_BITS
     while bits > 0 and reach * (1 << bits) > _MOST:
@@ -85,32 +110,93 @@ def write_spz(contents: SplatContents) -> bytes:
     colors = 255.0 * (contents.harmonics[:, 0].astype(np.float64) * COLOR_SCALE + 0.5)
     scales = 16.0 * (contents.log_scales.astype(np.float64) + 10.0)
     octets = 128.0 * contents.harmonics[:, 1:].astype(np.float64) + 128.0
-    header = _HEADER.pack(_MAGIC, 3, count, DEGREES[contents.harmonics.shape[1]], bits, 0, 0)
     body = [np.clip(np.round(part), 0, 255).astype(np.uint8).tobytes() for part in (places, alphas, colors, scales)]
     body += [_turn_bytes(contents.quaternions), np.clip(np.round(octets), 0, 255).astype(np.uint8).tobytes()]
+    flags = _ANTIALIASED if contents.antialias else 0
+    if version == 4:
+        return _packed_streams(body[: 6 if degree else 5], (count, degree, bits, flags))
     packer = zlib.compressobj(9, zlib.DEFLATED, 31)
+    header = _HEADER.pack(_MAGIC, 3, count, degree, bits, flags, 0)
     return packer.compress(header + b"".join(body)) + packer.flush()
 
 
-def _unpacked(path: pathlib.Path, data: bytes) -> bytes:
-    """What gzip packed."""
-    require_host_memory(min(len(data) * MAX_RATIO, 1 << 26), f"{path}: unpacking it needs")
-    unpacker, parts, total = zlib.decompressobj(31), [], 0
-    try:
-        rest = data
-        while rest and not unpacker.eof:
-            part = unpacker.decompress(rest, 1 << 24)
-            total += len(part)
-            require_host_memory(len(part) + total, f"{path}: its {total} bytes and more, unpacked, need")
-            parts.append(part)
-            rest = unpacker.unconsumed_tail
-            if not part and not rest:
-                break
-    except zlib.error as error:
-        raise ValueError(f"{path}: an .spz file is packed by gzip, this cannot be unpacked: {error}") from None
-    if not unpacker.eof:
-        raise ValueError(f"{path}: the .spz file ends before what is packed in it")
-    return b"".join(parts)
+def _streams(path: pathlib.Path, data: bytes, sizes: list[int]) -> tuple[list[bytes], bytes]:
+    """The parts of a file of version 4, each of the size that it must have, and its extensions."""
+    if len(data) < _HEADER_4.size:
+        raise ValueError(f"{path}: an .spz file of version 4 has a header of {_HEADER_4.size} bytes, got {len(data)}")
+    *_, streams, table = _HEADER_4.unpack_from(data)
+    wanted = sizes if sizes[-1] or streams == len(sizes) else sizes[:-1]  # without harmonics they have no stream
+    place = table + streams * _STREAM.size
+    if streams != len(wanted) or not _HEADER_4.size <= table <= table + _MOST_EXTENSIONS or place > len(data):
+        raise ValueError(f"{path}: {len(wanted)} streams expected, got {streams} with their table at byte {table}")
+    parts = []
+    for k, size in enumerate(wanted):
+        packed, claimed = _STREAM.unpack_from(data, table + k * _STREAM.size)
+        if claimed != size or place + packed > len(data):
+            raise ValueError(
+                f"{path}: stream {k} must hold {size} bytes and end in the file of {len(data)}, it claims {claimed} in "
+                f"{packed} from byte {place} on"
+            )
+        parts.append(unzstd(path, data[place : place + packed], size) if size else b"")
+        place += packed
+    return parts + [b""] * (len(sizes) - len(parts)), data[_HEADER_4.size : table]
+
+
+def _packed_streams(body: list[bytes], values: tuple[int, int, int, int]) -> bytes:
+    """A file of version 4, which says where its axes point; values: of the header from the number of splats on."""
+    extension = _RECORD.pack(_AXES_RECORD, 4) + struct.pack("<I", _AXES.index(SPZ_AXES) + 1)
+    packed = [zstd_packed(part) for part in body]
+    count, degree, bits, flags = values
+    header = _HEADER_4.pack(
+        _MAGIC, 4, count, degree, bits, flags | _EXTENDED, len(body), _HEADER_4.size + len(extension)
+    )
+    table = b"".join(_STREAM.pack(len(part), len(raw)) for part, raw in zip(packed, body, strict=True))
+    return header + extension + table + b"".join(packed)
+
+
+def _declared_axes(path: pathlib.Path, extensions: bytes) -> str:
+    """Where the axes point by a file's extensions; where none says so as in all files."""
+    for kind, content in _records(path, extensions):
+        if kind == _AXES_RECORD:
+            value = int.from_bytes(content[:4], "little")
+            if len(content) < 4 or value > len(_AXES):
+                raise ValueError(f"{path}: its coordinate system {value} is not known: 0 to {len(_AXES)} are")
+            return _AXES[value - 1] if value else SPZ_AXES
+    return SPZ_AXES
+
+
+def _records(path: pathlib.Path, extensions: bytes) -> Iterator[tuple[int, bytes]]:
+    """Kind and content of each extension."""
+    place = 0
+    while place + _RECORD.size <= len(extensions):
+        kind, size = _RECORD.unpack_from(extensions, place)
+        place += _RECORD.size + size
+        if place > len(extensions):
+            raise ValueError(f"{path}: its extension {kind:#x} of {size} bytes ends beyond all {len(extensions)}")
+        yield kind, extensions[place - size : place]
+
+
+def _splats(tables: list[np.ndarray], version: int, bits: int, further: int, antialias: bool) -> SplatContents:
+    """The splats of tables of bytes, (n, width) each, with the axes of the file."""
+    places, alphas, colors, scales, turns, octets = tables
+    count = len(places)
+    if version == 1:
+        centers = np.ascontiguousarray(places).view("<f2").astype(np.float32)
+    else:
+        words = places.reshape(count, 3, 3).astype(np.int32)
+        fixed = words[..., 0] | words[..., 1] << 8 | words[..., 2] << 16
+        centers = (np.where(fixed > _MOST, fixed - (1 << 24), fixed) / float(1 << bits)).astype(np.float32)
+    harmonics = np.empty((count, 1 + further, 3), np.float32)
+    harmonics[:, 0] = (colors / 255.0 - 0.5) / COLOR_SCALE
+    harmonics[:, 1:] = (octets[:, : 3 * further].reshape(count, further, 3) - 128.0) / 128.0
+    return SplatContents(
+        centers,
+        (scales / 16.0 - 10.0).astype(np.float32),
+        (_three_bytes(turns) if version < 3 else _four_bytes(turns)).astype(np.float32),
+        byte_logits(alphas[:, 0]),
+        harmonics,
+        antialias=antialias,
+    )
 
 
 def _three_bytes(turns: np.ndarray) -> np.ndarray:
