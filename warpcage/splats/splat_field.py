@@ -212,7 +212,7 @@ class SplatField:
         file), with a warning that counts them. The 3D filter of Mip-Splatting is applied.
 
         Args:
-            path: A .ply of 3DGS, a .compressed.ply of SuperSplat, a .splat or an .spz, and others' formats.
+            path: A .ply of 3DGS, a .compressed.ply of SuperSplat, a .splat, .spz or .ksplat, others' formats.
             activated: Of .ply files: whether they have opacities and scales instead of logits and logarithms. None
                 finds out from their ranges, and says so in a warning where they have.
             device: Warp device. None is CUDA where there is one.

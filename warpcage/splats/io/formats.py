@@ -12,6 +12,7 @@ from ...core.checks import checked_path, registered_formats, require_endings, re
 from ...core.files import PathLike
 from .compressed import is_compressed, read_compressed_ply, write_compressed_ply
 from .contents import SplatContents
+from .ksplat import read_ksplat
 from .ply import read_parts, read_splat_ply, write_splat_ply
 from .splat import read_splat, write_splat
 from .spz import read_spz, write_spz
@@ -73,6 +74,7 @@ BUILT_IN = (
     SplatFormat("3DGS PLY", (".ply",), read_ply, write_splat_ply, _is_splat_ply, ("activated",)),
     SplatFormat("splat of web viewers", (".splat",), read_splat, write_splat, rounds=True),
     SplatFormat("Niantic SPZ", (".spz",), read_spz, write_spz, None, (), ("version",)),
+    SplatFormat("GaussianSplats3D ksplat", (".ksplat",), read_ksplat),
 )
 
 
