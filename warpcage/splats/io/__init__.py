@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pathlib
 from typing import Any
 
-from ...core.checks import warn_caller
+from ...core.checks import checked_path, warn_caller
 from ...core.files import PathLike, atomic_path, require_file
 from .contents import SplatContents, rounding_of, sound_contents
 from .formats import BUILT_IN, format_to_read, format_to_write, holding_format
+from .sog import META
 
 #: Endings of the files, and what writes them. The first that fits counts.
 WRITERS = {each.endings[0]: each.write for each in BUILT_IN if each.write}
@@ -15,12 +17,19 @@ WRITERS = {each.endings[0]: each.write for each in BUILT_IN if each.write}
 SPLAT_ENDINGS = tuple(WRITERS)
 
 
+def splat_path(path: PathLike) -> pathlib.Path:
+    """The file of a path: of a folder that holds splats the one that tells of the others."""
+    file = checked_path(path, "the file of splats")
+    return file / META if file.is_dir() and (file / META).is_file() else file
+
+
 def read_splats(path: PathLike, **options: Any) -> SplatContents:
-    """Read a file of splats; whether a .ply is a compressed one its header tells.
+    """Read a file of splats, or a folder of one; whether a .ply is a compressed one its header tells.
     options: of `SplatField.load`, None for what was not given."""
-    format = format_to_read(path)
+    named = splat_path(path)
+    format = format_to_read(named)
     given = _given(options, format.read_options, f"{format.name} files are not read", path)
-    file = require_file(path, "splat file")
+    file = require_file(named, "splat file")
     assert format.read is not None
     return sound_contents(file, format.read(file, **given))
 
@@ -44,8 +53,8 @@ def write_splats(contents: SplatContents, path: PathLike, **options: Any) -> Non
 
 
 def is_splat_file(path: PathLike) -> bool:
-    """Whether a file holds splats, by its ending, and by its beginning where others have that ending too."""
-    return holding_format(path) is not None
+    """Whether a file or folder holds splats, by its ending, and by its beginning where others have that ending too."""
+    return holding_format(splat_path(path)) is not None
 
 
 def _given(options: dict[str, Any], known: tuple[str, ...], what: str, path: PathLike) -> dict[str, Any]:

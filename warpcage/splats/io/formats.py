@@ -14,6 +14,7 @@ from .compressed import is_compressed, read_compressed_ply, write_compressed_ply
 from .contents import SplatContents
 from .ksplat import read_ksplat
 from .ply import read_parts, read_splat_ply, write_splat_ply
+from .sog import META, has_sog_meta, read_sog, write_sog
 from .splat import read_splat, write_splat
 from .spz import read_spz, write_spz
 
@@ -75,6 +76,8 @@ BUILT_IN = (
     SplatFormat("splat of web viewers", (".splat",), read_splat, write_splat, rounds=True),
     SplatFormat("Niantic SPZ", (".spz",), read_spz, write_spz, None, (), ("version",)),
     SplatFormat("GaussianSplats3D ksplat", (".ksplat",), read_ksplat),
+    SplatFormat("PlayCanvas SOG", (".sog",), read_sog, write_sog, rounds=True),
+    SplatFormat("PlayCanvas SOG in a folder", (META,), read_sog, None, has_sog_meta),
 )
 
 
