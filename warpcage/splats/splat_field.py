@@ -164,7 +164,7 @@ class SplatField:
         contents: The values as files have them. They are not to be written to.
         background: (3,) float32 colour behind the splats.
         up: (3,) float64 unit vector.
-        antialias: Whether views are antialiased where nobody says otherwise. Files of .spz tell.
+        antialias: Whether views are antialiased where nobody says otherwise. Files of .spz and .sog tell.
         device: Warp device.
     """
 
@@ -212,7 +212,8 @@ class SplatField:
         file), with a warning that counts them. The 3D filter of Mip-Splatting is applied.
 
         Args:
-            path: A .ply of 3DGS, a .compressed.ply of SuperSplat, a .splat, .spz or .ksplat, others' formats.
+            path: A .ply of 3DGS, a .compressed.ply of SuperSplat, a .splat, .spz, .ksplat, .sog, .glb or .gltf, or a
+                folder of SOG, which has a meta.json; and what other packages registered.
             activated: Of .ply files: whether they have opacities and scales instead of logits and logarithms. None
                 finds out from their ranges, and says so in a warning where they have.
             device: Warp device. None is CUDA where there is one.
@@ -253,10 +254,11 @@ class SplatField:
 
         What was loaded from a .ply and is saved as one is the same file, bit for bit. The other formats quantise:
         .compressed.ply positions and scales to 11 bits of a chunk's range, .spz positions to 1 / 4096 of a unit,
-        .splat has no harmonics but the first.
+        .splat has no harmonics but the first, .sog positions to 16 bits of the logarithm of their range. A .glb has
+        float32 numbers.
 
         Args:
-            path: The file; it must end in .ply, .compressed.ply, .splat or .spz, or as another package's.
+            path: The file; it must end in .ply, .compressed.ply, .splat, .spz, .sog or .glb, or as another package's.
             version: Of .spz files: 3 (gzip, which all programs read) or 4 (zstd). None is 3.
 
         Raises:

@@ -12,6 +12,7 @@ from ...core.checks import checked_path, registered_formats, require_endings, re
 from ...core.files import PathLike
 from .compressed import is_compressed, read_compressed_ply, write_compressed_ply
 from .contents import SplatContents
+from .gltf import has_splats, read_gltf_splats, write_glb_splats
 from .ksplat import read_ksplat
 from .ply import read_parts, read_splat_ply, write_splat_ply
 from .sog import META, has_sog_meta, read_sog, write_sog
@@ -67,6 +68,8 @@ def _is_splat_ply(path: pathlib.Path) -> bool:
 #: Endings that no format of splats has: others are not looked for.
 _OTHERS = ("", ".npz", ".json", ".ply", ".png")
 
+_GLTF = "glTF with KHR_gaussian_splatting"
+
 #: All that warpcage knows by itself. The first whose ending fits counts.
 BUILT_IN = (
     SplatFormat(
@@ -78,6 +81,8 @@ BUILT_IN = (
     SplatFormat("GaussianSplats3D ksplat", (".ksplat",), read_ksplat),
     SplatFormat("PlayCanvas SOG", (".sog",), read_sog, write_sog, rounds=True),
     SplatFormat("PlayCanvas SOG in a folder", (META,), read_sog, None, has_sog_meta),
+    SplatFormat(_GLTF, (".glb",), read_gltf_splats, write_glb_splats, has_splats, rounds=True),
+    SplatFormat(_GLTF, (".gltf",), read_gltf_splats, None, has_splats),
 )
 
 
