@@ -17,6 +17,7 @@ from ..editor.demo import demo_files
 from ..editor.edit import edit, require_libraries
 from ..editor.session import free_session_path, session_path
 from ..field.selection import NodeSelection
+from ..splats.io import splat_path
 from ..splats.splat_field import load_field
 from . import shared
 from .pose_words import read_rest
@@ -36,6 +37,7 @@ def run_edit(args: argparse.Namespace) -> None:
         if args.cage or args.selection:
             raise ValueError("--demo brings its own cage: leave --cage and --selection out")
         args.field, demo_cage = map(str, demo_files(device))
+    args.field = str(splat_path(args.field))
     require_file(args.field, "field file")
     kept = pathlib.Path(args.session) if args.session else session_path(args.field)
     if kept.exists() and (args.cage or args.selection) and not args.new:

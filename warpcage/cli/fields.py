@@ -21,7 +21,7 @@ from ..field.voxel_field import VoxelField
 from ..mesh.io.gltf import write_glb
 from ..mesh.io.ply import write_ply
 from ..splats.clean import clean_splats
-from ..splats.io import is_splat_file
+from ..splats.io import is_splat_file, splat_path
 from ..splats.splat_field import AnyField, SplatField
 from ..view.camera import Camera, CameraFile
 from ..view.pictures import write_png
@@ -32,9 +32,10 @@ from .shared import Deformation, is_deformed, read_deformation
 
 
 def run_bake(args: argparse.Namespace) -> None:
+    args.field = str(splat_path(args.field))
     require_file(args.field, "field file")
     of_splats = is_splat_file(args.field)
-    output = options.check_output(args.output, options.SPLAT_ENDINGS if of_splats else (".npz",), "field file")
+    output = options.check_output(args.output, shared.splat_outputs() if of_splats else (".npz",), "field file")
     if of_splats and (args.voxels is not None or args.format is not None):
         raise ValueError("--voxels and --format are for fields of voxels: the ending of a splat file says its format")
     if args.frames is not None and (not of_splats or "#" not in output.name):
@@ -95,9 +96,10 @@ GONE_COLOR = (0.95, 0.1, 0.1)
 
 
 def run_clean(args: argparse.Namespace) -> None:
+    args.field = str(splat_path(args.field))
     require_file(args.field, "field file")
     of_splats = is_splat_file(args.field)
-    output = options.check_output(args.output, options.SPLAT_ENDINGS if of_splats else (".npz",), "field file")
+    output = options.check_output(args.output, shared.splat_outputs() if of_splats else (".npz",), "field file")
     preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
     shared.check_saved(args)
     if args.views is None and (args.least_views is not None or args.least_weight is not None):

@@ -21,7 +21,8 @@ from ..mesh.io import object_names
 from ..mesh.io.formats import format_lines, mesh_endings
 from ..scene.load import detect_format, load_scene
 from ..scene.scene import Scene
-from ..splats.io import is_splat_file
+from ..splats.io import is_splat_file, splat_path
+from ..splats.io.formats import endings_read, format_to_read
 from ..splats.splat_field import SplatField
 from ..view.camera import CameraFile
 from ..view.pictures import contact_sheet, shrink, write_png
@@ -38,25 +39,26 @@ def run_info(args: argparse.Namespace) -> None:
     shared.require_field_scale(args)
     sheet = None if args.sheet is None else options.check_output(args.sheet, (".png",), "contact sheet")
     path = None if args.field is None else pathlib.Path(args.field)
-    if sheet is not None and not (path is not None and path.is_dir()):
+    of_splats = path is not None and path.exists() and is_splat_file(path)
+    if sheet is not None and not (path is not None and path.is_dir() and not of_splats):
         raise ValueError(f"--sheet shows the pictures of a scene folder, got {args.field!r}")
     if path is None:
         rows = _machine()
+    elif of_splats:
+        rows = _splats(splat_path(path))
     elif path.is_dir():
         rows = _scene(path, args, sheet)
     elif not path.exists():
         raise FileNotFoundError(f"file {args.field!r} is not there")
     elif path.suffix.lower() == ".npz":
         rows = _field(path, args)
-    elif is_splat_file(path):
-        rows = _splats(path)
     elif path.suffix.lower() in mesh_endings():
         rows = _cage(path)
     elif path.suffix.lower() == ".json":
         rows = _json(path)
     else:
         raise ValueError(
-            f"{args.field!r} is not a field (.npz), splats (.ply, .splat, .spz), cage "
+            f"{args.field!r} is not a field (.npz), splats ({' '.join(endings_read())}), cage "
             f"({' '.join(mesh_endings())}), poses, edits or cameras (.json) or scene folder"
         )
     width = max(len(name) for name, _ in rows)
@@ -111,6 +113,7 @@ def _splats(path: pathlib.Path) -> Rows:
     layout = field.contents.layout
     return [
         ("kind", "splats"),
+        ("format", format_to_read(path).name),
         ("splats", field.splat_count),
         ("harmonics", f"degree {field.degree}"),
         ("bounds", _box(*field.bounds)),
@@ -118,6 +121,7 @@ def _splats(path: pathlib.Path) -> Rows:
         ("scales", _range(field.scales, "world units")),
         ("opacities", _range(field.opacities, "of 1")),
         ("layout", "packed" if layout is None else f"{len(layout.table.dtype.names or ())} properties a splat"),
+        *([("antialias", "yes")] if field.antialias else []),
         ("up", field.up.round(3).tolist()),
         ("file", _file_size(path)),
     ]

@@ -13,6 +13,7 @@ from ..cage.pose_file import PoseFile, is_preset
 from ..core.files import require_file
 from ..core.names import counted
 from ..mesh.io.formats import mesh_endings
+from ..splats.io import splat_path
 from ..splats.splat_field import load_field
 from ..view.camera import CameraKey
 from . import shared
@@ -221,7 +222,7 @@ def run_pose(args: argparse.Namespace) -> None:
 def read_cage(args: argparse.Namespace) -> tuple[Cage, dict[str, str]]:
     """The cage of the command, and the axis that points up in files of its ending.
     With --object the axis is found by that field, and `args.up` becomes the field's unless --up is given too."""
-    field = None if args.object is None else load_field(require_file(args.object, "field file"))
+    field = None if args.object is None else load_field(require_file(splat_path(args.object), "field file"))
     if field is not None and args.up is None:
         args.up = tuple(field.up)
     args.straightening = None if field is None else field.straightening  # for cameras of its scene

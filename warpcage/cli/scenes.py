@@ -82,10 +82,10 @@ SPLAT_OPTIONS = ("steps", "most_splats")
 
 
 def run_fit(args: argparse.Namespace) -> None:
-    kind = args.representation
+    kind, endings = args.representation, shared.splat_outputs()
     if kind is None:
-        kind = "splats" if args.output.lower().endswith(options.SPLAT_ENDINGS) else "voxels"
-    output = options.check_output(args.output, options.SPLAT_ENDINGS if kind == "splats" else (".npz",), "field file")
+        kind = "splats" if args.output.lower().endswith(endings) else "voxels"
+    output = options.check_output(args.output, endings if kind == "splats" else (".npz",), "field file")
     checkpoint = None if args.checkpoint is None else options.check_output(args.checkpoint, (".npz",), "checkpoint")
     preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
     for name in VOXEL_OPTIONS if kind == "splats" else SPLAT_OPTIONS:

@@ -30,7 +30,8 @@ from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
 from ..field.voxel_field import VoxelField
 from ..scene.load import load_scene
 from ..scene.scene import Scene
-from ..splats.io import is_splat_file
+from ..splats.io import is_splat_file, splat_path
+from ..splats.io.formats import endings_written
 from ..splats.splat_field import AnyField, SplatField, load_field
 from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
 from ..view.frame import Frame
@@ -274,6 +275,7 @@ def chosen_device(args: argparse.Namespace) -> wp.Device:
 def read_field(args: argparse.Namespace) -> AnyField:
     """The field file of a command, voxels or splats, on the chosen device; sets `args.straightening`, and `args.up`
     where --up is not given."""
+    args.field = str(splat_path(args.field))
     require_file(args.field, "field file")  # before Warp starts, which takes a while
     if is_splat_file(args.field):
         require_field_scale(args)
@@ -306,6 +308,11 @@ def read_scene(args: argparse.Namespace, background: str | ArrayLike, orient: st
 def is_field(path: str) -> bool:
     """Whether a file is a field: voxels (.npz) or splats."""
     return path.lower().endswith(".npz") or is_splat_file(path)
+
+
+def splat_outputs() -> tuple[str, ...]:
+    """Endings of files of splats that are written, those of other packages last."""
+    return tuple(dict.fromkeys([*options.SPLAT_ENDINGS, *endings_written()]))
 
 
 def require_voxels(field: AnyField, what: str) -> VoxelField:

@@ -25,8 +25,8 @@ def add_info_arguments(parser: argparse.ArgumentParser) -> None:
         "field",
         metavar="file",
         nargs="?",
-        help=f"field (.npz), splats (.ply .splat .spz), cage ({' '.join(options.CAGE_ENDINGS)}), poses, edits or "
-        "cameras (.json) or scene folder",
+        help=f"field (.npz), splats ({' '.join(options.SPLATS_READ)}), cage "
+        f"({' '.join(options.CAGE_ENDINGS)}), poses, edits or cameras (.json) or scene folder",
     )
     parser.add_argument("--split", default="train", help="split of a scene (default: %(default)s)")
     options.add_scene_format(parser)

@@ -17,8 +17,11 @@ MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
 
 SELECTION_ENDINGS = (".npz", ".json")
 
-#: Files of splats: 3DGS' and SuperSplat's .ply, those of web viewers, and Niantic's.
-SPLAT_ENDINGS = (".ply", ".compressed.ply", ".splat", ".spz")
+#: Files of splats that are written: 3DGS' and SuperSplat's .ply, those of web viewers, Niantic's, PlayCanvas' and glTF.
+SPLAT_ENDINGS = (".ply", ".compressed.ply", ".splat", ".spz", ".sog", ".glb")
+
+#: Those that are read. A folder of SOG has a meta.json.
+SPLATS_READ = (*SPLAT_ENDINGS, ".gltf", ".ksplat", "meta.json")
 
 #: What a film may show of its frames.
 PICTURE_KINDS = ("rgb", "alpha", "depth", "disparity", "masks")
@@ -76,7 +79,7 @@ def package_version() -> str:
 
 def add_field(parser: Arguments) -> None:
     """The field that a command reads."""
-    parser.add_argument("field", help=f"field file: voxels (.npz) or splats ({' '.join(SPLAT_ENDINGS)})")
+    parser.add_argument("field", help=f"field file: voxels (.npz) or splats ({' '.join(SPLATS_READ)})")
 
 
 def add_scene(parser: Arguments, split: str) -> None:
