@@ -1,0 +1,92 @@
+"""Files of splats between warpcage and PlayCanvas' splat-transform: each reads the other's, as the same splats.
+
+They are skipped where there is no such program: npm install -g @playcanvas/splat-transform (2.7.1 was tried).
+"""
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from splat_scenes import some_splats
+
+import warpcage
+
+PROGRAM = shutil.which("splat-transform")
+pytestmark = pytest.mark.skipif(PROGRAM is None, reason="splat-transform is not installed")
+
+#: Largest differences: places, logarithms of scales, shapes, opacities, first and further harmonics.
+BOUNDS = {
+    ".ply": (0.0, 0.0, 1e-6, 1e-6, 0.0, 0.0),
+    ".compressed.ply": (5e-3, 4e-3, 2e-2, 3e-3, 8e-3, 2e-2),
+    ".splat": (0.0, 1e-6, 4e-2, 3e-3, 8e-3, None),
+    ".spz": (1.3e-4, 3.2e-2, 7e-2, 3e-3, 1.4e-2, 4e-3),
+    ".sog": (2e-4, 3e-2, 7e-2, 4e-3, 6e-3, 6e-3),
+    ".glb": (0.0, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6),
+}
+
+
+def field_of(count=300, antialias=False):
+    return warpcage.SplatField.from_contents(some_splats(count, antialias=antialias), device="cpu")
+
+
+def loaded(path):
+    return warpcage.SplatField.load(path, device="cpu")
+
+
+def transform(*words):
+    """Let the program write a file of another."""
+    run = subprocess.run(
+        [PROGRAM, "-q", "-w", "-g", "cpu", *map(str, words)], capture_output=True, text=True, timeout=300
+    )
+    assert run.returncode == 0, run.stderr
+
+
+def assert_same(field, other, bounds, share=1.0):
+    """Fields are the same splats in any order, within the errors of a format; share: of the further harmonics."""
+    place, scale, shape, opacity, color, further = bounds
+    distance = np.linalg.norm(field.contents.centers[:, None] - other.contents.centers[None], axis=2)
+    rows = distance.argmin(axis=1)
+    assert sorted(rows) == list(range(len(field)))
+    other = other.chosen(rows)
+    old, new = field.contents, other.contents
+    assert np.abs(old.centers - new.centers).max() <= place
+    assert np.abs(np.sort(old.log_scales, axis=1) - np.sort(new.log_scales, axis=1)).max() <= scale
+    size = (field.scales**2).max(axis=1)[:, None, None]
+    assert np.abs((field.covariances - other.covariances) / size).max() <= shape
+    assert np.abs(field.opacities - other.opacities).max() <= opacity
+    assert np.abs(old.harmonics[:, 0] - new.harmonics[:, 0]).max() <= color
+    if further is None:
+        assert new.harmonics.shape[1] == 1
+    else:
+        assert np.quantile(np.abs(old.harmonics[:, 1:] - new.harmonics[:, 1:]), share) <= further
+
+
+@pytest.mark.parametrize("ending, version", [(each, None) for each in BOUNDS if each != ".glb"] + [(".spz", 4)])
+def test_the_program_reads_what_we_write(ending, version, tmp_path):
+    field = field_of()
+    field.save(tmp_path / f"ours{ending}", version=version)
+    transform(tmp_path / f"ours{ending}", tmp_path / "theirs.ply")
+    assert_same(field, loaded(tmp_path / "theirs.ply"), BOUNDS[ending])
+
+
+@pytest.mark.parametrize(
+    "name, words",
+    [
+        ("a.compressed.ply", ()),
+        ("a.spz", ("--spz-version", "3")),
+        ("a.spz", ("--spz-version", "4")),
+        ("a.sog", ()),
+        ("meta.json", ()),
+        ("a.glb", ()),
+    ],
+)
+def test_we_read_what_the_program_writes(name, words, tmp_path):
+    field = field_of()
+    field.save(tmp_path / "ours.ply")
+    transform(*words, tmp_path / "ours.ply", tmp_path / name)
+    ending = ".sog" if name == "meta.json" else name[1:]
+    # it packs further harmonics of SPZ in 5 and 4 bits, and those of SOG in clusters, few of which have several splats
+    bounds = (*BOUNDS[ending][:5], 0.07) if ending == ".spz" else BOUNDS[ending]
+    share = 0.5 if ending == ".sog" else 1.0
+    assert_same(field, loaded(tmp_path if name == "meta.json" else tmp_path / name), bounds, share)
