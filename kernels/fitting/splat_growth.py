@@ -3,8 +3,10 @@
 # Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo" (2024), Eq. 9: n copies at one place look like
 # the one splat of opacity o and scale s that was there if each has
 #   o' = 1 - (1 - o)^(1 / n),    s' = s o / sum_{j = 1..n} (-1)^(j - 1) C(n, j) o'^j / sqrt(j).
-# The paper's double sum is this single one. Its terms alternate: float64, and o held at 0.999. Places are drawn in
-# proportion to opacity, in whole numbers, so that a scan of them is exact on every device.
+# The paper's double sum is this single one. Its terms alternate: float64, and o held at 0.999. Unlike in the paper,
+# sources are drawn by opacity times the fourth root of what the picture would change if they moved by their size, of
+# which Adam has the mean squares: large splats on fine detail are what is to be divided. Whole numbers are drawn from,
+# so that a scan of them is exact on every device.
 
 import warp as wp
 
@@ -19,6 +21,12 @@ MOST_OPACITY = wp.constant(0.999)
 
 #: Units of an opacity of 1 when places are drawn.
 OPACITY_UNITS = wp.constant(16777216.0)
+
+#: Slopes of a picture's mean loss by a splat's size are about 1e-8; and those of a splat that is new count as at least
+#: this small.
+SLOPE_UNITS = wp.constant(1.0e8)
+
+LEAST_SLOPE = wp.constant(1.0e-8)
 
 
 @wp.func
@@ -36,13 +44,25 @@ def split_opacity(opacity: float, copies: int):
 
 
 @wp.kernel
-def weigh_splats(first: int, least: float, opacities: wp.array(dtype=wp.float32), weights: wp.array(dtype=wp.int64)):
-    """weights: (n,) by which splats are drawn, 0 for those of opacity `least` or less, which are dead."""
+def weigh_splats(
+    first: int,
+    least: float,
+    opacities: wp.array(dtype=wp.float32),
+    values: SplatValues,
+    squares: SplatValues,
+    weights: wp.array(dtype=wp.int64),
+):
+    """weights: (n,) by which splats are drawn, 0 for those of opacity `least` or less, which are dead. squares: Adam's
+    mean squares of the slopes by `values`."""
     n = first + wp.tid()
     opacity = opacities[n]
     weight = wp.int64(0)
     if opacity > least:
-        weight = wp.int64(opacity * OPACITY_UNITS)
+        logs = values.log_scales[n]
+        square = squares.centers[n]
+        size = wp.exp((logs[0] + logs[1] + logs[2]) / 3.0)
+        slope = wp.max(SLOPE_UNITS * size * wp.sqrt(square[0] + square[1] + square[2]), LEAST_SLOPE)
+        weight = wp.int64(opacity * OPACITY_UNITS * wp.sqrt(wp.sqrt(slope)))
     weights[n] = weight
 
 

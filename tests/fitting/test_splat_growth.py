@@ -49,10 +49,9 @@ def contents_of(opacities, seed=0, degree=1):
 
 
 def sources_of(before, after):
-    """Row of `before` at whose place each row of `after` stands."""
-    gaps = np.abs(after["centers"][:, None] - before.centers[None]).max(axis=-1)
-    assert (gaps.min(axis=1) == 0).all()
-    return gaps.argmin(axis=1)
+    """Row of `before` of which each row of `after` has the colours."""
+    rows = {colors.tobytes(): row for row, colors in enumerate(before.harmonics)}
+    return np.array([rows[colors.tobytes()] for colors in after["harmonics"]])
 
 
 @pytest.mark.parametrize("opacity", [0.02, 0.3, 0.8, 0.99])
@@ -90,6 +89,21 @@ def test_places_are_drawn_by_opacity_and_the_dead_are_none_of_them(device):
     assert (drawn[3:] == 0).all() and drawn.sum() == 3003
     shares = opacities[:3] / opacities[:3].sum()
     assert np.abs((drawn[:3] - 1) / 3000 - shares).max() < 4 * np.sqrt(0.25 / 3000)
+
+
+def test_sources_are_drawn_by_what_the_picture_changes_as_they_move(device):
+    """By the fourth root of the size times the slope, and opacity."""
+    opacities, slopes = np.array([0.9, 0.6, 0.3, 0.3]), np.array([1e-6, 1.6e-5, 1e-5, 0.0])
+    before = contents_of(np.concatenate([opacities, np.full(4000, 0.003)]))
+    growing = GrowingSplats(before, 0, 1, wp.get_device(device))
+    state = growing.state()
+    state["squares"]["centers"][:4] = (slopes**2 / 3)[:, None]
+    growing.restore(state)
+    growing.revive(seed=5)
+    drawn = np.bincount(sources_of(before, growing.to_contents(1)), minlength=4)
+    sizes = np.exp(before.log_scales[:4].astype(np.float64).mean(axis=1))
+    weights = opacities * np.maximum(1e8 * slopes * sizes, 1e-8) ** 0.25
+    assert np.abs((drawn[:4] - 1) / 4000 - weights / weights.sum()).max() < 4 * np.sqrt(0.25 / 4000)
 
 
 def test_growth_keeps_what_is_there_and_copies_the_rest(device):

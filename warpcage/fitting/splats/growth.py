@@ -82,7 +82,8 @@ class GrowingSplats:
         """Make splats of opacity `least` or less, and those that are added, copies of others."""
         device, before = self.device, self.count
         weights, ends = (array_view(each, wp.int64, before) for each in (self._weights, self._ends))
-        launch(splat_growth.weigh_splats, before, [least, self.splats.opacities], [weights], device=device)
+        inputs = [least, self.splats.opacities, self.values, self.squares]
+        launch(splat_growth.weigh_splats, before, inputs, [weights], device=device)
         wp.utils.array_scan(weights, ends)
         copies = array_view(self._copies, wp.int32, before)
         copies.zero_()
