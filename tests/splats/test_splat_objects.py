@@ -101,7 +101,7 @@ def test_far_splats_make_nothing_coarser(scene):
 def test_the_cage_holds_the_cup_alone(scene):
     field, labels = scene
     chosen = select_object(field, point=ON_CUP)
-    cage = Cage.from_field(chosen, 60)
+    cage = Cage.from_field(chosen, 80)
     inside = cage.contains(field.contents.centers.astype(np.float64))
     assert inside[rows_of(chosen)].all() and not (inside & (labels == TABLE)).any()
     assert cage.check(field=chosen).field_enclosed == 1.0

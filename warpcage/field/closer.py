@@ -25,6 +25,9 @@ NEAR_ENOUGH = 0.85
 #: Grids that are tried, and the share of one that the next has around a click on nothing or on a plane.
 GRIDS, CLOSER = 9, 0.5
 
+#: How much larger the next window about a click is where an object does not end in the one before.
+WIDER = 1.6
+
 #: What is found only after a click that seemed to be on nothing or on a plane is an object from so many cells along its
 #: shortest side on, and not the roughness of the plane.
 LEAST_SIDE = 4
@@ -60,6 +63,7 @@ def choose_closer(
     window = _clipped(_around(region), field) if region is not None else np.array(field.shown_bounds)
     if region is None and clicks is not None:
         window = np.stack([np.minimum(window[0], clicks.min(axis=0)), np.maximum(window[1], clicks.max(axis=0))])
+        window = _window_about(field, choose, clicks, window)
     found: NodeSelection | None = None
     failed: ValueError | None = None
     for _ in range(GRIDS):
@@ -86,6 +90,28 @@ def choose_closer(
         assert failed is not None
         raise failed
     return found
+
+
+def _window_about(
+    field: Any, choose: Callable[[DensityField], NodeSelection], clicks: np.ndarray, whole: np.ndarray
+) -> np.ndarray:
+    """The smallest window about clicks in which what is chosen ends and fills a grid; the whole where none is so."""
+    # from near to far: in a whole place far walls are planes too, and all that has few cells hangs together
+    middle = 0.5 * (clicks.min(axis=0) + clicks.max(axis=0))
+    half = float(np.ptp(clicks, axis=0).max()) + 2.0 * _longest(whole) / MOST_CELLS
+    while 2.0 * half < _longest(whole):
+        window = _clipped(np.stack([middle - half, middle + half]), field)
+        half *= WIDER
+        if _longest(window) < LEAST_CELLS * field.finest_cell(window):
+            continue
+        seen = field.matter(window, _cells(field, window))
+        try:
+            chosen = choose(seen)
+        except ValueError:
+            continue  # nothing there, or no plane yet
+        if _side(chosen) >= LEAST_SIDE and not _is_cut(chosen, field):
+            return window
+    return whole
 
 
 def _cells(field: Any, window: np.ndarray) -> int:
