@@ -19,15 +19,13 @@ from library.splats import times_by_turns
 import warpcage
 from warpcage.fitting.evaluation import ssim
 from warpcage.fitting.splats import checked_splat_options
+from warpcage.splats.io.contents import LEAST_OPACITY
 
 #: Views, factor on their size and on the number of points of the fit that compiles kernels, and steps of gsplat's.
 WARM_VIEWS, WARM_SHRINK, WARM_STEPS = 8, 8, 40
 
 #: Frames that are timed.
 FRAMES = 60
-
-#: Opacity below which a splat is in no picture.
-UNSEEN = 1 / 255
 
 #: Rates of gsplat's examples for its MCMC strategy; that of the centers is times the size of the scene, and falls.
 RATES = {"means": 1.6e-4, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 2.5e-3 / 20}
@@ -279,7 +277,7 @@ def warm_scene(scene: warpcage.Scene) -> warpcage.Scene:
 
 def splat_facts(field: warpcage.SplatField) -> dict:
     """How many splats there are, and how many of them can be seen."""
-    return {"splats": len(field), "splats_seen": int((field.opacities >= UNSEEN).sum())}
+    return {"splats": len(field), "splats_seen": int((field.opacities >= LEAST_OPACITY).sum())}
 
 
 def scores(renderer, test: warpcage.Scene, device) -> dict:

@@ -10,6 +10,7 @@ from ...core.checks import checked_whole, require_type
 from ...field.selection import visible_rows
 from ...field.sparse import harmonics_on_host
 from ...field.voxel_field import VoxelField
+from ...splats.io.contents import LEAST_OPACITY
 from ...splats.splat_field import SplatField
 from ..options import checked_seed
 
@@ -21,8 +22,8 @@ SPREAD = 0.4
 #: than at them, where neighbours are negative (a fitted field gained 2 dB).
 ASIDE = 0.25
 
-#: Least and greatest opacity of a splat.
-LEAST_OPACITY, MOST_OPACITY = 1.0 / 255.0, 0.995
+#: Greatest opacity of a splat.
+MOST_OPACITY = 0.995
 
 #: Matter of at least this optical depth a voxel hides what is so many voxels and more inside it.
 SOLID_DEPTH, HIDING_VOXELS = 1.0, 4
