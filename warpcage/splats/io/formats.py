@@ -121,20 +121,21 @@ def endings_written() -> list[str]:
 
 def format_to_read(path: PathLike) -> SplatFormat:
     """The format of a file, by its ending; ValueError for one that is not known."""
-    named = checked_path(path, "the file of splats")
-    for each in _candidates(named):
-        if each.read and each.has_ending(named):
-            return each
-    raise ValueError(f"splat file {str(path)!r} must end in {', '.join(endings_read())}")
+    return _format_by_ending(path, lambda each: each.read, lambda: ", ".join(endings_read()))
 
 
 def format_to_write(path: PathLike) -> SplatFormat:
     """The format that a file is written in, by its ending; ValueError for one that is not known."""
+    return _format_by_ending(path, lambda each: each.write, lambda: f"{', '.join(endings_written())} to be written")
+
+
+def _format_by_ending(path: PathLike, way: Callable[[SplatFormat], object], known: Callable[[], str]) -> SplatFormat:
+    """The first format with the ending of a file that has a way; known: what it must end in, for people."""
     named = checked_path(path, "the file of splats")
     for each in _candidates(named):
-        if each.write and each.has_ending(named):
+        if way(each) and each.has_ending(named):
             return each
-    raise ValueError(f"splat file {str(path)!r} must end in {', '.join(endings_written())} to be written")
+    raise ValueError(f"splat file {str(path)!r} must end in {known()}")
 
 
 def holding_format(path: PathLike) -> SplatFormat | None:
