@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
-from splat_scenes import some_splats
+from splat_scenes import require_read_or_refused, some_splats
 
 import warpcage
 from warpcage.core import MemoryShortage
@@ -418,12 +418,7 @@ def test_damaged_files_are_refused_or_read(name, data, tmp_path_factory):
         else:
             changed[place:place] = data.draw(st.binary(max_size=3))
     path.write_bytes(gzip.compress(bytes(changed)) if packed else bytes(changed))
-    try:
-        field = warpcage.SplatField.load(path, device="cpu")
-    except ValueError as error:
-        assert "\n" not in str(error) and path.name in str(error)
-    else:
-        assert np.isfinite(field.bounds).all() and field.splat_count == len(field.covariances)
+    require_read_or_refused(path)
 
 
 @pytest.mark.filterwarnings("ignore")
