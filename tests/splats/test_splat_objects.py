@@ -77,25 +77,48 @@ def test_other_things_of_the_place(scene):
     assert both[(labels == BALL) | (labels == CUP)].all()
 
 
+def with_others(field, centers, log_scales):
+    """A field with more splats, black and nearly opaque."""
+    held, count = field.contents, len(centers)
+    return SplatField(
+        np.concatenate([held.centers, centers]),
+        np.concatenate([held.log_scales, log_scales]),
+        np.concatenate([held.quaternions, np.eye(4)[[0] * count]]),
+        np.concatenate([held.logits, np.full(count, 3.0)]),
+        np.concatenate([held.harmonics, np.zeros((count, 1, 3))]),
+        up=field.up,
+        device=field.device,
+    )
+
+
+def require_cup_alone(wide, labels, **ways):
+    rows = rows_of(select_object(wide, point=ON_CUP, **ways))
+    assert not rows[len(labels) :].any() and not (rows[: len(labels)] & (labels != CUP)).any()
+    assert rows.sum() > 0.9 * (labels == CUP).sum()
+
+
 def test_far_splats_make_nothing_coarser(scene):
     """A sky around the place: its box is forty times as long as before."""
     field, labels = scene
     sky = np.random.default_rng(3).normal(size=(60, 3))
     sky = 100.0 * sky / np.linalg.norm(sky, axis=1, keepdims=True)
-    held = field.contents
-    wide = SplatField(
-        np.concatenate([held.centers, sky]),
-        np.concatenate([held.log_scales, np.full((60, 3), np.log(5.0))]),
-        np.concatenate([held.quaternions, np.eye(4)[[0] * 60]]),
-        np.concatenate([held.logits, np.full(60, 3.0)]),
-        np.concatenate([held.harmonics, np.zeros((60, 1, 3))]),
-        up=field.up,
-        device=field.device,
-    )
+    wide = with_others(field, sky, np.full((60, 3), np.log(5.0)))
     assert wide.voxel_size[0] > 1.0
-    rows = rows_of(select_object(wide, point=ON_CUP))
-    assert not rows[len(labels) :].any() and not (rows[: len(labels)] & (labels != CUP)).any()
-    assert rows.sum() > 0.9 * (labels == CUP).sum()
+    require_cup_alone(wide, labels)
+
+
+@pytest.mark.parametrize("plane", ["ground", "any"])
+def test_far_walls_are_not_what_an_object_stands_on(scene, plane):
+    """A hall around the place, whose walls are twelve times as long: they are planes too, and the room is what is above
+    them."""
+    field, labels = scene
+    across = np.arange(-30.0, 30.1, 2.5)
+    sheet = np.stack([each.ravel() for each in np.meshgrid(across, across)], axis=1)
+    flat = np.full((len(sheet), 2), np.log(2.0))
+    walls = [(axis, end) for axis in range(3) for end in (-30.0, 30.0)]
+    centers = np.concatenate([np.insert(sheet, axis, end, axis=1) for axis, end in walls])
+    scales = np.concatenate([np.insert(flat, axis, np.log(0.5), axis=1) for axis, _ in walls])
+    require_cup_alone(with_others(field, centers, scales), labels, plane=plane)
 
 
 def test_the_cage_holds_the_cup_alone(scene):

@@ -61,15 +61,18 @@ def choose_closer(
     """What `choose` takes of a field of splats, on the finest grid around it that shows it.
     clicks (k, 3) are on it, or None; region (2, 3) holds it, or None."""
     window = _clipped(_around(region), field) if region is not None else np.array(field.shown_bounds)
+    near = None
     if region is None and clicks is not None:
         window = np.stack([np.minimum(window[0], clicks.min(axis=0)), np.maximum(window[1], clicks.max(axis=0))])
-        window = _window_about(field, choose, clicks, window)
+        near = _near(field, choose, clicks, window)
+        window = window if near is None else near[0]
     found: NodeSelection | None = None
     failed: ValueError | None = None
     for _ in range(GRIDS):
-        seen = field.matter(window, _cells(field, window))
+        seen = field.matter(window, _cells(field, window)) if near is None else near[1]
         try:
-            chosen = choose(seen)
+            chosen = choose(seen) if near is None else near[2]
+            near = None
             if failed is not None and found is None and _side(chosen) < LEAST_SIDE:
                 raise failed
         except ValueError as error:
@@ -92,10 +95,10 @@ def choose_closer(
     return found
 
 
-def _window_about(
+def _near(
     field: Any, choose: Callable[[DensityField], NodeSelection], clicks: np.ndarray, whole: np.ndarray
-) -> np.ndarray:
-    """The smallest window about clicks in which what is chosen ends and fills a grid; the whole where none is so."""
+) -> tuple[np.ndarray, DensityField, NodeSelection] | None:
+    """The smallest window about clicks in which what is chosen ends, its matter, and what is chosen; None in none."""
     # from near to far: in a whole place far walls are planes too, and all that has few cells hangs together
     middle = 0.5 * (clicks.min(axis=0) + clicks.max(axis=0))
     half = float(np.ptp(clicks, axis=0).max()) + 2.0 * _longest(whole) / MOST_CELLS
@@ -110,8 +113,8 @@ def _window_about(
         except ValueError:
             continue  # nothing there, or no plane yet
         if _side(chosen) >= LEAST_SIDE and not _is_cut(chosen, field):
-            return window
-    return whole
+            return window, seen, chosen
+    return None
 
 
 def _cells(field: Any, window: np.ndarray) -> int:
