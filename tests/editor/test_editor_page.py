@@ -255,13 +255,16 @@ def test_a_connection_that_breaks_in_mid_drag_comes_back(window: Window, editor:
     with tunnel(editor.url) as (line, address):
         window.open(address)
         begun = len(editor.session.history.undo_steps)
+        window.wait('document.getElementById("speed").textContent', "the header tells the speed of pictures")
+        box = window.box
         lowest, _ = below(window)
         window.point("mouseMoved", lowest)
         window.point("mousePressed", lowest, button="left")
         window.point("mouseMoved", lowest + [10, 5], button="left")
         until(lambda: not np.array_equal(posed(editor), CAGE.vertices), "the drag arrives")
         line.cut()
-        window.wait("!warpcage.store.status.connected", "the page knows that the line is broken")
+        window.wait('!document.getElementById("speed").textContent', "the page knows that the line is broken")
+        assert window.box == box  # the view has not moved from under the hand
         window.point("mouseMoved", lowest + [40, 20], button="left")
         line.restore()
         window.wait("warpcage.store.status.connected", "the page is connected again")
