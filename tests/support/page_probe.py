@@ -18,7 +18,9 @@ import warpcage
 
 
 @contextmanager
-def chromium(width: int = 1280, height: int = 800, *, ratio: float = 1.0, scheme: str = "light") -> Iterator[Any]:
+def chromium(
+    width: int = 1280, height: int = 800, *, ratio: float = 1.0, scheme: str = "light", webgl: bool = False
+) -> Iterator[Any]:
     """A selenium driver of Debian's Chromium; skips, visibly, where one of the two is missing.
 
     Args:
@@ -26,6 +28,7 @@ def chromium(width: int = 1280, height: int = 800, *, ratio: float = 1.0, scheme
         height: Of the page, CSS pixels.
         ratio: Device pixels of a CSS pixel.
         scheme: light or dark.
+        webgl: Whether pages have WebGL, drawn by the processor.
 
     Yields:
         The driver; `get_log("browser")` gives what the console got.
@@ -36,7 +39,8 @@ def chromium(width: int = 1280, height: int = 800, *, ratio: float = 1.0, scheme
         pytest.skip("needs Debian's chromium and chromium-driver")
     options = webdriver.ChromeOptions()
     options.binary_location = browser
-    arguments = ["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--disable-dev-shm-usage"]
+    arguments = ["--headless=new", "--no-sandbox", "--hide-scrollbars", "--disable-dev-shm-usage"]
+    arguments += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"] if webgl else ["--disable-gpu"]
     arguments += [f"--force-device-scale-factor={ratio:g}", "--no-first-run", "--disable-extensions"]
     if scheme == "dark":
         arguments.append("--blink-settings=preferredColorScheme=0")
