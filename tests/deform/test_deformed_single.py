@@ -155,7 +155,7 @@ def test_stored_weights_render_the_same_picture(kind, device):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"store": "both"}, "store 'both' is not known"),
+        ({"store": "both"}, "store must be one of map, weights"),
         ({"store": "weights", "coordinates": "green", "resolution": None}, "give a resolution"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -11,7 +12,7 @@ from ..core.arrays import PointsLike, as_host_points, as_points, empty_array, is
 from ..core.checks import device_by_name
 from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
-from ..core.names import agreed, require_coordinates
+from ..core.names import agreed, chosen
 from ..kernels.coordinates import green, local_points, mean_value
 from ..kernels.lattice import cage_map
 from ..lattice.position_map import PositionMap
@@ -194,41 +195,48 @@ def deform_points(
             with their number and the first of them. For cages whose faces differ, and for a rest cage (harmonic: also a
             deformed cage) that is not usable. For another name of coordinates.
     """
-    require_coordinates(coordinates)
+    move = chosen(coordinates, "coordinates", harmonic=_move_harmonic, mean_value=_move_mean_value, green=_move_green)
     for cage, name in ((rest, "rest"), (deformed, "deformed")):
         require_mesh(cage, f"the {name} cage must be")
     require_usable(rest, "rest cage")
     require_same_faces(rest, deformed)
     if deformed.size > rest.size and (problem := size_problem(deformed)):
         raise ValueError(f"deformed cage {problem}")
-    local = _localise(points, rest.bounds.mean(axis=0), rest.size, device, check=coordinates == "harmonic")
-    if coordinates == "harmonic":
-        _require_inside(local, rest, coordinates)
-        return _deform_harmonic(local, rest, deformed)
+    return move(_localise(points, rest.bounds.mean(axis=0), rest.size, device, check=False), rest, deformed)
 
-    center = deformed.bounds.mean(axis=0)
-    targets = ((deformed.vertices - center) / rest.size).astype(np.float32)
-    targets = wp.array(targets, dtype=wp.vec3, device=local.device)
-    moved = empty_array(local.count, wp.vec3, local.device)
-    vertices, _ = _cage_arrays(rest, local)
-    fans = rest.topology.fans
-    faces = wp.array(fans.faces, dtype=wp.vec3i, device=local.device)
+
+def _move_mean_value(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -> np.ndarray | wp.array:
+    moved, inputs = _closed_form_inputs(local, rest, deformed)
     work = len(rest.faces)
-    inputs = [local.points, vertices, faces, prepared_fans(vertices, faces, 1.0), targets]
-    if coordinates == "green":
-        normals = stretched_normals(rest, deformed)[fans.order].astype(np.float32)
-        inputs += [wp.array(normals, dtype=wp.vec3, device=local.device), 1.0]
-        launch(green.map_green_inside, local.count, inputs, [moved, local.bad], device=local.device, work=work)
-    else:
-        launch(mean_value.map_mean_value, local.count, [*inputs, 1.0], [moved], device=local.device, work=work)
-    world = _restore(moved, local, center, rest.size)
+    launch(mean_value.map_mean_value, local.count, [*inputs, 1.0], [moved], device=local.device, work=work)
+    world = _restore(moved, local, deformed.bounds.mean(axis=0), rest.size)
     if int(local.bad.numpy()[0]):  # read once, after all is under way
         _require_finite(local)
-        if coordinates == "green":
-            _require_inside(local, rest, coordinates)
-        else:
-            _require_near(local, rest)
+        _require_near(local, rest)
     return world
+
+
+def _move_green(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -> np.ndarray | wp.array:
+    moved, inputs = _closed_form_inputs(local, rest, deformed)
+    normals = stretched_normals(rest, deformed)[rest.topology.fans.order].astype(np.float32)
+    inputs += [wp.array(normals, dtype=wp.vec3, device=local.device), 1.0]
+    outputs, work = [moved, local.bad], len(rest.faces)
+    launch(green.map_green_inside, local.count, inputs, outputs, device=local.device, work=work)
+    world = _restore(moved, local, deformed.bounds.mean(axis=0), rest.size)
+    if int(local.bad.numpy()[0]):  # read once, after all is under way
+        _require_finite(local)
+        _require_inside(local, rest, "green")
+    return world
+
+
+def _closed_form_inputs(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -> tuple[wp.array, list[Any]]:
+    """Where the moved points go, in the frame of the posed cage, and what kernels of both closed forms take."""
+    targets = ((deformed.vertices - deformed.bounds.mean(axis=0)) / rest.size).astype(np.float32)
+    vertices, _ = _cage_arrays(rest, local)
+    faces = wp.array(rest.topology.fans.faces, dtype=wp.vec3i, device=local.device)
+    fans = prepared_fans(vertices, faces, 1.0)
+    moved = empty_array(local.count, wp.vec3, local.device)
+    return moved, [local.points, vertices, faces, fans, wp.array(targets, dtype=wp.vec3, device=local.device)]
 
 
 def stretched_normals(source: ClosedMesh, target: ClosedMesh) -> np.ndarray:
@@ -238,7 +246,9 @@ def stretched_normals(source: ClosedMesh, target: ClosedMesh) -> np.ndarray:
     return face_geometry.stretched_normals(source, face_geometry.StretchTarget.of(target)).T
 
 
-def _deform_harmonic(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -> np.ndarray | wp.array:
+def _move_harmonic(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -> np.ndarray | wp.array:
+    _require_finite(local)
+    _require_inside(local, rest, "harmonic")
     require_usable(deformed, "deformed cage")
     # the map runs from the cage it is posed to, here the rest cage, to the one it is made of; both about the origin, as
     # float32 keeps few digits of a map between cages that are far apart

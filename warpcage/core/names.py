@@ -6,9 +6,11 @@ import functools
 import os
 import pathlib
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
-#: Kinds of coordinates, as `coordinates=` takes them; the first is the default of a Deformer.
+_Choice = TypeVar("_Choice")
+
+#: Kinds of coordinates, as `coordinates=` takes them.
 COORDINATES = ("harmonic", "mean_value", "green")
 
 #: How a sample's density follows an edit, as `density=` takes them.
@@ -48,6 +50,11 @@ def require_name(value: object, names: Sequence[str], what: str) -> str:
     if not isinstance(value, str) or value not in names:
         raise ValueError(f"{what} must be one of {', '.join(names)}, got {' '.join(repr(value)[:60].split())}")
     return value
+
+
+def chosen(value: object, what: str, **choices: _Choice) -> _Choice:
+    """What stands for a name among `choices`, one for each name that the caller can work with; others are refused."""
+    return choices[require_name(value, tuple(choices), what)]
 
 
 require_coordinates = functools.partial(require_name, names=COORDINATES, what="coordinates")

@@ -12,6 +12,7 @@ from ..core.arrays import empty_array
 from ..core.checks import checked_bounds, checked_whole, require_type
 from ..core.devices import launch
 from ..core.memory import require_memory
+from ..core.names import chosen
 from ..field.sparse import link_mask
 from ..field.voxel_field import VoxelField
 from ..kernels.edits.bake import bake_nodes, mark_filled_nodes
@@ -102,7 +103,7 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
         spacing,
         nodes,
         side,
-        int(deformer.density == "opacity"),
+        chosen(deformer.density, "density", opacity=1, paper=0),
     ]
     launch(bake_nodes, nodes.size, inputs, [density, sh], device=device)
     corner = lower - 0.5 * side

@@ -17,7 +17,7 @@ from ..core.arrays import as_host_points, as_points, empty_array, is_device_arra
 from ..core.checks import checked_flag, checked_path, checked_step, checked_whole, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import owner_lock
-from ..core.names import COORDINATES, DENSITIES, SPLAT_MAPS, STORES, require_coordinates, require_name
+from ..core.names import DENSITIES, SPLAT_MAPS, chosen, require_coordinates, require_name, require_store
 from ..edits.edits import CageEdit, checked_edits
 from ..edits.falloff import FalloffBand
 from ..edits.fragments import found_fragments
@@ -107,14 +107,11 @@ class Deformer:
         assert isinstance(field, VoxelField)
         if map not in (None, "backward"):
             raise ValueError(f'map={map!r} is for splats: voxels are looked up backward, "backward" or None')
-        if coordinates not in COORDINATES:
-            raise ValueError(f"coordinates {coordinates!r} are not known: {', '.join(COORDINATES)}")
-        if density not in DENSITIES:
-            raise ValueError(f"density {density!r} is not known: {', '.join(DENSITIES)}")
+        require_coordinates(coordinates)
+        require_name(density, DENSITIES, "density")
         if resolution is None and coordinates == "harmonic":
             raise ValueError("harmonic coordinates have no closed form: give a resolution, or mean_value or green")
-        if store not in STORES:
-            raise ValueError(f"store {store!r} is not known: {', '.join(STORES)}")
+        require_store(store)
         if resolution is None and store != "map":
             raise ValueError('store="weights" keeps weights on a lattice: give a resolution')
         self.edits = checked_edits(rest)
@@ -355,7 +352,8 @@ class Deformer:
         """The MarchOptions of a view."""
         options = MarchOptions()
         options.step, options.inverse_step = step, 1.0 / step
-        options.stop, options.arc_opacity = STOP_TRANSMITTANCE, int(self.density == "opacity")
+        options.stop = STOP_TRANSMITTANCE
+        options.arc_opacity = chosen(self.density, "density", opacity=1, paper=0)
         return options
 
 
@@ -476,7 +474,7 @@ class SplatDeformer(Deformer):
         self._held = None
         with self.lock:
             self._bands = [self._band(edit) if edit.falloff > 0.0 else None for edit in self.edits]
-            law = LAW_RAYS if density == "opacity" else LAW_DENSITY
+            law = chosen(density, "density", opacity=LAW_RAYS, paper=LAW_DENSITY)
             backward = self.map == "backward"
             self._edits: Any = SplatEdits(self.field, self.edits, coordinates, resolution, law, backward, self._bands)
 

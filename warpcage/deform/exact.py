@@ -12,6 +12,7 @@ from ..cage.cage import Cage
 from ..coordinates.coordinates import stretched_normals
 from ..core.arrays import empty_array
 from ..core.devices import launch
+from ..core.names import chosen
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand
 from ..edits.fragments import CarriedFragments
@@ -51,7 +52,7 @@ class ExactEdits(PosedEdits):
         super().__init__(points_exact.map_points_precisely, exact_kernel())
         self._edits, self._origin, self._device = edits, origin, device
         self.sample_work = sum(len(edit.cage.faces) for edit in edits)  # each face is looked at
-        self._is_green = coordinates == "green"
+        self._is_green = chosen(coordinates, "coordinates", mean_value=False, green=True)
         load_pose_modules(coordinates, [exact_kernel(), cell_tables], device)
         self._bands = list(bands) or [None] * len(edits)
         self.guide = EditLattices(edits, coordinates, GUIDE_RESOLUTION, origin, device, bands=bands, carried=carried)

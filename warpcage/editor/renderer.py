@@ -21,6 +21,7 @@ from ..cage.walls import cut_faces
 from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..core.locks import device_turn
+from ..core.names import chosen
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
 from ..edits.edits import CageEdit
@@ -90,7 +91,7 @@ class Pace:
         """What a pose is thought to take, by the nearest lattice that was measured."""
         known = [(abs(math.log(cells / c)), c, t) for (kind, c), t in self._pose.items() if kind == coordinates]
         if not known:
-            return FIRST_POSE * cells**2.5 * (1.0 if coordinates == "harmonic" else 2.0)
+            return FIRST_POSE * cells**2.5 * chosen(coordinates, "coordinates", harmonic=1.0, mean_value=2.0, green=2.0)
         _, near, seconds = min(known)
         return seconds * (cells / near) ** 2.5
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from ..core.checks import warn_caller
 from ..core.devices import resolve_device
 from ..core.locks import owner_lock
 from ..core.memory import free_bytes, require_memory
-from ..core.names import require_coordinates, require_store
+from ..core.names import chosen, require_coordinates, require_store
 from ..kernels.lattice.cage_map import CageMap
 from ..mesh.faces import face_area
 from ..mesh.match import require_same_faces
@@ -365,9 +366,9 @@ class PositionMap:
         return f"a {self.coordinates} {self.store} lattice at resolution {self.resolution} needs {{size}}: {remedy}"
 
     def _new_solver(self, lattice: CageLattice) -> MapSolver:
-        if self.coordinates == "harmonic":
-            return HarmonicSolver(lattice, tolerance=self.tolerance)
-        return MeanValueSolver(lattice) if self.coordinates == "mean_value" else GreenSolver(lattice)
+        harmonic = functools.partial(HarmonicSolver, tolerance=self.tolerance)
+        kinds = {"harmonic": harmonic, "mean_value": MeanValueSolver, "green": GreenSolver}
+        return chosen(self.coordinates, "coordinates", **kinds)(lattice)
 
     def _write_values(self, lattice: CageLattice) -> None:
         """The residual of the map, and its affine part, to the lattice's map_constants; still to be sent."""

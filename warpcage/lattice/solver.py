@@ -9,6 +9,7 @@ import warp as wp
 
 from ..core.arrays import WarpStruct, empty_array
 from ..core.devices import launch
+from ..core.names import chosen
 from ..kernels.lattice.cage_map import apply_weights
 from ..kernels.lattice.cut_rows import CutRows
 from ..mesh.mesh import ClosedMesh
@@ -118,7 +119,8 @@ class LatticeWeights:
     @staticmethod
     def row_bytes(coordinates: str, cage: ClosedMesh) -> int:
         """Bytes on the device of the weights of one node."""
-        return 4 * (len(cage.vertices) + (len(cage.faces) if coordinates == "green" else 0))
+        faces = chosen(coordinates, "coordinates", harmonic=0, mean_value=0, green=len(cage.faces))
+        return 4 * (len(cage.vertices) + faces)
 
     def launch_solution(self, sizes: PoseSizes, target: MapTarget) -> None:
         """Launch the solver's solution, from the weights: values at inside nodes and the rings around them."""

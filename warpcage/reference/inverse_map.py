@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..coordinates.coordinates import deform_points, stretched_normals
 from ..core.devices import launch, resolve_device
-from ..core.names import require_coordinates
+from ..core.names import chosen, require_coordinates
 from ..kernels.reference.inverse_map import ExactMap, assemble_layers, invert_map, map_exactly
 from ..mesh.match import require_same_faces
 from ..mesh.mesh import ClosedMesh
@@ -63,7 +63,7 @@ class InverseMap:
         self._map = ExactMap()
         self._map.corners, self._map.data = _vectors(corners, self.device), _vectors(data, self.device)
         self._map.density = _vectors(density, self.device)
-        self._map.is_mean_value = int(coordinates == "mean_value")
+        self._map.is_mean_value = chosen(coordinates, "coordinates", harmonic=0, mean_value=1, green=0)
         self._map.size = wp.float64(deformed.size)
 
     def __call__(self, points: ArrayLike) -> np.ndarray:

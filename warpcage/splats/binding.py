@@ -13,6 +13,7 @@ from ..coordinates.harmonic import WeightGaps
 from ..core.arrays import empty_array
 from ..core.devices import launch
 from ..core.memory import require_memory
+from ..core.names import chosen
 from ..kernels.splats import bind, lattice_rows, pose
 from ..kernels.splats.packed_rows import PackedRows, carry_packed, pack_rows
 from ..lattice.harmonic import HarmonicSolver
@@ -32,7 +33,7 @@ class PoseFit:
     def __init__(self, rest: ClosedMesh, coordinates: str, origin: np.ndarray):
         self._origin, self._size = origin, rest.size
         self._local = rest.vertices - origin
-        self._green = coordinates == "green"
+        self._green = chosen(coordinates, "coordinates", harmonic=False, mean_value=False, green=True)
         self.row_count = len(rest.vertices) + (len(rest.faces) if self._green else 0)  # r_j: by vertex; Green: by face
         used = np.ones(len(rest.vertices), dtype=bool)
         if not self._green:
@@ -131,7 +132,8 @@ class CageBinding:
         pack = not device.is_cpu if packed is None else packed  # CUDA waits for memory; a CPU is slower to unpack
         count, height, corners = len(points), self._fit.row_count, len(cage.vertices)
         groups = (height + 3) // 4
-        chunk = count if coordinates == "harmonic" else min(CHUNK, count)
+        part = min(CHUNK, count)
+        chunk = chosen(coordinates, "coordinates", harmonic=count, mean_value=part, green=part)
         need = 40 * groups * count + 16 * height * chunk if pack else 16 * height * count
         if coordinates != "harmonic":
             need += 32 * corners * chunk
@@ -159,7 +161,7 @@ class CageBinding:
         vertices = wp.array((cage.vertices - center) / cage.size, dtype=wp.vec3d, device=device)
         faces = wp.array(cage.faces, dtype=wp.vec3i, device=device)
         scratch = _columns(corners, max(chunk, 1), wp.vec4d, device)
-        kernel = bind.bind_green if coordinates == "green" else bind.bind_mean_value
+        kernel = chosen(coordinates, "coordinates", mean_value=bind.bind_mean_value, green=bind.bind_green)
         for begin in range(0, count, CHUNK):
             items = min(CHUNK, count - begin)
             into = rows if pack else rows[:, begin : begin + items]
