@@ -14,6 +14,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..core.arrays import array_bytes
 from ..core.memory import LRUCache, free_bytes
+from ..core.names import TRANSPARENT
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
 from ..edits.edits import CageEdit, picture_cells
@@ -22,18 +23,16 @@ from ..render.modules import load_usual_modules
 from ..splats.io import is_splat_file
 from ..splats.splat_field import AnyField
 from ..view.camera import Camera
-from ..view.exr import depth_along_view, write_exr
+from ..view.exr import write_picture
 from ..view.film import write_film_frame
-from ..view.frame import RGB_BYTES, Frame
+from ..view.frame import RGB_BYTES, Frame, depth_along_view
 from ..view.frame_parts import picture
 from ..view.opacity import rgba_picture
-from ..view.pictures import write_jpeg, write_png
 from .fields import MEMORY_SHARE, LoadedFields
 from .items import FrameItem, canonical
 from .manifest import MadeItem, Writer, array_data, write_array
 from .records import frame_record, pose_array
 from .references import References, RestCage
-from .words import TRANSPARENT
 
 #: Most deformers that stay bound to a field.
 MOST_DEFORMERS = 4
@@ -191,7 +190,7 @@ def _render_options(item: FrameItem) -> dict[str, Any]:
         options["antialias"] = item.antialias
     if item.background is None:
         return options
-    return options | {"background": "black" if item.background == TRANSPARENT else item.background}
+    return options | {"background": item.background}
 
 
 def _filled(frame: Frame, field: AnyField, camera: Camera) -> Frame:
@@ -263,8 +262,6 @@ def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera,
 
     if ending == ".exr":
         shown = (lambda: np.repeat(frame.alpha[..., None], 3, axis=-1)) if part == "depth" else image
-        return lambda temporary: write_exr(temporary, shown(), depth_along_view(frame, camera))
-    if part == "film":
-        return lambda temporary: write_film_frame(temporary, image())
-    write = write_jpeg if ending in (".jpg", ".jpeg") else write_png
+        return lambda temporary: write_picture(temporary, shown(), depth_along_view(frame, camera))
+    write = write_film_frame if part == "film" else write_picture
     return lambda temporary: write(temporary, image())

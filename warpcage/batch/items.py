@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from ..core.checks import checked_bounds, shown
-from ..core.names import COORDINATES, DENSITIES, SPLAT_MAPS, edit_fields
+from ..core.names import COORDINATES, DENSITIES, SPLAT_MAPS, TRANSPARENT, edit_fields
 from ..splats.io import SPLAT_ENDINGS
 from . import words
 from .edit_words import EDIT_WORDS, EditWords
-from .words import TRANSPARENT, Checker, checked_words, one_of, plain, safe_name, text
+from .words import Checker, checked_words, one_of, plain, safe_name, text
 
 #: Names in the folder of a run that no output may have, in any case of letters.
 RESERVED = ("manifest.jsonl",)

@@ -9,10 +9,7 @@ from typing import Any
 
 from ..cage.random_poses import POSE_MODES, RandomPoseOptions
 from ..core.checks import checked_number, checked_positive, checked_whole, listed, shown
-from ..core.names import BACKGROUNDS
-
-#: What stands behind a picture with opacity.
-TRANSPARENT = "transparent"
+from ..core.names import BACKGROUNDS, TRANSPARENT
 
 #: Takes a value of JSON and the word that it stands at, and returns it as items have it.
 Checker = Callable[[Any, str], Any]

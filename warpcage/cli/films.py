@@ -22,9 +22,8 @@ from .. import __version__
 from ..batch.items import ID
 from ..batch.job_file import write_jobs
 from ..batch.run import RunProgress, RunReport, run_jobs
-from ..batch.words import TRANSPARENT
 from ..core.files import PathLike, atomic_path
-from ..core.names import FRAGMENTS_WORD, counted
+from ..core.names import FRAGMENTS_WORD, TRANSPARENT, counted
 from ..editor.document import Document
 from ..editor.exports import Film
 from ..editor.renderer import view_camera

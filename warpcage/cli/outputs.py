@@ -16,13 +16,12 @@ from ..deform.deformer import Deformer
 from ..mesh.mesh import ClosedMesh
 from ..view import frame_parts
 from ..view.camera import Camera
-from ..view.exr import depth_along_view, require_openexr, write_exr
+from ..view.exr import require_openexr, write_picture
 from ..view.film import film_size, require_clear_film
-from ..view.frame import Frame
+from ..view.frame import Frame, depth_along_view
 from ..view.frame_parts import MASKS, picture
 from ..view.motion import frame_places
 from ..view.opacity import rgba_picture
-from ..view.pictures import write_png
 from . import shared
 from .films import FilmFrame
 from .shared import Deformation
@@ -65,14 +64,6 @@ def picture_task(
     # It needs neither the frame any more, nor what that has on a device.
     depth = depth_along_view(frame, camera) if os.fspath(path).lower().endswith(".exr") else None
     return functools.partial(write_picture, path, image, depth), image.nbytes + (0 if depth is None else depth.nbytes)
-
-
-def write_picture(path: str | os.PathLike, image: np.ndarray, depth: np.ndarray | None) -> None:
-    """Write a picture, .exr where it comes with its depth along the view, else .png."""
-    if depth is None:
-        write_png(path, image)
-    else:
-        write_exr(path, image, depth)
 
 
 def size_text(width: int, height: int, output: pathlib.Path) -> str:

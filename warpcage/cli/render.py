@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..cage.pose_file import PoseFile
 from ..core.files import require_file
-from ..core.names import counted
+from ..core.names import TRANSPARENT, counted
 from ..core.overlap import BackgroundWriter
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
 from ..editor.renderer import view_camera
@@ -433,7 +433,7 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
         "scene_scale",
     )
     settings = {name: getattr(args, name) for name in names}
-    settings["background"] = options.TRANSPARENT if shared.is_transparent(args) else args.background
+    settings["background"] = TRANSPARENT if shared.is_transparent(args) else args.background
     settings["format"] = args.format or "png"
     settings["loop"], settings["fps"] = args.loop, None if args.loop is None else str(args.fps)
     settings["size"] = [cameras[0].width, cameras[0].height]

@@ -18,7 +18,7 @@ from ..batch.sweeps import GivenSource, PoseSource, RandomSource, RandomViews, w
 from ..cage.cage import Cage
 from ..cage.random_poses import RandomPoses
 from ..core.files import NpyFile
-from ..core.names import BACKGROUNDS, counted
+from ..core.names import BACKGROUNDS, TRANSPARENT, counted
 from ..core.threads import cpu_threads
 from ..scene.formats.transforms import TransformsCameras
 from ..view.camera import Camera, CameraFile, framing_orbit
@@ -245,14 +245,14 @@ def _check_words(args: argparse.Namespace) -> None:
 def _background(args: argparse.Namespace) -> str | list[float] | None:
     """What stands behind pictures, as items have it; None is the field's own."""
     given = USUAL_BACKGROUNDS[args.image] if args.background is None else args.background
-    known = (*BACKGROUNDS, options.TRANSPARENT, OWN)
+    known = (*BACKGROUNDS, TRANSPARENT, OWN)
     if isinstance(given, str) and given not in known:
         raise ValueError(
             f"--background {given!r} is not known: {', '.join(known)}, or three numbers in [0, 1] such as 0.2,0.3,0.4"
         )
     if given == OWN:
         return None
-    if given == options.TRANSPARENT and args.image == "jpg":
+    if given == TRANSPARENT and args.image == "jpg":
         raise ValueError("a JPEG has no opacity: take --image png, or another --background")
     return given if isinstance(given, str) else list(given)
 

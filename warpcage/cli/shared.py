@@ -21,7 +21,7 @@ from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile, cage_hash, is_preset
 from ..core.devices import resolve_device
 from ..core.files import require_file
-from ..core.names import BACKGROUNDS
+from ..core.names import BACKGROUNDS, TRANSPARENT
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
 from ..editor.session import FORMAT as SESSION_FORMAT
@@ -379,15 +379,15 @@ def posed_renderer(field: AnyField, deformation: Deformation | None, args: argpa
 
 def is_transparent(args: argparse.Namespace) -> bool:
     """Whether pictures have opacity instead of a background; refuses both, and unknown ones, before any long work."""
-    known = (*BACKGROUNDS, options.TRANSPARENT)
+    known = (*BACKGROUNDS, TRANSPARENT)
     if isinstance(args.background, str) and args.background not in known:
         raise ValueError(
             f"--background {args.background!r} is not known: {', '.join(known)}, or three numbers in [0, 1] such as "
             "0.2,0.3,0.4"
         )
-    if args.transparent and args.background not in (None, options.TRANSPARENT):
+    if args.transparent and args.background not in (None, TRANSPARENT):
         raise ValueError("--transparent cannot be combined with --background: give one of them")
-    return args.transparent or args.background == options.TRANSPARENT
+    return args.transparent or args.background == TRANSPARENT
 
 
 def render_view(renderer: AnyField | Deformer, camera: Camera, args: argparse.Namespace) -> Frame:
@@ -420,9 +420,9 @@ def drawn_cages(renderer: AnyField | Deformer, deformation: Deformation | None) 
 
 
 def background_option(args: argparse.Namespace) -> dict:
-    """The option `background` of a render, empty where the field's own is taken. Behind opacity there is black."""
+    """The option `background` of a render, empty where the field's own is taken."""
     if is_transparent(args):
-        return {"background": "black"}
+        return {"background": TRANSPARENT}
     return {} if args.background is None else {"background": args.background}
 
 

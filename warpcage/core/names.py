@@ -31,6 +31,9 @@ QUALITIES = ("fast", "standard", "high")
 #: Colours behind a picture, by name.
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "gray": (0.5, 0.5, 0.5)}
 
+#: The word for no background: pictures with opacity.
+TRANSPARENT = "transparent"
+
 #: What may stand behind a field while it is fitted: a new random colour for every ray, an outer field or
 #: background layers that are fitted too, the scene's one colour, or whichever of these the pictures suggest.
 FIT_BACKGROUNDS = ("auto", "outer", "layers", "random", "constant")

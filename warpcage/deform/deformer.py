@@ -32,9 +32,10 @@ from ..mesh.validity import is_usable, require_usable
 from ..render.scene import LatticeEdits
 from ..render.view import PosedEdits, ViewRequest, cage_span, require_short_march
 from ..splats.io.formats import format_to_write
+from ..splats.render import render_field
 from ..splats.splat_field import SplatDensity, SplatField
 from ..view.camera import Camera
-from ..view.frame import MASK_NAMES, Frame, parse_background
+from ..view.frame import MASK_NAMES, Frame
 from .exact import ExactEdits
 from .splat_baking import baked_field, numbered_files, warn_of_others
 from .splat_edits import SplatEdits
@@ -344,9 +345,7 @@ class Deformer:
 
             return march
 
-        frame = field.render_by(begin, camera, background=background, supersampling=supersampling, masks=MASK_NAMES)
-        frame.layered = background is None and self.field.background_model is not None
-        return frame
+        return field.render_by(begin, camera, background=background, supersampling=supersampling, masks=MASK_NAMES)
 
     def _march_options(self, step: float) -> Any:
         """The MarchOptions of a view."""
@@ -585,14 +584,4 @@ class SplatDeformer(Deformer):
         """`render` of a pose."""
         if step is not None:
             raise ValueError("splats are not marched through: leave step out")
-        require_type(camera, Camera, "render needs")
-        field = self.field
-        return field.renderer.render(
-            posed_edits().posed,
-            camera,
-            color=field.background if background is None else parse_background(background),
-            origin=field.center,
-            near=field.near,
-            supersampling=1 if supersampling is None else supersampling,
-            antialias=field.antialias if antialias is None else checked_flag(antialias, "antialias"),
-        )
+        return render_field(self.field, posed_edits().posed, camera, background, supersampling, antialias)

@@ -70,8 +70,7 @@ def fill_unseen(frame: Frame, field: VoxelField, camera: Camera) -> Frame:
     filled = Frame(
         frame.width, frame.height, rgb.astype(np.float32), arrays["alpha"], arrays["depth"], filled=share, **masks
     )
-    filled.layered = frame.layered
-    return filled
+    return filled.like(frame)
 
 
 def background_picture(layers: LayeredBackground | OuterField, camera: Camera) -> np.ndarray:

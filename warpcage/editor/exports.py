@@ -17,6 +17,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..core.checks import checked_whole
 from ..core.files import PathLike
+from ..core.names import TRANSPARENT
 from ..core.overlap import BackgroundWriter
 from ..deform.bake import bake
 from ..splats.io.formats import format_to_write
@@ -197,7 +198,7 @@ def _picture(scene: PosedScene, document: Document, film: Film) -> np.ndarray:
     settings = document.settings
     looking = view_camera(document.view, film.width, film.height)
     scene.prepare(document)
-    background = "black" if film.transparent else settings.background
+    background = TRANSPARENT if film.transparent else settings.background
     fill = settings.fill and background is None
     frame = scene.render(looking, background, supersampling=settings.supersampling, fill=fill)
     cages = (

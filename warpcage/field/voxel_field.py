@@ -25,7 +25,7 @@ from ..core.locks import device_turn, in_turn
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..view.camera import Camera, rigid_motion
 from ..view.camera_path import RefinedCameras
-from ..view.frame import Frame, checked_supersampling, parse_background
+from ..view.frame import Frame, checked_supersampling, parse_background, view_background
 from .io import load_field, save_field
 from .io.field_file import BASIS_COUNT, FieldContents
 from .render import BeginMarch, March, render_frame
@@ -318,7 +318,7 @@ class VoxelField:
         require_type(camera, Camera, "render needs")
         color, layers = self.chosen_background(background)
         supersampling = checked_supersampling(self.supersampling if supersampling is None else supersampling)
-        return render_frame(
+        frame = render_frame(
             begin(),
             camera,
             origin=self.center,
@@ -329,6 +329,7 @@ class VoxelField:
             spare=self._spare,
             masks=masks,
         )
+        return frame.seen_by(camera, None if layers else color, background)
 
     def chosen_background(
         self, background: str | ArrayLike | None = None
@@ -345,7 +346,7 @@ class VoxelField:
             ValueError: For a background that is not known.
         """
         if background is not None:
-            return parse_background(background), None
+            return view_background(background), None
         if self.background_model is None:
             return self.background, None
         return np.zeros(3, np.float32), self.background_model

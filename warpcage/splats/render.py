@@ -10,13 +10,14 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import WarpStruct
+from ..core.checks import checked_flag, require_type
 from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.locks import owner_lock
 from ..field.render import picture_arrays
 from ..kernels.splats import composite, composite_cpu, project, tiles
 from ..lattice.buffers import BufferPool
 from ..view.camera import Camera, camera_struct
-from ..view.frame import PART_NAMES, Frame, average_frame, checked_supersampling, finer_camera
+from ..view.frame import PART_NAMES, Frame, average_frame, checked_supersampling, finer_camera, view_background
 
 #: A pixel ends where less than this share of the light is left.
 STOP_TRANSMITTANCE = 1e-4
@@ -138,6 +139,29 @@ class SplatRenderer:
         if self.device.is_cuda:
             wp.synchronize_stream(self.device.stream)
         return int(self._total.numpy()[0])
+
+
+def render_field(
+    field: Any,  # the SplatField
+    splats: WarpStruct,  # what is drawn: its own splats, or a pose of them
+    camera: Camera,
+    background: str | ArrayLike | None,
+    supersampling: int | None,
+    antialias: bool | None,
+) -> Frame:
+    """The view of a camera as `SplatField.render` has it."""
+    require_type(camera, Camera, "render needs")
+    color = field.background if background is None else view_background(background)
+    frame = field.renderer.render(
+        splats,
+        camera,
+        color=color,
+        origin=field.center,
+        near=field.near,
+        supersampling=1 if supersampling is None else supersampling,
+        antialias=field.antialias if antialias is None else checked_flag(antialias, "antialias"),
+    )
+    return frame.seen_by(camera, color, background)
 
 
 def near_distance(centers: np.ndarray) -> float:

@@ -21,7 +21,6 @@ from ..core.checks import (
     checked_whole,
     real_array,
     renamed,
-    require_type,
 )
 from ..core.devices import launch, resolve_device
 from ..core.files import PathLike
@@ -38,7 +37,7 @@ from ..view.frame import Frame, parse_background
 from .io import is_splat_file, read_splats, write_splats
 from .io.contents import LEAST_OPACITY, Y0, PlyLayout, SplatContents, checked_contents, chosen_contents, opacities_of
 from .matter import finest_side, half_light, in_nodes, splat_digest
-from .render import SplatRenderer, near_distance
+from .render import SplatRenderer, near_distance, render_field
 
 #: Nodes along the longest side of a grid where nobody asks for another number, and at most.
 RESOLUTION, MOST_RESOLUTION = 128, 1024
@@ -510,17 +509,7 @@ class SplatField:
         Raises:
             ValueError: For a background that is not known, or supersampling out of range.
         """
-        require_type(camera, Camera, "render needs")
-        color = self.background if background is None else parse_background(background)
-        return self.renderer.render(
-            self.splats,
-            camera,
-            color=color,
-            origin=self.center,
-            near=self.near,
-            supersampling=1 if supersampling is None else supersampling,
-            antialias=self.antialias if antialias is None else checked_flag(antialias, "antialias"),
-        )
+        return render_field(self, self.splats, camera, background, supersampling, antialias)
 
     @functools.cached_property
     def renderer(self) -> SplatRenderer:

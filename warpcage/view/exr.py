@@ -1,18 +1,16 @@
-"""OpenEXR pictures: light, opacity and depth, as compositing programs take them."""
+"""Picture files of any ending, and OpenEXR: light, opacity and depth, as compositing programs take them."""
 
 from __future__ import annotations
 
 import os
+import pathlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.files import atomic_path, require_file
-from .camera import Camera
-from .frame import Frame
-from .opacity import linear_light
-from .pictures import path_with_ending
+from .pictures import path_with_ending, write_jpeg, write_png
 
 #: Depth where nothing is seen, as Blender writes it.
 NOTHING = 1e10
@@ -30,13 +28,22 @@ def require_openexr() -> Any:
     return OpenEXR
 
 
-def depth_along_view(frame: Frame, camera: Camera) -> np.ndarray:
-    """Depth (h, w) float32, world units, of a frame along the axis of its camera, as compositing programs compare it.
-    NOTHING where nothing is seen."""
-    x = (np.arange(frame.width) + 0.5 - camera.cx) / camera.fx
-    y = (np.arange(frame.height) + 0.5 - camera.cy) / camera.fy
-    length = np.sqrt(1.0 + x[None, :] ** 2 + y[:, None] ** 2)  # of a ray that goes one unit along the axis
-    return np.where(np.isfinite(frame.depth), frame.depth / length, NOTHING).astype(np.float32)
+def linear_light(colors: ArrayLike) -> np.ndarray:
+    """Light, float32, of colours as screens take them (sRGB, IEC 61966-2-1): 0 is black, 1 white, more is brighter."""
+    coded = np.maximum(np.asarray(colors, np.float32), 0.0)
+    return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def write_picture(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | None = None) -> None:
+    """Write a picture as the ending says, whole or not at all: .png, .jpg, or .exr, which alone has depth (h, w).
+    The image is as `write_png`, `write_jpeg` and `write_exr` take it."""
+    ending = pathlib.Path(path).suffix.lower()
+    if ending == ".exr":
+        write_exr(path, image, depth)
+    elif ending in (".jpg", ".jpeg"):
+        write_jpeg(path, image)
+    else:
+        write_png(path, image)
 
 
 def write_exr(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | None = None) -> None:

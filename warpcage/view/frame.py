@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
+import os
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,15 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import HostCopy, empty_array
-from ..core.checks import checked_whole, real_array, shown
+from ..core.checks import checked_path, checked_whole, real_array, shown
 from ..core.devices import launch
+from ..core.files import atomic_path
 from ..core.locks import device_turn
-from ..core.names import BACKGROUNDS
+from ..core.names import BACKGROUNDS, TRANSPARENT
 from ..kernels.view import pictures
 from .camera import Camera
-from .pictures import NOT_FINITE, to_uint8
+from .exr import NOTHING, write_picture
+from .pictures import NOT_FINITE, png_bytes, to_uint8, with_opacity
 
 #: Parts of every frame.
 PART_NAMES = ("rgb", "alpha", "depth")
@@ -31,6 +34,9 @@ RGB_BYTES = "rgb_bytes"
 
 #: Masks of frames that were worked on after they were rendered.
 LATER_MASKS = ("filled",)
+
+#: How files end that a frame is written to.
+PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npz")
 
 #: Most rays along each side of a pixel: the picture is rendered that many times wider and higher.
 MAX_SUPERSAMPLING = 8
@@ -56,11 +62,16 @@ class Frame:
         width: Width of the picture, pixels.
         height: Height of the picture, pixels.
         arrays: The arrays by name, as they were given: rgb, alpha, depth and the masks there are.
+        camera: The camera that the frame was rendered from, None where that is not known.
+        background: (3,) colour that the frame was composited over, None where that is not known or a model of a scene.
+        transparent: Whether the frame was rendered with `background="transparent"`: files of it have opacity.
         layered: Whether the background is a model of a scene, which has places that no camera saw; else it is one
             colour, and hides nothing.
     """
 
-    layered = False
+    camera: Camera | None = None
+    background: np.ndarray | None = None
+    transparent = layered = False
 
     def __init__(self, width: int, height: int, rgb: Any, alpha: Any, depth: Any, **masks: Any):
         width, height = checked_whole(width, "width of a frame", 1), checked_whole(height, "height of a frame", 1)
@@ -85,14 +96,52 @@ class Frame:
     def __reduce__(self):
         """Copies and pickles hold NumPy arrays, so that frames pass between the processes of a pool."""
         arrays = {name: getattr(self, name) for name in self.arrays}
-        return _host_frame, (self.width, self.height, arrays, self.layered)
+        return _host_frame, (self.width, self.height, arrays, self._view())
 
     def __repr__(self) -> str:
         return f"Frame({self.width}x{self.height}: {', '.join(self.arrays)})"
 
+    def _repr_png_(self) -> bytes:
+        """The picture in notebooks."""
+        return png_bytes(self._colors())
+
+    def _view(self) -> dict[str, Any]:
+        """How the frame was seen."""
+        return {name: getattr(self, name) for name in ("camera", "background", "transparent", "layered")}
+
+    def like(self, other: Frame) -> Frame:
+        """This frame, seen as another one was: it is made of that.
+
+        Args:
+            other: The other frame.
+
+        Returns:
+            This frame.
+        """
+        vars(self).update(other._view())
+        return self
+
+    def seen_by(self, camera: Camera, color: np.ndarray | None, background: Any) -> Frame:
+        """This frame, with what renderers know of it.
+
+        Args:
+            camera: The camera.
+            color: (3,) behind the frame, None for a model of a scene.
+            background: What the caller asked for.
+
+        Returns:
+            This frame.
+        """
+        self.camera, self.background, self.layered = camera, color, color is None
+        self.transparent = is_transparent(background)
+        return self
+
     @property
     def rgb(self) -> np.ndarray:
-        """(h, w, 3) float32 colour, composited over the background."""
+        """(h, w, 3) float32 colour, composited over the background, as it is rendered.
+
+        Harmonics of a field may leave [0, 1] a little; `rgb_bytes`, `rgba` and files of 8 bits clip.
+        """
         return self._on_host("rgb", 3)
 
     @property
@@ -116,14 +165,56 @@ class Frame:
         return self._host[RGB_BYTES]
 
     @property
+    def rgba_premultiplied(self) -> np.ndarray:
+        """(h, w, 4) float32, colour times opacity without the background, and opacity in [0, 1]; colour is not clipped.
+
+        Raises:
+            ValueError: Where the background is a model of a scene or not known, which cannot be taken away.
+        """
+        if self.background is None:
+            behind = "a model of a scene" if self.layered else "not known"
+            raise ValueError(
+                f"what is behind this frame is {behind}, and cannot be taken away: render with "
+                f'background="{TRANSPARENT}"'
+            )
+        alpha = np.clip(self.alpha, 0.0, 1.0)[..., None]
+        return np.concatenate([self.rgb - (1.0 - alpha) * self.background, alpha], axis=-1)
+
+    @property
+    def rgba(self) -> np.ndarray:
+        """(h, w, 4) float32 in [0, 1], straight colour without the background (black for nothing seen) and opacity.
+
+        Raises:
+            ValueError: As `rgba_premultiplied`.
+        """
+        premultiplied = self.rgba_premultiplied
+        return with_opacity(np.maximum(premultiplied[..., :3], 0.0), premultiplied[..., 3:])
+
+    @property
     def alpha(self) -> np.ndarray:
         """(h, w) float32 opacity in [0, 1]."""
         return self._on_host("alpha")
 
     @property
+    def mask(self) -> np.ndarray:
+        """(h, w) bool, where opacity is one half or more."""
+        return self.alpha >= 0.5
+
+    @property
     def depth(self) -> np.ndarray:
         """(h, w) float32 expected distance along the ray in world units, inf where nothing is seen."""
         return self._on_host("depth")
+
+    @property
+    def z_depth(self) -> np.ndarray:
+        """(h, w) float32 expected distance along the camera's axis in world units, inf where nothing is seen.
+
+        Raises:
+            ValueError: For a frame that no camera rendered: set `camera`.
+        """
+        if self.camera is None:
+            raise ValueError("a frame that no camera rendered has depth along the rays alone: set its camera")
+        return _depth_along_axis(self, self.camera)
 
     @property
     def disparity(self) -> np.ndarray:
@@ -171,6 +262,41 @@ class Frame:
         They are left empty, and counted up to where the ray ends in something opaque. None for a plain field.
         """
         return self._mask("outside")
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write the frame to a file, whole or not at all.
+
+        Args:
+            path: The file. Its ending says what is written: .png and .jpg the colours, clipped to [0, 1]; .exr light as
+                compositing programs take it, with depth along the camera's axis as channel Z (see docs/films.md); .npz
+                all arrays by name as float32, with z_depth and background where they are known. PNG and EXR have
+                opacity where the frame was rendered with `background="transparent"`.
+
+        Raises:
+            ValueError: For another ending, opacity in a JPEG, colours that are not finite, or an EXR without its
+                library.
+        """
+        path = checked_path(path, "the picture to write")
+        ending = path.suffix.lower()
+        if ending not in PICTURE_ENDINGS:
+            raise ValueError(
+                f"a frame is written to a file that ends in {', '.join(PICTURE_ENDINGS)}, got {path.name!r}"
+            )
+        if ending != ".npz":
+            depth = None if ending != ".exr" or self.camera is None else depth_along_view(self, self.camera)
+            write_picture(path, self.rgb if ending == ".exr" and not self.transparent else self._colors(), depth)
+            return
+        arrays = {name: getattr(self, name) for name in self.arrays}
+        if self.camera is not None:
+            arrays["z_depth"] = self.z_depth
+        if self.background is not None:
+            arrays["background"] = self.background
+        with atomic_path(path) as temporary:
+            np.savez(temporary, **arrays)
+
+    def _colors(self) -> np.ndarray:
+        """What files of 8 bits show."""
+        return self.rgba if self.transparent else self.rgb_bytes
 
     def begin_copies(self, *names: str) -> None:
         """Let arrays come from a CUDA device to the host while the device is given other work.
@@ -228,10 +354,23 @@ def _copy_bytes(colors: wp.array) -> HostCopy:
         return HostCopy(packed, state)
 
 
-def _host_frame(width: int, height: int, arrays: dict, layered: bool) -> Frame:
+def _host_frame(width: int, height: int, arrays: dict, view: dict) -> Frame:
     frame = Frame(width, height, **arrays)
-    frame.layered = layered
+    vars(frame).update(view)
     return frame
+
+
+def _depth_along_axis(frame: Frame, camera: Camera) -> np.ndarray:
+    x = (np.arange(frame.width) + 0.5 - camera.cx) / camera.fx
+    y = (np.arange(frame.height) + 0.5 - camera.cy) / camera.fy
+    length = np.sqrt(1.0 + x[None, :] ** 2 + y[:, None] ** 2)  # of a ray that goes one unit along the axis
+    return (frame.depth / length).astype(np.float32)
+
+
+def depth_along_view(frame: Frame, camera: Camera) -> np.ndarray:
+    """Depth (h, w) float32, world units, of a frame along the axis of its camera, as compositing programs compare it.
+    NOTHING where nothing is seen."""
+    return np.where(np.isfinite(frame.depth), _depth_along_axis(frame, camera), np.float32(NOTHING))
 
 
 def checked_supersampling(side: Any) -> int:
@@ -268,6 +407,16 @@ def average_frame(frame: Frame, side: int) -> Frame:
         joined[name] = wp.empty(width * height, dtype=parts.dtype, device=parts.device)
         launch(kernel, width * height, inputs, [joined[name]], device=parts.device)
     return Frame(width, height, **joined)
+
+
+def is_transparent(background: Any) -> bool:
+    """Whether a background is the word for none."""
+    return isinstance(background, str) and background == TRANSPARENT
+
+
+def view_background(background: str | ArrayLike) -> np.ndarray:
+    """The colour (3,) float32 that a view is composited over: black, which adds no light, for "transparent"."""
+    return parse_background("black" if is_transparent(background) else background)
 
 
 def parse_background(background: str | ArrayLike) -> np.ndarray:

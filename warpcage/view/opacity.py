@@ -1,4 +1,4 @@
-"""Pictures with opacity: straight colours, colours that go on beyond an edge, and linear light."""
+"""Pictures with opacity: straight colours, and colours that go on beyond an edge."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from ..mesh.mesh import ClosedMesh
 from .camera import Camera
 from .frame import Frame
 from .overlay import draw_cage
+from .pictures import with_opacity
 
 #: How far colours go on beyond an edge, pixels: the blocks of video codecs are 8 to 32 pixels wide.
 REACH = 24
@@ -29,8 +30,7 @@ def rgba_picture(frame: Frame, camera: Camera | None = None, cages: Sequence[Clo
         colors = draw_cage(colors, camera, cage)
         clear = draw_cage(clear, camera, cage, color=(0.0, 0.0, 0.0))  # what is behind, through the same lines
     alpha = 1.0 - clear[..., :1]
-    straight = np.divide(colors, alpha, out=np.zeros_like(colors), where=alpha > 0.0)
-    return np.concatenate([np.clip(straight, 0.0, 1.0), alpha], axis=-1).astype(np.float32)
+    return with_opacity(colors, alpha)
 
 
 def with_spread_colors(rgba: ArrayLike, reach: int = REACH) -> np.ndarray:
@@ -48,9 +48,3 @@ def with_spread_colors(rgba: ArrayLike, reach: int = REACH) -> np.ndarray:
     filled = clear & (distance <= reach)
     spread[filled, :3] = spread[row[filled], column[filled], :3]
     return spread
-
-
-def linear_light(colors: ArrayLike) -> np.ndarray:
-    """Light, float32, of colours as screens take them (sRGB, IEC 61966-2-1): 0 is black, 1 white, more is brighter."""
-    coded = np.maximum(np.asarray(colors, np.float32), 0.0)
-    return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)

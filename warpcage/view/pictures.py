@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import os
 import pathlib
 import zlib
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from typing import Any, BinaryIO
 
 import imageio.v3 as iio
 import numpy as np
@@ -142,13 +143,29 @@ def _read_deep_png(path: pathlib.Path) -> np.ndarray:
 def write_png(path: str | os.PathLike, image: ArrayLike) -> None:
     """Write a PNG file, whole or not at all: (h, w), (h, w, 3) or (h, w, 4), in [0, 1] or uint8."""
     path = path_with_ending(path, ".png")
+    pixels = _png_pixels(image)
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:  # by name, some names are taken for addresses
+        _encode_png(file, pixels)
+
+
+def png_bytes(image: ArrayLike) -> bytes:
+    """What `write_png` writes."""
+    data = io.BytesIO()
+    _encode_png(data, _png_pixels(image))
+    return data.getvalue()
+
+
+def _png_pixels(image: ArrayLike) -> np.ndarray:
     pixels = to_uint8(image)
     if pixels.ndim == 3 and pixels.shape[-1] == 1:
         pixels = pixels[..., 0]
     if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[-1] in (3, 4))) or 0 in pixels.shape:
         raise ValueError(f"a PNG holds (h, w), (h, w, 3) or (h, w, 4), got shape {pixels.shape}")
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:  # by name, some names are taken for addresses
-        iio.imwrite(file, pixels, extension=".png", compress_level=1, compress_type=PNG_STRATEGY)
+    return pixels
+
+
+def _encode_png(file: BinaryIO, pixels: np.ndarray) -> None:
+    iio.imwrite(file, pixels, extension=".png", compress_level=1, compress_type=PNG_STRATEGY)
 
 
 def write_jpeg(path: str | os.PathLike, image: ArrayLike, *, quality: int = 95) -> None:
@@ -180,6 +197,13 @@ def to_uint8(image: ArrayLike) -> np.ndarray:
         raise ValueError(NOT_FINITE)
     scaled = np.asarray(np.clip(pixels, 0.0, 1.0) * 255.0)
     return np.rint(scaled, out=scaled).astype(np.uint8)
+
+
+def with_opacity(premultiplied: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Straight colours and opacity (h, w, 4) float32 in [0, 1], black where that is 0.
+    premultiplied: (h, w, 3) colour times opacity, alpha: (h, w, 1) in [0, 1]."""
+    straight = np.divide(premultiplied, alpha, out=np.zeros_like(premultiplied), where=alpha > 0.0)
+    return np.concatenate([np.clip(straight, 0.0, 1.0), alpha], axis=-1).astype(np.float32)
 
 
 def as_rgb(image: ArrayLike) -> np.ndarray:

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ...core.names import BACKGROUNDS
+from ...core.names import BACKGROUNDS, TRANSPARENT
 
 CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
 
@@ -31,9 +31,6 @@ VIEWS = ("corner", "front", "back", "left", "right", "top", "bottom")
 
 #: Colours behind pictures, for help texts.
 COLOR_NAMES = ", ".join(BACKGROUNDS)
-
-#: The word for no background: pictures with opacity.
-TRANSPARENT = "transparent"
 
 #: The lattice where --resolution is not given.
 BY_SIZE = "by size"

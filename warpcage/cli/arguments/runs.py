@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ...core.names import COORDINATES, DENSITIES
+from ...core.names import COORDINATES, DENSITIES, TRANSPARENT
 from . import deformation, options
 from .options import Command
 
@@ -20,7 +20,7 @@ SWEEP_EXAMPLE = """\
 """
 
 #: What stands behind pictures where --background is not given: of PNG files, and of JPEG files, which have no opacity.
-USUAL_BACKGROUNDS = {"png": options.TRANSPARENT, "jpg": "white"}
+USUAL_BACKGROUNDS = {"png": TRANSPARENT, "jpg": "white"}
 
 #: The word of --background for that of the field.
 OWN = "own"
@@ -61,8 +61,8 @@ def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_antialias(group)
     options.add_background(
         group,
-        f"{options.TRANSPARENT}; of JPEG files white",
-        f"; {options.TRANSPARENT}: opacity in the picture; {OWN}: what the field has behind it",
+        f"{TRANSPARENT}; of JPEG files white",
+        f"; {TRANSPARENT}: opacity in the picture; {OWN}: what the field has behind it",
     )
     group.add_argument(
         "--supersampling",
