@@ -291,8 +291,8 @@ def test_where_memory_is_short_all_else_is_let_go(files, tmp_path, monkeypatch):
 
 def test_pictures_are_encoded_beside_rendering(files, tmp_path, monkeypatch):
     """The next frames are rendered while the first is written, and no more than a few wait."""
-    go, ordinary = threading.Event(), frames.write_png
-    monkeypatch.setattr(frames, "write_png", lambda path, image: go.wait(60) and ordinary(path, image))
+    go, ordinary = threading.Event(), frames.write_picture
+    monkeypatch.setattr(frames, "write_picture", lambda path, image: go.wait(60) and ordinary(path, image))
     with Worker(files, tmp_path, "cpu", encoders=1) as worker:
         waiting = [worker.submit(frame(f"f{index}")) for index in range(1 + SPARE)]
         assert worker.frames.counts.frames == 1 + SPARE and not any(each.done() for each in waiting)

@@ -32,7 +32,7 @@ WRONG = {
     "text as points": (lambda field: warpcage.green_coordinates("abc", CAGE), "real numbers, got str"),
     "complex points": (lambda field: CAGE.contains(POINTS * 1j), "real numbers, got ndarray"),
     "ragged points": (lambda field: CAGE.contains([[0, 0, 0], [0, 0]]), "real numbers, got list"),
-    "path as a pose": (lambda field: warpcage.Deformer(field, CAGE, resolution=16).pose("posed.obj"), "edit 0 .* str"),
+    "number as a pose": (lambda field: warpcage.Deformer(field, CAGE, resolution=16).pose(5), "edit 0 .* int"),
     "vertices as a pose": (lambda field: warpcage.PositionMap(CAGE, resolution=16).pose(CAGE.vertices), "got ndarray"),
     "cage as a field": (lambda field: warpcage.Deformer(CAGE, field), "a VoxelField, got Cage"),
     "name as a camera": (lambda field: field.render("test:3"), "a Camera, got str"),

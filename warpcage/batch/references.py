@@ -15,7 +15,7 @@ import numpy as np
 
 from ..cage.axes import with_up
 from ..cage.cage import Cage
-from ..cage.motion import gltf_poses, gltf_shown
+from ..cage.motion import MOVING_ENDINGS, file_poses, gltf_shown
 from ..cage.pose_file import PoseFile, Preset, cage_hash, is_preset
 from ..cage.random_poses import PoseProbe, RandomPoses
 from ..cage.up_axis import load_standing
@@ -149,17 +149,17 @@ class References:
         if name.lower().endswith(".json"):
             file = self._kept(name, "pose file", lambda path: PoseFile.load(path, rest), rest_cage.hash)
             return _keyframe(file, name, place)
-        if name.lower().endswith((".glb", ".gltf")):
+        if name.lower().endswith(MOVING_ENDINGS):
             if (moving := self._moving(name, place, edit, rest_cage)) is not None:
                 return moving
         return self._kept(name, "cage file", lambda path: _posed_file(path, edit, rest_cage), (rest_cage.hash, edit.up))
 
     def _moving(self, name: str, place: str, edit: EditWords, rest_cage: RestCage) -> Cage | None:
-        """The keyframe or shape that is named of a glTF file, or what its shapes show. None where nothing moves."""
+        """The keyframe or shape that is named of a file that moves, or what its shapes show. None for a still one."""
 
         def read(path: pathlib.Path) -> tuple[PoseFile | None, Cage | None]:
             rest = rest_cage.cage
-            return gltf_poses(path, rest, up=edit.up), gltf_shown(path, rest, up=edit.up)
+            return file_poses(path, rest, up=edit.up), gltf_shown(path, rest, up=edit.up)
 
         moving, shown_pose = self._kept(name, "cage file", read, ("moving", rest_cage.hash, edit.up))
         if moving is None:

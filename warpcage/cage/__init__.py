@@ -10,7 +10,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "generate.fit": "face_samples points_on sample_weights",
         "generate.shell": "NearestInTree NearestInVoxels ObjectShell distance_to",
         "generate.voxel": "outer_surface principal_frame",
-        "motion": "are_numbered gltf_poses gltf_shown numbered_files sequence_poses",
+        "motion": "are_numbered cache_poses gltf_poses gltf_shown numbered_files sequence_poses",
         "pose_file": "Preset cage_hash is_preset",
         "poses": "direction move",
         "random_poses": "POSE_MODES PosePath PoseProbe RandomNumbers",

@@ -1,23 +1,117 @@
-"""Motion of a cage from other programs: animated glTF files, and one cage file a frame."""
+"""Poses and motion of a cage from files: animated glTF, vertex caches, one cage file a frame."""
 
 from __future__ import annotations
 
+import os
 import pathlib
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from ..core.checks import checked_positive
+from ..core.arrays import as_host_vertices, is_device_array
+from ..core.checks import checked_path, checked_positive, listed, require_type
 from ..core.files import PathLike, require_file
+from ..core.names import counted
 from ..mesh.io import ALL_OBJECTS, ENDINGS, object_names, turned_up
 from ..mesh.io.gltf_animation import read_gltf_motion
+from ..mesh.io.vertex_cache import CACHE_ENDINGS, read_vertex_cache
 from .cage import Cage
 from .pose_file import PoseFile
-from .up_axis import load_standing
+from .up_axis import load_standing, standing_of_pose
 
-#: Most files of a sequence.
+#: Frames per second where nothing says another rate.
+USUAL_RATE = 24.0
+
+#: How files end that a cage may move in.
+GLTF_ENDINGS = (".glb", ".gltf")
+MOVING_ENDINGS = (*GLTF_ENDINGS, *CACHE_ENDINGS)
+
+#: Most files of a sequence, and frames of a cache.
 MAX_FILES = 20_000
+
+
+def posed_cage(rest: Cage, pose: Any, what: str) -> Cage:
+    """A pose as callers give it: a Cage, vertices (v, 3) of any library in the order of `rest`, or a file of one pose.
+    `what` begins the message where it is none of them."""
+    if isinstance(pose, str | os.PathLike):
+        return read_pose(pose, rest)
+    if isinstance(pose, np.ndarray) or is_device_array(pose):
+        return rest.with_vertices(as_host_vertices(pose))
+    require_type(pose, Cage, what)
+    return pose
+
+
+def read_pose(path: PathLike, rest: Cage) -> Cage:
+    """The one pose that a file shows, of all that `PoseFile.load` reads."""
+    shown = gltf_shown(path, rest)
+    file = PoseFile(rest, {"shown": shown}) if shown else PoseFile.load(path, rest)
+    if len(file) != 1:
+        names = listed(file, 4, none="none")
+        raise ValueError(
+            f"{str(path)!r} holds {counted(len(file), 'pose')} ({names}): take one, PoseFile.load(path, rest)[name]"
+        )
+    return file[file.names[0]]
+
+
+def read_motion(
+    path: PathLike, rest: Cage | None, *, name: str = "", up: str | None = None, fps: float | None = None
+) -> PoseFile:
+    """Keyframes in files of other programs: glTF, a vertex cache, numbered cage files, or a posed cage alone.
+    name: of an animation or shape, "" takes all; up: None finds the axis."""
+    path = checked_path(path, "the file of poses")
+    ending = path.suffix.lower()
+    if ending in GLTF_ENDINGS and rest is None:
+        rest = Cage.load(path, up=up)
+    if rest is None:
+        raise ValueError(f"{str(path)!r} holds poses alone: give the cage at rest")
+    files = numbered_files(path)
+    moving = sequence_poses(files, rest, fps=fps or USUAL_RATE, up=up) if files else None
+    if ending in MOVING_ENDINGS:
+        moving = file_poses(path, rest, name=name, up=up, fps=fps)
+    if moving is not None:
+        return moving
+    if name:
+        raise ValueError(f"{str(path)!r}: there is no animation or shape {name!r}: nothing moves in it")
+    return PoseFile(rest, {path.stem: Cage.load(path, up=up, reference=rest)})
+
+
+def file_poses(
+    path: PathLike, rest: Cage, *, name: str = "", up: str | None = None, fps: float | None = None
+) -> PoseFile | None:
+    """The motion in a glTF file or a vertex cache as keyframes of a cage, as `gltf_poses` and `cache_poses`."""
+    if pathlib.Path(path).suffix.lower() not in CACHE_ENDINGS:
+        return gltf_poses(path, rest, name=name, up=up)
+    file = cache_poses(path, rest, up=up, fps=fps)
+    if name and name not in file:
+        raise ValueError(f"{path}: there is no frame {name!r}, only {listed(file)}")
+    return file if not name else PoseFile(rest, {name: file[name]})
+
+
+def cache_poses(path: PathLike, rest: Cage, *, up: str | None = None, fps: float | None = None) -> PoseFile:
+    """The frames of a vertex cache as keyframes of the cage whose vertices it holds, in their order.
+    `up` None finds the axis by the first frame; fps: of .pc2 files, which have frames, None is USUAL_RATE."""
+    cache = read_vertex_cache(path)
+    count, points = cache.vertices.shape[:2]
+    if points != len(rest.vertices):
+        raise ValueError(
+            f"{path} has {points} vertices, its cage at rest {len(rest.vertices)}: a vertex cache has no faces, and "
+            "takes the vertices as they are in the file of the cage"
+        )
+    if count > MAX_FILES:
+        raise ValueError(f"{path}: {count} frames, at most {MAX_FILES} are read")
+    was = up or standing_of_pose(rest.with_vertices(cache.vertices[0]), "z", rest).up
+    rate = USUAL_RATE if fps is None else checked_positive(fps, "fps")
+    times = cache.moments / rate if cache.in_frames else cache.moments
+    file = PoseFile(rest)
+    for index, (time, vertices) in enumerate(zip(times.tolist(), cache.vertices, strict=True)):
+        key = f"frame {index}"
+        file[key] = turned_up(vertices, was, "z")
+        file.times[key], file.easings[key] = time, "linear"
+    # on average: seconds of float32 lose digits
+    file.fps = rate if cache.in_frames or count < 2 else round((count - 1) / float(times[-1]), 3)
+    return file
 
 
 def gltf_poses(path: PathLike, rest: Cage, *, name: str = "", up: str | None = None) -> PoseFile | None:
@@ -43,7 +137,9 @@ def gltf_poses(path: PathLike, rest: Cage, *, name: str = "", up: str | None = N
 
 def gltf_shown(path: PathLike, rest: Cage, *, up: str | None = None) -> Cage | None:
     """The pose that the shapes of a glTF file show together, as a program that opens it does.
-    None where the file has no shape on, or an animation."""
+    None where the file has no shape on, or an animation, or is another one."""
+    if pathlib.Path(path).suffix.lower() not in GLTF_ENDINGS:
+        return None
     path = require_file(path, "cage file")
     chosen = _object_of(path, rest)
     motion = read_gltf_motion(path, object=chosen)

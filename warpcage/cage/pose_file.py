@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_number, checked_positive, listed, shown
+from ..core.checks import checked_number, checked_path, checked_positive, listed, shown
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..core.names import EASINGS, LOOPS, require_name
+from ..mesh.io import ENDINGS
+from ..mesh.io.vertex_cache import CACHE_ENDINGS, write_vertex_cache
 from ..mesh.mesh import require_mesh
 from ..view.camera import Camera, CameraKey, camera_from_json, camera_json
 from ..view.camera_path import camera_at, timed_keys
-from ..view.motion import value_along, value_at
+from ..view.motion import frame_times, value_along, value_at
 from .axes import AXIS_WORDS, axis_of, default_towards, is_axis
 from .cage import Cage
 
@@ -196,13 +198,17 @@ class PoseFile:
         """Write the file, whole or not at all.
 
         Args:
-            path: The file, usually .json.
+            path: The file, usually .json. A vertex cache, .pc2 or .mdd, holds the vertices alone, z up, of each frame
+                of the film (24 a second where `fps` is None), or of one keyframe after the other where none has a time.
 
         Raises:
             ValueError: For a time or an easing of no keyframe, a time that is not finite, an easing that is no word, a
-                rate that is not positive, a loop that is not known, or a camera without a time.
+                rate that is not positive, a loop that is not known, a camera without a time, or a cache of no keyframe.
         """
         self._check_moments()
+        if pathlib.Path(path).suffix.lower() in CACHE_ENDINGS:
+            self._save_cache(path)
+            return
         document = {
             "format": _FORMAT, "version": _VERSION,
             "cage": {"sha256": cage_hash(self.rest), "faces": self.rest.faces.tolist(),
@@ -216,6 +222,16 @@ class PoseFile:
         document |= {"cameras": [camera_json(key) for key in self.cameras]} if self.cameras else {}
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(document) + "\n", encoding="utf-8")
+
+    def _save_cache(self, path: PathLike) -> None:
+        rate = self.fps or 24.0
+        if not len(self):
+            raise ValueError(f"{path}: a vertex cache needs a keyframe")
+        if self.timed:
+            frames = [self.at_time(time) for time in frame_times(self.length, rate, self.loop or "once")]
+        else:
+            frames = list(self._poses.values())
+        write_vertex_cache(path, np.stack([frame.vertices for frame in frames]), rate)
 
     def _moment(self, name: str) -> dict[str, Any]:
         """What the file holds of a keyframe besides its vertices."""
@@ -239,20 +255,43 @@ class PoseFile:
                 raise ValueError(f"camera {key.name or index} needs a time")
 
     @classmethod
-    def load(cls, path: PathLike, rest: Cage | None = None) -> PoseFile:
-        """Read a file.
+    def load(
+        cls,
+        path: PathLike,
+        rest: Cage | None = None,
+        *,
+        name: str = "",
+        up: str | None = None,
+        fps: float | None = None,
+    ) -> PoseFile:
+        """Read a file of keyframes, its own or that of another program.
+
+        An animation of glTF has a keyframe for each frame, shapes have one each; so has each frame of a vertex cache
+        (.pc2, .mdd), whose vertices come in the order of the cage at rest, and each of numbered cage files (a folder,
+        or `walk_####.obj`). A posed cage alone is one keyframe.
 
         Args:
             path: The file.
-            rest: The cage to be posed; its order may differ from the file's. None takes the cage in the file.
+            rest: The cage to be posed; its order may differ from the file's. None takes the cage in the file, which
+                pose files (.json) and glTF have.
+            name: The animation or the shape of a glTF file that is taken. "" takes the only one, or all shapes.
+            up: The axis that points up in files of other programs, "z" or "y". None finds it.
+            fps: Frames per second of numbered files and of .pc2 files. None is 24.
 
         Returns:
             The keyframes.
 
         Raises:
             FileNotFoundError: If there is no such file.
-            ValueError: For another kind of file, a newer version, a damaged cage, or a rest cage that does not match.
+            ValueError: For another kind of file, a newer version, a damaged cage, a rest cage that does not match, or
+                none where the file has none.
         """
+        path = checked_path(path, "the pose file")
+        ending = path.suffix.lower()
+        if ending in (*ENDINGS, *CACHE_ENDINGS) or "#" in path.name or path.is_dir():
+            from .motion import read_motion  # which makes pose files
+
+            return read_motion(path, rest, name=name, up=up, fps=fps)
         path = require_file(path, "pose file")
         try:
             document = read_json(path, "pose file")

@@ -12,7 +12,15 @@ from fractions import Fraction
 import numpy as np
 
 from ..cage.cage import Cage
-from ..cage.motion import are_numbered, gltf_poses, gltf_shown, numbered_files, sequence_poses
+from ..cage.motion import (
+    MOVING_ENDINGS,
+    USUAL_RATE,
+    are_numbered,
+    file_poses,
+    gltf_shown,
+    numbered_files,
+    sequence_poses,
+)
 from ..cage.pose_file import PoseFile, Preset, is_preset
 from ..cage.up_axis import UpAxis, load_standing
 from ..core.checks import listed
@@ -56,18 +64,14 @@ def ending(text: str) -> str:
     return pathlib.Path(text).suffix.lower()
 
 
-#: Frames per second where neither the keys nor --fps say another rate.
-USUAL_RATE = Fraction(24)
-
-
 def pose_file(text: str) -> tuple[str, str] | None:
     """File and keyframe ("" for all) of a word of --posed that names a pose file, or None for other words."""
     return _file_and_name(text, "json")
 
 
-def gltf_file(text: str) -> tuple[str, str] | None:
-    """File and animation or shape ("" for all) of a word that names a glTF file, or None for other words."""
-    return _file_and_name(text, "glb|gltf")
+def moving_file(text: str) -> tuple[str, str] | None:
+    """File and animation, shape or frame ("" for all) of a word that names a file that a cage may move in, or None."""
+    return _file_and_name(text, "|".join(each[1:] for each in MOVING_ENDINGS))
 
 
 def _file_and_name(text: str, endings: str) -> tuple[str, str] | None:
@@ -81,13 +85,13 @@ def read_film(
     """The keys of words of --posed that say themselves when each pose is reached; None for other words.
     up: "y" or "z", None finds it; expected: axis by ending of cage files where nothing speaks for another."""
     # A pose file with times, an animated glTF file, a folder or pattern of numbered cage files, or files so named.
-    rate = float(USUAL_RATE if fps is None else fps)
+    rate = USUAL_RATE if fps is None else float(fps)
     if len(texts) == 1:
         (text,) = texts
         if (named := pose_file(text)) and not named[1]:
             return _timed(PoseFile.load(named[0], rest), named[0])
-        if named := gltf_file(text):
-            file = gltf_poses(named[0], rest, name=named[1], up=up)
+        if named := moving_file(text):
+            file = file_poses(named[0], rest, name=named[1], up=up, fps=rate)
             return file if file is not None and file.times else None
         files = numbered_files(text)
     else:
@@ -157,7 +161,7 @@ def set_frames(args: argparse.Namespace, film: PoseFile | None, given: set[str])
         raise ValueError("--frames does not go with keys at times, which say how long the film is: see --fps")
     args.loop = args.loop or film.loop or "once"
     if "fps" not in given:
-        args.fps = USUAL_RATE if film.fps is None else frame_rate(film.fps)
+        args.fps = frame_rate(USUAL_RATE if film.fps is None else film.fps)
     times = frame_times(film.length, args.fps, args.loop)
     args.frames = len(times)
     return times
@@ -202,11 +206,11 @@ def read_pose(
 
 def only_pose(rest: Cage, text: str, up: str | None, poses: Sequence[Cage]) -> Cage:
     """The pose that a file of several shows by itself, as glTF files do. Raises ValueError where it shows none."""
-    if named := gltf_file(text):
+    if named := moving_file(text):
         shown = None if named[1] else gltf_shown(named[0], rest, up=up)
         if shown is not None:
             return shown
-        file = gltf_poses(named[0], rest, name=named[1], up=up)
+        file = file_poses(named[0], rest, name=named[1], up=up)
         if file is not None and file.times:
             raise ValueError(
                 f"{text!r} holds an animation of {len(file)} frames: `warpcage animate` makes a film of it"
@@ -216,8 +220,8 @@ def only_pose(rest: Cage, text: str, up: str | None, poses: Sequence[Cage]) -> C
 
 def _moving_poses(rest: Cage, text: str, up: str | None, expected: Mapping[str, str] | None) -> list[Cage]:
     """The poses of a word that names a glTF file that moves, or numbered files; none for other words."""
-    if named := gltf_file(text):
-        file = gltf_poses(named[0], rest, name=named[1], up=up)
+    if named := moving_file(text):
+        file = file_poses(named[0], rest, name=named[1], up=up)
         if file is None and named[1]:
             raise ValueError(f"{named[0]}: there is no animation or shape {named[1]!r}: nothing moves in it")
     elif files := numbered_files(text):
@@ -242,7 +246,7 @@ def matched(rest: Cage, posed: Cage, name: str) -> Cage:
 def expected_ups(rest: Cage, texts: Sequence[str], expected: Mapping[str, str] | None = None) -> dict[str, str]:
     """The axis that points up in files of poses, by ending: what is sure of one holds for those that say nothing."""
     found = dict(expected or {})
-    files = [text for text in texts if pathlib.Path(text).is_file() and not pose_file(text)]
+    files = [text for text in texts if pathlib.Path(text).is_file() and ending(text) in CAGE_ENDINGS]
     for text in files if len(files) > 1 else ():
         standing = load_standing(Cage, text, reference=rest, expected=found.get(ending(text)))[1]
         if standing.turned:

@@ -9,6 +9,7 @@ from typing import Any
 
 from ..cage.axes import axis_of, default_towards, with_up
 from ..cage.cage import Cage
+from ..cage.motion import file_poses
 from ..cage.pose_file import PoseFile, is_preset
 from ..core.files import require_file
 from ..core.names import counted
@@ -165,9 +166,7 @@ def _add_all(file: PoseFile, args: argparse.Namespace) -> None:
 
 def _shapes(rest: Cage, text: str, up: str | None) -> PoseFile:
     """The shapes of a glTF file."""
-    from ..cage.motion import gltf_poses
-
-    file = gltf_poses(text, rest, up=up)
+    file = file_poses(text, rest, up=up)
     if file is None:
         raise ValueError(f"{text!r} holds one pose: give it a name, --key NAME")
     return file

@@ -123,6 +123,13 @@ def as_host_points(points: PointsLike, *, name: str = "points") -> np.ndarray:
     return host
 
 
+def as_host_vertices(vertices: PointsLike) -> np.ndarray:
+    """Vertices of any library and device as NumPy: (v, 3) float64, a copy."""
+    if is_device_array(vertices) and not isinstance(vertices, wp.array):
+        vertices = _from_foreign(vertices, "vertices")
+    return as_host_points(vertices, name="vertices")
+
+
 def _from_foreign(array: Any, name: str) -> wp.array:
     """A Warp array over the memory of an array of another library."""
     if getattr(array, "requires_grad", False):

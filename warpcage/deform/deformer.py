@@ -6,14 +6,15 @@ import os
 import pathlib
 import re
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.arrays import as_host_points, as_points, empty_array, is_device_array
+from ..cage.motion import posed_cage
+from ..core.arrays import PointsLike, as_host_points, as_points, empty_array, is_device_array
 from ..core.checks import checked_flag, checked_path, checked_step, checked_whole, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import owner_lock
@@ -39,6 +40,9 @@ from ..view.frame import MASK_NAMES, Frame
 from .exact import ExactEdits
 from .splat_baking import baked_field, numbered_files, warn_of_others
 from .splat_edits import SplatEdits
+
+#: A pose of one cage: the Cage, its vertices (v, 3), or a file.
+PoseLike: TypeAlias = Cage | PointsLike | str | os.PathLike[str]
 
 
 class Deformer:
@@ -149,11 +153,12 @@ class Deformer:
     def __reduce__(self):
         raise TypeError("a Deformer is held on a device and not copied between processes: make one in each of them")
 
-    def pose(self, deformed: Cage | Sequence[Cage | None]) -> Deformer:
+    def pose(self, deformed: PoseLike | Sequence[PoseLike | None]) -> Deformer:
         """Move the cages.
 
         Args:
-            deformed: One Cage; or one per edit in their order, None for an edit that removes.
+            deformed: One pose: a Cage, its vertices (v, 3) in world units as an array of any library, or a file of one
+                pose that `PoseFile.load` reads; or a list of one per edit in their order, None for one that removes.
 
         Returns:
             This Deformer.
@@ -175,7 +180,7 @@ class Deformer:
             self.deformed = cages
         return self
 
-    def posed(self, deformed: Cage | Sequence[Cage | None]) -> PosedDeformer:
+    def posed(self, deformed: PoseLike | Sequence[PoseLike | None]) -> PosedDeformer:
         """A pose of its own, for callers that share this Deformer; this Deformer's own pose stays what it is.
 
         All poses share the buffers. Where another pose came between, the next use computes this one again: threads that
@@ -206,7 +211,7 @@ class Deformer:
             assert self.deformed is not None
             return self._hold(self.deformed)
 
-    def _checked(self, deformed: Cage | Sequence[Cage | None]) -> list[Cage | None]:
+    def _checked(self, deformed: PoseLike | Sequence[PoseLike | None]) -> list[Cage | None]:
         """The cages of a pose, one per edit. Whether they can be used is for the edits to find, which have the device
         at work meanwhile."""
         cages = list(deformed) if isinstance(deformed, list | tuple) else [deformed]
@@ -391,7 +396,7 @@ def checked_pose(edit: CageEdit, cage: Any, index: int, band: FalloffBand | None
     `cage` is what the caller gave; `index` is the number of the edit, for messages."""
     if edit.remove:
         return None
-    require_type(cage, Cage, f"the pose of edit {index} must be")
+    cage = posed_cage(edit.cage, cage, f"the pose of edit {index} must be")
     require_same_faces(edit.cage, cage)
     if band is None:
         return cage
@@ -484,11 +489,11 @@ class SplatDeformer(Deformer):
         matter: Any = SplatDensity(self.field, bounds=np.array([low - reach, high + reach]))
         return FalloffBand(edit, matter)
 
-    def pose(self, deformed: Cage | Sequence[Cage | None]) -> SplatDeformer:
+    def pose(self, deformed: PoseLike | Sequence[PoseLike | None]) -> SplatDeformer:
         """Move the cages; see `Deformer.pose`.
 
         Args:
-            deformed: One Cage; or one per edit in their order, None for an edit that removes.
+            deformed: As for `Deformer.pose`.
 
         Returns:
             This SplatDeformer.
@@ -525,7 +530,7 @@ class SplatDeformer(Deformer):
     def save_sequence(
         self,
         path: str | os.PathLike,
-        poses: Iterable[Cage | Sequence[Cage | None]],
+        poses: Iterable[PoseLike | Sequence[PoseLike | None]],
         *,
         first: int = 1,
         overwrite: bool = False,
