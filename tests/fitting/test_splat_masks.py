@@ -45,18 +45,9 @@ def test_coarse_weights_are_the_least(device):
     assert (coarse.numpy() == fine[:, :8].reshape(2, 4, 2, 7, 2).min(axis=(2, 4))).all()
 
 
-@pytest.mark.parametrize(
-    ("weights", "message"),
-    [
-        (np.ones((6, 130)), r"pixel of the pictures, got \(6, 130\)"),
-        (np.full((6, 130, 160), 1.5), "got values from 1.5 to 1.5"),
-        (np.full((6, 130, 160), np.nan), r"weights must lie in \[0, 1\]"),
-        ("all", "weights must be an array"),
-    ],
-)
-def test_other_weights_are_refused(scene, weights, message):
-    with pytest.raises(ValueError, match=message):
-        SplatFit(scene, device="cpu", weights=weights)
+def test_weights_of_other_pictures_are_refused(scene):
+    with pytest.raises(ValueError, match=r"pixel of the pictures, got \(6, 130\)"):
+        SplatFit(scene, device="cpu", weights=np.ones((6, 130)))
 
 
 def test_whole_pictures_are_fitted_where_masks_split_them(scene):

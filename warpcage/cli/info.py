@@ -255,6 +255,10 @@ def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | N
         ("pictures", f"{len(scene)} of {camera.width}x{camera.height}"),
         ("colours", _range(scene.images, "of 1")),
         ("opacity", "no" if scene.alphas is None else f"yes, {100 * float(scene.alphas.mean()):.1f} % covered"),
+        (
+            "ignored",
+            "nothing" if scene.weights is None else f"{100 * float((scene.weights == 0.0).mean()):.1f} % of pixels",
+        ),
         ("focal length", _range(focal, "pixels")),
         ("cameras in", _box(centers.min(axis=0), centers.max(axis=0))),
         ("up", scene.up.round(3).tolist()),

@@ -211,6 +211,7 @@ def scene_digest(scene: Scene) -> bytes:
         "images": scene.images,
         "alphas": scene.alphas,
         "surroundings": scene.surroundings,
+        "weights": scene.weights,
         "background": scene.background,
         "bounds": scene.bounds,
         "poses": np.array([camera.camera_to_world for camera in scene.cameras]),

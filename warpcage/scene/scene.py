@@ -48,10 +48,13 @@ class Scene:
             data have none.
         point_colors: (m, 3) float32 in [0, 1], the colours of these points. None where there are no points, or they
             have no colours.
+        weights: (n, h, w) float32 in [0, 1], how much each pixel counts: 0 for what is to be ignored, such as people
+            who walk by. Fits and figures take nothing from pixels of 0. A pixel of a smaller picture has the least of
+            those that it is made of, as its colour is made of them all. None counts all.
 
     Raises:
-        ValueError: If the parts do not fit together, or images, alphas, points or their colours hold values that are
-            not finite or, but for points, far from [0, 1].
+        ValueError: If the parts do not fit together, or images, alphas, weights, points or their colours hold values
+            that are not finite or, but for points, far from [0, 1].
     """
 
     images: np.ndarray
@@ -66,6 +69,7 @@ class Scene:
     straightening: np.ndarray | None = None
     points: np.ndarray | None = None
     point_colors: np.ndarray | None = None
+    weights: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         images = _checked_images(self.images)
@@ -80,7 +84,7 @@ class Scene:
             raise ValueError(f"a scene needs one name per image: {count} images, {len(names)} names")
         for name, image, camera in zip(names, images, self.cameras, strict=True):
             _check_view(name, image, camera)
-        alphas = None if self.alphas is None else _checked_alphas(self.alphas, images.shape[:3], names)
+        alphas = _checked_shares("alphas", self.alphas, images.shape[:3], names, ALPHA_ROOM)
         surroundings = self.surroundings
         if surroundings is not None:
             surroundings = np.asarray(surroundings, dtype=np.float32)
@@ -99,13 +103,16 @@ class Scene:
             "surroundings": surroundings,
             "points": points,
             "point_colors": point_colors,
+            "weights": _checked_shares("weights", self.weights, images.shape[:3], names),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
         count, height, width = self.images.shape[:3]
-        parts = "".join(f", {name}" for name in ("alphas", "surroundings") if getattr(self, name) is not None)
+        parts = "".join(
+            f", {name}" for name in ("alphas", "surroundings", "weights") if getattr(self, name) is not None
+        )
         return f"Scene({count} pictures of {width}x{height}{parts})"
 
     def __len__(self) -> int:
@@ -283,17 +290,21 @@ def _check_view(name: str, image: np.ndarray, camera: Camera) -> None:
         raise ValueError(f"camera of image {name} is {camera.width}x{camera.height}, images are {width}x{height}")
 
 
-def _checked_alphas(alphas: np.ndarray, shape: tuple[int, ...], names: list[str]) -> np.ndarray:
-    """(n, h, w) float32 opacities of a shape."""
-    alphas = np.asarray(alphas, dtype=np.float32)
-    if alphas.shape != shape:
-        raise ValueError(f"scene alphas must be {shape}, got {alphas.shape}")
-    for name, alpha in zip(names, alphas, strict=True):
-        if not (alpha.min() >= -ALPHA_ROOM and alpha.max() <= 1 + ALPHA_ROOM):  # false for NaN too
+def _checked_shares(
+    name: str, shares: ArrayLike | None, shape: tuple[int, ...], names: list[str], room: float = 0.0
+) -> np.ndarray | None:
+    """(n, h, w) float32 numbers of pixels in [0, 1], or outside by some room; or None."""
+    if shares is None:
+        return None
+    shares = real_array(shares, f"scene {name}", np.float32)
+    if shares.shape != shape:
+        raise ValueError(f"scene {name} must be {shape}, a number for each pixel of the pictures, got {shares.shape}")
+    for image, share in zip(names, shares, strict=True):
+        if not (share.min() >= -room and share.max() <= 1 + room):  # false for NaN too
             raise ValueError(
-                f"alpha of image {name} holds values from {alpha.min():g} to {alpha.max():g}: they must lie in [0, 1]"
+                f"{name} of image {image} hold values from {share.min():g} to {share.max():g}: they must lie in [0, 1]"
             )
-    return alphas
+    return shares
 
 
 def _turn(one: Camera, other: Camera) -> float:

@@ -235,6 +235,20 @@ def shrink(premultiplied: np.ndarray, factor: int) -> np.ndarray:
     return resize_local_mean(premultiplied, shrunk_size((height, width), factor), channel_axis=-1, preserve_range=True)
 
 
+def shrink_weights(weights: np.ndarray, factor: int) -> np.ndarray:
+    """Weights of pixels (..., h, w) for images that `shrink` makes smaller: the least in each square."""
+    if factor == 1:
+        return weights
+    for axis in (weights.ndim - 2, weights.ndim - 1):
+        side = weights.shape[axis]
+        places = np.arange(shrunk_size((side, side), factor)[0] + 1) * side  # with a remainder the squares overlap
+        firsts, ends = places[:-1] // (len(places) - 1), -(-places[1:] // (len(places) - 1))
+        spans = np.stack([firsts, ends], axis=1).ravel()
+        padded = np.concatenate([weights, weights.take([-1], axis)], axis)  # `reduceat` takes no end of the array
+        weights = np.minimum.reduceat(padded, spans, axis).take(np.arange(0, len(spans), 2), axis)
+    return weights
+
+
 def side_by_side(images: Iterable[ArrayLike], *, gap: int = 4, background: ArrayLike = 1.0) -> np.ndarray:
     """Images (h, w) or (h, w, 3) of one size in a row, (h, w, 3) float32, with `gap` pixels of background between."""
     row = list(images)

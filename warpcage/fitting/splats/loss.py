@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
 
 from ...core.arrays import empty_array
 from ...core.devices import launch, module_block_dim
@@ -88,19 +87,9 @@ def _tile_items(rows: int, columns: int) -> int:
     return -(-rows // side) * -(-columns // side) * TILE_ITEMS
 
 
-def weight_bytes(weights: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
-    """Weights of pixels (n, h, w) in 1/255, checked; of no picture for None."""
-    if weights is None:
-        return np.zeros((0, 0, 0), np.uint8)
-    try:
-        given = np.asarray(weights, np.float32)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"weights must be an array {shape}, got {type(weights).__name__}") from error
-    if given.shape != shape:
-        raise ValueError(f"weights must be {shape}, a number for each pixel of the pictures, got {given.shape}")
-    if not (given.min() >= 0.0 and given.max() <= 1.0):
-        raise ValueError(f"weights must lie in [0, 1], got values from {given.min():g} to {given.max():g}")
-    return np.round(255.0 * given).astype(np.uint8)
+def weight_bytes(weights: np.ndarray | None) -> np.ndarray:
+    """Weights of pixels (n, h, w) in 1/255; of no picture for None."""
+    return np.zeros((0, 0, 0), np.uint8) if weights is None else np.round(255.0 * weights).astype(np.uint8)
 
 
 class PictureExposures:

@@ -121,8 +121,8 @@ class SplatFit:
         seed: Of the order of pictures, the places where splats begin and grow, and the noise. On the CPU the same seed
             and scene give the same splats to the bit.
         first: Splats to begin with. None takes what the option `start` says.
-        weights: (n, h, w) in [0, 1], how much each pixel of the pictures counts: 0 for what is to be ignored, such as
-            people who walk by. Where splats begin is not told of it. None counts all.
+        weights: (n, h, w) in [0, 1], how much each pixel of the pictures counts, in place of `Scene.weights`. None
+            takes those.
         options: `quality`, and fields of SplatFitOptions by name, which have priority over it.
 
     Raises:
@@ -151,8 +151,9 @@ class SplatFit:
     ):
         require_type(scene, Scene, "a fit needs")
         self.options = checked_splat_options(options)
-        self.scene = scene = fitted_scene(scene)
-        counted = weight_bytes(weights, scene.images.shape[:3])
+        scene = fitted_scene(scene)
+        self.scene = scene = scene if weights is None else dataclasses.replace(scene, weights=weights)
+        counted = weight_bytes(scene.weights)
         self.device, self.seed = resolve_device(device), checked_seed(seed)
         self.step_count, self.psnr = 0, float("nan")
         self.memory_limit = memory_limit(self.options.max_memory, self.device)
@@ -167,7 +168,6 @@ class SplatFit:
         self.given = {
             "seed": self.seed,
             "first": hashlib.blake2b(np.ascontiguousarray(first.centers).tobytes(), digest_size=16).hexdigest(),
-            "weights": hashlib.blake2b(counted.tobytes(), digest_size=16).hexdigest() if counted.size else None,
             **dataclasses.asdict(self.options),
         }
         self.growing = GrowingSplats(self._contents(first), self.most_splats, self.options.degree, self.device)

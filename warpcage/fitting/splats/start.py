@@ -13,6 +13,7 @@ from ...core.threads import cpu_threads
 from ...scene.box import axes_meeting, center_ahead, scene_box
 from ...scene.scene import Scene
 from ...view.camera import Camera
+from ...view.pictures import shrink_weights
 from ..silhouettes import Silhouettes, possible_voxels
 
 #: Fewer points of a capture say too little about it.
@@ -182,7 +183,9 @@ def _shrunk(scene: Scene, side: int) -> Scene:
         )
         for camera in scene.cameras
     ]
-    return dataclasses.replace(scene, images=images.mean(axis=(2, 4), dtype=np.float32), cameras=cameras)
+    weights = None if scene.weights is None else shrink_weights(scene.weights[:, : height * side, : width * side], side)
+    shrunk = images.mean(axis=(2, 4), dtype=np.float32)
+    return dataclasses.replace(scene, images=shrunk, cameras=cameras, weights=weights)
 
 
 def _places_inside(scene: Scene, count: int, random: np.random.Generator, device: wp.DeviceLike) -> np.ndarray:
@@ -191,7 +194,8 @@ def _places_inside(scene: Scene, count: int, random: np.random.Generator, device
     assert scene.alphas is not None
     chosen = slice(None, None, step)
     parts = {name: getattr(scene, name)[chosen] for name in ("images", "alphas", "cameras", "names")}
-    carving = scene if step == 1 else dataclasses.replace(scene, **parts, surroundings=None)
+    weights = None if scene.weights is None else scene.weights[chosen]
+    carving = scene if step == 1 else dataclasses.replace(scene, **parts, surroundings=None, weights=weights)
     silhouettes = Silhouettes(carving, device)
     box = silhouettes.bound(scene_box(scene.cameras, scene.bounds))
     size = box[1] - box[0]
@@ -257,15 +261,16 @@ def _pictured(scene: Scene, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     for view in np.unique(np.linspace(0, len(scene) - 1, COLOR_VIEWS).round().astype(int)):
         indices, rows, columns = _pixels(scene.cameras[view], places)
         colors = scene.images[view, rows, columns].astype(np.float64)
-        is_shown = np.ones(len(indices), bool)
+        counts = np.ones(len(indices), bool) if scene.weights is None else scene.weights[view, rows, columns] > 0.0
+        is_shown = counts
         if scene.alphas is not None:
             alphas = scene.alphas[view, rows, columns].astype(np.float64)[:, None]
             colors -= (1.0 - alphas) * scene.background
-            is_shown = alphas[:, 0] >= OPAQUE
+            is_shown = counts & (alphas[:, 0] >= OPAQUE)
             colors /= np.maximum(alphas, OPAQUE)
         sums[indices[is_shown]] += colors[is_shown]
         shown[indices[is_shown]] += 1.0
-        seen[indices] += 1.0
+        seen[indices[counts]] += 1.0
     means = np.where(shown[:, None] > 0, sums / np.maximum(shown, 1.0)[:, None], 0.5)
     return np.clip(means, 0.0, 1.0).astype(np.float32), shown / np.maximum(seen, 1.0)
 
