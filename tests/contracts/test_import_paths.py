@@ -37,6 +37,7 @@ FIXED = {
     "warpcage.reference.cage_scenes": {"CAGE_SCENES": "dict", "scene_field": "function"},
     "warpcage.reference.raycast": {"render_mesh_views": "function"},
     "warpcage.reference.viewpoints": {"reference_cameras": "function", "spread_eyes": "function"},
+    "warpcage.scene": {"SceneFormat": "class", "View": "class", "held_out": "function", "make_scene": "function"},
     "warpcage.splats": {"SplatContents": "class", "SplatFormat": "class"},
     "warpcage.view.camera": {"Camera": "class", "framing_orbit": "function"},
     "warpcage.view.exr": {"write_exr": "function"},

@@ -1,11 +1,12 @@
 """Several objects in a file, split vertices, strips and fans, formats of other packages."""
 
 import dataclasses
-import importlib.metadata
+import functools
 import struct
 
 import numpy as np
 import pytest
+from entry_points import plug
 from runs import run, succeed, write_files
 from scene_writers import GltfWriter
 
@@ -304,15 +305,7 @@ TRI = MeshFormat("triangles", (".tri",), read_tri, write_tri, up="y")
 def plugged(monkeypatch):
     """Entry points of other packages, by name."""
 
-    def plug(**found):
-        entries = [importlib.metadata.EntryPoint(name, f"package:{name}", "warpcage.mesh_formats") for name in found]
-        monkeypatch.setattr(importlib.metadata.EntryPoint, "load", lambda entry: found[entry.name])
-        monkeypatch.setattr(
-            importlib.metadata, "entry_points", lambda group: entries if group == "warpcage.mesh_formats" else []
-        )
-        mesh_formats.cache_clear()
-
-    yield plug
+    yield functools.partial(plug, monkeypatch, "warpcage.mesh_formats", mesh_formats)
     mesh_formats.cache_clear()
 
 

@@ -246,7 +246,7 @@ def test_of_several_models_the_one_with_most_pictures_is_read(tmp_path, bricks, 
 
 def test_models_are_those_of_colmap_alone(tmp_path, bricks):
     write_transforms(tmp_path, bricks)
-    with pytest.raises(ValueError, match="model chooses among COLMAP models"):
+    with pytest.raises(ValueError, match="'transforms' hold one"):
         load_scene(tmp_path, model="0")
 
 

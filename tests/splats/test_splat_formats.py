@@ -1,7 +1,7 @@
 """Formats of files of splats: SPZ 1 to 4, ksplat, SOG and glTF by hand, round trips, damaged and hostile files."""
 
+import functools
 import gzip
-import importlib.metadata
 import io
 import json
 import os
@@ -11,6 +11,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from entry_points import plug
 from field_oracles import basis
 from messages import MESSAGES
 from PIL import Image
@@ -530,27 +531,12 @@ def test_a_given_set_of_sog(tmp_path, capsys):
 # Formats of other packages
 
 
-class Entry:
-    def __init__(self, value):
-        self.name, self.value, self._found = "xyz", "pack:FORMAT", value
-
-    def load(self):
-        if isinstance(self._found, Exception):
-            raise self._found
-        return self._found
-
-
 @pytest.fixture
 def registered(monkeypatch):
     """Registers what another package would; asked for anew, as it is looked for once a process."""
     from warpcage.splats.io import formats
 
-    def register(*values):
-        formats.other_formats.cache_clear()
-        entries = {formats.ENTRY_POINTS: [Entry(value) for value in values]}
-        monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: entries.get(group, []))
-
-    yield register
+    yield functools.partial(plug, monkeypatch, formats.ENTRY_POINTS, formats.other_formats)
     formats.other_formats.cache_clear()
 
 
@@ -563,7 +549,7 @@ def test_another_package_can_register_a_format(registered, tmp_path, capsys, mon
     def write(contents):
         return "\n".join(" ".join(map(str, row)) for row in contents.centers.tolist()).encode()
 
-    registered(SplatFormat("text of places", (".xyzsplat",), read, write))
+    registered(xyz=SplatFormat("text of places", (".xyzsplat",), read, write))
     assert "text of places" in [each.name for each in splat_formats()]
     path = tmp_path / "a.xyzsplat"
     field_of(some_splats(5)).save(path)
@@ -577,6 +563,6 @@ def test_another_package_can_register_a_format(registered, tmp_path, capsys, mon
 
 @pytest.mark.parametrize("value", [ImportError("no module"), "a text", SplatFormat("without a dot", ("splats",))])
 def test_a_format_that_cannot_be_loaded_is_left_out(value, registered, tmp_path):
-    registered(value)
+    registered(xyz=value)
     with pytest.warns(UserWarning, match=MESSAGES["splats.format_unusable"]):
         assert not is_splat_file(tmp_path / "a.xyzsplat")

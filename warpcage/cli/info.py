@@ -19,7 +19,8 @@ from ..core.threads import cpu_threads
 from ..field.surroundings import LayeredBackground, OuterField
 from ..mesh.io import object_names
 from ..mesh.io.formats import format_lines, mesh_endings
-from ..scene.load import detect_format, load_scene
+from ..scene.formats.table import format_lines as scene_lines
+from ..scene.load import holding_format, load_scene
 from ..scene.scene import Scene
 from ..splats.io import is_splat_file, splat_path
 from ..splats.io.formats import endings_read, format_to_read
@@ -77,6 +78,7 @@ def _machine() -> Rows:
         ("platform", platform.platform()),
     ]
     rows += [("meshes and cages", line) for line in format_lines()]
+    rows += [("scenes", line) for line in scene_lines()]
     return rows + [(device.alias, _device_line(device)) for device in wp.get_devices()]
 
 
@@ -243,7 +245,7 @@ def _edits(path: pathlib.Path) -> Rows:
 
 
 def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | None) -> Rows:
-    form = args.format or detect_format(path)
+    form = args.format or holding_format(path).name
     scene = load_scene(path, split=args.split, format=form)
     camera = scene.cameras[0]
     centers = np.stack([each.center for each in scene.cameras])

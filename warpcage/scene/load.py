@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import pathlib
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,31 +12,8 @@ from numpy.typing import ArrayLike
 from ..core.checks import checked_path, listed
 from ..view.camera import CameraFile, rigid_motion
 from ..view.frame import parse_background
-from .formats import colmap, dtu, nsvf, phone, transforms
+from .formats.table import SceneFormat, candidates, format_named
 from .scene import Scene, rotation_to
-
-
-class SceneReader(NamedTuple):
-    """How scenes of a format are told and read."""
-
-    mark: str  # what a folder of the format holds, for messages
-    is_scene: Callable[[pathlib.Path], bool]
-    read: Callable[..., Scene]  # of folder, split, downscale, background (3,) and masks, as `load_scene` has them
-
-
-#: Readers by the name of their format, in the order in which they are tried.
-READERS = {
-    "blender": SceneReader(transforms.BLENDER_MARK, transforms.is_blender, transforms.read_blender),
-    "nsvf": SceneReader(nsvf.MARK, nsvf.is_scene, nsvf.read),
-    "dtu": SceneReader(dtu.MARK, dtu.is_scene, dtu.read),
-    "transforms": SceneReader(transforms.TRANSFORMS_MARK, transforms.is_transforms, transforms.read_transforms),
-    "colmap": SceneReader(colmap.MARK, colmap.is_scene, colmap.read),
-    "polycam": SceneReader(phone.POLYCAM_MARK, phone.is_polycam, phone.read_polycam),
-    "record3d": SceneReader(phone.RECORD3D_MARK, phone.is_record3d, phone.read_record3d),
-}
-
-#: Formats whose bounds are those of a ball around the origin.
-ROUND = ("dtu",)
 
 
 def load_scene(
@@ -90,28 +66,25 @@ def load_scene(
         raise FileNotFoundError(f"scene folder {str(folder)!r} {what}")
     if int(downscale) != downscale or downscale < 1:
         raise ValueError(f"downscale must be a whole number of at least 1, got {downscale}")
-    if format is None:
-        format = detect_format(folder)
+    found = holding_format(folder) if format is None else format_named(format)
     if masks not in (True, False, "split"):
         raise ValueError(f"masks must be True, False or 'split', got {masks!r}")
-    if format not in READERS:
-        raise ValueError(f"scene format {format!r} is not known: {', '.join(READERS)}")
     if isinstance(orient, str) and orient != "up":
         raise ValueError(f"orient must be 'up', a rigid (4, 4), or None for the coordinates of files, got {orient!r}")
     motion = None if orient is None or isinstance(orient, str) else rigid_motion(orient, "orient")
 
-    if model is not None and format != "colmap":
-        raise ValueError(f"model chooses among COLMAP models: this scene is of the format {format!r}")
+    if model is not None and "model" not in found.options:
+        raise ValueError(f"model chooses among several that a scene holds: those of the format {found.name!r} hold one")
     chosen = {} if model is None else {"model": model}
 
     def read(name: str) -> Scene:
         color, factor = parse_background(background), int(downscale)
-        return READERS[format].read(folder, split=name, downscale=factor, background=color, masks=masks, **chosen)
+        return found.read(folder, split=name, downscale=factor, background=color, masks=masks, **chosen)
 
     scene = read(split)
     if isinstance(orient, str):
         motion = _straightening(scene if split == "train" else _other_split(read, scene))
-    scene = scene if motion is None else scene.moved(motion, round_bounds=format in ROUND)
+    scene = scene if motion is None else scene.moved(motion, round_bounds=found.round_bounds)
     if cameras is None:
         return scene
     try:
@@ -133,12 +106,12 @@ def _straightening(scene: Scene) -> np.ndarray | None:
     return rotation_to(scene.up, np.array([0.0, 0.0, 1.0]))
 
 
-def detect_format(path: str | os.PathLike) -> str:
-    """The name of the first format that fits a scene folder; ValueError, with what is there, where none does."""
-    folder = pathlib.Path(path)
-    for name, reader in READERS.items():
-        if reader.is_scene(folder):
-            return name
-    looked = "; ".join(f"{name}: {reader.mark}" for name, reader in READERS.items())
+def holding_format(path: str | os.PathLike) -> SceneFormat:
+    """The first format that fits a scene folder; ValueError, with what is known and what is there, where none does."""
+    folder, tried = pathlib.Path(path), []
+    for each in candidates():
+        if each.is_scene(folder):
+            return each
+        tried.append(f"{each.name}: {each.mark}")
     there = listed(sorted(entry.name + "/" * entry.is_dir() for entry in folder.iterdir()), none="nothing")
-    raise ValueError(f"{str(folder)!r} is no scene of a known format ({looked}); it holds {there}")
+    raise ValueError(f"{str(folder)!r} is no scene of a known format ({'; '.join(tried)}); it holds {there}")

@@ -1,0 +1,79 @@
+"""The formats of scenes in one table: how each is called, told from others, and read."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import pathlib
+from collections.abc import Callable, Iterator
+from typing import cast
+
+from ...core.checks import registered_formats, require_type, shown
+from ..scene import Scene
+from . import colmap, dtu, nsvf, phone, transforms
+
+#: Where other packages register a SceneFormat, in the entry points of their setup.
+ENTRY_POINTS = "warpcage.scene_formats"
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneFormat:
+    """A format of scene folders, as another package registers it too: see docs/captures.md."""
+
+    name: str  # what `load_scene(format=...)` calls it, such as "nsvf"
+    mark: str  # what a folder of the format holds, for messages
+    is_scene: Callable[[pathlib.Path], bool]  # whether a folder is one; quick, as every folder is asked
+    # of a folder, and of split, downscale, background (3,) and masks by name, as `load_scene` has them
+    read: Callable[..., Scene]
+    options: tuple[str, ...] = ()  # names of other options of `load_scene` that `read` takes: "model" alone
+    round_bounds: bool = False  # whether bounds are those of a ball around the origin
+
+
+#: All that warpcage knows by itself, in the order in which they are tried.
+BUILT_IN = (
+    SceneFormat("blender", transforms.BLENDER_MARK, transforms.is_blender, transforms.read_blender),
+    SceneFormat("nsvf", nsvf.MARK, nsvf.is_scene, nsvf.read),
+    SceneFormat("dtu", dtu.MARK, dtu.is_scene, dtu.read, round_bounds=True),
+    SceneFormat("transforms", transforms.TRANSFORMS_MARK, transforms.is_transforms, transforms.read_transforms),
+    SceneFormat("colmap", colmap.MARK, colmap.is_scene, colmap.read, ("model",)),
+    SceneFormat("polycam", phone.POLYCAM_MARK, phone.is_polycam, phone.read_polycam),
+    SceneFormat("record3d", phone.RECORD3D_MARK, phone.is_record3d, phone.read_record3d),
+)
+
+
+def scene_formats() -> tuple[SceneFormat, ...]:
+    """All formats: warpcage's own, then those that other packages registered."""
+    return tuple(candidates())
+
+
+def candidates() -> Iterator[SceneFormat]:
+    """All formats one by one; those of other packages last, as to look for them takes a while."""
+    yield from BUILT_IN
+    yield from other_formats()
+
+
+@functools.cache
+def other_formats() -> tuple[SceneFormat, ...]:
+    """The formats of other packages; a name belongs to the first format that has it."""
+    return tuple(registered_formats(ENTRY_POINTS, "the scene format", _require_format))
+
+
+def _require_format(format: object) -> None:
+    require_type(format, SceneFormat, "it must be")
+    name = cast(SceneFormat, format).name
+    if not name or any(each.name == name for each in BUILT_IN):
+        raise ValueError(f"its name must be one that no other format has, got {shown(name)}")
+
+
+def format_named(name: str) -> SceneFormat:
+    """The format of a name; ValueError, with those that are known, for another."""
+    found = next((each for each in candidates() if each.name == name), None)
+    if found is None:
+        known = ", ".join(each.name for each in candidates())
+        raise ValueError(f"scene format {shown(name)} is not known: {known}")
+    return found
+
+
+def format_lines() -> list[str]:
+    """Each format in words: its name, and what a folder of it holds."""
+    return [f"{each.name}: {each.mark}" for each in candidates()]
