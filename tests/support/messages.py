@@ -97,6 +97,7 @@ MESSAGES = {
     "lattice.lower_resolution": "from the origin of its lattice, .* resolution below 64",
     "scene.format_unusable": "the scene format 'broken' of package:broken cannot be used",
     "scene.link_out": "ply_file_path: 'points.ply' is a link that leads out",
+    "scene.moved": "names 3 files by paths of another folder, the first is",
     "scene.no_known_format": "no scene of a known format.*transforms.json.*it holds notes.txt, photos/",
     "scene.one_left_out": "1 of them are not there and are left out",
     "scene.picture_memory": "reading a picture of 96x64 needs .* are free: shrink the files",

@@ -136,7 +136,7 @@ def views_there(views: list[View], listing: pathlib.Path) -> list[View]:
     count = f"{listing} lists {len(views)} pictures, {len(views) - len(there)} of them are not there"
     if 2 * len(there) < len(views):
         raise FileNotFoundError(f"{count}, more than half; the first is {str(missing)!r}")
-    warnings.warn(f"{count} and are left out, the first is {missing.name}", stacklevel=3)
+    warnings.warn(f"{count} and are left out, the first is {_printable(missing.name)}", stacklevel=3)
     return there
 
 
@@ -348,4 +348,11 @@ def _premultiplied(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
 def _names(views: list[View]) -> list[str]:
     """File names without ending; with the folder where that does not tell them apart."""
     names = [view.file.stem for view in views]
-    return names if len(set(names)) == len(names) else [f"{view.file.parent.name}/{view.file.stem}" for view in views]
+    if len(set(names)) < len(names):
+        names = [f"{view.file.parent.name}/{view.file.stem}" for view in views]
+    return [_printable(name) for name in names]
+
+
+def _printable(name: str) -> str:
+    """A file name, of which bytes that are no text are written as numbers."""
+    return name.encode("utf-8", "backslashreplace").decode()

@@ -15,7 +15,7 @@ from ...core.files import read_limited
 from ...core.names import error_line
 from ..pictures import COEFFICIENTS, View, make_scene, views_there
 from ..scene import Scene
-from .parsing import PICTURE_ENDINGS, floats, held_out, inside, is_file, read_text
+from .parsing import PICTURE_ENDINGS, PictureFinder, floats, held_out, inside, is_file, read_text
 
 #: Bytes of memory that a byte of a binary file takes at most: a picture of 73 bytes becomes a record of some 700.
 BINARY_ROOM = 12
@@ -207,7 +207,7 @@ class _Bytes:
         end = self.data.find(b"\0", self.position)
         if end < 0:
             raise ValueError(f"{self.path} ends within a name")
-        text = self.data[self.position : end].decode("utf-8", errors="replace")
+        text = self.data[self.position : end].decode("utf-8", errors="surrogateescape")
         self.position = end + 1
         return text
 
@@ -326,23 +326,24 @@ def read(folder: pathlib.Path, *, split: str, masks: bool | str, model: str | No
     if not found.images:
         raise ValueError(f"{found.images_path} holds no images")
     masks = masks and (folder / "masks").is_dir()
-    pictures = _picture_folder(folder, found)
-    views = [_view(folder, pictures, found, image, masks) for image in found.images]
+    finder = PictureFinder(folder, _picture_folders(folder, found))
+    views = [_view(folder, finder, found, image, masks) for image in found.images]
     views = sorted(views_there(views, found.images_path), key=lambda view: str(view.file))
+    finder.tell(found.images_path)
     views = [views[index] for index in held_out(len(views), split, folder)]
     return make_scene(folder, views, masks=masks, **options, points=found.points, point_colors=found.colors)
 
 
-def _picture_folder(folder: pathlib.Path, model: Model) -> pathlib.Path:
-    """The folder of the pictures: the one where most of the model's are, the usual one where none is."""
-    counts = [sum(is_file(folder / name / image.name) for image in model.images) for name in PICTURE_FOLDERS]
-    return folder / PICTURE_FOLDERS[counts.index(max(counts))]
+def _picture_folders(folder: pathlib.Path, model: Model) -> list[str]:
+    """The folders of pictures: first the one where most of the model's are, the usual one where none is."""
+    counts = {name: sum(is_file(folder / name / image.name) for image in model.images) for name in PICTURE_FOLDERS}
+    return sorted(PICTURE_FOLDERS, key=counts.__getitem__, reverse=True)
 
 
-def _view(folder: pathlib.Path, pictures: pathlib.Path, model: Model, image: ModelImage, masks: bool | str) -> View:
+def _view(folder: pathlib.Path, finder: PictureFinder, model: Model, image: ModelImage, masks: bool | str) -> View:
     """One picture of a model with its camera."""
     where = f"{model.images_path}: image {image.name!r}"
-    file = inside(pictures, image.name, where)
+    file = finder.find(image.name, where)
     camera = model.cameras.get(image.camera)
     if camera is None:
         raise ValueError(f"{where} has camera {image.camera}, which {model.cameras_path} lacks")
@@ -361,7 +362,7 @@ def _view(folder: pathlib.Path, pictures: pathlib.Path, model: Model, image: Mod
     fx, fy = (given[name] if name in given else given["f"] for name in ("fx", "fy"))
     intrinsics = (fx, fy, given["cx"], given["cy"])
     distortion = tuple(given.get(name, 0.0) for name in COEFFICIENTS)
-    mask = _mask_file(folder / "masks", image.name, where) if masks else None
+    mask = _mask_file(folder / "masks", finder.name_of(file), where) if masks else None
     return View(file, image.camera_to_world(where), where, intrinsics, camera.size, distortion, mask)
 
 

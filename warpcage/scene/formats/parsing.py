@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import codecs
+import contextlib
 import json
 import math
 import os
 import pathlib
-from collections.abc import Iterable
+import re
+import unicodedata
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
-from ...core.checks import listed, shown
+from ...core.checks import listed, shown, warn_caller
 from ...core.files import JSON_ROOM, TEXT_ROOM, read_limited, require_file
 from ...core.names import error_line
 
@@ -26,32 +31,47 @@ HOLD_OUT = 8
 TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def read_json(path: pathlib.Path) -> dict:
-    """The JSON object that a file holds."""
+def decoded(data: bytes) -> str:
+    """The text of a file, UTF-8 or UTF-16, without the mark at its beginning; other bytes stay as in names of files."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", "surrogateescape")
+    return data.removeprefix(codecs.BOM_UTF8).decode("utf-8", "surrogateescape")
+
+
+def read_json(path: pathlib.Path, kind: type = dict) -> Any:
+    """The JSON object, or the list, that a file holds."""
     path = require_file(path, "file")
     try:
-        content = json.loads(read_limited(path, "file", JSON_ROOM).decode("utf-8"))
+        content = json.loads(decoded(read_limited(path, "file", JSON_ROOM)))
     except (ValueError, RecursionError) as error:  # wrong bytes, wrong syntax, brackets without end
         raise ValueError(f"{path} is no JSON file: {error_line(error, 300)}") from error
-    if not isinstance(content, dict):
-        raise ValueError(f"{path} must hold a JSON object")
+    if not isinstance(content, kind):
+        raise ValueError(f"{path} must hold a JSON {'object' if kind is dict else 'list'}")
     return content
 
 
 def read_text(path: pathlib.Path, what: str) -> str:
     """The text of a file; what: how messages call it."""
     try:
-        return read_limited(path, what, TEXT_ROOM).decode("utf-8")
+        return decoded(read_limited(path, what, TEXT_ROOM))
     except UnicodeDecodeError as error:
         raise ValueError(f"{path} is no text file: {error_line(error, 300)}") from error
 
 
+#: A number as programs write it in countries where a comma stands before the decimals.
+DECIMAL_COMMA = re.compile(r"[-+]?[0-9]*,[0-9]+([eE][-+]?[0-9]+)?")
+
+
 def floats(text: str, where: str) -> list[float]:
-    """The numbers in a text, all finite."""
+    """The numbers in a text, all finite, with decimal points or with decimal commas."""
+    words = text.split()
+    if "," in text and "." not in text:
+        words = [word.replace(",", ".") if DECIMAL_COMMA.fullmatch(word) else word for word in words]
     try:
-        values = [float(word) for word in text.split()]
+        values = [float(word) for word in words]
     except ValueError as error:
-        raise ValueError(f"{where}: {error_line(error, 300)}") from error
+        mixed = " (decimal commas beside points)" if "," in text and "." in text else ""
+        raise ValueError(f"{where}: {error_line(error, 300)}{mixed}") from error
     if not all(map(math.isfinite, values)):
         raise ValueError(f"{where} holds numbers that are not finite")
     return values
@@ -96,10 +116,106 @@ def inside(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:
     return folder / relative
 
 
+class PictureFinder:
+    """Finds the files that lists of pictures name: in one of several folders, however the names are encoded, and by the
+    ends of paths of another machine."""
+
+    def __init__(self, folder: pathlib.Path, homes: Sequence[str] = ("",)):
+        self.folder = folder
+        self.homes = [folder / home for home in homes]  # where names begin, the usual one first
+        self.places = list(dict.fromkeys([*self.homes, folder / "images", folder]))  # where files of other paths may be
+        self.moved: list[str] = []  # names that were found by their ends
+
+    def find(self, name: object, where: str) -> pathlib.Path:
+        """The file of a name, of a picture where it has no ending; it may not be there. ValueError where a name leads
+        out of the folder, and no file in it has its end."""
+        usual = None
+        with contextlib.suppress(ValueError):
+            usual = _with_ending(inside(self.homes[0], name, where))
+        if usual is not None and is_file(usual):
+            return usual
+        if isinstance(name, str):
+            for spelled in _spellings(name):
+                if not _leads_out(self.homes[0], spelled):
+                    found = self._first(self.homes, spelled)
+                else:
+                    found = next(filter(None, (self._first(self.places, end) for end in _ends(spelled))), None)
+                    self.moved += [name] if found else []
+                if found is not None:
+                    return found
+        return _with_ending(inside(self.homes[0], name, where)) if usual is None else usual
+
+    def _first(self, folders: Iterable[pathlib.Path], name: str) -> pathlib.Path | None:
+        """The first of some folders' files of a name."""
+        for folder in folders:
+            with contextlib.suppress(ValueError):  # no name of a file
+                path = _with_ending(inside(folder, name, ""))
+                if is_file(path):
+                    return path
+        return None
+
+    def name_of(self, file: pathlib.Path) -> str:
+        """The name of a picture, relative to the folder of pictures that it is in."""
+        home = next(home for home in [*self.homes, file.parent] if file.is_relative_to(home))
+        return str(file.relative_to(home))
+
+    def tell(self, listing: pathlib.Path) -> None:
+        """Warn where pictures were found by the ends of their paths; listing: the file that lists them."""
+        if self.moved:
+            warn_caller(
+                f"{listing} names {len(self.moved)} files by paths of another folder, the first is "
+                f"{shown(self.moved[0])}: files of these names in {str(self.folder)!r} are taken"
+            )
+
+
+#: What file names are encoded in besides UTF-8: simplified Chinese, Japanese, Korean, traditional Chinese, Western.
+ENCODINGS = ("gb18030", "cp932", "cp949", "big5", "cp1252")
+
+
+def _spellings(name: str) -> Iterator[str]:
+    """A name as it is, and as it may be meant where its bytes are no UTF-8, or its accents are letters of their own."""
+    yield name
+    if name.isascii():
+        return
+    for form in ("NFC", "NFD"):
+        yield unicodedata.normalize(form, name)
+    with contextlib.suppress(UnicodeEncodeError):
+        data = name.encode("utf-8", "surrogateescape")
+        for encoding in ENCODINGS:
+            with contextlib.suppress(UnicodeDecodeError):
+                yield data.decode(encoding)
+
+
+def _leads_out(folder: pathlib.Path, name: str) -> bool:
+    """Whether a name is a path of another place: from a root or a drive, or back out of the folder."""
+    if re.match(r"[A-Za-z]:[\\/]", name):
+        return True
+    try:
+        inside(folder, name, "")
+    except ValueError:
+        return True
+    return False
+
+
+def _ends(name: str) -> Iterator[str]:
+    """The ends of a path, the longest first, down to the file's own name."""
+    parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".", "..")]
+    parts = parts[-MOST_FOLDERS:]
+    return ("/".join(parts[first:]) for first in range(len(parts)))
+
+
+#: Folders of a path of another machine that are looked for.
+MOST_FOLDERS = 8
+
+
 def find_picture(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:
     """The picture that `name` means in `folder`, with an ending where it has none; it may not be there."""
-    path = inside(folder, name, where)
-    if path.suffix.lower() in PICTURE_ENDINGS or is_file(path):
+    return PictureFinder(folder).find(name, where)
+
+
+def _with_ending(path: pathlib.Path) -> pathlib.Path:
+    """A path of a picture, with the first ending that is there where it has none."""
+    if path.suffix.lower() in (*PICTURE_ENDINGS, ".ply") or is_file(path):
         return path
     candidates = [path.with_name(path.name + ending) for ending in GUESSED_ENDINGS]
     return next((candidate for candidate in candidates if is_file(candidate)), candidates[0])

@@ -17,10 +17,10 @@ from ..pictures import COEFFICIENTS, View, make_scene, views_there
 from ..scene import Scene
 from .parsing import (
     TO_OPENCV,
+    PictureFinder,
     find_picture,
     frames_of,
     held_out,
-    inside,
     matrix,
     missing_split,
     number,
@@ -49,7 +49,9 @@ def read_transforms(folder: pathlib.Path, *, split: str, **options: Any) -> Scen
     path = single if single.is_file() else split_file(folder, split)
     transforms = read_json(path)
     # Frames without a picture are left out, as by nerfstudio and instant-ngp: captures often lack blurred ones.
-    views = views_there([_view(folder, transforms, where, frame) for where, frame in frames_of(transforms, path)], path)
+    finder = PictureFinder(folder)
+    views = views_there([_view(finder, transforms, where, frame) for where, frame in frames_of(transforms, path)], path)
+    finder.tell(path)
     if path == single:
         views.sort(key=lambda view: str(view.file))
         views = _of_split(views, transforms, split, folder, path)
@@ -59,7 +61,7 @@ def read_transforms(folder: pathlib.Path, *, split: str, **options: Any) -> Scen
     )
 
 
-def _view(folder: pathlib.Path, transforms: dict, where: str, frame: dict) -> View:
+def _view(finder: PictureFinder, transforms: dict, where: str, frame: dict) -> View:
     given = {**{name: transforms[name] for name in transforms if name != "frames"}, **frame}
     model = given.get("camera_model", "OPENCV")
     if model not in MODELS or given.get("is_fisheye"):
@@ -74,13 +76,13 @@ def _view(folder: pathlib.Path, transforms: dict, where: str, frame: dict) -> Vi
     pose = matrix(_with_last_row(frame.get("transform_matrix")), (4, 4), f"{where}: transform_matrix") @ TO_OPENCV
     mask = frame.get("mask_path")
     return View(
-        find_picture(folder, frame.get("file_path"), f"{where}: file_path"),
+        finder.find(frame.get("file_path"), f"{where}: file_path"),
         pose,
         where,
         lambda actual: frame_intrinsics(given, actual, where),
         size,
         tuple(distortion),
-        None if mask is None else inside(folder, mask, f"{where}: mask_path"),
+        None if mask is None else finder.find(mask, f"{where}: mask_path"),
     )
 
 
@@ -152,7 +154,7 @@ def _points(
     if transforms.get("ply_file_path") is None:
         return None, None
     where = f"{path}: ply_file_path"
-    file = Bounds(folder).require(inside(folder, transforms["ply_file_path"], where), where)
+    file = Bounds(folder).require(find_picture(folder, transforms["ply_file_path"], where), where)
     return read_ply_points(require_file(file, where))
 
 

@@ -1,0 +1,149 @@
+"""Names and numbers as other machines write them: encodings, byte order marks, decimal commas, paths of elsewhere."""
+
+import codecs
+import json
+import os
+import pathlib
+import unicodedata
+import warnings
+
+import numpy as np
+import pytest
+from messages import MESSAGES
+from scene_writers import brick_pictures, write_colmap, write_nsvf, write_transforms
+from test_scene_formats import load, require_equal
+
+from warpcage import load_scene
+
+
+@pytest.fixture(scope="module")
+def bricks():
+    return brick_pictures(3)
+
+
+WORDS = {"gbk": "\u6a21\u578b\u7167\u7247", "shift_jis": "\u5199\u771f\u8868\u30bd", "utf-8": "caf\u00e9"}
+
+
+def renamed_model(folder, pictures, encoding, *, binary, disk):
+    """A COLMAP model with names in an encoding; disk: how the files are called, by the name."""
+    write_colmap(folder, pictures, binary=binary)
+    listing = folder / "sparse" / "0" / f"images.{'bin' if binary else 'txt'}"
+    data = listing.read_bytes()
+    for name in pictures.names:
+        other = f"{WORDS[encoding]} {name}.png"
+        data = data.replace(f"{name}.png".encode(), other.encode(encoding))
+        (folder / "images" / f"{name}.png").rename(disk(folder / "images", other))
+    listing.write_bytes(data)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize("encoding", WORDS)
+def test_colmap_names_in_other_encodings(tmp_path, bricks, encoding, binary):
+    renamed_model(tmp_path, bricks, encoding, binary=binary, disk=lambda folder, name: folder / name)
+    scene = load(tmp_path, split="all")
+    require_equal(scene, bricks)
+    assert scene.names == [f"{WORDS[encoding]} {name}" for name in bricks.names]
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_colmap_names_whose_files_have_the_same_bytes(tmp_path, bricks, binary):
+    def on_disk(folder, name):
+        path = folder / os.fsdecode(name.encode("gbk"))
+        try:
+            path.touch()
+        except OSError as error:
+            pytest.skip(f"names must be UTF-8 here: {error}")
+        return path
+
+    renamed_model(tmp_path, bricks, "gbk", binary=binary, disk=on_disk)
+    scene = load(tmp_path, split="all")
+    require_equal(scene, bricks)
+    assert all(name.isprintable() and name.encode() for name in scene.names)
+
+
+@pytest.mark.parametrize("form", ["NFC", "NFD"])
+def test_accents_may_be_letters_of_their_own(tmp_path, bricks, form):
+    other = {"NFC": "NFD", "NFD": "NFC"}[form]
+    write_transforms(tmp_path, bricks)
+    text = (tmp_path / "transforms.json").read_text()
+    for name in bricks.names:
+        (tmp_path / "images" / f"{name}.png").rename(
+            tmp_path / "images" / unicodedata.normalize(form, f"\u00e9t\u00e9 {name}.png")
+        )
+        text = text.replace(f"images/{name}.png", unicodedata.normalize(other, f"images/\u00e9t\u00e9 {name}.png"))
+    (tmp_path / "transforms.json").write_text(text)
+    require_equal(load(tmp_path, split="all"), bricks)
+
+
+def text_files(folder):
+    return [path for path in folder.rglob("*") if path.suffix in (".txt", ".json")]
+
+
+def rewrite(folder, change):
+    for path in text_files(folder):
+        path.write_bytes(change(path.read_text()))
+
+
+FORMATS = {
+    "transforms": (lambda folder, pictures: write_transforms(folder, pictures), "all"),
+    "colmap": (lambda folder, pictures: write_colmap(folder, pictures, binary=False, points=np.eye(3)), "all"),
+    "nsvf": (lambda folder, pictures: write_nsvf(folder, pictures, "000"), "train"),
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("mark", ["utf-8-sig", "utf-16"])
+def test_marks_of_byte_order(tmp_path, bricks, name, mark):
+    write, split = FORMATS[name]
+    write(tmp_path, bricks)
+    rewrite(tmp_path, lambda text: text.encode(mark))
+    first = text_files(tmp_path)[0].read_bytes()
+    assert first.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    require_equal(load(tmp_path, split=split), bricks)
+
+
+@pytest.mark.parametrize("name", ["colmap", "nsvf"])
+def test_decimal_commas(tmp_path, bricks, name):
+    write, split = FORMATS[name]
+    write(tmp_path, bricks)
+    rewrite(tmp_path, lambda text: text.replace(".png", "_png").replace(".", ",").replace("_png", ".png").encode())
+    require_equal(load(tmp_path, split=split), bricks)
+    mixed = next(path for path in text_files(tmp_path) if path.name in ("images.txt", "intrinsics.txt"))
+    mixed.write_text(mixed.read_text().replace(",", ".", 1))
+    with pytest.raises(ValueError, match=f"{mixed.name}.*decimal commas beside points"):
+        load(tmp_path, split=split)
+
+
+ELSEWHERE = ["/home/somebody/capture/images/", "C:\\Users\\somebody\\capture\\images\\", "../capture/images/", "D:/x/"]
+
+
+@pytest.mark.parametrize("start", ELSEWHERE)
+@pytest.mark.parametrize("name", ["transforms", "colmap"])
+def test_paths_of_another_machine(tmp_path, bricks, name, start):
+    """Files of such names in the folder are taken, and it is said once."""
+    FORMATS[name][0](tmp_path, bricks)
+    listing = tmp_path / {"transforms": "transforms.json", "colmap": "sparse/0/images.txt"}[name]
+    text, plain = listing.read_text(), {"transforms": "images/view_", "colmap": "view_"}[name]
+    written = json.dumps(start)[1:-1] if name == "transforms" else start
+    listing.write_text(text.replace(plain, f"{written}view_"))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        require_equal(load(tmp_path, split="all"), bricks)
+    assert [MESSAGES["scene.moved"] in str(warning.message) for warning in caught] == [True]
+    assert pathlib.Path(caught[0].filename).name == "test_scene_formats.py"  # where it was called
+    listing.write_text(text.replace(plain, f"{written}other/sub/view_"))
+    with pytest.warns(UserWarning, match=MESSAGES["scene.moved"]):
+        require_equal(load(tmp_path, split="all"), bricks)
+
+
+def test_no_file_outside_of_the_folder_is_taken(tmp_path, bricks):
+    write_transforms(tmp_path / "scene", bricks)
+    path = tmp_path / "scene" / "transforms.json"
+    outside = tmp_path / "images" / "outside.png"
+    outside.parent.mkdir()
+    outside.write_bytes((tmp_path / "scene" / "images" / "view_00.png").read_bytes())
+    original = path.read_text()
+    for name in (str(outside), "../images/outside.png", "images/../../images/outside.png"):
+        path.write_text(original.replace("images/view_00.png", name))
+        with pytest.raises(ValueError, match="leads out of the data folder"):
+            load_scene(tmp_path / "scene")
