@@ -4,6 +4,7 @@ stays bounded. WARPCAGE_FUZZ_EXAMPLES=2000 tries more files of each kind, other 
 import json
 import os
 import resource
+import shutil
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ pytest.importorskip("hypothesis")
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from program_writers import write_bundler, write_llff, write_metashape, write_opensfm
 from scene_writers import brick_pictures, write_blender, write_colmap, write_dtu, write_nsvf, write_transforms
 
 from warpcage import Cage, FieldOptimizer, PoseFile, VoxelField, load_scene
@@ -109,6 +111,10 @@ FORMATS = {
                                                        points=np.eye(3)[[0, 1, 2] * 4]),
     "colmap binary": lambda folder, pictures: write_colmap(folder, pictures, binary=True, model="OPENCV",
                                                            distortion=(-0.02, 0, 0, 0)),
+    "llff": write_llff,
+    "bundler": lambda folder, pictures: write_bundler(folder, pictures, distortion=(-0.02, 0.001)),
+    "opensfm": lambda folder, pictures: write_opensfm(folder, pictures, k1=-0.02, p1=0.001),
+    "metashape": lambda folder, pictures: write_metashape(folder, pictures, lens={"k1": -0.02, "p1": 0.001}),
 }  # fmt: skip
 
 
@@ -205,11 +211,15 @@ def test_json_with_wrong_values(folders, name):
     try_damaged()
 
 
-@pytest.mark.parametrize("name", ["cage.gltf", "poses.json"])
-def test_json_of_cages_with_wrong_values(tmp_path, name):
+@pytest.mark.parametrize("name", ["cage.gltf", "poses.json", "reconstruction.json"])
+def test_json_of_others_with_wrong_values(tmp_path, folders, name):
     path, cage = tmp_path / name, Cage.box((0, 0, 0), (1, 2, 3))
-    PoseFile(cage, {"bent": cage.bend(20)}).save(path) if name == "poses.json" else cage.save(path)
-    read = PoseFile.load if name == "poses.json" else Cage.load
+    if name == "reconstruction.json":
+        shutil.copytree(folders / "opensfm", tmp_path, dirs_exist_ok=True)
+        read = lambda path: load_scene(path.parent)  # noqa: E731
+    else:
+        PoseFile(cage, {"bent": cage.bend(20)}).save(path) if name == "poses.json" else cage.save(path)
+        read = PoseFile.load if name == "poses.json" else Cage.load
     original = json.loads(path.read_text())
 
     @fuzz

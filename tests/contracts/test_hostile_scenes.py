@@ -9,6 +9,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from messages import MESSAGES
+from program_writers import write_bundler, write_llff, write_metashape, write_opensfm
 from scene_writers import (
     brick_pictures,
     write_blender,
@@ -165,6 +166,10 @@ FOLDERS = {
     "dtu": (write_dtu, "image"),
     "transforms": (lambda folder, pictures: write_transforms(folder, pictures, masks=True), "images"),
     "colmap": (lambda folder, pictures: write_colmap(folder, pictures, binary=False), "images"),
+    "llff": (write_llff, "images"),
+    "bundler": (write_bundler, "images"),
+    "opensfm": (write_opensfm, "images"),
+    "metashape": (write_metashape, "images"),
 }
 
 
@@ -254,3 +259,80 @@ def test_names_with_steps_back_and_whole_paths_inside_the_folder_are_read(tmp_pa
     content["frames"][1]["file_path"] = str(tmp_path / "scene" / second)
     path.write_text(json.dumps(content))
     np.testing.assert_array_equal(load_scene(tmp_path / "scene", split="all").images, whole.images)
+
+
+# Values of other programs' files
+
+
+#: A writer, its file, what is put in place of what, and what is said: counts, types and numbers that cannot be.
+DAMAGED = {
+    "bundler counts": (
+        write_bundler,
+        "bundle/bundle.out",
+        "3 30\n",
+        "99999999999 30\n",
+        "announces 99999999999 cameras",
+    ),
+    "bundler negative": (write_bundler, "bundle/bundle.out", "3 30\n", "-1 30\n", "announces -1 cameras"),
+    "bundler list": (write_bundler, "bundle/bundle.out", "\n2 0 7", "\n9999999999 0 7", "a list of pictures expected"),
+    "bundler NaN": (write_bundler, "bundle/bundle.out", "3 30\n31.0", "3 30\nnan", "not finite"),
+    "bundler version": (write_bundler, "bundle/bundle.out", "v0.3", "v0.1", "must begin with '# Bundle file v0.3'"),
+    "opensfm size": (write_opensfm, "reconstruction.json", '"width": 24', '"width": 1e300', "1e+300x20 pixels"),
+    "opensfm no size": (write_opensfm, "reconstruction.json", '"width": 24', '"width": null', "width of its camera"),
+    "opensfm NaN": (write_opensfm, "reconstruction.json", '"rotation": [', '"rotation": [NaN, ', "must hold 3 numbers"),
+    "opensfm infinite": (write_opensfm, "reconstruction.json", '"focal_x": 1', '"focal_x": 1e999, "x": 1', "focal_x"),
+    "opensfm kind": (write_opensfm, "reconstruction.json", '"brown"', '["brown"]', "projection_type"),
+    "opensfm object": (write_opensfm, "reconstruction.json", '[{"cameras"', '{"cameras": [], "x": [{"cameras"', "JSON"),
+    "metashape cut": (write_metashape, "cameras.xml", "</chunk>", "", "is no XML file"),
+    "metashape scale": (write_metashape, "cameras.xml", '<scale locked="true">1.0', "<scale>-1.0", "above zero"),
+    "metashape NaN": (write_metashape, "cameras.xml", "<transform>", "<transform>nan ", "not finite"),
+    "metashape matrix": (
+        write_metashape,
+        "cameras.xml",
+        "<transform>",
+        "<transform>1 ",
+        "must hold 16 numbers, got 17",
+    ),
+    "metashape size": (write_metashape, "cameras.xml", '<resolution width="24"', '<resolution width="1e9"', "pixels"),
+    "metashape sensor": (write_metashape, "cameras.xml", 'sensor_id="1"', 'sensor_id="77"', "sensor '77'"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_values_that_cannot_be_are_refused(tmp_path, pictures, name):
+    write, file, old, new, said = DAMAGED[name]
+    write(tmp_path, pictures)
+    text = (tmp_path / file).read_text()
+    assert old in text
+    (tmp_path / file).write_text(text.replace(old, new))
+    with pytest.raises(ValueError) as error:
+        load_scene(tmp_path)
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "values, said",
+    [
+        (np.full((3, 17), np.nan), "not finite"),
+        (np.zeros((3, 17)), "must be positive"),
+        (np.zeros((3, 17), "M8[s]"), "neither numbers nor text"),
+        (np.zeros((3, 17), complex), "must hold numbers"),
+        (np.array([None] * 51).reshape(3, 17), "pickled"),
+        (np.zeros(51), r"must be (n, 17)"),
+        (np.zeros((0, 17)), r"must be (n, 17)"),
+    ],
+)
+def test_poses_that_cannot_be_are_refused(tmp_path, pictures, values, said):
+    write_llff(tmp_path, pictures)
+    np.save(tmp_path / "poses_bounds.npy", values)
+    with pytest.raises(ValueError) as error:
+        load_scene(tmp_path)
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+def test_poses_that_claim_more_than_the_file_has(tmp_path, pictures):
+    write_llff(tmp_path, pictures)
+    path = tmp_path / "poses_bounds.npy"
+    path.write_bytes(path.read_bytes().replace(b"(3, 17), }", b"(3999999999999, 17), }", 1))
+    with pytest.raises(ValueError, match="poses_bounds.npy"):
+        load_scene(tmp_path)

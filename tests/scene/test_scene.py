@@ -128,7 +128,7 @@ def test_bad_arguments(tmp_path):
     with pytest.raises(ValueError, match="background"):
         load_scene(tmp_path, background="transparent")
     with pytest.raises(ValueError, match="not known"):
-        load_scene(tmp_path, format="llff")
+        load_scene(tmp_path, format="other")
 
 
 def test_a_scene_is_told_in_one_short_line():

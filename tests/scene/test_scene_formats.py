@@ -322,9 +322,10 @@ def seen_through(camera, coefficients):
     return picture_of(camera, pinhole * [camera.fx, camera.fy] + [camera.cx, camera.cy])
 
 
-def lens_pictures(coefficients, single_focal=False):
-    cameras = spiral_cameras(9, width=64, height=48)
-    cameras = [Camera(50.0, 50.0 if single_focal else 52.0, 33.0, 23.0, 64, 48, c.camera_to_world) for c in cameras]
+def lens_pictures(coefficients, single_focal=False, middle=False):
+    """Pictures of the sky through a lens; middle: whether its axis meets the middle of the picture."""
+    cameras, place = spiral_cameras(9, width=64, height=48), (32.0, 24.0) if middle else (33.0, 23.0)
+    cameras = [Camera(50.0, 50.0 if single_focal else 52.0, *place, 64, 48, c.camera_to_world) for c in cameras]
     images = np.stack([seen_through(camera, coefficients) for camera in cameras])
     rgba = np.concatenate([np.round(images * 255), np.full((9, 48, 64, 1), 255)], axis=-1).astype(np.uint8)
     return Pictures(rgba, cameras)

@@ -21,7 +21,7 @@ def bricks():
     return brick_pictures(3)
 
 
-WORDS = {"gbk": "\u6a21\u578b\u7167\u7247", "shift_jis": "\u5199\u771f\u8868\u30bd", "utf-8": "caf\u00e9"}
+WORDS = {"gbk": "\u6a21\u578b\u7167\u7247", "shift_jis": "\u5199\u771f\u8868\u30bd", "utf-8": "\u00e9t\u00e9"}
 
 
 def renamed_model(folder, pictures, encoding, *, binary, disk):

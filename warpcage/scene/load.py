@@ -40,7 +40,8 @@ def load_scene(
             others are "train", and "all" is both.
         downscale: Whole factor by which width and height shrink, by area averages of premultiplied colour.
         format: "blender" (NeRF-synthetic), "nsvf", "dtu" (IDR layout), "transforms" (nerfstudio, instant-ngp),
-            "colmap", "polycam" (its raw data) or "record3d". None takes the first of these that fits.
+            "colmap", "polycam" (its raw data), "record3d", "opensfm", "metashape", "bundler", "llff", or one that
+            another package adds. None takes the first of these that fits.
         background: Colour put behind transparent pixels, a name or (3,) in [0, 1].
         masks: True makes mask files alphas, and what they hide the background. "split" keeps what they hide as the
             scene's surroundings, which `fit` puts into layers behind the object. False leaves the pictures whole.
@@ -50,7 +51,8 @@ def load_scene(
             as the files have them.
         cameras: Camera file (.json) whose cameras the pictures get, by their names, as `RefinedCameras.save` writes
             them after a fit. They are in the world that `orient` leads to. None takes those of the scene's files.
-        model: Which of several COLMAP models, by its folder such as "1" or "sparse/1". None takes the one with most
+        model: Which of several COLMAP models, by its folder such as "1" or "sparse/1", of several reconstructions of
+            OpenSfM, by its number, or of several chunks of Metashape, by its label. None takes the one with most
             pictures.
 
     Returns:

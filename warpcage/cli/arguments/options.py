@@ -101,7 +101,7 @@ def add_scene(parser: Arguments, split: str) -> None:
     parser.add_argument(
         "--model",
         metavar="NAME",
-        help='which of several COLMAP models, such as "1" (default: the one with most pictures)',
+        help='which of several models in a scene, such as "1" (default: the one with most pictures)',
     )
 
 

@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import warn_caller
 from ...core.files import read_limited
 from ...core.names import error_line
 from ..pictures import COEFFICIENTS, View, make_scene, views_there
 from ..scene import Scene
-from .parsing import PICTURE_ENDINGS, PictureFinder, floats, held_out, inside, is_file, read_text
+from .parsing import PICTURE_ENDINGS, PictureFinder, chosen_part, floats, held_out, inside, is_file, read_text
 
 #: Bytes of memory that a byte of a binary file takes at most: a picture of 73 bytes becomes a record of some 700.
 BINARY_ROOM = 12
@@ -301,22 +300,8 @@ def _chosen_model(folder: pathlib.Path, wanted: str | None) -> pathlib.Path:
     models = _models(folder)
     if not models:
         raise FileNotFoundError(f"{str(folder)!r} holds no COLMAP model ({MARK})")
-    counts = {name: len(read_images(folder / name)) for name in models} if len(models) > 1 else {}
-    if wanted is not None:
-        fitting = [name for name in models if wanted in (name, name.rpartition("/")[2])]
-        if not fitting:
-            raise ValueError(f"{str(folder)!r} holds no COLMAP model {wanted!r}, only {', '.join(models)}")
-        return folder / fitting[0]
-    if not counts:
-        return folder / models[0]
-    most = max(models, key=counts.__getitem__)
-    others = [f"{name} ({counts[name]})" for name in models if name != most]
-    if counts[most] and any(counts[name] for name in models if name != most):
-        warn_caller(
-            f"{folder}: of {len(models)} COLMAP models {most} is taken, which has most pictures ({counts[most]}); "
-            f"others: {', '.join(others)}; model= chooses (--model)"
-        )
-    return folder / most
+    counts = {name: len(read_images(folder / name)) if len(models) > 1 else 0 for name in models}
+    return folder / chosen_part(counts, wanted, folder, "COLMAP model")
 
 
 def read(folder: pathlib.Path, *, split: str, masks: bool | str, model: str | None = None, **options: Any) -> Scene:

@@ -254,6 +254,24 @@ def held_out(count: int, split: str, folder: pathlib.Path) -> list[int]:
     return splits[split]
 
 
+def chosen_part(counts: dict[str, int], wanted: str | None, where: pathlib.Path, kind: str) -> str:
+    """The name of one of several models in a scene: the one that was asked for, or the one with most pictures; others
+    are told of. counts: pictures by name; kind: what messages call a model."""
+    if wanted is not None:
+        fitting = [name for name in counts if wanted in (name, name.rpartition("/")[2])]
+        if not fitting:
+            raise ValueError(f"{str(where)!r} holds no {kind} {wanted!r}, only {listed(counts)}")
+        return fitting[0]
+    most = max(counts, key=counts.__getitem__)
+    others = [f"{name} ({count})" for name, count in counts.items() if count and name != most]
+    if others:
+        warn_caller(
+            f"{where}: of {len(counts)} {kind}s {most} is taken, which has most pictures ({counts[most]}); others: "
+            f"{listed(others)}; model= chooses (--model)"
+        )
+    return most
+
+
 def missing_split(split: str, folder: pathlib.Path, splits: Iterable[str]) -> FileNotFoundError:
     """An error that names the splits there are."""
     return FileNotFoundError(f"split {split!r} of {str(folder)!r} is not there; splits: {listed(splits)}")

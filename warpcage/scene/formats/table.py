@@ -10,7 +10,7 @@ from typing import cast
 
 from ...core.checks import registered_formats, require_type, shown
 from ..scene import Scene
-from . import colmap, dtu, nsvf, phone, transforms
+from . import bundler, colmap, dtu, llff, metashape, nsvf, opensfm, phone, transforms
 
 #: Where other packages register a SceneFormat, in the entry points of their setup.
 ENTRY_POINTS = "warpcage.scene_formats"
@@ -38,6 +38,10 @@ BUILT_IN = (
     SceneFormat("colmap", colmap.MARK, colmap.is_scene, colmap.read, ("model",)),
     SceneFormat("polycam", phone.POLYCAM_MARK, phone.is_polycam, phone.read_polycam),
     SceneFormat("record3d", phone.RECORD3D_MARK, phone.is_record3d, phone.read_record3d),
+    SceneFormat("opensfm", opensfm.MARK, opensfm.is_scene, opensfm.read, ("model",)),
+    SceneFormat("metashape", metashape.MARK, metashape.is_scene, metashape.read, ("model",)),
+    SceneFormat("bundler", bundler.MARK, bundler.is_scene, bundler.read),
+    SceneFormat("llff", llff.MARK, llff.is_scene, llff.read),
 )
 
 

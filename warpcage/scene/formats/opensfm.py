@@ -1,0 +1,126 @@
+"""OpenSfM's reconstruction.json, also of OpenDroneMap."""
+# Shots turn and move the world into cameras with OpenCV's axes. Focal lengths and principal points are in shares of the
+# longer side of the picture, from its middle.
+
+from __future__ import annotations
+
+import pathlib
+from typing import Any
+
+import numpy as np
+
+from ...core.checks import shown
+from ..box import Bounds
+from ..pictures import View, make_scene, views_there
+from ..scene import Scene
+from .parsing import PictureFinder, chosen_part, held_out, number, read_json
+
+MARK = "reconstruction.json, in it or in opensfm/, beside images/"
+FILES = ("reconstruction.json", "opensfm/reconstruction.json")
+
+
+def is_scene(folder: pathlib.Path) -> bool:
+    """Whether a folder holds a reconstruction of OpenSfM."""
+    return any((folder / name).is_file() for name in FILES)
+
+
+def read(folder: pathlib.Path, *, split: str, model: str | None = None, **options: Any) -> Scene:
+    """Read a split: every eighth picture, by name, is `test`, the others are `train`. Options as for `load_scene`;
+    of several reconstructions the one with most pictures is read, or the one of a number."""
+    path = folder / next((name for name in FILES if (folder / name).is_file()), FILES[0])
+    Bounds(folder).require(path, str(folder))
+    found = _chosen(read_json(path, list), path, model)
+    cameras, shots = found.get("cameras"), found.get("shots")
+    if not isinstance(cameras, dict) or not isinstance(shots, dict) or not shots:
+        raise ValueError(f"{path}: a reconstruction needs cameras and shots")
+    finder = PictureFinder(folder, ("images", ""))
+    views = [_view(finder, cameras, name, shots[name], f"{path}: shot {shown(name)}") for name in sorted(shots)]
+    views = sorted(views_there(views, path), key=lambda view: str(view.file))
+    finder.tell(path)
+    views = [views[index] for index in held_out(len(views), split, folder)]
+    places, colors = _points(found.get("points"), path)
+    return make_scene(folder, views, **options, points=places, point_colors=colors)
+
+
+def _chosen(content: list, path: pathlib.Path, model: str | None) -> dict:
+    """The reconstruction of a number, or the one with most shots; others are told of."""
+    if not content or not all(isinstance(each, dict) for each in content):
+        raise ValueError(f"{path} must hold a list of reconstructions")
+    counts = {
+        str(index): len(each["shots"]) if isinstance(each.get("shots"), dict) else 0
+        for index, each in enumerate(content)
+    }
+    return content[int(chosen_part(counts, model, path, "reconstruction"))]
+
+
+def _view(finder: PictureFinder, cameras: dict, name: str, shot: object, where: str) -> View:
+    """One picture with its camera."""
+    from scipy.spatial.transform import Rotation
+
+    if not isinstance(shot, dict):
+        raise ValueError(f"{where} must be a JSON object, got {shown(shot)}")
+    given = cameras.get(shot.get("camera")) if isinstance(shot.get("camera"), str) else None
+    if not isinstance(given, dict):
+        raise ValueError(f"{where} has camera {shown(shot.get('camera'))}, which the file lacks")
+    to_camera = np.eye(4)
+    to_camera[:3, :3] = Rotation.from_rotvec(_vector(shot, "rotation", where)).as_matrix()
+    to_camera[:3, 3] = _vector(shot, "translation", where)
+    width, height = (number(given.get(side), f"{where}: {side} of its camera") for side in ("width", "height"))
+    if not 1 <= min(width, height) <= max(width, height) < 1e6:
+        raise ValueError(f"{where}: its camera is for {width:g}x{height:g} pixels")
+    longer = max(width, height)
+
+    def value(*names: str, default: float | None = None) -> float:
+        there = next((each for each in names if given.get(each) is not None), None)
+        if there is None and default is not None:
+            return default
+        return number(given.get(there or names[0]), f"{where}: {there or names[0]} of its camera")
+
+    kind = given.get("projection_type", "perspective")
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise ValueError(f"{where}: projection_type {shown(kind)} is not read, only {', '.join(KINDS)}")
+    fx = value("focal_x", "focal")
+    fy = value("focal_y", default=fx * value("aspect_ratio", default=1.0))
+    intrinsics = (
+        fx * longer,
+        fy * longer,
+        value("c_x", default=0.0) * longer + width / 2,
+        value("c_y", default=0.0) * longer + height / 2,
+    )
+    distortion = tuple(value(each, default=0.0) for each in KINDS[kind])
+    size = (int(width), int(height))
+    return View(finder.find(name, where), np.linalg.inv(to_camera), where, intrinsics, size, distortion)
+
+
+#: Kinds of cameras, and the names of their coefficients in the order of COEFFICIENTS.
+KINDS = {
+    "perspective": ("k1", "k2"),
+    "simple_radial": ("k1",),
+    "radial": ("k1", "k2"),
+    "brown": ("k1", "k2", "p1", "p2", "k3"),
+}
+
+
+def _vector(values: dict, name: str, where: str) -> list[float]:
+    found = values.get(name)
+    if not isinstance(found, list) or len(found) != 3:
+        raise ValueError(f"{where}: {name} must hold 3 numbers, got {shown(found)}")
+    return [number(each, f"{where}: {name}") for each in found]
+
+
+def _points(points: object, path: pathlib.Path) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Points (n, 3) and their colours (n, 3) in [0, 1]; None where there are none."""
+    if not isinstance(points, dict) or not points:
+        return None, None
+    places, colors = [], []
+    for name, point in points.items():
+        where = f"{path}: point {shown(name)}"
+        if not isinstance(point, dict):
+            raise ValueError(f"{where} must be a JSON object, got {shown(point)}")
+        places.append(_vector(point, "coordinates", where))
+        if point.get("color") is not None:
+            colors.append(_vector(point, "color", where))
+            if min(colors[-1]) < 0 or max(colors[-1]) > 255:
+                raise ValueError(f"{where}: color must lie in 0 to 255, got {shown(point['color'])}")
+    shades = (np.array(colors) / 255).astype(np.float32) if len(colors) == len(places) else None
+    return np.array(places), shades
