@@ -3,5 +3,10 @@
 from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
-    __name__, {"colmap": "Solver", "video": "FrameScores motion pick_frames scan_video sharpness write_frames"}
+    __name__,
+    {
+        "agreement": "agreement_of ahead_share held_groups rays_meet",
+        "colmap": "Solver",
+        "video": "FrameScores motion pick_frames scan_video sharpness write_frames",
+    },
 )
