@@ -65,11 +65,9 @@ def fit_options(pairs: list[str]) -> dict:
 
 def quiet_device(name: str | None):
     """The Warp device of a name, without Warp's reports."""
-    import warp as wp
 
     from warpcage.core import resolve_device
 
-    wp.config.quiet = True
     return resolve_device(name)
 
 

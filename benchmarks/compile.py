@@ -88,7 +88,7 @@ def main() -> int:
 
 def run(device: str, cache: str) -> tuple[dict, list[dict]]:
     """Seconds of the stages in a new process, and the modules that it loaded, in order."""
-    environment = os.environ | {"WARP_CACHE_PATH": cache, "PYTHONUNBUFFERED": "1"}
+    environment = os.environ | {"WARP_CACHE_PATH": cache, "PYTHONUNBUFFERED": "1", "WARPCAGE_LOG": "debug"}
     command = [sys.executable, os.path.abspath(__file__), "--child", "--device", device]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     if done.returncode:

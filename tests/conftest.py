@@ -23,7 +23,6 @@ if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
 import pytest
 import warp as wp
 
-wp.config.quiet = True
 wp.init()
 
 #: Most workers of a run on a CPU, and beside a GPU, where each of them has a context of its own; and how many there are

@@ -29,6 +29,7 @@ _HOMES = {
     "deform.fill": ["fill_unseen"],
     "editor.edit": ["edit"],
     "edits.edits": ["CageEdit"],
+    "errors": ["Cancelled", "Error"],
     "field.objects": ["select_object"],
     "field.selection": ["NodeSelection", "select_nodes"],
     "field.voxel_field": ["VoxelField"],

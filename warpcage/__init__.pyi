@@ -18,6 +18,8 @@ from .deform.deformer import SplatDeformer as SplatDeformer
 from .deform.fill import fill_unseen as fill_unseen
 from .editor.edit import edit as edit
 from .edits.edits import CageEdit as CageEdit
+from .errors import Cancelled as Cancelled
+from .errors import Error as Error
 from .field.objects import select_object as select_object
 from .field.selection import NodeSelection as NodeSelection
 from .field.selection import select_nodes as select_nodes
@@ -52,8 +54,10 @@ __all__ = [
     "Camera",
     "CameraFile",
     "CameraKey",
+    "Cancelled",
     "CaptureReport",
     "Deformer",
+    "Error",
     "FieldOptimizer",
     "FitOptions",
     "Frame",

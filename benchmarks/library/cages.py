@@ -6,7 +6,6 @@ import pathlib
 import time
 
 import numpy as np
-import warp as wp
 from common import JSON, KINDS, command, option, write_results
 
 import warpcage
@@ -165,7 +164,6 @@ def random_poses(args) -> None:
     by `Cage.check` (posed -> rest). --field draws the poses: rest first, then one picture a pose, from one camera that
     sees all of them whole.
     """
-    wp.config.quiet = True
     rows = []
     cages = {args.cage: warpcage.Cage.load(args.cage)} if args.cage else usual_cages()
     for name, rest in cages.items():

@@ -237,7 +237,6 @@ def convergence(args) -> None:
     add_tests_to_path()
     import oracles
 
-    wp.config.quiet = True
     rows = []
     for name, wanted in CASES.items():
         vertices, faces = oracles.cage(name)

@@ -451,7 +451,6 @@ def profile(args) -> None:
 
     python benchmarks fits profile --data ../shared/data/lego_800 --device cuda:0
     """
-    wp.config.quiet = True
     scene = warpcage.load_scene(args.data, downscale=args.downscale)
     optimizer = FieldOptimizer(scene, device=args.device, **fit_options(args.option))
     level = -1
@@ -496,7 +495,6 @@ def split(args) -> None:
     bit, as a + b is b + a. Beside seconds and PSNR stand the milliseconds that an exchange takes, alone and with
     nothing to wait for, at the last level: what a step would have to save before two GPUs pay.
     """
-    wp.config.quiet = True
     options = fit_options(args.option)
     scene = warpcage.load_scene(args.data, downscale=args.downscale)
     views = warpcage.load_scene(args.data, split="test", downscale=args.downscale)

@@ -290,7 +290,6 @@ def ask(worker, question: str):
 
 def work(args) -> None:
     """Answer questions until there are no more."""
-    wp.config.quiet = True
     field = warpcage.VoxelField.load(args.field, device="cpu")
     rest = warpcage.Cage.load(args.cage)
     camera = turntable_view(field, args.size, args.size)

@@ -62,7 +62,6 @@ def soak(args) -> int:
     first sample to the last, where more descriptors, threads or temporary files are open than at the first, or where a
     damaged file is met by anything but one line.
     """
-    wp.config.quiet = True
     parts = {}
     with tempfile.TemporaryDirectory() as folder:
         tempfile.tempdir = folder  # whatever is left there shows

@@ -274,7 +274,6 @@ INTERRUPTED = """\
 import sys, threading
 import numpy as np
 import warp as wp
-wp.config.quiet = True
 from fields import BOX, shiny_field, view
 from warpcage import Deformer
 field = shiny_field("cpu")
@@ -366,7 +365,6 @@ def test_what_an_interrupt_leaves_half_prepared_is_prepared_again(what, march, d
 
 CACHED = """\
 import warp as wp
-wp.config.quiet = True
 wp.config.use_precompiled_headers = False  # which take longer to make than one small module needs
 wp.init()
 from warpcage.core import modules

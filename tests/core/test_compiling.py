@@ -9,19 +9,19 @@ import textwrap
 import pytest
 
 from warpcage.cli import main
-from warpcage.core import stderr
+from warpcage.core import reports
 
 PROGRAM = """
     import warp as wp
-    from warpcage.core import stderr
+    from warpcage.core import reports
     from warpcage.core.devices import launch
     from warpcage.core.modules import load_modules
     from warpcage.kernels.field import refine
 
-    stderr.say = lambda: print("told")
+    reports.say = lambda: print("told")
     load_modules([refine], "cpu")
-    assert (stderr.say is None) == {said}
-    stderr.say = lambda: print("told again")
+    assert (reports.say is None) == {said}
+    reports.say = lambda: print("told again")
     ones, singles = (wp.full((4, 3), value, dtype=kind, device="cpu") for value, kind in ((1, wp.float16), (0, float)))
     launch(refine.widen_rows, 4, [ones], [singles], device="cpu")
     assert (singles.numpy() == 1).all()
@@ -49,9 +49,9 @@ class Terminal(io.StringIO):
     (Terminal, (), True), (Terminal, ("--quiet",), False), (io.StringIO, (), False),
 ])  # fmt: skip
 def test_a_command_says_it_before_a_terminal(monkeypatch, stream, words, watched):
-    monkeypatch.setattr(stderr, "say", None)
+    monkeypatch.setattr(reports, "say", None)
     monkeypatch.setattr(sys, "stderr", stream())
     assert main(["render", "nothing.npz", "-o", "a.png", *words]) == 2  # there is no such file
-    assert (stderr.say is not None) == watched
-    stderr.told()
-    assert ("compiling kernels" in sys.stderr.getvalue()) == watched and stderr.say is None
+    assert (reports.say is not None) == watched
+    reports.told()
+    assert ("compiling kernels" in sys.stderr.getvalue()) == watched and reports.say is None

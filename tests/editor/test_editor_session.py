@@ -400,7 +400,6 @@ PROGRAM = """
 import sys
 sys.path.insert(0, sys.argv[1])
 import warp
-warp.config.quiet = True
 import warpcage
 import editor_pages
 import warpcage.editor.server

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ..core.arrays import PointsLike
 from ..core.checks import device_by_name, renamed, warn_caller
 from ..core.files import PathLike
+from ..core.reports import Progress, hears
 from ..field.selection import NodeSelection
 from ..field.voxel_field import VoxelField
 from ..mesh.io import write_mesh
@@ -262,6 +263,7 @@ class Cage(PosableMesh):
     # -- Generation
 
     @classmethod
+    @hears
     def from_mesh(
         cls,
         mesh: TriangleMesh,
@@ -270,7 +272,7 @@ class Cage(PosableMesh):
         margin: float | None = None,
         method: str = "auto",
         symmetry: str | None = None,
-        progress: bool = False,
+        progress: bool | Progress = False,
     ) -> Cage:
         """A cage around a mesh: closed, manifold, outward, without intersecting faces; the same for the same mesh.
 
@@ -286,7 +288,7 @@ class Cage(PosableMesh):
                 the smaller volume.
             symmetry: "x", "y" or "z", the normal of a plane through the middle of the mesh about which the cage is its
                 own mirror image ("voxel" only). None asks for no symmetry.
-            progress: Whether to print lines about each method on stderr.
+            progress: True shows bars on stderr. A function is told (done, total, words) and ends the work by False.
 
         Returns:
             The cage.
@@ -294,12 +296,12 @@ class Cage(PosableMesh):
         Raises:
             ValueError: For a mesh that is empty, not finite or has bad indices, for a bad option, or where no cage
                 could be made.
+            Cancelled: Where `progress` returned False.
         """
-        return cls(
-            *cage_around_mesh(mesh, vertex_count, margin=margin, method=method, symmetry=symmetry, progress=progress)
-        )
+        return cls(*cage_around_mesh(mesh, vertex_count, margin=margin, method=method, symmetry=symmetry))
 
     @classmethod
+    @hears
     def from_field(
         cls,
         field: VoxelField | NodeSelection | SplatField,
@@ -309,7 +311,7 @@ class Cage(PosableMesh):
         threshold: float | None = None,
         method: str = "auto",
         symmetry: str | None = None,
-        progress: bool = False,
+        progress: bool | Progress = False,
     ) -> Cage:
         """A cage around what a field shows; otherwise as `from_mesh`.
 
@@ -323,7 +325,7 @@ class Cage(PosableMesh):
                 recorded when the field was fitted, or the opacity across a voxel where there are none.
             method: "shell", "voxel" or "auto", as in `from_mesh`.
             symmetry: "x", "y", "z" or None, as in `from_mesh`.
-            progress: Whether to print lines about each method on stderr.
+            progress: True shows bars on stderr. A function is told (done, total, words) and ends the work by False.
 
         Returns:
             The cage.
@@ -331,16 +333,11 @@ class Cage(PosableMesh):
         Raises:
             ValueError: For a field that shows nothing or is not finite, for a bad option, or where no cage could be
                 made.
+            Cancelled: Where `progress` returned False.
         """
         return cls(
             *cage_around_field(
-                field,
-                vertex_count,
-                margin=margin,
-                threshold=threshold,
-                method=method,
-                symmetry=symmetry,
-                progress=progress,
+                field, vertex_count, margin=margin, threshold=threshold, method=method, symmetry=symmetry
             )
         )
 

@@ -36,7 +36,6 @@ def run_cage(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, tuple(mesh_endings("write")), "cage file")
     _check_combination(args)
     shared.require_field_scale(args)
-    shared.quiet_warp()
     is_field = shared.is_field(args.field)
     if is_field and args.object is not None:
         raise ValueError(f"--object names an object of a mesh file, {args.field!r} is a field")
@@ -59,7 +58,6 @@ def run_cage(args: argparse.Namespace) -> None:
             margin=args.margin,
             method=args.method or "auto",
             symmetry=args.symmetry,
-            progress=args.verbose and not args.quiet,
         )
     cage.require_usable("the cage")
     cage.save(output, up=args.cage_up)
@@ -192,7 +190,6 @@ def run_check(args: argparse.Namespace) -> int:
     output = (
         None if args.repair is None else options.check_output(args.repair, tuple(mesh_endings("write")), "cage file")
     )
-    shared.quiet_warp()
 
     thing = _enclosed(args)
     reference = next(iter(thing.values()), None)

@@ -68,7 +68,6 @@ def run_info(args: argparse.Namespace) -> None:
 
 
 def _machine() -> Rows:
-    shared.quiet_warp()
     start_warp()
     rows: Rows = [
         ("warpcage", options.package_version()),
@@ -110,7 +109,6 @@ def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
 
 
 def _splats(path: pathlib.Path) -> Rows:
-    shared.quiet_warp()
     field = SplatField.load(path)
     layout = field.contents.layout
     return [
@@ -149,7 +147,6 @@ def _around(background: LayeredBackground | OuterField | None) -> str:
 
 
 def _cage(path: pathlib.Path) -> Rows:
-    shared.quiet_warp()
     names = object_names(path)
     if len(names) > 1:
         return _objects(path, names)
@@ -211,7 +208,6 @@ def _moment(time: float | None) -> str:
 
 
 def _poses(path: pathlib.Path) -> Rows:
-    shared.quiet_warp()
     poses = PoseFile.load(path)
     rest = poses.rest
     rows = [

@@ -69,7 +69,6 @@ OPTIONS = ("key", "at", "easing", "posed", "camera", "remove", "fps", "loop")
 
 def run_pose_keys(args: argparse.Namespace, output: pathlib.Path) -> None:
     """Add a key to a pose file, or all keys of a file that moves, and say what the film is then."""
-    shared.quiet_warp()
     rest, _ = read_cage(args)
     file = PoseFile.load(output, rest) if output.exists() else PoseFile(rest)
     if args.key is None:
@@ -211,7 +210,6 @@ def run_pose(args: argparse.Namespace) -> None:
         raise ValueError(
             f"-o {output} is the cage at rest itself, which is needed beside a posed one: name another file"
         )
-    shared.quiet_warp()
 
     cage, found = read_cage(args)
     stepped(cage, args).save(output, up=args.cage_up or found.get(ending(str(output))))

@@ -16,9 +16,9 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any, NoReturn, TextIO
 
-from ..core import stderr
+from ..core import reports
 from ..core.names import error_line
-from .arguments import cages, edit, fields, info, options, poses, render, runs, scenes
+from .arguments import cages, edit, fields, info, poses, render, runs, scenes
 from .arguments.options import package_version
 
 _GROUPS = (scenes, fields, cages, edit, poses, render, runs, info)
@@ -213,9 +213,10 @@ def _run_command(argv: list[str] | None) -> int:
         if arguments.command is None:
             parser.print_help()
             return 2
-        options.verbose = arguments.verbose
-        watched = sys.stderr.isatty() and not getattr(arguments, "quiet", False)
-        stderr.say = _tell_of_compiling if watched else None
+        quiet = getattr(arguments, "quiet", False)
+        reports.show_log("info" if arguments.verbose and not quiet else reports.asked_level())
+        watched = sys.stderr.isatty() and not quiet
+        reports.say = _tell_of_compiling if watched else None
         return _command(arguments.command)(arguments) or 0
 
 

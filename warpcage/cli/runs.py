@@ -32,7 +32,6 @@ MOST_LINES = 10
 
 
 def run_run(args: argparse.Namespace) -> int:
-    shared.quiet_warp()
     part = None if args.part is None else Part.named(args.part)
     if args.dry_run:
         if part is not None:

@@ -260,15 +260,8 @@ def _hash(parts: Sequence[object]) -> str:
     return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
 
 
-def quiet_warp() -> None:
-    """Keep Warp's start-up lines and those of its modules out of a command's output, but for --verbose."""
-    if not options.verbose:
-        wp.config.log_level = wp.LOG_WARNING
-
-
 def chosen_device(args: argparse.Namespace) -> wp.Device:
     """The device of --device."""
-    quiet_warp()
     return resolve_device(args.device)
 
 

@@ -13,6 +13,7 @@ from ..core.checks import device_by_name
 from ..core.devices import launch, resolve_device
 from ..core.memory import require_memory
 from ..core.names import agreed, chosen
+from ..core.reports import Progress, hears
 from ..kernels.coordinates import green, local_points, mean_value
 from ..kernels.lattice import cage_map
 from ..lattice.position_map import PositionMap
@@ -356,8 +357,14 @@ def green_coordinates(
 
 @points_in_turn
 @device_by_name
+@hears
 def harmonic_coordinates(
-    points: PointsLike, cage: ClosedMesh, resolution: int = HARMONIC_RESOLUTION, *, device: wp.DeviceLike = None
+    points: PointsLike,
+    cage: ClosedMesh,
+    resolution: int = HARMONIC_RESOLUTION,
+    *,
+    device: wp.DeviceLike = None,
+    progress: bool | Progress = False,
 ) -> np.ndarray | wp.array:
     """Harmonic coordinates of points inside a cage.
 
@@ -369,6 +376,8 @@ def harmonic_coordinates(
         resolution: Cells along the longest side of the lattice on which they are solved, 8 to 1024. Errors at 128 are
             about 1e-3 away from the cage and 1e-2 next to it.
         device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+        progress: True shows a bar on stderr. A function is told (done, total, words), in vertices of the cage, and ends
+            the work by returning False or by raising.
 
     Returns:
         (n, v) float32, not negative up to rounding; rows sum to one. NumPy for NumPy, a Warp array for an array on a
@@ -377,6 +386,7 @@ def harmonic_coordinates(
     Raises:
         ValueError: For points farther outside than 1e-5 of the cage's size, of another shape or not finite, for a cage
             that is open, inward or degenerate, a resolution out of range, and for too little memory on the device.
+        Cancelled: Where `progress` returned False.
     """
     require_mesh(cage, "the cage must be")
     require_usable(cage)

@@ -125,9 +125,14 @@ def as_host_points(points: PointsLike, *, name: str = "points") -> np.ndarray:
 
 def as_host_vertices(vertices: PointsLike) -> np.ndarray:
     """Vertices of any library and device as NumPy: (v, 3) float64, a copy."""
-    if is_device_array(vertices) and not isinstance(vertices, wp.array):
-        vertices = _from_foreign(vertices, "vertices")
-    return as_host_points(vertices, name="vertices")
+    return as_host_points(as_host_array(vertices, "vertices"), name="vertices")
+
+
+def as_host_array(array: Any, name: str) -> Any:
+    """An array of any library and device as NumPy; what is no array stays as it is."""
+    if not is_device_array(array):
+        return array
+    return (array if isinstance(array, wp.array) else _from_foreign(array, name)).numpy()
 
 
 def _from_foreign(array: Any, name: str) -> wp.array:

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import io
 import json
+import logging
 import math
 import os
 import pathlib
@@ -21,6 +22,8 @@ import numpy as np
 from .checks import checked_path
 from .memory import MemoryShortage, free_host_bytes, require_host_memory
 from .threads import run_parallel
+
+_log = logging.getLogger(__name__)
 
 #: The polynomial of zip files, and the polynomials 1 and x; the highest bit is the constant one.
 POLYNOMIAL, ONE, X = 0xEDB88320, 1 << 31, 1 << 30
@@ -259,6 +262,7 @@ def atomic_path(path: PathLike) -> Iterator[pathlib.Path]:
         if mode is not None and mode != _permissions(temporary):
             temporary.chmod(mode)
         os.replace(temporary, target)
+        _log.debug("wrote %s", path)
     finally:
         with contextlib.suppress(OSError):  # it is gone, or it never was
             temporary.unlink()

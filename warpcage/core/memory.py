@@ -10,6 +10,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from ..errors import InputError
+
 if TYPE_CHECKING:
     import warp as wp
 
@@ -27,7 +29,7 @@ _GROUP_FILES = (
 )
 
 
-class MemoryShortage(ValueError):
+class MemoryShortage(InputError):
     """Work that was refused before it began, as there is not enough memory free."""
 
 

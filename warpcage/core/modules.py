@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import logging
 import os
 import pathlib
 import shutil
@@ -14,13 +16,28 @@ from typing import Any, TypeAlias
 import warp as wp
 
 from ..kernels.core import variants
-from . import stderr
+from . import reports
 from .locks import device_turn
-from .stderr import without_driver_note
+from .reports import without_driver_note
 from .threads import cpu_threads
 
 #: What `wp.kernel` makes of a function: a wp.Kernel, which type checkers take for the function itself.
 Kernel: TypeAlias = wp.Kernel | Callable[..., Any]
+
+_log = logging.getLogger(__name__)
+
+# Warp prints lines on stdout as it starts and for each module. It is quiet from here on, but for those who ask it,
+# by WARPCAGE_LOG=debug, or by a log level of Warp's own.
+reports.start_log()
+if wp.config.log_level == wp.LOG_INFO and reports.asked_level() != "debug":
+    wp.config.log_level = wp.LOG_WARNING
+
+
+@functools.lru_cache(maxsize=1)
+def _log_start() -> None:
+    """Say once what Warp found."""
+    _log.info("Warp %s, devices %s", wp.__version__, ", ".join(device.alias for device in wp.get_devices()))
+
 
 #: Modules that are loaded, with their device and threads per block.
 loaded_places: set[tuple[wp.Module, str, int | None]] = set()
@@ -32,6 +49,7 @@ def start_warp() -> None:
         try:
             with without_driver_note():
                 wp.init()
+                _log_start()
         except OSError as error:
             raise _unwritable(error) from error
 
@@ -85,11 +103,20 @@ def _load(module: wp.Module, device: wp.Device, block_dim: int | None) -> None:
 
 def _tell(modules: Sequence[wp.Module], device: wp.Device, block_dim: int | None = None) -> None:
     """Say that modules are about to be compiled, if some of them are not in the cache; block_dim: None is their own."""
-    if stderr.say is None:
+    if reports.say is None and not reports.is_heard() and not _log.isEnabledFor(logging.INFO):
         return
     threads = [1 if device.is_cpu else block_dim or module.options["block_dim"] for module in modules]
-    if not all(_cache_folder(module, count).exists() for module, count in zip(modules, threads, strict=True)):
-        stderr.told()
+    new = [
+        module.name for module, count in zip(modules, threads, strict=True) if not _cache_folder(module, count).exists()
+    ]
+    if new:
+        reports.told()
+        reports.tell(0, len(new), "compile kernels")
+    _log.info("%s on %s: %s", "compiles kernels" if new else "loads kernels", device, ", ".join(new or _names(modules)))
+
+
+def _names(modules: Iterable[wp.Module]) -> list[str]:
+    return [module.name for module in modules]
 
 
 def _unwritable(error: OSError) -> RuntimeError:

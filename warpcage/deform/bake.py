@@ -13,6 +13,7 @@ from ..core.checks import checked_bounds, checked_whole, require_type
 from ..core.devices import launch
 from ..core.memory import require_memory
 from ..core.names import chosen
+from ..core.reports import Progress, hears, tell
 from ..field.sparse import link_mask
 from ..field.voxel_field import VoxelField
 from ..kernels.edits.bake import bake_nodes, mark_filled_nodes
@@ -31,10 +32,19 @@ MIN_RESOLUTION, MAX_RESOLUTION = 2, 2048
 
 
 @overload
-def bake(deformer: SplatDeformer) -> SplatField: ...
+def bake(deformer: SplatDeformer, *, progress: bool | Progress = ...) -> SplatField: ...
 @overload
-def bake(deformer: Deformer, resolution: int | None = ..., bounds: ArrayLike | None = ...) -> VoxelField: ...
-def bake(deformer: Deformer, resolution: int | None = None, bounds: ArrayLike | None = None) -> VoxelField | SplatField:
+def bake(
+    deformer: Deformer, resolution: int | None = ..., bounds: ArrayLike | None = ..., *, progress: bool | Progress = ...
+) -> VoxelField: ...
+@hears
+def bake(
+    deformer: Deformer,
+    resolution: int | None = None,
+    bounds: ArrayLike | None = None,
+    *,
+    progress: bool | Progress = False,
+) -> VoxelField | SplatField:
     """The deformed scene as a field that needs no cage: voxels resampled, which render faster; splats as they are.
 
     Of splats see `SplatDeformer.baked`; the rest is about voxels, which are saved in any format.
@@ -54,12 +64,15 @@ def bake(deformer: Deformer, resolution: int | None = None, bounds: ArrayLike | 
         resolution: Voxels along the longest side of `bounds`. None, as splats need it, takes voxels whose side is the
             smallest side of the field's voxels.
         bounds: (2, 3) box to look in, world units. None is all that the field and the deformed cages reach.
+        progress: True shows a bar on stderr. A function is told (done, total, words), in stages, and ends the work by
+            returning False or by raising.
 
     Returns:
         The baked field, on the Deformer's device.
 
     Raises:
         ValueError: For bounds or a resolution out of range, where nothing is found, or for too little memory.
+        Cancelled: Where `progress` returned False.
     """
     require_type(deformer, Deformer, "bake needs")
     if isinstance(deformer, SplatDeformer):
@@ -72,6 +85,7 @@ def bake(deformer: Deformer, resolution: int | None = None, bounds: ArrayLike | 
 
 def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None) -> VoxelField:
     """`bake`, while the pose stays."""
+    tell(0, 3, "bake: the pose")
     edits, field, device = lattice_edits(deformer), deformer.field, deformer.device
     searched = deformer.reached_bounds if bounds is None else checked_bounds(bounds)
     side = float(field.voxel_size.min())
@@ -82,6 +96,7 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
     need = f"looking through {' x '.join(map(str, shape))} voxels needs {{size}}: give a lower resolution or bounds"
     require_memory(NODE_BYTES * int(np.prod(shape, dtype=np.int64)), device, need)
 
+    tell(1, 3, "bake: search")
     spacing = wp.vec3(side, side, side)
     lower = searched[0] + 0.5 * side  # of the first voxel's centre
     mask = empty_array(tuple(int(n) for n in shape), wp.uint8, device)
@@ -92,6 +107,7 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
     mask = wp.array(np.ascontiguousarray(filled[tuple(map(slice, begin, end))]), dtype=wp.uint8, device=device)
     lower = lower + begin * side
 
+    tell(2, 3, "bake: voxels")
     links, nodes = link_mask(mask)
     require_memory(VOXEL_BYTES * nodes.size, device, f"{nodes.size} voxels need {{size}}: give a lower resolution")
     density = empty_array(nodes.size, wp.float32, device)
@@ -106,6 +122,7 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
         chosen(deformer.density, "density", opacity=1, paper=0),
     ]
     launch(bake_nodes, nodes.size, inputs, [density, sh], device=device)
+    tell(3, 3, "bake: done")
     corner = lower - 0.5 * side
     return VoxelField(
         [corner, corner + side * np.array(mask.shape)], links, density, sh, device=device, **field.view_options()

@@ -19,6 +19,7 @@ from ..core.checks import checked_flag, checked_path, checked_step, checked_whol
 from ..core.devices import launch, resolve_device
 from ..core.locks import owner_lock
 from ..core.names import DENSITIES, SPLAT_MAPS, chosen, require_coordinates, require_name, require_store
+from ..core.reports import Progress, hears
 from ..edits.edits import CageEdit, checked_edits
 from ..edits.falloff import FalloffBand
 from ..edits.fragments import found_fragments
@@ -33,11 +34,13 @@ from ..mesh.validity import is_usable, require_usable
 from ..render.scene import LatticeEdits
 from ..render.view import PosedEdits, ViewRequest, cage_span, require_short_march
 from ..splats.io.formats import format_to_write
+from ..splats.matter import SplatDensity
 from ..splats.render import render_field
-from ..splats.splat_field import SplatDensity, SplatField
+from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
 from .exact import ExactEdits
+from .posed import PosedDeformer
 from .splat_baking import baked_field, numbered_files, warn_of_others
 from .splat_edits import SplatEdits
 
@@ -74,9 +77,12 @@ class Deformer:
             themselves, as the paper does: many times the memory for the same picture.
         map: Splats only: "forward" moves them by the coordinates of the cage at rest, "backward" puts them where the
             voxels' map finds them. None is the field's own way: voxels are always looked up backward.
+        progress: True shows bars on stderr. A function is told (done, total, words) while splats are bound or kernels
+            compiled, and ends that by returning False or by raising.
 
     Raises:
         ValueError: For names that do not exist, harmonic coordinates without a lattice, or a cage that cannot be used.
+        Cancelled: Where `progress` returned False.
 
     Attributes:
         field: The VoxelField, on the device.
@@ -96,6 +102,7 @@ class Deformer:
             return object.__new__(SplatDeformer)
         return super().__new__(cls)
 
+    @hears
     def __init__(
         self,
         field: VoxelField | SplatField,
@@ -107,6 +114,7 @@ class Deformer:
         device: wp.DeviceLike = None,
         store: str = "map",
         map: str | None = None,
+        progress: bool | Progress = False,
     ):
         require_type(field, VoxelField, "a Deformer needs")
         assert isinstance(field, VoxelField)
@@ -361,36 +369,6 @@ class Deformer:
         return options
 
 
-class PosedDeformer:
-    """One pose of a Deformer that several callers share; see `Deformer.posed`."""
-
-    def __init__(self, deformer: Deformer, cages: list[Cage | None]):
-        self.deformer, self.deformed = deformer, cages  # posed cages, one per edit, None for one that removes
-
-    def to_canonical(
-        self, points: Any, directions: Any, *, step: float | None = None, return_outside: bool = False
-    ) -> tuple[Any, ...]:
-        """Where points (n, 3) of the deformed scene, world units, are in the canonical one; see
-        `Deformer.to_canonical`."""
-        shared = self.deformer
-        with shared.lock:
-            return shared._to_canonical(shared._hold(self.deformed), points, directions, step, return_outside)
-
-    def render(
-        self,
-        camera: Camera,
-        *,
-        background: str | ArrayLike | None = None,
-        step: float | None = None,
-        supersampling: int | None = None,
-        antialias: bool | None = None,
-    ) -> Frame:
-        """The view of a camera of the scene in this pose; see `Deformer.render`."""
-        shared, options = self.deformer, (background, step, supersampling, antialias)
-        with shared.lock:
-            return shared._render(lambda: shared._hold(self.deformed), camera, *options)
-
-
 def checked_pose(edit: CageEdit, cage: Any, index: int, band: FalloffBand | None = None) -> Cage | None:
     """The posed cage of an edit, with the walls of its band at rest; None for an edit that removes.
     `cage` is what the caller gave; `index` is the number of the edit, for messages."""
@@ -437,9 +415,11 @@ class SplatDeformer(Deformer):
         store: "map": splats keep the weights that they need in any case.
         map: "forward" or None; "backward" puts splats where voxels under the same cages would be (Newton's method on
             the lattices of `resolution` of the posed cages).
+        progress: As for `Deformer`.
 
     Raises:
         ValueError: For names that do not exist, or a cage that cannot be used.
+        Cancelled: Where `progress` returned False.
 
     Attributes:
         field: The SplatField, on the device.
@@ -449,6 +429,7 @@ class SplatDeformer(Deformer):
 
     field: SplatField  # pyright: ignore[reportIncompatibleVariableOverride]
 
+    @hears
     def __init__(
         self,
         field: SplatField,
@@ -460,6 +441,7 @@ class SplatDeformer(Deformer):
         device: wp.DeviceLike = None,
         store: str = "map",
         map: str | None = None,
+        progress: bool | Progress = False,
     ):
         require_type(field, SplatField, "a SplatDeformer needs")
         self.coordinates = require_coordinates(coordinates)

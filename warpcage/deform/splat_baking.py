@@ -10,8 +10,8 @@ import numpy as np
 from ..core.checks import listed
 from ..core.names import counted
 from ..splats.binding import turned_harmonics
-from ..splats.io.contents import SplatContents, chosen_layout, logits_of
-from ..splats.splat_field import SplatField, rotation_matrices
+from ..splats.io.contents import SplatContents, chosen_layout, logits_of, rotation_matrices
+from ..splats.splat_field import SplatField
 from .splat_edits import SplatEdits
 
 

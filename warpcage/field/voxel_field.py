@@ -83,7 +83,8 @@ class VoxelField:
         refined_cameras: RefinedCameras of the fit's pictures, where it refined them; None otherwise. Files of fields do
             not hold them: save them beside.
         grid: The VoxelGrid that kernels take; positions in it are relative to `center`. Its arrays may be written to at
-            any time, but for the links.
+            any time, but for the links. Its `skip` (nx-1, ny-1, nz-1) says of each cell how many cells it is to the
+            nearest whose nodes have rows, 0 there: rays step over so many.
         marching: What marches read instead of it.
     """
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import require_type
+from ..core.reports import Progress, hears, tell
 from ..scene.scene import Scene
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
@@ -93,8 +94,9 @@ def masked_psnr(image: ArrayLike, reference: ArrayLike, mask: ArrayLike) -> floa
     return psnr(np.asarray(image)[inside], np.asarray(reference)[inside])
 
 
+@hears
 def evaluate(
-    renderer: Renderer, scene: Scene, *, similarity: bool = False, progress: bool = False
+    renderer: Renderer, scene: Scene, *, similarity: bool = False, progress: bool | Progress = False
 ) -> list[dict[str, Any]]:
     """Render every view of a scene and compare, at the scene's image size and not quantised.
 
@@ -105,7 +107,7 @@ def evaluate(
         renderer: A VoxelField, a SplatField, a Deformer, or anything with .render(camera, background=...) -> Frame.
         scene: The views. Those of a field that was straightened may be in the world of their files.
         similarity: Whether the structural similarity is measured too.
-        progress: Whether to show a bar.
+        progress: True shows a bar on stderr. A function is told (done, total, words) and ends the work by False.
 
     Returns:
         For each view {"view": name, "psnr": dB}; with "ssim" if asked for; with "masked_psnr", over the pixels of the
@@ -113,23 +115,24 @@ def evaluate(
 
     Raises:
         ValueError: For anything but a Scene.
+        Cancelled: Where `progress` returned False.
     """
     require_type(scene, Scene, "evaluate compares with")
     if not hasattr(renderer, "render"):
         raise ValueError(f"evaluate needs a field or a Deformer, got {type(renderer).__name__}")
     scene = in_world_of(renderer, scene)
-    from tqdm import tqdm
-
     rows = []
     background, images = comparison(renderer, scene)
     alphas = [None] * len(scene) if scene.alphas is None else scene.alphas
     views = zip(scene.names, scene.cameras, images, alphas, strict=True)
-    for name, camera, image, alpha in tqdm(views, total=len(scene), desc="evaluate", disable=not progress):
+    for name, camera, image, alpha in views:
+        tell(len(rows), len(scene), "evaluate")
         rgb = renderer.render(camera, background=background).rgb
         row = {"view": name, "psnr": psnr(rgb, image)} | ({"ssim": ssim(rgb, image)} if similarity else {})
         if alpha is not None and (alpha > OPAQUE).any():
             row["masked_psnr"] = masked_psnr(rgb, image, alpha)
         rows.append(row)
+    tell(len(rows), len(scene), "evaluate")
     return rows
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import pathlib
 import sys
 import time
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 from ..core.checks import checked_path
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
+from ..core.reports import Progress, hears, is_heard, tell
 from ..field.voxel_field import VoxelField
 from ..scene.scene import Scene
 from ..splats.splat_field import SplatField
@@ -23,6 +25,8 @@ from .evaluation import comparison
 from .optimizer import FieldOptimizer
 from .splats import checkpoint as splat_checkpoint
 from .splats.optimizer import SplatFit
+
+_log = logging.getLogger(__name__)
 
 #: Seconds between two updates of the progress bar.
 SHOWN_EVERY = 1.0
@@ -39,6 +43,7 @@ def fit(scene: Scene, *, representation: Literal["voxels"] = "voxels", **options
 def fit(scene: Scene, *, representation: Literal["splats"], **options: Any) -> SplatField: ...
 
 
+@hears
 def fit(
     scene: Scene,
     *,
@@ -46,7 +51,7 @@ def fit(
     quality: str = "standard",
     device: wp.DeviceLike = None,
     seed: int = 0,
-    progress: bool = True,
+    progress: bool | Progress = True,
     bounds: ArrayLike | None = None,
     checkpoint: str | pathlib.Path | None = None,
     checkpoint_seconds: float = 60.0,
@@ -65,7 +70,8 @@ def fit(
         quality: "fast", "standard" or "high": time against detail.
         device: Warp device. None is CUDA where there is one.
         seed: Of the pixel order and the backgrounds; see FieldOptimizer.
-        progress: Whether to show a bar with the PSNR of the last batch.
+        progress: True shows a bar with the PSNR of the last batch on stderr. A function is told (done, total, words),
+            in steps, and ends the fit by returning False or by raising; a checkpoint stays then as it was last written.
         bounds: (2, 3) box of the object, world units, for voxels. None finds it: the visual hull where the images have
             alpha.
         checkpoint: File (.npz) that holds the progress, always whole. The fit goes on from a file that is there, and
@@ -83,9 +89,8 @@ def fit(
     Raises:
         ValueError: For a scene with nothing in it, options out of range, too little memory, or a checkpoint of another
             scene or other options.
+        Cancelled: Where `progress` returned False.
     """
-    from tqdm import tqdm
-
     held = None if checkpoint is None else require_writable(checkpoint)
     picture = None if preview is None else _preview_path(preview)
     if representation not in REPRESENTATIONS:
@@ -103,25 +108,28 @@ def fit(
             optimizer = SplatFit(scene, **options)
         if held is not None and held.exists():
             kept.load_progress(optimizer, held)
-    with tqdm(total=optimizer.total_steps, initial=optimizer.step_count, desc="fit", disable=not progress) as bar:
-        shown = saved = pictured = time.monotonic()
-        while optimizer.step_count < optimizer.total_steps:
-            optimizer.step()
-            bar.update()
-            if progress and time.monotonic() - shown > SHOWN_EVERY:
-                shown = time.monotonic()
-                bar.set_postfix_str(f"{optimizer.measure_psnr():.2f} dB, {optimizer.size_text}")
-            if held is not None and time.monotonic() - saved > checkpoint_seconds:
-                with turn:
-                    kept.save_progress(optimizer, held)
-                saved = time.monotonic()
-            if picture is not None and time.monotonic() - pictured > preview_seconds:
-                with turn:
-                    _write_preview(picture, optimizer.field, scene)
-                pictured = time.monotonic()
+    shown = saved = pictured = time.monotonic()
+    words = "fit"
+    while optimizer.step_count < optimizer.total_steps:
+        tell(optimizer.step_count, optimizer.total_steps, words)
+        optimizer.step()
+        if is_heard() and time.monotonic() - shown > SHOWN_EVERY:
+            shown = time.monotonic()
+            words = f"fit: {optimizer.measure_psnr():.2f} dB, {optimizer.size_text}"
+        if held is not None and time.monotonic() - saved > checkpoint_seconds:
+            with turn:
+                kept.save_progress(optimizer, held)
+            saved = time.monotonic()
+        if picture is not None and time.monotonic() - pictured > preview_seconds:
+            with turn:
+                _write_preview(picture, optimizer.field, scene)
+            pictured = time.monotonic()
+    tell(optimizer.step_count, optimizer.total_steps, words)
     optimizer.measure_psnr()
-    if progress and optimizer.coarser:
-        print(f"fit: {optimizer.coarser}", file=sys.stderr)
+    if optimizer.coarser:
+        _log.info("fit: %s", optimizer.coarser)
+        if progress is True:
+            print(f"fit: {optimizer.coarser}", file=sys.stderr)
     field = optimizer.finish()
     if held is not None:
         held.unlink(missing_ok=True)

@@ -12,6 +12,7 @@ from ..core.arrays import WarpStruct, empty_array
 from ..core.checks import warn_caller
 from ..core.devices import lane_count, launch
 from ..core.modules import load_modules, require_loaded
+from ..core.reports import tell
 from ..kernels.lattice import harmonic as harmonic_kernels
 from ..kernels.lattice import harmonic_coarse
 from ..kernels.lattice.cage_map import select_vertices, store_weights
@@ -129,6 +130,7 @@ class HarmonicSolver(MapSolver):
         selected = empty_array(count, wp.vec3, self.device)
         cycles, residual = 0, 0.0
         for column in range(0, count, 3):
+            tell(column, count, "harmonic weights")
             self._launch(select_vertices, count, [column, selected])
             self.solve_inside(selected)
             cycles, residual = max(cycles, self.cycles), max(residual, self.residual)

@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_path, listed
+from ..core.reports import Progress, hears
 from ..view.camera import CameraFile, rigid_motion
 from ..view.frame import parse_background
 from .formats.table import SceneFormat, candidates, format_named
 from .scene import Scene, rotation_to
 
 
+@hears
 def load_scene(
     path: str | os.PathLike,
     *,
@@ -27,6 +29,7 @@ def load_scene(
     orient: str | ArrayLike | None = None,
     cameras: str | os.PathLike | None = None,
     model: str | None = None,
+    progress: bool | Progress = False,
 ) -> Scene:
     """Read one split of a scene from disk.
 
@@ -54,6 +57,8 @@ def load_scene(
         model: Which of several COLMAP models, by its folder such as "1" or "sparse/1", of several reconstructions of
             OpenSfM, by its number, or of several chunks of Metashape, by its label. None takes the one with most
             pictures.
+        progress: True shows a bar on stderr. A function is told (done, total, words), in pictures, and ends the work by
+            returning False or by raising.
 
     Returns:
         The scene.
@@ -61,6 +66,7 @@ def load_scene(
     Raises:
         FileNotFoundError: For a missing folder, split, image or camera file.
         ValueError: For contents that cannot be used.
+        Cancelled: Where `progress` returned False.
     """
     folder = checked_path(path, "the scene")
     if not folder.is_dir():

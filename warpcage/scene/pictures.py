@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ..core.memory import free_host_bytes
+from ..core.reports import tell
 from ..view.camera import Camera, common_up
 from ..view.pictures import image_size, read_rows, shrink, shrunk_size
 from .box import Bounds, bulk_box, view_box
@@ -186,7 +187,12 @@ def make_scene(
             top += len(part)
 
     with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(load, range(len(views))))
+        try:
+            for index, _ in enumerate(pool.map(load, range(len(views)))):
+                tell(index + 1, len(views), "read pictures")
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
     cameras = [camera.resized(width, height) for camera in cameras]
     # opaque images say nothing about the object's outline; averages of ones are not 1 to the last bit
     opaque = all(alpha.min() > 1.0 - ALPHA_ROUNDING for alpha in alphas)

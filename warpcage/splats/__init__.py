@@ -9,9 +9,10 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "fit": "SplatGradients SplatParameters",
         "io": "WRITERS is_splat_file",
         "io.axes": "turned_over",
-        "io.contents": "SplatContents",
+        "io.contents": "rotation_matrices SplatContents",
         "io.formats": "SplatFormat splat_formats",
         "render": "IMAGE_BLUR SplatRenderer splat_lens",
-        "splat_field": "SplatDensity field_size load_field rotation_matrices",
+        "matter": "SplatDensity",
+        "splat_field": "field_size load_field",
     },
 )

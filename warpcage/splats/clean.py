@@ -14,8 +14,9 @@ from ..field.selection import visible_mask
 from ..view.camera import Camera
 from .fit import SplatGradients, SplatParameters
 from .io.contents import LEAST_OPACITY, Y0
+from .matter import RESOLUTION
 from .render import IMAGE_BLUR, splat_lens
-from .splat_field import RESOLUTION, SplatField
+from .splat_field import SplatField
 
 #: How much of what is around most of a place is looked at for floaters, on each side, as a share of it.
 AROUND = 0.5

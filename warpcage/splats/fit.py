@@ -23,6 +23,7 @@ from ..core.checks import (
 )
 from ..core.devices import launch
 from ..core.locks import device_turn
+from ..core.reports import Progress, hears, is_heard, tell
 from ..kernels.splats import composite, composite_cpu, fit, project_slopes, tiles
 from ..kernels.splats.composite import SUMS
 from ..kernels.splats.project_slopes import SplatValues
@@ -248,6 +249,7 @@ class SplatRates:
             raise ValueError(f"the share last of the rates must be above 0 and at most 1, got {self.last!r}")
 
 
+@hears
 def fit_splats(
     field: SplatField,
     cameras: Sequence[Camera],
@@ -262,7 +264,7 @@ def fit_splats(
     growth: float | None = None,
     rates: SplatRates | None = None,
     seed: int = 0,
-    progress: bool = True,
+    progress: bool | Progress = True,
 ) -> SplatField:
     """Improve a field of splats on pictures of what it shows.
 
@@ -288,7 +290,8 @@ def fit_splats(
             are to be posed want splats that stay at their place. None sets no limit.
         rates: Of the steps. None is SplatRates().
         seed: Of the order of pictures.
-        progress: Whether to show a bar with the PSNR of the last picture.
+        progress: True shows a bar with the PSNR of the last picture on stderr. A function is told (done, total, words),
+            in steps, and ends the work by returning False or by raising.
 
     Returns:
         The fitted field, on the device of the first one, with what else its file says.
@@ -296,11 +299,10 @@ def fit_splats(
     Raises:
         ValueError: For no splats or no pictures, pictures that do not fit their cameras, are not finite or of 8 bits,
             options out of range, and rates with which values leave the range of float32.
+        Cancelled: Where `progress` returned False.
 
     References: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (SIGGRAPH 2023).
     """
-    from tqdm import tqdm
-
     require_type(field, SplatField, "fit_splats needs")
     cameras, pictures = checked_pictures(cameras, images)
     if not len(field):
@@ -324,12 +326,13 @@ def fit_splats(
         rates=rates,
         seed=checked_whole(seed, "seed", 0),
     )
-    with tqdm(total=steps, desc="fit splats", disable=not progress) as bar:
-        for step in range(steps):
-            optimizer.step()
-            bar.update()
-            if progress and step % SHOWN_EVERY == 0:
-                bar.set_postfix_str(f"{-10.0 * np.log10(max(optimizer.mean_error(), 1e-20)):.2f} dB")
+    words = "fit splats"
+    for step in range(steps):
+        tell(step, steps, words)
+        optimizer.step()
+        if is_heard() and step % SHOWN_EVERY == 0:
+            words = f"fit splats: {-10.0 * np.log10(max(optimizer.mean_error(), 1e-20)):.2f} dB"
+    tell(steps, steps, words)
     try:
         return optimizer.to_field()
     except ValueError as error:

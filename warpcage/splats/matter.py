@@ -1,13 +1,26 @@
-"""Where the matter of splats lies: which are in nodes of a grid, where a ray meets them, how fine a grid may be."""
+"""Where the matter of splats lies: densities on a grid, which are in nodes of it, where a ray meets them."""
 
 from __future__ import annotations
 
 import hashlib
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
 
+from ..core.arrays import empty_array
+from ..core.checks import checked_bounds, checked_whole
+from ..core.devices import launch
+from ..core.memory import require_memory
+from ..kernels.splats.fit import deposit_splats
+from ..view.camera import Camera
+from ..view.frame import Frame
 from .io.contents import LEAST_OPACITY
 from .render import IMAGE_BLUR
+
+if TYPE_CHECKING:
+    from .splat_field import SplatField
 
 #: Standard deviations from its centre, along its axes, at which a splat is looked at beside its centre.
 PROBE = 1.0
@@ -15,7 +28,7 @@ PROBE = 1.0
 #: Share of those places that must be in chosen nodes, where the centre itself is not.
 MOST_OF_IT = 0.5
 
-#: Standard deviations to which a ray meets a splat.
+#: Standard deviations to which a ray meets a splat, and to which it is taken to reach.
 REACH = 3.0
 
 #: The share of the light at which a ray's end is, and the opacity at which a splat counts as whole.
@@ -89,3 +102,93 @@ def splat_digest(centers: np.ndarray, logits: np.ndarray) -> str:
     hashed = hashlib.blake2b(np.ascontiguousarray(centers, np.float32).tobytes(), digest_size=16)
     hashed.update(np.ascontiguousarray(logits, np.float32).tobytes())
     return hashed.hexdigest()
+
+
+def whole_voxels(box: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarray]:
+    """A box (2, 3) made larger about its middle to whole cubes, two or more along each axis, and (3,) the side of a
+    cube. resolution: cubes along the longest side of the box."""
+    side = float((box[1] - box[0]).max()) / resolution
+    shape = np.maximum(np.ceil((box[1] - box[0]) / side - 1e-6), 2.0)
+    middle = box.mean(axis=0)
+    return np.stack([middle - 0.5 * side * shape, middle + 0.5 * side * shape]), np.full(3, side)
+
+
+#: Nodes along the longest side of a grid where nobody asks for another number, and at most.
+RESOLUTION, MOST_RESOLUTION = 128, 1024
+
+#: What messages call a node of a grid of splats.
+SPLAT_NODE = "cell"
+
+
+class SplatDensity:
+    """Densities of splats at the nodes of a grid: what `Cage.from_field`, `select_nodes` and `extract_mesh` read.
+    resolution: nodes along the longest side, 2 to 1024; bounds: (2, 3) box, world units, None is that of all splats."""
+
+    # Node (i, j, k): bounds[0] + (i + 0.5) * voxel_size. Covariance and opacity count (kernels/splats/fit.py).
+
+    node_name = SPLAT_NODE
+
+    def __init__(self, field: SplatField, resolution: int = RESOLUTION, bounds: ArrayLike | None = None):
+        self.field, self.straightening = field, None  # the coordinates are those of the file
+        box = field.bounds if bounds is None else checked_bounds(bounds)
+        # (2, 3) and (3,) float64, world units; the box is a whole number of voxels
+        self.bounds, self.voxel_size = whole_voxels(box, checked_whole(resolution, "resolution", 2, MOST_RESOLUTION))
+        side = float(self.voxel_size[0])
+        shape = np.round((self.bounds[1] - self.bounds[0]) / side).astype(int)
+        nodes = int(np.prod(shape, dtype=np.int64))
+        require_memory(8 * nodes, field.device, f"{' x '.join(map(str, shape))} nodes need {{size}}: take fewer")
+        density = empty_array(tuple(int(n) for n in shape), wp.float32, field.device)
+        density.zero_()
+        lower = wp.vec3(*(self.bounds[0] + 0.5 * side - field.center))
+        inputs = [field.splats, lower, side, LEAST_OPACITY]
+        launch(deposit_splats, field.splat_count, inputs, [density], device=field.device, threads=1, work=1000)
+        self._density = density.numpy()
+
+    @property
+    def up(self) -> np.ndarray:
+        """(3,) what is up in the world."""
+        return self.field.up
+
+    def node_densities(self) -> np.ndarray:
+        """(nx, ny, nz) float32 densities, per world unit."""
+        return self._density
+
+    def sample(self, points: ArrayLike, directions: ArrayLike | None = None) -> tuple[None, np.ndarray]:
+        """None for colours, and densities (n,) float64, per world unit, at points (n, 3), between the nodes."""
+        from scipy.ndimage import map_coordinates
+
+        places = (np.asarray(points, np.float64) - self.bounds[0]) / self.voxel_size - 0.5
+        return None, map_coordinates(self._density, places.T, order=1, mode="nearest", output=np.float64)
+
+    @property
+    def device(self) -> wp.Device:
+        """Where the splats are."""
+        return self.field.device
+
+    def render(self, camera: Camera, **options: Any) -> Frame:
+        """The view of the splats, as `SplatField.render`."""
+        return self.field.render(camera, **options)
+
+    def splats_in(self, mask: np.ndarray) -> np.ndarray:
+        """Which splats have their centre, or most of their matter, in nodes of a mask (nx, ny, nz) bool, (n,) bool.
+        Those that cannot be seen are left out."""
+        whole = self.field
+        inside = in_nodes(whole.contents.centers, whole.rotations * whole.scales[:, None, :], mask, self.bounds)
+        return inside & (whole.opacities >= LEAST_OPACITY)
+
+    def cut_out(self, mask: np.ndarray) -> SplatField:
+        """A field of the splats of a mask of nodes alone."""
+        rows = self.splats_in(mask)
+        if not rows.any():
+            raise ValueError("nothing is chosen that could be cut out: no splat lies in the chosen cells")
+        return self.field.chosen(rows)
+
+    def painted(self, mask: np.ndarray) -> SplatField:
+        """The same splats, white in a mask of nodes and black elsewhere."""
+        return self.field.painted(self.splats_in(mask))
+
+    @property
+    def digest(self) -> str:
+        """32 hexadecimal digits that tell the splats from others, on any device."""
+        held = self.field.contents
+        return splat_digest(held.centers, held.logits)

@@ -1,4 +1,4 @@
-"""SplatField: Gaussian splats; their matter as densities on a grid; fields of either kind from their files."""
+"""SplatField: Gaussian splats; fields of either kind from their files."""
 
 from __future__ import annotations
 
@@ -12,125 +12,32 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import empty_array
-from ..core.checks import (
-    checked_bounds,
-    checked_direction,
-    checked_flag,
-    checked_vector,
-    checked_whole,
-    real_array,
-    renamed,
-)
-from ..core.devices import launch, resolve_device
+from ..core.arrays import as_host_array, empty_array
+from ..core.checks import checked_bounds, checked_direction, checked_flag, checked_vector, real_array, renamed
+from ..core.devices import resolve_device
 from ..core.files import PathLike
 from ..core.locks import in_turn
-from ..core.memory import require_memory
 from ..core.names import counted
 from ..field.io import load_field as load_voxels
 from ..field.io.field_file import FieldContents
 from ..field.voxel_field import VoxelField
-from ..kernels.splats.fit import deposit_splats
 from ..kernels.splats.splats import Splats
 from ..view.camera import Camera
 from ..view.frame import Frame, parse_background
 from .io import is_splat_file, read_splats, write_splats
-from .io.contents import LEAST_OPACITY, Y0, PlyLayout, SplatContents, checked_contents, chosen_contents, opacities_of
-from .matter import finest_side, half_light, in_nodes, splat_digest
+from .io.contents import (
+    LEAST_OPACITY,
+    Y0,
+    PlyLayout,
+    SplatContents,
+    checked_contents,
+    chosen_contents,
+    contents_of_arrays,
+    opacities_of,
+    rotation_matrices,
+)
+from .matter import REACH, RESOLUTION, SPLAT_NODE, SplatDensity, finest_side, half_light, whole_voxels
 from .render import SplatRenderer, near_distance, render_field
-
-#: Nodes along the longest side of a grid where nobody asks for another number, and at most.
-RESOLUTION, MOST_RESOLUTION = 128, 1024
-
-#: What messages call a node of a grid of splats.
-SPLAT_NODE = "cell"
-
-
-class SplatDensity:
-    """Densities of splats at the nodes of a grid: what `Cage.from_field`, `select_nodes` and `extract_mesh` read.
-    resolution: nodes along the longest side, 2 to 1024; bounds: (2, 3) box, world units, None is that of all splats."""
-
-    # Node (i, j, k): bounds[0] + (i + 0.5) * voxel_size. Covariance and opacity count (kernels/splats/fit.py).
-
-    node_name = SPLAT_NODE
-
-    def __init__(self, field: SplatField, resolution: int = RESOLUTION, bounds: ArrayLike | None = None):
-        self.field, self.straightening = field, None  # the coordinates are those of the file
-        box = field.bounds if bounds is None else checked_bounds(bounds)
-        # (2, 3) and (3,) float64, world units; the box is a whole number of voxels
-        self.bounds, self.voxel_size = whole_voxels(box, checked_whole(resolution, "resolution", 2, MOST_RESOLUTION))
-        side = float(self.voxel_size[0])
-        shape = np.round((self.bounds[1] - self.bounds[0]) / side).astype(int)
-        nodes = int(np.prod(shape, dtype=np.int64))
-        require_memory(8 * nodes, field.device, f"{' x '.join(map(str, shape))} nodes need {{size}}: take fewer")
-        density = empty_array(tuple(int(n) for n in shape), wp.float32, field.device)
-        density.zero_()
-        lower = wp.vec3(*(self.bounds[0] + 0.5 * side - field.center))
-        inputs = [field.splats, lower, side, LEAST_OPACITY]
-        launch(deposit_splats, field.splat_count, inputs, [density], device=field.device, threads=1, work=1000)
-        self._density = density.numpy()
-
-    @property
-    def up(self) -> np.ndarray:
-        """(3,) what is up in the world."""
-        return self.field.up
-
-    def node_densities(self) -> np.ndarray:
-        """(nx, ny, nz) float32 densities, per world unit."""
-        return self._density
-
-    def sample(self, points: ArrayLike, directions: ArrayLike | None = None) -> tuple[None, np.ndarray]:
-        """None for colours, and densities (n,) float64, per world unit, at points (n, 3), between the nodes."""
-        from scipy.ndimage import map_coordinates
-
-        places = (np.asarray(points, np.float64) - self.bounds[0]) / self.voxel_size - 0.5
-        return None, map_coordinates(self._density, places.T, order=1, mode="nearest", output=np.float64)
-
-    @property
-    def device(self) -> wp.Device:
-        """Where the splats are."""
-        return self.field.device
-
-    def render(self, camera: Camera, **options: Any) -> Frame:
-        """The view of the splats, as `SplatField.render`."""
-        return self.field.render(camera, **options)
-
-    def splats_in(self, mask: np.ndarray) -> np.ndarray:
-        """Which splats have their centre, or most of their matter, in nodes of a mask (nx, ny, nz) bool, (n,) bool.
-        Those that cannot be seen are left out."""
-        whole = self.field
-        inside = in_nodes(whole.contents.centers, whole.rotations * whole.scales[:, None, :], mask, self.bounds)
-        return inside & (whole.opacities >= LEAST_OPACITY)
-
-    def cut_out(self, mask: np.ndarray) -> SplatField:
-        """A field of the splats of a mask of nodes alone."""
-        rows = self.splats_in(mask)
-        if not rows.any():
-            raise ValueError("nothing is chosen that could be cut out: no splat lies in the chosen cells")
-        return self.field.chosen(rows)
-
-    def painted(self, mask: np.ndarray) -> SplatField:
-        """The same splats, white in a mask of nodes and black elsewhere."""
-        return self.field.painted(self.splats_in(mask))
-
-    @property
-    def digest(self) -> str:
-        """32 hexadecimal digits that tell the splats from others, on any device."""
-        held = self.field.contents
-        return splat_digest(held.centers, held.logits)
-
-
-def whole_voxels(box: np.ndarray, resolution: int) -> tuple[np.ndarray, np.ndarray]:
-    """A box (2, 3) made larger about its middle to whole cubes, two or more along each axis, and (3,) the side of a
-    cube. resolution: cubes along the longest side of the box."""
-    side = float((box[1] - box[0]).max()) / resolution
-    shape = np.maximum(np.ceil((box[1] - box[0]) / side - 1e-6), 2.0)
-    middle = box.mean(axis=0)
-    return np.stack([middle - 0.5 * side * shape, middle + 0.5 * side * shape]), np.full(3, side)
-
-
-#: Standard deviations to which a splat is taken to reach.
-REACH = 3.0
 
 
 class SplatField:
@@ -146,7 +53,7 @@ class SplatField:
         centers: (n, 3) float32 or float64, world units.
         log_scales: (n, 3) natural logarithms of the standard deviations along each splat's own axes, world units.
         quaternions: (n, 4) w x y z, rotations of those axes, of any length. One of length zero turns nothing.
-        logits: (n,) logarithms of opacity / (1 - opacity).
+        logits: (n,) or (n, 1) logarithms of opacity / (1 - opacity).
         harmonics: (n, b, 3) coefficients in red, green and blue; b = 1, 4, 9 or 16.
         layout: The PLY file that the splats come from, for what else is in it. None is the usual layout.
         background: Colour behind the splats, a name or (3,) in [0, 1].
@@ -187,12 +94,16 @@ class SplatField:
         antialias: bool = False,
         device: wp.DeviceLike = None,
     ):
-        held = np.asarray(centers)
+        held = np.asarray(as_host_array(centers, "centers"))
         places = held if held.dtype in (np.float32, np.float64) else real_array(held, "centers", np.float32)
         others = {"log_scales": log_scales, "quaternions": quaternions, "logits": logits, "harmonics": harmonics}
-        scales, turns, opacities, colors = (real_array(each, name, np.float32) for name, each in others.items())
+        scales, turns, opacities, colors = (
+            real_array(as_host_array(each, name), name, np.float32) for name, each in others.items()
+        )
         if places.ndim != 2 or colors.ndim != 3:
             raise ValueError(f"centres must be (n, 3) and harmonics (n, b, 3), got {places.shape}, {colors.shape}")
+        if opacities.shape == (len(places), 1):  # as the optimiser of 3DGS holds them
+            opacities = opacities[:, 0]
         self.contents = checked_contents(SplatContents(places, scales, turns, opacities, colors, layout))
         self.antialias = checked_flag(antialias, "antialias")
         self.device = resolve_device(device)
@@ -228,6 +139,40 @@ class SplatField:
         if activated is not None:
             checked_flag(activated, "activated")
         return cls.from_contents(read_splats(path, activated=activated), device=device)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        centers: Any,
+        scales: Any,
+        rotations: Any,
+        opacities: Any,
+        colors: Any = None,
+        *,
+        harmonics: Any = None,
+        **options: Any,
+    ) -> SplatField:
+        """A field of values as renderers have them, as arrays of any library (NumPy, Warp, torch, CuPy, JAX).
+
+        Args:
+            centers: (n, 3) world units.
+            scales: (n, 3) standard deviations along each splat's own axes, above 0, world units.
+            rotations: (n, 4) quaternions w x y z of any length, or (n, 3, 3) with those axes as columns. None turns
+                nothing.
+            opacities: (n,) or (n, 1), 0 to 1.
+            colors: (n, 3) in [0, 1], the same from all sides. None where there are harmonics.
+            harmonics: (n, b, 3) coefficients in red, green and blue; b = 1, 4, 9 or 16.
+            options: `background`, `up`, `antialias` and `device`, as for the constructor.
+
+        Returns:
+            The field.
+
+        Raises:
+            ValueError: As the constructor; for logarithms or logits; and for neither or both of colours and harmonics.
+        """
+        return cls.from_contents(
+            contents_of_arrays(centers, scales, rotations, opacities, colors, harmonics), **options
+        )
 
     @classmethod
     def from_contents(cls, contents: SplatContents, **options: Any) -> SplatField:
@@ -274,6 +219,11 @@ class SplatField:
     def degree(self) -> int:
         """Degree of the harmonics, 0 to 3."""
         return self.contents.degree
+
+    @property
+    def centers(self) -> np.ndarray:
+        """(n, 3) float32 or float64 centres, world units, as files have them. They are not to be written to."""
+        return self.contents.centers
 
     @functools.cached_property
     def scales(self) -> np.ndarray:
@@ -537,20 +487,6 @@ class SplatField:
             "a SplatField is held on a device and not copied between processes: save it, and load the file "
             "in each of them"
         )
-
-
-def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
-    """Rotations (n, 3, 3) float64 of quaternions (n, 4) w x y z of any length; of length zero for no rotation."""
-    q = quaternions.astype(np.float64)
-    largest = np.abs(q).max(axis=1, keepdims=True, initial=0.0)
-    q = np.where(largest > 0.0, q / np.where(largest > 0.0, largest, 1.0), [1.0, 0.0, 0.0, 0.0])
-    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
 
 
 #: What a Deformer poses.

@@ -7,7 +7,7 @@ import io
 import itertools
 import os
 import pathlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence, Sized
 from fractions import Fraction
 from typing import Any
 
@@ -18,6 +18,7 @@ from ..core.checks import checked_positive, checked_whole
 from ..core.files import atomic_path, read_npz, require_numbers
 from ..core.memory import require_host_memory
 from ..core.overlap import stream
+from ..core.reports import Progress, hears, tell
 from .motion import MAX_DENOMINATOR
 from .opacity import with_spread_colors
 from .pictures import as_rgb, path_with_ending, read_image, to_uint8
@@ -68,8 +69,14 @@ def require_clear_film(path: str | os.PathLike) -> None:
         )
 
 
+@hears
 def write_film(
-    path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float | Fraction = 24.0, *, loop: bool = True
+    path: str | os.PathLike,
+    frames: Iterable[ArrayLike],
+    fps: float | Fraction = 24.0,
+    *,
+    loop: bool = True,
+    progress: bool | Progress = False,
 ) -> None:
     """Write a film, whole or not at all, by its ending; frames are (h, w, 3), for .mov and .webm also (h, w, 4).
     They are taken one by one, in this thread, and encoded by others while the next are made; `loop` is of a GIF."""
@@ -139,7 +146,9 @@ def _clear_codec(ending: str, clear: bool) -> tuple[str, str, dict[str, str]]:
 
 def _own(frames: Iterable[ArrayLike]) -> Iterator[np.ndarray]:
     """The frames as arrays that stay as they are while the next ones are made: copies of those that can be written."""
-    for frame in frames:
+    total = len(frames) if isinstance(frames, Sized) else 0
+    for index, frame in enumerate(frames, 1):
+        tell(index, total, "film")
         pixels = np.asarray(frame)
         yield pixels.copy() if pixels.flags.writeable else pixels
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import sys
+import logging
 
 import numpy as np
 
 from ...core.checks import checked_margin
+from ...core.reports import tell
 from ...field.planes import Plane
 from ...field.selection import visible_nodes
 from ...field.surface import require_field
@@ -17,6 +18,8 @@ from .decimate import progressive_hull
 from .fit import cleared, face_samples, row_sums
 from .shell import ObjectShell, decimated, flaw, shell_cage
 from .voxel import voxel_cage
+
+_log = logging.getLogger(__name__)
 
 #: Rounds in which the rim on the plane is widened until it holds the object, and how far in each, in voxels.
 _ROUNDS, _STEP = 24, 0.25
@@ -111,13 +114,7 @@ _MOST_POINTS = 1_000_000
 
 
 def cage_around_mesh(
-    mesh,
-    vertex_count: int = 100,
-    *,
-    margin: float | None = None,
-    method: str = "auto",
-    symmetry: str | None = None,
-    progress: bool = False,
+    mesh, vertex_count: int = 100, *, margin: float | None = None, method: str = "auto", symmetry: str | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a cage of about `vertex_count` vertices around a mesh; see `Cage.from_mesh`.
     `margin`: least distance between cage and mesh, world units; None takes 1 % of the mesh's size."""
@@ -145,7 +142,7 @@ def cage_around_mesh(
         # numbered row by row: sorted in a fraction of the time of rows of three
         _, one = np.unique(np.ravel_multi_index(tuple(cell.T), tuple(cell.max(axis=0) + 1)), return_index=True)
         points, slack = points[one], slack + np.sqrt(3.0) * 0.1 * spacing
-    return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry, progress)
+    return _cage_around_points(points, spacing, slack, margin, vertex_count, method, symmetry)
 
 
 def cage_around_field(
@@ -156,7 +153,6 @@ def cage_around_field(
     threshold: float | None = None,
     method: str = "auto",
     symmetry: str | None = None,
-    progress: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and faces (f, 3) of a cage of `vertex_count` vertices (within 10 %) around what a field shows.
     `margin`: least distance to the visible voxels (boxes of a voxel's size around nodes), in voxels; None takes 1."""
@@ -172,11 +168,11 @@ def cage_around_field(
     spacing = max(voxel_spacing(extent, vertex_count), voxel_size.max())
     corner = 0.5 * float(np.linalg.norm(voxel_size))
     floor = getattr(field, "floor", None)  # nodes lie above it: the cage ends there, without what they stand on
-    return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, progress, floor)
+    return _cage_around_points(points, spacing, corner, margin, vertex_count, method, symmetry, floor)
 
 
 def _cage_around_points(
-    points, spacing, slack, margin, vertex_count, method, symmetry, progress, floor: Plane | None = None
+    points, spacing, slack, margin, vertex_count, method, symmetry, floor: Plane | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tightest cage of the methods asked for; slack: how far the object may lie off its points; floor: where it
     ends."""
@@ -197,12 +193,13 @@ def _cage_around_points(
     spacing, slack, margin = (float(np.round(length / size, 9)) for length in (spacing, slack + 2e-9 * size, margin))
     found, reasons = [], []
     for name, make in makers.items():
-        _tell(progress, f"{name}: {len(points)} points, to be enclosed by {vertex_count} vertices")
+        _log.info("%s: %d points, to be enclosed by %d vertices", name, len(points), vertex_count)
+        tell(len(found), len(makers), f"cage: {name}")
         try:
             cage = make(points, spacing, slack, margin, vertex_count, symmetry)
         except ValueError as error:
             reasons.append(f"{name}: {error}")
-            _tell(progress, f"{name}: none ({error})")
+            _log.info("%s: none (%s)", name, error)
             continue
         cage = cage.with_vertices(middle + size * cage.vertices)
         if floor is not None:
@@ -210,9 +207,9 @@ def _cage_around_points(
                 cage = cage.with_vertices(ended_at(floor, cage, middle + size * points, size * spacing))
             except ValueError as error:
                 reasons.append(f"{name}: {error}")
-                _tell(progress, f"{name}: none ({error})")
+                _log.info("%s: none (%s)", name, error)
                 continue
-        _tell(progress, f"{name}: {len(cage.vertices)} vertices, volume {cage.volume:.4g}")
+        _log.info("%s: %d vertices, volume %.4g", name, len(cage.vertices), cage.volume)
         found.append(cage)
     if not found:
         raise ValueError(
@@ -221,11 +218,6 @@ def _cage_around_points(
         )
     best = min(found, key=lambda cage: cage.volume)
     return best.vertices, best.faces
-
-
-def _tell(progress, line: str) -> None:
-    if progress:
-        print(f"cage {line}", file=sys.stderr, flush=True)
 
 
 def simplified_cage(vertices, faces, points, spacing, need, vertex_count) -> tuple[np.ndarray, np.ndarray]:

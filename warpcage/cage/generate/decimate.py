@@ -6,6 +6,7 @@ import numpy as np
 import warp as wp
 
 from ...core.devices import launch
+from ...core.reports import tell
 from ...kernels.mesh.collapses import measure_collapses
 
 
@@ -38,7 +39,9 @@ def progressive_hull(vertices, faces, vertex_count: int) -> tuple[np.ndarray, np
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
     side = np.sqrt(2.0 * area / (np.sqrt(3.0) * vertex_count))
+    first = len(vertices)
     while len(vertices) > vertex_count:
+        tell(first - len(vertices), first - vertex_count, "cage: decimate")
         edges, places, costs = _collapses(vertices, faces, side)
         if not len(edges):
             break

@@ -425,7 +425,3 @@ def require_folder(path: str) -> None:
     if not pathlib.Path(path).is_dir():
         what = "is a file" if pathlib.Path(path).is_file() else "is not there"
         raise FileNotFoundError(f"scene folder {path!r} {what}")
-
-
-#: Whether --verbose was given: Warp's own lines are shown, and those of what is tried.
-verbose = False

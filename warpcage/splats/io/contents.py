@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import pathlib
+from typing import Any
 
 import numpy as np
 
-from ...core.checks import float32_spacing, listed, warn_caller
+from ...core.arrays import as_host_array
+from ...core.checks import float32_spacing, listed, real_array, warn_caller
 from ...core.names import agreed, counted
 
 #: The first of the real harmonics, Y_0.
@@ -245,3 +247,63 @@ def _without_elements_after(header: bytes) -> bytes:
         if not (dropping and words[:1] in ([b"element"], [b"property"])):
             kept.append(line)
     return b"".join(kept)
+
+
+def rotation_matrices(quaternions: np.ndarray) -> np.ndarray:
+    """Rotations (n, 3, 3) float64 of quaternions (n, 4) w x y z of any length; of length zero for no rotation."""
+    q = quaternions.astype(np.float64)
+    largest = np.abs(q).max(axis=1, keepdims=True, initial=0.0)
+    q = np.where(largest > 0.0, q / np.where(largest > 0.0, largest, 1.0), [1.0, 0.0, 0.0, 0.0])
+    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def contents_of_arrays(
+    centers: Any, scales: Any, rotations: Any, opacities: Any, colors: Any, harmonics: Any
+) -> SplatContents:
+    """Splats of values as renderers have them, of arrays of any library; see `SplatField.from_arrays`."""
+    places = np.asarray(as_host_array(centers, "centers"))
+    places = real_array(places, "centers", np.float64 if places.dtype == np.float64 else np.float32)
+    if places.ndim != 2:
+        raise ValueError(f"centers must be (n, 3), got {places.shape}")
+    lengths, alphas = (
+        real_array(as_host_array(each, name), name, np.float64)
+        for each, name in ((scales, "scales"), (opacities, "opacities"))
+    )
+    for values, name, fits, what in (
+        (lengths, "scales", lengths > 0.0, "above 0: standard deviations, not their logarithms"),
+        (alphas, "opacities", (alphas >= 0.0) & (alphas <= 1.0), "in [0, 1]: not their logits"),
+    ):
+        if not fits.all():
+            raise ValueError(f"{name} must be {what}, got {values[~fits][0]:.3g}")
+    if (colors is None) == (harmonics is None):
+        raise ValueError("splats have colors (n, 3) or harmonics (n, b, 3): give one of them")
+    if harmonics is None:
+        paint = (real_array(as_host_array(colors, "colors"), "colors", np.float64) - 0.5) / Y0
+        coefficients = paint[:, None] if paint.ndim == 2 else paint
+    else:
+        coefficients = real_array(as_host_array(harmonics, "harmonics"), "harmonics", np.float32)
+    turns = np.zeros((len(places), 4)) if rotations is None else as_host_array(rotations, "rotations")
+    turns = real_array(turns, "rotations", np.float64)
+    if turns.ndim == 3:
+        turns = _quaternions(turns)
+    with np.errstate(divide="ignore"):
+        logits = np.log(alphas) - np.log1p(-alphas)
+    singles = [np.asarray(each, np.float32) for each in (np.log(lengths), turns, logits, coefficients)]
+    return SplatContents(places, *singles)
+
+
+def _quaternions(matrices: np.ndarray) -> np.ndarray:
+    """(n, 4) w x y z of rotations (n, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    if matrices.shape[1:] != (3, 3) or not np.allclose(matrices @ matrices.transpose(0, 2, 1), np.eye(3), atol=1e-3):
+        raise ValueError(f"rotations must be quaternions (n, 4) w x y z, or rotations (n, 3, 3), got {matrices.shape}")
+    if not len(matrices):
+        return np.zeros((0, 4))
+    return np.roll(Rotation.from_matrix(matrices).as_quat(), 1, axis=1)

@@ -1,0 +1,161 @@
+"""Progress of long work: one protocol, which ends the work too and leaves nothing half-done."""
+
+import numpy as np
+import pytest
+from fields import BOX, shiny_field, view
+from runs import write_files
+from scenes import blob_scene
+from splat_scenes import scene_of, splats_in_box
+
+import warpcage
+from warpcage import Cage, Cancelled, Deformer
+from warpcage.view import write_film
+
+POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (50, 3))
+FIT = {"device": "cpu", "resolution": 16, "levels": 1, "epochs": 1, "batch_rays": 256}
+SPLAT_FIT = {"representation": "splats", "device": "cpu", "steps": 4, "most_splats": 80}
+
+
+@pytest.fixture(scope="module")
+def things(tmp_path_factory):
+    """What the calls need."""
+    field, splats = shiny_field("cpu", resolution=12), splats_in_box("cpu", count=60, degree=0)
+    cameras = [view(eye=eye, size=12) for eye in ((2.5, 0, 0.5), (0, 2.5, 0.5), (-2.5, 0, 0.5))]
+    folder = tmp_path_factory.mktemp("progress")
+    return {
+        "folder": write_files(folder),
+        "scene": blob_scene(count=4, size=12, device="cpu"),
+        "field": field,
+        "splats": splats,
+        "cameras": cameras,
+        "images": [splats.render(camera).rgb for camera in cameras],
+        "deformer": Deformer(field, BOX, coordinates="mean_value", resolution=12).pose(BOX.bend(20)),
+        "pictures": [np.full((16, 16, 3), shade, np.float32) for shade in (0.2, 0.5, 0.8)],
+    }
+
+
+def film(things, ending, **options):
+    write_film(things["folder"] / f"film{ending}", things["pictures"], **options)
+    return (things["folder"] / f"film{ending}").stat().st_size
+
+
+#: Long work by its name: what it is, and a number that tells its results apart.
+WORK = {
+    "fit": lambda t, **options: warpcage.fit(t["scene"], **FIT, **options).node_densities().sum(),
+    "fit of splats": lambda t, **options: len(
+        warpcage.fit(
+            scene_of(t["splats"], t["cameras"]),
+            representation="splats",
+            device="cpu",
+            steps=4,
+            most_splats=80,
+            **options,
+        )
+    ),
+    "fit_splats": lambda t, **options: warpcage.fit_splats(
+        t["splats"], t["cameras"], t["images"], steps=4, **options
+    ).opacities.sum(),
+    "evaluate": lambda t, **options: warpcage.evaluate(t["field"], t["scene"], **options)[0]["psnr"],
+    "load_scene": lambda t, **options: warpcage.load_scene(t["folder"] / "scene", **options).images.sum(),
+    "bake": lambda t, **options: warpcage.bake(t["deformer"], 12, **options).voxel_count,
+    "cage of a field": lambda t, **options: Cage.from_field(t["field"], 30, **options).volume,
+    "harmonic weights": lambda t, **options: warpcage.harmonic_coordinates(
+        POINTS, BOX, 12, device="cpu", **options
+    ).std(),
+    "splats bound by lattices": lambda t, **options: (
+        Deformer(t["splats"], BOX, resolution=12, **options).pose(BOX.bend(20)).baked().contents.centers.std()
+    ),
+    "splats bound": lambda t, **options: (
+        Deformer(t["splats"], BOX, coordinates="green", **options).pose(BOX.bend(20)).baked().contents.centers.std()
+    ),
+    "mp4": lambda t, **options: film(t, ".mp4", **options),
+    "gif": lambda t, **options: film(t, ".gif", **options),
+    "mov": lambda t, **options: film(t, ".mov", **options),
+}
+
+
+@pytest.mark.parametrize("name", WORK)
+def test_work_tells_how_far_it_is(name, things, capfd):
+    told = []
+    options = {} if name not in ("fit", "fit of splats", "fit_splats") else {"progress": False}
+    expected = WORK[name](things, **options)
+    found = WORK[name](things, progress=lambda *values: told.append(values))
+    assert found == pytest.approx(expected)
+    assert told and capfd.readouterr().out == ""
+    for done, total, words in told:
+        assert type(done) is int and type(total) is int and 0 <= done and (done <= total or total == 0)
+        assert isinstance(words, str) and words and "\n" not in words
+
+
+class Stop(Exception):
+    """An exception of the caller."""
+
+
+@pytest.mark.parametrize("how", ["false", "raise"])
+@pytest.mark.parametrize("name", WORK)
+def test_work_ends_when_it_is_asked_to(name, how, things):
+    """At the first word and at the last one. Afterwards there is no new file, and the same work gives what it gives."""
+    calls = []
+    expected = WORK[name](things, progress=lambda *values: calls.append(values))
+    for made in things["folder"].glob("film.*"):
+        made.unlink()
+    before = sorted(things["folder"].rglob("*"))
+    for last in {0, len(calls) - 1}:
+        told = []
+
+        def progress(done, total, words, last=last, told=told):
+            told.append(words)
+            if len(told) > last and how == "raise":
+                raise Stop
+            return len(told) <= last
+
+        with pytest.raises(Stop if how == "raise" else Cancelled) as caught:
+            WORK[name](things, progress=progress)
+        assert len(told) == last + 1 and (how == "raise" or isinstance(caught.value, warpcage.Error))
+        assert sorted(things["folder"].rglob("*")) == before
+    assert WORK[name](things, progress=False) == pytest.approx(expected)
+
+
+def test_a_bar_goes_to_stderr(things, capfd):
+    WORK["harmonic weights"](things, progress=True)
+    printed = capfd.readouterr()
+    assert printed.out == "" and "harmonic weights" in printed.err
+
+
+@pytest.mark.parametrize("progress", [5, "yes", []])
+def test_what_is_no_progress_is_told(progress, things):
+    with pytest.raises(ValueError, match="progress must be True, False or a function, got"):
+        WORK["harmonic weights"](things, progress=progress)
+
+
+def test_a_cage_of_a_mesh_can_be_ended():
+    told = []
+    with pytest.raises(Cancelled, match="cage was cancelled"):
+        Cage.from_mesh(BOX, 30, progress=lambda *values: told.append(values) or len(told) < 3)
+    assert len(told) == 3
+
+
+def test_a_caller_may_do_other_work_meanwhile(things):
+    """Which is not told to it."""
+    told = []
+
+    def progress(done, total, words):
+        told.append(words)
+        WORK["harmonic weights"](things)
+        things["field"].render(things["cameras"][0])
+
+    WORK["evaluate"](things, progress=progress)
+    assert set(told) == {"evaluate"}
+
+
+def test_a_cancelled_fit_goes_on_from_its_checkpoint(things, tmp_path):
+    file = tmp_path / "fit.npz"
+    options = {**FIT, "checkpoint": file, "checkpoint_seconds": 0.0}
+    whole = warpcage.fit(things["scene"], **FIT, progress=False)
+    with pytest.raises(Cancelled, match="fit was cancelled, 2 of"):
+        warpcage.fit(things["scene"], **options, progress=lambda done, total, words: done < 2)
+    assert file.exists()
+    begun = []
+    again = warpcage.fit(things["scene"], **options, progress=lambda done, total, words: begun.append(done))
+    assert begun[0] == 2 and not file.exists()
+    np.testing.assert_allclose(again.node_densities(), whole.node_densities(), atol=1e-5)

@@ -1,0 +1,193 @@
+"""What is said beside results: progress of long work, the logger, a word while kernels compile, no empty notes."""
+
+from __future__ import annotations
+
+import contextlib
+import contextvars
+import ctypes
+import functools
+import inspect
+import os
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any, TypeAlias, TypeVar
+
+from ..errors import Cancelled, InputError
+
+#: What `progress=` takes beside True and False: it is told how much is done, of how much, and what is done. Work stops
+#: where it returns False, or raises.
+Progress: TypeAlias = Callable[[int, int, str], object]
+
+_listener: contextvars.ContextVar[Progress | None] = contextvars.ContextVar("listener", default=None)
+
+
+@contextlib.contextmanager
+def heard(progress: bool | Progress | None) -> Iterator[None]:
+    """Let a caller hear of the work in a block: True shows bars on stderr, a function is told.
+    False and None change nothing: where the work is a part of other work, who hears of that hears of it too."""
+    if progress is None or progress is False:
+        yield
+        return
+    if progress is not True and not callable(progress):
+        raise InputError(f"progress must be True, False or a function, got {type(progress).__name__}")
+    bars = _Bars() if progress is True else None
+    token = _listener.set(progress if bars is None else bars)
+    try:
+        yield
+    finally:
+        _listener.reset(token)
+        if bars is not None:
+            bars.close()
+
+
+Decorated = TypeVar("Decorated", bound=Callable[..., Any])
+
+
+def hears(function: Decorated) -> Decorated:
+    """Decorates a function that takes `progress` by its name: who is given so hears of its work; see `heard`."""
+    default = inspect.signature(function).parameters["progress"].default
+
+    @functools.wraps(function)
+    def hearing(*values: Any, **options: Any) -> Any:
+        with heard(options.get("progress", default)):
+            return function(*values, **options)
+
+    return hearing  # pyright: ignore[reportReturnType]
+
+
+def is_heard() -> bool:
+    """Whether anybody hears of the work."""
+    return _listener.get() is not None
+
+
+def tell(done: int, total: int, words: str) -> None:
+    """Say how far work is, `total` 0 where that is not known; raises Cancelled where it is not to go on.
+    Words that change while it goes on stand behind a colon: "fit: 31.20 dB"."""
+    listener = _listener.get()
+    if listener is None:
+        return
+    token = _listener.set(None)  # what the caller does meanwhile is not part of the work
+    try:
+        goes_on = listener(done, total, words) is not False
+    finally:
+        _listener.reset(token)
+    if not goes_on:
+        raise Cancelled(f"{words.partition(':')[0]} was cancelled, {done}{f' of {total}' if total else ''} done")
+
+
+class _Bars:
+    """Progress as a bar after the other."""
+
+    def __init__(self):
+        self._bar: Any = None
+        self._shown: tuple[str, int] | None = None  # what the bar is of
+
+    def __call__(self, done: int, total: int, words: str) -> None:
+        from tqdm import tqdm
+
+        what, _, more = words.partition(": ")
+        if self._shown != (what, total):
+            self.close()
+            self._bar, self._shown = tqdm(total=total or None, initial=done, desc=what), (what, total)
+        self._bar.update(done - self._bar.n)
+        if more:
+            self._bar.set_postfix_str(more)
+
+    def close(self) -> None:
+        """End the bar that is shown."""
+        bar, self._bar, self._shown = self._bar, None, None
+        if bar is not None:
+            bar.close()
+
+
+#: Environment variable that shows the logger "warpcage" on stderr from a level on; Warp's own lines too at the first.
+LOG_VARIABLE = "WARPCAGE_LOG"
+LEVELS = ("debug", "info", "warning", "error")
+
+_shown: Any = None  # the handler that `show_log` added
+
+
+def show_log(level: str) -> None:
+    """Show the logger "warpcage" on stderr from a level on; "" shows nothing of it."""
+    import logging
+
+    global _shown
+    if level and level not in LEVELS:
+        raise InputError(f"{LOG_VARIABLE} must be one of {', '.join(LEVELS)}, got {level[:60]!r}")
+    log = logging.getLogger("warpcage")
+    if _shown is not None:
+        log.removeHandler(_shown)
+    _shown = logging.StreamHandler() if level else logging.NullHandler()
+    _shown.setFormatter(logging.Formatter("%(name)s: %(message)s"))
+    log.addHandler(_shown)
+    if level:
+        log.setLevel(level.upper())
+
+
+def start_log() -> None:
+    """Show what LOG_VARIABLE asks for, where nothing was asked otherwise."""
+    if _shown is None:
+        show_log(asked_level())
+
+
+def asked_level() -> str:
+    """The level that LOG_VARIABLE asks for, "" for none."""
+    return os.environ.get(LOG_VARIABLE, "").lower()
+
+
+#: What Warp's native code writes where there is no driver of NVIDIA's, as on every machine without a GPU.
+NOTE = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver."
+
+#: Names under which drivers are found.
+_DRIVERS = ("nvcuda.dll",) if sys.platform == "win32" else ("libcuda.so", "libcuda.so.1")
+
+_done = threading.Event()
+
+
+@contextlib.contextmanager
+def without_driver_note() -> Iterator[None]:
+    """Leave the line out of standard error that Warp writes as it starts without a CUDA driver; once in a process."""
+    # Native code writes to the descriptor: that is led into a file for the moment, of which all other lines come back.
+    if _done.is_set() or has_driver():
+        yield
+        return
+    _done.set()
+    try:
+        kept, held = os.dup(2), tempfile.TemporaryFile()  # noqa: SIM115  (closed below)
+    except OSError:  # no standard error, or nowhere to keep it
+        yield
+        return
+    try:
+        os.dup2(held.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        with held:
+            held.seek(0)
+            lines = b"".join(line for line in held if not line.startswith(NOTE))
+        with contextlib.suppress(OSError):
+            os.write(2, lines)
+
+
+def has_driver() -> bool:
+    """Whether there is a driver of NVIDIA's."""
+    for name in _DRIVERS:
+        with contextlib.suppress(OSError):
+            ctypes.CDLL(name)
+            return True
+    return False
+
+
+#: Called once, before the first module of kernels of this process is compiled. None says nothing.
+say: Callable[[], object] | None = None
+
+
+def told() -> None:
+    """Say it, if nobody has."""
+    global say
+    saying, say = say, None
+    if saying is not None:
+        saying()
