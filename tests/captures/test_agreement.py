@@ -2,39 +2,10 @@
 
 import numpy as np
 import pytest
+from correspondences import FOCAL, correspondences, inside_out, orbit, seen, torn_in_two
 
 from warpcage import Camera
 from warpcage.captures import agreement_of, ahead_share, held_groups, rays_meet
-
-FOCAL = 700.0
-
-
-def orbit(count, degrees=300.0):
-    """Poses (n, 4, 4) that walk around the origin and look at it, OpenCV axes."""
-    turns = np.radians(np.linspace(0, degrees, count))
-    return np.array(
-        [Camera.look_at([4 * np.cos(t), 4 * np.sin(t), 1.5], [0, 0, 0], fov_degrees=60).camera_to_world for t in turns]
-    )
-
-
-def seen(points, pose):
-    local = (points - pose[:3, 3]) @ pose[:3, :3]
-    return local[:, :2] / local[:, 2:]
-
-
-def correspondences(poses, *, apart=3, noise=0.3, wrong=0.02, seed=0):
-    """Slopes of 60 points in all pictures, and matches of each with those up to `apart` on; some are wrong by lot."""
-    rng = np.random.default_rng(seed)
-    points = rng.uniform(-1, 1, (60, 3))
-    slopes = [seen(points, pose) + rng.normal(0, noise / FOCAL, (60, 2)) for pose in poses]
-    matches = {}
-    for a in range(len(poses)):
-        for b in range(a + 1, min(a + apart + 1, len(poses))):
-            rows = np.stack([np.arange(60), np.arange(60)], axis=1)
-            lot = rng.random(60) < wrong
-            rows[lot, 1] = rng.integers(0, 60, lot.sum())
-            matches[a, b] = rows
-    return slopes, matches
 
 
 def measured(slopes, matches, poses):
@@ -65,10 +36,7 @@ def test_cameras_torn_in_two(seam):
     """The second part moves as one: it agrees in itself, and not with the first, but for a few pairs at a seam."""
     poses = orbit(24)
     slopes, matches = correspondences(poses, apart=5)
-    torn = poses.copy()
-    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    torn[14:, :3, :3] = turn @ poses[14:, :3, :3]
-    torn[14:, :3, 3] = poses[14:, :3, 3] @ turn.T + [3.0, 6.0, 0.0]
+    torn = torn_in_two(poses, 14)
     if seam:  # one pair across agrees: as if its pictures showed something else, which moved along
         relative = np.linalg.inv(torn[13]) @ torn[14]
         other = np.random.default_rng(1).uniform(-1, 1, (60, 3)) + [0, 0, 4.0]
@@ -98,14 +66,6 @@ def test_pictures_without_a_camera_do_not_count():
     found = measured(slopes, matches, poses)
     assert not (found.pairs == 4).any() and all(4 not in group for group in found.groups)
     assert sum(map(len, found.groups)) == 9
-
-
-def inside_out(poses):
-    """In the same places, but each turned the other way from the middle one: they look away from each other's views."""
-    turned = np.linalg.inv(poses[len(poses) // 2]) @ poses
-    mirror = np.diag([1.0, 1.0, -1.0])
-    turned[:, :3, :3] = mirror @ turned[:, :3, :3] @ mirror
-    return turned
 
 
 def test_cameras_inside_out():

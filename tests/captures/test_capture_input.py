@@ -138,12 +138,12 @@ def test_an_interrupted_capture_continues(tmp_path, glances, monkeypatch):
     called = []
     from warpcage.captures import Solver
 
-    find, mapped = Solver.find_features, Solver.map
-    monkeypatch.setattr(Solver, "map", lambda self, folder: (_ for _ in ()).throw(KeyboardInterrupt))
+    find, mapped = Solver.find_features, Solver.map_globally
+    monkeypatch.setattr(Solver, "map_globally", lambda self, folder: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         warpcage.capture(folder, output, progress=False)
     assert (tmp_path / ".out.capture" / "database.db").is_file() and not any(output.iterdir())
-    monkeypatch.setattr(Solver, "map", mapped)
+    monkeypatch.setattr(Solver, "map_globally", mapped)
     extract = pycolmap.extract_features
     monkeypatch.setattr(
         pycolmap, "extract_features", lambda *a, **o: (called.append(o["image_names"]), extract(*a, **o))

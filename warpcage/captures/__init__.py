@@ -7,6 +7,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
     {
         "agreement": "agreement_of ahead_share held_groups rays_meet",
         "colmap": "Solver",
+        "solving": "solve",
         "video": "FrameScores motion pick_frames scan_video sharpness write_frames",
     },
 )

@@ -26,6 +26,10 @@ class Agreement:
         """The share of all matches that agree; 0 where there are none."""
         return float(self.agreeing.sum() / max(self.counts.sum(), 1))
 
+    def inside(self, group: np.ndarray) -> int:
+        """How many matches join the pictures of a group with each other."""
+        return int(self.counts[np.isin(self.pairs, group).all(axis=1)].sum())
+
     def across(self, group: np.ndarray) -> tuple[int, int]:
         """How many matches join a group of pictures with others that have a camera, and how many of them agree."""
         cut = np.isin(self.pairs, group).sum(axis=1) == 1

@@ -11,7 +11,6 @@ import shutil
 import warnings
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Any
 
 import numpy as np
 
@@ -19,9 +18,10 @@ from ..core.checks import checked_path, checked_whole, listed
 from ..core.files import atomic_path
 from ..core.names import agreed, counted
 from ..view.pictures import write_png
-from .colmap import Found, Solver, found_of, load_pycolmap
+from .colmap import Solver, load_pycolmap
 from .report import MOST_THUMBNAILS, THUMBNAIL, CaptureReport, make_contact_sheet, make_report
 from .scene_folder import placed, write_scene
+from .solving import HOW_TO, LEAST_PICTURES, Solution, solve
 from .sources import Source, read_sources, shrink_factor
 from .video import FrameScores, pick_frames, scan_video, shrink_all, write_frames
 
@@ -83,20 +83,11 @@ def publish(new: pathlib.Path, output: pathlib.Path) -> None:
     os.replace(new, output)
 
 
-#: Fewest pictures that cameras can be found of, and fewest features that a usual picture must have.
-LEAST_PICTURES, LEAST_FEATURES = 3, 40
-
-#: Fewest points that hold the cameras of a picture together.
-LEAST_POINTS = 10
-
-#: Cameras lie at least so far apart, as a share of the distance to what they see.
-LEAST_PARALLAX = 0.1
+#: Fewest features that a usual picture must have.
+LEAST_FEATURES = 40
 
 #: Bounds of the options.
 MOST_FRAMES, LEAST_SIZE, MOST_SIZE = 2000, 100, 8000
-
-#: How pictures are taken that can be used, for messages.
-HOW_TO = "walk around the object in small steps, so that each picture shows most of what the one before it did"
 
 
 def capture(
@@ -176,7 +167,8 @@ def _capture(
     sources = _video_sources(source, work, frames, facts, progress) if video else read_sources(source)
     _require_several(len(sources), source, video)
     names, sharp = shrink_all(sources, work / "small", feature_size, progress)
-    found = placed(_find(source, work, sources, names, video, feature_size, seed, progress))
+    solution = _find(source, work, sources, names, video, feature_size, seed, progress)
+    found = placed(solution.found)
 
     new = work / "scene"
     shutil.rmtree(new, ignore_errors=True)
@@ -278,11 +270,8 @@ def _find(
     feature_size: int,
     seed: int,
     progress: bool,
-) -> Found:
+) -> Solution:
     """Cameras and points, from an earlier run where there was one."""
-    colmap, kept = load_pycolmap(), work / "model"
-    if kept.is_dir():
-        return found_of(colmap.Reconstruction(kept), names)
     from PIL import Image
 
     sizes = [Image.open(work / "small" / name).size for name in names]
@@ -303,6 +292,9 @@ def _find(
         seed=seed,
         progress=progress,
     )
+    kept, labels = work / "model", [each.name for each in sources]
+    if kept.is_dir():
+        return solve(solver, work / "mapping", source, labels, kept)
     features = solver.find_features()
     usual = float(np.median(features))
     if usual < LEAST_FEATURES:
@@ -316,55 +308,7 @@ def _find(
             f"no two pictures of {str(source)!r} show the same ({pairs} pairs were compared): {HOW_TO}; what shines or "
             "moves cannot be matched"
         )
-    working = work / "mapping"
-    shutil.rmtree(working, ignore_errors=True)
-    working.mkdir()
-    models = solver.map(working)
-    _require_most(source, sources, names, models)
-    model = solver.refine(models[0])
-    found = found_of(model, names)
-    _require_parallax(source, found)
-    unfinished = work / "model.new"
-    shutil.rmtree(unfinished, ignore_errors=True)
-    unfinished.mkdir()
-    model.write(unfinished)
-    unfinished.replace(kept)
-    return found
-
-
-def _require_most(source: pathlib.Path, sources: Sequence[Source], names: list[str], models: list[Any]) -> None:
-    """Raises ValueError where fewer than half of the pictures have a camera, or next to nothing holds them."""
-    count = len(names)
-    groups = [[image.name for image in model.images.values() if image.has_pose] for model in models]
-    most = len(groups[0]) if groups else 0
-    name_of = {name: each.name for name, each in zip(names, sources, strict=True)}
-    if len(groups) > 1 and 2 * most < count + 1 and 2 * len(groups[1]) >= most:
-        parts = "; ".join(
-            f"{len(group)} with {name_of[min(group)]} and {name_of[max(group)]}"
-            for group in sorted(groups, key=min)
-            if 2 * len(group) >= most
-        )
-        raise ValueError(
-            f"the pictures of {str(source)!r} fall apart into groups that share nothing ({parts}): capture them one by "
-            "one, or add pictures that show both"
-        )
-    if most < LEAST_PICTURES or 2 * most < count or models[0].num_points3D() < LEAST_POINTS * most:
-        raise ValueError(
-            f"cameras were found of {most} of {count} pictures of {str(source)!r}, which is too few to go by: "
-            f"{HOW_TO}; keep the object still, and avoid mirrors, glass and bare walls"
-        )
-
-
-def _require_parallax(source: pathlib.Path, found: Found) -> None:
-    """Raises ValueError where all pictures were taken from about one place: they say nothing about depth."""
-    places = found.poses[:, :3, 3]
-    spread = float(np.linalg.norm(np.ptp(places, axis=0)))
-    away = float(np.median(np.linalg.norm(found.points - places.mean(axis=0), axis=1)))
-    if spread < LEAST_PARALLAX * away:
-        raise ValueError(
-            f"the pictures of {str(source)!r} were taken from about one place, {100 * spread / away:.0f} % of the way "
-            f"to what they show apart, which says nothing about depth: do not turn the camera, {HOW_TO}"
-        )
+    return solve(solver, work / "mapping", source, labels, kept)
 
 
 def _write_contact_sheet(path: pathlib.Path, files: Sequence[pathlib.Path], report: CaptureReport) -> None:

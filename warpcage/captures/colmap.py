@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import pathlib
+import shutil
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -279,8 +280,48 @@ class Solver:
             _, inliers = database.read_two_view_geometry_num_inliers()
         return len(pairs), int((np.asarray(inliers) >= verification.min_num_inliers).sum())
 
+    def verified_matches(self) -> tuple[list[np.ndarray], dict[tuple[int, int], np.ndarray]]:
+        """Places (k, 2) of the features of all pictures, pixels, and by the indices of two pictures the (m, 2) features
+        that match, as a geometry of these two alone explains."""
+        with self._opened() as database:
+            numbers = self._numbers(database)
+            index = {number: k for k, number in enumerate(numbers)}
+            places = [np.asarray(_array(database.read_keypoints(number)), np.float64)[:, :2] for number in numbers]
+            matches = {}
+            for pair, geometry in zip(*database.read_two_view_geometries(), strict=True):
+                first, second = (index[number] for number in self.colmap.pair_id_to_image_pair(pair))
+                rows = np.asarray(geometry.inlier_matches, np.int64).reshape(-1, 2)
+                matches[min(first, second), max(first, second)] = rows if first < second else rows[:, ::-1]
+        return places, matches
+
+    def map_globally(self, folder: pathlib.Path) -> list[Any]:
+        """The same as `map` by another way: focal lengths from all pairs, then all turns, then all places at once."""
+        # GLOMAP (Pan et al. 2024): no order of pictures, so that no early mistake carries the rest along. Focal lengths
+        # by the fundamental matrices of all pairs (Sweeney et al. 2015), written to a copy.
+        colmap, database = self.colmap, folder / "calibrated.db"
+        shutil.copy(self.database, database)
+        calibration = colmap.ViewGraphCalibrationOptions(random_seed=self.seed, reestimate_relative_pose=False)
+        self.run_in_thread(colmap.calibrate_view_graph, database, calibration)
+        options, manager, stop = self._global_options(), colmap.ReconstructionManager(), threading.Event()
+        opened = colmap.Database.open(database)
+        try:
+            with bar(None, "cameras", self.progress) as shown:
+
+                def step() -> None:
+                    if stop.is_set():
+                        raise InterruptedError  # ends the pipeline, which has no token
+                    shown.update()
+
+                pipeline = colmap.GlobalPipeline(options, opened, manager)
+                pipeline.add_callback(colmap.GlobalPipelineCallback.MODEL_UPDATE_CALLBACK.value, step)
+                self.run_in_thread(pipeline.run, cancel=stop.set)
+        finally:
+            opened.close()
+        models = [colmap.Reconstruction(manager.get(k)) for k in range(manager.size())]
+        return sorted(models, key=lambda model: -model.num_reg_images())
+
     def map(self, folder: pathlib.Path) -> list[Any]:
-        """Find cameras and points from the matches; folder: an empty one for COLMAP's own files.
+        """Find cameras and points from the matches, picture by picture; folder: an empty one for COLMAP's own files.
         Returns pycolmap Reconstructions, the largest first; several where the pictures fall apart into groups."""
         options = self._mapping_options()
         with bar(len(self.names), "cameras", self.progress) as shown:
@@ -359,6 +400,18 @@ class Solver:
         options.num_threads = options.mapper.num_threads = self._mapping_threads
         options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = self.seed
         options.min_model_size, options.max_num_models = LEAST_GROUP, MOST_GROUPS
+        return options
+
+    def _global_options(self) -> Any:
+        options = self.colmap.GlobalPipelineOptions()
+        mapper = options.mapper
+        parts = (options, mapper, mapper.rotation_averaging, mapper.global_positioning, mapper.retriangulation)
+        for part in parts:
+            part.random_seed = self.seed
+        options.num_threads = mapper.num_threads = self._mapping_threads
+        mapper.bundle_adjustment.ceres.solver_options.num_threads = self._mapping_threads
+        mapper.global_positioning.use_gpu = mapper.bundle_adjustment.ceres.use_gpu = False
+        options.min_model_size, options.image_path = LEAST_GROUP, self.folder
         return options
 
     def _named_pairs(self, video: bool) -> list[tuple[str, str]]:
