@@ -19,7 +19,7 @@ CAPTURE = [
     "av>=14.2",  # from there on frames say how a phone was held
 ]
 
-CLUSTER = ["ray>=2.40"]  # several workers of `warpcage run`, and clusters: the core alone, without ray[default]
+CLUSTER = ["ray>=2.40"]  # clusters of `warpcage run`: the core alone, without ray[default]
 
 TEST = [
     *EDIT,

@@ -18,7 +18,7 @@ import threading
 import time
 
 import numpy as np
-from common import BENCHMARKS, CAGE, FIELD, JSON, command, eye_beside, option, pickle_by_value, write_results
+from common import BENCHMARKS, CAGE, FIELD, JSON, command, eye_beside, option, write_results
 
 import warpcage
 from warpcage.batch import write_jobs
@@ -65,7 +65,7 @@ def gpus(args) -> None:
     and once more as records of a kilobyte, for which no picture leaves the GPU. What encoding and writing hold back are
     the differences. A few items are made first by each, so that no kernel is compiled in what is timed. Of each run:
 
-    - `seconds`, all of the command, with the start of Python, the plan, the start of Ray and its end;
+    - `seconds`, all of the command, with the start of Python, the plan, the start of processes and their end;
     - `until_first`, of these until the first item was begun;
     - `rate`, items a second from then until the last one was made, with what loading takes;
     - `steady`, of many items, from when a tenth was made until nine tenths were;
@@ -271,7 +271,6 @@ def handing_out(args) -> None:
     what frames of Lego at 800x800 took on an H200. Figures as of `batch gpus`; `over_ideal` is what a run takes of what
     its items take, loading once included.
     """
-    pickle_by_value(__name__)
     rows = []
     with tempfile.TemporaryDirectory() as temporary:
         path = waiting_job(pathlib.Path(temporary), args)

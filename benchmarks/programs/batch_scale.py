@@ -142,6 +142,7 @@ def message_costs(folder: pathlib.Path, count: int) -> dict[str, float]:
                     folder / f"tiny{size}.jsonl",
                     folder / f"tiny{size}",
                     workers=2,
+                    cluster=ray.get_runtime_context().gcs_address,
                     device="cpu",
                     progress=lambda state, times=times: times.append((state.done, time.process_time())),
                     make=Nothing,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import pathlib
+import tempfile
 import time
 
-from common import CAGE, FIELD, command, eye_beside, option, pickle_by_value
+from common import CAGE, FIELD, command, eye_beside, option
 
 
 @command(
@@ -14,10 +16,10 @@ from common import CAGE, FIELD, command, eye_beside, option, pickle_by_value
     CAGE,
     option("--size", type=int, default=800, help="of the frames, pixels"),
     option("--device", help="default: CUDA where there is one"),
-    option("--workers", type=int, default=2, help="actors that are started"),
+    option("--workers", type=int, default=2, help="processes that are started"),
 )
 def main(args) -> None:
-    """What a worker of `warpcage run` does before its first frame, and what Ray takes: the seconds of each step.
+    """What a worker of `warpcage run` does before its first frame, and what starting processes takes.
 
         python benchmarks batch-start --field lego.npz --cage lego_42.obj
 
@@ -25,7 +27,7 @@ def main(args) -> None:
     while it reads. Prints one line of JSON.
     """
     laps = Laps()
-    ray_steps(laps, args.workers)
+    process_steps(laps, args.workers)
     worker_steps(laps, args)
     print(json.dumps(laps.seconds))
 
@@ -44,28 +46,31 @@ class Laps:
         self._last = now
 
 
-def ray_steps(laps: Laps, workers: int) -> None:
-    """Start Ray and actors that load nothing, as a run does, and end it."""
-    from warpcage.batch import load_ray, ray_session
+def process_steps(laps: Laps, workers: int) -> None:
+    """Start processes of workers that make nothing, as a run of several does, and end them."""
+    from warpcage.batch import ItemReader, LocalHost, OutputFolder, RunnerSettings
 
     laps.note("import the driver")
-    load_ray()
-    laps.note("import ray")
-    pickle_by_value(__name__)
-    with ray_session(None) as ray:
-        laps.note("start ray")
-        actors = [ray.remote(Idle).options(num_cpus=0).remote() for _ in range(workers)]
-        ray.get([actor.answer.remote() for actor in actors])
-        laps.note("start actors")
-    laps.note("end ray")
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = OutputFolder(temporary)
+        folder.prepare()
+        host = LocalHost(workers, "cpu")
+        settings = RunnerSettings(temporary, ItemReader("", {}, {}), temporary, "run", "cpu", maker=Idle)
+        started = [host.start(dataclasses.replace(settings, worker=str(number))) for number in range(workers)]
+        for answer in [process.ask("facts") for process in started]:
+            answer.result()
+        laps.note("start processes")
+        for process in started:
+            process.kill()
+            process.wait()
+    laps.note("end processes")
 
 
 class Idle:
-    """An actor that does nothing."""
+    """A maker that makes nothing."""
 
-    def answer(self) -> bool:
-        """That it is there."""
-        return True
+    def __init__(self, base, out, device):
+        pass
 
 
 def worker_steps(laps: Laps, args) -> None:

@@ -20,7 +20,7 @@ from common import GROWTH, JSON, ball_field, command, option, resident, write_re
 import warpcage
 import warpcage.view.film as film
 from warpcage import PoseFile
-from warpcage.batch import RayEngine, ray_engine, write_jobs
+from warpcage.batch import ProcessEngine, run, write_jobs
 from warpcage.core import BackgroundWriter, overlap, stream
 from warpcage.view import write_png
 
@@ -424,7 +424,7 @@ def batch(args) -> int:
             for name in ("0", "1"):
                 curves[f"worker {name}"].append(resident(Seen.newest.places[name]["pid"]))
 
-    ray_engine.RayEngine = Seen
+    run.ProcessEngine = Seen
     with tempfile.TemporaryDirectory() as temporary:
         path = write_job(pathlib.Path(temporary), args.items)
         report = warpcage.run_jobs(path, pathlib.Path(temporary, "out"), workers=2, device="cpu", progress=look)
@@ -438,7 +438,7 @@ def batch(args) -> int:
     return 1 if max(grown.values()) > GROWTH else 0
 
 
-class Seen(RayEngine):
+class Seen(ProcessEngine):
     """The engine, which tells the processes of its workers."""
 
     newest: Seen

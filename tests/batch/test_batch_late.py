@@ -1,9 +1,7 @@
-"""Items that take too long: which is under way for how long, and when workers are asked. With Ray: test_batch_kills."""
+"""Items that take too long: which is under way for how long, and when workers are asked. With processes: the kills."""
 
 import concurrent.futures
 import contextlib
-import subprocess
-import sys
 import threading
 import time
 import types
@@ -20,15 +18,6 @@ from warpcage.batch.fingerprints import Begun
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     return write_frames(tmp_path_factory.mktemp("jobs") / "job", 12).parent
-
-
-def test_a_limit_of_time_needs_ray_also_for_one_worker(files, tmp_path):
-    """Nothing is made in this process, which could not end itself."""
-    program = "import sys\nsys.modules['ray'] = None\nfrom warpcage.cli import main\nsys.exit(main(sys.argv[1:]))"
-    words = ["run", files / "jobs.jsonl", "-o", tmp_path / "out", "--device", "cpu", "--quiet", "--item-timeout", 30]
-    done = subprocess.run([sys.executable, "-c", program, *map(str, words)], capture_output=True, text=True)
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "--item-timeout need Ray" in done.stderr
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("seconds", [0, -1.0, float("nan"), "soon"])

@@ -27,7 +27,7 @@ from warpcage.batch import (
     OutputFolder,
     Place,
     PrefetchedField,
-    RayEngine,
+    ProcessEngine,
     RunnerSettings,
     Share,
     fields,
@@ -154,35 +154,35 @@ def test_a_worker_dies_with_two_chunks(begun_of_second):
 
 
 class Answers:
-    """An actor that answers when a test says so."""
+    """A process that answers when a test says so."""
 
     def __init__(self, settings, asked):
         self.settings, self.asked = settings, asked
 
-    def __getattr__(self, name):
-        def remote(*given):
-            future = concurrent.futures.Future()
-            self.asked[name, given[0].number if name == "run" else given[0] if given else None] = future
-            return types.SimpleNamespace(future=lambda: future)
+    def ask(self, name, *given):
+        future = self.asked[name, given[0].number if name == "run" else given[0] if given else None] = (
+            concurrent.futures.Future()
+        )
+        return future
 
-        return types.SimpleNamespace(remote=remote)
+    def kill(self):
+        pass
+
+    def wait(self):
+        pass
 
 
 @pytest.fixture
 def engine(files, tmp_path):
-    """An engine without Ray; actors that were made, and what the last one was asked."""
-    folder, asked, actors = OutputFolder(tmp_path / "out"), {}, []
+    """An engine; processes that were started, and what the last one was asked."""
+    folder, asked, processes = OutputFolder(tmp_path / "out"), {}, []
     folder.prepare()
 
-    def remote(settings):
-        actors.append(Answers(settings, asked))
-        return actors[-1]
+    def start(settings):
+        processes.append(Answers(settings, asked))
+        return processes[-1]
 
-    fake = types.SimpleNamespace(
-        remote=lambda actor: types.SimpleNamespace(options=lambda **words: types.SimpleNamespace(remote=remote)),
-        kill=lambda actor: None,
-        nodes=lambda: [{"Alive": True}],
-    )
+    host = types.SimpleNamespace(start=start, share=Share(2, 0, 0, 1, "cpu"), waited=lambda seconds: None)
     with JobFile(files / "jobs.jsonl") as job:
         prefetch = tuple((job.data(index), job.line(index)) for index in (4, 5))
         settings = RunnerSettings(str(files), job.reader, str(folder.path), "run", prefetch=prefetch)
@@ -191,16 +191,16 @@ def engine(files, tmp_path):
             lines = [(job.data(index), job.line(index)) for index in chunk.items]
             return ChunkOrder(chunk.number, list(chunk.items), lines, list(chunk.attempts))
 
-        yield RayEngine(fake, settings, Share(2, 0, 0, 1, "cpu"), folder, order, False, 100.0), actors, asked, folder
+        yield ProcessEngine(host, settings, folder, order, 100.0), processes, asked, folder
 
 
 def test_one_that_takes_the_place_of_a_worker_that_died_reads_nothing_beforehand(engine):
     """What the first one read may have killed it, with no item to blame."""
-    engine, actors, _, _ = engine
+    engine, processes, _, _ = engine
     for worker in ("0", "1", "0"):
         engine.launch(worker)
     prefetch = engine.settings.prefetch
-    assert [actor.settings.prefetch for actor in actors] == [prefetch[:1], prefetch[1:], ()]
+    assert [process.settings.prefetch for process in processes] == [prefetch[:1], prefetch[1:], ()]
 
 
 def test_chunks_beside_one_whose_device_is_lost_are_as_they_were_noted(engine):

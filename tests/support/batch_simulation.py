@@ -63,7 +63,7 @@ class _Work:
 
 
 class SimulatedEngine:
-    """What `RayEngine` does, under a virtual clock. The driver is one more worker, which messages keep busy."""
+    """What `ProcessEngine` does, under a virtual clock. The driver is one more worker, which messages keep busy."""
 
     def __init__(self, conditions: Conditions):
         self.conditions = conditions

@@ -21,7 +21,9 @@ from .local_engine import LocalEngine
 from .loop import Engine, drive
 from .manifest import OutputFolder, Part
 from .plan import Plan, make_plan, open_shards, shard_size, span_of
-from .ray_engine import GRACE, RayEngine, ray_session, shares
+from .process_engine import GRACE, Host, ProcessEngine
+from .processes import LocalHost
+from .ray_host import RayHost, ray_session
 from .records import finish_folder
 from .runners import RunnerSettings, make_runner, run_name
 from .scheduler import AIM, Chunk, Dispatcher
@@ -109,23 +111,23 @@ def run_jobs(
         path: The job file (`docs/batch.md`).
         out: The output folder. One run at a time writes to it. On clusters all machines see it, and the folder of the
             job file, under the same path.
-        workers: Processes that work. 1 works in this process and needs no Ray, but see `item_timeout`. With more each
-            has a GPU of its own, or a part of the cores where there is none. None is one, or on a cluster all of its
-            GPUs.
+        workers: Processes that work. 1 works in this process, but see `item_timeout`. With more each has a GPU of its
+            own, or a part of the cores where there is none. None is one, or on a cluster all of its GPUs.
         cluster: Address of a Ray cluster, "auto" for the one that this machine belongs to. None is this machine.
         device: "cpu", or "cuda" for several workers; any Warp device for one. None is CUDA where there is one.
         retries: How often an item is tried again after an error that is not one of its input, or the death of its
             worker, elsewhere where there is an elsewhere.
         item_timeout: Seconds that an item may take, from its beginning until its files are written. The worker of one
             that takes longer is ended, and it counts as one whose worker died. One worker works in a process of its own
-            then, which needs Ray too. None is no limit.
+            then. None is no limit.
         part: One of several parts of the job, which runs beside those of the others; a run of the whole job merges what
             they note into the manifest, and writes what is of all items together. None is the whole job.
         progress: Called with how far the run is. None says nothing.
         warn: Called with a line where a worker dies. None says nothing.
         make: What makes the items in place of a worker of ours, so that everything around it can be tested: called in
             each process with the folder of the job file, the output folder and the device. What it returns has
-            `submit(item, out)`, a Future of the bytes of the outputs by their paths, and `close()`. None is the worker.
+            `submit(item, out)`, a Future of the bytes of the outputs by their paths, and `close()`. Processes import it
+            by its module and name. None is the worker.
 
     Returns:
         What came of it; items that failed are in it, and end nothing.
@@ -134,7 +136,7 @@ def run_jobs(
         FileNotFoundError: If there is no such job file.
         ValueError: For a job file that cannot be read, a folder that another run writes to, a device that is not there,
             or a cluster that does not answer.
-        ImportError: Where Ray is needed and not installed (`pip install 'warpcage[cluster]'`).
+        ImportError: For a cluster where Ray is not installed (`pip install 'warpcage[cluster]'`).
         OSError: Where the output folder cannot be written to.
         RuntimeError: Where no worker can start.
     """
@@ -333,13 +335,14 @@ def _engine(
             held.callback(local.close)
             yield local, 1
             return
-        ray = held.enter_context(ray_session(options.cluster))
-        workers = 1 if options.cluster is None and options.workers is None else options.workers
-        share = shares(ray, workers, options.cluster is not None, options.device)
-        settings = dataclasses.replace(settings, device=share.device, threads=share.threads)
-        engine = RayEngine(ray, settings, share, folder, order, options.cluster is not None, options.item_timeout)
+        host: Host
+        if options.cluster is None:
+            host = LocalHost(options.workers or 1, options.device)
+        else:
+            host = RayHost(held.enter_context(ray_session(options.cluster)), options.workers, options.device)
+        engine = ProcessEngine(host, settings, folder, order, options.item_timeout)
         try:
-            yield engine, share.workers
+            yield engine, host.share.workers
         except BaseException:
             engine.close(GRACE)
             raise

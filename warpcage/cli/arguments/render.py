@@ -138,8 +138,8 @@ def add_animate_arguments(parser: argparse.ArgumentParser) -> None:
         "--workers",
         type=options.positive_int,
         metavar="N",
-        help="processes that render, one a GPU, or with a part of the cores each where there is none; more than one "
-        "needs Ray (default: this one)",
+        help="processes that render, one a GPU, or with a part of the cores each where there is none (default: this "
+        "one)",
     )
     parser.add_argument(
         "--frames", type=options.positive_int, default=48, metavar="N", help="number (default: %(default)s)"

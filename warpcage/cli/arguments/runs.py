@@ -218,14 +218,14 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
         "--workers",
         type=options.positive_int,
         metavar="N",
-        help="processes that work, one a GPU, or with a part of the cores each where there is none; more than one "
-        "needs Ray (default: 1; on a cluster all of its GPUs)",
+        help="processes that work, one a GPU, or with a part of the cores each where there is none (default: 1; on a "
+        "cluster all of its GPUs)",
     )
     parser.add_argument(
         "--cluster",
         metavar="ADDRESS",
-        help='work on a Ray cluster, such as 10.0.0.1:6379, or "auto" for the one that this machine belongs to; all '
-        "its machines see the files under the same paths",
+        help='work on a cluster, which needs Ray, at an address such as 10.0.0.1:6379, or "auto" for the one that this '
+        "machine belongs to; all its machines see the files under the same paths",
     )
     parser.add_argument(
         "--part",
@@ -246,7 +246,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
         type=options.positive_float,
         metavar="SECONDS",
         help="end the worker of an item that takes longer, loading included, and try the item again like one of a "
-        "worker that died. One worker is a process of its own then, which needs Ray (default: no limit)",
+        "worker that died. One worker is a process of its own then (default: no limit)",
     )
     parser.add_argument(
         "--dry-run",
