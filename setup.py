@@ -80,6 +80,7 @@ setup(
         "scipy>=1.11",
         "tqdm>=4.66",
         "pillow>=10.1",  # pictures, and the WebP in files of splats
+        "packaging>=22.0",  # compares versions for `warpcage doctor`
         'zstandard>=0.23; python_version < "3.14"',  # .spz of version 4; from 3.14 on Python has it
     ],
     extras_require={"edit": EDIT, "exr": EXR, "capture": CAPTURE, "cluster": CLUSTER, "test": TEST, "dev": DEV},

@@ -78,10 +78,11 @@ def _machine() -> Rows:
     ]
     rows += [("meshes and cages", line) for line in format_lines()]
     rows += [("scenes", line) for line in scene_lines()]
-    return rows + [(device.alias, _device_line(device)) for device in wp.get_devices()]
+    return rows + [(device.alias, device_line(device)) for device in wp.get_devices()]
 
 
-def _device_line(device: wp.Device) -> str:
+def device_line(device: wp.Device) -> str:
+    """A processor with its threads, or a GPU with its memory and architecture."""
     if device.is_cpu:
         return f"{platform.processor() or device.name}, {counted(cpu_threads(), 'thread')}"
     return f"{device.name}, {device.total_memory / 2**30:.1f} GiB, sm_{device.arch}"

@@ -25,7 +25,7 @@ _GROUPS = (scenes, fields, cages, edit, poses, render, runs, info)
 
 _ORDER = (  # of commands in their help
     "capture fit select clean mesh cage check edit pose edits render animate sweep run bake evaluate info "
-    "kernels".split()
+    "doctor kernels".split()
 )
 
 COMMANDS = {command.name: command for group in _GROUPS for command in group.COMMANDS}

@@ -1,4 +1,4 @@
-"""Arguments of `warpcage info` and `kernels`."""
+"""Arguments of `warpcage info`, `doctor` and `kernels`."""
 
 from __future__ import annotations
 
@@ -57,7 +57,18 @@ def add_kernels_arguments(parser: argparse.ArgumentParser) -> None:
     copy.add_argument("destination", metavar="DEST", help="folder of the copy; Python imports it by this name")
 
 
+DOCTOR_HELP = "look whether warpcage works on this machine, and say what to do where it does not"
+
+DOCTOR_EXAMPLE = """\
+  warpcage doctor
+  warpcage doctor --device cuda:0
+
+Versions, devices, driver, memory, kernel cache, codecs, extras, and a test of some seconds. The exit status is 1 where
+something keeps it from working.
+"""
+
 COMMANDS = (
     Command("info", INFO_HELP, INFO_EXAMPLE, add_info_arguments, "info"),
+    Command("doctor", DOCTOR_HELP, DOCTOR_EXAMPLE, options.add_device, "doctor"),
     Command("kernels", KERNELS_HELP, KERNELS_EXAMPLE, add_kernels_arguments, "info"),
 )

@@ -1,0 +1,92 @@
+"""`warpcage doctor` on a whole machine, and on broken ones: each fault is one line that says what to do."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+
+def doctor(tmp_path, *needs, environment=(), **modules):
+    """Exit status, and lines of doctor by their state, on a machine whose warpcage needs `needs`; modules: texts of
+    stand-ins for installed ones."""
+    info = tmp_path / "warpcage-0.0.1.dist-info"
+    info.mkdir()
+    heads = ["Metadata-Version: 2.1", "Name: warpcage", "Version: 0.0.1"]
+    heads += [f"Requires-Dist: {need}" for need in needs]
+    (info / "METADATA").write_text("\n".join(heads) + "\n", encoding="utf-8")
+    for name, text in modules.items():
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+    paths = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    command = [sys.executable, "-m", "warpcage", "doctor", "--device", "cpu"]
+    variables = {**os.environ, "PYTHONPATH": paths, **dict(environment)}
+    done = subprocess.run(command, env=variables, cwd=tmp_path, capture_output=True, text=True, timeout=240)
+    assert done.stderr == ""
+    lines = {"ok": [], "note": [], "broken": []}
+    for line in done.stdout.splitlines()[:-1]:
+        state, what = re.match(r"(ok|note|broken) +(\S.*)", line).groups()
+        lines[state].append(what)
+    last = done.stdout.splitlines()[-1]
+    assert last == (f"{len(lines['broken'])} thing to mend" if lines["broken"] else "warpcage works here")
+    return done.returncode, lines
+
+
+NUMPY = "numpy>=1.26"
+
+
+def test_a_whole_machine(tmp_path):
+    status, lines = doctor(tmp_path, NUMPY, 'no-such-package>=2; extra == "cluster"', 'numpy>=1; extra == "exr"')
+    assert status == 0 and lines["broken"] == []
+    said = {line.split()[0] for line in lines["ok"]}
+    assert said >= {"warpcage", "python", "packages", "warp", "cpu", "films", "[exr]", "self-test"}
+    (missing,) = [line for line in lines["note"] if line.startswith("[cluster]")]
+    assert "no-such-package>=2" in missing and "pip install 'warpcage[cluster]'" in missing
+
+
+@pytest.mark.parametrize(
+    "needs, said",
+    [
+        ((NUMPY, "warp-lang>=99"), "warp-lang .* another version.*: pip install 'warp-lang>=99'"),
+        ((NUMPY, "no-such-package>=2"), "no-such-package is not installed: pip install 'no-such-package>=2'"),
+        (("no-such-package; python_version < '3'", "numpy>=99"), "numpy .*: pip install 'numpy>=99'"),
+    ],
+    ids=["warp", "missing", "old"],
+)
+def test_wrong_packages(tmp_path, needs, said):
+    status, lines = doctor(tmp_path, *needs)
+    assert status == 1 and len(lines["broken"]) == 1 and re.search(said, lines["broken"][0]), lines
+    assert not any(line.startswith("self-test") for line in lines["ok"])  # it is not known what it would show
+
+
+def test_what_one_step_alone_needs_is_only_noted(tmp_path):
+    status, lines = doctor(tmp_path, "pymeshlab>=9999")
+    assert status == 0 and any("cages cannot be generated" in line for line in lines["note"])
+
+
+@pytest.mark.parametrize("cache", ["file/cache", "/dev/null/cache"])
+def test_no_writable_cache(tmp_path, cache):
+    (tmp_path / "file").write_text("no folder", encoding="utf-8")
+    status, lines = doctor(tmp_path, NUMPY, environment={"WARP_CACHE_PATH": str(tmp_path / cache)})
+    (broken,) = lines["broken"]
+    assert status == 1 and "set WARP_CACHE_PATH to a folder that can" in broken
+
+
+@pytest.mark.parametrize("lost, said", [("libx264", r"no \.mp4 is written"), ("hevc", "videos of phones are not read")])
+def test_no_codec(tmp_path, lost, said):
+    names = {"libx264", "prores_ks", "libvpx-vp9", "h264", "hevc"} - {lost}
+    status, lines = doctor(tmp_path, NUMPY, av=f"__version__ = '1'\ncodecs_available = {names!r}\n")
+    (broken,) = lines["broken"]
+    assert status == 1 and lost in broken and re.search(said, broken) and "pip install --force-reinstall av" in broken
+
+
+def test_warp_that_gives_wrong_numbers(tmp_path):
+    """A stand-in for a broken driver: the coordinates of all points are off."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import warpcage.coordinates.coordinates as c\nright = c.deform_points\n"
+        "c.deform_points = lambda *a, **k: right(*a, **k) + 0.01\n",
+        encoding="utf-8",
+    )
+    status, lines = doctor(tmp_path, NUMPY)
+    (broken,) = lines["broken"]
+    assert status == 1 and broken.startswith("self-test") and "0.01 in points on cpu" in broken
