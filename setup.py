@@ -49,6 +49,9 @@ DEV = [
     "pre-commit>=3.7",
 ]
 
+#: Folders beside the package that are installed as parts of it; in a checkout there are links to them.
+LINKED = {"warpcage.kernels": "kernels", "warpcage.examples": "examples"}
+
 setup(
     name="warpcage",
     version=VERSION,
@@ -59,14 +62,16 @@ setup(
     license_files=["LICENSE"],
     python_requires=">=3.10",
     packages=[
-        *find_packages(include=["warpcage", "warpcage.*"], exclude=["warpcage.kernels", "warpcage.kernels.*"]),
+        *find_packages(include=["warpcage", "warpcage.*"], exclude=[f"{name}*" for name in LINKED]),
         "warpcage.kernels",
         *(f"warpcage.kernels.{room}" for room in find_packages("kernels")),
+        "warpcage.examples",
     ],
-    package_dir={"warpcage": "warpcage", "warpcage.kernels": "kernels"},
+    package_dir={"warpcage": "warpcage", **LINKED},
     package_data={
         "warpcage": ["py.typed", "__init__.pyi"],
         "warpcage.editor": ["page/*", "page/*/*"],
+        "warpcage.examples": ["clusters/*"],
         **{f"warpcage.kernels.{room}": ["*.h", "cpp/*.h"] for room in find_packages("kernels")},
     },
     install_requires=[

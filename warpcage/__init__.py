@@ -51,7 +51,7 @@ _HOMES = {
 }
 
 _ROOMS = (
-    "batch cage captures cli coordinates core deform editor edits field "
+    "batch cage captures cli coordinates core deform editor edits examples field "
     "fitting kernels lattice mesh reference render scene splats view"
 ).split()
 

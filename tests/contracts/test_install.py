@@ -19,7 +19,7 @@ import warpcage
 from warpcage.package import NEEDED
 
 ROOT = pathlib.Path(__file__).parents[2]
-SOURCES = ("setup.py", "pyproject.toml", "README.md", "LICENSE", "warpcage", "kernels")
+SOURCES = ("setup.py", "pyproject.toml", "README.md", "LICENSE", "warpcage", "kernels", "examples")
 FOUND = "import warpcage; print(warpcage.__file__); print(warpcage.kernels.__file__); print(warpcage.__version__)"
 
 
@@ -45,11 +45,12 @@ def copied_tree(folder, link):
             shutil.copytree(source, folder / name, symlinks=True)
         else:
             shutil.copy2(source, folder / name)
-    place = folder / "warpcage" / "kernels"
-    if place.is_symlink() or place.is_file():
-        place.unlink()
-    if link == "text":
-        place.write_text("../kernels")
+    for name in ("kernels", "examples"):
+        place = folder / "warpcage" / name
+        if place.is_symlink() or place.is_file():
+            place.unlink()
+        if link == "text":
+            place.write_text(f"../{name}")
     return folder
 
 
@@ -100,12 +101,28 @@ def test_a_wheel_imports_elsewhere(wheel, tmp_path):
     assert imported_from(tmp_path, wheel.installed) == (package, package / "kernels")
 
 
+def test_an_installed_wheel_runs_examples_by_name(wheel, tmp_path):
+    paths = os.pathsep.join(map(str, [wheel.installed, *site_folders()]))
+    environment = {**os.environ, "PYTHONPATH": paths}
+    command = [sys.executable, "-S", "-m", "warpcage.examples"]
+    options = {"cwd": tmp_path, "env": environment, "capture_output": True, "text": True, "timeout": 240}
+    listed = subprocess.run(command, **options)
+    names = {line.split()[0] for line in listed.stdout.splitlines()[2:]}
+    assert listed.returncode == 0 and names == {path.stem for path in (ROOT / "examples").glob("[a-z]*.py")}
+    done = subprocess.run([*command, "deform_mesh"], **options)
+    assert done.returncode == 0 and "mean_value" in done.stdout, done.stderr
+    wrong = subprocess.run([*command, "deform_mash"], **options)
+    assert wrong.returncode == 2 and "did you mean deform_mesh?" in wrong.stderr and wrong.stderr.count("\n") == 1
+
+
 def test_a_wheel_holds_every_file_once(wheel):
-    linked = ROOT / "warpcage" / "kernels"
-    package = [path for path in (ROOT / "warpcage").rglob("*.py") if linked not in path.parents]
+    linked = {ROOT / "warpcage" / name for name in ("kernels", "examples")}
+    package = [path for path in (ROOT / "warpcage").rglob("*.py") if linked.isdisjoint(path.parents)]
     expected = [path.relative_to(ROOT).as_posix() for path in package] + ["warpcage/py.typed", "warpcage/__init__.pyi"]
     kernels = [path for pattern in ("*.py", "*.h") for path in (ROOT / "kernels").rglob(pattern)]
     expected += [f"warpcage/{path.relative_to(ROOT).as_posix()}" for path in kernels]
+    examples = [path for pattern in ("*.py", "clusters/*.*") for path in (ROOT / "examples").glob(pattern)]
+    expected += [f"warpcage/{path.relative_to(ROOT).as_posix()}" for path in examples]
     page = sorted((ROOT / "warpcage" / "editor" / "page").rglob("*.*"))
     assert {path.suffix for path in page} == {".html", ".css", ".js", ".svg"}
     expected += [path.relative_to(ROOT).as_posix() for path in page]
