@@ -10,6 +10,7 @@ from warpcage.fitting.splats import fitted_scene, scene_units, starting_splats
 from warpcage.view.motion import axis_rotation
 
 SIZE = 48
+GAPS = 43  # places more than 216 points, where pictures have none: a fifth
 CENTER = np.array([10.0, -3.0, 2.0])
 
 
@@ -71,16 +72,16 @@ def test_splats_lie_at_the_points_as_large_as_their_neighbors_are_far():
     points = lattice(0.07)
     colors = np.random.default_rng(0).random((len(points), 3), np.float32)
     start = start_of(plain_scene(cameras_around(), points=points, point_colors=colors))
-    assert np.array_equal(start.centers, points) and np.array_equal(start.colors, colors)
-    np.testing.assert_allclose(start.log_scales, np.log(0.07), atol=1e-6)  # corners have three neighbours too
-    assert start.source == "216 points of the capture"
+    assert np.array_equal(start.centers[:216], points) and np.array_equal(start.colors[:216], colors)
+    np.testing.assert_allclose(start.log_scales[:216], np.log(0.07), atol=1e-6)  # corners have three neighbours too
+    assert start.source == f"216 points of the capture and {GAPS} places where pictures have none"
 
 
 def test_sizes_are_root_mean_squares_of_three_distances():
     points = CENTER + np.random.default_rng(0).normal(size=(150, 3))
     apart = np.sort(np.linalg.norm(points[:, None] - points, axis=-1), axis=1)[:, 1:4]
     start = start_of(plain_scene(cameras_around(), points=points))
-    np.testing.assert_allclose(np.exp(start.log_scales), np.sqrt((apart**2).mean(axis=1)), rtol=1e-5)
+    np.testing.assert_allclose(np.exp(start.log_scales[:150]), np.sqrt((apart**2).mean(axis=1)), rtol=1e-5)
 
 
 def test_many_points_are_drawn_from():
@@ -97,10 +98,11 @@ def test_many_points_are_drawn_from():
 def test_points_on_each_other_and_far_off():
     points = np.concatenate([np.repeat(CENTER[None], 80, axis=0), lattice(0.1, 4), CENTER + [[1e6, 0, 0]]])
     start = start_of(plain_scene(cameras_around(), points=points))
-    assert len(start.centers) == len(points) - 1  # no camera tells anything about the last one
+    count = len(points) - 1  # no camera tells anything about the last one
+    assert len(start.centers) == count + count // 5 and np.array_equal(start.centers[:count], points[:-1])
     assert np.exp(start.log_scales).min() > 1e-5
     same = start_of(plain_scene(cameras_around(), points=np.repeat(CENTER[None], 120, axis=0)))
-    assert 1e-4 < np.exp(same.log_scales).max() < 1.0
+    assert 1e-4 < np.exp(same.log_scales[:120]).max() < 1.0
 
 
 def test_colors_that_points_lack_are_those_of_the_pictures():
@@ -112,7 +114,52 @@ def test_colors_that_points_lack_are_those_of_the_pictures():
     start = start_of(Scene(pictures, None, cameras, points=points))
     np.testing.assert_allclose(start.colors[:216], np.broadcast_to([0.0, 1.0, 0.5], (216, 3)), atol=1e-6)
     np.testing.assert_allclose(start.colors[216:432], np.broadcast_to([0.5, 0.0, 0.0], (216, 3)), atol=1e-6)
-    np.testing.assert_array_equal(start.colors[432:], 0.5)  # in no picture
+    np.testing.assert_array_equal(start.colors[432:648], 0.5)  # in no picture
+
+
+def test_where_pictures_have_no_points_places_lie_on_their_rays():
+    # points on the lower half of the pictures alone; each pixel of the upper half has a colour of its own
+    cameras = cameras_around(2)
+    pictures = np.full((2, SIZE, SIZE, 3), 0.2, np.float32)
+    pictures[:, :, :, :2] = np.moveaxis(np.indices((SIZE, SIZE)), 0, -1) / SIZE
+    pictures[1, :, :, 2] = 0.7
+    rows, columns = (each.ravel() + 0.5 for each in np.mgrid[SIZE // 2 : SIZE : 2, 0:SIZE:2])
+    points = np.concatenate(
+        [
+            camera.center
+            + np.stack([(columns - camera.cx) * 4 / camera.fx, (rows - camera.cy) * 4 / camera.fy, 0 * rows + 4], axis=1)
+            @ camera.rotation.T
+            for camera in cameras
+        ]
+    )
+    scene = Scene(pictures, None, cameras, points=points, point_colors=np.full((len(points), 3), 0.5))
+    start = start_of(scene)
+    added, colors = start.centers[len(points) :], start.colors[len(points) :]
+    assert len(added) == int(0.2 * len(points)) and np.array_equal(start.centers[: len(points)], points)
+    cell, found = SIZE / 24, 0
+    for view, camera in enumerate(cameras):
+        mine = np.isclose(colors[:, 2], pictures[view, 0, 0, 2])
+        pixels, depths = camera.project(added[mine])
+        np.testing.assert_allclose(colors[mine, 0], pixels[:, 1].astype(int) / SIZE, atol=1e-6)
+        np.testing.assert_allclose(colors[mine, 1], pixels[:, 0].astype(int) / SIZE, atol=1e-6)
+        assert (pixels[:, 1] < SIZE / 2 - cell).all()  # not beside a point either
+        assert (depths > 2.0).all() and (depths < 81.0).all()  # up to 20 times the cameras' distance
+        away = np.linalg.norm(added[mine] - camera.center, axis=1)
+        np.testing.assert_allclose(np.exp(start.log_scales[len(points) :][mine]), away * cell / camera.fx, rtol=1e-5)
+        logs = np.log(away)
+        assert abs(logs.mean() - 0.5 * (np.log(4) + np.log(80))) < 0.35 and logs.min() > np.log(3.9)
+        found += mine.sum()
+    assert found == len(added)
+    assert np.array_equal(start_of(scene).centers, start.centers)
+    assert len(start_of(scene, most=len(points) + 7).centers) == len(points) + 7
+
+
+def test_pictures_full_of_points_and_objects_alone_get_no_more_places():
+    near = cameras_around(2)
+    full = CENTER + np.random.default_rng(0).uniform(-3, 3, (6000, 3))
+    assert start_of(plain_scene(near, points=full)).source == "6,000 points of the capture"
+    inside = ball_scene(0.5, points=lattice(0.05))
+    assert len(start_of(inside).centers) == len(inside.points)
 
 
 def test_points_outside_the_silhouettes_are_left_out():
@@ -124,9 +171,10 @@ def test_points_outside_the_silhouettes_are_left_out():
     split = ball_scene(0.5, **both)
     around = (1.0 - split.alphas[..., None]) * np.float32([0.1, 0.6, 0.1])
     whole = start_of(fitted_scene(dataclasses.replace(split, surroundings=around)))
-    assert np.array_equal(whole.centers, both["points"])  # what is around the object is fitted too
+    count = len(both["points"])
+    assert np.array_equal(whole.centers[:count], both["points"])  # what is around the object is fitted too
     assert np.abs(whole.colors[: len(inside)] - [0.9, 0.3, 0.1]).max() < 1e-6
-    assert np.abs(whole.colors[len(inside) :] - [0.1, 0.6, 0.1]).mean() < 0.1
+    assert np.abs(whole.colors[len(inside) : count] - [0.1, 0.6, 0.1]).mean() < 0.1
 
 
 @pytest.mark.parametrize("points", [None, lattice(0.05, 3), lattice(0.05) + [0, 0, 1.2]])
