@@ -30,16 +30,16 @@ def heard(progress: bool | Progress | None) -> Iterator[None]:
     if progress is None or progress is False:
         yield
         return
-    if progress is not True and not callable(progress):
+    listener = _Bars() if progress is True else progress
+    if not callable(listener):
         raise InputError(f"progress must be True, False or a function, got {type(progress).__name__}")
-    bars = _Bars() if progress is True else None
-    token = _listener.set(progress if bars is None else bars)
+    token = _listener.set(listener)
     try:
         yield
     finally:
         _listener.reset(token)
-        if bars is not None:
-            bars.close()
+        if isinstance(listener, _Bars):
+            listener.close()
 
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])

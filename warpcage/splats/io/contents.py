@@ -294,8 +294,10 @@ def contents_of_arrays(
         turns = _quaternions(turns)
     with np.errstate(divide="ignore"):
         logits = np.log(alphas) - np.log1p(-alphas)
-    singles = [np.asarray(each, np.float32) for each in (np.log(lengths), turns, logits, coefficients)]
-    return SplatContents(places, *singles)
+    logs, turns, logits, coefficients = (
+        np.asarray(each, np.float32) for each in (np.log(lengths), turns, logits, coefficients)
+    )
+    return SplatContents(places, logs, turns, logits, coefficients)
 
 
 def _quaternions(matrices: np.ndarray) -> np.ndarray:
