@@ -1,4 +1,6 @@
-"""Points between world units and the local frame of a cage: local = (world - centre) / size."""
+"""Points of any layout and precision in a local frame, local = (world - centre) / size, and back in world units."""
+
+from typing import Any
 
 import warp as wp
 
@@ -11,18 +13,35 @@ FARTHEST = wp.constant(1.0e3)
 @wp.kernel
 def localise_points(
     first: int,
-    points: wp.array(dtype=wp.vec3),
+    points: wp.array2d(dtype=Any),
     center: wp.vec3d,
     size: wp.float64,
     local: wp.array(dtype=wp.vec3),
     bad: wp.array(dtype=int),
 ):
-    """local (n,) = (points - centre) / size; bad (1,) becomes 1 where a point is not finite or FARTHEST away."""
+    """local (n,) = (points - centre) / size of points (n, 3); bad[0] becomes 1 where one is not finite, bad[1] where
+    one is FARTHEST away."""
     n = first + wp.tid()
-    x = wp.vec3((wp.vec3d(points[n]) - center) / size)  # in float64: keeps the digits of points far from the origin
-    if not wp.isfinite(x) or wp.max(wp.abs(x)) >= FARTHEST:
+    world = wp.vec3d(wp.float64(points[n, 0]), wp.float64(points[n, 1]), wp.float64(points[n, 2]))
+    x = wp.vec3((world - center) / size)  # in float64: keeps the digits of points far from the origin
+    if not wp.isfinite(x):
         bad[0] = 1
+    if wp.max(wp.abs(x)) >= FARTHEST:
+        bad[1] = 1
     local[n] = x
+
+
+#: Numbers that points on a device may be of: all are compiled at once, as a later one would compile the others anew.
+NUMBERS = (wp.float32, wp.float64, wp.float16, wp.int32, wp.int64)
+for number in NUMBERS:
+    wp.overload(localise_points, {"points": wp.array2d(dtype=number)})
+
+
+@wp.kernel
+def find_not_finite(first: int, points: wp.array(dtype=wp.vec3), bad: wp.array(dtype=int)):
+    """bad[0] becomes 1 where a point is not finite."""
+    if not wp.isfinite(points[first + wp.tid()]):
+        bad[0] = 1
 
 
 @wp.kernel

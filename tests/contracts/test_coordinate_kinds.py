@@ -1,6 +1,7 @@
 """Kinds of coordinates are looked up by name in one place: what is none is refused, and nothing guesses."""
 
 import ast
+import inspect
 import pathlib
 
 import numpy as np
@@ -9,7 +10,7 @@ from fields import BOX, shiny_field
 from splat_scenes import one_splat
 
 import warpcage
-from warpcage import Deformer, PositionMap, deform_points
+from warpcage import Deformer, PositionMap, SplatDeformer, deform_points
 from warpcage.core import COORDINATES
 from warpcage.reference import InverseMap
 
@@ -78,3 +79,18 @@ def _asks_kind(test):
 )
 def test_what_that_test_takes_for_a_guess(text, guesses):
     assert any(_guesses(node) for node in ast.walk(ast.parse(text))) == guesses
+
+
+def test_the_defaults_are_said_once_and_in_both_docstrings():
+    """A field is posed as the paper has it; points may lie outside of a cage, where one kind alone is defined."""
+    defaults = {
+        taker: inspect.signature(taker).parameters["coordinates"].default
+        for taker in (Deformer.__init__, SplatDeformer.__init__, PositionMap.__init__, deform_points)
+    }
+    assert list(defaults.values()) == ["harmonic", "harmonic", "harmonic", "mean_value"]
+    assert "`deform_points`" in Deformer.__doc__ and "Deformer" in deform_points.__doc__
+    point = np.array([[0.7, 0.5, 0.35]])
+    twisted = BOX.twist(70)
+    mean_value, harmonic = (deform_points(point, BOX, twisted, kind) for kind in ("mean_value", "harmonic"))
+    assert np.array_equal(deform_points(point, BOX, twisted), mean_value)
+    assert np.abs(mean_value - harmonic).max() > 1e-3 * BOX.size

@@ -240,7 +240,7 @@ def test_bad_cages_and_options_are_refused(device):
         coordinates.deform_points(points, cage, other, device=device)
     with pytest.raises(ValueError, match="harmonic, mean_value, green"):
         coordinates.deform_points(points, cage, cage, "mvc", device=device)
-    with pytest.raises(ValueError, match="'raise' or 'nan'"):
+    with pytest.raises(ValueError, match="one of extend, raise, nan"):
         coordinates.green_coordinates(points, cage, device=device, outside="zero")
     with pytest.raises(ValueError, match="cuda:77"):
         coordinates.mean_value_coordinates(points, cage, device="cuda:77")
@@ -285,3 +285,56 @@ def test_harmonic_names_the_cage_that_cannot_be_used(device, monkeypatch):
     mirrored = rest.with_vertices(rest.vertices * [-1, 1, 1])
     with pytest.raises(ValueError, match="^deformed cage looks inward"):
         coordinates.deform_points(points, rest, mirrored, "harmonic", device=device)
+
+
+WEIGHTS = {
+    "mean_value": coordinates.mean_value_coordinates,
+    "green": coordinates.green_coordinates,
+    "harmonic": lambda points, cage, **options: coordinates.harmonic_coordinates(points, cage, 16, **options),
+}
+
+
+@pytest.mark.parametrize("on_device", [False, True], ids=["numpy", "warp"])
+@pytest.mark.parametrize("kind", WEIGHTS)
+def test_outside_means_the_same_for_all_kinds(kind, on_device, device):
+    cage, inner = cage_and_points("icosphere", count=9)
+    # far, a little outside, on the skin, and 1e-6 of the size outside, which counts as inside
+    corner = cage.vertices[0]
+    skin = corner + 1e-6 * cage.size * corner / np.linalg.norm(corner)
+    points = np.concatenate([inner[:4], [5000.0 * corner, 1.01 * corner, corner, skin], inner[4:]])
+    given = wp.array(points, dtype=wp.vec3, device=device) if on_device else points
+    lost = np.isin(np.arange(len(points)), [4, 5])
+    pose = cage.translate((0.1, 0.2, 0.3))
+
+    def weights(which, **options):
+        found = WEIGHTS[kind](which, cage, device=device, **options)
+        return [host(each) for each in (found if isinstance(found, tuple) else (found,))]
+
+    def move(which, **options):
+        return host(coordinates.deform_points(which, cage, pose, kind, device=device, **options))
+
+    for take in (weights, move):
+        with pytest.raises(ValueError, match="2 of 13 points are outside .* point 4"):
+            take(given, outside="raise")
+        with pytest.raises(ValueError, match="one of extend, raise, nan"):
+            take(given, outside="keep")
+    for marked, plain in zip(weights(given, outside="nan"), weights(points[~lost]), strict=True):
+        assert np.isnan(marked[lost]).all()
+        np.testing.assert_allclose(marked[~lost], plain, atol=1e-6)
+    moved = move(given, outside="nan")
+    assert np.isnan(moved[lost]).all()
+    np.testing.assert_allclose(moved[~lost], points[~lost] + [0.1, 0.2, 0.3], atol=2e-4 * cage.size)
+    if kind == "mean_value":  # which alone is defined there, up to a thousand times the size away
+        assert np.allclose(move(points[5:], outside="extend"), move(points[5:]), atol=0)
+        with pytest.raises(ValueError, match="1 of 13 points is 1000 times"):
+            move(given)
+    else:
+        for take in (weights, move):
+            with pytest.raises(ValueError, match="not defined outside of a cage"):
+                take(given, outside="extend")
+        with pytest.raises(ValueError, match="2 of 13 points are outside"):
+            move(given)
+
+
+def host(array):
+    return array.numpy() if isinstance(array, wp.array) else array

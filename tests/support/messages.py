@@ -5,6 +5,9 @@ filled in by the test that asks, by `str.format`.
 """
 
 MESSAGES = {
+    "arrays.dlpack": "points of type .*Tracer could not be read through DLPack",
+    "arrays.no_gradient": "no gradient passes from here to .*, which require one",
+    "arrays.numbers": "points on a device must be of float32, .* got bool",
     "batch.as_many_gpus": "4 workers need as many GPUs, this machine has 2",
     "batch.cage_does_not_fit": "cage 'other.obj' does not fit its rest cage",
     "batch.devices_of_workers": "--device of several workers is cpu or cuda",

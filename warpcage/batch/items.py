@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from ..core.checks import checked_bounds, shown
-from ..core.names import COORDINATES, DENSITIES, SPLAT_MAPS, TRANSPARENT, edit_fields
+from ..core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, edit_fields
 from ..splats.io import SPLAT_ENDINGS
 from . import words
 from .edit_words import EDIT_WORDS, EditWords
@@ -252,7 +252,7 @@ class FrameItem(Item):
     camera: Any = None  # an object, or a reference
     edits: tuple[EditWords, ...] = ()  # in the order in which they act; none shows the field as it is
     size: tuple[int, ...] = ()  # width, or width and height, at which the camera is taken; its own where it is empty
-    coordinates: str = "harmonic"
+    coordinates: str = FIELD_COORDINATES
     resolution: int | str | None = None  # cells of the lattice, "precise", or None: by the size of the picture
     density: str = "opacity"
     map: str | None = None
@@ -341,7 +341,7 @@ def _require_possible(given: dict[str, Any]) -> None:
     needing += [word for word in ("fill", "overlay") if given.get(word)]
     if needing and not edits:
         raise ValueError(f"{needing[0]!r} needs a deformation: 'cage' and 'posed', or 'edits'")
-    if given.get("resolution") == "precise" and given.get("coordinates", "harmonic") == "harmonic":
+    if given.get("resolution") == "precise" and given.get("coordinates", FIELD_COORDINATES) == "harmonic":
         raise ValueError("harmonic coordinates have no closed form: give 'resolution' a number, or leave it out")
     clear = given.get("background") == TRANSPARENT
     if clear and outputs.get("rgb", "").lower().endswith((".jpg", ".jpeg")):

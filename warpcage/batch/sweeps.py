@@ -20,7 +20,7 @@ from ..cage.cage import Cage
 from ..cage.random_poses import RandomNumbers, RandomPoses
 from ..core.checks import checked_whole
 from ..core.files import PathLike, atomic_path
-from ..core.names import require_coordinates
+from ..core.names import FIELD_COORDINATES, require_coordinates
 from ..view.camera import Camera, CameraFile, CameraKey
 from .job_file import write_jobs
 from .words import drawn_words
@@ -243,7 +243,7 @@ def write_sweep(
     rest: Cage,
     sources: Sequence[PoseSource],
     cameras: Sequence[Camera] | Callable[[np.ndarray], Sequence[Camera] | RandomViews],
-    coordinates: Sequence[str] = ("harmonic",),
+    coordinates: Sequence[str] = (FIELD_COORDINATES,),
     views: int | None = None,
     seed: int = 0,
     records: Mapping[str, Any] | None = None,

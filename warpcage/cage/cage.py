@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 import warp as wp
@@ -81,22 +81,22 @@ class Cage(PosableMesh):
         require_usable(self, name)
 
     @overload
-    def contains(self, points: wp.array, *, device: wp.DeviceLike = None) -> wp.array: ...
+    def contains(self, points: np.ndarray, *, device: wp.DeviceLike = None) -> np.ndarray: ...
     @overload
-    def contains(self, points: PointsLike, *, device: wp.DeviceLike = None) -> np.ndarray: ...
+    def contains(self, points: PointsLike, *, device: wp.DeviceLike = None) -> Any: ...
     @device_by_name
-    def contains(self, points: PointsLike, *, device: wp.DeviceLike = None) -> np.ndarray | wp.array:
+    def contains(self, points: PointsLike, *, device: wp.DeviceLike = None) -> Any:
         """Whether points are inside, by winding number. Points within 1e-5 of the cage's size of its surface are.
 
         Args:
-            points: (n, 3) float, world units. NumPy or any DLPack array.
+            points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md).
             device: Warp device. None is the device of an array on a device, else CUDA where there is one.
 
         Returns:
-            (n,) bool: NumPy for NumPy points, else a Warp array on the device.
+            (n,) bool, an array of the same kind on the same device.
 
         Raises:
-            ValueError: For points of another shape, NumPy points that are not finite, or a cage that is not usable.
+            ValueError: For points of another shape or not finite, or a cage that is not usable.
         """
         return inside_mesh(points, self, device=device)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.arrays import as_host_vertices, is_device_array
+from ..core.arrays import as_host_points, is_device_array
 from ..core.checks import checked_path, checked_positive, listed, require_type
 from ..core.files import PathLike, require_file
 from ..core.names import counted
@@ -38,7 +38,7 @@ def posed_cage(rest: Cage, pose: Any, what: str) -> Cage:
     if isinstance(pose, str | os.PathLike):
         return read_pose(pose, rest)
     if isinstance(pose, np.ndarray) or is_device_array(pose):
-        return rest.with_vertices(as_host_vertices(pose))
+        return rest.with_vertices(as_host_points(pose, name="vertices"))
     require_type(pose, Cage, what)
     return pose
 

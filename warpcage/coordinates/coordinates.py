@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ..core.arrays import PointsLike, as_host_points, as_points, empty_array, is_device_array, points_in_turn
+from ..core.arrays import (
+    PointsLike,
+    as_given,
+    as_host_points,
+    device_rows,
+    empty_array,
+    is_device_array,
+    localised,
+    moved,
+    points_device,
+    points_in_turn,
+)
 from ..core.checks import device_by_name
-from ..core.devices import launch, resolve_device
+from ..core.devices import launch
 from ..core.memory import require_memory
-from ..core.names import agreed, chosen
+from ..core.names import OUTSIDE, POINT_COORDINATES, agreed, chosen, require_name
 from ..core.reports import Progress, hears
 from ..kernels.coordinates import green, local_points, mean_value
 from ..kernels.lattice import cage_map
@@ -29,11 +41,9 @@ from .harmonic import HARMONIC_RESOLUTION, harmonic_weights
 class _Local:
     """Points in a local frame: a cage's has the middle of its bounding box at the origin and a longest side of one."""
 
-    given: PointsLike  # as given by the caller, but host points are (n, 3) float64
+    given: PointsLike  # as given by the caller
     points: wp.array  # (n,) vec3 on device
-    on_device: bool  # whether they were given as an array of a device
-    single: bool  # whether they were given as float32
-    bad: wp.array  # (1,) int, above 0 where a point is not finite, or FARTHEST away or more
+    bad: wp.array  # (3,) int, above 0 where a point is not finite; FARTHEST away or more; outside, as kernels find it
 
     @property
     def device(self) -> wp.Device:
@@ -43,79 +53,87 @@ class _Local:
     def count(self) -> int:
         return len(self.points)
 
-    def given_back(self, array: wp.array) -> np.ndarray | wp.array:
-        """A result in the form the points came in."""
-        return array if self.on_device else array.numpy()
-
-    def world(self, rows) -> np.ndarray:
-        """World positions of some rows, for messages and checks on the host."""
-        host = np.asarray(self.given.numpy() if isinstance(self.given, wp.array) else self.given, dtype=np.float64)
-        return host.reshape(-1, 3)[rows]
+    @functools.cached_property
+    def world(self) -> np.ndarray:
+        """The points in world units, on the host: (n, 3) float64, finite."""
+        return as_host_points(self.given)
 
     def place(self, row: int) -> str:
         """World position of a point, for messages."""
-        return ", ".join(f"{value:.6g}" for value in self.world(row))
+        return ", ".join(f"{value:.6g}" for value in self.world[row])
 
 
-def _localise(
-    points: PointsLike, center: np.ndarray, size: float, device: wp.DeviceLike, *, check: bool = True
-) -> _Local:
-    """Points relative to a cage. check: refuse points of a device that are not finite at once, which waits for it."""
-    if not is_device_array(points):
-        host = as_host_points(points)
-        single = isinstance(points, np.ndarray) and points.dtype == np.float32
-        local = (host - center) / size
-        bad = not (np.abs(local) < local_points.FARTHEST).all()
-        with np.errstate(over="ignore"):
-            local = wp.array(local.astype(np.float32), dtype=wp.vec3, device=resolve_device(device))
-        return _Local(host, local, False, single, wp.full(1, int(bad), dtype=int, device=local.device))
-
-    world, _ = as_points(points, device)
-    local = empty_array(len(world), wp.vec3, world.device)
-    bad = wp.zeros(1, dtype=int, device=world.device)
-    launch(
-        local_points.localise_points,
-        len(world),
-        [world, wp.vec3d(*center), wp.float64(size)],
-        [local, bad],
-        device=world.device,
-    )
-    result = _Local(world, local, True, True, bad)
-    if check and int(bad.numpy()[0]):
-        _require_finite(result)
-    return result
+def _localise(points: PointsLike, cage: ClosedMesh, device: wp.DeviceLike) -> _Local:
+    """Points relative to a cage. Those of a device that are not finite are found by `_lost_rows`, which waits."""
+    center, place = cage.bounds.mean(axis=0), points_device(points, device)
+    if is_device_array(points):
+        return _Local(points, *localised(moved(device_rows(points), place), center, cage.size))
+    host = (as_host_points(points) - center) / cage.size
+    bad = [0, int(not (np.abs(host) < local_points.FARTHEST).all()), 0]
+    with np.errstate(over="ignore"):
+        local = wp.array(host.astype(np.float32), dtype=wp.vec3, device=place)
+    return _Local(points, local, wp.array(bad, dtype=int, device=place))
 
 
-def _require_finite(local: _Local) -> None:
-    as_host_points(local.given)
+def _way_outside(outside: str | None, kind: str) -> str:
+    """What happens to points outside of a cage, as `outside=` says it; None is the kind's own way."""
+    if outside is None:
+        return chosen(kind, "coordinates", harmonic="raise", mean_value="extend", green="raise")
+    if require_name(outside, OUTSIDE, "outside") == "extend" and kind != "mean_value":
+        raise ValueError(f"{kind} coordinates are not defined outside of a cage: take outside='raise' or 'nan'")
+    return outside
+
+
+def _lost_rows(local: _Local, cage: ClosedMesh, kind: str, outside: str, *, flagged: bool = False) -> np.ndarray:
+    """Rows of points for which there is no answer, to be NaN; it waits for the device once, and refuses bad points.
+    flagged: a kernel has told whether any point is outside."""
+    not_finite, far, found = local.bad.numpy()
+    if not_finite:
+        _ = local.world  # raises
+    if outside == "extend":
+        if far:
+            _require_near(local, cage)
+        return np.zeros(0, np.int64)
+    if flagged and not found:
+        return np.zeros(0, np.int64)
+    lost = _outside_points(local, cage)
+    if len(lost) and outside == "raise":
+        any_point = ", mean_value for any"
+        hint = chosen(kind, "coordinates", harmonic=any_point, mean_value="", green=any_point)
+        raise ValueError(
+            f"{len(lost)} of {local.count} points {agreed(len(lost), 'is', 'are')} outside the cage by more "
+            f"than {SURFACE_TOLERANCE:g} of its size, "
+            f"the first is point {lost[0]} at ({local.place(lost[0])}): {kind} coordinates are for points inside{hint}"
+        )
+    return lost
 
 
 def _require_near(local: _Local, cage: ClosedMesh) -> None:
     """Refuse points so far from the cage that their mean value weights have no digits."""
-    if int(local.bad.numpy()[0]):
-        away = np.abs(local.world(slice(None)) - cage.bounds.mean(axis=0)).max(axis=1) / cage.size
-        lost = np.flatnonzero(away >= local_points.FARTHEST)
-        raise ValueError(
-            f"{len(lost)} of {local.count} points {agreed(len(lost), 'is', 'are')} "
-            f"{local_points.FARTHEST:.0f} times the cage's size "
-            f"away or more, the first is point {lost[0]} at ({local.place(lost[0])}): leave them out"
-        )
+    away = np.abs(local.world - cage.bounds.mean(axis=0)).max(axis=1) / cage.size
+    lost = np.flatnonzero(away >= local_points.FARTHEST)
+    raise ValueError(
+        f"{len(lost)} of {local.count} points {agreed(len(lost), 'is', 'are')} "
+        f"{local_points.FARTHEST:.0f} times the cage's size "
+        f"away or more, the first is point {lost[0]} at ({local.place(lost[0])}): leave them out"
+    )
 
 
-def _restore(moved: wp.array, local: _Local, center: np.ndarray, size: float):
-    """Local results in world units, in the form the points came in."""
-    if local.on_device:
-        world = wp.empty_like(moved)
-        launch(
-            local_points.restore_points,
-            local.count,
-            [moved, wp.vec3d(*center), wp.float64(size)],
-            [world],
-            device=local.device,
-        )
-        return world
-    world = moved.numpy().astype(np.float64).reshape(-1, 3) * size + center
-    return world.astype(np.float32) if local.single else world
+def _set_nan(array: wp.array, rows: np.ndarray) -> None:
+    """Fill rows, at least one, with NaN."""
+    array[wp.array(rows, dtype=wp.int32, device=array.device)].fill_(float("nan"))
+
+
+def _restored(positions: wp.array, local: _Local, center: np.ndarray, size: float) -> Any:
+    """Local positions in world units, as an array of the points' kind."""
+    if is_device_array(local.given):
+        world = wp.empty_like(positions)
+        inputs = [positions, wp.vec3d(*center), wp.float64(size)]
+        launch(local_points.restore_points, local.count, inputs, [world], device=local.device)
+        return as_given(world, local.given)
+    world = positions.numpy().astype(np.float64).reshape(-1, 3) * size + center
+    single = isinstance(local.given, np.ndarray) and local.given.dtype == np.float32
+    return world.astype(np.float32) if single else world
 
 
 def _cage_arrays(cage: ClosedMesh, local: _Local) -> tuple[wp.array, wp.array]:
@@ -130,8 +148,7 @@ def _outside_points(local: _Local, cage: ClosedMesh) -> np.ndarray:
     """Rows of the points farther outside than 1e-5 of the size."""
     if not local.count:
         return np.zeros(0, dtype=np.int64)
-    inside = inside_mesh(local.given, cage, device=local.device)
-    return np.flatnonzero(~(inside.numpy() if isinstance(inside, wp.array) else np.asarray(inside)).astype(bool))
+    return np.flatnonzero(~inside_mesh(local.world, cage, device=local.device))
 
 
 def _require_room(local: _Local, columns: int) -> None:
@@ -139,30 +156,8 @@ def _require_room(local: _Local, columns: int) -> None:
     size = 4 * local.count * columns
     message = f"weights of {local.count} points, {columns} each, need {{size}}: take fewer points at a time"
     require_memory(size, local.device, message + ", or deform_points, which keeps none")
-    if not local.on_device and not local.device.is_cpu:
+    if not is_device_array(local.given) and not local.device.is_cpu:
         require_memory(size, wp.get_device("cpu"), message)
-
-
-def _require_inside(local: _Local, cage: ClosedMesh, kind: str) -> None:
-    lost = _outside_points(local, cage)
-    if len(lost):
-        raise ValueError(_outside_message(local, lost, kind))
-
-
-def _outside_message(local: _Local, lost: np.ndarray, kind: str) -> str:
-    return (
-        f"{len(lost)} of {local.count} points {agreed(len(lost), 'is', 'are')} outside the cage by more "
-        f"than {SURFACE_TOLERANCE:g} of its size, "
-        f"the first is point {lost[0]} at ({local.place(lost[0])}): {kind} coordinates are for points inside, "
-        "mean_value for any"
-    )
-
-
-def _as_given(array, local: _Local):
-    """`array` as Warp or NumPy, whichever the points were."""
-    if local.on_device:
-        return array if isinstance(array, wp.array) else wp.array(array, dtype=wp.float32, device=local.device)
-    return array.numpy() if isinstance(array, wp.array) else array
 
 
 @points_in_turn
@@ -171,30 +166,35 @@ def deform_points(
     points: PointsLike,
     rest: ClosedMesh,
     deformed: ClosedMesh,
-    coordinates: str = "mean_value",
+    coordinates: str = POINT_COORDINATES,
     *,
     device: wp.DeviceLike = None,
-) -> np.ndarray | wp.array:
+    outside: str | None = None,
+) -> Any:
     """Move points, such as the vertices of a mesh, as the cage around them moves.
 
     No (n, v) matrix of weights is held. Example: `mesh.vertices = deform_points(mesh.vertices, rest, rest.twist(90))`
 
     Args:
-        points: (n, 3), world units. NumPy or an array on a device.
+        points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md).
         rest: Usable Cage around the points.
         deformed: The same faces in another pose.
-        coordinates: "mean_value" (points up to 1000 times the cage's size away), "green" or "harmonic" (points inside
-            `rest`, or within 1e-5 of its size of it; harmonic on a lattice of 128 cells along the longest side).
+        coordinates: "mean_value" (the default here, as it holds for any point), "green" or "harmonic" (the default of a
+            Deformer; here on a lattice of 128 cells along the longest side). Their poses differ: name the one that a
+            Deformer has to have points go with it.
         device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+        outside: What happens to points outside of `rest`, by more than 1e-5 of its size. "extend" moves them too
+            (mean_value alone, up to 1000 times the size away); "raise" refuses them; "nan" makes NaN of them. None is
+            "extend" for mean_value, else "raise".
 
     Returns:
-        (n, 3), world units: float32 for float32 NumPy, float64 for other NumPy (with float32 accuracy relative to the
-        cages), and a Warp array of vec3 for an array on a device.
+        (n, 3), world units, an array of the points' kind on their device: float32, but float64 for NumPy of other
+        numbers (with float32 accuracy relative to the cages).
 
     Raises:
-        ValueError: For points of another shape, not finite, outside (green, harmonic) or farther away (mean_value),
-            with their number and the first of them. For cages whose faces differ, and for a rest cage (harmonic: also a
-            deformed cage) that is not usable. For another name of coordinates.
+        ValueError: For points of another shape, not finite, outside or too far away, with their number and the first
+            of them. For cages whose faces differ, and for a rest cage (harmonic: also a deformed cage) that is not
+            usable. For another name of coordinates or of `outside`.
     """
     move = chosen(coordinates, "coordinates", harmonic=_move_harmonic, mean_value=_move_mean_value, green=_move_green)
     for cage, name in ((rest, "rest"), (deformed, "deformed")):
@@ -203,30 +203,35 @@ def deform_points(
     require_same_faces(rest, deformed)
     if deformed.size > rest.size and (problem := size_problem(deformed)):
         raise ValueError(f"deformed cage {problem}")
-    return move(_localise(points, rest.bounds.mean(axis=0), rest.size, device, check=False), rest, deformed)
+    return move(_localise(points, rest, device), rest, deformed, _way_outside(outside, coordinates))
 
 
-def _move_mean_value(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -> np.ndarray | wp.array:
-    moved, inputs = _closed_form_inputs(local, rest, deformed)
+def _move_mean_value(local: _Local, rest: ClosedMesh, deformed: ClosedMesh, outside: str) -> Any:
+    positions, inputs = _closed_form_inputs(local, rest, deformed)
     work = len(rest.faces)
-    launch(mean_value.map_mean_value, local.count, [*inputs, 1.0], [moved], device=local.device, work=work)
-    world = _restore(moved, local, deformed.bounds.mean(axis=0), rest.size)
-    if int(local.bad.numpy()[0]):  # read once, after all is under way
-        _require_finite(local)
-        _require_near(local, rest)
-    return world
+    launch(mean_value.map_mean_value, local.count, [*inputs, 1.0], [positions], device=local.device, work=work)
+    return _moved(positions, local, rest, deformed, "mean_value", outside)
 
 
-def _move_green(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -> np.ndarray | wp.array:
-    moved, inputs = _closed_form_inputs(local, rest, deformed)
+def _move_green(local: _Local, rest: ClosedMesh, deformed: ClosedMesh, outside: str) -> Any:
+    positions, inputs = _closed_form_inputs(local, rest, deformed)
     normals = stretched_normals(rest, deformed)[rest.topology.fans.order].astype(np.float32)
     inputs += [wp.array(normals, dtype=wp.vec3, device=local.device), 1.0]
-    outputs, work = [moved, local.bad], len(rest.faces)
+    outputs, work = [positions, local.bad[2:]], len(rest.faces)
     launch(green.map_green_inside, local.count, inputs, outputs, device=local.device, work=work)
-    world = _restore(moved, local, deformed.bounds.mean(axis=0), rest.size)
-    if int(local.bad.numpy()[0]):  # read once, after all is under way
-        _require_finite(local)
-        _require_inside(local, rest, "green")
+    return _moved(positions, local, rest, deformed, "green", outside, flagged=True)
+
+
+def _moved(
+    positions: wp.array, local: _Local, rest: ClosedMesh, deformed: ClosedMesh, kind: str, outside: str, **flags: bool
+) -> Any:
+    """Moved points in world units, as an array of the points' kind; flags: as `_lost_rows` has them."""
+    center = deformed.bounds.mean(axis=0)
+    world = _restored(positions, local, center, rest.size)
+    lost = _lost_rows(local, rest, kind, outside, **flags)  # after all is under way
+    if len(lost):
+        _set_nan(positions, lost)
+        world = _restored(positions, local, center, rest.size)
     return world
 
 
@@ -236,8 +241,8 @@ def _closed_form_inputs(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -
     vertices, _ = _cage_arrays(rest, local)
     faces = wp.array(rest.topology.fans.faces, dtype=wp.vec3i, device=local.device)
     fans = prepared_fans(vertices, faces, 1.0)
-    moved = empty_array(local.count, wp.vec3, local.device)
-    return moved, [local.points, vertices, faces, fans, wp.array(targets, dtype=wp.vec3, device=local.device)]
+    positions = empty_array(local.count, wp.vec3, local.device)
+    return positions, [local.points, vertices, faces, fans, wp.array(targets, dtype=wp.vec3, device=local.device)]
 
 
 def stretched_normals(source: ClosedMesh, target: ClosedMesh) -> np.ndarray:
@@ -247,9 +252,8 @@ def stretched_normals(source: ClosedMesh, target: ClosedMesh) -> np.ndarray:
     return face_geometry.stretched_normals(source, face_geometry.StretchTarget.of(target)).T
 
 
-def _move_harmonic(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -> np.ndarray | wp.array:
-    _require_finite(local)
-    _require_inside(local, rest, "harmonic")
+def _move_harmonic(local: _Local, rest: ClosedMesh, deformed: ClosedMesh, outside: str) -> Any:
+    lost = _lost_rows(local, rest, "harmonic", outside)
     require_usable(deformed, "deformed cage")
     # the map runs from the cage it is posed to, here the rest cage, to the one it is made of; both about the origin, as
     # float32 keeps few digits of a map between cages that are far apart
@@ -259,16 +263,20 @@ def _move_harmonic(local: _Local, rest: ClosedMesh, deformed: ClosedMesh) -> np.
     position_map = PositionMap(
         target, coordinates="harmonic", resolution=HARMONIC_RESOLUTION, origin=np.zeros(3), device=local.device
     ).pose(source)
-    moved, distance = wp.empty_like(local.points), empty_array(local.count, float, local.device)
-    launch(cage_map.sample_map, local.count, [position_map.data, local.points], [moved, distance], device=local.device)
-    return _restore(moved, local, center, rest.size)
+    positions, distance = wp.empty_like(local.points), empty_array(local.count, float, local.device)
+    launch(
+        cage_map.sample_map, local.count, [position_map.data, local.points], [positions, distance], device=local.device
+    )
+    if len(lost):
+        _set_nan(positions, lost)
+    return _restored(positions, local, center, rest.size)
 
 
 @points_in_turn
 @device_by_name
 def mean_value_coordinates(
-    points: PointsLike, cage: ClosedMesh, *, device: wp.DeviceLike = None
-) -> np.ndarray | wp.array:
+    points: PointsLike, cage: ClosedMesh, *, device: wp.DeviceLike = None, outside: str = "extend"
+) -> Any:
     """Mean value coordinates of points in a cage.
 
     On the cage, to 1e-6 of its size, they interpolate the face linearly. Outside they extend the map smoothly. Weights
@@ -277,36 +285,39 @@ def mean_value_coordinates(
     rounding error of their sum: 1e-7 of the largest.
 
     Args:
-        points: (n, 3), world units, up to a thousand times the cage's size away. NumPy, or an array on a device (Warp
-            or DLPack; in float32 there).
+        points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md).
         cage: Usable Cage of v vertices.
         device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+        outside: What happens to points outside, by more than 1e-5 of the cage's size. "extend" gives them weights too,
+            up to a thousand times the size away; "raise" refuses them; "nan" fills their rows with NaN.
 
     Returns:
-        (n, v) float32; each row sums to one and reproduces its point. NumPy for NumPy, a Warp array for an array on a
-        device.
+        (n, v) float32, an array of the points' kind on their device; each row sums to one and reproduces its point.
 
     Raises:
-        ValueError: For points of another shape, not finite or farther away, for a cage that is open, inward or
-            degenerate, and for too little memory on the device.
+        ValueError: For points of another shape, not finite, refused as outside or farther away, for a cage that is
+            open, inward or degenerate, for too little memory on the device, and for another name of `outside`.
     """
     require_mesh(cage, "the cage must be")
     require_usable(cage)
-    local = _localise(points, cage.bounds.mean(axis=0), cage.size, device)
-    _require_near(local, cage)
+    way = _way_outside(outside, "mean_value")
+    local = _localise(points, cage, device)
+    lost = _lost_rows(local, cage, "mean_value", way)
     _require_room(local, len(cage.vertices))
     weights = empty_array((local.count, len(cage.vertices)), wp.float32, local.device)
     vertices, faces = _cage_arrays(cage, local)
     inputs = [local.points, vertices, faces, 1.0]
     launch(mean_value.weigh_mean_value, local.count, inputs, [weights], device=local.device, work=len(cage.faces))
-    return local.given_back(weights)
+    if len(lost):
+        _set_nan(weights, lost)
+    return as_given(weights, points)
 
 
 @points_in_turn
 @device_by_name
 def green_coordinates(
     points: PointsLike, cage: ClosedMesh, *, device: wp.DeviceLike = None, outside: str = "raise"
-) -> tuple[np.ndarray | wp.array, np.ndarray | wp.array]:
+) -> tuple[Any, Any]:
     """Green coordinates of points inside a cage.
 
     x = vertex_weights @ vertices + face_weights @ normals, with the unit outward normals. A deformed cage takes its
@@ -314,27 +325,24 @@ def green_coordinates(
     surface, on either side, get the limit from inside. Farther outside green coordinates are not defined.
 
     Args:
-        points: (n, 3), world units. NumPy, or an array on a device (Warp or DLPack; in float32 there).
+        points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md).
         cage: Usable Cage of v vertices and f faces.
         device: Warp device. None is the device of an array on a device, else CUDA where there is one.
         outside: "raise" refuses points outside; "nan" fills their rows with NaN.
 
     Returns:
-        Vertex weights (n, v) and face weights (n, f), float32; the latter are lengths in world units. NumPy for NumPy,
-        Warp arrays for an array on a device.
+        Vertex weights (n, v) and face weights (n, f), float32, arrays of the points' kind on their device; the latter
+        are lengths in world units.
 
     Raises:
         ValueError: For points outside (with their number and the first of them), of another shape or not finite, for a
-            cage that is open, inward or degenerate, and for too little memory on the device.
+            cage that is open, inward or degenerate, for too little memory on the device, and for another `outside`.
     """
-    if outside not in ("raise", "nan"):
-        raise ValueError(f"outside must be 'raise' or 'nan', got {outside!r}")
     require_mesh(cage, "the cage must be")
     require_usable(cage)
-    local = _localise(points, cage.bounds.mean(axis=0), cage.size, device)
-    lost = _outside_points(local, cage)
-    if len(lost) and outside == "raise":
-        raise ValueError(_outside_message(local, lost, "green"))
+    way = _way_outside(outside, "green")
+    local = _localise(points, cage, device)
+    lost = _lost_rows(local, cage, "green", way)
     _require_room(local, len(cage.vertices) + len(cage.faces))
     vertex_weights = empty_array((local.count, len(cage.vertices)), wp.float32, local.device)
     face_weights = empty_array((local.count, len(cage.faces)), wp.float32, local.device)
@@ -349,10 +357,9 @@ def green_coordinates(
     )
     launch(local_points.scale_rows, local.count, [cage.size], [face_weights], device=local.device)
     if len(lost):
-        rows = wp.array(lost, dtype=wp.int32, device=local.device)
-        for weights in (vertex_weights, face_weights):
-            weights[rows].fill_(float("nan"))
-    return local.given_back(vertex_weights), local.given_back(face_weights)
+        _set_nan(vertex_weights, lost)
+        _set_nan(face_weights, lost)
+    return as_given(vertex_weights, points), as_given(face_weights, points)
 
 
 @points_in_turn
@@ -364,33 +371,39 @@ def harmonic_coordinates(
     resolution: int = HARMONIC_RESOLUTION,
     *,
     device: wp.DeviceLike = None,
+    outside: str = "raise",
     progress: bool | Progress = False,
-) -> np.ndarray | wp.array:
+) -> Any:
     """Harmonic coordinates of points inside a cage.
 
     Warns where gaps of the cage are narrower than a cell of the lattice.
 
     Args:
-        points: (n, 3), world units. NumPy, or an array on a device (Warp or DLPack; in float32 there).
+        points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md).
         cage: Usable Cage of v vertices.
         resolution: Cells along the longest side of the lattice on which they are solved, 8 to 1024. Errors at 128 are
             about 1e-3 away from the cage and 1e-2 next to it.
         device: Warp device. None is the device of an array on a device, else CUDA where there is one.
+        outside: "raise" refuses points farther outside than 1e-5 of the cage's size; "nan" fills their rows with NaN.
         progress: True shows a bar on stderr. A function is told (done, total, words), in vertices of the cage, and ends
             the work by returning False or by raising.
 
     Returns:
-        (n, v) float32, not negative up to rounding; rows sum to one. NumPy for NumPy, a Warp array for an array on a
-        device.
+        (n, v) float32, an array of the points' kind on their device, not negative up to rounding; rows sum to one.
 
     Raises:
-        ValueError: For points farther outside than 1e-5 of the cage's size, of another shape or not finite, for a cage
-            that is open, inward or degenerate, a resolution out of range, and for too little memory on the device.
+        ValueError: For points outside, of another shape or not finite, for a cage that is open, inward or degenerate, a
+            resolution out of range, too little memory on the device, and for another `outside`.
         Cancelled: Where `progress` returned False.
     """
     require_mesh(cage, "the cage must be")
     require_usable(cage)
-    local = _localise(points, cage.bounds.mean(axis=0), cage.size, device)
-    _require_inside(local, cage, "harmonic")
-    weights = harmonic_weights(local.given, cage, resolution, local.device)
-    return _as_given(weights, local)
+    way = _way_outside(outside, "harmonic")
+    local = _localise(points, cage, device)
+    lost = _lost_rows(local, cage, "harmonic", way)
+    if not len(lost):
+        return harmonic_weights(points, cage, resolution, local.device)
+    weights = np.full((local.count, len(cage.vertices)), np.nan, np.float32)
+    held = np.delete(np.arange(local.count), lost)
+    weights[held] = harmonic_weights(local.world[held], cage, resolution, local.device)
+    return as_given(wp.array(weights, device=local.device), points)

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
-from ..core.arrays import (
-    PointsLike,
-    WarpStruct,
-    as_host_points,
-    as_points,
-    empty_array,
-    is_device_array,
-    points_in_turn,
-)
+from ..core.arrays import PointsLike, WarpStruct, as_given, as_host_points, empty_array, points_device, points_in_turn
 from ..core.checks import warn_caller
-from ..core.devices import launch, resolve_device
+from ..core.devices import launch
 from ..core.memory import require_memory
 from ..core.names import agreed
 from ..kernels.lattice.cage_map import CageMap, sample_weights
@@ -42,14 +36,11 @@ def harmonic_weights(
     device: wp.DeviceLike = None,
     *,
     tolerance: float = 1e-5,
-) -> np.ndarray | wp.array:
+) -> Any:
     """Harmonic coordinates (n, v) float32 of points (n, 3), world units, inside a cage, interpolated from a lattice.
     `resolution`: cells along its longest side; `tolerance`: of the solver, as a share of the values."""
     # Source: Joshi et al., "Harmonic coordinates for character articulation" (2007).
-    given_on_device = is_device_array(points)
-    if given_on_device and device is None:
-        device = as_points(points)[0].device
-    device = resolve_device(device)
+    device = points_device(points, device)
     resolution = require_resolution(resolution)
     require_usable(cage)
     host = as_host_points(points)
@@ -82,7 +73,7 @@ def harmonic_weights(
             inputs = [column, gaps.cage_map(selected), places]
             launch(sample_weights, len(host), inputs, [weights], device=device)
         gaps.report()
-    return weights if given_on_device else weights.numpy()
+    return as_given(weights, points)
 
 
 class WeightGaps:

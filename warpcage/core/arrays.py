@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -13,8 +14,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from .devices import resolve_device
+from ..kernels.coordinates.local_points import NUMBERS, find_not_finite, localise_points
+from .devices import launch, resolve_device
 from .locks import device_turn
+from .names import error_line
 
 #: What DLPack calls main memory.
 DLPACK_CPU = 1
@@ -55,29 +58,127 @@ def struct_array(structs: Sequence[WarpStruct], dtype: Any, device: wp.DeviceLik
     return array_view(wp.array(raw, dtype=wp.uint8, device=device), dtype, len(structs))
 
 
-def as_points(
-    points: PointsLike, device: wp.DeviceLike = None, *, name: str = "points"
-) -> tuple[wp.array[Any, Any], bool]:
-    """Points (n, 3) of any library as (n,) vec3 on the device, and whether results should go back as Warp arrays.
-    None is the device of an array on a device, else CUDA where there is one."""
-    # What is float32, contiguous and there is not copied. No device array is read back to look for values not finite.
-    if is_device_array(points):
-        array: wp.array[Any, Any] = points if isinstance(points, wp.array) else _from_foreign(points, name)
-        if array.dtype in (wp.vec3, wp.vec3d):
-            if array.ndim != 1:
-                raise ValueError(f"{name} must be (n, 3), got {array.shape} of {array.dtype.__name__}")
-        elif array.ndim != 2 or array.shape[1] != 3:
-            raise ValueError(f"{name} must be (n, 3), got {tuple(array.shape)}")
-        target = array.device if device is None else resolve_device(device)
-        if array.dtype == wp.vec3:
-            return (array if array.device == target else array.to(target)), True
-        if array.dtype == wp.float32 and array.is_contiguous:
-            return array.to(target).view(wp.vec3) if array.device != target else array.view(wp.vec3), True
-        # another precision or layout: through the host, once
-        host = np.ascontiguousarray(array.numpy(), dtype=np.float32).reshape(-1, 3)
-        return wp.array(host, dtype=wp.vec3, device=target), True
-    host = as_host_points(points, name=name)
-    return wp.array(host.astype(np.float32), dtype=wp.vec3, device=resolve_device(device)), False
+def as_points(points: PointsLike, device: wp.DeviceLike = None, *, name: str = "points") -> wp.array[Any, Any]:
+    """Points (n, 3) of any library as (n,) vec3 on the device; None is theirs, else CUDA where there is one.
+    `as_given` gives results back as arrays of their kind."""
+    # What is float32, contiguous and there is not copied. `require_finite` looks at values of a device.
+    if not is_device_array(points):
+        with np.errstate(over="ignore"):
+            host = as_host_points(points, name=name).astype(np.float32)
+        _require_finite_rows(host, name)
+        return wp.array(host, dtype=wp.vec3, device=resolve_device(device))
+    rows = device_rows(points, name)
+    target = rows.device if device is None else resolve_device(device)
+    if rows.dtype != wp.float32 or not rows.is_contiguous:
+        rows = localised(rows, np.zeros(3), 1.0)[0]
+    elif rows.size:
+        rows = rows.view(wp.vec3)
+    else:
+        rows = empty_array(0, wp.vec3, rows.device)
+    return moved(rows, target)
+
+
+#: Vectors of three that Warp arrays of points may be of, and their numbers.
+VECTORS: dict[Any, Any] = {wp.vec3: wp.float32, wp.vec3d: wp.float64, wp.vec3h: wp.float16}
+
+
+def device_rows(points: Any, name: str = "points") -> wp.array[Any, Any]:
+    """Points of a device as they lie there: (n, 3) of one of the NUMBERS that kernels take, of any layout."""
+    require_no_gradient(points, name)
+    array: wp.array[Any, Any] = points if isinstance(points, wp.array) else _from_foreign(points, name)
+    if array.dtype in VECTORS:
+        if array.ndim != 1:
+            raise ValueError(f"{name} must be (n, 3), got {array.shape} of {array.dtype.__name__}")
+        number = VECTORS[array.dtype]
+        if not array.size:
+            return empty_array((0, 3), number, array.device)
+        strides: Any = (array.strides[0], wp.types.type_size_in_bytes(number))
+        array = array_view(array, number, (len(array), 3), strides=strides)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"{name} must be (n, 3), got {tuple(array.shape)}")
+    if array.dtype not in NUMBERS:
+        known = ", ".join(number.__name__ for number in NUMBERS)
+        raise ValueError(f"{name} on a device must be of {known}, got {array.dtype.__name__}")
+    return array
+
+
+def localised(rows: wp.array, center: np.ndarray, size: float) -> tuple[wp.array, wp.array]:
+    """(rows - center) / size as (n,) vec3 on their device, and (3,) int: above 0 where one is not finite, or FARTHEST
+    away; the last is for the caller."""
+    local, bad = empty_array(len(rows), wp.vec3, rows.device), wp.zeros(3, dtype=int, device=rows.device)
+    inputs = [rows, wp.vec3d(*center), wp.float64(size)]
+    launch(localise_points, len(rows), inputs, [local, bad], device=rows.device)
+    return local, bad
+
+
+def as_given(array: wp.array, given: Any) -> Any:
+    """A result as an array of the same kind as what was given: on its device, (n, 3) where it is vec3, not copied.
+    NumPy for NumPy and sequences; Warp's for libraries without `from_dlpack`."""
+    if not is_device_array(given):
+        return array.numpy()
+    if isinstance(given, wp.array):
+        array = moved(array, given.device)
+        return array if given.dtype in VECTORS else _flat(array)
+    array = _flat(moved(array, _foreign_device(given)))
+    take = _importer(given)
+    return array if take is None else take(array)
+
+
+def moved(array: wp.array, device: wp.Device | None) -> Any:
+    """An array on a device, itself where it is there; None leaves it where it is."""
+    return array if device is None or array.device == device else array.to(device)
+
+
+def _flat(array: wp.array) -> wp.array:
+    """(n, 3) float32 for (n,) vec3; others as they are."""
+    if array.dtype != wp.vec3:
+        return array
+    shape = (len(array), 3)
+    return array_view(array, wp.float32, shape) if array.size else empty_array(shape, wp.float32, array.device)
+
+
+def _importer(given: Any) -> Callable[[Any], Any] | None:
+    """What makes arrays of the library of an array, through DLPack."""
+    for kind in type(given).__mro__:  # a class of somebody's own may extend a tensor
+        take = getattr(sys.modules.get(kind.__module__.partition(".")[0]), "from_dlpack", None)
+        if take is not None:
+            return take
+    namespace = getattr(given, "__array_namespace__", None)  # JAX keeps it elsewhere than its arrays' classes
+    return None if namespace is None else getattr(namespace(), "from_dlpack", None)
+
+
+def require_finite(*named: tuple[str, wp.array]) -> None:
+    """Refuse points of one device, names and (n,) vec3, with a value that is not finite.
+    It waits for the device, but while a graph is captured, which nobody can wait for."""
+    device = named[0][1].device
+    assert device is not None
+    if device.is_cuda and device.is_capturing:
+        return
+    bad = wp.zeros(1, dtype=int, device=device)
+    for _, points in named:
+        launch(find_not_finite, len(points), [points], [bad], device=device)
+    if int(bad.numpy()[0]):
+        for name, points in named:
+            as_host_points(points, name=name)
+
+
+def require_no_gradient(points: Any, name: str) -> None:
+    """Refuse an array that a gradient is asked of, as none passes: torch's and Warp's; JAX's are not arrays then."""
+    recorded = False
+    if isinstance(points, wp.array):
+        recorded = points.requires_grad and _active_tape() is not None
+        remedy = "leave this call out of the tape"
+    else:
+        torch = sys.modules.get("torch")
+        recorded = bool(getattr(points, "requires_grad", False)) and (torch is None or torch.is_grad_enabled())
+        remedy = f"give {name}.detach(), or call it under torch.no_grad()"
+    if recorded:
+        raise ValueError(f"no gradient passes from here to {name}, which require one: {remedy}")
+
+
+def _active_tape() -> Any:
+    """The wp.Tape that records launches, or None."""
+    return getattr(getattr(sys.modules.get("warp._src.context"), "runtime", None), "tape", None)
 
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -90,26 +191,32 @@ def points_in_turn(function: _Function) -> _Function:
     @functools.wraps(function)
     def turn(points: Any, *args: Any, **options: Any) -> Any:
         device = args[place] if len(args) > place else options.get("device")
-        with device_turn(_points_device(points, device)):
+        with device_turn(points_device(points, device)):
             return function(points, *args, **options)
 
     return turn  # pyright: ignore[reportReturnType]
 
 
-def _points_device(points: Any, device: wp.DeviceLike) -> wp.Device:
+def points_device(points: Any, device: wp.DeviceLike) -> wp.Device:
     """Where a function of points works: on the device that was asked for, else on that of the points."""
-    if device is None and isinstance(points, wp.array):
-        device = points.device
-    elif device is None and is_device_array(points) and hasattr(points, "__dlpack_device__"):
-        kind, index = points.__dlpack_device__()
-        device = "cpu" if int(kind) == DLPACK_CPU else f"cuda:{int(index)}"
-    return resolve_device(device)
+    return resolve_device(_foreign_device(points) if device is None else device)
+
+
+def _foreign_device(points: Any) -> wp.Device | None:
+    """The device of an array that is no NumPy; None where it does not say so."""
+    if isinstance(points, wp.array):
+        return points.device
+    if not (is_device_array(points) and hasattr(points, "__dlpack_device__")):
+        return None
+    kind, index = points.__dlpack_device__()
+    return resolve_device("cpu" if int(kind) == DLPACK_CPU else f"cuda:{int(index)}")
 
 
 def as_host_points(points: PointsLike, *, name: str = "points") -> np.ndarray:
     """Points (n, 3) of finite real numbers as NumPy: (n, 3) float64, a copy."""
+    require_no_gradient(points, name)
     try:
-        host = np.asarray(points.numpy() if isinstance(points, wp.array) else points)
+        host = np.asarray(as_host_array(points, name))
         host = host.astype(np.float64, casting="unsafe" if host.dtype == object else "same_kind")
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be (n, 3) real numbers, got {type(points).__name__}") from None
@@ -117,15 +224,14 @@ def as_host_points(points: PointsLike, *, name: str = "points") -> np.ndarray:
         host = host.reshape(0, 3)
     if host.ndim != 2 or host.shape[1] != 3:
         raise ValueError(f"{name} must be (n, 3), got {host.shape}")
-    if not np.isfinite(host).all():
-        row = int(np.flatnonzero(~np.isfinite(host).all(axis=1))[0])
-        raise ValueError(f"{name} must be finite, row {row} is {host[row]}")
+    _require_finite_rows(host, name)
     return host
 
 
-def as_host_vertices(vertices: PointsLike) -> np.ndarray:
-    """Vertices of any library and device as NumPy: (v, 3) float64, a copy."""
-    return as_host_points(as_host_array(vertices, "vertices"), name="vertices")
+def _require_finite_rows(host: np.ndarray, name: str) -> None:
+    if not np.isfinite(host).all():
+        row = int(np.flatnonzero(~np.isfinite(host).all(axis=1))[0])
+        raise ValueError(f"{name} must be finite, row {row} is {host[row]}")
 
 
 def as_host_array(array: Any, name: str) -> Any:
@@ -136,13 +242,18 @@ def as_host_array(array: Any, name: str) -> Any:
 
 
 def _from_foreign(array: Any, name: str) -> wp.array:
-    """A Warp array over the memory of an array of another library."""
+    """A Warp array over the memory of an array of another library, behind what that library has launched."""
     if getattr(array, "requires_grad", False):
         array = array.detach()
     try:
-        found = wp.from_dlpack(array) if hasattr(array, "__dlpack__") else wp.array(array, copy=False)
+        if hasattr(array, "__dlpack__"):
+            found = wp.from_dlpack(array)
+        else:  # nobody says in which stream it is made
+            found = wp.array(array, copy=False)
+            wp.synchronize_device(found.device)
     except Exception as error:
-        raise ValueError(f"{name} of type {type(array).__name__} could not be read through DLPack: {error}") from error
+        kind = type(array).__name__
+        raise ValueError(f"{name} of type {kind} could not be read through DLPack: {error_line(error)}") from error
     assert isinstance(found, wp.array)
     return found
 

@@ -13,6 +13,12 @@ _Choice = TypeVar("_Choice")
 #: Kinds of coordinates, as `coordinates=` takes them.
 COORDINATES = ("harmonic", "mean_value", "green")
 
+#: Their defaults: of what poses a field, as the paper has it, and of points, which may lie outside of a cage.
+FIELD_COORDINATES, POINT_COORDINATES = "harmonic", "mean_value"
+
+#: What happens to points outside of a cage, as `outside=` takes them.
+OUTSIDE = ("extend", "raise", "nan")
+
 #: How a sample's density follows an edit, as `density=` takes them.
 DENSITIES = ("opacity", "paper")
 

@@ -14,11 +14,19 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..cage.motion import posed_cage
-from ..core.arrays import PointsLike, as_host_points, as_points, empty_array, is_device_array
+from ..core.arrays import PointsLike, as_given, as_host_points, as_points, empty_array, is_device_array, require_finite
 from ..core.checks import checked_flag, checked_path, checked_step, checked_whole, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import owner_lock
-from ..core.names import DENSITIES, SPLAT_MAPS, chosen, require_coordinates, require_name, require_store
+from ..core.names import (
+    DENSITIES,
+    FIELD_COORDINATES,
+    SPLAT_MAPS,
+    chosen,
+    require_coordinates,
+    require_name,
+    require_store,
+)
 from ..core.reports import Progress, hears
 from ..edits.edits import CageEdit, checked_edits
 from ..edits.falloff import FalloffBand
@@ -67,7 +75,8 @@ class Deformer:
         field: The radiance field, a VoxelField or a SplatField.
         rest: A Cage around what is to be deformed, as it is in the field; or a list of Cage or CageEdit, each of which
             acts on the scene that the ones before it left.
-        coordinates: "harmonic", "mean_value" or "green".
+        coordinates: "harmonic", "mean_value" or "green". The default is harmonic, as in the paper; `deform_points` has
+            mean value, and moves points otherwise than this: name one kind in both.
         resolution: Cells of the map's lattice along the longest side of a cage. None evaluates mean value or Green
             coordinates at every sample, which is slow: the paper's "precise".
         density: "opacity" takes optical depth in canonical arc length, sigma |phi(x + dt d) - phi(x)|, so that a part
@@ -108,7 +117,7 @@ class Deformer:
         field: VoxelField | SplatField,
         rest: Cage | CageEdit | Sequence[Cage | CageEdit],
         *,
-        coordinates: str = "harmonic",
+        coordinates: str = FIELD_COORDINATES,
         resolution: int | None = 128,
         density: str = "opacity",
         device: wp.DeviceLike = None,
@@ -243,19 +252,20 @@ class Deformer:
         """Where points of the deformed scene are in the canonical one, and how they are seen there (Eq. 4 and 5).
 
         Args:
-            points: (n, 3) float, world units. NumPy or any DLPack array.
-            directions: (n, 3) float, from the camera into the scene, of any length but zero.
+            points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md).
+            directions: (n, 3), from the camera into the scene, of any length but zero.
             step: The dt of the finite difference, world units. None is the field's march step.
             return_outside: Return a fourth array, which marks the points whose map leaves the rest cage.
 
         Returns:
             Points (n, 3), directions (n, 3) and region (n,) int32: 0 unchanged (as given), 1 cleared (nothing is there;
             as given), 2 mapped (unit directions). Points whose map leaves the rest cage are empty, and so cleared; the
-            fourth array (n,) uint8 marks them. NumPy for NumPy, float64 where the points are; float32 Warp arrays on
-            the device for arrays on a device.
+            fourth array (n,) uint8 marks them. Arrays of the points' kind on their device: float32, but float64 for
+            float64 NumPy.
 
         Raises:
-            ValueError: For shapes that differ or are not (n, 3), or a step that is not positive and finite.
+            ValueError: For shapes that differ or are not (n, 3), values that are not finite, or a step that is not
+                positive and finite.
         """
         with self.lock:
             return self._to_canonical(self.posed_edits(), points, directions, step, return_outside)
@@ -299,11 +309,11 @@ class Deformer:
         origin, kernel_origin = np.zeros(3), self.field.center
         dtype = np.float64 if getattr(points, "dtype", None) == np.float64 else np.float32
         if is_device_array(points):
-            x, keep = as_points(points, self.device)
+            x = as_points(points, self.device)
         else:
             origin, kernel_origin = self.field.center, np.zeros(3)
-            x, keep = as_points(as_host_points(points) - origin, self.device)
-        d, _ = as_points(directions, self.device, name="directions")
+            x = as_points(as_host_points(points) - origin, self.device)
+        d = as_points(directions, self.device, name="directions")
         if x.shape != d.shape:
             raise ValueError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
         outputs = [empty_array(x.shape[0], kind, self.device) for kind in (wp.vec3, wp.vec3, wp.int32, wp.uint8)]
@@ -317,8 +327,10 @@ class Deformer:
         )
         if not return_outside:
             outputs = outputs[:3]
-        if keep:
-            return tuple(outputs)
+        if is_device_array(points) or is_device_array(directions):
+            require_finite(("points", x), ("directions", d))
+        if is_device_array(points):
+            return tuple(as_given(array, points) for array in outputs)
         canonical, *others = (array.numpy() for array in outputs)
         canonical = (canonical.astype(np.float64) + origin).astype(dtype)
         still = others[1] != MAPPED  # what did not move keeps its last bit
@@ -405,7 +417,7 @@ class SplatDeformer(Deformer):
     Args:
         field: The splats.
         rest: A Cage around what is to be deformed, or a list of Cage or CageEdit, as for `Deformer`.
-        coordinates: "harmonic", "mean_value" or "green".
+        coordinates: "harmonic", "mean_value" or "green"; the default is as for `Deformer`.
         resolution: Cells along the longest side of a cage of lattices, on which harmonic coordinates are solved. None
             is 128. Mean value and Green coordinates need no lattice for one edit.
         density: "opacity" keeps how opaque the splat is to a ray that goes along, so that a part keeps its look when
@@ -435,7 +447,7 @@ class SplatDeformer(Deformer):
         field: SplatField,
         rest: Cage | CageEdit | Sequence[Cage | CageEdit],
         *,
-        coordinates: str = "harmonic",
+        coordinates: str = FIELD_COORDINATES,
         resolution: int | None = 128,
         density: str = "opacity",
         device: wp.DeviceLike = None,

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..core.checks import checked_number, shown
-from ..core.names import COORDINATES, DENSITIES, EASINGS, FRAGMENTS_WORD, LOOPS, edit_fields
+from ..core.names import COORDINATES, DENSITIES, EASINGS, FIELD_COORDINATES, FRAGMENTS_WORD, LOOPS, edit_fields
 from ..edits.edits import HELD, MAX_EDITS, CageEdit
 from ..mesh.mesh import ClosedMesh
 from ..view.frame import MAX_SUPERSAMPLING, parse_background
@@ -163,7 +163,7 @@ class View:
 class Settings:
     """How the scene is deformed and shown."""
 
-    coordinates: str = "harmonic"
+    coordinates: str = FIELD_COORDINATES
     resolution: int = 64  # cells of the map's lattice along the longest side of a cage, in pictures that rest
     density: str = "opacity"  # see `Deformer`
     background: str | tuple[float, float, float] | None = None  # a name, three numbers in [0, 1]; None: the field's own

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import as_host_points, empty_array
+from ..core.arrays import PointsLike, as_given, as_host_points, empty_array
 from ..core.checks import checked_positive, checked_vector
 from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
@@ -24,17 +24,18 @@ from .sparse import measure_skip, values_on_device
 
 
 def seen_by_rays(
-    kernel: Kernel, held: Any, center: np.ndarray, origins: ArrayLike, directions: ArrayLike, device: wp.Device
-) -> np.ndarray:
-    """Colours (n, 3) float32 that rays see; origins (n, 3), world units, directions (n, 3) of any length but zero."""
-    starts, along = as_host_points(origins) - center, as_host_points(directions)
+    kernel: Kernel, held: Any, center: np.ndarray, origins: PointsLike, directions: PointsLike, device: wp.Device
+) -> Any:
+    """Colours (n, 3) float32 that rays see, as an array of the origins' kind.
+    origins: (n, 3), world units; directions: (n, 3) of any length but zero."""
+    starts, along = as_host_points(origins, name="origins") - center, as_host_points(directions, name="directions")
     if starts.shape != along.shape:
         raise ValueError(f"there must be as many directions as origins, got {len(along)} for {len(starts)}")
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     rays = [wp.array(each.astype(np.float32), dtype=wp.vec3, device=device) for each in (starts, along)]
     rgb = empty_array(len(starts), wp.vec3, device)
     launch(kernel, len(starts), [held, *rays], [rgb], device=device)  # origins from the centre, unit directions
-    return rgb.numpy()
+    return as_given(rgb, origins)
 
 
 class LayeredBackground:

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import as_host_points, as_points, empty_array, is_device_array
+from ..core.arrays import as_given, as_host_points, as_points, empty_array, is_device_array, require_finite
 from ..core.checks import (
     checked_bounds,
     checked_direction,
@@ -217,28 +217,30 @@ class VoxelField:
         """Colour and density at points.
 
         Args:
-            points: (n, 3) float, world units. NumPy or any DLPack array. The density is zero outside the bounds.
-            directions: (n, 3) float, from the camera into the scene, of any length but zero.
+            points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md). The density is zero outside
+                the bounds.
+            directions: (n, 3), from the camera into the scene, of any length but zero.
 
         Returns:
-            Colours (n, 3) and densities (n,) per world unit, float32. NumPy for NumPy, Warp arrays on the field's
-            device for arrays on a device.
+            Colours (n, 3) and densities (n,) per world unit, float32, as arrays of the points' kind on their device.
 
         Raises:
-            ValueError: For shapes that differ or are not (n, 3).
+            ValueError: For shapes that differ or are not (n, 3), and for values that are not finite.
         """
-        origin = self.center
+        given, origin = points, self.center
         if not is_device_array(points):
             points = as_host_points(points) - origin
             origin = np.zeros(3)
-        x, keep = as_points(points, self.device)
-        d, _ = as_points(directions, self.device, name="directions")
+        x = as_points(points, self.device)
+        d = as_points(directions, self.device, name="directions")
         if x.shape != d.shape:
             raise ValueError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
         rgb = empty_array(x.shape[0], wp.vec3, self.device)
         density = empty_array(x.shape[0], wp.float32, self.device)
         launch(sample_field, x.shape[0], [self.grid, wp.vec3(*origin), x, d], [rgb, density], device=self.device)
-        return (rgb, density) if keep else (rgb.numpy(), density.numpy())
+        if is_device_array(points) or is_device_array(directions):
+            require_finite(("points", x), ("directions", d))
+        return as_given(rgb, given), as_given(density, given)
 
     @in_turn
     def render(

@@ -14,7 +14,7 @@ from ..core.checks import warn_caller
 from ..core.devices import resolve_device
 from ..core.locks import owner_lock
 from ..core.memory import free_bytes, require_memory
-from ..core.names import chosen, require_coordinates, require_store
+from ..core.names import FIELD_COORDINATES, chosen, require_coordinates, require_store
 from ..kernels.lattice.cage_map import CageMap
 from ..mesh.faces import face_area
 from ..mesh.match import require_same_faces
@@ -95,7 +95,7 @@ class PositionMap:
         self,
         rest: ClosedMesh,
         *,
-        coordinates: str = "harmonic",
+        coordinates: str = FIELD_COORDINATES,
         resolution: int = 128,
         origin: ArrayLike | None = None,
         device: wp.DeviceLike = None,

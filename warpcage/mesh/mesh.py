@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import as_host_points, is_device_array
+from ..core.arrays import as_host_array, as_host_points
 from ..core.devices import launch
 from ..core.names import agreed, counted
 from ..kernels.mesh.fans import prepare_fans
@@ -349,7 +349,7 @@ def _checked_vertices(vertices: ArrayLike) -> np.ndarray:
 
 def _checked_faces(given: Any, vertex_count: int) -> np.ndarray:
     """(f, 3) int32, a read-only copy."""
-    faces = np.asarray(given.numpy() if is_device_array(given) and hasattr(given, "numpy") else given)
+    faces = np.asarray(as_host_array(given, "cage faces"))
     if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
         raise ValueError(f"cage faces must be (f, 3) triangles, at least one, got {faces.shape}")
     if faces.dtype.kind not in "iu":

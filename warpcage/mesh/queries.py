@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import PointsLike, as_host_points, as_points, is_device_array, points_in_turn
-from ..core.devices import launch, resolve_device
+from ..core.arrays import PointsLike, as_given, as_host_points, is_device_array, points_device, points_in_turn
+from ..core.devices import launch
 from ..core.modules import Kernel
 from ..kernels.mesh.containment import measure_distance, measure_winding_number
 from .faces import column_cross
@@ -22,31 +22,30 @@ SURFACE_TOLERANCE = 1e-5
 
 
 @overload
-@points_in_turn
 def inside_mesh(
-    points: wp.array, mesh: ClosedMesh, *, tolerance: float = ..., device: wp.DeviceLike = ...
-) -> wp.array: ...
+    points: np.ndarray, mesh: ClosedMesh, *, tolerance: float = ..., device: wp.DeviceLike = ...
+) -> np.ndarray: ...
 
 
 @overload
 def inside_mesh(
     points: PointsLike, mesh: ClosedMesh, *, tolerance: float = ..., device: wp.DeviceLike = ...
-) -> np.ndarray: ...
+) -> Any: ...
 
 
+@points_in_turn
 def inside_mesh(
     points: PointsLike, mesh: ClosedMesh, *, tolerance: float = SURFACE_TOLERANCE, device: wp.DeviceLike = None
-) -> np.ndarray | wp.array:
-    """Whether points (n, 3), world units, are inside a usable mesh or on its surface: (n,) bool, on a device for points
-    on one. tolerance: points this close to the surface are inside, as a share of the mesh's size."""
+) -> Any:
+    """Whether points (n, 3), world units, are inside a usable mesh or on its surface: (n,) bool, of the points' kind.
+    tolerance: points this close to the surface are inside, as a share of the mesh's size."""
     # Winding number above 1/2: cavities are outside, places that a tangled pose covers twice are inside.
     require_usable(mesh)
-    if is_device_array(points):
-        array, _ = as_points(points, device)
-        assert array.device is not None
-        inside = _inside(as_host_points(array), mesh, tolerance, array.device)
-        return wp.array(inside, dtype=wp.bool, device=array.device)
-    return _inside(as_host_points(points), mesh, tolerance, resolve_device(device))
+    host, place = as_host_points(points), points_device(points, device)
+    inside = _inside(host, mesh, tolerance, place)
+    if not is_device_array(points):
+        return inside
+    return as_given(wp.array(inside, dtype=wp.bool, device=place), points)
 
 
 def _inside(points: np.ndarray, mesh: ClosedMesh, tolerance: float, device: wp.Device) -> np.ndarray:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..coordinates.coordinates import deform_points, stretched_normals
 from ..core.devices import launch, resolve_device
-from ..core.names import chosen, require_coordinates
+from ..core.names import POINT_COORDINATES, chosen, require_coordinates
 from ..kernels.reference.inverse_map import ExactMap, assemble_layers, invert_map, map_exactly
 from ..mesh.match import require_same_faces
 from ..mesh.mesh import ClosedMesh
@@ -37,7 +37,7 @@ class InverseMap:
         self,
         rest: ClosedMesh,  # usable, as the other, of the same faces
         deformed: ClosedMesh,
-        coordinates: str = "mean_value",  # "mean_value", "green" or "harmonic"
+        coordinates: str = POINT_COORDINATES,  # "mean_value", "green" or "harmonic"
         *,
         cuts: int = 2,  # each face is cut into (2 cuts)^2 boundary elements, for harmonic coordinates only
         device: wp.DeviceLike = None,

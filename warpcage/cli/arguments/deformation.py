@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ...core.names import COORDINATES, DENSITIES, SPLAT_MAPS
+from ...core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS
 from . import options
 
 
@@ -38,7 +38,10 @@ def add_deformation(
     add_edits(group)
     options.add_cage_up(group, found=True, posed=True)
     group.add_argument(
-        "--coordinates", choices=COORDINATES, default="harmonic", help="kind of coordinates (default: %(default)s)"
+        "--coordinates",
+        choices=COORDINATES,
+        default=FIELD_COORDINATES,
+        help="kind of coordinates (default: %(default)s)",
     )
     group.add_argument(
         "--resolution",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ...core.names import COORDINATES, DENSITIES, TRANSPARENT
+from ...core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, TRANSPARENT
 from . import deformation, options
 from .options import Command
 
@@ -45,9 +45,10 @@ def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
         "--coordinates",
         nargs="+",
         choices=COORDINATES,
-        default=["harmonic"],
+        default=[FIELD_COORDINATES],
         metavar="KIND",
-        help=f"kinds of coordinates, each of which makes all pictures: {', '.join(COORDINATES)} (default: harmonic)",
+        help=f"kinds of coordinates, each of which makes all pictures: {', '.join(COORDINATES)} "
+        f"(default: {FIELD_COORDINATES})",
     )
     group.add_argument(
         "--resolution",

@@ -1,0 +1,253 @@
+"""Arrays in and out: what goes in comes out as the same kind, on its device, of any precision and layout."""
+
+import sys
+import types
+
+import numpy as np
+import pytest
+import warp as wp
+from fields import BOX, shiny_field
+from messages import MESSAGES
+
+from warpcage import Cage, Deformer, deform_points, green_coordinates, harmonic_coordinates, mean_value_coordinates
+
+POSED = BOX.bend(40, axis="x", towards="z")
+COUNT = 12
+DIRECTIONS = np.tile([0.0, 0.6, 0.8], (COUNT, 1))
+
+
+class OnlyDLPack:
+    """An array that says where its memory is, and no more."""
+
+    def __init__(self, values):
+        self.values = values
+        self.dtype, self.shape = values.dtype, values.shape
+
+    def __dlpack__(self, **options):
+        return self.values.__dlpack__(**options)
+
+    def __dlpack_device__(self):
+        return self.values.__dlpack_device__()
+
+
+class CupyArray(OnlyDLPack):
+    """Stands in for CuPy's arrays, whose library reads DLPack."""
+
+    __module__ = "cupy"
+
+
+class Stranger(OnlyDLPack):
+    """An array of a library that nobody knows: results can be Warp's alone, which speak DLPack too."""
+
+    __module__ = "stranger"
+
+
+def warp_vectors(values):
+    kind = {2: wp.vec3h, 4: wp.vec3, 8: wp.vec3d}[values.itemsize]
+    return wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu")
+
+
+def warp_rows(values):
+    """Strides are those of the values."""
+    number = {2: wp.float16, 4: wp.float32, 8: wp.float64}[values.itemsize]
+    pointer = values.__array_interface__["data"][0]
+    rows = wp.array(ptr=pointer, dtype=number, shape=values.shape, strides=values.strides, device="cpu", copy=False)
+    rows.keeps = values
+    return rows
+
+
+def torch_tensor(values):
+    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+    return torch.from_numpy(values)
+
+
+def jax_array(values):
+    jax = pytest.importorskip("jax", reason="JAX is not installed: pip install 'jax[cpu]'")
+    with jax.enable_x64(values.itemsize == 8):
+        return jax.numpy.asarray(values)
+
+
+#: Kinds of arrays: what makes one of NumPy's, and the class that results have.
+KINDS = {
+    "numpy": (lambda values: values, np.ndarray),
+    "warp vec3": (warp_vectors, wp.array),
+    "warp rows": (warp_rows, wp.array),
+    "torch": (torch_tensor, None),
+    "jax": (jax_array, None),
+    "cupy": (CupyArray, CupyArray),
+    "stranger": (Stranger, wp.array),
+}
+
+LAYOUTS = {
+    "contiguous": lambda values: values.copy(),
+    "every second row": lambda values: np.repeat(values, 2, axis=0)[::2],
+    "columns of more": lambda values: np.concatenate([values, values], axis=1)[:, 3:],
+    "transposed": lambda values: np.ascontiguousarray(values.T).T,
+}
+
+FUNCTIONS = {
+    "deform_points": lambda points, device: [deform_points(points, BOX, POSED, device=device)],
+    "mean_value_coordinates": lambda points, device: [mean_value_coordinates(points, BOX, device=device)],
+    "green_coordinates": lambda points, device: green_coordinates(points, BOX, device=device),
+    "harmonic_coordinates": lambda points, device: [harmonic_coordinates(points, BOX, 12, device=device)],
+    "contains": lambda points, device: [BOX.contains(points, device=device)],
+    "to_canonical": lambda points, device: posed(device).to_canonical(points, DIRECTIONS),
+    "sample": lambda points, device: field_on(device).sample(points, DIRECTIONS),
+}
+
+_made = {}
+
+
+def field_on(device):
+    if device not in _made:
+        field = shiny_field(device, resolution=12)
+        _made[device] = field, Deformer(field, BOX, coordinates="mean_value", resolution=16).pose(POSED)
+    return _made[device][0]
+
+
+def posed(device):
+    field_on(device)
+    return _made[device][1]
+
+
+@pytest.fixture(autouse=True)
+def libraries(monkeypatch):
+    cupy = types.ModuleType("cupy")
+    cupy.from_dlpack = lambda array: CupyArray(np.from_dlpack(array))
+    monkeypatch.setitem(sys.modules, "cupy", cupy)
+    monkeypatch.setitem(sys.modules, "stranger", types.ModuleType("stranger"))
+
+
+def points_in_box(dtype="float32"):
+    """Points, of few digits so that float16 has them too, inside the box at rest and posed, and one beside it."""
+    points = np.random.default_rng(0).integers(-40, 41, (COUNT, 3)) / np.array([128.0, 128.0, 256.0])
+    return points.astype(dtype)
+
+
+def as_numpy(array):
+    return array.values if isinstance(array, CupyArray) else array.numpy() if hasattr(array, "numpy") else array
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("dtype", ["float32", "float64", "float16"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_results_are_of_the_kind_that_came_in(kind, dtype, layout, device):
+    make, result_kind = KINDS[kind]
+    plain = points_in_box(dtype)
+    given = make(LAYOUTS[layout](plain))
+    for name, function in FUNCTIONS.items():
+        expected = [np.asarray(each) for each in function(plain.astype(np.float64), device)]
+        found = function(given, device)
+        for one, reference in zip(found, expected, strict=True):
+            assert isinstance(one, type(given) if result_kind is None else result_kind), name
+            values = np.asarray(as_numpy(one))
+            assert values.shape == reference.shape and len(values) == COUNT, name
+            if kind != "warp vec3" or reference.shape[1:] != (3,):
+                assert tuple(one.shape) == reference.shape, name
+            np.testing.assert_allclose(values, reference, atol=2e-6, err_msg=name)
+            if kind not in ("numpy", "stranger"):
+                assert str(one.device) == str(given.device) if hasattr(given, "device") else True
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_points(kind, device):
+    given = KINDS[kind][0](np.zeros((0, 3), np.float32))
+    for name, function in FUNCTIONS.items():
+        if name not in ("to_canonical", "sample"):
+            assert all(len(as_numpy(each)) == 0 for each in function(given, device)), name
+    one, two, region = posed(device).to_canonical(given, given)
+    assert len(as_numpy(one)) == len(as_numpy(two)) == len(as_numpy(region)) == 0
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300], ids=str)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_points_that_are_not_finite_are_refused_by_all_alike(name, kind, value, device):
+    if value == 1e300 and name not in ("to_canonical", "sample"):
+        value = np.nan  # what is merely far away is outside
+    points = points_in_box("float64")
+    points[7, 1] = value
+    with pytest.raises(ValueError, match="points must be finite, row 7 is") as caught:
+        FUNCTIONS[name](KINDS[kind][0](points), device)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", ["to_canonical", "sample"])
+def test_directions_that_are_not_finite_are_refused_too(name, kind, device):
+    taker = posed(device).to_canonical if name == "to_canonical" else field_on(device).sample
+    directions = DIRECTIONS.copy()
+    directions[3, 2] = np.nan
+    with pytest.raises(ValueError, match="directions must be finite, row 3 is"):
+        taker(points_in_box(), KINDS[kind][0](directions))
+
+
+@pytest.mark.parametrize("kind", ["torch", "jax", "warp rows"])
+def test_what_lies_right_is_not_copied(kind):
+    """A change of the memory that was given is seen: nothing was copied before the kernel reads it."""
+    from warpcage.core import as_points
+
+    given = KINDS[kind][0](points_in_box())
+    pointer = given.ptr if kind == "warp rows" else wp.from_dlpack(given).ptr
+    assert as_points(given).ptr == pointer
+
+
+def test_results_for_torch_are_the_memory_that_kernels_wrote():
+    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+    moved = deform_points(torch.from_numpy(points_in_box()), BOX, POSED)
+    again = wp.from_dlpack(moved)
+    moved[0, 0] = 17.0
+    assert again.numpy()[0, 0] == 17.0 and not moved.requires_grad
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_gradients_that_would_be_lost_are_told(name, device):
+    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+    points = torch.from_numpy(points_in_box()).requires_grad_(True)
+    with pytest.raises(ValueError, match=MESSAGES["arrays.no_gradient"]) as caught:
+        FUNCTIONS[name](points, device)
+    assert "detach" in str(caught.value) and "\n" not in str(caught.value)
+    with torch.no_grad():
+        found = FUNCTIONS[name](points, device)
+    assert all(torch.is_tensor(each) and not each.requires_grad for each in found)
+    for each, other in zip(found, FUNCTIONS[name](points.detach(), device), strict=True):
+        assert torch.equal(each, other)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_tape_of_warp_is_told_too(name, device):
+    points = wp.array(points_in_box(), dtype=wp.vec3, device=device, requires_grad=True)
+    FUNCTIONS[name](points, device)
+    with wp.Tape(), pytest.raises(ValueError, match=MESSAGES["arrays.no_gradient"]):
+        FUNCTIONS[name](points, device)
+
+
+def test_jax_under_a_transformation_is_told():
+    jax = pytest.importorskip("jax", reason="JAX is not installed: pip install 'jax[cpu]'")
+    with pytest.raises(ValueError, match=MESSAGES["arrays.dlpack"]) as caught:
+        jax.grad(lambda points: deform_points(points, BOX, POSED).sum())(jax.numpy.asarray(points_in_box()))
+    assert "\n" not in str(caught.value)
+
+
+def test_numbers_that_kernels_do_not_take_are_refused():
+    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+    with pytest.raises(ValueError, match=MESSAGES["arrays.numbers"]):
+        deform_points(torch.zeros(4, 3, dtype=torch.bool), BOX, POSED)
+    with pytest.raises(ValueError, match="complex"):
+        deform_points(torch.zeros(4, 3, dtype=torch.complex64), BOX, POSED)
+    whole = torch.zeros(4, 3, dtype=torch.int64)
+    np.testing.assert_allclose(deform_points(whole, BOX, POSED), deform_points(np.zeros((4, 3)), BOX, POSED), atol=1e-6)
+
+
+def test_a_class_of_tensors_of_somebodys_own(device):
+    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+    given = torch.nn.Parameter(torch.from_numpy(points_in_box()), requires_grad=False)
+    assert isinstance(deform_points(given, BOX, POSED, device=device), torch.Tensor)
+
+
+def test_cages_of_tensors(device):
+    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+    vertices, faces = torch.from_numpy(BOX.vertices.copy()), torch.from_numpy(BOX.faces.copy())
+    assert np.array_equal(Cage(vertices, faces).vertices, BOX.vertices)
+    with pytest.raises(ValueError, match=MESSAGES["arrays.no_gradient"]):
+        Cage(vertices.requires_grad_(True), faces)
