@@ -18,6 +18,7 @@ import warp as wp
 from ..core.loads import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
 from ..mesh.fans import INFINITE, PLANE_BAND, near_plane_limit
 from ..mesh.triangle import nearest_barycentric
+from .face_slopes import STEP_INSIDE, distance_to_face, green_layers
 
 # so many registers per thread that larger blocks would fill a GPU less well
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True, "block_dim": 128})
@@ -324,6 +325,56 @@ def green_point(
     return result
 
 
+@wp.func_grad(green_point)
+def grad_green_point(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
+    targets: wp.array(dtype=wp.vec3),
+    target_normals: wp.array(dtype=wp.vec3),
+    size: float,
+    grad: GreenPoint,
+):
+    """Slopes by the point, the cage (not its fans, which are the same once more), the targets and their normals, in
+    float64. On the cage they are those STEP_INSIDE it."""
+    y = wp.vec3d(x)
+    unit = wp.float64(size)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        p = wp.vec3d(vertices[face[0]]) - wp.vec3d(x)
+        q = wp.vec3d(vertices[face[1]]) - wp.vec3d(x)
+        r = wp.vec3d(vertices[face[2]]) - wp.vec3d(x)
+        if distance_to_face(p, q, r) < SURFACE * unit:
+            y = wp.vec3d(x) - wp.normalize(wp.cross(q - p, r - p)) * (STEP_INSIDE * unit)
+    slope = wp.vec3d(grad.position)
+    by_point = wp.vec3d(_ZERO, _ZERO, _ZERO)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        p = wp.vec3d(vertices[face[0]]) - y
+        q = wp.vec3d(vertices[face[1]]) - y
+        r = wp.vec3d(vertices[face[2]]) - y
+        if wp.length(wp.cross(q - p, r - p)) > _ZERO:
+            by_phi = wp.vec3d(
+                wp.dot(slope, wp.vec3d(targets[face[0]])),
+                wp.dot(slope, wp.vec3d(targets[face[1]])),
+                wp.dot(slope, wp.vec3d(targets[face[2]])),
+            )
+            layers = green_layers(p, q, r, by_phi, wp.dot(slope, wp.vec3d(target_normals[f])))
+            by_point -= layers.slopes.p + layers.slopes.q + layers.slopes.r
+            if wp.adjoint[vertices]:
+                wp.atomic_add(wp.adjoint[vertices], face[0], wp.vec3(layers.slopes.p))
+                wp.atomic_add(wp.adjoint[vertices], face[1], wp.vec3(layers.slopes.q))
+                wp.atomic_add(wp.adjoint[vertices], face[2], wp.vec3(layers.slopes.r))
+            if wp.adjoint[targets]:
+                wp.atomic_add(wp.adjoint[targets], face[0], wp.vec3(layers.phi[0] * slope))
+                wp.atomic_add(wp.adjoint[targets], face[1], wp.vec3(layers.phi[1] * slope))
+                wp.atomic_add(wp.adjoint[targets], face[2], wp.vec3(layers.phi[2] * slope))
+            if wp.adjoint[target_normals]:
+                wp.atomic_add(wp.adjoint[target_normals], f, wp.vec3(layers.psi * slope))
+    wp.adjoint[x] += wp.vec3(by_point)
+
+
 @wp.func
 def green_position(
     x: wp.vec3,
@@ -337,6 +388,24 @@ def green_position(
     """sum_i phi_i(x) targets_i + sum_f psi_f(x) target_normals_f with phi, psi of the cage `vertices`. fans: see
     prepare_fans."""
     return green_point(x, vertices, faces, fans, targets, target_normals, size).position
+
+
+@wp.func_grad(face_integrals)
+def grad_face_integrals(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float, grad: FaceIntegrals):
+    """Slopes by the corners; NaN where the origin lies on the face, where phi jumps."""
+    p = wp.vec3d(a)
+    q = wp.vec3d(b)
+    r = wp.vec3d(c)
+    if distance_to_face(p, q, r) < SURFACE * wp.float64(size):
+        nan = wp.vec3(wp.nan, wp.nan, wp.nan)
+        wp.adjoint[a] += nan
+        wp.adjoint[b] += nan
+        wp.adjoint[c] += nan
+    else:
+        slopes = green_layers(p, q, r, wp.vec3d(grad.phi), wp.float64(grad.psi)).slopes
+        wp.adjoint[a] += wp.vec3(slopes.p)
+        wp.adjoint[b] += wp.vec3(slopes.q)
+        wp.adjoint[c] += wp.vec3(slopes.r)
 
 
 @wp.kernel

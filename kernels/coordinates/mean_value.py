@@ -13,6 +13,7 @@ import warp as wp
 from ..core.loads import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
 from ..mesh.fans import near_plane_limit
 from ..mesh.triangle import nearest_barycentric
+from .face_slopes import STEP_INSIDE, distance_to_face, mean_value_slopes, off_the_plane
 
 # so many registers per thread that larger blocks would fill a GPU less well
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True, "block_dim": 128})
@@ -280,6 +281,93 @@ def mean_value_position(
     if has_cancelled(total, size):
         return position_in_double(x, vertices, faces, targets, size)
     return position * wp.where(total == 0.0, 0.0, 1.0 / total)
+
+
+@wp.func_grad(face_weights)
+def grad_face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float, grad: NearFace):
+    """Slopes by the corners; NaN where the origin lies on the face, where the weights alone have none."""
+    p = wp.vec3d(a)
+    q = wp.vec3d(b)
+    r = wp.vec3d(c)
+    if distance_to_face(p, q, r) < SNAP * wp.float64(size):
+        nan = wp.vec3(wp.nan, wp.nan, wp.nan)
+        wp.adjoint[a] += nan
+        wp.adjoint[b] += nan
+        wp.adjoint[c] += nan
+    else:
+        off = off_the_plane(p, q, r, wp.float64(size))
+        slopes = mean_value_slopes(p + off, q + off, r + off, wp.vec3d(grad.weights))
+        wp.adjoint[a] += wp.vec3(slopes.p)
+        wp.adjoint[b] += wp.vec3(slopes.q)
+        wp.adjoint[c] += wp.vec3(slopes.r)
+
+
+@wp.func_grad(mean_value_position)
+def grad_mean_value_position(
+    x: wp.vec3,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    fans: wp.array(dtype=wp.vec4),
+    targets: wp.array(dtype=wp.vec3),
+    size: float,
+    grad: wp.vec3,
+):
+    """Slopes by the point, the cage (not its fans, which are the same once more) and the targets, in float64. On the
+    cage they are those STEP_INSIDE it."""
+    y = wp.vec3d(x)
+    unit = wp.float64(size)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        p = wp.vec3d(vertices[face[0]]) - wp.vec3d(x)
+        q = wp.vec3d(vertices[face[1]]) - wp.vec3d(x)
+        r = wp.vec3d(vertices[face[2]]) - wp.vec3d(x)
+        if distance_to_face(p, q, r) < SNAP * unit:
+            y = wp.vec3d(x) - wp.normalize(wp.cross(q - p, r - p)) * (STEP_INSIDE * unit)
+    total = _ZERO
+    position = wp.vec3d(_ZERO, _ZERO, _ZERO)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        p = wp.vec3d(vertices[face[0]]) - y
+        q = wp.vec3d(vertices[face[1]]) - y
+        r = wp.vec3d(vertices[face[2]]) - y
+        normal = wp.cross(q - p, r - p)
+        det = wp.dot(normal, p)
+        if wp.abs(det) > FLAT * unit * wp.length(normal):
+            w = weights_in_double(p, q, r, det)
+            total += w[0] + w[1] + w[2]
+            position += w[0] * wp.vec3d(targets[face[0]])
+            position += w[1] * wp.vec3d(targets[face[1]])
+            position += w[2] * wp.vec3d(targets[face[2]])
+    position = position / total
+    slope = wp.vec3d(grad) / total
+    by_point = wp.vec3d(_ZERO, _ZERO, _ZERO)
+    for f in range(faces.shape[0]):
+        face = faces[f]
+        p = wp.vec3d(vertices[face[0]]) - y
+        q = wp.vec3d(vertices[face[1]]) - y
+        r = wp.vec3d(vertices[face[2]]) - y
+        by_weights = wp.vec3d(
+            wp.dot(slope, wp.vec3d(targets[face[0]]) - position),
+            wp.dot(slope, wp.vec3d(targets[face[1]]) - position),
+            wp.dot(slope, wp.vec3d(targets[face[2]]) - position),
+        )
+        normal = wp.cross(q - p, r - p)
+        det = wp.dot(normal, p)
+        if wp.length(normal) > _ZERO:
+            off = off_the_plane(p, q, r, unit)
+            slopes = mean_value_slopes(p + off, q + off, r + off, by_weights)
+            by_point -= slopes.p + slopes.q + slopes.r
+            if wp.adjoint[vertices]:
+                wp.atomic_add(wp.adjoint[vertices], face[0], wp.vec3(slopes.p))
+                wp.atomic_add(wp.adjoint[vertices], face[1], wp.vec3(slopes.q))
+                wp.atomic_add(wp.adjoint[vertices], face[2], wp.vec3(slopes.r))
+        if wp.abs(det) > FLAT * unit * wp.length(normal):
+            w = weights_in_double(p, q, r, det)
+            if wp.adjoint[targets]:
+                wp.atomic_add(wp.adjoint[targets], face[0], wp.vec3(w[0] * slope))
+                wp.atomic_add(wp.adjoint[targets], face[1], wp.vec3(w[1] * slope))
+                wp.atomic_add(wp.adjoint[targets], face[2], wp.vec3(w[2] * slope))
+    wp.adjoint[x] += wp.vec3(by_point)
 
 
 @wp.kernel(launch_bounds=(128, 5))
