@@ -5,8 +5,10 @@ import oracles
 import pytest
 import warp as wp
 
-from warpcage import Cage
+from warpcage import Cage, PositionMap
 from warpcage.kernels.coordinates import green, mean_value
+from warpcage.kernels.core import loads
+from warpcage.kernels.lattice import cage_map
 from warpcage.mesh.mesh import prepared_fans
 
 COUNT = 24
@@ -232,3 +234,122 @@ def raw_mean_value(corners):
     sines, cosines = np.linalg.norm(crosses, axis=1), (corners[[1, 2, 0]] * corners[[2, 0, 1]]).sum(axis=1)
     mean = (crosses * (np.arctan2(sines, cosines) / sines)[:, None]).sum(axis=0)
     return crosses @ mean / (2 * np.linalg.det(corners))
+
+
+@wp.kernel
+def read_quickly(
+    numbers: wp.array(dtype=float),
+    vectors: wp.array(dtype=wp.vec3),
+    rows: wp.array(dtype=wp.vec4),
+    grid: wp.array3d(dtype=float),
+    found: wp.array2d(dtype=float),
+):
+    n = wp.tid()
+    x = numbers[n]
+    found[n, 0] = loads.reciprocal_root(x)
+    found[n, 1] = loads.near_root(x)
+    found[n, 2] = loads.near_exp(x)
+    found[n, 3] = loads.near_reciprocal(x)
+    vector = loads.vec3_entry(vectors, n)
+    found[n, 4] = vector[0] * vector[1] * vector[2]
+    row = loads.vec4_entry(rows, n)
+    found[n, 5] = row[0] * row[3] + row[1] * row[2]
+    found[n, 6] = loads.trilinear_entry(grid, vector, x)
+
+
+def test_quick_reads_and_roots(device):
+    """Functions in C++, through which Warp passes nothing unless told how."""
+    random = np.random.default_rng(2)
+    hosts = {
+        "numbers": random.uniform(0.5, 3.0, 6),
+        "vectors": random.uniform(0.1, 2.9, (6, 3)),
+        "rows": random.normal(size=(6, 4)),
+        "grid": random.normal(size=(4, 4, 4)),
+    }
+    hosts["vectors"][5] = [9, 9, 9]  # beyond the grid
+    dtypes = {"numbers": float, "vectors": wp.vec3, "rows": wp.vec4, "grid": float}
+    along = random.normal(size=(6, 7)).astype(np.float32)
+
+    def loss(numbers, vectors, rows, grid):
+        x, (i, j, k) = numbers, np.minimum(vectors.astype(int), 2).T
+        u, v, w = (vectors - np.stack([i, j, k], axis=1)).T
+        mixed = sum(
+            grid[i + p, j + q, k + r] * (u if p else 1 - u) * (v if q else 1 - v) * (w if r else 1 - w)
+            for p in (0, 1)
+            for q in (0, 1)
+            for r in (0, 1)
+        )
+        mixed = np.where((vectors < 3).all(axis=1), mixed, x)
+        product = rows[:, 0] * rows[:, 3] + rows[:, 1] * rows[:, 2]
+        columns = [1 / np.sqrt(x), np.sqrt(x), np.exp(x), 1 / x, vectors.prod(axis=1), product, mixed]
+        return (np.stack(columns, axis=1) * along).sum()
+
+    arrays = {name: wp.array(hosts[name], dtype=dtypes[name], device=device, requires_grad=True) for name in hosts}
+    found = wp.zeros((6, 7), dtype=float, device=device, requires_grad=True)
+    with wp.Tape() as tape:
+        wp.launch(read_quickly, 6, list(arrays.values()), [found], device=device)
+    tape.backward(grads={found: wp.array(along, dtype=float, device=device)})
+    for name, host in hosts.items():
+        by = np.zeros(host.shape)
+        for place in np.ndindex(host.shape):
+            low, high = host.copy(), host.copy()
+            low[place] -= 1e-5
+            high[place] += 1e-5
+            by[place] = (loss(**{**hosts, name: high}) - loss(**{**hosts, name: low})) / 2e-5
+        close(arrays[name].grad.numpy(), by, 2e-4)
+
+
+@wp.kernel
+def weigh_far_faces(corners: wp.array2d(dtype=wp.vec3), weights: wp.array(dtype=wp.vec3)):
+    n = wp.tid()
+    a = corners[n, 0]
+    b = corners[n, 1]
+    c = corners[n, 2]
+    det = wp.dot(wp.cross(b - a, c - a), a)
+    edge_ba = mean_value.face_edge(b, a)
+    weights[n] = mean_value.far_face_weights(edge_ba, mean_value.face_edge(b, c), mean_value.face_edge(c, a), det)
+
+
+def test_parts_of_a_face_alone(device):
+    """Functions without loops go through Warp's own adjoints, quick roots in them too."""
+    corners = oracles.single(np.random.default_rng(7).normal(size=(10, 3, 3)))
+    along = np.random.default_rng(8).normal(size=(10, 3)).astype(np.float32)
+    given = wp.array(corners, dtype=wp.vec3, device=device, requires_grad=True)
+    weights = wp.zeros(10, dtype=wp.vec3, device=device, requires_grad=True)
+    with wp.Tape() as tape:
+        wp.launch(weigh_far_faces, 10, [given], [weights], device=device)
+    tape.backward(grads={weights: wp.array(along, dtype=wp.vec3, device=device)})
+    by = np.zeros((10, 3, 3))
+    for n in range(10):
+        for corner, axis in np.ndindex(3, 3):
+            step = np.zeros((3, 3))
+            step[corner, axis] = 1e-6
+            by[n, corner, axis] = (
+                (raw_mean_value(corners[n] + step) - raw_mean_value(corners[n] - step)) @ along[n] / 2e-6
+            )
+    np.testing.assert_allclose(given.grad.numpy(), by, rtol=2e-3, atol=2e-3 * np.abs(by).mean())
+
+
+@wp.kernel
+def look_up(data: cage_map.CageMap, points: wp.array(dtype=wp.vec3), moved: wp.array(dtype=wp.vec3)):
+    n = wp.tid()
+    moved[n] = cage_map.map_position(data, points[n])
+
+
+def test_the_map_on_a_lattice(device):
+    """By the point; of a similarity the slopes are the same everywhere."""
+    vertices, faces = cage_of("icosphere")
+    turn = oracles.single(np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0])
+    turn *= np.sign(np.linalg.det(turn))
+    deformed = Cage(vertices @ turn.T, faces)
+    data = (
+        PositionMap(Cage(vertices, faces), coordinates="mean_value", resolution=24, device=device).pose(deformed).data
+    )
+    points = 0.6 * oracles.inside_points(deformed.vertices, faces, 30)
+    along = np.random.default_rng(2).normal(size=(30, 3)).astype(np.float32)
+    given = wp.array(points, dtype=wp.vec3, device=device, requires_grad=True)
+    moved = wp.zeros(30, dtype=wp.vec3, device=device, requires_grad=True)
+    with wp.Tape() as tape:
+        wp.launch(look_up, 30, [data, given], [moved], device=device)
+    tape.backward(grads={moved: wp.array(along, dtype=wp.vec3, device=device)})
+    np.testing.assert_allclose(given.grad.numpy(), along @ turn.T, atol=2e-3)

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import WarpStruct
+from ..core.arrays import WarpStruct, empty_array
 from ..core.checks import warn_caller
 from ..core.devices import resolve_device
 from ..core.locks import owner_lock
@@ -112,6 +112,8 @@ class PositionMap:
         self.origin = np.array(rest.bounds.mean(axis=0) if origin is None else origin, dtype=np.float64).reshape(3)
         self.lock = owner_lock(self.device)
         self.lattice: CageLattice | None = None
+        # arrays, not None, which a wp.Tape that goes back through the map cannot take
+        self._no_sides = empty_array(0, wp.int32, self.device), empty_array((0, 8), wp.vec4, self.device)
         self.gap_jump, self.gap_remedy = 0.0, ""
         self.launches: PoseLaunches | None = None
         self._weights: LatticeWeights | None = None
@@ -396,6 +398,7 @@ class PositionMap:
         data.lower, data.spacing, data.inverse_spacing = lattice.local_lower, lattice.spacing, 1.0 / lattice.spacing
         data.positions = launches.solver.shaped_values
         data.distance = lattice.distance
+        data.side_index, data.sides = self._no_sides
         return data
 
     def _take_map(
