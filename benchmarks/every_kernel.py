@@ -13,6 +13,7 @@ warpcage.kernels was never launched.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
 import sys
 
@@ -126,17 +127,20 @@ def fields(device) -> None:
 
 
 def fits(device) -> None:
-    """With pictures of alphas, without, with layers, an outer field, several rays per pixel, and a limit of memory."""
+    """With pictures of alphas, without, with layers, an outer field, several rays per pixel, and a limit of memory; and
+    of pixels that count."""
     train, _ = synthetic_scene("bricks", train_views=8, test_views=2, size=20, samples=1, device=device)
     whole = warpcage.Scene(train.images, None, train.cameras)
     around = 0.5 * (1 - train.alphas[..., None]) * np.ones(3)
     split = warpcage.Scene(train.images, train.alphas, train.cameras, surroundings=around)
+    counted = dataclasses.replace(whole, weights=(np.arange(20) > 4) * np.ones(whole.images.shape[:3]))
     for scene, options in (
         (train, {}),
         (train, {"supersampling": 2}),
         (whole, {"background": "layers", "background_layers": 3, "background_side": 4}),
         (split, {"background_layers": 3, "background_side": 4}),
         (whole, {"background": "outer", "outer_resolution": 16}),
+        (counted, {"background": "outer", "outer_resolution": 16}),
         (train, {"max_memory": "6MB"}),
         (train, {"refine_cameras": True}),
         (whole, {"refine_cameras": True, "background": "layers", "background_layers": 3, "background_side": 4}),

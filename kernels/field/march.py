@@ -6,7 +6,7 @@ import warp as wp
 
 from ..core.loads import cell_byte
 from ..core.variants import declared_once, variant_module
-from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
+from ..view.rays import PinholeCamera, pixel_direction, strided_pixel, tile_pixel
 from .densities import row_density
 from .grid import (
     VoxelGrid,
@@ -149,24 +149,17 @@ def variants() -> list[Any]:
     return [image_kernel(shaded) for shaded in (False, True)]
 
 
-@wp.kernel
-def record_weights(
-    first: int,
+@wp.func
+def record_ray(
     grid: VoxelGrid,
-    cameras: wp.array(dtype=PinholeCamera),
-    pixel_stride: int,
+    camera: PinholeCamera,
+    column: int,
+    row: int,
     step: float,
     stop: float,
     weights: wp.array(dtype=wp.float32),
 ):
-    """Largest rendering weight T_k alpha_k that any ray gives to each node's row. Every pixel_stride-th row and column
-    of every camera. Rays share rows: on the CPU each thread needs its own `weights`, which are joined by maximum."""
-    n = first + wp.tid()
-    per_row = (cameras[0].width + pixel_stride - 1) // pixel_stride
-    per_view = per_row * ((cameras[0].height + pixel_stride - 1) // pixel_stride)
-    camera = cameras[n // per_view]
-    column = (n % per_view % per_row) * pixel_stride
-    row = (n % per_view // per_row) * pixel_stride
+    """Raise the weights of the rows that a pixel's ray meets to the rendering weights that it gives them."""
     ray = grid_ray(grid, camera.center, pixel_direction(camera, column, row), step)
     transmittance = float(1.0)
     k = ray.first
@@ -186,3 +179,36 @@ def record_weights(
                             wp.atomic_max(weights, cell.rows[c], weight)
                 transmittance *= wp.exp(-sigma * step)
             k += 1
+
+
+@wp.kernel
+def record_weights(
+    first: int,
+    grid: VoxelGrid,
+    cameras: wp.array(dtype=PinholeCamera),
+    pixel_stride: int,
+    step: float,
+    stop: float,
+    weights: wp.array(dtype=wp.float32),
+):
+    """Largest rendering weight T_k alpha_k that any ray gives to each node's row. Every pixel_stride-th row and column
+    of every camera. Rays share rows: on the CPU each thread needs its own `weights`, which are joined by maximum."""
+    pixel = strided_pixel(first + wp.tid(), cameras[0].width, cameras[0].height, pixel_stride)
+    record_ray(grid, cameras[pixel[0]], pixel[2], pixel[1], step, stop, weights)
+
+
+@wp.kernel
+def record_counted_weights(
+    first: int,
+    grid: VoxelGrid,
+    cameras: wp.array(dtype=PinholeCamera),
+    pixel_stride: int,
+    step: float,
+    stop: float,
+    counted: wp.array3d(dtype=wp.uint8),
+    weights: wp.array(dtype=wp.float32),
+):
+    """As record_weights, of the pixels that count: counted (views, h, w) is not 0 there."""
+    pixel = strided_pixel(first + wp.tid(), cameras[0].width, cameras[0].height, pixel_stride)
+    if counted[pixel[0], pixel[1], pixel[2]] > wp.uint8(0):
+        record_ray(grid, cameras[pixel[0]], pixel[2], pixel[1], step, stop, weights)

@@ -34,7 +34,7 @@ from ..field.outer import (
     sample_after,
     shown_color,
 )
-from ..view.rays import PinholeCamera, pixel_direction
+from ..view.rays import PinholeCamera, pixel_direction, strided_pixel
 from .loss import TrainingRays, batch_pixel, in_picture
 from .rmsprop import rmsprop_update
 
@@ -210,6 +210,27 @@ def record_outer_ray(
     return light
 
 
+@wp.func
+def record_around(
+    outer: OuterGrid,
+    inner: VoxelGrid,
+    camera: PinholeCamera,
+    column: int,
+    row: int,
+    step: float,
+    weights: wp.array(dtype=wp.float32),
+):
+    """Raise the weights of the rows that a pixel's ray meets to the rendering weights that it gives them."""
+    direction = pixel_direction(camera, column, row)
+    between = front_end(outer, camera.center, direction)
+    light = float(1.0)
+    if between > 0.0:
+        light = record_outer_ray(outer, camera.center, direction, 0.0, between, 1.0, weights)
+    light *= light_through(inner, camera.center, direction, step)
+    if light > OUTER_STOP:
+        record_outer_ray(outer, camera.center, direction, between, FAR_AWAY, light, weights)
+
+
 @wp.kernel
 def record_outer_weights(
     first: int,
@@ -222,20 +243,25 @@ def record_outer_weights(
 ):
     """Largest rendering weight that any ray gives to each node's row (rows,), behind what the inner grid holds.
     One item per ray of every pixel_stride-th row and column. Rays share rows: on the CPU each thread needs its own."""
-    n = first + wp.tid()
-    per_row = (cameras[0].width + pixel_stride - 1) // pixel_stride
-    per_view = per_row * ((cameras[0].height + pixel_stride - 1) // pixel_stride)
-    camera = cameras[n // per_view]
-    column = (n % per_view % per_row) * pixel_stride
-    row = (n % per_view // per_row) * pixel_stride
-    direction = pixel_direction(camera, column, row)
-    between = front_end(outer, camera.center, direction)
-    light = float(1.0)
-    if between > 0.0:
-        light = record_outer_ray(outer, camera.center, direction, 0.0, between, 1.0, weights)
-    light *= light_through(inner, camera.center, direction, step)
-    if light > OUTER_STOP:
-        record_outer_ray(outer, camera.center, direction, between, FAR_AWAY, light, weights)
+    pixel = strided_pixel(first + wp.tid(), cameras[0].width, cameras[0].height, pixel_stride)
+    record_around(outer, inner, cameras[pixel[0]], pixel[2], pixel[1], step, weights)
+
+
+@wp.kernel
+def record_counted_outer_weights(
+    first: int,
+    outer: OuterGrid,
+    inner: VoxelGrid,
+    cameras: wp.array(dtype=PinholeCamera),
+    pixel_stride: int,
+    step: float,
+    counted: wp.array3d(dtype=wp.uint8),
+    weights: wp.array(dtype=wp.float32),
+):
+    """As record_outer_weights, of the pixels that count: counted (views, h, w) is not 0 there."""
+    pixel = strided_pixel(first + wp.tid(), cameras[0].width, cameras[0].height, pixel_stride)
+    if counted[pixel[0], pixel[1], pixel[2]] > wp.uint8(0):
+        record_around(outer, inner, cameras[pixel[0]], pixel[2], pixel[1], step, weights)
 
 
 @wp.kernel

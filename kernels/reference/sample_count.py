@@ -12,7 +12,7 @@ from ..field.grid import (
     sample_distance,
     sample_place,
 )
-from ..view.rays import PinholeCamera, pixel_direction
+from ..view.rays import PinholeCamera, pixel_direction, strided_pixel
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -31,11 +31,9 @@ def count_samples(
     """Samples of each ray (rays,), one item each: marched in cells that hold values until less than `stop` of the light
     is left, and with density. Rays of every pixel_stride-th row and column of every camera, all of one size."""
     n = first + wp.tid()
-    per_row = (cameras[0].width + pixel_stride - 1) // pixel_stride
-    per_view = per_row * ((cameras[0].height + pixel_stride - 1) // pixel_stride)
-    camera = cameras[n // per_view]
-    column = (n % per_view % per_row) * pixel_stride
-    direction = pixel_direction(camera, column, (n % per_view // per_row) * pixel_stride)
+    pixel = strided_pixel(n, cameras[0].width, cameras[0].height, pixel_stride)
+    camera = cameras[pixel[0]]
+    direction = pixel_direction(camera, pixel[2], pixel[1])
     ray = grid_ray(grid, camera.center, direction, step)
     k = ray.first
     transmittance = float(1.0)

@@ -47,6 +47,14 @@ def tile_pixel(n: int, width: int):
 
 
 @wp.func
+def strided_pixel(n: int, width: int, height: int, stride: int):
+    """(view, row, column) of the n-th of every stride-th row and column of pictures of one size."""
+    per_row = (width + stride - 1) // stride
+    per_view = per_row * ((height + stride - 1) // stride)
+    return wp.vec3i(n // per_view, (n % per_view // per_row) * stride, (n % per_view % per_row) * stride)
+
+
+@wp.func
 def box_span(origin: wp.vec3, direction: wp.vec3, lower: wp.vec3, upper: wp.vec3):
     """Distances (near, far) at which a ray from `origin` is inside a box, near >= 0; near >= far where it misses."""
     near = float(0.0)

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import types
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from scenes import blob_scene
 import warpcage
 from warpcage import FieldOptimizer, evaluate, mean_psnr, psnr
 from warpcage.core import resolve_device
-from warpcage.fitting import error_image, object_bounds, ssim
+from warpcage.fitting import PictureRays, error_image, object_bounds, ssim
 from warpcage.fitting.level import Level
 from warpcage.view.camera import camera_array
 
@@ -198,5 +197,4 @@ def test_thin_boxes_are_seen_voxel_by_voxel(device, axis):
     density[spots] = 1e3
     level.field.grid.density.assign(density.reshape(-1))
     cameras = camera_array([camera], level.field.center, device)
-    rays = types.SimpleNamespace(cameras=cameras, width=camera.width, height=camera.height)
-    assert level.weighty_mask(rays, 0.1).numpy()[spots].all()
+    assert level.weighty_mask(PictureRays(cameras, camera.width, camera.height), 0.1).numpy()[spots].all()

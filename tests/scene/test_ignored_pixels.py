@@ -5,9 +5,17 @@ import pickle
 
 import numpy as np
 import pytest
+import warp as wp
+from scenes import blob_scene, room_scene
 from splat_scenes import ring, scene_of, true_field
 
 import warpcage
+from warpcage import FieldOptimizer, evaluate, mean_psnr, psnr
+from warpcage.core import resolve_device
+from warpcage.fitting import PictureRays, Silhouettes, ssim
+from warpcage.fitting.batches import counted_tile_size
+from warpcage.fitting.level import Level
+from warpcage.view.camera import camera_array
 from warpcage.view.pictures import shrink, shrink_weights
 
 SPLATS = {"representation": "splats", "progress": False, "steps": 40, "most_splats": 200, "pixels_per_splat": 1.0}
@@ -62,6 +70,198 @@ def test_a_smaller_picture_ignores_all_that_ignored_pixels_are_in(size, factor):
     assert np.isin(small, weights).all()
     stack = np.stack([weights, 1.0 - weights])
     np.testing.assert_array_equal(shrink_weights(stack, factor)[0], small)
+
+
+SMALL = {"device": "cpu", "progress": False, "resolution": 24, "levels": 2, "epochs": 3, "batch_rays": 512}
+
+
+def with_garbage(scene, seed=0):
+    """Other colors, opacities and surroundings wherever nothing counts."""
+    random, ignored = np.random.default_rng(seed), scene.weights == 0.0
+    changed = {}
+    for name in ("images", "alphas", "surroundings"):
+        if getattr(scene, name) is not None:
+            changed[name] = getattr(scene, name).copy()
+            changed[name][ignored] = random.random(changed[name][ignored].shape)
+    return dataclasses.replace(scene, **changed)
+
+
+def with_walkers(scene, share=0.25):
+    """A scene with weights of 0 in a rectangle that is at another place in each picture."""
+    weights = np.ones(scene.images.shape[:3], np.float32)
+    height, width = (int(np.sqrt(share) * side) for side in weights.shape[1:])
+    for index, weight in enumerate(weights):
+        top, left = np.random.default_rng(index).integers(0, (weight.shape[0] - height, weight.shape[1] - width))
+        weight[top : top + height, left : left + width] = 0.0
+    return dataclasses.replace(scene, weights=weights)
+
+
+def require_same_fields(field, other):
+    for name in ("links", "density", "sh"):
+        np.testing.assert_array_equal(getattr(field.grid, name).numpy(), getattr(other.grid, name).numpy())
+    np.testing.assert_array_equal(field.node_weights(), other.node_weights())
+
+
+@pytest.mark.parametrize("kind", ["alphas", "outer", "layers", "cameras"])
+def test_voxels_have_nothing_of_ignored_pixels(two_threads, kind):
+    """The same field to the bit, and what is around it."""
+    scene = with_walkers(room_scene(8, 26, masks="split" if kind in ("alphas", "layers") else False))
+    scene = dataclasses.replace(scene, surroundings=None) if kind == "alphas" else scene
+    options = {**SMALL, "refine_cameras": kind == "cameras", "bounds": [[-1.2] * 3, [1.2] * 3]}
+    fields = [warpcage.fit(each, **options) for each in (scene, with_garbage(scene))]
+    require_same_fields(*fields)
+    around = [field.background_model for field in fields]
+    assert (around[0] is None) == (kind == "alphas")
+    if around[0] is not None:
+        for camera in scene.cameras[:2]:
+            np.testing.assert_array_equal(*[field.render(camera).rgb for field in fields])
+    if kind == "cameras":
+        for one, other in zip(*[field.refined_cameras.cameras for field in fields], strict=True):
+            np.testing.assert_array_equal(one.camera_to_world, other.camera_to_world)
+
+
+def test_a_fit_loses_little_by_what_it_ignores(two_threads):
+    """Beside one of pictures without anything to ignore, and one that takes the garbage for the object."""
+    scene = blob_scene(count=24, size=32, device="cpu")
+    held, rest = [4, 17], [i for i in range(24) if i not in (4, 17)]
+    test = warpcage.Scene(scene.images[held], None, [scene.cameras[i] for i in held])
+    train = warpcage.Scene(scene.images[rest], scene.alphas[rest], [scene.cameras[i] for i in rest])
+    wrong = with_garbage(with_walkers(train, 0.08))
+    options = {**SMALL, "resolution": 32, "epochs": 8}
+    clean, ignoring, misled = (
+        mean_psnr(evaluate(warpcage.fit(each, **options), test))
+        for each in (train, wrong, dataclasses.replace(wrong, weights=None))
+    )
+    assert ignoring > clean - 4.0 and ignoring > misled + 8.0, (clean, ignoring, misled)
+
+
+def test_weights_of_one_change_nothing(two_threads):
+    scene = blob_scene(count=6, size=25, device="cpu")
+    ones = dataclasses.replace(scene, weights=np.ones(scene.images.shape[:3]))
+    require_same_fields(*[warpcage.fit(each, **SMALL) for each in (scene, ones)])
+    for row, other in zip(*[evaluate(warpcage.fit(scene, **SMALL), each) for each in (scene, ones)], strict=True):
+        assert row == pytest.approx(other)
+
+
+def test_weights_between_are_shares_of_tiles(two_threads):
+    scene = blob_scene(count=2, size=64, with_alpha=False, device="cpu")
+    weights = np.zeros(scene.images.shape[:3], np.float32)
+    weights[0, :, :32], weights[0, :, 32:], weights[1, :32] = 0.25, 1.0, 0.5
+    options = {name: value for name, value in SMALL.items() if name != "progress"}
+    fit = FieldOptimizer(dataclasses.replace(scene, weights=weights), background="outer", **options)
+    taken = np.zeros(2 * 32 * 32)
+    taken[fit.rays.tiles.numpy()] = 1.0
+    taken = taken.reshape(2, 32, 32)
+    assert taken[0, :, 16:].all() and not taken[1, 16:].any()
+    assert taken[0, :, :16].mean() == pytest.approx(0.25, abs=0.08)
+    assert taken[1, :16].mean() == pytest.approx(0.5, abs=0.08)
+    fit.step()
+    assert np.isfinite(fit.measure_psnr())
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.0, 2), (0.3, 1)])
+def test_single_pixels_are_taken_where_tiles_would_lose_many(share, expected):
+    weights = (np.random.default_rng(0).random((3, 21, 17)) >= share).astype(np.float32)
+    assert counted_tile_size(weights, 2) == expected
+    assert counted_tile_size(None, 2) == 2
+
+
+def test_what_only_ignored_pixels_see_is_not_seen(device):
+    """Rendering weights: of the pixels that count alone, which a field's pruning keeps."""
+    cameras = warpcage.turntable((0, 0, 0), 3.0, 20, 2, fov_degrees=40, width=9, height=8)
+    cameras = [cameras[0], dataclasses.replace(cameras[1], width=8, height=7)]
+    whole = [dataclasses.replace(camera, width=9, height=8) for camera in cameras]
+    box = np.array([[-1.0] * 3, [1.0] * 3])
+    level = Level(wp.full((12, 12, 12), 1, dtype=wp.uint8, device=device), box, np.ones(3, np.float32), 1)
+    random = np.random.default_rng(0)
+    level.field.grid.density.assign(random.uniform(0.0, 8.0, level.field.voxel_count).astype(np.float32))
+    counted = (random.random((2, 8, 9)) < 0.3).astype(np.uint8)
+    counted[1, 7], counted[1, :, 8] = 0, 0
+
+    def found(counts, stride=1):
+        held = None if counts is None else wp.array(counts, dtype=wp.uint8, device=device)
+        rays = PictureRays(camera_array(whole, level.field.center, device), 9, 8, held)
+        return level.measure_weights(rays, stride).numpy()
+
+    np.testing.assert_array_equal(found(None), found(np.ones_like(counted)))
+    assert not found(np.zeros_like(counted)).any()
+    for stride in (1, 2):
+        one_by_one = np.zeros(level.field.voxel_count, np.float32)
+        for view, row, column in np.argwhere(counted):
+            if row % stride == 0 and column % stride == 0:
+                alone = np.zeros_like(counted)
+                alone[view, row, column] = 1
+                one_by_one = np.maximum(one_by_one, found(alone))
+        np.testing.assert_array_equal(found(counted, stride), one_by_one)
+    assert (found(counted) == 0.0).sum() > (found(None) == 0.0).sum()
+
+
+def test_ignored_pixels_carve_nothing(device):
+    """A hull from pictures whose ignored pixels are transparent is larger, and it holds that of whole ones."""
+    scene = blob_scene(count=8, size=40, device=device)
+    wrong = with_walkers(scene)
+    wrong = dataclasses.replace(wrong, alphas=np.where(wrong.weights > 0.0, wrong.alphas, 0.0))
+    hulls = [
+        Silhouettes(each, resolve_device(device)).carve(np.array([[-1.0] * 3, [1.0] * 3]), (32,) * 3).numpy() > 0
+        for each in (scene, wrong, dataclasses.replace(wrong, weights=None))
+    ]
+    assert not (hulls[0] & ~hulls[1]).any() and (hulls[1] & ~hulls[0]).sum() < hulls[0].sum()
+    assert (hulls[0] & ~hulls[2]).any()
+    nothing = dataclasses.replace(scene, weights=(scene.alphas == 0.0).astype(np.float32))
+    with pytest.raises(ValueError, match="transparent"):
+        Silhouettes(nothing, resolve_device(device))
+
+
+def test_a_fit_of_nothing_is_refused():
+    scene = blob_scene(count=3, size=16, device="cpu")
+    nothing = dataclasses.replace(scene, weights=np.zeros(scene.images.shape[:3]))
+    for representation in ("voxels", "splats"):
+        with pytest.raises(ValueError, match="no pixel"):
+            warpcage.fit(nothing, representation=representation, device="cpu", progress=False)
+    with pytest.raises(ValueError, match="no pixel"):
+        evaluate(
+            warpcage.VoxelField.from_dense(np.ones((4,) * 3), np.zeros((4, 4, 4, 9, 3)), [[-1] * 3, [1] * 3]), nothing
+        )
+
+
+def test_figures_are_of_what_counts():
+    random = np.random.default_rng(0)
+    image, reference = random.random((30, 41, 3)), random.random((30, 41, 3))
+    weights = random.uniform(0.1, 1.0, (30, 41))
+    weights[3:9, 5:30] = 0.0
+    error = (weights[..., None] * (image - reference) ** 2).sum() / (3 * weights.sum())
+    assert psnr(image, reference, weights=weights) == pytest.approx(-10 * np.log10(error), abs=1e-9)
+    assert psnr(image, reference, weights=np.ones((30, 41))) == pytest.approx(psnr(image, reference), abs=1e-9)
+    image[weights == 0.0] = 7.0
+    assert psnr(image, reference, weights=weights) == pytest.approx(-10 * np.log10(error), abs=1e-9)
+    # windows that lie wholly in a part are those of the part
+    part = np.zeros((30, 41))
+    part[8:27, 10:33] = 1.0
+    cut = image[8:27, 10:33], reference[8:27, 10:33]
+    assert ssim(image, reference, weights=part) == pytest.approx(ssim(*cut), abs=1e-9)
+    for wrong in (np.zeros((30, 41)), -weights, np.full((30, 41), np.nan)):
+        with pytest.raises(ValueError, match="weights"):
+            psnr(image, reference, weights=wrong)
+    with pytest.raises(ValueError, match="weights must be those of the pixels"):
+        psnr(image, reference, weights=weights[1:])
+
+
+def test_views_are_compared_where_they_count():
+    scene = blob_scene(count=4, size=24, device="cpu")
+    field = warpcage.VoxelField.from_dense(
+        np.full((6,) * 3, 2.0), np.zeros((6, 6, 6, 9, 3)), [[-1] * 3, [1] * 3], device="cpu"
+    )
+    weights = np.zeros(scene.images.shape[:3])
+    weights[:3, 2:20, 3:22] = 1.0
+    weights[2, :, 12:] = 0.0  # too narrow for a window
+    scene = with_garbage(dataclasses.replace(scene, weights=weights))
+    rows = evaluate(field, scene, similarity=True)
+    assert [row["view"] for row in rows] == scene.names[:3] and "ssim" not in rows[2]
+    for index, row in enumerate(rows):
+        rgb, counts = field.render(scene.cameras[index], background=scene.background).rgb, weights[index] > 0.0
+        assert row["psnr"] == pytest.approx(psnr(rgb[counts], scene.images[index][counts]), abs=1e-9)
+        inside = counts & (scene.alphas[index] > 0.5)
+        assert row["masked_psnr"] == pytest.approx(psnr(rgb[inside], scene.images[index][inside]), abs=1e-9)
 
 
 def test_splats_take_the_weights_of_their_scene(scene):

@@ -47,7 +47,7 @@ def run_evaluate(args: argparse.Namespace) -> None:
         scene = tuned_scene(shared.require_voxels(field, "--tune-cameras"), scene)
         print("the poses of these views were fitted to the field: the figures say how good it is, not where they are")
     found = evaluation_report(field, scene, progress=not args.quiet)
-    rows, index = found.rows, found.worst
+    rows, index = found.rows, scene.names.index(found.rows[found.worst]["view"])
     width = max(len("view"), *(len(row["view"]) for row in rows))
     similarities, masked = found.mean_ssim is not None, found.mean_masked_psnr is not None
     means = {"view": "mean", "psnr": found.mean_psnr, "ssim": found.mean_ssim, "masked_psnr": found.mean_masked_psnr}
@@ -55,14 +55,15 @@ def run_evaluate(args: argparse.Namespace) -> None:
     for row in [*rows, means]:
         print(
             f"{row['view']:{width}}  {row['psnr']:7.2f}"
-            + (f"  {row['ssim']:6.4f}" if similarities else "")
+            + (f"  {row['ssim']:6.4f}" if row.get("ssim") is not None else " " * 8 * similarities)
             + (f"  {row['masked_psnr']:10.2f}" if row.get("masked_psnr") is not None else "")
         )
     if worst is not None:
         behind, images = comparison(field, scene)
-        image, rgb = images[index], field.render(scene.cameras[index], background=behind).rgb
+        rgb = field.render(scene.cameras[index], background=behind).rgb
+        image = scene.cut(index, images[index])
         write_png(worst, side_by_side([image, rgb, error_image(rgb, image)]))
-        print(f"wrote {worst}: view {rows[index]['view']}, its picture, the render, and their difference")
+        print(f"wrote {worst}: view {scene.names[index]}, its picture, the render, and their difference")
     if report is not None:
         content = {
             "field": args.field,

@@ -18,7 +18,7 @@ from ..core.threads import cpu_threads, run_parallel
 from ..field.voxel_field import VoxelField
 from ..kernels.fitting.batches import Pictures, mark_active_tiles
 from ..kernels.fitting.loss import TrainingRays
-from ..kernels.fitting.rmsprop import add_gradients
+from ..kernels.fitting.rmsprop import add_gradients, join_maximum
 from ..scene.scene import Scene
 from ..view.camera import camera_array
 from ..view.pictures import to_uint8
@@ -29,9 +29,18 @@ PRECISIONS = (16, 8)
 
 
 def picture_bytes(scene: Scene, bits: int) -> int:
-    """Device memory of a scene's pictures, and what masks split off them, at so many bits for each of four channels."""
-    kinds = 1 if scene.surroundings is None else 2
-    return kinds * scene.images.size // 3 * 4 * bits // 8
+    """Device memory of a scene's pictures, and what masks split off them, at so many bits for each of four channels;
+    and of their weights."""
+    kinds, pixels = 1 if scene.surroundings is None else 2, math.prod(scene.images.shape[:3])
+    return kinds * pixels * 4 * bits // 8 + (0 if scene.weights is None else pixels)
+
+
+def counted_pixels(scene: Scene) -> int:
+    """How many pixels of a scene's pictures count; ValueError where none does."""
+    count = math.prod(scene.images.shape[:3]) if scene.weights is None else int((scene.weights > 0.0).sum())
+    if count == 0:
+        raise ValueError("no pixel of the pictures counts: all weights are 0, there is nothing to fit")
+    return count
 
 
 def chosen_bits(scene: Scene, held: int, limit: int) -> int:
@@ -48,6 +57,9 @@ class TrainingPictures:
         self.scene, self.device, self.bits = scene, device, bits
         self.seen: Any = None  # premultiplied colours and opacity
         self.surroundings: Any = None  # colours that masks split off times their share, and the share; None if none
+        weights = [] if scene.weights is None else [np.round(255.0 * each).astype(np.uint8) for each in scene.weights]
+        counted = np.stack(weights) if weights else np.zeros((0, 0, 0), np.uint8)
+        self.counted: wp.array = wp.array(counted, dtype=wp.uint8, device=device)  # (views, h, w) in 1/255; empty: all
         self.keep(bits)
 
     def keep(self, bits: int) -> None:
@@ -86,6 +98,25 @@ def _uploaded(images: np.ndarray, shares: np.ndarray, behind: np.ndarray, bits: 
     else:
         pictures.bytes = wp.array(pixels, dtype=wp.vec4ub, device=device)
     return pictures
+
+
+#: Tiles are taken where they hold this share of the pixels that count, at least: single pixels otherwise.
+TILES_SHARE = 0.9
+
+
+def tile_weights(weights: np.ndarray, tile_size: int) -> np.ndarray:
+    """(tiles,) the least weight in each tile of pictures, by their weights (n, h, w)."""
+    for axis in (1, 2):
+        weights = np.minimum.reduceat(weights, np.arange(0, weights.shape[axis], tile_size), axis)
+    return weights.ravel()
+
+
+def counted_tile_size(weights: np.ndarray | None, tile_size: int) -> int:
+    """The side of tiles, pixels, that is asked for; 1 where too few tiles count as a whole."""
+    if weights is None:
+        return tile_size
+    held = tile_size**2 * int((tile_weights(weights, tile_size) > 0.0).sum())
+    return tile_size if held >= TILES_SHARE * int((weights > 0.0).sum()) else 1
 
 
 #: Bytes of a tile's index, and of the squared error of a ray of a batch.
@@ -137,12 +168,18 @@ class Batches:
         count, height, width = scene.images.shape[:3]
         self.device, self.random = device, random
         self.rays: Any = TrainingRays()  # what the losses take
-        self.rays.cameras = camera_array(scene.cameras, center, device)
+        whole = [dataclasses.replace(camera, width=width, height=height) for camera in scene.cameras]
+        self.rays.cameras = camera_array(whole, center, device)
         self.rays.height, self.rays.width = height, width
         self.rays.tile_size = tile_size
         self.rays.rays_per_side = 1
         self.rays.exposures = wp.zeros((0, 0), dtype=wp.vec3, device=device)
         self.tile_total = count * -(-height // tile_size) * -(-width // tile_size)  # of all pictures
+        # (tiles,) which of them count: a tile of weight 1/3 is one of three that are taken
+        self.counted: np.ndarray | None = None
+        if scene.weights is not None:
+            least = tile_weights(scene.weights, tile_size)
+            self.counted = least > np.random.default_rng(0).random(len(least), np.float32)
         self.active_tiles = self.batch_tiles = self.cursor = 0  # that see the field; per batch; where the next begins
         self.view_tiles = np.zeros(len(scene) + 1, np.int32)  # where each view's active tiles begin
         self.squared_error = wp.zeros(0, dtype=wp.float32, device=device)  # of a batch, summed over the channels
@@ -155,6 +192,12 @@ class Batches:
             self.rays.pictures = Pictures()  # lets go of the ones before
             self.pictures.keep(bits)
             self.rays.pictures = self.pictures.seen
+
+    @property
+    def picture_rays(self) -> PictureRays:
+        """What the pictures see, by the cameras as they are."""
+        counted = None if self.counted is None else self.pictures.counted
+        return PictureRays(self.rays.cameras, self.rays.width, self.rays.height, counted)
 
     @property
     def held_bytes(self) -> int:
@@ -176,18 +219,32 @@ class Batches:
     def activate(self, field: VoxelField | None) -> None:
         """Find the tiles that see anything of a field, and shuffle them.
         field: None where all tiles count, as every pixel shows something."""
-        tiles = np.arange(self.tile_total, dtype=np.int32) if field is None else self._seeing(field)
+        tiles = self.counted_tiles if field is None else self._seeing(field)
         if len(tiles) == 0:
             raise ValueError("no camera sees the bounds of the field: check the bounds and the cameras' axes")
         self.take(tiles)
         self.shuffle()
 
+    @property
+    def ignored_views(self) -> np.ndarray | None:
+        """(views,) bool, the views of which nothing counts. None where all pixels count."""
+        if self.counted is None:
+            return None
+        return np.asarray(~self.counted.reshape(self.rays.cameras.shape[0], -1).any(axis=1))
+
+    @property
+    def counted_tiles(self) -> np.ndarray:
+        """(tiles,) int32 the tiles that count, whatever they see."""
+        tiles = np.arange(self.tile_total, dtype=np.int32)
+        return tiles if self.counted is None else tiles[self.counted]
+
     def _seeing(self, field: VoxelField) -> np.ndarray:
-        """(tiles,) int32 the tiles with a pixel that looks through a cell of a field."""
+        """(tiles,) int32 the tiles that count, with a pixel that looks through a cell of a field."""
         active = wp.zeros(self.tile_total, dtype=wp.int32, device=self.device)
         inputs = [field.grid, self.rays.cameras, self.rays.tile_size, ACTIVE_STEP * field.step]
         launch(mark_active_tiles, self.tile_total, inputs, [active], device=self.device)
-        return np.flatnonzero(active.numpy()).astype(np.int32)
+        seeing = active.numpy() > 0
+        return np.flatnonzero(seeing if self.counted is None else seeing & self.counted).astype(np.int32)
 
     def size(self, batch_tiles: int) -> None:
         """Make batches of so many tiles from now on."""
@@ -219,8 +276,9 @@ class Batches:
         self.cursor += self.batch_tiles
 
     def psnr(self) -> float:
-        """PSNR in dB of the last batch over all pixels of the pictures: those that see no voxel count as right."""
-        error = float(self.squared_error.numpy().mean()) / 3.0 * self.active_tiles / self.tile_total
+        """PSNR in dB of the last batch over all pixels that count: those that see no voxel count as right."""
+        total = self.tile_total if self.counted is None else int(self.counted.sum())
+        error = float(self.squared_error.numpy().mean()) / 3.0 * self.active_tiles / total
         return -10.0 * math.log10(max(error, LEAST_ERROR))
 
 
@@ -273,6 +331,29 @@ def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) 
 
     with device_turn(device):
         run_parallel([lambda shard=shard: run(shard) for shard in range(shards)], shards, stopped.set)
+
+
+@dataclasses.dataclass(frozen=True)
+class PictureRays:
+    """The pixels of pictures of one size, through which a fit looks for what they show."""
+
+    cameras: wp.array  # (views,) PinholeCamera
+    width: int  # pixels
+    height: int
+    counted: wp.array | None = None  # (views, h, w) uint8, 0 for pixels that do not count; None counts all
+
+    def record(self, kernels: tuple[Kernel, Kernel], inputs: list, stride: int, rows: int, shards: int) -> wp.array:
+        """(rows,) float32, the largest number that any ray gives to each row; rays: of every stride-th row and column.
+        kernels: for pictures that count as a whole, and for others, which take `counted` after the inputs."""
+        device = wp.get_device(self.cameras.device)
+        count = self.cameras.shape[0] * -(-self.width // stride) * -(-self.height // stride)
+        kernel = kernels[0] if self.counted is None else kernels[1]
+        inputs = inputs if self.counted is None else [*inputs, self.counted]
+        found = [wp.zeros(rows, dtype=wp.float32, device=device) for _ in range(shards)]
+        launch_shards([ShardedWork(kernel, count, inputs, [[each] for each in found])], shards, device)
+        for other in found[1:]:
+            launch(join_maximum, rows, [other], [found[0]], device=device)
+        return found[0]
 
 
 def sum_shards(gradients: Sequence[wp.array]) -> wp.array:

@@ -184,8 +184,11 @@ class CameraRefinement:
 
     # On the device
 
-    def uploaded(self, number: int | None = None, change: float = 0.0) -> wp.array:
-        """(n,) PinholeCamera as they are, or with one of their numbers larger by `change`."""
+    def uploaded(
+        self, number: int | None = None, change: float = 0.0, *, size: tuple[int, int] | None = None
+    ) -> wp.array:
+        """(n,) PinholeCamera as they are, or with one of their numbers larger by `change`; size: width and height that
+        the images have which hold the pictures, None takes those of the cameras."""
         rows = np.zeros(len(self), np.dtype(cast(Any, PinholeCamera).numpy_dtype()))
         rotations, centers, zooms = self.poses[:, :3, :3], self.poses[:, :3, 3] - self.center, self.zooms[self.lenses]
         if number is not None and number < 3:
@@ -197,12 +200,12 @@ class CameraRefinement:
         rows["center"], rows["rotation"] = centers, rotations
         rows["focal"] = np.array([[c.fx, c.fy] for c in self.given]) * np.exp(zooms)[:, None]
         rows["principal_point"] = [[c.cx, c.cy] for c in self.given]
-        rows["width"], rows["height"] = [c.width for c in self.given], [c.height for c in self.given]
+        rows["width"], rows["height"] = size or np.transpose([(c.width, c.height) for c in self.given])
         return wp.array(rows, dtype=PinholeCamera, device=self.device)
 
     def attach(self, rays: Any) -> None:
         """Let TrainingRays of the scene have the cameras and exposures as they are."""
-        rays.cameras = self.uploaded()
+        rays.cameras = self.uploaded(size=(rays.width, rays.height))
         undone = np.stack([1.0 / self.gains, -self.offsets / self.gains], axis=1)
         rays.exposures = wp.array(undone, dtype=wp.vec3, device=self.device)
 
@@ -217,6 +220,7 @@ class CameraRefinement:
         random_background: bool,
         gather: Gather | None = None,
         has_front: bool = False,
+        ignored: np.ndarray | None = None,  # (n,) views of which nothing counts
     ) -> CameraSums:
         """Look at every camera with a sample of so many tiles of TrainingRays, which have the cameras as they are.
         view_tiles: (n + 1,) int32, where the tiles of each view begin; gather: fills what is around the field."""
@@ -251,7 +255,11 @@ class CameraRefinement:
         launch(kernels.measure_camera_slopes, count, inputs, [records], device=device)
         sums = empty_array((len(self) * runs, SUMS), wp.float32, device)
         launch(kernels.sum_camera_slopes, sums.size, [records, run_tiles * size, OUTLIER], [sums], device=device)
-        return CameraSums.unpacked(sums.numpy().astype(np.float64).reshape(len(self), runs, SUMS).sum(axis=1))
+        found = CameraSums.unpacked(sums.numpy().astype(np.float64).reshape(len(self), runs, SUMS).sum(axis=1))
+        if ignored is not None:  # as if the picture were right where its camera is
+            found.normal[ignored], found.slope[ignored], found.error[ignored] = 0.0, 0.0, 0.0
+            found.exposure[ignored] = [1.0, 0.0, 1.0, 1.0, 0.0]
+        return found
 
     def _around(self, drawn: Any, count: int, gather: Gather | None, has_front: bool) -> tuple[wp.array, wp.array]:
         """(8, rays) what is behind and before the field: as it is, and with each of the cameras' numbers larger."""
@@ -385,7 +393,7 @@ def tuned_scene(field: VoxelField, scene: Scene) -> Scene:
         random = np.random.default_rng(0)
         limit = memory_limit(None, device)
         batches = Batches(compared, field.center, TILE, random, device, held=0, limit=limit)
-        batches.take(np.arange(batches.tile_total, dtype=np.int32))
+        batches.take(batches.counted_tiles)
         refinement = CameraRefinement(compared.cameras, field.bounds, device, held=False)
         around = field.background_model if behind is None else None
         has_front = isinstance(around, OuterField)
@@ -407,6 +415,7 @@ def tuned_scene(field: VoxelField, scene: Scene) -> Scene:
                 random_background=False,
                 gather=None if around is None else gather,
                 has_front=has_front,
+                ignored=batches.ignored_views,
             )
             share = 1.0 if 2 * step < STEPS else 0.3
             refinement.step(sums, CameraRates(share, 0.0, 0.0), float(field.voxel_size.max()))

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import require_type
+from ..core.checks import real_array, require_type
 from ..core.reports import Progress, hears, tell
 from ..scene.scene import Scene
 from ..splats.splat_field import SplatField
@@ -32,26 +32,43 @@ class Renderer(Protocol):
     def render(self, camera: Camera, *, background: Any = None) -> Frame: ...
 
 
-def psnr(image: ArrayLike, reference: ArrayLike) -> float:
+def psnr(image: ArrayLike, reference: ArrayLike, *, weights: ArrayLike | None = None) -> float:
     """Peak signal-to-noise ratio of an image.
 
     Args:
         image: Values in [0, 1], of any shape. Others are clamped.
         reference: What it should be, of the same shape.
+        weights: How much each pixel counts, at least 0: (h, w) for an image (h, w, 3). None counts all alike.
 
     Returns:
         dB; inf where they agree.
 
     Raises:
-        ValueError: For different shapes, or whole numbers beyond 1 (8-bit pictures have to be divided by 255).
+        ValueError: For different shapes, whole numbers beyond 1 (8-bit pictures have to be divided by 255), or weights
+            of which none is above 0.
     """
     first, second = _clamped_pair(image, reference)
-    error = float(np.mean((first - second) ** 2))
+    squares = (first - second) ** 2
+    error = float(np.mean(squares) if weights is None else _weighted_mean(squares, weights))
     return float("inf") if error == 0 else -10.0 * np.log10(error)
 
 
-def ssim(image: ArrayLike, reference: ArrayLike) -> float:
-    """Structural similarity of images (h, w, 3) in [0, 1], others clamped; at most 1, where they agree."""
+def _weighted_mean(values: np.ndarray, weights: ArrayLike) -> float:
+    """Mean of values (h, w, ...) by the weights (h, w) of their pixels."""
+    given = real_array(weights, "weights")
+    if given.shape != values.shape[: given.ndim]:
+        raise ValueError(f"weights must be those of the pixels of {values.shape}, got {given.shape}")
+    total = float(given.sum())
+    if not (given.size and given.min() >= 0.0 and 0.0 < total < math.inf):
+        raise ValueError("weights must be finite, at least 0, and somewhere above: nothing counts otherwise")
+    by_pixel = values.reshape(*given.shape, -1).mean(axis=-1)
+    # where they are 0 nothing counts, whatever is there
+    return float((by_pixel * given)[given > 0.0].sum()) / total
+
+
+def ssim(image: ArrayLike, reference: ArrayLike, *, weights: ArrayLike | None = None) -> float:
+    """Structural similarity of images (h, w, 3) in [0, 1], others clamped; at most 1, where they agree.
+    weights: (h, w) how much each pixel counts, a window as much as the least of its pixels; None counts all alike."""
     from skimage.metrics import structural_similarity
 
     first, second = _clamped_pair(image, reference)
@@ -59,10 +76,24 @@ def ssim(image: ArrayLike, reference: ArrayLike) -> float:
         raise ValueError(
             f"structural similarity needs images of at least {SSIM_WINDOW}x{SSIM_WINDOW} pixels, got {first.shape[:2]}"
         )
-    similarity: Any = structural_similarity(  # Wang et al. 2004, Gaussian window of 1.5 pixels
-        first, second, channel_axis=-1, data_range=1.0, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
+    options = {"channel_axis": -1, "data_range": 1.0, "gaussian_weights": True, "sigma": 1.5}
+    found: Any = structural_similarity(  # Wang et al. 2004, Gaussian window of 1.5 pixels
+        first, second, use_sample_covariance=False, full=weights is not None, **options
     )
-    return float(similarity)
+    return float(found) if weights is None else _weighted_mean(_inner(found[1]), window_weights(weights))
+
+
+def window_weights(weights: ArrayLike) -> np.ndarray:
+    """Weights (h - 10, w - 10) of the windows of the structural similarity: the least of the pixels (h, w) in each."""
+    from scipy.ndimage import minimum_filter
+
+    return _inner(minimum_filter(real_array(weights, "weights"), SSIM_WINDOW))
+
+
+def _inner(values: np.ndarray) -> np.ndarray:
+    """What is in the middle of windows that lie wholly in a picture (h, w, ...)."""
+    edge = SSIM_WINDOW // 2
+    return values[edge:-edge, edge:-edge]
 
 
 def _clamped_pair(image: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -86,12 +117,14 @@ def error_image(image: ArrayLike, reference: ArrayLike) -> np.ndarray:
     return (1 - error) * grey + error * np.array(RED, np.float32)
 
 
-def masked_psnr(image: ArrayLike, reference: ArrayLike, mask: ArrayLike) -> float:
-    """PSNR, dB, of (h, w, 3) over the pixels where a mask (h, w) is above 1/2; inf where they agree."""
+def masked_psnr(image: ArrayLike, reference: ArrayLike, mask: ArrayLike, *, weights: ArrayLike | None = None) -> float:
+    """PSNR, dB, of (h, w, 3) over the pixels where a mask (h, w) is above 1/2; inf where they agree.
+    weights: as for `psnr`."""
     inside = np.asarray(mask) > OPAQUE
     if not inside.any():
         raise ValueError("the mask is empty: there is nothing to compare")
-    return psnr(np.asarray(image)[inside], np.asarray(reference)[inside])
+    weights = None if weights is None else np.asarray(weights)[inside]
+    return psnr(np.asarray(image)[inside], np.asarray(reference)[inside], weights=weights)
 
 
 @hears
@@ -101,7 +134,8 @@ def evaluate(
     """Render every view of a scene and compare, at the scene's image size and not quantised.
 
     A renderer with background layers is compared with whole pictures, where the scene has them (its pictures carry no
-    opacity, or were split at their masks). Otherwise both are on the scene's background colour.
+    opacity, or were split at their masks). Otherwise both are on the scene's background colour. Of pixels with weights
+    (`Scene.weights`) each counts as much as they say; views of which nothing counts are left out.
 
     Args:
         renderer: A VoxelField, a SplatField, a Deformer, or anything with .render(camera, background=...) -> Frame.
@@ -114,7 +148,7 @@ def evaluate(
         object alone, where the scene has opacity.
 
     Raises:
-        ValueError: For anything but a Scene.
+        ValueError: For anything but a Scene, or one of which nothing counts.
         Cancelled: Where `progress` returned False.
     """
     require_type(scene, Scene, "evaluate compares with")
@@ -123,16 +157,24 @@ def evaluate(
     scene = in_world_of(renderer, scene)
     rows = []
     background, images = comparison(renderer, scene)
-    alphas = [None] * len(scene) if scene.alphas is None else scene.alphas
-    views = zip(scene.names, scene.cameras, images, alphas, strict=True)
-    for name, camera, image, alpha in views:
-        tell(len(rows), len(scene), "evaluate")
+    for index in range(len(scene)):
+        tell(index, len(scene), "evaluate")
+        parts = (None if each is None else scene.cut(index, each[index]) for each in (scene.alphas, scene.weights))
+        alpha, weights = parts
+        if weights is not None and not weights.any():
+            continue
+        image, camera = scene.cut(index, images[index]), scene.cameras[index]
         rgb = renderer.render(camera, background=background).rgb
-        row = {"view": name, "psnr": psnr(rgb, image)} | ({"ssim": ssim(rgb, image)} if similarity else {})
-        if alpha is not None and (alpha > OPAQUE).any():
-            row["masked_psnr"] = masked_psnr(rgb, image, alpha)
+        row = {"view": scene.names[index], "psnr": psnr(rgb, image, weights=weights)}
+        if similarity and (weights is None or window_weights(weights).any()):
+            row["ssim"] = ssim(rgb, image, weights=weights)
+        shown = alpha if weights is None or alpha is None else np.where(weights > 0.0, alpha, 0.0)
+        if shown is not None and (shown > OPAQUE).any():
+            row["masked_psnr"] = masked_psnr(rgb, image, shown, weights=weights)
         rows.append(row)
-    tell(len(rows), len(scene), "evaluate")
+    tell(len(scene), len(scene), "evaluate")
+    if not rows:
+        raise ValueError("no pixel of these views counts: all weights are 0, there is nothing to compare")
     return rows
 
 
@@ -218,7 +260,8 @@ class Report:
 
 def evaluation_report(field: Renderer, scene: Scene, *, progress: bool = False) -> Report:
     """Compare a field with the pictures of a scene; the structural similarity too where they are large enough."""
-    return Report(evaluate(field, scene, similarity=min(scene.images.shape[1:3]) >= SSIM_WINDOW, progress=progress))
+    sides = [min(camera.width, camera.height) for camera in scene.cameras]
+    return Report(evaluate(field, scene, similarity=min(sides) >= SSIM_WINDOW, progress=progress))
 
 
 def finite(decibels: float | None) -> float | None:

@@ -150,4 +150,5 @@ def _write_preview(path: pathlib.Path, field: VoxelField | SplatField, scene: Sc
     """Write a picture of the scene beside the field's view of its camera."""
     background, images = comparison(field, scene)
     view = len(scene) // 2
-    write_png(path, side_by_side([images[view], field.render(scene.cameras[view], background=background).rgb]))
+    image, drawn = scene.cut(view, images[view]), field.render(scene.cameras[view], background=background).rgb
+    write_png(path, side_by_side([image, drawn]))

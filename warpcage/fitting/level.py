@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -16,11 +15,11 @@ from ..field.render import STOP_TRANSMITTANCE
 from ..field.sparse import link_mask
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
-from ..kernels.field.march import record_weights
+from ..kernels.field.march import record_counted_weights, record_weights
 from ..kernels.fitting import rmsprop
 from ..kernels.fitting.loss import accumulate_photometric_gradient
 from ..kernels.fitting.loss_warps import accumulate_photometric_gradient_by_warps
-from .batches import Batch, ShardedWork, launch_shards, sum_shards
+from .batches import Batch, PictureRays, ShardedWork, launch_shards, sum_shards
 from .memory import FitMemory
 from .schedule import Rates
 from .silhouettes import dilated
@@ -160,34 +159,29 @@ class Level:
         del links, moments, inputs
         self.allocate_gradients()
 
-    def finish(self, rays: Any, threshold: float) -> VoxelField:
-        """The field of the voxels that matter to the pictures of TrainingRays, with its rendering weights.
+    def finish(self, picture_rays: PictureRays, threshold: float) -> VoxelField:
+        """The field of the voxels that matter to pictures, with its rendering weights.
         threshold: rendering weight from which a voxel matters."""
         self.release()
-        self.resample(self.weighty_mask(rays, threshold))
-        self.field.weights = self.measure_weights(rays)
+        self.resample(self.weighty_mask(picture_rays, threshold))
+        self.field.weights = self.measure_weights(picture_rays)
         return self.field
 
-    def measure_weights(self, rays: Any, pixel_stride: int = 1) -> wp.array:
-        """(rows,) float32, the largest rendering weight that TrainingRays' cameras give to each voxel.
+    def measure_weights(self, picture_rays: PictureRays, pixel_stride: int = 1) -> wp.array:
+        """(rows,) float32, the largest rendering weight that pictures' pixels give to each voxel.
         pixel_stride: every how many pixels there is a ray, along both sides of a picture."""
         field, rows = self.field, self.field.voxel_count
-        count = rays.cameras.shape[0] * -(-rays.width // pixel_stride) * -(-rays.height // pixel_stride)
-        weights = [wp.zeros(rows, dtype=wp.float32, device=field.device) for _ in range(self.shards)]
-        inputs = [field.grid, rays.cameras, pixel_stride, field.step, STOP_TRANSMITTANCE]
-        work = ShardedWork(record_weights, count, inputs, [[shard] for shard in weights])
-        launch_shards([work], self.shards, field.device)
-        for other in weights[1:]:
-            launch(rmsprop.join_maximum, rows, [other], [weights[0]], device=field.device)
-        return weights[0]
+        inputs = [field.grid, picture_rays.cameras, pixel_stride, field.step, STOP_TRANSMITTANCE]
+        kernels = record_weights, record_counted_weights
+        return picture_rays.record(kernels, inputs, pixel_stride, rows, self.shards)
 
-    def weighty_mask(self, rays: Any, threshold: float) -> wp.array:
+    def weighty_mask(self, picture_rays: PictureRays, threshold: float) -> wp.array:
         """(nx, ny, nz) uint8 mask of the voxels with a rendering weight from a threshold on, and their neighbours.
-        Of those that have a row; rays: TrainingRays, whose cameras are taken."""
+        Of those that have a row."""
         field = self.field
         # a ray for each half voxel where the longest side of the box fills the shorter one of a picture
-        stride = max(1, int(0.5 * min(rays.width, rays.height) / max(field.resolution)))
-        weights = self.measure_weights(rays, stride)
+        stride = max(1, int(0.5 * min(picture_rays.width, picture_rays.height) / max(field.resolution)))
+        weights = self.measure_weights(picture_rays, stride)
         mask = wp.zeros(field.resolution, dtype=wp.uint8, device=field.device)
         inputs = [self.nodes, weights, threshold]
         launch(grid_refine.mark_weighty_nodes, field.voxel_count, inputs, [mask], device=field.device)

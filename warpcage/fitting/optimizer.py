@@ -23,7 +23,7 @@ from ..scene.box import scene_box
 from ..scene.scene import Scene
 from ..view.camera import Camera
 from ..view.camera_path import RefinedCameras
-from .batches import PRECISIONS, Batch, Batches, TrainingPictures, shard_count
+from .batches import PRECISIONS, Batch, Batches, TrainingPictures, counted_pixels, counted_tile_size, shard_count
 from .cameras import CAMERA_RAYS, CameraRefinement, ray_bytes
 from .level import Level, level_memory
 from .memory import FitMemory, finest, memory_limit, memory_text
@@ -62,7 +62,7 @@ class FieldOptimizer:
 
     Attributes:
         scene: The scene.
-        options: All options, with the number of levels that the fit has.
+        options: All options, with the number of levels that the fit has, and its tiles' size.
         device: The Warp device.
         bounds: (2, 3) box of the field, world units.
         shapes: (nx, ny, nz) voxels of each level; made coarser during the fit where memory is short.
@@ -83,6 +83,7 @@ class FieldOptimizer:
         require_type(scene, Scene, "a fit needs")
         self.scene = scene
         self.options = checked_options(options)
+        pixels = counted_pixels(scene)
         self.device = resolve_device(device)
         self.seed = checked_seed(seed)
         self.given = {
@@ -111,7 +112,8 @@ class FieldOptimizer:
             around_bytes = int(MEMORY_SHARE * self.memory_limit)
         self.memory_limit -= around_bytes
         grid = plan_grid(scene, self.options, box, around is not None)
-        self.options = dataclasses.replace(self.options, levels=grid.levels)
+        tile_size = counted_tile_size(scene.weights, self.options.tile_size)
+        self.options = dataclasses.replace(self.options, levels=grid.levels, tile_size=tile_size)
         self.bounds, self.shapes, self.variation = grid.bounds, grid.shapes, grid.variation
         self.planned = list(grid.shapes)
 
@@ -132,9 +134,7 @@ class FieldOptimizer:
         if around == "outer":  # which begins with this colour too, and would explain all if the field did not
             self.current.paint(mean_color(scene))
         self._activate_tiles()
-        batch_tiles, level_steps = plan_batches(
-            self.options, math.prod(scene.images.shape[:3]), self.batches.active_tiles
-        )
+        batch_tiles, level_steps = plan_batches(self.options, pixels, self.batches.active_tiles)
         self.batches.size(batch_tiles)
         self.schedule = Schedule(self.options, level_steps, grid.scarcity)
         self.background: BackgroundOptimizer | OuterOptimizer | None = None
@@ -306,7 +306,7 @@ class FieldOptimizer:
         voxels, where memory is short."""
         level, coarse, memory = self.current, self.field.resolution, self.memory()
         level.release()  # one level's state at a time: this is where memory peaks
-        kept = level.weighty_mask(self.rays, self.options.prune_weight / max(coarse))
+        kept = level.weighty_mask(self.batches.picture_rays, self.options.prune_weight / max(coarse))
         rows, kept_rows = self.field.voxel_count, mask_count(kept)
         self.schedule.level += 1
         planned = self.shapes[self.level]
@@ -315,7 +315,7 @@ class FieldOptimizer:
         if shape is not None:
             level.refine(shape, kept)
         if self.background is not None:
-            self.background.start_level(self.level, self.rays, self.field)
+            self.background.start_level(self.level, self.batches.picture_rays, self.field)
         level.allocate()
         self._activate_tiles()
 
@@ -324,8 +324,8 @@ class FieldOptimizer:
         level, rows, memory = self.current, self.field.voxel_count, self.memory()
         level.release_gradients()
         if self.background is not None:
-            self.background.thin_out(self.rays, self.field)
-        mask = level.weighty_mask(self.rays, self.options.keep_weight)
+            self.background.thin_out(self.batches.picture_rays, self.field)
+        mask = level.weighty_mask(self.batches.picture_rays, self.options.keep_weight)
         if memory.thinning_bytes(rows, mask_count(mask), self.field.resolution) > self.memory_limit:
             level.allocate_gradients()
             return
@@ -406,6 +406,7 @@ class FieldOptimizer:
             random_background=self.random_background,
             gather=None if around is None or around.behind is None else around.gather,
             has_front=around is not None and around.front is not None,
+            ignored=self.batches.ignored_views,
         )
         self.refinement.step(sums, rates, float(self.field.voxel_size.max()))
         self.refinement.attach(self.rays)
@@ -431,10 +432,10 @@ class FieldOptimizer:
 
         What is left is what a cage has to enclose: faint floaters would stay behind when the object moves.
         """
-        field = self.current.finish(self.rays, self.options.keep_weight)
+        field = self.current.finish(self.batches.picture_rays, self.options.keep_weight)
         field.up, field.straightening = self.scene.up, self.scene.straightening
         field.supersampling = self.options.supersampling
         if self.background is not None:
-            field.background_model = self.background.result(self.rays, field)
+            field.background_model = self.background.result(self.batches.picture_rays, field)
         field.refined_cameras = self.refined_cameras
         return field

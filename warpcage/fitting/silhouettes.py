@@ -26,18 +26,22 @@ class Silhouettes:
     def __init__(self, scene: Scene, device: wp.Device):
         if scene.alphas is None:
             raise ValueError("the scene's images have no alpha: there are no silhouettes")
-        opaque = (scene.alphas > OPAQUE).view(np.uint8)
-        if not opaque.any():
+        opaque = scene.alphas > OPAQUE
+        if not (opaque if scene.weights is None else opaque & (scene.weights > 0.0)).any():
             raise ValueError("every pixel of the scene is transparent: there is nothing to fit")
+        if scene.weights is not None:  # the object may be wherever pixels do not say that it is not
+            opaque |= scene.weights == 0.0
+        opaque = opaque.view(np.uint8)
         self.cameras, self.device = scene.cameras, device
         count, height, width = opaque.shape
         self.sums = wp.zeros((count, height + 1, width + 1), dtype=wp.int32, device=device)  # summed-area tables
         held = wp.array(opaque, dtype=wp.uint8, device=device)
         launch(sum_rows, count * height, [held], [self.sums], device=device)
         launch(sum_columns, count * (width + 1), [], [self.sums], device=device)
-        touching = opaque[:, [0, -1]].any(axis=(1, 2)) | opaque[:, :, [0, -1]].any(axis=(1, 2))
-        showing = opaque.any(axis=(1, 2))  # a view of nothing only says where the object is not
-        self.bounded = wp.array(np.asarray(showing & ~touching), dtype=wp.int32, device=device)  # 1: clear of border
+        cut = [scene.cut(index, each) for index, each in enumerate(opaque)]
+        touching = np.array([each[[0, -1]].any() or each[:, [0, -1]].any() for each in cut])
+        showing = np.array([each.any() for each in cut])  # a view of nothing only says where the object is not
+        self.bounded = wp.array(showing & ~touching, dtype=wp.int32, device=device)  # 1: clear of border
 
     @property
     def held_bytes(self) -> int:

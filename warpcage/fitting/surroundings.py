@@ -22,10 +22,9 @@ from ..kernels.field.background import BackgroundLayers, refine_layers
 from ..kernels.field.outer import mark_outer_nodes, resample_outer
 from ..kernels.fitting import background_loss, outer_loss
 from ..kernels.fitting.background_loss import accumulate_layer_variation, apply_layer_rmsprop
-from ..kernels.fitting.rmsprop import join_maximum
 from ..scene.scene import Scene
 from ..view.camera import Camera, camera_array
-from .batches import ShardedWork, launch_shards, sum_shards
+from .batches import PictureRays, ShardedWork, launch_shards, sum_shards
 from .memory import FitMemory
 from .options import FitOptions
 from .schedule import Rates
@@ -72,10 +71,14 @@ def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
 
 
 def _is_plain(scene: Scene) -> bool:
-    images = scene.images
-    border = np.concatenate([images[:, [0, -1]].reshape(-1, 3), images[:, :, [0, -1]].reshape(-1, 3)])
-    same = (np.abs(border - scene.background) < PLAIN_DIFFERENCE).all(axis=1)
-    return bool(same.mean() >= PLAIN_SHARE)
+    same = count = 0
+    for index, image in enumerate(scene.images):
+        image = scene.cut(index, image)
+        counts = np.ones(image.shape[:2], bool) if scene.weights is None else scene.cut(index, scene.weights[index]) > 0
+        for border in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
+            plain = (np.abs(image[border] - scene.background) < PLAIN_DIFFERENCE).all(axis=-1)
+            same, count = same + (plain & counts[border]).sum(), count + counts[border].sum()
+    return bool(same >= PLAIN_SHARE * count > 0)
 
 
 def layers_that_fit(scene: Scene, options: FitOptions, shards: int, limit: int) -> tuple[int, int]:
@@ -122,7 +125,7 @@ class BackgroundOptimizer:
         self.behind = None if split else wp.zeros(batch_rays, dtype=wp.vec3, device=device)  # not needed where split
         self._grad_behind = wp.zeros(batch_rays, dtype=wp.vec3, device=device)
 
-    def start_level(self, level: int, rays: Any, field: VoxelField) -> None:
+    def start_level(self, level: int, picture_rays: PictureRays, field: VoxelField) -> None:
         """Layers of a level, interpolated from the ones before; gradients and moments start anew.
         The rest is not used: layers are not pruned."""
         self._release()
@@ -200,7 +203,7 @@ class BackgroundOptimizer:
             self.device,
         )
 
-    def thin_out(self, rays: Any, field: VoxelField) -> None:
+    def thin_out(self, picture_rays: PictureRays, field: VoxelField) -> None:
         """Nothing: layers are not pruned."""
 
     def apply(self, rates: Rates) -> None:
@@ -237,7 +240,7 @@ class BackgroundOptimizer:
             values[met] = rows
             target.assign(values)
 
-    def result(self, rays: Any, field: VoxelField) -> LayeredBackground:
+    def result(self, picture_rays: PictureRays, field: VoxelField) -> LayeredBackground:
         """The layers so far, colours in [0, 1] and optical depths of at least 0; the arguments are not used."""
         values = self.layers.values.numpy()
         values[..., :3] = np.clip(values[..., :3], 0.0, 1.0)
@@ -248,12 +251,18 @@ class BackgroundOptimizer:
 
 
 def mean_color(scene: Scene) -> np.ndarray:
-    """(3,) mean colour of a scene's pictures, or of what masks split off them."""
+    """(3,) mean colour of a scene's pictures, or of what masks split off them, where they count."""
     thinned = slice(None), slice(None, None, COLOR_STRIDE), slice(None, None, COLOR_STRIDE)
     if scene.surroundings is None or scene.alphas is None:
-        return scene.images[thinned].reshape(-1, 3).mean(axis=0)
-    share = (1.0 - scene.alphas[thinned]).sum()
-    return scene.surroundings[thinned].reshape(-1, 3).sum(axis=0) / max(float(share), 1.0)
+        colors, shares = scene.images[thinned], None
+    else:
+        colors, shares = scene.surroundings[thinned], 1.0 - scene.alphas[thinned]
+    if scene.weights is not None:
+        counts = scene.weights[thinned] > 0.0
+        colors, shares = colors * counts[..., None], counts if shares is None else counts * shares
+    if shares is None:
+        return colors.reshape(-1, 3).mean(axis=0)
+    return colors.reshape(-1, 3).sum(axis=0) / max(float(shares.sum()), 1.0)
 
 
 #: Share of the memory of a fit that an outer field may take.
@@ -384,12 +393,12 @@ class OuterOptimizer:
 
     # Levels
 
-    def start_level(self, level: int, rays: Any, field: VoxelField) -> None:
-        """Prune by the cameras of TrainingRays, and go on to the voxels of a level, interpolated from the ones before.
+    def start_level(self, level: int, picture_rays: PictureRays, field: VoxelField) -> None:
+        """Prune by what pictures see, and go on to the voxels of a level, interpolated from the ones before.
         field: of the level before."""
         self._release()
         coarse, side = self.outer, self.outer.side
-        kept = self._weighty_mask(rays, field, self.options.prune_weight / side)
+        kept = self._weighty_mask(picture_rays, field, self.options.prune_weight / side)
         planned = (self.sides[level],) * 3
         shape = self._memory().refinement(self.nodes.shape[0], mask_count(kept), (side,) * 3, planned, self.limit)
         if shape is None:
@@ -414,30 +423,26 @@ class OuterOptimizer:
         inputs = [coarse.grid, self.nodes, self.outer.side]
         launch(resample_outer, self.nodes.shape[0], inputs, [grid.values], device=self.device)
 
-    def thin_out(self, rays: Any, field: VoxelField) -> None:
-        """Remove what no view of TrainingRays shows, and keep the second moments of the rest."""
+    def thin_out(self, picture_rays: PictureRays, field: VoxelField) -> None:
+        """Remove what no picture shows, and keep the second moments of the rest."""
         self.gradients = []
         before, moments = self.outer, self.moments
-        mask = self._weighty_mask(rays, field, self.options.keep_weight)
+        mask = self._weighty_mask(picture_rays, field, self.options.keep_weight)
         self._resample(before, mask, before.grid.sky.side)
         self.moments = empty_array(self.nodes.shape[0], wp.vec4, self.device)
         inputs = [before.grid.links, self.nodes, moments]
         launch(outer_loss.gather_rows, self.nodes.shape[0], inputs, [self.moments], device=self.device)
         self._allocate_gradients()
 
-    def _weighty_mask(self, rays: Any, field: VoxelField, threshold: float) -> wp.array:
+    def _weighty_mask(self, picture_rays: PictureRays, field: VoxelField, threshold: float) -> wp.array:
         """The voxels whose rendering weight reaches a threshold in some view, and their neighbours."""
         outer, rows = self.outer, self.nodes.shape[0]
-        stride = max(1, int(0.5 * min(rays.width, rays.height) / outer.side))
-        count = rays.cameras.shape[0] * -(-rays.width // stride) * -(-rays.height // stride)
-        weights = [wp.zeros(rows, dtype=wp.float32, device=self.device) for _ in range(self.shards)]
-        inputs = [outer.grid, field.grid, rays.cameras, stride, field.step]
-        work = ShardedWork(outer_loss.record_outer_weights, count, inputs, [[shard] for shard in weights])
-        launch_shards([work], self.shards, self.device)
-        for other in weights[1:]:
-            launch(join_maximum, rows, [other], [weights[0]], device=self.device)
+        stride = max(1, int(0.5 * min(picture_rays.width, picture_rays.height) / outer.side))
+        inputs = [outer.grid, field.grid, picture_rays.cameras, stride, field.step]
+        kernels = outer_loss.record_outer_weights, outer_loss.record_counted_outer_weights
+        weights = picture_rays.record(kernels, inputs, stride, rows, self.shards)
         mask = wp.zeros(outer.grid.links.shape, dtype=wp.uint8, device=self.device)
-        launch(grid_refine.mark_weighty_nodes, rows, [self.nodes, weights[0], threshold], [mask], device=self.device)
+        launch(grid_refine.mark_weighty_nodes, rows, [self.nodes, weights, threshold], [mask], device=self.device)
         mask = dilated(mask)
         launch(grid_refine.keep_linked, mask.size, [outer.grid.links], [mask], device=self.device)
         return mask
@@ -538,10 +543,10 @@ class OuterOptimizer:
         self.outer.grid.values.assign(values.astype(np.float32))
         self.moments.assign(moments.astype(np.float32))
 
-    def result(self, rays: Any, field: VoxelField) -> OuterField:
+    def result(self, picture_rays: PictureRays, field: VoxelField) -> OuterField:
         """The outer field so far, pruned, colours in [0, 1] and densities of at least 0."""
         self._release()
-        mask = self._weighty_mask(rays, field, self.options.keep_weight)
+        mask = self._weighty_mask(picture_rays, field, self.options.keep_weight)
         self._resample(self.outer, mask, self.outer.grid.sky.side)
         values, sky = self.outer.values, self.outer.grid.sky.values
         values[:, :3] = np.clip(values[:, :3], 0.0, 1.0)

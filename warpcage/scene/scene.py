@@ -28,9 +28,11 @@ class Scene:
     """Images with their cameras.
 
     Args:
-        images: (n, h, w, 3) float32 in [0, 1], composited on the background.
+        images: (n, h, w, 3) float32 in [0, 1], composited on the background. Pictures of several sizes lie at the upper
+            left of images as large as the largest: see `cut`.
         alphas: (n, h, w) float32 in [0, 1]. None where the images carry no opacity.
-        cameras: n cameras of that image size, in the scene's own world units.
+        cameras: n cameras of that image size, in the scene's own world units. A picture that is smaller than the images
+            has a camera of its own size, and weights of 0 beyond it.
         background: (3,) float32, the colour behind everything. The default is white.
         names: n image names, for reports. The default numbers them.
         bounds: (2, 3) float64, a box that holds the object where the data say so (bbox, points, unit sphere). None is
@@ -82,8 +84,9 @@ class Scene:
         names = list(self.names) or [f"{i:04d}" for i in range(count)]
         if len(names) != count:
             raise ValueError(f"a scene needs one name per image: {count} images, {len(names)} names")
-        for name, image, camera in zip(names, images, self.cameras, strict=True):
-            _check_view(name, image, camera)
+        weights = _checked_shares("weights", self.weights, images.shape[:3], names)
+        for index, (name, image, camera) in enumerate(zip(names, images, self.cameras, strict=True)):
+            _check_view(name, image, camera, None if weights is None else weights[index])
         alphas = _checked_shares("alphas", self.alphas, images.shape[:3], names, ALPHA_ROOM)
         surroundings = self.surroundings
         if surroundings is not None:
@@ -103,7 +106,7 @@ class Scene:
             "surroundings": surroundings,
             "points": points,
             "point_colors": point_colors,
-            "weights": _checked_shares("weights", self.weights, images.shape[:3], names),
+            "weights": weights,
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -113,10 +116,29 @@ class Scene:
         parts = "".join(
             f", {name}" for name in ("alphas", "surroundings", "weights") if getattr(self, name) is not None
         )
-        return f"Scene({count} pictures of {width}x{height}{parts})"
+        return f"Scene({count} pictures of {'up to ' * self.has_sizes}{width}x{height}{parts})"
 
     def __len__(self) -> int:
         return len(self.images)
+
+    @property
+    def has_sizes(self) -> bool:
+        """Whether some picture is smaller than the images are."""
+        return any((camera.height, camera.width) != self.images.shape[1:3] for camera in self.cameras)
+
+    def cut(self, index: int, image: np.ndarray) -> np.ndarray:
+        """What belongs to a picture of an array as large as the images, such as `images[index]`.
+
+        Args:
+            index: Number of the picture.
+            image: (h, w, ...) of the images' size.
+
+        Returns:
+            Its upper left part of the size of the picture's camera, without a copy; all of it where pictures have one
+            size.
+        """
+        camera = self.cameras[index]
+        return image[: camera.height, : camera.width]
 
     @property
     def whole(self) -> np.ndarray:
@@ -169,8 +191,10 @@ class Scene:
                 )
         else:
             chosen = [key.camera for key in cameras] if isinstance(cameras, CameraFile) else list(cameras)
-        height, width = self.images.shape[1:3]
-        return dataclasses.replace(self, cameras=[_at_size(camera, width, height) for camera in chosen])
+        if len(chosen) != len(self):
+            raise ValueError(f"a scene needs one camera per image: {len(self)} images, {len(chosen)} cameras")
+        pairs = zip(chosen, self.cameras, strict=True)
+        return dataclasses.replace(self, cameras=[_at_size(camera, own.width, own.height) for camera, own in pairs])
 
     def straightened(self, *, round_bounds: bool = False) -> Scene:
         """The scene turned about the origin of its world, so that `up` is +z; by the smallest such turn.
@@ -276,8 +300,8 @@ def _checked_images(images: np.ndarray) -> np.ndarray:
     return images
 
 
-def _check_view(name: str, image: np.ndarray, camera: Camera) -> None:
-    """Refuse an image (h, w, 3) of wrong values, or of another size than its camera's."""
+def _check_view(name: str, image: np.ndarray, camera: Camera, weights: np.ndarray | None) -> None:
+    """Refuse an image (h, w, 3) of wrong values, or of another size than its camera's: weights (h, w) are 0 beyond."""
     if not np.isfinite(image).all():
         raise ValueError(f"image {name} holds values that are not finite")
     if image.min() < -IMAGE_ROOM or image.max() > 1 + IMAGE_ROOM:
@@ -286,8 +310,15 @@ def _check_view(name: str, image: np.ndarray, camera: Camera) -> None:
             "[0, 1] (8-bit pictures divided by 255)"
         )
     height, width = image.shape[:2]
-    if (camera.height, camera.width) != (height, width):
+    if (camera.height, camera.width) == (height, width):
+        return
+    if weights is None or camera.height > height or camera.width > width:
         raise ValueError(f"camera of image {name} is {camera.width}x{camera.height}, images are {width}x{height}")
+    if weights[camera.height :].any() or weights[:, camera.width :].any():
+        raise ValueError(
+            f"camera of image {name} is {camera.width}x{camera.height}, images are {width}x{height}: weights must be 0 "
+            "beyond the camera's picture"
+        )
 
 
 def _checked_shares(

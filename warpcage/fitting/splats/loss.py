@@ -87,11 +87,6 @@ def _tile_items(rows: int, columns: int) -> int:
     return -(-rows // side) * -(-columns // side) * TILE_ITEMS
 
 
-def weight_bytes(weights: np.ndarray | None) -> np.ndarray:
-    """Weights of pixels (n, h, w) in 1/255; of no picture for None."""
-    return np.zeros((0, 0, 0), np.uint8) if weights is None else np.round(255.0 * weights).astype(np.uint8)
-
-
 class PictureExposures:
     """Gains and offsets of pictures, and how they are learnt; of no picture where exposures are not."""
 

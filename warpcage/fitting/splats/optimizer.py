@@ -26,11 +26,11 @@ from ...splats.io.contents import LEAST_OPACITY, Y0, SplatContents, logits_of, o
 from ...splats.render import IMAGE_BLUR, MOST_ENTRIES, PROJECT_WORK, splat_lens
 from ...splats.splat_field import SplatField
 from ...view.camera import Camera
-from ..batches import LEAST_ERROR, PRECISIONS, TrainingPictures, picture_bytes
+from ..batches import LEAST_ERROR, PRECISIONS, TrainingPictures, counted_pixels, picture_bytes
 from ..memory import memory_limit, memory_text, require_image_memory
 from ..options import checked_seed
 from .growth import GrowingSplats
-from .loss import PictureExposures, PictureLoss, weight_bytes
+from .loss import PictureExposures, PictureLoss
 from .options import checked_splat_options
 from .schedule import SplatSchedule
 from .start import Start, fitted_scene, scene_units, starting_splats
@@ -153,14 +153,13 @@ class SplatFit:
         self.options = checked_splat_options(options)
         scene = fitted_scene(scene)
         self.scene = scene = scene if weights is None else dataclasses.replace(scene, weights=weights)
-        counted = weight_bytes(scene.weights)
         self.device, self.seed = resolve_device(device), checked_seed(seed)
         self.step_count, self.psnr = 0, float("nan")
         self.memory_limit = memory_limit(self.options.max_memory, self.device)
         modules = [composite_cpu] if self.device.is_cpu else [composite]
         load_modules([*modules, project, tiles, fit, splat_step, splat_growth], self.device)
         self._center, self._unit, extent = scene_units(scene)
-        self.most_splats = self._planned_splats(counted.size)
+        self.most_splats = self._planned_splats()
         if first is None:
             wanted = self.options.start
             first = starting_splats(scene, most=self.most_splats, seed=self.seed, device=self.device, kind=wanted)
@@ -186,7 +185,6 @@ class SplatFit:
         bits = PRECISIONS[0] if picture_bytes(scene, 16) <= PICTURE_SHARE * self.memory_limit else PRECISIONS[-1]
         self._pictures = TrainingPictures(scene, bits, self.device)
         self._exposures = PictureExposures(len(scene) if self.options.exposure else 0, self.device)
-        self._counted: wp.array = wp.array(counted, dtype=wp.uint8, device=self.device)
         self._graph: Any = None
         self._is_warm = False  # whether a step ran by launches since sizes changed last
         self._shrinkage = 0
@@ -200,15 +198,15 @@ class SplatFit:
         """Splats so far."""
         return self.growing.count
 
-    def _planned_splats(self, held_bytes: int) -> int:
+    def _planned_splats(self) -> int:
         """Splats at the end: as many as are asked for, and as the pictures and the memory allow."""
-        scene, pixels = self.scene, self.scene.images.shape[0] * math.prod(self.scene.images.shape[1:3])
-        held = picture_bytes(scene, PRECISIONS[-1]) + held_bytes
+        scene = self.scene
+        held = picture_bytes(scene, PRECISIONS[-1])
         require_image_memory(held, self.memory_limit)
         room = (self.memory_limit - held - 150 * math.prod(scene.images.shape[1:3])) // (
             GrowingSplats.row_bytes(self.options.degree) + 4 * ENTRY_BYTES
         )
-        most = min(self.options.most_splats, int(pixels / self.options.pixels_per_splat))
+        most = min(self.options.most_splats, int(counted_pixels(scene) / self.options.pixels_per_splat))
         if room < 1000:
             raise ValueError(
                 f"a fit of splats within {memory_text(self.memory_limit)} (max_memory) is not possible: the images "
@@ -344,7 +342,7 @@ class SplatFit:
         scene, device = self.scene, self.device
         count, height, width = scene.images.shape[0], *scene.images.shape[1:3]
         self._shrinkage, self._width, self._height = shrinkage, width // shrinkage, height // shrinkage
-        self._shown, counted = self._pictures.seen, self._counted
+        self._shown, counted = self._pictures.seen, self._pictures.counted
         if shrinkage > 1:
             coarse = empty_array((count, self._height, self._width), wp.vec4h, device)
             launch(splat_step.shrink_pictures, coarse.size, [shrinkage, self._pictures.seen], [coarse], device=device)
@@ -352,7 +350,13 @@ class SplatFit:
             self._shown.halves = coarse
             if counted.size:
                 counted = empty_array(coarse.shape, wp.uint8, device)
-                launch(splat_step.shrink_weights, coarse.size, [shrinkage, self._counted], [counted], device=device)
+                launch(
+                    splat_step.shrink_weights,
+                    coarse.size,
+                    [shrinkage, self._pictures.counted],
+                    [counted],
+                    device=device,
+                )
         self._shown_counted = counted
         lenses = [self._lens_of(camera) for camera in scene.cameras]
         self._lenses = struct_array(lenses, project.Lens, device)

@@ -227,8 +227,8 @@ def _shrunk(scene: Scene, side: int) -> Scene:
             fy=camera.fy / side,
             cx=camera.cx / side,
             cy=camera.cy / side,
-            width=width,
-            height=height,
+            width=camera.width // side,
+            height=camera.height // side,
         )
         for camera in scene.cameras
     ]
