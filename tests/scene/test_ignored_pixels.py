@@ -6,11 +6,13 @@ import pickle
 import numpy as np
 import pytest
 import warp as wp
+from scene_writers import brick_pictures, write_colmap, write_image, write_transforms
 from scenes import blob_scene, room_scene
 from splat_scenes import ring, scene_of, true_field
 
 import warpcage
-from warpcage import FieldOptimizer, evaluate, mean_psnr, psnr
+from warpcage import FieldOptimizer, evaluate, load_scene, mean_psnr, psnr
+from warpcage.cli import main
 from warpcage.core import resolve_device
 from warpcage.fitting import PictureRays, Silhouettes, ssim
 from warpcage.fitting.batches import counted_tile_size
@@ -280,3 +282,108 @@ def test_splats_take_the_weights_of_their_scene(scene):
     np.testing.assert_array_equal(values[0], values[1])
     np.testing.assert_array_equal(values[0], values[2])
     assert values[0].shape != values[3].shape or (values[0] != values[3]).any()
+
+
+@pytest.fixture(scope="module")
+def bricks():
+    return brick_pictures(10)
+
+
+def walkers_of(pictures, seed=0):
+    """(n, h, w) bool, a rectangle somewhere in each picture."""
+    random = np.random.default_rng(seed)
+    found = np.zeros(pictures.rgba.shape[:3], bool)
+    for one in found:
+        top, left = random.integers(0, 12, 2)
+        one[top : top + 7, left : left + 5] = True
+    return found
+
+
+@pytest.mark.parametrize("kind", ["white", "grey", "red", "with opacity"])
+@pytest.mark.parametrize("format", ["transforms", "colmap"])
+def test_dynamic_masks_are_those_of_instant_ngp(tmp_path, bricks, format, kind):
+    """dynamic_mask_NAME.png beside NAME: what is not black is ignored; pictures without one count as a whole."""
+    write = {"transforms": write_transforms, "colmap": lambda *parts: write_colmap(*parts, binary=True)}[format]
+    write(tmp_path, bricks)
+    walkers = walkers_of(bricks)
+    walkers[3] = False
+    for name, mask in zip(bricks.names, walkers, strict=True):
+        shades = {"white": mask * 255, "grey": mask * 1, "red": mask[..., None] * np.array([9, 0, 0])}
+        shades["with opacity"] = np.stack([mask * 255, np.full_like(mask, 255, np.uint8)], axis=-1)
+        if mask.any():
+            write_image(tmp_path / "images" / f"dynamic_mask_{name}.png", shades[kind].astype(np.uint8))
+    scene = load_scene(tmp_path, split="all")
+    np.testing.assert_array_equal(scene.weights, np.where(walkers, 0.0, 1.0))
+    whole = load_scene(tmp_path, split="all", masks=False)
+    assert whole.weights is None
+    np.testing.assert_array_equal(scene.images, whole.images)
+    small = load_scene(tmp_path, downscale=2, split="all")
+    for weights, mask in zip(small.weights, walkers, strict=True):
+        np.testing.assert_array_equal(weights, ~mask.reshape(10, 2, 12, 2).any(axis=(1, 3)))
+    assert load_scene(tmp_path, split="all", format=format).names == bricks.names
+
+
+@pytest.mark.parametrize("lens", [{}, {"k1": 0.1, "p1": 0.01}])
+def test_masks_of_a_lens_are_undone_with_the_picture(tmp_path, bricks, lens):
+    """Colors made of an ignored pixel too are ignored: garbage there changes none that counts."""
+    walkers, random = walkers_of(bricks), np.random.default_rng(0)
+    changed = bricks.rgba.copy()
+    changed[walkers] = random.integers(0, 256, (int(walkers.sum()), 4))
+    scenes = []
+    for name, rgba in (("as they are", bricks.rgba), ("changed", changed)):
+        write_transforms(tmp_path / name, dataclasses.replace(bricks, rgba=rgba), distortion=lens)
+        for stem, mask in zip(bricks.names, walkers, strict=True):
+            write_image(tmp_path / name / "images" / f"dynamic_mask_{stem}.png", mask.astype(np.uint8) * 255)
+        scenes.append(load_scene(tmp_path / name, split="all", downscale=2))
+    counts = scenes[0].weights > 0.0
+    np.testing.assert_array_equal(scenes[0].weights, scenes[1].weights)
+    np.testing.assert_array_equal(scenes[0].images[counts], scenes[1].images[counts])
+    assert 0.6 < counts.mean() < 0.95 and np.isin(scenes[0].weights, (0.0, 1.0)).all()
+    assert (scenes[0].images != scenes[1].images).any()
+
+
+@pytest.mark.parametrize("format", ["transforms", "colmap"])
+def test_mask_files_may_say_what_counts(tmp_path, bricks, format):
+    """mask_path and masks/NAME.png: opacity as ever, or weights of whole pictures; a dynamic mask goes with either."""
+    if format == "transforms":
+        write_transforms(tmp_path, bricks, masks=True)
+    else:
+        write_colmap(tmp_path, bricks, binary=False, masks=True)
+    write_image(tmp_path / "images" / f"dynamic_mask_{bricks.names[1]}.png", np.full((20, 24), 255, np.uint8))
+    alphas = bricks.rgba[..., 3] / np.float32(255)
+    scene = load_scene(tmp_path, split="all", masks="weights")
+    assert scene.alphas is None and not scene.captured
+    np.testing.assert_allclose(scene.images, bricks.rgba[..., :3] / np.float32(255), atol=1e-6)
+    expected = alphas.copy()
+    expected[1] = 0.0
+    np.testing.assert_allclose(scene.weights, expected, atol=1e-6)
+    cut = load_scene(tmp_path, split="all")
+    np.testing.assert_allclose(cut.alphas, alphas, atol=1e-6)
+    assert cut.weights[0].all() and not cut.weights[1].any()
+    around = load_scene(tmp_path, split="all", masks="split").surroundings
+    np.testing.assert_allclose(around[0], (1 - alphas[0, ..., None]) * scene.images[0], atol=1e-6)
+    with pytest.raises(ValueError, match="'split' or 'weights'"):
+        load_scene(tmp_path, masks="weight")
+
+
+def test_a_mask_of_another_size_is_refused(tmp_path, bricks):
+    write_transforms(tmp_path, bricks)
+    write_image(tmp_path / "images" / f"dynamic_mask_{bricks.names[1]}.png", np.zeros((20, 23), np.uint8))
+    with pytest.raises(ValueError, match="view_01.png' is 23x20"):
+        load_scene(tmp_path)
+
+
+def test_commands_take_weights(tmp_path, bricks, capsys):
+    write_colmap(tmp_path, bricks, binary=True, masks=True)
+    share = 100 * (bricks.rgba[[i for i in range(10) if i % 8]][..., 3] == 0).mean()
+    main(["info", str(tmp_path)])
+    assert "ignored" in capsys.readouterr().out
+    words = ["fit", str(tmp_path), "-o", str(tmp_path / "f.npz"), "--weight-masks", "--device", "cpu", "--quiet"]
+    main([*words, "--epochs", "0.5", "--resolution", "16"])
+    scene = load_scene(tmp_path, masks="weights")
+    assert scene.alphas is None and scene.weights is not None
+    assert 100 * (scene.weights == 0.0).mean() == pytest.approx(share)
+    main(["evaluate", str(tmp_path / "f.npz"), str(tmp_path), "--weight-masks", "--device", "cpu", "--quiet"])
+    shown = capsys.readouterr().out
+    rows = evaluate(warpcage.VoxelField.load(tmp_path / "f.npz"), load_scene(tmp_path, split="test", masks="weights"))
+    assert f"{mean_psnr(rows):7.2f}" in shown

@@ -80,7 +80,9 @@ def damaged(folder, kind):
         write_folder(folder, [rgba()])
         (folder / "train" / "r_0.png").unlink()
     elif kind == "sizes":
-        write_folder(folder, [rgba(), rgba(6, 6)])
+        write_folder(folder, [rgba()])
+        content = json.loads((folder / "transforms_train.json").read_text())
+        (folder / "transforms_train.json").write_text(json.dumps({**content, "fl_x": 9.0, "w": 12, "h": 9}))
     elif kind == "angle":
         write_folder(folder, [rgba()], angle=0.0)
     elif kind == "no frames":
@@ -98,7 +100,7 @@ def damaged(folder, kind):
     "kind, error, word",
     [
         ("missing image", FileNotFoundError, "r_0.png"),
-        ("sizes", ValueError, "one size"),
+        ("sizes", ValueError, "12x9 pixels"),
         ("angle", ValueError, "camera_angle_x"),
         ("no frames", ValueError, "no frames"),
         ("json", ValueError, "no JSON"),

@@ -381,9 +381,9 @@ def _output(*endings: str) -> Checker:
 
 
 def _masks(value: Any, word: str) -> bool | str:
-    if value == "split" or isinstance(value, bool):
+    if value in ("split", "weights") or isinstance(value, bool):
         return value
-    raise ValueError(f'{word} must be true, false or "split", got {shown(value)}')
+    raise ValueError(f'{word} must be true, false, "split" or "weights", got {shown(value)}')
 
 
 _SCENE_WORDS: dict[str, Checker] = {

@@ -130,8 +130,7 @@ def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelec
         ):  # a part of a place is looked at as closely as the whole of an object
             selected = matter_around(field, checked_bounds(chosen["box"], "box"))
     if "masks" in chosen:
-        scene = shared.masked_scene(args.masks, field)
-        chosen |= {"masks": scene.alphas, "cameras": scene.cameras}
+        chosen |= shared.scene_masks(args.masks, field)
     selection = select_nodes(selected, **chosen)
     for note in selection.notes:
         print(note)

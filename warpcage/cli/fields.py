@@ -250,8 +250,7 @@ def _regions(args: argparse.Namespace, field: AnyField) -> dict:
     if args.in_cage is not None:
         given["cage"] = read_rest(args.in_cage, args.cage_up, field, part=True, name=args.cage_object)[0]
     if args.masks is not None:
-        scene = shared.masked_scene(args.masks, field)
-        given |= {"masks": scene.alphas, "cameras": scene.cameras}
+        given |= shared.scene_masks(args.masks, field)
     if args.depth is not None:
         given |= {"depth": args.depth, "cameras": named_views(args)}
     return given

@@ -244,14 +244,14 @@ def _edits(path: pathlib.Path) -> Rows:
 def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | None) -> Rows:
     form = args.format or holding_format(path).name
     scene = load_scene(path, split=args.split, format=form)
-    camera = scene.cameras[0]
+    sizes = sorted({(camera.width, camera.height) for camera in scene.cameras})
     centers = np.stack([each.center for each in scene.cameras])
     focal = np.array([[each.fx, each.fy] for each in scene.cameras])
     rows = [
         ("kind", "scene"),
         ("format", form),
         ("split", args.split),
-        ("pictures", f"{len(scene)} of {camera.width}x{camera.height}"),
+        ("pictures", f"{len(scene)} of {' to '.join(f'{w}x{h}' for w, h in dict.fromkeys((sizes[0], sizes[-1])))}"),
         ("colours", _range(scene.images, "of 1")),
         ("opacity", "no" if scene.alphas is None else f"yes, {100 * float(scene.alphas.mean()):.1f} % covered"),
         (

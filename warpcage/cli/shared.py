@@ -11,6 +11,7 @@ import re
 import sys
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -315,12 +316,16 @@ def require_voxels(field: AnyField, what: str) -> VoxelField:
     return field
 
 
-def masked_scene(path: str, field: AnyField) -> Scene:
-    """The training pictures of a scene in the world of a field, as masks of its object."""
+def scene_masks(path: str, field: AnyField) -> dict[str, Any]:
+    """The masks of a scene's object and their cameras, as `select_nodes` takes them: of its training pictures, in the
+    world of a field."""
     scene = load_scene(path, orient=field.straightening)
     if scene.alphas is None:
         raise ValueError(f"the pictures of scene {path!r} have no opacity to take as masks")
-    return scene
+    masks = scene.alphas
+    if scene.weights is not None:  # the object may be wherever pixels do not say that it is not
+        masks = np.where(scene.weights > 0.0, masks, 1.0)
+    return {"masks": [scene.cut(index, mask) for index, mask in enumerate(masks)], "cameras": scene.cameras}
 
 
 def require_field_scale(args: argparse.Namespace) -> None:

@@ -47,7 +47,9 @@ def load_scene(
             another package adds. None takes the first of these that fits.
         background: Colour put behind transparent pixels, a name or (3,) in [0, 1].
         masks: True makes mask files alphas, and what they hide the background. "split" keeps what they hide as the
-            scene's surroundings, which `fit` puts into layers behind the object. False leaves the pictures whole.
+            scene's surroundings, which `fit` puts into layers behind the object. "weights" makes them `Scene.weights`:
+            pictures stay whole, and what is black in a mask is ignored. False leaves the pictures whole. But for
+            False, what is not black in `dynamic_mask_NAME.png` beside picture NAME is ignored, as instant-ngp does.
         orient: "up" turns the world about its origin so that what is up for the training cameras (`Scene.up`) is +z;
             `Scene.straightening` is the turn. A rigid (4, 4) moves the world by it: that of a scene or a field that was
             straightened, to read another split of its scene without its training pictures. None leaves the coordinates
@@ -75,8 +77,8 @@ def load_scene(
     if int(downscale) != downscale or downscale < 1:
         raise ValueError(f"downscale must be a whole number of at least 1, got {downscale}")
     found = holding_format(folder) if format is None else format_named(format)
-    if masks not in (True, False, "split"):
-        raise ValueError(f"masks must be True, False or 'split', got {masks!r}")
+    if masks not in (True, False, "split", "weights"):
+        raise ValueError(f"masks must be True, False, 'split' or 'weights', got {masks!r}")
     if isinstance(orient, str) and orient != "up":
         raise ValueError(f"orient must be 'up', a rigid (4, 4), or None for the coordinates of files, got {orient!r}")
     motion = None if orient is None or isinstance(orient, str) else rigid_motion(orient, "orient")

@@ -14,14 +14,18 @@ import numpy as np
 from ..core.memory import free_host_bytes
 from ..core.reports import tell
 from ..view.camera import Camera, common_up
-from ..view.pictures import image_size, read_rows, shrink, shrunk_size
+from ..view.pictures import Rows, image_size, read_rows, shrink, shrink_weights, shrunk_size
 from .box import Bounds, bulk_box, view_box
+from .formats.parsing import DYNAMIC_MASK, is_file
 from .scene import Scene
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's order; the first few may be given
 
 #: The picture is never enlarged beyond this to get rid of what lies past its edge.
 MAX_ZOOM = 4.0
+
+#: Width and height, pixels.
+Size = tuple[int, int]
 
 #: Focal lengths and principal point (fx, fy, cx, cy), pixels.
 Intrinsics = tuple[float, float, float, float]
@@ -40,9 +44,7 @@ def distort(x: np.ndarray, y: np.ndarray, coefficients: Sequence[float]) -> tupl
     )
 
 
-def undistorted_intrinsics(
-    intrinsics: Intrinsics, size: tuple[int, int], coefficients: Sequence[float], where: str
-) -> Intrinsics:
+def undistorted_intrinsics(intrinsics: Intrinsics, size: Size, coefficients: Sequence[float], where: str) -> Intrinsics:
     """Intrinsics, pixels, of the pinhole picture of the same size; ValueError where the coefficients fold the picture.
     The focal length is longer where the lens's picture does not reach the corners of the pinhole one."""
     fx, fy, cx, cy = intrinsics
@@ -109,6 +111,9 @@ STRIP_BYTES = 1 << 22
 MOST_WORKERS = 32
 
 
+#: What is cut off pictures so that all of a scene have one size, pixels, and as a share of the smallest, at most.
+MOST_CUT, MOST_CUT_SHARE = 2, 0.01
+
 #: By how much opacities miss 1 where opaque pictures were shrunk or a lens was undone.
 ALPHA_ROUNDING = 1e-5
 
@@ -121,10 +126,22 @@ class View:
     pose: np.ndarray  # (4, 4) camera to world, OpenCV axes
     where: str  # file and field, for messages
     # pixels of the file, the centre of the first one at (0.5, 0.5); or a function of the picture's width and height
-    intrinsics: Intrinsics | Callable[[tuple[int, int]], Intrinsics]
-    size: tuple[int, int] | None = None  # width and height that the format claims
+    intrinsics: Intrinsics | Callable[[Size], Intrinsics]
+    size: Size | None = None  # width and height that the format claims
     distortion: tuple[float, ...] = ()  # in the order of COEFFICIENTS
     mask: pathlib.Path | None = None  # picture of the opacity
+    counted: pathlib.Path | None = None  # picture of how much each pixel counts
+    ignored: pathlib.Path | None = None  # picture of what does not count: all that is not black
+
+    @property
+    def mask_files(self) -> list[pathlib.Path]:
+        """Pictures of the same size that say something of the pixels."""
+        return [file for file in (self.mask, self.counted, self.ignored) if file is not None]
+
+    @property
+    def is_counted(self) -> bool:
+        """Whether some pixels may count less than others."""
+        return self.counted is not None or self.ignored is not None
 
 
 def views_there(views: list[View], listing: pathlib.Path) -> list[View]:
@@ -141,6 +158,11 @@ def views_there(views: list[View], listing: pathlib.Path) -> list[View]:
     return there
 
 
+def files_of(views: list[View]) -> list[pathlib.Path]:
+    """The pictures of views."""
+    return [view.file for view in views]
+
+
 def make_scene(
     folder: pathlib.Path,  # which pictures and masks must not lead out of: see `Bounds`
     views: list[View],
@@ -148,6 +170,7 @@ def make_scene(
     downscale: int,
     background: np.ndarray,  # (3,) colour behind transparent pixels
     masks: bool | str = True,  # as for `load_scene`
+    beside: Sequence[pathlib.Path] = (),  # pictures of other splits, by which all splits are cut to the same size
     bounds: np.ndarray | None = None,  # (2, 3) box of the object, world units
     points: np.ndarray | None = None,  # (m, 3) points of a reconstruction, world units
     point_colors: np.ndarray | None = None,  # (m, 3) in [0, 1]
@@ -156,34 +179,45 @@ def make_scene(
     """Read the pictures of views, undo their distortion, shrink them and put them on the background."""
     # The bounds are taken from the points, if there are no others: the bulk of those that the cameras look at.
     _refuse_doubles(views)
+    views = [_with_masks(view, masks) for view in views]
     allowed = Bounds(folder)
     for view in views:
-        for file in (view.file, view.mask):
-            if file is not None:
-                allowed.require(file, view.where)
+        for file in (view.file, *view.mask_files):
+            allowed.require(file, view.where)
     if masks == "split" and any(view.mask is None for view in views):
         raise ValueError(f"{views[0].where}: masks='split' needs a mask file for every picture")
-    if not masks:
-        views = [dataclasses.replace(view, mask=None) for view in views]
-    size = _common_size(views)
-    intrinsics = [_intrinsics(view, size) for view in views]
-    pinholes = [pinhole_intrinsics(view, given, size) for view, given in zip(views, intrinsics, strict=True)]
-    cameras = [_camera(view, pinhole, size) for view, pinhole in zip(views, pinholes, strict=True)]
-    split = masks == "split"
-    workers = _workers(views, size, downscale, split)
-    width, height = shrunk_size(size, downscale)
+    sizes = _sizes(views)
+    intrinsics = [_intrinsics(view, size) for view, size in zip(views, sizes, strict=True)]
+    frames, canvas = _frames(sizes, _sizes_there(beside))
+    if frames is sizes:
+        _require_known_sizes(views, sizes)
+    pinholes = [pinhole_intrinsics(*each) for each in zip(views, intrinsics, frames, strict=True)]
+    cameras = [_camera(*each) for each in zip(views, pinholes, frames, strict=True)]
+    shrunk = [shrunk_size(frame, downscale) for frame in frames]
+    cameras = [camera.resized(*size) for camera, size in zip(cameras, shrunk, strict=True)]
+    split, width, height = masks == "split", *shrunk_size(canvas, downscale)
+    is_counted = any(view.is_counted or size != (width, height) for view, size in zip(views, shrunk, strict=True))
+    workers = _workers(views, frames, canvas, downscale, split, is_counted)
     images = np.empty((len(views), height, width, 3), np.float32)
     alphas = np.empty((len(views), height, width), np.float32)
     surroundings = np.empty_like(images) if split else None
+    weights = np.empty_like(alphas) if is_counted else None
 
     def load(index: int) -> None:
         view, top = views[index], 0
-        for part in _parts(view, intrinsics[index], pinholes[index], size, downscale, background, split):
+        columns = slice(shrunk[index][0])
+        for array, empty in ((images, background), (alphas, 0.0), (surroundings, 0.0), (weights, 0.0)):
+            if array is not None:  # beyond a smaller picture
+                array[index, shrunk[index][1] :] = array[index, :, columns.stop :] = empty
+        lenses = intrinsics[index], pinholes[index]
+        for part, counted in _parts(view, *lenses, frames[index], downscale, background, split):
             alpha, rows = part[..., 3], slice(top, top + len(part))
-            images[index, rows] = part[..., :3] + (1.0 - alpha[..., None]) * background
-            alphas[index, rows] = alpha
+            images[index, rows, columns] = part[..., :3] + (1.0 - alpha[..., None]) * background
+            alphas[index, rows, columns] = alpha
             if surroundings is not None:
-                surroundings[index, rows] = part[..., 4:]
+                surroundings[index, rows, columns] = part[..., 4:]
+            if weights is not None:
+                weights[index, rows, columns] = counted
             top += len(part)
 
     with ThreadPoolExecutor(workers) as pool:
@@ -193,9 +227,9 @@ def make_scene(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    cameras = [camera.resized(width, height) for camera in cameras]
     # opaque images say nothing about the object's outline; averages of ones are not 1 to the last bit
-    opaque = all(alpha.min() > 1.0 - ALPHA_ROUNDING for alpha in alphas)
+    shown = (alpha[: size[1], : size[0]] for alpha, size in zip(alphas, shrunk, strict=True))
+    opaque = all(alpha.min() > 1.0 - ALPHA_ROUNDING for alpha in shown)
     has_points = points is not None and len(points) > 0
     if bounds is None and points is not None:
         bounds = bulk_box(points, view_box(cameras), common_up(cameras))
@@ -211,7 +245,19 @@ def make_scene(
         captured=any(view.mask is not None for view in views),
         points=points if has_points else None,
         point_colors=point_colors if has_points else None,
+        weights=None if weights is None or weights.min() == 1.0 else weights,
     )
+
+
+def _with_masks(view: View, masks: bool | str) -> View:
+    """A view with the masks that are asked for, as `load_scene` has it, and those of what is to be ignored."""
+    if not masks:
+        return dataclasses.replace(view, mask=None)
+    dynamic = view.file.with_name(f"{DYNAMIC_MASK}{view.file.stem}.png")
+    ignored = dynamic if is_file(dynamic) else None
+    if masks == "weights":
+        return dataclasses.replace(view, mask=None, counted=view.mask, ignored=ignored)
+    return dataclasses.replace(view, ignored=ignored)
 
 
 def _refuse_doubles(views: list[View]) -> None:
@@ -224,8 +270,8 @@ def _refuse_doubles(views: list[View]) -> None:
         seen[key] = view.where
 
 
-def _common_size(views: list[View]) -> tuple[int, int]:
-    """Width and height of all pictures, by their headers."""
+def _sizes(views: list[View]) -> list[Size]:
+    """Width and height of each picture, by its header; its masks must have the same."""
     with ThreadPoolExecutor() as pool:
         sizes = list(pool.map(lambda view: image_size(view.file), views))
     for view, size in zip(views, sizes, strict=True):
@@ -234,32 +280,64 @@ def _common_size(views: list[View]) -> tuple[int, int]:
                 f"{view.where}: the camera is for {_times(view.size)} pixels, image {view.file.name!r} "
                 f"has {_times(size)}"
             )
-        if size != sizes[0]:
-            raise ValueError(
-                f"images of one split must have one size: {views[0].file.name!r} is {_times(sizes[0])}, "
-                f"{view.file.name!r} is {_times(size)}"
-            )
-    for view in views:
-        if view.mask is not None and image_size(view.mask) != sizes[0]:
-            raise ValueError(
-                f"{view.where}: mask {view.mask.name!r} is {_times(image_size(view.mask))}, its image is "
-                f"{_times(sizes[0])}"
-            )
-    return sizes[0]
+        for mask in view.mask_files:
+            if image_size(mask) != size:
+                raise ValueError(
+                    f"{view.where}: mask {mask.name!r} is {_times(image_size(mask))}, its image {view.file.name!r} is "
+                    f"{_times(size)}"
+                )
+    return sizes
 
 
-def _times(size: tuple[int, int]) -> str:
+def _sizes_there(files: Sequence[pathlib.Path]) -> list[Size]:
+    """Sizes of pictures of other splits that can be read: what is wrong with the rest is told with their split."""
+
+    def size_of(file: pathlib.Path) -> Size | None:
+        try:
+            return image_size(file)
+        except (ValueError, OSError):
+            return None
+
+    with ThreadPoolExecutor() as pool:
+        return [size for size in pool.map(size_of, files) if size is not None]
+
+
+def _frames(sizes: list[Size], others: list[Size]) -> tuple[list[Size], Size]:
+    """Width and height that are taken of each picture, from its upper left, and those that hold all of a scene's."""
+    # COLMAP's undistorter rounds the sizes of cameras that are almost the same: a few pixels are cut off, and all
+    # pictures count as a whole. Others keep their size.
+    everything = np.array([*sizes, *others])
+    least, most = everything.min(axis=0), everything.max(axis=0)
+    if (most - least <= np.maximum(MOST_CUT, MOST_CUT_SHARE * least)).all():
+        return [(int(least[0]), int(least[1]))] * len(sizes), (int(least[0]), int(least[1]))
+    return sizes, (int(most[0]), int(most[1]))
+
+
+def _require_known_sizes(views: list[View], sizes: list[Size]) -> None:
+    """Refuse pictures of several sizes where nothing says for which of them a camera in pixels is."""
+    usual = max(sizes, key=sizes.count)
+    other = next((index for index, size in enumerate(sizes) if size != usual), None)
+    for view, size in zip(views, sizes, strict=True):
+        doubled = (2 * size[0], 2 * size[1])
+        if other is not None and view.size is None and _intrinsics(view, size) == _intrinsics(view, doubled):
+            raise ValueError(
+                f"{view.where}: nothing says the size that the camera is for, and pictures must have one size: "
+                f"{views[other].file.name!r} is {_times(sizes[other])}, others are {_times(usual)}"
+            )
+
+
+def _times(size: Size) -> str:
     """A size in messages."""
     return f"{size[0]}x{size[1]}"
 
 
-def _intrinsics(view: View, size: tuple[int, int]) -> Intrinsics:
+def _intrinsics(view: View, size: Size) -> Intrinsics:
     """(fx, fy, cx, cy) of a view's picture of some size."""
     fx, fy, cx, cy = view.intrinsics(size) if callable(view.intrinsics) else view.intrinsics
     return float(fx), float(fy), float(cx), float(cy)
 
 
-def pinhole_intrinsics(view: View, intrinsics: Intrinsics, size: tuple[int, int]) -> Intrinsics:
+def pinhole_intrinsics(view: View, intrinsics: Intrinsics, size: Size) -> Intrinsics:
     """(fx, fy, cx, cy) of a view's picture without its distortion."""
     if not any(view.distortion):
         return intrinsics
@@ -267,7 +345,7 @@ def pinhole_intrinsics(view: View, intrinsics: Intrinsics, size: tuple[int, int]
     return undistorted_intrinsics(intrinsics, size, view.distortion, view.where)
 
 
-def _camera(view: View, intrinsics: Intrinsics, size: tuple[int, int]) -> Camera:
+def _camera(view: View, intrinsics: Intrinsics, size: Size) -> Camera:
     """A view's camera; errors name its file."""
     fx, fy, cx, cy = intrinsics
     width, height = size
@@ -277,11 +355,12 @@ def _camera(view: View, intrinsics: Intrinsics, size: tuple[int, int]) -> Camera
         raise ValueError(f"{view.where}: {error}") from error
 
 
-def _workers(views: list[View], size: tuple[int, int], downscale: int, split: bool) -> int:
+def _workers(views: list[View], frames: list[Size], canvas: Size, downscale: int, split: bool, is_counted: bool) -> int:
     """How many pictures are read at once. Refuses pictures that the machine cannot hold, before the first is read."""
-    width, height = shrunk_size(size, downscale)
-    held = len(views) * width * height * (4 * (7 if split else 4) + 1)
-    flight, free = max(flight_bytes(view, size, downscale, split) for view in views), free_host_bytes()
+    width, height = shrunk_size(canvas, downscale)
+    held = len(views) * width * height * (4 * ((7 if split else 4) + is_counted) + 1)
+    flights = (flight_bytes(*each, downscale, split) for each in zip(views, frames, strict=True))
+    flight, free, size = max(flights), free_host_bytes(), canvas
     if flight >= free:
         raise ValueError(
             f"reading a picture of {_times(size)} needs {flight / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free: "
@@ -296,16 +375,16 @@ def _workers(views: list[View], size: tuple[int, int], downscale: int, split: bo
     return max(1, min(MOST_WORKERS, (os.cpu_count() or 1) + 4, len(views), (free - held) // flight))
 
 
-def flight_bytes(view: View, size: tuple[int, int], downscale: int, split: bool) -> int:
+def flight_bytes(view: View, size: Size, downscale: int, split: bool) -> int:
     """Memory that a picture takes while it is read: what its files decode to, and floats of a strip or of all of it."""
     pixels = size[0] * size[1]
     numbers = 8 if split else 4
     lens = LENS_BYTES if any(view.distortion) else 0
-    files = DECODED_BYTES * (1 if view.mask is None else 2) * pixels
+    files = DECODED_BYTES * (1 + len(view.mask_files)) * pixels
     return files + COPIES * 4 * numbers * size[0] * _strip_rows(view, size, downscale, numbers) + lens * pixels
 
 
-def _strip_rows(view: View, size: tuple[int, int], downscale: int, numbers: int) -> int:
+def _strip_rows(view: View, size: Size, downscale: int, numbers: int) -> int:
     """Rows of a picture that are handled at once: all where a lens is undone, or where squares do not fit into it."""
     width, height = size
     if any(view.distortion) or width % downscale or height % downscale:
@@ -314,29 +393,38 @@ def _strip_rows(view: View, size: tuple[int, int], downscale: int, numbers: int)
 
 
 def _parts(
-    view: View,
-    lens: Intrinsics,
-    pinhole: Intrinsics,
-    size: tuple[int, int],
-    downscale: int,
-    background: np.ndarray,
-    split: bool,
-) -> Iterator[np.ndarray]:
+    view: View, lens: Intrinsics, pinhole: Intrinsics, size: Size, downscale: int, background: np.ndarray, split: bool
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """A picture from top to bottom, shrunk: (rows, width, 4 or 7) float32, colour times opacity, opacity, and with
-    `split` what the mask takes away."""
+    `split` what the mask takes away; and (rows, width) how much each pixel counts."""
     picture = read_rows(view.file)
-    mask = None if view.mask is None else read_rows(view.mask)
+    files = view.mask, view.counted, view.ignored
+    mask, counted, ignored = (None if file is None else read_rows(file) for file in files)
     step = _strip_rows(view, size, downscale, 8 if split else 4)
+
+    def rows_of(read: Rows, first: int) -> np.ndarray:
+        return read(first, min(first + step, size[1]))[:, : size[0]]
+
     for first in range(0, size[1], step):
-        span = (first, first + step)
-        rgba = _premultiplied(picture(*span), None if mask is None else mask(*span))
+        rgba = _premultiplied(rows_of(picture, first), None if mask is None else rows_of(mask, first))
+        weights = np.ones(rgba.shape[:2], np.float32)
+        if counted is not None:
+            weights = rows_of(counted, first)[..., 0]
+        if ignored is not None:
+            colors = rows_of(ignored, first)  # grey, grey and opacity, colours, or colours and opacity
+            is_ignored = colors[..., : 3 if colors.shape[-1] > 2 else 1].any(axis=-1)
+            weights = np.where(is_ignored, np.float32(0.0), weights)
         if split:
-            whole = _premultiplied(picture(*span), None)
+            whole = _premultiplied(rows_of(picture, first), None)
             around = whole[..., :3] + (1.0 - whole[..., 3:]) * background - rgba[..., :3]
             rgba = np.concatenate([rgba, around], axis=-1)
         if any(view.distortion):
             rgba = undistort(rgba, lens, pinhole, view.distortion)
-        yield shrink(rgba, downscale).astype(np.float32, copy=False)
+            if view.is_counted:  # what is made of an ignored pixel too is ignored
+                both = np.stack([weights, weights == 0.0], axis=-1, dtype=np.float32)
+                weights, touched = np.moveaxis(undistort(both, lens, pinhole, view.distortion), -1, 0)
+                weights = np.where(touched > 0.0, np.float32(0.0), weights)
+        yield shrink(rgba, downscale).astype(np.float32, copy=False), shrink_weights(weights, downscale)
 
 
 def _premultiplied(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:

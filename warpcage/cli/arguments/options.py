@@ -194,6 +194,13 @@ def add_masks(parser: Arguments) -> None:
         const="split",
         help="split the pictures at the masks, into the object and its surroundings, which become layers behind it",
     )
+    group.add_argument(
+        "--weight-masks",
+        dest="masks",
+        action="store_const",
+        const="weights",
+        help="ignore what is black in the masks, such as people who walk by; pictures stay whole",
+    )
 
 
 def add_selection(parser: Arguments, what: str = "only what is chosen") -> None:

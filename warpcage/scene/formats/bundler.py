@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.checks import shown, warn_caller
 from ..box import Bounds
-from ..pictures import View, make_scene, views_there
+from ..pictures import View, files_of, make_scene, views_there
 from ..scene import Scene
 from .parsing import TO_OPENCV, PictureFinder, floats, held_out, pictures_in, read_text
 
@@ -70,9 +70,9 @@ def read(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
         warn_caller(f"{path}: {left_out} of {count} pictures have no camera and are left out")
     views = sorted(views_there(views, path), key=lambda view: str(view.file))
     finder.tell(path)
-    views = [views[index] for index in held_out(len(views), split, folder)]
+    chosen = [views[index] for index in held_out(len(views), split, folder)]
     places, colors = _points(words, 2 + CAMERA * count, point_count, path)
-    return make_scene(folder, views, **options, points=places, point_colors=colors)
+    return make_scene(folder, chosen, **options, beside=files_of(views), points=places, point_colors=colors)
 
 
 def _pictures(folder: pathlib.Path, path: pathlib.Path, finder: PictureFinder, count: int) -> list[pathlib.Path]:

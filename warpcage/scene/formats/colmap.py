@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.files import read_limited
 from ...core.names import error_line
-from ..pictures import COEFFICIENTS, View, make_scene, views_there
+from ..pictures import COEFFICIENTS, View, files_of, make_scene, views_there
 from ..scene import Scene
 from .parsing import PICTURE_ENDINGS, PictureFinder, chosen_part, floats, held_out, inside, is_file, read_text
 
@@ -306,17 +306,18 @@ def _chosen_model(folder: pathlib.Path, wanted: str | None) -> pathlib.Path:
 
 def read(folder: pathlib.Path, *, split: str, masks: bool | str, model: str | None = None, **options: Any) -> Scene:
     """Read a split: every eighth image, by name, is `test`, the others are `train`. Options as for `load_scene`."""
-    # masks/<name>.png, as COLMAP itself takes it, or masks/<name> becomes the alpha; the bulk of the points the bounds.
+    # masks/<name>.png, as COLMAP itself takes it, or masks/<name> is the mask; the bulk of the points the bounds.
     found = read_model(_chosen_model(folder, model))
     if not found.images:
         raise ValueError(f"{found.images_path} holds no images")
-    masks = masks and (folder / "masks").is_dir()
+    has_masks = bool(masks) and (folder / "masks").is_dir()
     finder = PictureFinder(folder, _picture_folders(folder, found))
-    views = [_view(folder, finder, found, image, masks) for image in found.images]
+    views = [_view(folder, finder, found, image, has_masks) for image in found.images]
     views = sorted(views_there(views, found.images_path), key=lambda view: str(view.file))
     finder.tell(found.images_path)
-    views = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, views, masks=masks, **options, points=found.points, point_colors=found.colors)
+    chosen = [views[index] for index in held_out(len(views), split, folder)]
+    options |= {"points": found.points, "point_colors": found.colors, "beside": files_of(views)}
+    return make_scene(folder, chosen, masks=masks, **options)
 
 
 def _picture_folders(folder: pathlib.Path, model: Model) -> list[str]:
@@ -325,7 +326,7 @@ def _picture_folders(folder: pathlib.Path, model: Model) -> list[str]:
     return sorted(PICTURE_FOLDERS, key=counts.__getitem__, reverse=True)
 
 
-def _view(folder: pathlib.Path, finder: PictureFinder, model: Model, image: ModelImage, masks: bool | str) -> View:
+def _view(folder: pathlib.Path, finder: PictureFinder, model: Model, image: ModelImage, has_masks: bool) -> View:
     """One picture of a model with its camera."""
     where = f"{model.images_path}: image {image.name!r}"
     file = finder.find(image.name, where)
@@ -347,7 +348,7 @@ def _view(folder: pathlib.Path, finder: PictureFinder, model: Model, image: Mode
     fx, fy = (given[name] if name in given else given["f"] for name in ("fx", "fy"))
     intrinsics = (fx, fy, given["cx"], given["cy"])
     distortion = tuple(given.get(name, 0.0) for name in COEFFICIENTS)
-    mask = _mask_file(folder / "masks", finder.name_of(file), where) if masks else None
+    mask = _mask_file(folder / "masks", finder.name_of(file), where) if has_masks else None
     return View(file, image.camera_to_world(where), where, intrinsics, camera.size, distortion, mask)
 
 

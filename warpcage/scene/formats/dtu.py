@@ -50,6 +50,7 @@ def read(folder: pathlib.Path, *, split: str, masks: bool | str, **options: Any)
         views,
         masks=masks,
         **options,
+        beside=pictures,
         bounds=np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]),
         to_source=scales[0] if same else None,
     )

@@ -45,7 +45,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, **options: Any) ->
     for index in held_out(len(pictures), split, folder):
         where = f"{path}: row {index}"
         views.append(_view(pictures[index], rows[index], where))
-    return make_scene(folder, views, downscale=downscale // factor, **options)
+    return make_scene(folder, views, downscale=downscale // factor, **options, beside=pictures)
 
 
 def _pictures_folder(folder: pathlib.Path, downscale: int) -> tuple[pathlib.Path, int]:

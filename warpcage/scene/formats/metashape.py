@@ -16,7 +16,7 @@ from ...core.checks import shown, warn_caller
 from ...core.files import read_limited
 from ...core.names import error_line
 from ..box import Bounds
-from ..pictures import Intrinsics, View, make_scene, views_there
+from ..pictures import Intrinsics, View, files_of, make_scene, views_there
 from ..scene import Scene
 from .parsing import PictureFinder, chosen_part, floats, held_out
 
@@ -67,7 +67,8 @@ def read(folder: pathlib.Path, *, split: str, model: str | None = None, **option
     views = [_view(finder, chunk, camera) for camera in chunk.cameras]
     views = sorted(views_there(views, path), key=lambda view: str(view.file))
     finder.tell(path)
-    return make_scene(folder, [views[index] for index in held_out(len(views), split, folder)], **options)
+    chosen = [views[index] for index in held_out(len(views), split, folder)]
+    return make_scene(folder, chosen, **options, beside=files_of(views))
 
 
 def _document(path: pathlib.Path) -> ET.Element:

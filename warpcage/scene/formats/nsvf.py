@@ -34,7 +34,7 @@ def read(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     for file in splits[split]:
         path = allowed.require(folder / "pose" / f"{file.stem}.txt", str(file))
         views.append(View(file, _read_pose(path), str(path), intrinsics))
-    return make_scene(folder, views, **options, bounds=_read_bounds(folder))
+    return make_scene(folder, views, **options, beside=pictures, bounds=_read_bounds(folder))
 
 
 def _read_intrinsics(path: pathlib.Path) -> tuple[float, float, float, float]:

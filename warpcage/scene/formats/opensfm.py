@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.checks import shown
 from ..box import Bounds
-from ..pictures import View, make_scene, views_there
+from ..pictures import View, files_of, make_scene, views_there
 from ..scene import Scene
 from .parsing import PictureFinder, chosen_part, held_out, number, read_json
 
@@ -37,9 +37,9 @@ def read(folder: pathlib.Path, *, split: str, model: str | None = None, **option
     views = [_view(finder, cameras, name, shots[name], f"{path}: shot {shown(name)}") for name in sorted(shots)]
     views = sorted(views_there(views, path), key=lambda view: str(view.file))
     finder.tell(path)
-    views = [views[index] for index in held_out(len(views), split, folder)]
+    chosen = [views[index] for index in held_out(len(views), split, folder)]
     places, colors = _points(found.get("points"), path)
-    return make_scene(folder, views, **options, points=places, point_colors=colors)
+    return make_scene(folder, chosen, **options, beside=files_of(views), points=places, point_colors=colors)
 
 
 def _chosen(content: list, path: pathlib.Path, model: str | None) -> dict:

@@ -221,9 +221,14 @@ def _with_ending(path: pathlib.Path) -> pathlib.Path:
     return next((candidate for candidate in candidates if is_file(candidate)), candidates[0])
 
 
+#: What begins the names of masks of what moves, which instant-ngp's scripts write beside the pictures.
+DYNAMIC_MASK = "dynamic_mask_"
+
+
 def pictures_in(folder: pathlib.Path) -> list[pathlib.Path]:
     """The pictures of a folder by name; FileNotFoundError where there is none."""
     files = sorted(file for file in folder.glob("*") if file.suffix.lower() in PICTURE_ENDINGS)
+    files = [file for file in files if not file.name.startswith(DYNAMIC_MASK)]
     if not files:
         raise FileNotFoundError(f"folder {str(folder)!r} holds no pictures ({', '.join(PICTURE_ENDINGS)})")
     return files

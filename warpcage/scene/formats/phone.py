@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...core.checks import shown
-from ..pictures import View, make_scene, views_there
+from ..pictures import View, files_of, make_scene, views_there
 from ..scene import Scene
 from .colmap import ModelImage
 from .parsing import PICTURE_ENDINGS, TO_OPENCV, held_out, is_file, number, read_json
@@ -27,14 +27,12 @@ def is_polycam(folder: pathlib.Path) -> bool:
 def read_polycam(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     """Read a split: every eighth picture, by name, is `test`, the others are `train`. Options as for `load_scene`."""
     keyframes = folder / "keyframes"
-    views = _polycam_views(keyframes, "corrected_")
-    if not views or len({view.size for view in views}) > 1:
-        views = _polycam_views(keyframes, "")
+    views = _polycam_views(keyframes, "corrected_") or _polycam_views(keyframes, "")
     if not views:
         raise ValueError(f"{keyframes / 'cameras'} holds no cameras (.json)")
     views = views_there(views, keyframes)
-    views = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, views, **options, to_source=np.linalg.inv(TO_Z_UP))
+    chosen = [views[index] for index in held_out(len(views), split, folder)]
+    return make_scene(folder, chosen, **options, beside=files_of(views), to_source=np.linalg.inv(TO_Z_UP))
 
 
 def _polycam_views(keyframes: pathlib.Path, kind: str) -> list[View]:
@@ -85,8 +83,8 @@ def read_record3d(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     images = folder / ("rgb" if (folder / "rgb").is_dir() else "rgbd")
     chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), MOST_PICTURES)).round().astype(int))
     views = views_there([_record3d_view(path, images, given, poses, int(index)) for index in chosen], path)
-    views = [views[index] for index in held_out(len(views), split, folder)]
-    return make_scene(folder, views, **options, to_source=np.linalg.inv(TO_Z_UP))
+    chosen = [views[index] for index in held_out(len(views), split, folder)]
+    return make_scene(folder, chosen, **options, beside=files_of(views), to_source=np.linalg.inv(TO_Z_UP))
 
 
 def _metadata(folder: pathlib.Path) -> pathlib.Path | None:

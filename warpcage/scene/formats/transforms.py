@@ -13,7 +13,7 @@ from ...mesh.io.ply import read_ply_points
 from ...view.camera import Camera
 from ...view.pictures import image_size
 from ..box import Bounds
-from ..pictures import COEFFICIENTS, View, make_scene, views_there
+from ..pictures import COEFFICIENTS, View, files_of, make_scene, views_there
 from ..scene import Scene
 from .parsing import (
     TO_OPENCV,
@@ -52,6 +52,7 @@ def read_transforms(folder: pathlib.Path, *, split: str, **options: Any) -> Scen
     finder = PictureFinder(folder)
     views = views_there([_view(finder, transforms, where, frame) for where, frame in frames_of(transforms, path)], path)
     finder.tell(path)
+    options["beside"] = files_of(views)
     if path == single:
         views.sort(key=lambda view: str(view.file))
         views = _of_split(views, transforms, split, folder, path)

@@ -1,0 +1,274 @@
+"""Pictures of several sizes in one scene: every reader, cuts of a few pixels, frames, fits and figures."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from scene_writers import (
+    OPENGL,
+    brick_pictures,
+    spiral_cameras,
+    write_blender,
+    write_colmap,
+    write_dtu,
+    write_image,
+    write_nsvf,
+    write_transforms,
+)
+from scenes import blob_scene
+from test_scene_formats import BACKGROUND, load, require_equal
+
+import warpcage
+from warpcage import evaluate, mean_psnr
+from warpcage.cli import main
+from warpcage.reference import brick_model, render_mesh_views
+from warpcage.scene.pictures import View, flight_bytes
+from warpcage.view import read_image
+from warpcage.view.pictures import shrink, shrunk_size
+
+TALL, WIDE = (16, 20), (24, 14)
+
+
+@dataclasses.dataclass
+class Sized:
+    """Pictures of their own sizes: what writers take."""
+
+    rgba: list
+    cameras: list
+    names: list
+
+    def pick(self, indices):
+        return Sized(*[[each[i] for i in indices] for each in (self.rgba, self.cameras, self.names)])
+
+
+def cut(pictures, sizes):
+    """The upper left of pictures, in turn of these sizes."""
+    sizes = [sizes[i % len(sizes)] for i in range(len(pictures.cameras))]
+    cameras = [dataclasses.replace(c, width=w, height=h) for c, (w, h) in zip(pictures.cameras, sizes, strict=True)]
+    rgba = [image[:h, :w] for image, (w, h) in zip(pictures.rgba, sizes, strict=True)]
+    return Sized(rgba, cameras, pictures.names)
+
+
+@pytest.fixture(scope="module")
+def bricks():
+    return brick_pictures(10)
+
+
+def write_polycam(folder, pictures):
+    turn = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    for name, rgba, camera in zip(pictures.names, pictures.rgba, pictures.cameras, strict=True):
+        pose = turn @ camera.camera_to_world @ OPENGL
+        content = {f"t_{row}{column}": pose[row, column] for row in range(3) for column in range(4)}
+        content |= {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
+        content |= {"width": camera.width, "height": camera.height}
+        for kind in ("cameras", "corrected_cameras"):
+            (folder / "keyframes" / kind).mkdir(parents=True, exist_ok=True)
+        (folder / f"keyframes/corrected_cameras/{name}.json").write_text(json.dumps(content))
+        write_image(folder / f"keyframes/corrected_images/{name}.png", rgba)
+
+
+WRITERS = {
+    "transforms": lambda folder, pictures: write_transforms(folder, pictures, shared=False),
+    "transforms with masks": lambda folder, pictures: write_transforms(folder, pictures, shared=False, masks=True),
+    "colmap": lambda folder, pictures: write_colmap(folder, pictures, binary=True),
+    "colmap text with masks": lambda folder, pictures: write_colmap(folder, pictures, binary=False, masks=True),
+    "polycam": write_polycam,
+}
+
+
+def write_unsaid(folder, pictures):
+    write_transforms(folder, pictures, shared=False)
+    content = json.loads((folder / "transforms.json").read_text())
+    for frame in content["frames"]:
+        del frame["w"], frame["h"]
+    (folder / "transforms.json").write_text(json.dumps(content))
+
+
+#: Formats that do not say for which size a camera is.
+UNSAID = {
+    "dtu": write_dtu,
+    "nsvf": lambda folder, pictures: write_nsvf(folder, pictures, "0" * len(pictures.cameras)),
+    "transforms without sizes": write_unsaid,
+}
+
+
+def require_sized(scene, pictures):
+    """Each picture as it is, at the upper left of one that counts nowhere else."""
+    width, height = (max(getattr(camera, side) for camera in scene.cameras) for side in ("width", "height"))
+    assert scene.images.shape[1:3] == (height, width) and scene.has_sizes
+    for index, (rgba, camera) in enumerate(zip(pictures.rgba, pictures.cameras, strict=True)):
+        values = rgba / 255.0
+        expected = values[..., :3] * values[..., 3:] + (1 - values[..., 3:]) * np.asarray(BACKGROUND)
+        np.testing.assert_allclose(scene.cut(index, scene.images[index]), expected, atol=1e-6)
+        np.testing.assert_allclose(scene.cut(index, scene.alphas[index]), values[..., 3], atol=1e-6)
+        counts = np.zeros((height, width))
+        counts[: camera.height, : camera.width] = 1.0
+        np.testing.assert_array_equal(scene.weights[index], counts)
+        read = scene.cameras[index]
+        for name in ("fx", "fy", "cx", "cy", "width", "height"):
+            assert getattr(read, name) == pytest.approx(getattr(camera, name), rel=1e-5)
+        np.testing.assert_allclose(read.camera_to_world, camera.camera_to_world, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_portrait_and_landscape(tmp_path, bricks, kind):
+    pictures = cut(bricks, [WIDE, TALL, TALL])
+    WRITERS[kind](tmp_path, pictures)
+    require_sized(load(tmp_path, split="all"), pictures)
+    train, test = load(tmp_path), load(tmp_path, split="test")
+    require_sized(train, pictures.pick([1, 2, 3, 4, 5, 6, 7, 9]))
+    assert train.images.shape[1:] == test.images.shape[1:]
+
+
+@pytest.mark.parametrize("kind", UNSAID)
+def test_sizes_that_nothing_says_are_refused(tmp_path, bricks, kind):
+    """A picture of half the size may be a part of a larger one, or all of it: cameras say which, or it is not read."""
+    UNSAID[kind](tmp_path, cut(bricks, [WIDE, WIDE, TALL]))
+    with pytest.raises(ValueError, match="is 16x20, others are 24x14") as caught:
+        load(tmp_path)
+    assert "nothing says the size" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_blender_with_one_angle_of_view(tmp_path):
+    """The focal length follows the width of each picture."""
+    cameras = [
+        dataclasses.replace(c, fx=30 * w / 24, fy=30 * w / 24, cx=w / 2, cy=h / 2, width=w, height=h)
+        for c, (w, h) in zip(spiral_cameras(4, centered=True), [(24, 20), (16, 20)] * 2, strict=True)
+    ]
+    drawn = [render_mesh_views(*brick_model(), [camera], samples=2)[0] for camera in cameras]
+    pictures = Sized([np.round(255 * each).astype(np.uint8) for each in drawn], cameras, list("abcd"))
+    write_blender(tmp_path, pictures)
+    require_sized(load(tmp_path), pictures)
+
+
+@pytest.mark.parametrize("kind", [*WRITERS, *UNSAID])
+def test_a_pixel_more_is_cut_off(tmp_path, bricks, kind):
+    """As COLMAP's undistorter writes 453x800 and 453x801; in all splits alike, also where one has a size alone."""
+    pictures = cut(bricks, [(24, 19), *[(23, 20)] * 7])
+    {**WRITERS, **UNSAID}[kind](tmp_path, pictures)
+    scene = load(tmp_path) if kind == "nsvf" else load(tmp_path, split="all")
+    assert scene.weights is None and not scene.has_sizes
+    same = cut(bricks, [(23, 19)])
+    require_equal(scene, brick_cut(same))
+    if kind != "nsvf":
+        require_equal(load(tmp_path, split="test"), brick_cut(same.pick([0, 8])))
+        require_equal(load(tmp_path), brick_cut(same.pick([1, 2, 3, 4, 5, 6, 7, 9])))
+
+
+def brick_cut(sized):
+    """Pictures of one size as the other tests of readers have them."""
+    return type(brick_pictures(1))(np.stack(sized.rgba), sized.cameras)
+
+
+@pytest.mark.parametrize("factor", [2, 3])
+@pytest.mark.parametrize("lens", [{}, {"k1": 0.03}])
+def test_smaller_pictures_of_several_sizes(tmp_path, bricks, factor, lens):
+    """Each is what it is alone, of one size."""
+    pictures = cut(bricks, [WIDE, TALL])
+    write_transforms(tmp_path / "both", pictures, shared=False, distortion=lens)
+    both = load(tmp_path / "both", split="all", downscale=factor)
+    for first in (0, 1):
+        few = list(range(first, 10, 2))
+        write_transforms(tmp_path / str(first), pictures.pick(few), shared=False, distortion=lens)
+        alone = load(tmp_path / str(first), split="all", downscale=factor)
+        assert not alone.has_sizes and (both.cameras[first].width, both.cameras[first].height) == shrunk_size(
+            (WIDE, TALL)[first], factor
+        )
+        for place, index in enumerate(few):
+            np.testing.assert_array_equal(both.cut(index, both.images[index]), alone.images[place])
+            assert both.cameras[index].fx == alone.cameras[place].fx and both.cut(index, both.weights[index]).all()
+    if not lens:
+        expected = shrink(pictures.rgba[1] / np.float32(255) * [1, 1, 1, 1], factor)[..., 3]
+        np.testing.assert_allclose(both.cut(1, both.alphas[1]), expected, atol=1e-6)
+
+
+def test_refined_cameras_keep_their_sizes(tmp_path, bricks):
+    write_colmap(tmp_path, cut(bricks, [WIDE, TALL]), binary=True)
+    scene = load(tmp_path)
+    names = [warpcage.CameraKey(camera, name=name) for name, camera in zip(scene.names, scene.cameras, strict=True)]
+    warpcage.CameraFile(names).save(tmp_path / "refined.json")
+    again = load(tmp_path, cameras=tmp_path / "refined.json")
+    assert [(c.width, c.height) for c in again.cameras] == [(c.width, c.height) for c in scene.cameras]
+    with pytest.raises(ValueError, match="a whole factor"):
+        scene.with_cameras(scene.cameras[::-1])
+
+
+def test_a_smaller_camera_needs_weights_of_nothing_beyond():
+    scene = blob_scene(count=2, size=16, device="cpu")
+    cameras = [scene.cameras[0], dataclasses.replace(scene.cameras[1], height=12)]
+    weights = np.ones(scene.images.shape[:3])
+    with pytest.raises(ValueError, match="weights must be 0"):
+        warpcage.Scene(scene.images, scene.alphas, cameras, weights=weights)
+    with pytest.raises(ValueError, match="is 16x12, images are 16x16"):
+        warpcage.Scene(scene.images, scene.alphas, cameras)
+    weights[1, 12:] = 0.0
+    assert warpcage.Scene(scene.images, scene.alphas, cameras, weights=weights).cut(1, weights[1]).shape == (12, 16)
+
+
+def test_memory_is_that_of_the_frames_that_hold_all(tmp_path, bricks, monkeypatch):
+    write_transforms(tmp_path, cut(bricks, [WIDE, TALL]), shared=False)
+    view = View(tmp_path / "images", np.eye(4), "", (1, 1, 1, 1))
+    flight = max(flight_bytes(view, size, 1, False) for size in (WIDE, TALL))
+    held = 10 * WIDE[0] * TALL[1] * (4 * 5 + 1)
+    monkeypatch.setattr("warpcage.scene.pictures.free_host_bytes", lambda: held + flight)
+    assert len(load(tmp_path, split="all")) == 10
+    monkeypatch.setattr("warpcage.scene.pictures.free_host_bytes", lambda: held + flight - 1)
+    with pytest.raises(ValueError, match="pictures of 24x20 need"):
+        load(tmp_path, split="all")
+
+
+def two_sizes(scene, width, height):
+    """Every second picture cut to this size, on frames as large as before; what is cut off holds garbage."""
+    weights, images = np.ones(scene.images.shape[:3], np.float32), scene.images.copy()
+    cameras = list(scene.cameras)
+    for index in range(1, len(scene), 2):
+        weights[index, height:], weights[index, :, width:] = 0.0, 0.0
+        cameras[index] = dataclasses.replace(cameras[index], width=width, height=height)
+    images[weights == 0.0] = np.random.default_rng(0).random((int((weights == 0.0).sum()), 3))
+    return dataclasses.replace(scene, images=images, cameras=cameras, weights=weights)
+
+
+@pytest.mark.parametrize("representation", ["voxels", "splats"])
+def test_fits_of_two_sizes_are_as_good(two_threads, representation, tmp_path):
+    """Every second picture without its border, where the object is not."""
+    scene = blob_scene(count=24, size=32, device="cpu")
+    held, rest = [4, 17], [i for i in range(24) if i not in (4, 17)]
+    parts = [
+        warpcage.Scene(scene.images[part], scene.alphas[part], [scene.cameras[i] for i in part])
+        for part in (rest, held)
+    ]
+    options = {"resolution": 32, "levels": 2, "epochs": 8, "batch_rays": 512}
+    if representation == "splats":
+        options = {"steps": 150, "most_splats": 600, "pixels_per_splat": 1.0}
+    options |= {"representation": representation, "device": "cpu", "progress": False}
+    test = two_sizes(parts[1], 27, 26)
+    figures = []
+    for train in (parts[0], two_sizes(parts[0], 27, 26)):
+        preview = tmp_path / "preview.png"
+        field = warpcage.fit(train, preview=preview, **options)
+        rows = evaluate(field, test, similarity=True)
+        figures.append((mean_psnr(rows), mean_psnr(evaluate(field, parts[1]))))
+        size = train.cameras[len(train) // 2]
+        assert read_image(preview).shape[:2] == (size.height, 2 * size.width + 4)
+    (one, one_whole), (two, two_whole) = figures
+    assert two > one - 1.0 and two_whole > one_whole - 1.0
+    for index, row in enumerate(rows):  # of the picture alone, by a camera of its size
+        rgb = field.render(test.cameras[index], background=test.background).rgb
+        assert rgb.shape[:2] == ((32, 32), (26, 27))[index]
+        assert row["psnr"] == pytest.approx(warpcage.psnr(rgb, test.cut(index, test.images[index])))
+
+
+def test_the_command_line_shows_pictures_of_their_own_size(tmp_path, bricks, capsys):
+    write_colmap(tmp_path / "scene", cut(bricks, [WIDE, TALL]), binary=True)
+    main(["info", str(tmp_path / "scene"), "--split", "all"])
+    assert "10 of 16x20 to 24x14" in capsys.readouterr().out
+    field = warpcage.VoxelField.from_dense(
+        np.full((4,) * 3, 1.0), np.zeros((4, 4, 4, 9, 3)), [[-1] * 3, [1] * 3], device="cpu"
+    )
+    field.save(tmp_path / "f.npz")
+    files = ["--worst", str(tmp_path / "worst.png"), "--json", str(tmp_path / "report.json"), "--device", "cpu"]
+    main(["evaluate", str(tmp_path / "f.npz"), str(tmp_path / "scene"), "--split", "all", "--quiet", *files])
+    worst = json.loads((tmp_path / "report.json").read_text())["worst_view"]
+    width, height = (WIDE, TALL)[int(worst[-1]) % 2]
+    assert read_image(tmp_path / "worst.png").shape[:2] == (height, 3 * width + 8)
