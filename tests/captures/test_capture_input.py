@@ -9,6 +9,7 @@ from test_capture_video import moving_pictures, write_video
 
 import warpcage
 from warpcage import Camera
+from warpcage.captures import expected_seconds, time_line
 
 pycolmap = pytest.importorskip("pycolmap", minversion="4.2")
 
@@ -97,6 +98,43 @@ def test_a_few_pictures_of_something_else_are_left_out(tmp_path, glances):
     assert any("2 of 8 pictures have no camera and are left out (p006, p007)" in line for line in lines)
     assert report.left_out == ["p006", "p007"] and len(found_poses(tmp_path / "out")[0]) == 6
     assert "overlap too little" in (tmp_path / "out/capture.md").read_text()
+
+
+def test_pictures_that_are_named_are_used(tmp_path, glances):
+    """By a list with or without endings, or by a text file as Windows writes it; the rest is not looked at."""
+    folder = save_pictures(tmp_path / "in", glances[0])
+    (tmp_path / "names.txt").write_bytes("\ufeffp000.png\r\n\r\np002.png\r\np001\r\np003.png\r\n".encode())
+    report = warpcage.capture(folder, tmp_path / "out", pictures=tmp_path / "names.txt", progress=False)
+    assert report.pictures == ["p000", "p001", "p002", "p003"] and report.registered_count == 4
+    assert report.facts["share_of_matches_that_agree"] > 0.9
+    with pytest.raises(ValueError, match="holds 2 pictures"):
+        warpcage.capture(folder, tmp_path / "b", pictures=["p001", "p004.png"], progress=False)
+
+
+@pytest.mark.parametrize(
+    ("pictures", "words"),
+    [
+        (["p000.png", "p009.png"], "holds no picture named p009.png: "),
+        (b"names", "pictures must be a text file or a"),
+        ([1, 2, 3], "pictures must be a text file or a"),
+    ],
+)
+def test_names_of_pictures_that_are_not_there(tmp_path, pictures, words):
+    folder = save_pictures(tmp_path / "in", [np.zeros((20, 30, 3), np.uint8)] * 3)
+    with pytest.raises(ValueError, match=words):
+        warpcage.capture(folder, tmp_path / "out", pictures=pictures, progress=False)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["in"]
+
+
+def test_lists_of_pictures_that_cannot_be_read(tmp_path):
+    folder = save_pictures(tmp_path / "in", [np.zeros((20, 30, 3), np.uint8)] * 3)
+    with pytest.raises(FileNotFoundError, match="list of pictures"):
+        warpcage.capture(folder, tmp_path / "out", pictures=tmp_path / "none.txt", progress=False)
+    with pytest.raises(ValueError, match="is not text"):
+        warpcage.capture(folder, tmp_path / "out", pictures=folder / "p000.png", progress=False)
+    (tmp_path / "walk.mp4").write_bytes(b"")
+    with pytest.raises(ValueError, match="is a video"):
+        warpcage.capture(tmp_path / "walk.mp4", tmp_path / "out", pictures=["p000"], progress=False)
 
 
 def test_no_picture_can_be_read(tmp_path):
@@ -216,3 +254,20 @@ def test_the_command(tmp_path, glances, capsys):
     assert said.out.startswith(f"wrote {tmp_path / 'out'}: cameras of 6 of 6 pictures") and said.err == ""
     assert main(["capture", str(folder), "-o", str(tmp_path / "out"), "--quiet"]) == 2
     assert capsys.readouterr().err.startswith("warpcage: error: output folder")
+
+
+def test_the_time_is_said_before_the_matches(tmp_path, glances, capsys):
+    folder = save_pictures(tmp_path / "in", glances[0][:4])
+    warpcage.capture(folder, tmp_path / "out", progress=True)
+    said = capsys.readouterr().err
+    assert said.index("features:") < said.index("4 pictures, 6 pairs to match: about 1 minute") < said.index("matches:")
+
+
+def test_how_long_a_capture_takes():
+    """Every feature of a pair is compared with every one of the other: twice as many take up to four times as long."""
+    pairs = [(0, 1), (1, 2)] * 1000
+    once, twice, large = (expected_seconds(np.full(3, count), pairs, 2) for count in (0, 3000, 6000))
+    assert 2 * (twice - once) < large - once < 4 * (twice - once)
+    assert expected_seconds(np.full(3, 0), pairs, 4) == pytest.approx(once / 2) and expected_seconds([], [], 2) == 0
+    assert time_line(292, 4500, 1000, 2).startswith("292 pictures, 4500 pairs to match: about 17 minutes on 2 cores; q")
+    assert time_line(3, 3, 5, 1) == "3 pictures, 3 pairs to match: about 1 minute on 1 core"

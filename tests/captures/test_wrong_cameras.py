@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from correspondences import FOCAL, correspondences, inside_out, orbit, torn_in_two
 
-from warpcage.captures import Solver, solve
+from warpcage.captures import Solver, doubts, solve
 
 pycolmap = pytest.importorskip("pycolmap", minversion="4.2")
 
@@ -77,6 +77,7 @@ def scene():
 def solved(folder, scene, at_once, one_by_one):
     """The solution and which ways were asked for; the models are given by the poses of their cameras."""
     poses, slopes, matches = scene
+    folder.mkdir(exist_ok=True)
     write_database(folder / "database.db", slopes, matches)
     models = [None if each is None else reconstruction(slopes, each) for each in (at_once, one_by_one)]
     solver = MadeSolver(folder, *models)
@@ -131,3 +132,17 @@ def test_a_picture_that_comes_out_wrong_is_left_out(tmp_path, scene):
     poses[6, :3, 3] += [0.0, 0.0, 1.0]
     found, _ = solved(tmp_path, scene, poses, poses)
     assert found.found.pictures.tolist() == [*range(6), *range(7, COUNT)] and found.agreement.share > 0.9
+
+
+def test_cameras_that_many_matches_disagree_with_are_named_in_the_report(tmp_path, scene):
+    """A fifth of the matches of three pictures is led astray: not refused, and said."""
+    poses, slopes, matches = scene
+    astray = {pair: rows.copy() for pair, rows in matches.items()}
+    for (a, b), rows in astray.items():
+        if {a, b} & {4, 5, 6}:
+            rows[:25, 1] = (rows[:25, 1] + 7) % 60
+    found, _ = solved(tmp_path, (poses, slopes, astray), poses, poses)
+    sentences = doubts(found, LABELS)
+    assert len(sentences) == 1 and 0.5 < found.agreement.share < 0.9
+    assert {"p04", "p05", "p06"} <= set(sentences[0].split("least those of ")[1].split(":")[0].split(", "))
+    assert doubts(solved(tmp_path / "b", scene, poses, poses)[0], LABELS) == []

@@ -21,8 +21,8 @@ from ..view.pictures import write_png
 from .colmap import Solver, load_pycolmap
 from .report import MOST_THUMBNAILS, THUMBNAIL, CaptureReport, make_contact_sheet, make_report
 from .scene_folder import placed, write_scene
-from .solving import HOW_TO, LEAST_PICTURES, Solution, solve
-from .sources import Source, read_sources, shrink_factor
+from .solving import HOW_TO, LEAST_PICTURES, Solution, doubts, solve
+from .sources import Source, chosen_names, read_sources, shrink_factor
 from .video import FrameScores, pick_frames, scan_video, shrink_all, write_frames
 
 #: Counts up when what the folder holds changes its meaning.
@@ -94,6 +94,7 @@ def capture(
     path: str | os.PathLike,
     output: str | os.PathLike,
     *,
+    pictures: str | os.PathLike | Sequence[str] | None = None,
     frames: int = 120,
     feature_size: int = 800,
     seed: int = 0,
@@ -103,10 +104,11 @@ def capture(
 
     Of a video, sharp frames are picked that stand evenly along the way of the view. Their cameras are found by COLMAP
     (Schoenberger and Frahm 2016; `pip install 'warpcage[capture]'`): neighbours and frames that look alike are
-    compared, of a small folder all pictures. Pictures of one size, maker, model and focal length share a camera. The
-    scene is written with +z up, the object around the origin and its box two units long, in the format "transforms" of
-    `load_scene`: images/, transforms.json, points.ply; and capture.md, capture.json and contact.png, which say how good
-    it is. The folder appears whole or not at all.
+    compared, of a small folder all pictures. Pictures of one size, maker, model and focal length share a camera.
+    Cameras are found all at once (GLOMAP, Pan et al. 2024), and picture by picture where the matches disagree with
+    those. The scene is written with +z up, the object around the origin and its box two units long, in the format
+    "transforms" of `load_scene`: images/, transforms.json, points.ply; and capture.md, capture.json and contact.png,
+    which say how good it is. The folder appears whole or not at all.
 
     What has been done is kept in a hidden folder beside the output until the end. After an interrupt or a kill the same
     call continues there.
@@ -115,11 +117,13 @@ def capture(
         path: A video that FFmpeg reads, or a folder of pictures (JPEG, PNG, WebP, BMP, TIFF). Their turns are obeyed:
             EXIF orientation and the rotation of a video.
         output: The folder to write, new or empty.
+        pictures: Names of the pictures of the folder to use, with or without endings: a list, or a text file with one
+            a line. None is all.
         frames: Most frames of a video that are taken.
         feature_size: Longer side at which features are looked for, pixels; larger pictures are shrunk for that. More
             finds cameras more exactly, and takes longer.
         seed: Seed of what COLMAP draws by lot. The same pictures, up to 200, give the same cameras on the same machine.
-        progress: Whether bars are shown.
+        progress: Whether bars are shown, and before the matches about how long it takes.
 
     Returns:
         What was found.
@@ -127,8 +131,9 @@ def capture(
     Raises:
         FileNotFoundError: Where there is no such file or folder, or no picture in it.
         ValueError: For an output that is there, a video that cannot be read, and pictures whose cameras cannot be
-            found: too few, too little texture, no overlap. The message says what to do. Also where pycolmap is not
-            installed.
+            found: too few, too little texture, no overlap; and cameras that come out wrong, torn in parts or inside
+            out, by the matches. The message says what to do. Also for names in `pictures` that are not in the folder,
+            and where pycolmap is not installed.
 
     Warns:
         UserWarning: For pictures and frames that cannot be read, and for pictures without a camera.
@@ -140,23 +145,28 @@ def capture(
     if not source.exists():
         raise FileNotFoundError(f"video or folder {str(source)!r} is not there")
     require_new_folder(output)
+    chosen = None if pictures is None else sorted(set(chosen_names(pictures)))
+    if chosen is not None and not source.is_dir():
+        raise ValueError(f"pictures chooses from a folder of pictures, and {str(source)!r} is a video: give frames")
     load_pycolmap()
     job = {
         "source": str(source.resolve()),
         "files": _stamps(source),
+        "pictures": chosen,
         "frames": frames,
         "feature_size": feature_size,
         "seed": seed,
         "pycolmap": importlib.metadata.version("pycolmap"),
     }
     with WorkFolder(output, job) as work:
-        return _capture(source, output, work, frames, feature_size, seed, progress)
+        return _capture(source, output, work, chosen, frames, feature_size, seed, progress)
 
 
 def _capture(
     source: pathlib.Path,
     output: pathlib.Path,
     work: pathlib.Path,
+    chosen: list[str] | None,
     frames: int,
     feature_size: int,
     seed: int,
@@ -164,11 +174,12 @@ def _capture(
 ) -> CaptureReport:
     video = not source.is_dir()
     facts: dict[str, object] = {}
-    sources = _video_sources(source, work, frames, facts, progress) if video else read_sources(source)
+    sources = _video_sources(source, work, frames, facts, progress) if video else read_sources(source, chosen)
     _require_several(len(sources), source, video)
     names, sharp = shrink_all(sources, work / "small", feature_size, progress)
     solution = _find(source, work, sources, names, video, feature_size, seed, progress)
     found = placed(solution.found)
+    facts["share_of_matches_that_agree"] = round(solution.agreement.share, 4)
 
     new = work / "scene"
     shutil.rmtree(new, ignore_errors=True)
@@ -179,6 +190,7 @@ def _capture(
     to_pixels = 1.0 / shrink_factor(size, feature_size)
     kept = [source.name for source in sources]
     report = make_report(output, source.name or str(source), kept, sharp, found, size, to_pixels, facts)
+    report.advice.extend(doubts(solution, kept))
     _write_contact_sheet(new / "contact.png", [work / "small" / name for name in names], report)
     (new / "capture.json").write_text(report.to_json(), encoding="utf-8")
     (new / "capture.md").write_text(report.to_markdown(), encoding="utf-8")

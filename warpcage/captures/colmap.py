@@ -6,12 +6,14 @@ import contextlib
 import dataclasses
 import pathlib
 import shutil
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
+from ..core.names import counted
 from ..core.threads import cpu_threads
 from ..scene.pictures import COEFFICIENTS, distort
 from .sources import bar
@@ -172,6 +174,34 @@ def chosen_pairs(features: list[np.ndarray], *, video: bool) -> list[tuple[int, 
     return sorted(pairs)
 
 
+#: Processor seconds that a pair takes to match, and that each product of its two numbers of features adds; seconds that
+#: each feature of a pair adds to what one thread then takes to find the cameras: 40 of bonsai and fox, 800 pixels long.
+PAIR_SECONDS, PRODUCT_SECONDS, CAMERA_SECONDS = 0.044, 4e-9, 1e-5
+
+#: From so many minutes on it is said what is quicker.
+LONG_MINUTES = 5.0
+
+
+def expected_seconds(features: np.ndarray, pairs: Sequence[tuple[int, int]], threads: int) -> float:
+    """About how long pairs of pictures take to match, and the cameras after them, seconds.
+    features: (n,) their number in each picture; pairs: indices of pictures."""
+    first, second = np.asarray(features, np.float64)[np.array(pairs, np.int64).reshape(-1, 2)].T
+    matching = PAIR_SECONDS * len(first) + PRODUCT_SECONDS * float((first * second).sum())
+    return matching / threads + CAMERA_SECONDS * float((first + second).sum())
+
+
+def time_line(pictures: int, pairs: int, seconds: float, threads: int) -> str:
+    """One line that says how long it takes from before the matches on, and what is quicker where that is long."""
+    minutes = max(1, round(seconds / 60))
+    line = (
+        f"{counted(pictures, 'picture')}, {counted(pairs, 'pair')} to match: about {counted(minutes, 'minute')} on "
+        f"{counted(threads, 'core')}"
+    )
+    if seconds < 60 * LONG_MINUTES:
+        return line
+    return f"{line}; quicker: a smaller --feature-size, or fewer pictures (--pictures, of a video --frames)"
+
+
 #: Features that a picture has at most.
 MOST_FEATURES = 6000
 
@@ -257,16 +287,20 @@ class Solver:
         """Match the pairs of pictures that are worth it and have not been matched; video: pictures follow one another.
         Returns the number of the pairs, and of those that show the same."""
         colmap = self.colmap
-        pairs = self._named_pairs(video)
+        pairs, left = self._pairs(video)
+        if self.progress:
+            counts = self._feature_counts()
+            seconds = expected_seconds(counts, left, self.threads)
+            print(time_line(len(self.names), len(left), seconds, self.threads), file=sys.stderr)
         options, verification = colmap.FeatureMatchingOptions(), colmap.TwoViewGeometryOptions()
         options.num_threads, options.use_gpu = self.threads, False
         verification.ransac.random_seed = self.seed
         pairing, listed = colmap.ImportedPairingOptions(), self.database.with_name("pairs.txt")
         pairing.match_list_path = listed
-        with bar(len(pairs), "matches", self.progress) as shown:
-            for first in range(0, len(pairs), PAIRS_AT_ONCE):
-                part = pairs[first : first + PAIRS_AT_ONCE]
-                listed.write_text("".join(f"{a} {b}\n" for a, b in part), encoding="utf-8")
+        with bar(len(pairs), "matches", self.progress, done=len(pairs) - len(left)) as shown:
+            for first in range(0, len(left), PAIRS_AT_ONCE):
+                part = left[first : first + PAIRS_AT_ONCE]
+                listed.write_text("".join(f"{self.names[a]} {self.names[b]}\n" for a, b in part), encoding="utf-8")
                 self._run(
                     colmap.match_image_pairs,
                     self.database,
@@ -414,13 +448,16 @@ class Solver:
         options.min_model_size, options.image_path = LEAST_GROUP, self.folder
         return options
 
-    def _named_pairs(self, video: bool) -> list[tuple[str, str]]:
+    def _pairs(self, video: bool) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+        """The pairs of indices of pictures that are worth matching, and those of them that have not been matched."""
         features = []
         with self._opened() as database:
-            for number in self._numbers(database):
+            numbers = self._numbers(database)
+            for number in numbers:
                 scales = np.linalg.norm(np.asarray(_array(database.read_keypoints(number)))[:, 2:4], axis=1)
                 features.append(largest_features(scales, np.asarray(_array(database.read_descriptors(number)))))
-        return [(self.names[a], self.names[b]) for a, b in chosen_pairs(features, video=video)]
+            pairs = chosen_pairs(features, video=video)
+            return pairs, [(a, b) for a, b in pairs if not database.exists_two_view_geometry(numbers[a], numbers[b])]
 
     def _numbers(self, database: Any) -> list[int]:
         """COLMAP's numbers of the pictures, in the order of their names."""

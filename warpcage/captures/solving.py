@@ -156,6 +156,18 @@ def _require_whole(source: pathlib.Path, labels: Sequence[str], solution: Soluti
             )
 
 
+def doubts(solution: Solution, labels: Sequence[str]) -> list[str]:
+    """Sentences of a report on cameras that the matches do not bear out as well as usual."""
+    share = solution.agreement.share
+    if share >= GOOD_SHARE:
+        return []
+    worst = ", ".join(labels[int(picture)] for picture in worst_pictures(solution)[:NAMED])
+    return [
+        f"Only {100 * share:.0f} % of the matches agree with the cameras, which may be wrong in part, least those of "
+        f"{worst}: look at what is fitted; what repeats itself, shines or moves misleads."
+    ]
+
+
 def _require_agreement(source: pathlib.Path, labels: Sequence[str], solution: Solution) -> None:
     """Raises ValueError for cameras that are inside out, or that the matches of the pictures disagree with."""
     share = solution.agreement.share

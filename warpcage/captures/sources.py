@@ -6,11 +6,12 @@ import dataclasses
 import os
 import pathlib
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from ..core.checks import listed
+from ..core.checks import checked_path, listed, shown
 from ..core.files import require_file
 from ..core.names import agreed
 from ..view.pictures import MAX_PIXELS
@@ -42,12 +43,37 @@ class Source:
     lossless: bool  # its pixels were kept exactly
 
 
-def read_sources(folder: pathlib.Path) -> list[Source]:
-    """What headers say of a folder's pictures, in the order of names; unreadable ones are left out, with a warning."""
+def chosen_names(pictures: str | os.PathLike | Sequence[str]) -> list[str]:
+    """Names of the pictures to use: themselves, or the lines of a text file."""
+    if not isinstance(pictures, str | os.PathLike):
+        if not isinstance(pictures, Sequence) or not all(isinstance(name, str) for name in pictures):
+            raise ValueError(f"pictures must be a text file or a list of names, got {shown(pictures)}")
+        return list(pictures)
+    path = checked_path(pictures, "pictures")
+    require_file(path, "list of pictures")
+    try:
+        lines = path.read_text("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"list of pictures {str(path)!r} is not text: give names of pictures, one a line") from error
+    return [line.strip() for line in lines if line.strip()]
+
+
+def read_sources(folder: pathlib.Path, chosen: Sequence[str] | None = None) -> list[Source]:
+    """What headers say of a folder's pictures, in the order of names; unreadable ones are left out, with a warning.
+    chosen: names of those to use, with or without their endings; None is all."""
     entries = sorted(entry for entry in folder.iterdir() if entry.is_file() and not entry.name.startswith("."))
     files = [entry for entry in entries if entry.suffix.lower() in ENDINGS]
     if not files:
         raise FileNotFoundError(_no_pictures(folder, entries))
+    if chosen is not None:
+        known = {name for file in files for name in (file.name, file.stem)}
+        missing = [name for name in chosen if name not in known]
+        if missing:
+            raise ValueError(
+                f"{str(folder)!r} holds no {agreed(len(missing), 'picture', 'pictures')} named {listed(missing, 4)}: "
+                "the list of pictures names files of that folder, one a line"
+            )
+        files = [file for file in files if file.name in chosen or file.stem in chosen]
     sources, broken, names = [], [], set()
     for file in files:
         name = file.stem if file.stem not in names else file.name.replace(".", "_")

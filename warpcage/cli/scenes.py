@@ -23,6 +23,7 @@ def run_capture(args: argparse.Namespace) -> None:
     report = capture(
         args.source,
         args.output,
+        pictures=args.pictures,
         frames=args.frames,
         feature_size=args.feature_size,
         seed=args.seed,

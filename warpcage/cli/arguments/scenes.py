@@ -13,6 +13,7 @@ CAPTURE_HELP = "make a scene of a video or a folder of pictures: find the camera
 CAPTURE_EXAMPLE = """\
   warpcage capture walk.mp4 -o scene
   warpcage capture pictures -o scene --feature-size 1600
+  warpcage capture pictures -o scene --pictures names.txt
   warpcage fit scene -o object.npz
 """
 
@@ -23,6 +24,9 @@ def add_capture_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "-o", "--output", required=True, metavar="SCENE", help="folder to write, new or empty: a scene for fit"
+    )
+    parser.add_argument(
+        "--pictures", metavar="FILE", help="text file that names the pictures of the folder to use, one a line"
     )
     parser.add_argument(
         "--frames",
