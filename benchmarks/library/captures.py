@@ -29,6 +29,8 @@ from warpcage.view import shrink
     option("--epochs", type=float, help="of these fits"),
     option("--quality", default="fast", help="of these fits"),
     option("--folder", nargs="*", default=[], help="scenes whose cameras are known; their pictures are captured"),
+    option("--source", type=pathlib.Path, help="folder of pictures that is captured in place of the scene's own"),
+    option("--pictures", type=pathlib.Path, help="text file that names those of them that are used"),
     option("--feature-size", type=int, default=800),
     DEVICE,
     JSON,
@@ -52,7 +54,7 @@ def main(args) -> None:
             runs.append(video_run(pathlib.Path(folder), args))
             print(runs[-1])
         for number, scene in enumerate(args.folder):
-            runs.append(folder_run(pathlib.Path(scene), pathlib.Path(folder) / str(number), args.feature_size))
+            runs.append(folder_run(pathlib.Path(scene), pathlib.Path(folder) / str(number), args))
             print(runs[-1])
     if args.json:
         write_results(args.json, args.device, runs=runs)
@@ -70,20 +72,24 @@ def captured(source: pathlib.Path, output: pathlib.Path, **options) -> tuple[war
         "cpu_seconds": time.process_time() - used,
         "reprojection_error": report.error,
         "points": report.points,
+        "agreement": report.facts["share_of_matches_that_agree"],
         "around": 360 - report.around,
         "elevation": [low, high],
         "size": list(report.size),
     }
 
 
-def folder_run(folder: pathlib.Path, output: pathlib.Path, feature_size: int) -> dict:
-    """The pictures of a scene without its cameras."""
+def folder_run(folder: pathlib.Path, output: pathlib.Path, args: argparse.Namespace) -> dict:
+    """The pictures of a scene without its cameras, or others of the same names."""
     scene = warpcage.load_scene(folder, split="all", masks=False)
-    pictures = next(each for each in (folder / "images", folder / "image", folder) if any(each.glob("*.[pj][np]g")))
-    _, run = captured(pictures, output, feature_size=feature_size)
+    own = (folder / "images", folder / "image", folder)
+    pictures = args.source or next(each for each in own if any(each.glob("*.[pj][np]g")))
+    _, run = captured(pictures, output, feature_size=args.feature_size, pictures=args.pictures)
     found = warpcage.load_scene(output, split="all")
     true = dict(zip(scene.names, scene.cameras, strict=True))
-    return {"scene": folder.name, **run, **errors(found.cameras, [true[name] for name in found.names], scene.bounds)}
+    both = [(camera, true[name]) for name, camera in zip(found.names, found.cameras, strict=True) if name in true]
+    label = f"{folder.name}, {args.pictures.stem}" if args.pictures else folder.name
+    return {"scene": label, **run, **errors(*zip(*both, strict=True), scene.bounds)}
 
 
 def video_run(folder: pathlib.Path, args: argparse.Namespace) -> dict:
@@ -121,6 +127,7 @@ def errors(found, true, bounds) -> dict:
     def turn(i: int, j: int) -> float:
         return angle(a[i, :3, :3].T @ a[j, :3, :3], b[i, :3, :3].T @ b[j, :3, :3])
 
+    way = np.median(np.linalg.norm(np.diff(b[:, :3, 3], axis=0), axis=1))
     steps = [turn(k, k + 1) for k in range(len(a) - 1)]
     pairs = [turn(i, j) for i, j in itertools.combinations(range(len(a)), 2)]
     return {
@@ -128,6 +135,7 @@ def errors(found, true, bounds) -> dict:
         "rotation_largest": max(turns),
         "place_percent": float(np.median(off)),
         "place_largest": float(off.max()),
+        "place_steps": float(np.median(off) * orbit / 100 / way),
         "next_degrees": float(np.median(steps)),
         "pair_degrees": float(np.median(pairs)),
         "focal_found": found[0].fx,
