@@ -111,6 +111,8 @@ FORMATS = {
                                                        points=np.eye(3)[[0, 1, 2] * 4]),
     "colmap binary": lambda folder, pictures: write_colmap(folder, pictures, binary=True, model="OPENCV",
                                                            distortion=(-0.02, 0, 0, 0)),
+    "colmap fisheye": lambda folder, pictures: write_colmap(folder, pictures, binary=True, model="OPENCV_FISHEYE",
+                                                            distortion=(0.02, -0.002, 0, 0)),
     "llff": write_llff,
     "bundler": lambda folder, pictures: write_bundler(folder, pictures, distortion=(-0.02, 0.001)),
     "opensfm": lambda folder, pictures: write_opensfm(folder, pictures, k1=-0.02, p1=0.001),
@@ -176,6 +178,7 @@ JSON_VALUES = st.recursive(
                 "masks/view_01.png",
                 "PINHOLE",
                 "OPENCV_FISHEYE",
+                "EQUIRECTANGULAR",
             ]
         ),
     ),

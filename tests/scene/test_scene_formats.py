@@ -472,7 +472,7 @@ def test_lens_is_that_of_opencv():
     for lens in LENSES.values():
         pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), np.array((lens + (0.0,) * 8)[:8]))
         np.testing.assert_allclose(pixels[:, 0], np.stack(distort(*points.T[:2], lens), axis=-1), atol=1e-9)
-    assert len(COEFFICIENTS) == 8 and len(MODEL_NUMBERS) == 7
+    assert len(COEFFICIENTS) == 8 and len(MODEL_NUMBERS) == 8
 
 
 # Real data

@@ -104,6 +104,7 @@ MESSAGES = {
     "scene.llff_sizes": "only images_2, images_4: give downscale=2",
     "scene.most_cameras": r"of 2 chunks Chunk 1 is taken.*\(10\); others: few \(2\)",
     "scene.most_shots": r"of 3 reconstructions 2 is taken.*\(10\); others: 0 \(2\)",
+    "scene.model_number": "camera 1 has the model of number {number}, which is not known",
     "scene.moved": "names 3 files by paths of another folder, the first is",
     "scene.no_known_format": "no scene of a known format.*transforms.json.*it holds notes.txt, photos/",
     "scene.one_left_out": "1 of them are not there and are left out",

@@ -153,6 +153,7 @@ MODEL_NUMBERS = {
     "OPENCV": 4,
     "OPENCV_FISHEYE": 5,
     "FULL_OPENCV": 6,
+    "EQUIRECTANGULAR": 17,
 }
 
 
@@ -186,7 +187,10 @@ def write_colmap(
         if masks:
             write_image(folder / "masks" / f"{name}.png.png", rgba[..., 3])
         focal = (camera.fx,) if model.startswith("SIMPLE") or model == "RADIAL" else (camera.fx, camera.fy)
-        cameras.append((i + 1, model, camera.width, camera.height, (*focal, camera.cx, camera.cy, *distortion)))
+        parameters = (*focal, camera.cx, camera.cy, *distortion)
+        if model == "EQUIRECTANGULAR":
+            parameters = (camera.width, camera.height)
+        cameras.append((i + 1, model, camera.width, camera.height, parameters))
         inverse = np.linalg.inv(camera.camera_to_world)
         images.append((i + 1, *quaternion(inverse[:3, :3]), *inverse[:3, 3], i + 1, f"{name}.png"))
     write = write_colmap_binary if binary else write_colmap_text

@@ -287,9 +287,9 @@ def _temporary_name(stem: str, suffix: str) -> str:
 def require_file(path: PathLike, what: str) -> pathlib.Path:
     """The path of a file that must be there, itself and not a pointer to it or a page about it."""
     path = checked_path(path, f"the {what}")
-    if path.is_dir():
+    if os.path.isdir(path):
         raise FileNotFoundError(f"{what} {str(path)!r} is a folder")
-    if not path.is_file():
+    if not os.path.isfile(path):  # False for names that no file can have, too
         raise FileNotFoundError(f"{what} {str(path)!r} is not there")
     stand_in = _stand_in(path)
     if stand_in:

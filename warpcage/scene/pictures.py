@@ -6,7 +6,7 @@ import dataclasses
 import os
 import pathlib
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -17,6 +17,7 @@ from ..view.camera import Camera, common_up
 from ..view.pictures import Rows, image_size, read_rows, shrink, shrink_weights, shrunk_size
 from .box import Bounds, bulk_box, view_box
 from .formats.parsing import DYNAMIC_MASK, is_file
+from .lenses import Intrinsics, Lens, Part, pinhole_parts
 from .scene import Scene
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's order; the first few may be given
@@ -26,9 +27,6 @@ MAX_ZOOM = 4.0
 
 #: Width and height, pixels.
 Size = tuple[int, int]
-
-#: Focal lengths and principal point (fx, fy, cx, cy), pixels.
-Intrinsics = tuple[float, float, float, float]
 
 
 def distort(x: np.ndarray, y: np.ndarray, coefficients: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -72,9 +70,13 @@ def undistorted_intrinsics(intrinsics: Intrinsics, size: Size, coefficients: Seq
 
 def undistort(image: np.ndarray, lens: Intrinsics, pinhole: Intrinsics, coefficients: Sequence[float]) -> np.ndarray:
     """Resample the picture (h, w, c) float32 of a lens to that of a pinhole camera, bilinearly."""
+    grid = np.meshgrid(np.arange(image.shape[1]) + 0.5, np.arange(image.shape[0]) + 0.5)
+    return _sampled(image, *_source(grid, pinhole, lens, coefficients))
+
+
+def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """A picture (h, w, c) float32 at places (k, l) of it, pixels, bilinearly."""
     height, width = image.shape[:2]
-    grid = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    u, v = _source(grid, pinhole, lens, coefficients)
     u, v = np.clip(u - 0.5, 0, width - 1), np.clip(v - 0.5, 0, height - 1)  # half a pixel at the edge repeats it
     left, top = np.minimum(u.astype(int), max(width - 2, 0)), np.minimum(v.astype(int), max(height - 2, 0))
     right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
@@ -132,6 +134,8 @@ class View:
     mask: pathlib.Path | None = None  # picture of the opacity
     counted: pathlib.Path | None = None  # picture of how much each pixel counts
     ignored: pathlib.Path | None = None  # picture of what does not count: all that is not black
+    lens: Lens | None = None  # in place of distortion: a lens whose picture becomes pinhole views
+    part: Part | None = None  # which of these views it is
 
     @property
     def mask_files(self) -> list[pathlib.Path]:
@@ -141,7 +145,7 @@ class View:
     @property
     def is_counted(self) -> bool:
         """Whether some pixels may count less than others."""
-        return self.counted is not None or self.ignored is not None
+        return self.counted is not None or self.ignored is not None or self.part is not None
 
 
 def views_there(views: list[View], listing: pathlib.Path) -> list[View]:
@@ -186,31 +190,43 @@ def make_scene(
             allowed.require(file, view.where)
     if masks == "split" and any(view.mask is None for view in views):
         raise ValueError(f"{views[0].where}: masks='split' needs a mask file for every picture")
-    sizes = _sizes(views)
+    views, sizes = _parted(views, _sizes(views))  # of the files
     intrinsics = [_intrinsics(view, size) for view, size in zip(views, sizes, strict=True)]
-    frames, canvas = _frames(sizes, _sizes_there(beside))
-    if frames is sizes:
-        _require_known_sizes(views, sizes)
+    shapes = [size if view.part is None else view.part.size for view, size in zip(views, sizes, strict=True)]
+    has_parts = any(view.part is not None for view in views)
+    frames, canvas = _frames(shapes, [] if has_parts else _sizes_there(beside))
+    if frames is shapes:
+        _require_known_sizes(views, shapes)
     pinholes = [pinhole_intrinsics(*each) for each in zip(views, intrinsics, frames, strict=True)]
     cameras = [_camera(*each) for each in zip(views, pinholes, frames, strict=True)]
     shrunk = [shrunk_size(frame, downscale) for frame in frames]
     cameras = [camera.resized(*size) for camera, size in zip(cameras, shrunk, strict=True)]
     split, width, height = masks == "split", *shrunk_size(canvas, downscale)
     is_counted = any(view.is_counted or size != (width, height) for view, size in zip(views, shrunk, strict=True))
-    workers = _workers(views, frames, canvas, downscale, split, is_counted)
+    spans = [frame if view.part is None else size for view, frame, size in zip(views, frames, sizes, strict=True)]
+    workers = _workers(views, spans, canvas, downscale, split, is_counted)
     images = np.empty((len(views), height, width, 3), np.float32)
     alphas = np.empty((len(views), height, width), np.float32)
     surroundings = np.empty_like(images) if split else None
     weights = np.empty_like(alphas) if is_counted else None
 
-    def load(index: int) -> None:
-        view, top = views[index], 0
-        columns = slice(shrunk[index][0])
+    def load(group: list[int]) -> None:
+        read = _reader(views[group[0]], background, split)
+        whole = None if views[group[0]].part is None else read(0, None, None)
+        for index in group:
+            view = views[index]
+            if whole is None:
+                lenses = intrinsics[index], pinholes[index]
+                keep(index, _strips(view, read, *lenses, frames[index], downscale, split))
+            else:
+                keep(index, [_resampled(view, *whole, intrinsics[index], frames[index], downscale, background)])
+
+    def keep(index: int, parts: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
+        top, columns = 0, slice(shrunk[index][0])
         for array, empty in ((images, background), (alphas, 0.0), (surroundings, 0.0), (weights, 0.0)):
             if array is not None:  # beyond a smaller picture
                 array[index, shrunk[index][1] :] = array[index, :, columns.stop :] = empty
-        lenses = intrinsics[index], pinholes[index]
-        for part, counted in _parts(view, *lenses, frames[index], downscale, background, split):
+        for part, counted in parts:
             alpha, rows = part[..., 3], slice(top, top + len(part))
             images[index, rows, columns] = part[..., :3] + (1.0 - alpha[..., None]) * background
             alphas[index, rows, columns] = alpha
@@ -220,10 +236,13 @@ def make_scene(
                 weights[index, rows, columns] = counted
             top += len(part)
 
+    groups: dict[pathlib.Path, list[int]] = {}  # the views that each file becomes
+    for index, view in enumerate(views):
+        groups.setdefault(view.file, []).append(index)
     with ThreadPoolExecutor(workers) as pool:
         try:
-            for index, _ in enumerate(pool.map(load, range(len(views)))):
-                tell(index + 1, len(views), "read pictures")
+            for index, _ in enumerate(pool.map(load, groups.values())):
+                tell(index + 1, len(groups), "read pictures")
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
@@ -289,6 +308,30 @@ def _sizes(views: list[View]) -> list[Size]:
     return sizes
 
 
+def _parted(views: list[View], sizes: list[Size]) -> tuple[list[View], list[Size]]:
+    """The views, those of lenses as the pinhole views that their pictures become; and the size of the file of each."""
+    parted, of_files, known = [], [], {}
+    for view, size in zip(views, sizes, strict=True):
+        parts = [view]
+        if view.lens is not None:
+            given = _intrinsics(view, size)
+            key = (view.lens, given, size)
+            if key not in known:
+                _camera(view, given, size)  # refuses what cannot be a camera
+                known[key] = pinhole_parts(view.lens, given, size, view.where)
+            parts = [dataclasses.replace(view, pose=_turned(view.pose, part), part=part) for part in known[key]]
+        parted += parts
+        of_files += [size] * len(parts)
+    return parted, of_files
+
+
+def _turned(pose: np.ndarray, part: Part) -> np.ndarray:
+    """The pose of a part of what a camera sees."""
+    turn = np.eye(4)
+    turn[:3, :3] = part.rotation
+    return pose @ turn
+
+
 def _sizes_there(files: Sequence[pathlib.Path]) -> list[Size]:
     """Sizes of pictures of other splits that can be read: what is wrong with the rest is told with their split."""
 
@@ -319,7 +362,12 @@ def _require_known_sizes(views: list[View], sizes: list[Size]) -> None:
     other = next((index for index, size in enumerate(sizes) if size != usual), None)
     for view, size in zip(views, sizes, strict=True):
         doubled = (2 * size[0], 2 * size[1])
-        if other is not None and view.size is None and _intrinsics(view, size) == _intrinsics(view, doubled):
+        if (
+            other is not None
+            and view.size is None
+            and view.part is None
+            and _intrinsics(view, size) == _intrinsics(view, doubled)
+        ):
             raise ValueError(
                 f"{view.where}: nothing says the size that the camera is for, and pictures must have one size: "
                 f"{views[other].file.name!r} is {_times(sizes[other])}, others are {_times(usual)}"
@@ -338,7 +386,9 @@ def _intrinsics(view: View, size: Size) -> Intrinsics:
 
 
 def pinhole_intrinsics(view: View, intrinsics: Intrinsics, size: Size) -> Intrinsics:
-    """(fx, fy, cx, cy) of a view's picture without its distortion."""
+    """(fx, fy, cx, cy) of a view's picture without its distortion, or of the part that it is."""
+    if view.part is not None:
+        return view.part.intrinsics
     if not any(view.distortion):
         return intrinsics
     _camera(view, intrinsics, size)  # refuses what cannot be a camera
@@ -355,11 +405,11 @@ def _camera(view: View, intrinsics: Intrinsics, size: Size) -> Camera:
         raise ValueError(f"{view.where}: {error}") from error
 
 
-def _workers(views: list[View], frames: list[Size], canvas: Size, downscale: int, split: bool, is_counted: bool) -> int:
+def _workers(views: list[View], spans: list[Size], canvas: Size, downscale: int, split: bool, is_counted: bool) -> int:
     """How many pictures are read at once. Refuses pictures that the machine cannot hold, before the first is read."""
     width, height = shrunk_size(canvas, downscale)
     held = len(views) * width * height * (4 * ((7 if split else 4) + is_counted) + 1)
-    flights = (flight_bytes(*each, downscale, split) for each in zip(views, frames, strict=True))
+    flights = (flight_bytes(*each, downscale, split) for each in zip(views, spans, strict=True))
     flight, free, size = max(flights), free_host_bytes(), canvas
     if flight >= free:
         raise ValueError(
@@ -379,52 +429,100 @@ def flight_bytes(view: View, size: Size, downscale: int, split: bool) -> int:
     """Memory that a picture takes while it is read: what its files decode to, and floats of a strip or of all of it."""
     pixels = size[0] * size[1]
     numbers = 8 if split else 4
-    lens = LENS_BYTES if any(view.distortion) else 0
+    bent = pixels if any(view.distortion) else 0
+    if view.part is not None:
+        bent = view.part.size[0] * view.part.size[1]
     files = DECODED_BYTES * (1 + len(view.mask_files)) * pixels
-    return files + COPIES * 4 * numbers * size[0] * _strip_rows(view, size, downscale, numbers) + lens * pixels
+    return files + COPIES * 4 * numbers * size[0] * _strip_rows(view, size, downscale, numbers) + LENS_BYTES * bent
 
 
 def _strip_rows(view: View, size: Size, downscale: int, numbers: int) -> int:
     """Rows of a picture that are handled at once: all where a lens is undone, or where squares do not fit into it."""
     width, height = size
-    if any(view.distortion) or width % downscale or height % downscale:
+    if any(view.distortion) or view.part is not None or width % downscale or height % downscale:
         return height
     return min(height, downscale * max(1, STRIP_BYTES // (4 * numbers * width * downscale)))
 
 
-def _parts(
-    view: View, lens: Intrinsics, pinhole: Intrinsics, size: Size, downscale: int, background: np.ndarray, split: bool
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """A picture from top to bottom, shrunk: (rows, width, 4 or 7) float32, colour times opacity, opacity, and with
-    `split` what the mask takes away; and (rows, width) how much each pixel counts."""
+#: Gives rows of a picture from one to another (None: the end), up to a column (None: all): (k, l, 4 or 7) float32,
+#: colour times opacity, opacity, and where masks split what they take away; and (k, l) how much each pixel counts.
+Reader = Callable[[int, int | None, int | None], tuple[np.ndarray, np.ndarray]]
+
+
+def _reader(view: View, background: np.ndarray, split: bool) -> Reader:
+    """Decodes the files of a view."""
     picture = read_rows(view.file)
     files = view.mask, view.counted, view.ignored
     mask, counted, ignored = (None if file is None else read_rows(file) for file in files)
-    step = _strip_rows(view, size, downscale, 8 if split else 4)
 
-    def rows_of(read: Rows, first: int) -> np.ndarray:
-        return read(first, min(first + step, size[1]))[:, : size[0]]
+    def read(first: int, last: int | None, width: int | None) -> tuple[np.ndarray, np.ndarray]:
+        def rows_of(rows: Rows) -> np.ndarray:
+            return rows(first, last)[:, :width]
 
-    for first in range(0, size[1], step):
-        rgba = _premultiplied(rows_of(picture, first), None if mask is None else rows_of(mask, first))
+        rgba = _premultiplied(rows_of(picture), None if mask is None else rows_of(mask))
         weights = np.ones(rgba.shape[:2], np.float32)
         if counted is not None:
-            weights = rows_of(counted, first)[..., 0]
+            weights = rows_of(counted)[..., 0]
         if ignored is not None:
-            colors = rows_of(ignored, first)  # grey, grey and opacity, colours, or colours and opacity
+            colors = rows_of(ignored)  # grey, grey and opacity, colours, or colours and opacity
             is_ignored = colors[..., : 3 if colors.shape[-1] > 2 else 1].any(axis=-1)
             weights = np.where(is_ignored, np.float32(0.0), weights)
         if split:
-            whole = _premultiplied(rows_of(picture, first), None)
+            whole = _premultiplied(rows_of(picture), None)
             around = whole[..., :3] + (1.0 - whole[..., 3:]) * background - rgba[..., :3]
             rgba = np.concatenate([rgba, around], axis=-1)
+        return rgba, weights
+
+    return read
+
+
+def _strips(
+    view: View, read: Reader, lens: Intrinsics, pinhole: Intrinsics, size: Size, downscale: int, split: bool
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """A picture from top to bottom as a Reader gives it, without its distortion, shrunk."""
+    step = _strip_rows(view, size, downscale, 8 if split else 4)
+    for first in range(0, size[1], step):
+        rgba, weights = read(first, min(first + step, size[1]), size[0])
         if any(view.distortion):
             rgba = undistort(rgba, lens, pinhole, view.distortion)
-            if view.is_counted:  # what is made of an ignored pixel too is ignored
-                both = np.stack([weights, weights == 0.0], axis=-1, dtype=np.float32)
-                weights, touched = np.moveaxis(undistort(both, lens, pinhole, view.distortion), -1, 0)
-                weights = np.where(touched > 0.0, np.float32(0.0), weights)
+            if view.is_counted:
+                weights = _least(undistort(_with_zeros(weights), lens, pinhole, view.distortion))
         yield shrink(rgba, downscale).astype(np.float32, copy=False), shrink_weights(weights, downscale)
+
+
+def _with_zeros(weights: np.ndarray) -> np.ndarray:
+    """Weights (h, w) and where they are 0, to be resampled together: see `_least`."""
+    return np.stack([weights, weights == 0.0], axis=-1, dtype=np.float32)
+
+
+def _least(resampled: np.ndarray) -> np.ndarray:
+    """The weights of what `_with_zeros` gives once it is resampled: what is made of an ignored pixel too is ignored."""
+    weights, touched = np.moveaxis(resampled, -1, 0)
+    return np.where(touched > 0.0, np.float32(0.0), weights)
+
+
+def _resampled(
+    view: View,
+    whole: np.ndarray,
+    weights: np.ndarray,
+    lens: Intrinsics,
+    size: Size,
+    downscale: int,
+    background: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The part of a picture, as a Reader gives it, that a view shows, shrunk; what it does not show does not count."""
+    assert view.part is not None and view.lens is not None
+    rays = view.part.rays(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
+    u, v, seen = view.lens.pixels(rays, lens, (whole.shape[1], whole.shape[0]))
+    both = np.concatenate([whole, _with_zeros(weights)], axis=-1)
+    if view.lens.is_round:
+        both, u = np.concatenate([both[:, -1:], both, both[:, :1]], axis=1), u + 1.0
+    both = _sampled(both, u, v)
+    part, weights = both[..., :-2], _least(both[..., -2:])
+    part[~seen] = 0.0
+    part[~seen, :4] = (*background, 1.0)  # no opacity is known there
+    weights = np.where(seen, weights, np.float32(0.0))
+    return shrink(part, downscale).astype(np.float32, copy=False), shrink_weights(weights, downscale)
 
 
 def _premultiplied(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
@@ -440,10 +538,11 @@ def _premultiplied(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
 
 
 def _names(views: list[View]) -> list[str]:
-    """File names without ending; with the folder where that does not tell them apart."""
-    names = [view.file.stem for view in views]
+    """File names without ending, and sides of a cube; with the folder where that does not tell them apart."""
+    sides = ["" if view.part is None or not view.part.name else f"_{view.part.name}" for view in views]
+    names = [view.file.stem + side for view, side in zip(views, sides, strict=True)]
     if len(set(names)) < len(names):
-        names = [f"{view.file.parent.name}/{view.file.stem}" for view in views]
+        names = [f"{view.file.parent.name}/{name}" for view, name in zip(views, names, strict=True)]
     return [_printable(name) for name in names]
 
 

@@ -6,12 +6,13 @@ import array
 import dataclasses
 import pathlib
 import struct
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...core.files import read_limited
 from ...core.names import error_line
+from ..lenses import Lens, all_around
 from ..pictures import COEFFICIENTS, View, files_of, make_scene, views_there
 from ..scene import Scene
 from .parsing import PICTURE_ENDINGS, PictureFinder, chosen_part, floats, held_out, inside, is_file, read_text
@@ -19,20 +20,38 @@ from .parsing import PICTURE_ENDINGS, PictureFinder, chosen_part, floats, held_o
 #: Bytes of memory that a byte of a binary file takes at most: a picture of 73 bytes becomes a record of some 700.
 BINARY_ROOM = 12
 
-#: Names and parameter counts of the models, by the number that binary files use.
+
+class CameraModel(NamedTuple):
+    """A camera model of COLMAP."""
+
+    name: str
+    # f or fx and fy, cx, cy, and what the lens has: by name as in COEFFICIENTS, or the values of `lens` in their order
+    parameters: tuple[str, ...]
+    lens: str | None = None  # its name in PROJECTIONS; None for pinholes with OpenCV's distortion
+
+
+_SINGLE, _BOTH = ("f", "cx", "cy"), ("fx", "fy", "cx", "cy")
+
+#: The camera models, by the number that binary files use.
 MODELS = (
-    ("SIMPLE_PINHOLE", 3),
-    ("PINHOLE", 4),
-    ("SIMPLE_RADIAL", 4),
-    ("RADIAL", 5),
-    ("OPENCV", 8),
-    ("OPENCV_FISHEYE", 8),
-    ("FULL_OPENCV", 12),
-    ("FOV", 5),
-    ("SIMPLE_RADIAL_FISHEYE", 4),
-    ("RADIAL_FISHEYE", 5),
-    ("THIN_PRISM_FISHEYE", 12),
-    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    CameraModel("SIMPLE_PINHOLE", _SINGLE),
+    CameraModel("PINHOLE", _BOTH),
+    CameraModel("SIMPLE_RADIAL", (*_SINGLE, "k1")),
+    CameraModel("RADIAL", (*_SINGLE, "k1", "k2")),
+    CameraModel("OPENCV", (*_BOTH, *COEFFICIENTS[:4])),
+    CameraModel("OPENCV_FISHEYE", (*_BOTH, "k1", "k2", "k3", "k4"), "FISHEYE"),
+    CameraModel("FULL_OPENCV", (*_BOTH, *COEFFICIENTS)),
+    CameraModel("FOV", (*_BOTH, "omega"), "FOV"),
+    CameraModel("SIMPLE_RADIAL_FISHEYE", (*_SINGLE, "k1"), "FISHEYE"),
+    CameraModel("RADIAL_FISHEYE", (*_SINGLE, "k1", "k2"), "FISHEYE"),
+    CameraModel("THIN_PRISM_FISHEYE", (*_BOTH, *"k1 k2 p1 p2 k3 k4 sx1 sy1".split()), "THIN_PRISM_FISHEYE"),
+    CameraModel("RAD_TAN_THIN_PRISM_FISHEYE", (*_BOTH, *"k0 k1 k2 k3 k4 k5 p0 p1 s0 s1 s2 s3".split()), "FISHEYE624"),
+    CameraModel("SIMPLE_DIVISION", (*_SINGLE, "k"), "DIVISION"),
+    CameraModel("DIVISION", (*_BOTH, "k"), "DIVISION"),
+    CameraModel("SIMPLE_FISHEYE", _SINGLE, "FISHEYE"),
+    CameraModel("FISHEYE", _BOTH, "FISHEYE"),
+    CameraModel("EUCM", (*_BOTH, "alpha", "beta"), "EUCM"),
+    CameraModel("EQUIRECTANGULAR", ("w", "h"), "EQUIRECTANGULAR"),
 )
 
 
@@ -42,7 +61,7 @@ class ModelCamera:
 
     model: str  # name of its kind
     size: tuple[int, int]  # width and height, pixels
-    parameters: list[float]  # as many as MODELS says
+    parameters: list[float]
 
 
 @dataclasses.dataclass
@@ -220,15 +239,17 @@ class _Bytes:
 
 def _cameras_bin(path: pathlib.Path) -> dict[int, ModelCamera]:
     file, cameras = _Bytes(path), {}
-    for _ in range(file.count(48)):
+    for _ in range(file.count(40)):
         number, model, width, height = file.take("<iiQQ")
         if not 0 <= model < len(MODELS):
-            raise ValueError(f"{path}: camera {number} has the unknown model {model}")
-        name, count = MODELS[model]
-        parameters = file.take(f"<{count}d")
+            raise ValueError(
+                f"{path}: camera {number} has the model of number {model}, which is not known: those that are read go "
+                f"from 0 to {len(MODELS) - 1} ({MODELS[-1].name}); run COLMAP's image_undistorter"
+            )
+        parameters = file.take(f"<{len(MODELS[model].parameters)}d")
         if not np.isfinite(parameters).all():
             raise ValueError(f"{path}: camera {number} has parameters that are not finite")
-        cameras[number] = ModelCamera(name, (width, height), list(parameters))
+        cameras[number] = ModelCamera(MODELS[model].name, (width, height), list(parameters))
     return cameras
 
 
@@ -262,16 +283,6 @@ MODEL_FOLDERS = ("sparse", "colmap/sparse", "sparse/0/models", "dense/sparse", "
 
 #: Where their pictures lie.
 PICTURE_FOLDERS = ("images", "dense/images", "dense/0/images", "")
-
-#: Camera models and where their parameters go: fx, fy, cx, cy, then distortion by name.
-PARAMETERS = {
-    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
-    "PINHOLE": ("fx", "fy", "cx", "cy"),
-    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
-    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
-    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
-    "FULL_OPENCV": ("fx", "fy", "cx", "cy", *COEFFICIENTS),
-}
 
 
 def is_scene(folder: pathlib.Path) -> bool:
@@ -333,23 +344,31 @@ def _view(folder: pathlib.Path, finder: PictureFinder, model: Model, image: Mode
     camera = model.cameras.get(image.camera)
     if camera is None:
         raise ValueError(f"{where} has camera {image.camera}, which {model.cameras_path} lacks")
-    names = PARAMETERS.get(camera.model)
-    if names is None:
+    lens = _lens(camera, f"{model.cameras_path}: camera {image.camera}")
+    mask = _mask_file(folder / "masks", finder.name_of(file), where) if has_masks else None
+    return View(file, image.camera_to_world(where), where, size=camera.size, mask=mask, **lens)
+
+
+def _lens(camera: ModelCamera, where: str) -> dict[str, Any]:
+    """What a View takes of the lens of a camera."""
+    found = next((each for each in MODELS if each.name == camera.model), None)
+    if found is None:
         raise ValueError(
-            f"{model.cameras_path}: camera model {camera.model[:60]!r} is not read, only "
-            f"{', '.join(PARAMETERS)}: run COLMAP's image_undistorter"
+            f"{where}: camera model {camera.model[:60]!r} is not read, only {', '.join(each.name for each in MODELS)}: "
+            "run COLMAP's image_undistorter"
         )
+    names = found.parameters
     if len(camera.parameters) != len(names):
-        raise ValueError(
-            f"{model.cameras_path}: camera {image.camera} needs {len(names)} parameters "
-            f"({' '.join(names)}), got {len(camera.parameters)}"
-        )
+        raise ValueError(f"{where} needs {len(names)} parameters ({' '.join(names)}), got {len(camera.parameters)}")
+    if found.lens == "EQUIRECTANGULAR":
+        return {"intrinsics": all_around, "lens": Lens(found.lens)}
     given = dict(zip(names, camera.parameters, strict=True))
     fx, fy = (given[name] if name in given else given["f"] for name in ("fx", "fy"))
     intrinsics = (fx, fy, given["cx"], given["cy"])
-    distortion = tuple(given.get(name, 0.0) for name in COEFFICIENTS)
-    mask = _mask_file(folder / "masks", finder.name_of(file), where) if has_masks else None
-    return View(file, image.camera_to_world(where), where, intrinsics, camera.size, distortion, mask)
+    if found.lens is None:
+        return {"intrinsics": intrinsics, "distortion": tuple(given.get(name, 0.0) for name in COEFFICIENTS)}
+    first = names.index("cy") + 1
+    return {"intrinsics": intrinsics, "lens": Lens(found.lens, tuple(camera.parameters[first:]))}
 
 
 def _mask_file(folder: pathlib.Path, name: str, where: str) -> pathlib.Path:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ...core.files import NpyFile
-from ..pictures import Intrinsics, View, make_scene
+from ..lenses import Intrinsics
+from ..pictures import View, make_scene
 from ..scene import Scene
 from .parsing import held_out, pictures_in
 

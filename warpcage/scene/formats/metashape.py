@@ -16,7 +16,8 @@ from ...core.checks import shown, warn_caller
 from ...core.files import read_limited
 from ...core.names import error_line
 from ..box import Bounds
-from ..pictures import Intrinsics, View, files_of, make_scene, views_there
+from ..lenses import Lens, all_around
+from ..pictures import View, files_of, make_scene, views_there
 from ..scene import Scene
 from .parsing import PictureFinder, chosen_part, floats, held_out
 
@@ -25,8 +26,12 @@ MARK = "cameras.xml of Metashape beside images/"
 #: Bytes of memory that a byte of XML takes at most: an element "<a/>" becomes an object.
 XML_ROOM = 64
 
-#: Coefficients of a lens in the order of COEFFICIENTS; those that no picture is freed of are refused.
+#: Coefficients of a lens in the order of OpenCV's; and in the order of METASHAPE's, of which some have no other's.
 DISTORTION = ("k1", "k2", "p2", "p1", "k3")
+ALL = ("k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+
+#: Kinds of sensors that are read: with a lens, and all around.
+KINDS = ("frame", "fisheye", "equidistant_fisheye", "spherical")
 
 
 def is_scene(folder: pathlib.Path) -> bool:
@@ -182,19 +187,19 @@ def _view(finder: PictureFinder, chunk: _Chunk, camera: ET.Element) -> View:
     sensor = chunk.sensors.get(camera.get("sensor_id"))
     if sensor is None:
         raise ValueError(f"{where} has sensor {shown(camera.get('sensor_id'))}, which the file lacks")
-    intrinsics, size, distortion = _lens(sensor, f"{chunk.path}: sensor {shown(sensor.get('id'))}")
-    return View(finder.find(label, where), pose, where, intrinsics, size, distortion)
+    lens = _lens(sensor, f"{chunk.path}: sensor {shown(sensor.get('id'))}")
+    return View(finder.find(label, where), pose, where, **lens)
 
 
-def _lens(sensor: ET.Element, where: str) -> tuple[Intrinsics, tuple[int, int], tuple[float, ...]]:
-    """The lens of a sensor, as it was adjusted where that is there: intrinsics and size, pixels, and coefficients."""
+def _lens(sensor: ET.Element, where: str) -> dict[str, Any]:
+    """What a View takes of the lens of a sensor, as it was adjusted where that is there."""
     calibrations = sorted(sensor.findall("calibration"), key=lambda each: each.get("class") != "adjusted")
     kind = sensor.get("type", "frame")
-    if kind != "frame":
-        raise ValueError(f"{where}: its type {shown(kind)} is not read, only frame")
-    if not calibrations:
+    if kind not in KINDS:
+        raise ValueError(f"{where}: its type {shown(kind)} is not read, only {', '.join(KINDS)}")
+    if not calibrations and kind != "spherical":
         raise ValueError(f"{where} has no calibration")
-    given = calibrations[0]
+    given = calibrations[0] if calibrations else sensor
     resolution = given.find("resolution")
     resolution = sensor.find("resolution") if resolution is None else resolution
     if resolution is None:
@@ -202,14 +207,18 @@ def _lens(sensor: ET.Element, where: str) -> tuple[Intrinsics, tuple[int, int], 
     width, height = floats(f"{resolution.get('width')} {resolution.get('height')}", f"{where}: resolution")
     if not 1 <= min(width, height) <= max(width, height) < 1e6:
         raise ValueError(f"{where} is for {width:g}x{height:g} pixels")
+    size = (int(width), int(height))
+    if kind == "spherical":
+        return {"intrinsics": all_around, "size": size, "lens": Lens("EQUIRECTANGULAR")}
 
     def value(name: str) -> float:
         found = _values(given.find(name), 1, f"{where}: {name}")
         return 0.0 if found is None else found[0]
 
-    for name in ("k4", "p3", "p4", "b2"):
-        if value(name):
-            raise ValueError(f"{where}: {name} is not read, only {', '.join(DISTORTION)} and b1")
-    focal = value("f")
-    intrinsics = (focal + value("b1"), focal, width / 2 + value("cx"), height / 2 + value("cy"))
-    return intrinsics, (int(width), int(height)), tuple(value(name) for name in DISTORTION)
+    fx, fy = value("f") + value("b1"), value("f")
+    if not min(fx, fy) > 0:
+        raise ValueError(f"{where}: f, and f with b1, must be positive, got {fy:g} and {fx:g}")
+    whole = {"intrinsics": (fx, fy, width / 2 + value("cx"), height / 2 + value("cy")), "size": size}
+    if kind == "frame" and not any(map(value, ("k4", "p3", "p4", "b2"))):
+        return whole | {"distortion": tuple(map(value, DISTORTION))}
+    return whole | {"lens": Lens("METASHAPE", (float(kind != "frame"), value("b2") / fx, *map(value, ALL)))}

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...core.checks import shown
 from ..box import Bounds
+from ..lenses import Lens, all_around
 from ..pictures import View, files_of, make_scene, views_there
 from ..scene import Scene
 from .parsing import PictureFinder, chosen_part, held_out, number, read_json
@@ -79,6 +80,10 @@ def _view(finder: PictureFinder, cameras: dict, name: str, shot: object, where: 
     kind = given.get("projection_type", "perspective")
     if not isinstance(kind, str) or kind not in KINDS:
         raise ValueError(f"{where}: projection_type {shown(kind)} is not read, only {', '.join(KINDS)}")
+    size = (int(width), int(height))
+    file, pose = finder.find(name, where), np.linalg.inv(to_camera)
+    if kind in ("spherical", "equirectangular"):
+        return View(file, pose, where, all_around, size, lens=Lens("EQUIRECTANGULAR"))
     fx = value("focal_x", "focal")
     fy = value("focal_y", default=fx * value("aspect_ratio", default=1.0))
     intrinsics = (
@@ -87,17 +92,22 @@ def _view(finder: PictureFinder, cameras: dict, name: str, shot: object, where: 
         value("c_x", default=0.0) * longer + width / 2,
         value("c_y", default=0.0) * longer + height / 2,
     )
-    distortion = tuple(value(each, default=0.0) for each in KINDS[kind])
-    size = (int(width), int(height))
-    return View(finder.find(name, where), np.linalg.inv(to_camera), where, intrinsics, size, distortion)
+    values = tuple(value(each, default=0.0) for each in KINDS[kind])
+    if kind.startswith("fisheye"):
+        return View(file, pose, where, intrinsics, size, lens=Lens("FISHEYE", values))
+    return View(file, pose, where, intrinsics, size, distortion=values)
 
 
-#: Kinds of cameras, and the names of their coefficients in the order of COEFFICIENTS.
+#: Kinds of cameras, and the names of their coefficients, in the order of COEFFICIENTS or of powers of the angle.
 KINDS = {
     "perspective": ("k1", "k2"),
     "simple_radial": ("k1",),
     "radial": ("k1", "k2"),
     "brown": ("k1", "k2", "p1", "p2", "k3"),
+    "fisheye": ("k1", "k2"),
+    "fisheye_opencv": ("k1", "k2", "k3", "k4"),
+    "spherical": (),
+    "equirectangular": (),
 }
 
 

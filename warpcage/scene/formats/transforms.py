@@ -13,6 +13,7 @@ from ...mesh.io.ply import read_ply_points
 from ...view.camera import Camera
 from ...view.pictures import image_size
 from ..box import Bounds
+from ..lenses import Intrinsics, Lens, all_around
 from ..pictures import COEFFICIENTS, View, files_of, make_scene, views_there
 from ..scene import Scene
 from .parsing import (
@@ -30,8 +31,9 @@ from .parsing import (
 
 TRANSFORMS_MARK = "transforms.json, or transforms_train.json with fl_x"
 
-#: camera_model values that mean a pinhole with or without the distortion that is undone here.
+#: camera_model values that mean a pinhole with or without OpenCV's distortion, and those of lenses that see more.
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
+LENSES = ("OPENCV_FISHEYE", "EQUIRECTANGULAR")
 
 
 def is_transforms(folder: pathlib.Path) -> bool:
@@ -65,12 +67,8 @@ def read_transforms(folder: pathlib.Path, *, split: str, **options: Any) -> Scen
 def _view(finder: PictureFinder, transforms: dict, where: str, frame: dict) -> View:
     given = {**{name: transforms[name] for name in transforms if name != "frames"}, **frame}
     model = given.get("camera_model", "OPENCV")
-    if model not in MODELS or given.get("is_fisheye"):
-        found = "is_fisheye" if model in MODELS else f"camera_model {shown(model)}"
-        raise ValueError(f"{where}: {found} is not read, only {', '.join(MODELS)}")
-    if _optional(given, "k4", where):  # nerfstudio's k4 is a power of r, not OpenCV's
-        raise ValueError(f"{where}: distortion k4 is not read, only k1, k2, k3, p1, p2")
-    distortion = [_optional(given, name, where) or 0.0 for name in COEFFICIENTS[:5]]
+    if model not in (*MODELS, *LENSES):
+        raise ValueError(f"{where}: camera_model {shown(model)} is not read, only {', '.join((*MODELS, *LENSES))}")
     size = None
     if "w" in given or "h" in given:
         size = (int(_positive(given, "w", where)), int(_positive(given, "h", where)))
@@ -80,11 +78,27 @@ def _view(finder: PictureFinder, transforms: dict, where: str, frame: dict) -> V
         finder.find(frame.get("file_path"), f"{where}: file_path"),
         pose,
         where,
-        lambda actual: frame_intrinsics(given, actual, where),
-        size,
-        tuple(distortion),
-        None if mask is None else finder.find(mask, f"{where}: mask_path"),
+        size=size,
+        mask=None if mask is None else finder.find(mask, f"{where}: mask_path"),
+        **_lens(given, model, where),
     )
+
+
+def _lens(given: dict, model: str, where: str) -> dict[str, Any]:
+    """What a View takes of the lens of a frame."""
+    if model == "EQUIRECTANGULAR":
+        return {"intrinsics": all_around, "lens": Lens(model)}
+
+    def intrinsics(actual: tuple[int, int]) -> Intrinsics:
+        return frame_intrinsics(given, actual, where)
+
+    if model == "OPENCV_FISHEYE" or given.get("is_fisheye"):  # the latter of instant-ngp
+        values = tuple(_optional(given, name, where) or 0.0 for name in ("k1", "k2", "k3", "k4"))
+        return {"intrinsics": intrinsics, "lens": Lens("FISHEYE", values)}
+    if _optional(given, "k4", where):  # nerfstudio's k4 is a power of r, not OpenCV's
+        raise ValueError(f"{where}: distortion k4 is not read, only k1, k2, k3, p1, p2")
+    distortion = tuple(_optional(given, name, where) or 0.0 for name in COEFFICIENTS[:5])
+    return {"intrinsics": intrinsics, "distortion": distortion}
 
 
 def _with_last_row(rows):
@@ -92,7 +106,7 @@ def _with_last_row(rows):
     return [*rows, [0.0, 0.0, 0.0, 1.0]] if isinstance(rows, list) and len(rows) == 3 else rows
 
 
-def frame_intrinsics(given: dict, size: tuple[int, int], where: str) -> tuple[float, float, float, float]:
+def frame_intrinsics(given: dict, size: tuple[int, int], where: str) -> Intrinsics:
     """fl_x, fl_y, cx, cy, or what stands for them: angles of view, the middle of the picture."""
     focal = [_focal(given, axis, side, where) for axis, side in zip("xy", size, strict=True)]
     known = [value for value in focal if value is not None]
