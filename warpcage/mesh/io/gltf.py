@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import os
 import pathlib
 import struct
 import urllib.parse
@@ -99,7 +100,7 @@ def _buffer_file(path: pathlib.Path, uri: str) -> bytes:
     leads_out = pathlib.PurePath(name).is_absolute() or ".." in pathlib.PurePath(name).parts
     if leads_out or not any(file.resolve().is_relative_to(folder) for folder in folders):
         raise ValueError(f"its buffer {shown(uri)} leads out of the folder of the file")
-    if not file.is_file():
+    if not os.path.isfile(file):  # False for names that no file can have, too
         raise ValueError(f"its buffer {shown(uri)} is not there")
     return read_limited(file, "buffer")
 
