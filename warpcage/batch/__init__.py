@@ -5,6 +5,7 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
+        "chunk_runner": "ChunkOrder ChunkRunner Place",
         "fields": "PrefetchedField",
         "fingerprints": "Fingerprints",
         "forecast": "Missing foresee",
@@ -12,7 +13,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "items": "EvaluateItem FitItem FrameItem Item record_outputs",
         "job_file": "ItemReader JobFile is_job_file write_jobs",
         "loop": "Died Event Finished LateItems Ready Returned drive",
-        "chunk_runner": "ChunkOrder ChunkRunner Place",
         "manifest": "Manifest Notes OutputFolder Part id_key merge_notes notes_of_chunk write_array",
         "process_engine": "ProcessEngine",
         "processes": "LocalHost Share",

@@ -13,8 +13,7 @@ from ..core.checks import checked_bounds, shown
 from ..core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, edit_fields
 from ..splats.io import SPLAT_ENDINGS
 from . import words
-from .edit_words import EDIT_WORDS, EditWords
-from .words import Checker, checked_words, one_of, plain, safe_name, text
+from .words import EDIT_WORDS, Checker, EditWords, checked_words, one_of, plain, safe_name, text
 
 #: Names in the folder of a run that no output may have, in any case of letters.
 RESERVED = ("manifest.jsonl",)

@@ -25,9 +25,8 @@ from ..core.memory import LRUCache
 from ..scene.formats.transforms import TransformsCameras
 from ..splats.splat_field import AnyField
 from ..view.camera import Camera, CameraFile, camera_from_json, fitted
-from .edit_words import EditWords
 from .items import FrameItem, canonical
-from .words import RANDOM, split_reference
+from .words import RANDOM, EditWords, split_reference
 
 #: Cages whose poses can be measured at once, and poses, that are kept: items of one pose follow each other.
 MOST_PROBES, MOST_POSES = 8, 16
