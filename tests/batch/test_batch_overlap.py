@@ -30,8 +30,8 @@ from warpcage.batch import (
     ProcessEngine,
     RunnerSettings,
     Share,
-    fields,
     fingerprints,
+    references,
     runners,
 )
 from warpcage.batch.fingerprints import Begun
@@ -278,13 +278,13 @@ def test_one_worker_alone_makes_the_next_chunk_meanwhile(tmp_path, monkeypatch, 
 
 
 def test_a_worker_reads_its_first_field_once_and_early(files, tmp_path, monkeypatch):
-    read, real = [], fields.read_field
+    read, real = [], references.read_field
 
     def watched(path, **words):
         read.append((path, threading.current_thread().name))
         return real(path, **words)
 
-    monkeypatch.setattr(fields, "read_field", watched)
+    monkeypatch.setattr(references, "read_field", watched)
     hashed, hash_file = [], fingerprints.file_hash
     monkeypatch.setattr(fingerprints, "file_hash", lambda path: hashed.append(path.name) or hash_file(path))
     monkeypatch.setattr(fingerprints, "LARGE", 1000)
@@ -313,14 +313,14 @@ def test_a_field_that_was_replaced_since_is_read_anew(files, tmp_path):
 def test_a_field_that_changes_while_it_is_read_is_not_taken(files, tmp_path, monkeypatch):
     path = tmp_path / "ball.npz"
     path.write_bytes((files / "ball.npz").read_bytes())
-    before, real = file_stamp(path), fields.read_field
+    before, real = file_stamp(path), references.read_field
 
     def changing(*given, **words):
         found = real(*given, **words)
         os.utime(path, ns=(1, 1))
         return found
 
-    monkeypatch.setattr(fields, "read_field", changing)
+    monkeypatch.setattr(references, "read_field", changing)
     expected = PrefetchedField(str(path), 1.0)
     assert expected.take(str(path), before, 1.0) is None and expected.take(str(path), file_stamp(path), 1.0) is None
 

@@ -6,7 +6,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "chunk_runner": "ChunkOrder ChunkRunner Place",
-        "fields": "PrefetchedField",
         "fingerprints": "Fingerprints",
         "forecast": "Missing foresee",
         "frames": "MOST_DEFORMERS",
@@ -18,6 +17,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "processes": "LocalHost Share",
         "ray_host": "RayHost load_ray ray_session",
         "records": "finish_folder",
+        "references": "PrefetchedField",
         "run": "Options RunProgress RunReport planned run_jobs",
         "runners": "RunnerSettings",
         "scheduler": "AIM Dispatcher LARGEST Chunk ChunkReport ChunkQueue",

@@ -14,11 +14,10 @@ from ..fitting.evaluation import evaluation_report, in_world_of
 from ..fitting.fit import fit
 from ..scene.load import load_scene
 from ..scene.scene import Scene
-from .fields import LoadedFields
 from .fingerprints import Fingerprints
 from .items import EvaluateItem, FitItem
 from .manifest import MadeItem, Writer
-from .references import References
+from .references import LoadedFields, References
 
 
 class FitMaker:

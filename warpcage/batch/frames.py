@@ -28,11 +28,10 @@ from ..view.film import write_film_frame
 from ..view.frame import RGB_BYTES, Frame, depth_along_view
 from ..view.frame_parts import picture
 from ..view.opacity import rgba_picture
-from .fields import MEMORY_SHARE, LoadedFields
 from .items import FrameItem, canonical
 from .manifest import MadeItem, Writer, array_data, write_array
 from .records import frame_record, pose_array
-from .references import References, RestCage
+from .references import MEMORY_SHARE, LoadedFields, References, RestCage
 
 #: Most deformers that stay bound to a field.
 MOST_DEFORMERS = 4

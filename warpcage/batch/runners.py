@@ -73,7 +73,7 @@ def make_runner(settings: RunnerSettings) -> ChunkRunner:
 
 def _worker(settings: RunnerSettings, first: Item | None) -> tuple[Maker, wp.Device]:
     """What makes items, and its device; the first field is read meanwhile, and the device prepared."""
-    from .fields import PrefetchedField  # here, as the driver of a cluster needs nothing of it
+    from .references import PrefetchedField  # here, as the driver of a cluster needs nothing of it
 
     expected = None
     if isinstance(first, FrameItem | EvaluateItem):

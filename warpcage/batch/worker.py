@@ -14,13 +14,12 @@ from ..core.devices import resolve_device
 from ..core.memory import is_shortage
 from ..core.overlap import SPARE, TASK_THREADS, Gate
 from ..core.threads import cpu_threads
-from .fields import LoadedFields, PrefetchedField
 from .fingerprints import Fingerprints
 from .fits import FitMaker, make_evaluation
 from .frames import FrameMaker
 from .items import EvaluateItem, FitItem, FrameItem, Item, digest
 from .manifest import CHECKPOINTS, PARTS, MadeItem, write_outputs
-from .references import References
+from .references import LoadedFields, PrefetchedField, References
 
 
 class Worker:
