@@ -91,7 +91,7 @@ def test_outputs_come_all_or_none(files, tmp_path, monkeypatch):
         path.write_bytes(b"half")
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("warpcage.batch.frames.write_array", fail)
+    monkeypatch.setattr("warpcage.batch.worker.write_array", fail)
     with Worker(files, tmp_path, "cpu") as worker:
         with pytest.raises(OSError, match="No space left"):
             worker.run(frame(outputs={"rgb": "a/rgb.png", "depth": "a/depth.npy"}))

@@ -24,10 +24,9 @@ from .plan import Plan, make_plan, open_shards, shard_size, span_of
 from .process_engine import GRACE, Host, ProcessEngine
 from .processes import LocalHost
 from .ray_host import RayHost, ray_session
-from .records import finish_folder
 from .runners import RunnerSettings, make_runner, run_name
 from .scheduler import AIM, Chunk, Dispatcher
-from .webdataset import shard_path
+from .webdataset import finish_folder, shard_path
 
 
 @dataclasses.dataclass(frozen=True)
