@@ -81,7 +81,7 @@ def worker_steps(laps: Laps, args) -> None:
 
     laps.note("import a worker")
     import warpcage
-    from warpcage.batch.fingerprints import file_hash
+    from warpcage.batch.job_file import file_hash
     from warpcage.core import resolve_device
     from warpcage.field import load_field
     from warpcage.render import load_usual_modules

@@ -12,7 +12,7 @@ from runs import Making, write_frames
 
 import warpcage
 from warpcage.batch import ChunkOrder, ChunkRunner, JobFile, LateItems, OutputFolder, Place
-from warpcage.batch.fingerprints import Begun
+from warpcage.batch.job_file import Begun
 
 
 @pytest.fixture(scope="module")

@@ -30,11 +30,11 @@ from warpcage.batch import (
     ProcessEngine,
     RunnerSettings,
     Share,
-    fingerprints,
+    job_file,
     references,
     runners,
 )
-from warpcage.batch.fingerprints import Begun
+from warpcage.batch.job_file import Begun
 from warpcage.batch.loop import Begun as ChunkBegun
 from warpcage.core import file_stamp
 
@@ -285,9 +285,9 @@ def test_a_worker_reads_its_first_field_once_and_early(files, tmp_path, monkeypa
         return real(path, **words)
 
     monkeypatch.setattr(references, "read_field", watched)
-    hashed, hash_file = [], fingerprints.file_hash
-    monkeypatch.setattr(fingerprints, "file_hash", lambda path: hashed.append(path.name) or hash_file(path))
-    monkeypatch.setattr(fingerprints, "LARGE", 1000)
+    hashed, hash_file = [], job_file.file_hash
+    monkeypatch.setattr(job_file, "file_hash", lambda path: hashed.append(path.name) or hash_file(path))
+    monkeypatch.setattr(job_file, "LARGE", 1000)
     assert run_with(files / "jobs.jsonl", tmp_path / "out").complete
     assert read == [(str(files / "ball.npz"), "warpcage-field_0")]  # by the thread that reads ahead, and not once more
     assert hashed.count("ball.npz") == 1
@@ -330,7 +330,7 @@ def test_a_large_file_that_is_replaced_after_it_was_hashed_is_known(files, monke
     for path in files.iterdir():
         if path.is_file():
             (tmp_path / path.name).write_bytes(path.read_bytes())
-    monkeypatch.setattr(fingerprints, "LARGE", 1000)
+    monkeypatch.setattr(job_file, "LARGE", 1000)
     with JobFile(tmp_path / "jobs.jsonl") as job:
         item = job.item(0)
     prints = Fingerprints(tmp_path)

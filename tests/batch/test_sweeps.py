@@ -229,8 +229,8 @@ def test_a_forecast_counts_poses_once_for_all_of_their_cameras(
 ):
     words = ["--poses", "random:3", "--cameras", "@cameras.json", "--views", views, "-o", tmp_path / "sweep.jsonl"]
     succeed(files, *SWEEP, *words)
-    monkeypatch.setattr("warpcage.batch.forecast.Worker", Counted)
-    monkeypatch.setattr("warpcage.batch.forecast.time.perf_counter", lambda: Counted.here.now)
+    monkeypatch.setattr("warpcage.batch.worker.Worker", Counted)
+    monkeypatch.setattr("warpcage.batch.run.time.perf_counter", lambda: Counted.here.now)
     found = foresee(tmp_path / "sweep.jsonl", tmp_path / "out", device="cpu")
     measured = found.measured["frame"]
     assert (measured.seconds, measured.pose_seconds, measured.load_seconds) == (seconds, posing, 5.0)

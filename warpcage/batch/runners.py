@@ -15,9 +15,8 @@ import warp as wp
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
 from .chunk_runner import ChunkRunner, Maker, Place
-from .fingerprints import Fingerprints
 from .items import EvaluateItem, FrameItem, Item
-from .job_file import ItemReader
+from .job_file import Fingerprints, ItemReader
 from .manifest import OutputFolder
 
 

@@ -41,8 +41,8 @@ from ..view.film import write_film_frame
 from ..view.frame import RGB_BYTES, Frame, depth_along_view
 from ..view.frame_parts import picture
 from ..view.opacity import rgba_picture
-from .fingerprints import Fingerprints
 from .items import EvaluateItem, FitItem, FrameItem, Item, canonical, digest
+from .job_file import Fingerprints
 from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, array_data, write_array, write_outputs
 from .references import MEMORY_SHARE, LoadedFields, PrefetchedField, References, RestCage
 

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..batch.forecast import Forecast, foresee
 from ..batch.manifest import Part
-from ..batch.run import Options, RunProgress, RunReport, run_jobs
+from ..batch.run import Forecast, Options, RunProgress, RunReport, foresee, run_jobs
 from ..batch.sweeps import GivenSource, PoseSource, RandomSource, RandomViews, write_sweep
 from ..cage.cage import Cage
 from ..cage.random_poses import RandomPoses
