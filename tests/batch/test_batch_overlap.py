@@ -30,12 +30,12 @@ from warpcage.batch import (
     ProcessEngine,
     RunnerSettings,
     Share,
+    chunk_runner,
     job_file,
     references,
-    runners,
 )
+from warpcage.batch.engines import Begun as ChunkBegun
 from warpcage.batch.job_file import Begun
-from warpcage.batch.loop import Begun as ChunkBegun
 from warpcage.core import file_stamp
 
 
@@ -255,7 +255,7 @@ class Late(Making):
 @pytest.mark.parametrize("slow", [0.5, 0.0])
 def test_one_worker_alone_makes_the_next_chunk_meanwhile(tmp_path, monkeypatch, slow):
     """Unless its items are slow: who watches wants to know of each chunk before the next one is made."""
-    monkeypatch.setattr("warpcage.batch.local_engine.SLOW", slow)
+    monkeypatch.setattr("warpcage.batch.engines.SLOW", slow)
     events: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
 
     class Told(Late):
@@ -355,7 +355,7 @@ def test_a_worker_begins_with_what_is_likely_and_fails_with_the_item_alone(files
             str(path.parent), job.reader, str(tmp_path / "out"), "run", "cpu", prefetch=((job.data(0), job.line(0)),)
         )
         OutputFolder(tmp_path / "out").prepare()
-        runner = runners.make_runner(settings)
+        runner = chunk_runner.make_runner(settings)
         order = ChunkOrder(1, [0, 4], [(job.data(index), job.line(index)) for index in (0, 4)], [0, 0])
         report = runner.run(order)
         runner.close()

@@ -24,8 +24,8 @@ from warpcage.batch import (
     JobFile,
     Missing,
     Worker,
-    fingerprints,
     frames,
+    job_file,
     write_array,
 )
 from warpcage.core import SPARE
@@ -417,16 +417,16 @@ def test_large_files_are_hashed_beside_and_one_that_changes_meanwhile_never_has_
     for name in ("ball.npz", "cage.obj", "cameras.json", "poses.npy"):
         (tmp_path / name).write_bytes((files / name).read_bytes())
     usual = Fingerprints(tmp_path).of(frame())
-    monkeypatch.setattr(fingerprints, "LARGE", 0)
+    monkeypatch.setattr(job_file, "LARGE", 0)
     assert Fingerprints(tmp_path).of(frame()) == usual
-    hashed, written, real = threading.Event(), threading.Event(), fingerprints.file_hash
+    hashed, written, real = threading.Event(), threading.Event(), job_file.file_hash
 
     def slow(path):
         hashed.set()
         assert written.wait(60)
         return real(path)
 
-    monkeypatch.setattr(fingerprints, "file_hash", slow)
+    monkeypatch.setattr(job_file, "file_hash", slow)
     begun = Fingerprints(tmp_path).begun(frame())  # does not wait
     assert hashed.wait(60)
     with (tmp_path / "ball.npz").open("ab") as file:

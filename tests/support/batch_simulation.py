@@ -8,7 +8,7 @@ import heapq
 import numpy as np
 
 from warpcage.batch import Chunk, ChunkReport, Died, Event, Finished, Ready, Returned
-from warpcage.batch.loop import Begun
+from warpcage.batch.engines import Begun
 
 
 @dataclasses.dataclass

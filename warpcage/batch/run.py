@@ -21,17 +21,13 @@ from ..core.files import NpyFile, PathLike, require_file
 from ..core.memory import LRUCache
 from ..core.names import error_line
 from ..core.threads import cpu_threads, limit_threads
-from .chunk_runner import ChunkOrder, Maker, leaves_no_room
+from .chunk_runner import ChunkOrder, Maker, RunnerSettings, leaves_no_room, make_runner, run_name
+from .engines import GRACE, Engine, Host, LocalEngine, ProcessEngine, drive
 from .items import FOLDER, Item
 from .job_file import Fingerprints, JobFile, references_of
-from .local_engine import LocalEngine
-from .loop import Engine, drive
 from .manifest import Manifest, OutputFolder, Part, merge_notes, newest_seconds
 from .plan import KIND_NUMBERS, Plan, make_plan, open_shards, shard_size, span_of
-from .process_engine import GRACE, Host, ProcessEngine
-from .processes import LocalHost
-from .ray_host import RayHost, ray_session
-from .runners import RunnerSettings, make_runner, run_name
+from .processes import LocalHost, RayHost, ray_session
 from .scheduler import AIM, Chunk, Dispatcher
 from .webdataset import finish_folder, shard_path
 from .words import split_reference
