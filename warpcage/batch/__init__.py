@@ -5,7 +5,7 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "chunk_runner": "ChunkOrder ChunkRunner Place RunnerSettings",
+        "chunk_runner": "Chunk ChunkOrder ChunkReport ChunkRunner Place RunnerSettings",
         "engines": "Died drive Event Finished LateItems ProcessEngine Ready Returned",
         "items": "EvaluateItem FitItem FrameItem Item record_outputs",
         "job_file": "Fingerprints is_job_file ItemReader JobFile write_jobs",
@@ -13,7 +13,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "processes": "load_ray LocalHost ray_session RayHost Share",
         "references": "PrefetchedField",
         "run": "foresee Missing Options planned run_jobs RunProgress RunReport",
-        "scheduler": "AIM Dispatcher LARGEST Chunk ChunkReport ChunkQueue",
+        "scheduler": "AIM LARGEST ChunkQueue Dispatcher",
         "sweeps": "GivenSource RandomSource RandomViews write_sweep",
         "webdataset": "finish_folder pack_shard read_shard shard_holds shard_path shard_stage split_key staged_shards",
         "worker": "CHECKPOINTS MOST_DEFORMERS PARTS Worker",

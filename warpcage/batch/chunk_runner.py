@@ -11,7 +11,7 @@ import pathlib
 import platform
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Protocol
 
@@ -24,7 +24,6 @@ from ..core.names import error_line
 from .items import EvaluateItem, FrameItem, Item
 from .job_file import Fingerprints, ItemReader
 from .manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes, OutputFolder
-from .scheduler import ChunkReport
 from .webdataset import pack_shard, shard_stage
 
 #: What the same input brings again: there is no use in trying it once more.
@@ -56,6 +55,18 @@ class Maker(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
+class Chunk:
+    """Items that one worker takes at once."""
+
+    number: int
+    items: Sequence[int]  # numbers of the items in the job file, in the order in which they are made
+    attempts: Sequence[int]  # how often each was begun before and failed
+    group: int  # what the worker has loaded afterwards
+    shard: int | None = None  # to be packed, in a chunk without items; None else
+    seconds: float | None = None  # after so many no more of its items are begun; None where it is known what they take
+
+
+@dataclasses.dataclass(frozen=True)
 class ChunkOrder:
     """A chunk as it is sent to a worker."""
 
@@ -66,6 +77,22 @@ class ChunkOrder:
     shard: int | None = None  # that its items belong to; None where there are no shards
     packed: list[dict[str, str]] | None = None  # outputs of all items that the shard is packed of; None: items are made
     seconds: float | None = None  # after so many no more items are begun, but for the first; None is no limit
+
+
+@dataclasses.dataclass
+class ChunkReport:
+    """What became of a chunk."""
+
+    done: list[int] = dataclasses.field(default_factory=list)
+    # of each of those; where something was loaded, how long the worker was at each
+    seconds: list[float] = dataclasses.field(default_factory=list)
+    failed: list[tuple[int, str]] = dataclasses.field(default_factory=list)  # not tried again, with a line each
+    errors: list[tuple[int, str]] = dataclasses.field(default_factory=list)  # may be tried again, with one line each
+    left: list[int] = dataclasses.field(default_factory=list)  # were not begun, or their making ended without blame
+    loading: bool = False  # whether the first item loaded what the others found there: its seconds are not usual
+    halt: str | None = None  # one line: why nothing can be written any more
+    broken: str | None = None  # why the worker can make no more
+    pack_error: str | None = None  # why the shard was not packed
 
 
 @dataclasses.dataclass(frozen=True)

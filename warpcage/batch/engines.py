@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Generic, Protocol, TypeVar
 
-from .chunk_runner import ChunkOrder, ChunkRunner, RunnerSettings
+from .chunk_runner import Chunk, ChunkOrder, ChunkReport, ChunkRunner, RunnerSettings
 from .manifest import DONE, ERROR, FAILED, OutputFolder, notes_of_chunk
 from .processes import Process, Share
-from .scheduler import MOST_CHUNKS, Chunk, ChunkReport, Dispatcher
+from .scheduler import MOST_CHUNKS, Dispatcher
 
 #: Seconds after which the loop looks for stragglers even where nothing happened.
 TICK = 1.0

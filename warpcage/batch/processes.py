@@ -27,8 +27,8 @@ import warp as wp
 from ..core.devices import start_warp
 from ..core.names import error_line
 from ..core.threads import cpu_threads, limit_threads
-from .chunk_runner import ChunkOrder, ChunkRunner, RunnerSettings, make_runner
-from .scheduler import MOST_CHUNKS, ChunkReport
+from .chunk_runner import ChunkOrder, ChunkReport, ChunkRunner, RunnerSettings, make_runner
+from .scheduler import MOST_CHUNKS
 
 #: Calls that a worker answers at once: one a chunk, one that tells when all items are begun, and one that shortens a
 #: chunk or tells of items.

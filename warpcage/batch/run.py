@@ -21,15 +21,14 @@ from ..core.files import NpyFile, PathLike, require_file
 from ..core.memory import LRUCache
 from ..core.names import error_line
 from ..core.threads import cpu_threads, limit_threads
-from .chunk_runner import ChunkOrder, Maker, RunnerSettings, leaves_no_room, make_runner, run_name
+from .chunk_runner import Chunk, ChunkOrder, Maker, RunnerSettings, leaves_no_room, make_runner, run_name
 from .engines import GRACE, Engine, Host, LocalEngine, ProcessEngine, drive
 from .items import FOLDER, Item
 from .job_file import Fingerprints, JobFile, references_of
 from .manifest import Manifest, OutputFolder, Part, merge_notes, newest_seconds
-from .plan import KIND_NUMBERS, Plan, make_plan, open_shards, shard_size, span_of
 from .processes import LocalHost, RayHost, ray_session
-from .scheduler import AIM, Chunk, Dispatcher
-from .webdataset import finish_folder, shard_path
+from .scheduler import AIM, KIND_NUMBERS, Dispatcher, Plan, make_plan, open_shards
+from .webdataset import finish_folder, shard_path, shard_size, span_of
 from .words import split_reference
 
 if TYPE_CHECKING:

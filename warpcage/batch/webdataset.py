@@ -17,9 +17,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..core.files import PathLike, atomic_path
-from .items import TRANSFORMS, FrameItem
+from .items import ITEMS_PER_SHARD, TRANSFORMS, WEBDATASET, FrameItem
 from .job_file import JobFile
-from .manifest import DONE
+from .manifest import DONE, OutputFolder
 
 #: Folder of a run in which shards are made.
 STAGES = ".warpcage/shards"
@@ -85,6 +85,18 @@ def pack_shard(out: PathLike, shard: int, records: Sequence[Mapping[str, Any]]) 
     _sizes_of.cache_clear()
     shutil.rmtree(stage, ignore_errors=True)
     return target if names else None
+
+
+def shard_size(job: JobFile) -> int:
+    """Items of a shard of a job; 0 where it has no shards."""
+    if job.records.get("kind") != WEBDATASET:
+        return 0
+    return int(job.records.get("items_per_shard", ITEMS_PER_SHARD))
+
+
+def span_of(job: JobFile, folder: OutputFolder) -> range:
+    """Numbers of the items that a run looks at: all, or those of its part, which has whole shards."""
+    return range(len(job)) if folder.part is None else folder.part.range(len(job), shard_size(job) or 1)
 
 
 def read_shard(path: PathLike) -> Iterator[dict[str, bytes]]:
