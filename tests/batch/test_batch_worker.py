@@ -16,20 +16,9 @@ from runs import run, write_files
 from splat_scenes import splats_in_box
 
 from warpcage import Cage, CageEdit, Camera, CameraFile, Deformer, Frame, PoseFile, SplatField, VoxelField, load_scene
-from warpcage.batch import (
-    MOST_DEFORMERS,
-    PARTS,
-    Fingerprints,
-    Item,
-    JobFile,
-    Missing,
-    Worker,
-    frames,
-    job_file,
-    write_array,
-)
+from warpcage.batch import MOST_DEFORMERS, PARTS, Fingerprints, Item, JobFile, Missing, Worker, job_file, write_array
 from warpcage.core import SPARE
-from warpcage.view import read_image
+from warpcage.view import read_image, write_picture
 
 CAMERAS = [Camera.look_at((2.5, 1.2 * side, 1.0), (0, 0, 0), width=40, height=32) for side in (-1, 1)]
 SKEW = {"fx": 40, "fy": 40, "cx": 20, "cy": 16, "width": 40, "height": 32, "camera_to_world": [[2, 0, 0, 0]] * 4}
@@ -291,8 +280,10 @@ def test_where_memory_is_short_all_else_is_let_go(files, tmp_path, monkeypatch):
 
 def test_pictures_are_encoded_beside_rendering(files, tmp_path, monkeypatch):
     """The next frames are rendered while the first is written, and no more than a few wait."""
-    go, ordinary = threading.Event(), frames.write_picture
-    monkeypatch.setattr(frames, "write_picture", lambda path, image: go.wait(60) and ordinary(path, image))
+    go = threading.Event()
+    monkeypatch.setattr(
+        "warpcage.batch.worker.write_picture", lambda path, image: go.wait(60) and write_picture(path, image)
+    )
     with Worker(files, tmp_path, "cpu", encoders=1) as worker:
         waiting = [worker.submit(frame(f"f{index}")) for index in range(1 + SPARE)]
         assert worker.frames.counts.frames == 1 + SPARE and not any(each.done() for each in waiting)
