@@ -245,7 +245,7 @@ SHORT_EDIT = tuple(EDIT_WORDS)
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrameItem(Item):
     """A picture of a field, as it is or deformed. Parts of outputs: see PART_ENDINGS; film: colours for films of
-    16 bits; pose: vertices of its posed cages; record: what `batch.records.frame_record` says of it."""
+    16 bits; pose: vertices of its posed cages; record: what `batch.worker.frame_record` says of it."""
 
     field: str = ""  # a file, voxels or splats
     camera: Any = None  # an object, or a reference
