@@ -47,6 +47,8 @@ DEV = [
     "pyright[nodejs]>=1.1.380",
     "clang-format>=22",
     "pre-commit>=3.7",
+    "build>=1.0",
+    "uv>=0.5",  # installs the lowest versions, for .ci/clean
 ]
 
 #: Folders beside the package that are installed as parts of it; in a checkout there are links to them.

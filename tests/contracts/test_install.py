@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 
 import pytest
@@ -20,6 +21,7 @@ from warpcage.package import NEEDED
 
 ROOT = pathlib.Path(__file__).parents[2]
 SOURCES = ("setup.py", "pyproject.toml", "README.md", "LICENSE", "warpcage", "kernels", "examples")
+LICENCES = ("LICENSE",)
 FOUND = "import warpcage; print(warpcage.__file__); print(warpcage.kernels.__file__); print(warpcage.__version__)"
 
 
@@ -58,23 +60,41 @@ def copied_tree(folder, link):
 class Wheel:
     name: str
     files: list[str]
+    about: list[str]
     installed: pathlib.Path
+    sources: list[str]
+    sizes: dict[str, int]
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """A wheel made from a copy, so that nothing is left in the checkout, and unpacked, as installers do."""
+    """A wheel made from a source distribution, as `python -m build` does, that a copy was packed into, so that nothing
+    is left in the checkout; and unpacked, as installers do."""
     setuptools = pytest.importorskip("setuptools")
     if tuple(map(int, setuptools.__version__.split(".")[:2])) < (70, 1):
         pytest.skip(f"setuptools {setuptools.__version__} cannot build a wheel by itself: 70.1 can")
     tree = copied_tree(tmp_path_factory.mktemp("sources"), "missing")
-    code = "import setuptools.build_meta as build; print(build.build_wheel('dist'))"
-    built = run(code, tree, pathlib.Path(setuptools.__file__).parents[1])
-    assert built.returncode == 0, built.stderr
-    name, installed = built.stdout.split()[-1], tmp_path_factory.mktemp("installed")
-    with zipfile.ZipFile(tree / "dist" / name) as archive:
+    packed = built(tree, "sdist", setuptools)
+    with tarfile.open(packed) as archive:
+        sources = [each.name.partition("/")[2] for each in archive.getmembers() if each.isfile()]
+        folder = tmp_path_factory.mktemp("unpacked")
+        archive.extractall(folder)
+    (unpacked,) = folder.iterdir()
+    path, installed = built(unpacked, "wheel", setuptools), tmp_path_factory.mktemp("installed")
+    with zipfile.ZipFile(path) as archive:
         archive.extractall(installed)
-        return Wheel(name, [each for each in archive.namelist() if ".dist-info/" not in each], installed)
+        about = [each for each in archive.namelist() if ".dist-info/" in each]
+        files = [each for each in archive.namelist() if each not in about]
+    sizes = {each.name: each.stat().st_size for each in (packed, path)}
+    return Wheel(path.name, files, about, installed, sources, sizes)
+
+
+def built(tree, kind, setuptools):
+    """The distribution of a kind that is made of a folder of sources."""
+    code = f"import setuptools.build_meta as build; print(build.build_{kind}('dist'))"
+    done = run(code, tree, pathlib.Path(setuptools.__file__).parents[1])
+    assert done.returncode == 0, done.stderr
+    return tree / "dist" / done.stdout.split()[-1]
 
 
 def imported_from(cwd, *paths):
@@ -128,6 +148,13 @@ def test_a_wheel_holds_every_file_once(wheel):
     expected += [path.relative_to(ROOT).as_posix() for path in page]
     assert sorted(wheel.files) == sorted(expected)
     assert wheel.name.startswith(f"warpcage-{warpcage.__version__}-")
+    packed = {re.sub("^warpcage/(?=kernels/|examples/)", "", each) for each in expected}
+    assert packed | {"setup.py", "pyproject.toml", "README.md", *LICENCES} <= set(wheel.sources)
+
+
+def test_licences_are_in_wheels_and_both_are_small(wheel):
+    assert {path.rpartition("/")[2] for path in wheel.about if "/licenses/" in path} == set(LICENCES)
+    assert len(wheel.sizes) == 2 and max(wheel.sizes.values()) < 3_000_000
 
 
 def test_missing_dependencies_are_named_in_one_line():
