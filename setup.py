@@ -21,9 +21,16 @@ CAPTURE = [
 
 CLUSTER = ["ray>=2.40"]  # clusters of `warpcage run`: the core alone, without ray[default]
 
+DOCS = [
+    "mkdocs>=1.6",  # from there on pages are generated in memory
+    "mkdocs-material>=9.5",
+    "mkdocstrings[python]>=0.26",
+]
+
 TEST = [
     *EDIT,
     *EXR,
+    *DOCS,
     # several workers and clusters; without it those tests are skipped
     "ray>=2.40; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'",
     "selenium>=4.20",  # drives a browser through the editor; those tests are skipped without Chromium
@@ -90,7 +97,10 @@ setup(
         "packaging>=22.0",  # compares versions for `warpcage doctor`
         'zstandard>=0.23; python_version < "3.14"',  # .spz of version 4; from 3.14 on Python has it
     ],
-    extras_require={"edit": EDIT, "exr": EXR, "capture": CAPTURE, "cluster": CLUSTER, "test": TEST, "dev": DEV},
+    extras_require={
+        **{"edit": EDIT, "exr": EXR, "capture": CAPTURE, "cluster": CLUSTER},
+        **{"docs": DOCS, "test": TEST, "dev": DEV},
+    },
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[
         "Programming Language :: Python :: 3",
