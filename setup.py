@@ -68,7 +68,7 @@ setup(
     long_description=open("README.md", encoding="utf-8").read(),
     long_description_content_type="text/markdown",
     license="Apache-2.0",
-    license_files=["LICENSE"],
+    license_files=["LICENSE", "NOTICE"],
     python_requires=">=3.10",
     packages=[
         *find_packages(include=["warpcage", "warpcage.*"], exclude=[f"{name}*" for name in LINKED]),

@@ -14,7 +14,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 #: Pages and what they link to, and where else than in docs they lie.
 KEPT = (
     *("*.md", "docs/*.md", "docs/pictures/*.*", "docs/results/*.json", "benchmarks/*.md"),
-    *("examples/*.py", "examples/clusters/*.*", "LICENSE"),
+    *("examples/*.py", "examples/clusters/*.*", "LICENSE", "NOTICE"),
 )
 
 

@@ -1,3 +1,5 @@
+import sys
+
 import numpy as np
 import pytest
 import trimesh
@@ -143,3 +145,10 @@ def test_refusals(make, message):
     with pytest.raises(ValueError) as error:
         make(trimesh.creation.box())
     assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def test_without_pymeshlab_one_line_says_what_to_do(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pymeshlab", None)  # as where it is not installed
+    with pytest.raises(ImportError, match="needs PyMeshLab .*: pip install pymesh") as refused:
+        Cage.from_mesh(trimesh.creation.icosphere(subdivisions=2), vertex_count=42)
+    assert "\n" not in str(refused.value)

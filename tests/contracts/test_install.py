@@ -2,7 +2,9 @@
 
 import ast
 import collections
+import contextlib
 import dataclasses
+import importlib.metadata
 import importlib.util
 import os
 import pathlib
@@ -20,8 +22,8 @@ import warpcage
 from warpcage.package import NEEDED
 
 ROOT = pathlib.Path(__file__).parents[2]
-SOURCES = ("setup.py", "pyproject.toml", "README.md", "LICENSE", "warpcage", "kernels", "examples")
-LICENCES = ("LICENSE",)
+SOURCES = ("setup.py", "pyproject.toml", "README.md", "LICENSE", "NOTICE", "warpcage", "kernels", "examples")
+LICENCES = ("LICENSE", "NOTICE")
 FOUND = "import warpcage; print(warpcage.__file__); print(warpcage.kernels.__file__); print(warpcage.__version__)"
 
 
@@ -155,6 +157,33 @@ def test_a_wheel_holds_every_file_once(wheel):
 def test_licences_are_in_wheels_and_both_are_small(wheel):
     assert {path.rpartition("/")[2] for path in wheel.about if "/licenses/" in path} == set(LICENCES)
     assert len(wheel.sizes) == 2 and max(wheel.sizes.values()) < 3_000_000
+
+
+FAMILIES = "Apache|MIT|BSD|MPL|GPL|ISC|Zlib|CC0"
+
+
+def installed_licences(name):
+    """Families of the licences that an installed package names, empty where it names none."""
+    about = importlib.metadata.metadata(name)
+    listed = [each for each in about.get_all("Classifier") or [] if each.startswith("License ::")]
+    words = about.get("License-Expression") or " ".join(listed) or about.get("License") or ""
+    return set(re.findall(FAMILIES, words))
+
+
+def test_the_notice_lists_every_dependency_with_its_licence(wheel):
+    (path,) = (each for each in wheel.about if each.endswith("/METADATA"))
+    about = (wheel.installed / path).read_text(encoding="utf-8")
+    needs = {name.lower() for name in re.findall(r"^Requires-Dist: ([\w.-]+)", about, re.MULTILINE)}
+    notice = (ROOT / "NOTICE").read_text(encoding="utf-8")
+    listed = dict(re.findall(r"^  ([\w.-]+) {3,}(\S.*)$", notice.lower(), re.MULTILINE))
+    assert set(listed) == needs
+    compared = 0
+    for name in needs:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found = {each.lower() for each in installed_licences(name)}
+            assert found <= set(re.findall(FAMILIES.lower(), listed[name])), name
+            compared += bool(found)
+    assert compared > 10
 
 
 def test_missing_dependencies_are_named_in_one_line():

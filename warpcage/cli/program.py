@@ -18,6 +18,7 @@ from typing import Any, NoReturn, TextIO
 
 from ..core import reports
 from ..core.names import error_line
+from ..errors import MissingPackageError
 from .arguments import cages, edit, fields, info, poses, render, runs, scenes
 from .arguments.options import package_version
 
@@ -200,7 +201,7 @@ def _line(error: Exception | str) -> str:
     text = error_line(error)
     if isinstance(error, OverflowError):
         return f"a number is too large{': ' if str(error) else ''}{text if str(error) else ''}"
-    if isinstance(error, ImportError) and str(error):
+    if isinstance(error, ImportError) and not isinstance(error, MissingPackageError) and str(error):
         return f"{text}: install warpcage again with all that it needs (pip install warpcage)"
     return text
 

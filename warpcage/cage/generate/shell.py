@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import functools
 import math
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from ...core.devices import launch, resolve_device
+from ...core.names import error_line
 from ...core.threads import cpu_threads
+from ...errors import MissingPackageError
 from ...kernels.mesh.shell import look_up, look_up_directions, look_up_faces, measure_nearest
 from ...mesh.mesh import ClosedMesh
 from ...mesh.queries import inside_mesh, intersecting_faces
@@ -328,14 +331,25 @@ def edge_length(shell, level, vertex_count) -> float:
     return float(np.sqrt(2.0 * area / (np.sqrt(3.0) * vertex_count)))
 
 
+def _load_pymeshlab() -> Any:
+    """PyMeshLab, which is loaded here alone."""
+    try:
+        import pymeshlab
+    except ImportError as error:
+        raise MissingPackageError(
+            f"generating a cage needs PyMeshLab ({error_line(error)}): pip install pymeshlab, or take a box, a cylinder or "
+            "a cage of your own"
+        ) from error
+    return pymeshlab
+
+
 def decimated(vertices, faces, vertex_count) -> tuple[np.ndarray, np.ndarray]:
     """The surface with about `vertex_count` vertices: quadric edge collapse (Garland and Heckbert 1997)."""
-    import pymeshlab
-
+    pymeshlab = _load_pymeshlab()
     # V - E + F = V - F / 2 does not change in a collapse that keeps the topology
     target = 2 * vertex_count - (2 * len(vertices) - len(faces))
-    meshes = pymeshlab.MeshSet(verbose=False)  # pyright: ignore[reportAttributeAccessIssue]
-    meshes.add_mesh(pymeshlab.Mesh(vertices, faces))  # pyright: ignore[reportAttributeAccessIssue]
+    meshes = pymeshlab.MeshSet(verbose=False)
+    meshes.add_mesh(pymeshlab.Mesh(vertices, faces))
     meshes.meshing_decimation_quadric_edge_collapse(
         targetfacenum=int(target), qualitythr=1.0, preservenormal=True, preservetopology=True, planarquadric=True,
         planarweight=0.01,
