@@ -124,12 +124,11 @@ def test_where_pictures_have_no_points_places_lie_on_their_rays():
     pictures[:, :, :, :2] = np.moveaxis(np.indices((SIZE, SIZE)), 0, -1) / SIZE
     pictures[1, :, :, 2] = 0.7
     rows, columns = (each.ravel() + 0.5 for each in np.mgrid[SIZE // 2 : SIZE : 2, 0:SIZE:2])
+    ahead = [((columns - each.cx) / each.fx, (rows - each.cy) / each.fy, np.ones(len(rows))) for each in cameras]
     points = np.concatenate(
         [
-            camera.center
-            + np.stack([(columns - camera.cx) * 4 / camera.fx, (rows - camera.cy) * 4 / camera.fy, 0 * rows + 4], axis=1)
-            @ camera.rotation.T
-            for camera in cameras
+            camera.center + 4 * np.stack(local, axis=1) @ camera.rotation.T
+            for camera, local in zip(cameras, ahead, strict=True)
         ]
     )
     scene = Scene(pictures, None, cameras, points=points, point_colors=np.full((len(points), 3), 0.5))

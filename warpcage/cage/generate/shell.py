@@ -337,8 +337,8 @@ def _load_pymeshlab() -> Any:
         import pymeshlab
     except ImportError as error:
         raise MissingPackageError(
-            f"generating a cage needs PyMeshLab ({error_line(error)}): pip install pymeshlab, or take a box, a cylinder or "
-            "a cage of your own"
+            f"generating a cage needs PyMeshLab ({error_line(error)}): pip install pymeshlab, or take a box, a "
+            "cylinder or a cage of your own"
         ) from error
     return pymeshlab
 
