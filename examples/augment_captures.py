@@ -69,11 +69,11 @@ def main(argv=None) -> dict:
     for pose in (0, args.refit):
         scene = captured(shard_path(out / "dataset", pose))
         if field is not None:
-            psnr["the field at rest, of the pose"] = round(mean_psnr(evaluate(field, part(scene, held))), 2)
+            psnr["the field at rest, of the pose"] = round(mean_psnr(evaluate(field, scene.subset(held))), 2)
         field = warpcage.fit(
-            part(scene, kept), device=args.device, seed=args.seed, quality=args.quality, progress=False, **options
+            scene.subset(kept), device=args.device, seed=args.seed, quality=args.quality, progress=False, **options
         )
-        psnr[f"pose {pose}"] = round(mean_psnr(evaluate(field, part(scene, held))), 2)
+        psnr[f"pose {pose}"] = round(mean_psnr(evaluate(field, scene.subset(held))), 2)
         panels += [scene.images[held[0]], field.render(scene.cameras[held[0]], background="white").rgb]
     write_png(out / "refit.png", contact_sheet(panels, columns=2))
     summary = {"pictures": sweep.items, "psnr": psnr}
@@ -110,12 +110,6 @@ def captured(shard: pathlib.Path) -> warpcage.Scene:
         cameras.append(warpcage.Camera(**camera))
         assert np.isfinite(np.load(io.BytesIO(record["depth.npy"]))[alphas[-1] > 0.5]).all()
     return warpcage.Scene(np.stack(images), np.stack(alphas), cameras)
-
-
-def part(scene: warpcage.Scene, numbers: list[int]) -> warpcage.Scene:
-    """Some of the pictures of a scene."""
-    assert scene.alphas is not None
-    return warpcage.Scene(scene.images[numbers], scene.alphas[numbers], [scene.cameras[k] for k in numbers])
 
 
 def parse_arguments(argv):

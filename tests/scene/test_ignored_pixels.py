@@ -14,7 +14,7 @@ import warpcage
 from warpcage import FieldOptimizer, evaluate, load_scene, mean_psnr, psnr
 from warpcage.cli import main
 from warpcage.core import resolve_device
-from warpcage.fitting import PictureRays, Silhouettes, ssim
+from warpcage.fitting import PictureRays, Silhouettes, load_progress, save_progress, ssim
 from warpcage.fitting.batches import counted_tile_size
 from warpcage.fitting.level import Level
 from warpcage.view.camera import camera_array
@@ -41,6 +41,19 @@ def test_weights_stay_with_the_pictures(scene):
     for other in [*others, pickle.loads(pickle.dumps(scene))]:
         np.testing.assert_array_equal(other.weights, scene.weights)
     assert "weights" in repr(scene) and dataclasses.replace(scene, weights=None).weights is None
+
+
+def test_a_subset_has_all_of_its_pictures(scene):
+    share = np.random.default_rng(0).random(scene.images.shape[:3]).astype(np.float32)
+    scene = dataclasses.replace(scene, alphas=share, surroundings=(1 - share[..., None]) * scene.images)
+    for numbers, chosen in (([4, 1], [4, 1]), (slice(1, None, 2), [1, 3, 5]), (np.array([2]), [2])):
+        part = scene.subset(numbers)
+        assert part.names == [scene.names[k] for k in chosen] and part.cameras == [scene.cameras[k] for k in chosen]
+        for name in ("images", "alphas", "surroundings", "weights"):
+            np.testing.assert_array_equal(getattr(part, name), getattr(scene, name)[chosen])
+        np.testing.assert_array_equal(part.points, scene.points)
+    with pytest.raises(ValueError, match="at least one image"):
+        scene.subset([])
 
 
 @pytest.mark.parametrize(
@@ -135,6 +148,37 @@ def test_a_fit_loses_little_by_what_it_ignores(two_threads):
         for each in (train, wrong, dataclasses.replace(wrong, weights=None))
     )
     assert ignoring > clean - 4.0 and ignoring > misled + 8.0, (clean, ignoring, misled)
+
+
+def test_a_fit_goes_on_with_its_weights(two_threads, tmp_path):
+    scene = with_walkers(blob_scene(count=6, size=25, device="cpu"))
+    options = {name: value for name, value in SMALL.items() if name != "progress"}
+    whole, stopped = FieldOptimizer(scene, **options), FieldOptimizer(scene, **options)
+    for _ in range(whole.total_steps // 2 + 3):
+        stopped.step()
+    save_progress(stopped, tmp_path / "c.npz")
+    resumed = FieldOptimizer(scene, **options)
+    load_progress(resumed, tmp_path / "c.npz")
+    for fit in (whole, resumed):
+        while fit.step_count < fit.total_steps:
+            fit.step()
+    require_same_fields(whole.finish(), resumed.finish())
+    other = dataclasses.replace(scene, weights=scene.weights[::-1])
+    with pytest.raises(ValueError, match="another fit"):
+        load_progress(FieldOptimizer(other, **options), tmp_path / "c.npz")
+
+
+def test_a_picture_of_which_nothing_counts_keeps_its_camera(two_threads):
+    scene = room_scene(8, 26, masks=False)
+    weights = np.ones(scene.images.shape[:3])
+    weights[3] = 0.0
+    scene = with_garbage(dataclasses.replace(scene, weights=weights))
+    field = warpcage.fit(scene, refine_cameras=True, bounds=[[-1.2] * 3, [1.2] * 3], **SMALL)
+    refined = field.refined_cameras
+    poses = [np.stack([camera.camera_to_world for camera in cameras]) for cameras in (refined.cameras, scene.cameras)]
+    moved = np.abs(poses[0] - poses[1]).max(axis=(1, 2))
+    assert np.isfinite(moved).all() and moved[3] < max(moved)
+    assert np.abs(np.log(refined.gains)).max() < 0.5 and np.abs(refined.offsets).max() < 0.5
 
 
 def test_weights_of_one_change_nothing(two_threads):

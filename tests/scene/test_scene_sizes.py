@@ -22,6 +22,7 @@ from test_scene_formats import BACKGROUND, load, require_equal
 import warpcage
 from warpcage import evaluate, mean_psnr
 from warpcage.cli import main
+from warpcage.fitting import tuned_scene
 from warpcage.reference import brick_model, render_mesh_views
 from warpcage.scene.pictures import View, flight_bytes
 from warpcage.view import read_image
@@ -257,6 +258,24 @@ def test_fits_of_two_sizes_are_as_good(two_threads, representation, tmp_path):
         rgb = field.render(test.cameras[index], background=test.background).rgb
         assert rgb.shape[:2] == ((32, 32), (26, 27))[index]
         assert row["psnr"] == pytest.approx(warpcage.psnr(rgb, test.cut(index, test.images[index])))
+
+
+def test_cameras_that_a_fit_refines_keep_their_sizes(two_threads, tmp_path):
+    """Where the first picture is a small one, too: rays and pruning are of the frames that hold all."""
+    scene = blob_scene(count=12, size=32, device="cpu")
+    small_first = two_sizes(scene, 27, 26).subset([1, 0, *range(2, 12)])
+    options = {"device": "cpu", "resolution": 24, "levels": 2, "epochs": 6, "batch_rays": 512}
+    figures = {}
+    for name, each in (("whole", scene), ("small first", small_first)):
+        field = warpcage.fit(each, refine_cameras=True, progress=False, **options)
+        figures[name] = mean_psnr(evaluate(field, scene))
+        sizes = [(camera.width, camera.height) for camera in field.refined_cameras.cameras]
+        assert sizes == [(camera.width, camera.height) for camera in each.cameras]
+        field.refined_cameras.save(tmp_path / "refined.json")
+        again = each.with_cameras(warpcage.CameraFile.load(tmp_path / "refined.json"))
+        assert [(camera.width, camera.height) for camera in again.cameras] == sizes
+        assert tuned_scene(field, each).cameras[0].width == sizes[0][0]
+    assert figures["small first"] > figures["whole"] - 1.5
 
 
 def test_the_command_line_shows_pictures_of_their_own_size(tmp_path, bricks, capsys):

@@ -140,6 +140,25 @@ class Scene:
         camera = self.cameras[index]
         return image[: camera.height, : camera.width]
 
+    def subset(self, numbers: Sequence[int] | slice) -> Scene:
+        """Some of the pictures, with all that belongs to them.
+
+        Args:
+            numbers: Those of the pictures, in the order that the new scene has, or a slice of them.
+
+        Returns:
+            The scene; its arrays are views of this one's where `numbers` is a slice.
+
+        Raises:
+            ValueError: For no pictures.
+        """
+        numbers = numbers if isinstance(numbers, slice) else [int(number) for number in numbers]
+        per_picture = {name: getattr(self, name) for name in ("images", "alphas", "surroundings", "weights")}
+        chosen = {name: array[numbers] for name, array in per_picture.items() if array is not None}
+        order = np.arange(len(self))[numbers]
+        lists = {name: [getattr(self, name)[k] for k in order] for name in ("cameras", "names")}
+        return dataclasses.replace(self, **chosen, **lists)
+
     @property
     def whole(self) -> np.ndarray:
         """(n, h, w, 3) float32, the pictures as they were taken, with what the masks split off.

@@ -241,10 +241,7 @@ def _places_inside(scene: Scene, count: int, random: np.random.Generator, device
     """Places (count, 3) evenly inside the visual hull of the object."""
     device, step = resolve_device(device), math.ceil(len(scene) / CARVING_VIEWS)
     assert scene.alphas is not None
-    chosen = slice(None, None, step)
-    parts = {name: getattr(scene, name)[chosen] for name in ("images", "alphas", "cameras", "names")}
-    weights = None if scene.weights is None else scene.weights[chosen]
-    carving = scene if step == 1 else dataclasses.replace(scene, **parts, surroundings=None, weights=weights)
+    carving = scene if step == 1 else scene.subset(slice(None, None, step))
     silhouettes = Silhouettes(carving, device)
     box = silhouettes.bound(scene_box(scene.cameras, scene.bounds))
     size = box[1] - box[0]
