@@ -115,7 +115,8 @@ def fields(device) -> None:
     frame_pixels(frame, "rgb", 1.0, 8.0, 8, 6)
     frame.begin_copies(RGB_BYTES)
     field.render(warpcage.Camera.look_at((0, 0, 0.1), (0, 0, 0), width=8, height=8))  # too near for shaded voxels
-    field.sample(POINTS, np.ones((64, 3)))
+    for points in (POINTS, wp.array(POINTS, dtype=wp.vec3, device=device)):
+        field.sample(points, np.ones((64, 3)))
     harmonics_on_device(np.zeros((5, 24), np.float16), wp.get_device(device))
     CAGE.contains(2.2 * POINTS, device=device)  # in it, at it and beside it
     cameras = camera_array([camera()], field.center, field.device)

@@ -13,7 +13,6 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..cage.motion import posed_cage
 from ..core.arrays import PointsLike, as_given, as_host_points, as_points, empty_array, is_device_array, require_finite
 from ..core.checks import checked_flag, checked_path, checked_step, checked_whole, require_type
 from ..core.devices import launch, resolve_device
@@ -37,8 +36,7 @@ from ..kernels.edits.structs import MAPPED
 from ..kernels.render.rays import MarchOptions, Picture
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..lattice.buffers import StreamOrder
-from ..mesh.match import require_same_faces
-from ..mesh.validity import is_usable, require_usable
+from ..mesh.validity import is_usable
 from ..render.scene import LatticeEdits
 from ..render.view import PosedEdits, ViewRequest, cage_span, require_short_march
 from ..splats.io.formats import format_to_write
@@ -49,6 +47,7 @@ from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
 from .exact import ExactEdits
 from .posed import PosedDeformer
+from .poses import checked_pose, inverse_error
 from .splat_baking import baked_field, numbered_files, warn_of_others
 from .splat_edits import SplatEdits
 
@@ -246,6 +245,29 @@ class Deformer:
             self._held, self._spans = cages, [cage_span(cage) for cage in cages]
         return self._edits
 
+    def inverse_error(self, points: Any = None, *, edit: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """How far apart the two maps of the last pose draw the same matter: 0 where each is the inverse of the other.
+
+        Voxels are looked up backward, by coordinates of the posed cage; splats and `deform_points` go forward, by those
+        of the cage at rest. A point of the picture takes the one to rest and the other back, and misses itself by this.
+
+        Args:
+            points: (n, 3), world units, in the posed cage. None is a grid of 24 cells along its longest side.
+            edit: Number of the edit whose cages are meant, without falloff and fragments.
+
+        Returns:
+            The points (n, 3) float64, and their errors (n,) float64, world units; NaN outside of the posed cage, and
+            where the map leads out of the one at rest. At a distance z from a camera they are `error * fx / z` pixels.
+
+        Raises:
+            ValueError: For an edit that does not exist or removes, and for points of another shape or not finite.
+        """
+        checked_whole(edit, "edit", 0, len(self.edits) - 1)
+        posed = self.edits[edit].cage if self.deformed is None else self.deformed[edit]
+        if posed is None or self.edits[edit].remove:
+            raise ValueError(f"edit {edit} removes what is in its cage: it has no map")
+        return inverse_error(self.edits[edit].cage, posed, self.coordinates, points, self.device)
+
     def to_canonical(
         self, points: Any, directions: Any, *, step: float | None = None, return_outside: bool = False
     ) -> tuple[Any, ...]:
@@ -379,21 +401,6 @@ class Deformer:
         options.stop = STOP_TRANSMITTANCE
         options.arc_opacity = chosen(self.density, "density", opacity=1, paper=0)
         return options
-
-
-def checked_pose(edit: CageEdit, cage: Any, index: int, band: FalloffBand | None = None) -> Cage | None:
-    """The posed cage of an edit, with the walls of its band at rest; None for an edit that removes.
-    `cage` is what the caller gave; `index` is the number of the edit, for messages."""
-    if edit.remove:
-        return None
-    cage = posed_cage(edit.cage, cage, f"the pose of edit {index} must be")
-    require_same_faces(edit.cage, cage)
-    if band is None:
-        return cage
-    require_usable(cage, "the deformed cage")
-    cage = band.held(cage)
-    require_usable(cage, "the deformed cage, its cut walls held at rest,")
-    return cage
 
 
 class SplatDeformer(Deformer):
