@@ -353,3 +353,14 @@ def test_the_map_on_a_lattice(device):
         wp.launch(look_up, 30, [data, given], [moved], device=device)
     tape.backward(grads={moved: wp.array(along, dtype=wp.vec3, device=device)})
     np.testing.assert_allclose(given.grad.numpy(), along @ turn.T, atol=2e-3)
+
+
+@pytest.mark.parametrize("arch", [75])
+def test_ways_back_compile_for_cuda_without_a_gpu(arch, tmp_path, monkeypatch):
+    """As kernels that people write are compiled by default, with their ways back."""
+    module = wp.get_module(__name__)
+    module.get_module_identifier()  # its name in the cache, of the level that users get, is kept
+    monkeypatch.setattr(wp.config, "optimization_level", 2)
+    wp.compile_aot_module(module, arch=arch, module_dir=str(tmp_path), use_ptx=arch == 75)
+    (binary,) = tmp_path.glob("*.ptx" if arch == 75 else "*.cubin")
+    assert binary.stat().st_size > 10_000
