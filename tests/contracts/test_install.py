@@ -123,6 +123,13 @@ def test_a_wheel_imports_elsewhere(wheel, tmp_path):
     assert imported_from(tmp_path, wheel.installed) == (package, package / "kernels")
 
 
+def test_a_wheel_is_imported_beside_a_clone_of_its_name(wheel, tmp_path):
+    """The folder of a clone is no package, so that it does not stand before one."""
+    (tmp_path / "warpcage").symlink_to(ROOT, target_is_directory=True)
+    package = wheel.installed / "warpcage"
+    assert imported_from(tmp_path, wheel.installed) == (package, package / "kernels")
+
+
 def test_an_installed_wheel_runs_examples_by_name(wheel, tmp_path):
     paths = os.pathsep.join(map(str, [wheel.installed, *site_folders()]))
     environment = {**os.environ, "PYTHONPATH": paths}
