@@ -131,7 +131,7 @@ def _warp() -> Iterator[Finding]:
     import warp as wp
 
     from ..core.devices import resolve_device
-    from ..core.stderr import has_driver
+    from ..core.reports import has_driver
     from .info import device_line
     from .shared import quiet_warp
 
