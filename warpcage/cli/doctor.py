@@ -133,9 +133,7 @@ def _warp() -> Iterator[Finding]:
     from ..core.devices import resolve_device
     from ..core.reports import has_driver
     from .info import device_line
-    from .shared import quiet_warp
 
-    quiet_warp()
     resolve_device("cpu")
     yield Finding("ok", "warp", wp.__version__)
     for device in wp.get_devices():
