@@ -14,6 +14,8 @@ EDIT = [
 
 EXR = ["OpenEXR>=3.3"]  # pictures of light, opacity and depth: from 3.3 on it takes NumPy arrays
 
+HEIF = ["pillow-heif>=1.0"]  # pictures of phones in HEIC
+
 CAPTURE = [
     "pycolmap>=4.2",  # cameras of pictures; from 4.2 on its work can be cancelled
     "av>=14.2",  # from there on frames say how a phone was held
@@ -31,6 +33,7 @@ TEST = [
     *EDIT,
     *EXR,
     *DOCS,
+    *HEIF,
     # several workers and clusters; without it those tests are skipped
     "ray>=2.40; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'",
     "selenium>=4.20",  # drives a browser through the editor; those tests are skipped without Chromium
@@ -93,12 +96,12 @@ setup(
         "scikit-image>=0.22",
         "scipy>=1.11",
         "tqdm>=4.66",
-        "pillow>=10.1",  # pictures, and the WebP in files of splats
+        "pillow>=11.3",  # pictures, from there on AVIF, and the WebP in files of splats
         "packaging>=22.0",  # compares versions for `warpcage doctor`
         'zstandard>=0.23; python_version < "3.14"',  # .spz of version 4; from 3.14 on Python has it
     ],
     extras_require={
-        **{"edit": EDIT, "exr": EXR, "capture": CAPTURE, "cluster": CLUSTER},
+        **{"edit": EDIT, "exr": EXR, "heif": HEIF, "capture": CAPTURE, "cluster": CLUSTER},
         **{"docs": DOCS, "test": TEST, "dev": DEV},
     },
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},

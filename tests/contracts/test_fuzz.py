@@ -327,7 +327,9 @@ def test_fit_checkpoints(folders, tmp_path):
     try_damaged()
 
 
-@pytest.mark.parametrize("kind", ["8.png", "16.png", "palette.png", "colour.jpg", "grey.jpg", "any.webp", "any.bmp"])
+@pytest.mark.parametrize(
+    "kind", ["8.png", "16.png", "palette.png", "colour.jpg", "grey.jpg", "any.webp", "any.bmp", "any.tiff", "any.avif"]
+)
 def test_pictures(tmp_path_factory, kind):
     from PIL import Image
     from scene_writers import write_deep_png

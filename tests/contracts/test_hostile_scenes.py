@@ -110,7 +110,7 @@ def test_threads_read_as_many_pictures_as_there_is_memory_for(tmp_path, monkeypa
     flight, held = views.flight_bytes(view, size, 1, False), 8 * 96 * 64 * 17
     changed, now, most, expected = threading.Condition(), [0], [0], 0
 
-    def counted(path):
+    def counted(path, **options):
         with changed:
             now[0] += 1
             most[0] = max(most[0], now[0])
@@ -119,7 +119,7 @@ def test_threads_read_as_many_pictures_as_there_is_memory_for(tmp_path, monkeypa
         time.sleep(0.02)  # so that one too many would, too
         with changed:
             now[0] -= 1
-        return read_rows(path)
+        return read_rows(path, **options)
 
     monkeypatch.setattr(views, "read_rows", counted)
     monkeypatch.setattr(views.os, "cpu_count", lambda: 8)

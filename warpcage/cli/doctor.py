@@ -36,6 +36,7 @@ EXTRAS = {
     "edit": "the editor in the browser",
     "capture": "cameras of pictures and videos",
     "exr": "OpenEXR pictures",
+    "heif": "HEIC pictures",
     "cluster": "several workers and clusters",
 }
 

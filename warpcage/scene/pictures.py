@@ -14,7 +14,7 @@ import numpy as np
 from ..core.memory import free_host_bytes
 from ..core.reports import tell
 from ..view.camera import Camera, common_up
-from ..view.pictures import Rows, image_size, read_rows, shrink, shrink_weights, shrunk_size
+from ..view.pictures import Rows, image_size, is_on_its_side, read_rows, shrink, shrink_weights, shrunk_size
 from .box import Bounds, bulk_box, view_box
 from .formats.parsing import DYNAMIC_MASK, is_file
 from .lenses import Intrinsics, Lens, Part, pinhole_parts
@@ -136,6 +136,12 @@ class View:
     ignored: pathlib.Path | None = None  # picture of what does not count: all that is not black
     lens: Lens | None = None  # in place of distortion: a lens whose picture becomes pinhole views
     part: Part | None = None  # which of these views it is
+    turned: frozenset[pathlib.Path] = frozenset()  # files that are made upright, as the camera is
+
+    @property
+    def files(self) -> list[pathlib.Path]:
+        """All pictures that the view is made of."""
+        return [self.file, *self.mask_files]
 
     @property
     def mask_files(self) -> list[pathlib.Path]:
@@ -186,15 +192,18 @@ def make_scene(
     views = [_with_masks(view, masks) for view in views]
     allowed = Bounds(folder)
     for view in views:
-        for file in (view.file, *view.mask_files):
+        for file in view.files:
             allowed.require(file, view.where)
     if masks == "split" and any(view.mask is None for view in views):
         raise ValueError(f"{views[0].where}: masks='split' needs a mask file for every picture")
+    views = _upright(views)
     views, sizes = _parted(views, _sizes(views))  # of the files
     intrinsics = [_intrinsics(view, size) for view, size in zip(views, sizes, strict=True)]
     shapes = [size if view.part is None else view.part.size for view, size in zip(views, sizes, strict=True)]
     has_parts = any(view.part is not None for view in views)
-    frames, canvas = _frames(shapes, [] if has_parts else _sizes_there(beside))
+    frames, canvas = _frames(
+        shapes, [] if has_parts else _sizes_there(beside, upright=any(view.turned for view in views))
+    )
     if frames is shapes:
         _require_known_sizes(views, shapes)
     pinholes = [pinhole_intrinsics(*each) for each in zip(views, intrinsics, frames, strict=True)]
@@ -289,21 +298,46 @@ def _refuse_doubles(views: list[View]) -> None:
         seen[key] = view.where
 
 
+def _upright(views: list[View]) -> list[View]:
+    """The views with the files of theirs that must be turned to have the width and height of the camera, which their
+    orientation tags say: pictures, and masks that were not turned before."""
+    return [
+        view
+        if view.size is None
+        else dataclasses.replace(view, turned=frozenset(file for file in view.files if _is_turned(file, view.size)))
+        for view in views
+    ]
+
+
+def _is_turned(file: pathlib.Path, size: Size) -> bool:
+    """Whether a picture is on its side, and upright has a size that it has not."""
+    found = image_size(file)
+    return found != tuple(size) and found[::-1] == tuple(size) and is_on_its_side(file)
+
+
 def _sizes(views: list[View]) -> list[Size]:
-    """Width and height of each picture, by its header; its masks must have the same."""
+    """Width and height of each picture, by its header, once it is upright; its masks must have the same."""
+
+    def size_of(view: View, file: pathlib.Path) -> Size:
+        width, height = image_size(file)
+        return (height, width) if file in view.turned else (width, height)
+
     with ThreadPoolExecutor() as pool:
-        sizes = list(pool.map(lambda view: image_size(view.file), views))
+        sizes = list(pool.map(lambda view: size_of(view, view.file), views))
     for view, size in zip(views, sizes, strict=True):
         if view.size is not None and size != tuple(view.size):
+            hint = ""
+            if size[::-1] == tuple(view.size):
+                hint = ", which is on its side and has no tag that says which: turn the file by a quarter"
             raise ValueError(
                 f"{view.where}: the camera is for {_times(view.size)} pixels, image {view.file.name!r} "
-                f"has {_times(size)}"
+                f"has {_times(size)}{hint}"
             )
         for mask in view.mask_files:
-            if image_size(mask) != size:
+            if size_of(view, mask) != size:
                 raise ValueError(
-                    f"{view.where}: mask {mask.name!r} is {_times(image_size(mask))}, its image {view.file.name!r} is "
-                    f"{_times(size)}"
+                    f"{view.where}: mask {mask.name!r} is {_times(size_of(view, mask))}, its image {view.file.name!r} "
+                    f"is {_times(size)}"
                 )
     return sizes
 
@@ -332,12 +366,14 @@ def _turned(pose: np.ndarray, part: Part) -> np.ndarray:
     return pose @ turn
 
 
-def _sizes_there(files: Sequence[pathlib.Path]) -> list[Size]:
-    """Sizes of pictures of other splits that can be read: what is wrong with the rest is told with their split."""
+def _sizes_there(files: Sequence[pathlib.Path], *, upright: bool) -> list[Size]:
+    """Sizes of pictures of other splits that can be read: what is wrong with the rest is told with their split.
+    upright: whether pictures on their side are turned."""
 
     def size_of(file: pathlib.Path) -> Size | None:
         try:
-            return image_size(file)
+            width, height = image_size(file)
+            return (height, width) if upright and is_on_its_side(file) else (width, height)
         except (ValueError, OSError):
             return None
 
@@ -451,9 +487,10 @@ Reader = Callable[[int, int | None, int | None], tuple[np.ndarray, np.ndarray]]
 
 def _reader(view: View, background: np.ndarray, split: bool) -> Reader:
     """Decodes the files of a view."""
-    picture = read_rows(view.file)
-    files = view.mask, view.counted, view.ignored
-    mask, counted, ignored = (None if file is None else read_rows(file) for file in files)
+    files = view.file, view.mask, view.counted, view.ignored
+    rows = [None if file is None else read_rows(file, upright=file in view.turned) for file in files]
+    picture, mask, counted, ignored = rows
+    assert picture is not None
 
     def read(first: int, last: int | None, width: int | None) -> tuple[np.ndarray, np.ndarray]:
         def rows_of(rows: Rows) -> np.ndarray:

@@ -21,8 +21,20 @@ from ..core.names import error_line
 #: The rows of a picture from one to another, (k, w, c) float32.
 Rows = Callable[[int, int | None], np.ndarray]
 
-#: What `read_image` opens.
-PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "BMP")
+#: What `read_image` opens, and the endings of pictures of phones for which another library is needed.
+PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "AVIF")
+HEIF_ENDINGS = (".heic", ".heif", ".hif")
+
+#: What makes a picture (h, w, c) upright whose camera was turned by a quarter, by the number of its orientation tag.
+TURNS = {
+    5: lambda rows: rows.swapaxes(0, 1),
+    6: lambda rows: np.rot90(rows, -1),
+    7: lambda rows: np.rot90(rows, 2).swapaxes(0, 1),
+    8: lambda rows: np.rot90(rows, 1),
+}
+
+#: The number of EXIF's orientation tag.
+ORIENTATION = 0x0112
 
 #: How PNG files are packed: runs alone, as rows are filtered before. It takes less than two thirds of the time of a
 #: search for repetitions, and files are as large within a tenth (benchmarks/NOTES-batch.md).
@@ -60,17 +72,19 @@ FAR_ROOM = 0.15
 
 
 def read_image(path: str | os.PathLike) -> np.ndarray:
-    """Read a picture file (PNG, JPEG, WebP, BMP): (h, w, c) float32 in [0, 1]; c is 1 or 2 for grey, 3 or 4 for colour.
-    Rows are as the file stores them: a camera's orientation tag is not applied."""
+    """Read a picture file (PNG, JPEG, WebP, BMP, TIFF, AVIF, HEIC): (h, w, c) float32 in [0, 1]; c is 1 or 2 for
+    grey, 3 or 4 for colour. Rows are as the file stores them: a camera's orientation tag is not applied."""
     return read_rows(path)(0, None)
 
 
-def read_rows(path: str | os.PathLike) -> Rows:
+def read_rows(path: str | os.PathLike, *, upright: bool = False) -> Rows:
     """Decode a picture file: a function of the first row and the one after the last (None: the end) that gives them.
-    Rows become floats, as in `read_image`, when they are asked for: those take four times the memory."""
+    Rows become floats, as in `read_image`, when they are asked for; upright: turned as `is_on_its_side` says."""
     path = require_file(path, "image")
     with _opened(path) as picture:
         pixels = _decoded(picture, path)
+        if upright:
+            pixels = TURNS[picture.getexif()[ORIENTATION]](np.asarray(pixels))
         first = np.asarray(pixels.crop((0, 0, 1, 1))) if not isinstance(pixels, np.ndarray) else pixels[:1]
         if first.dtype not in (np.uint8, np.uint16) or first.ndim not in (2, 3):
             raise ValueError(f"it must hold 8 or 16 bits per channel, got {first.dtype} in {first.ndim} dimensions")
@@ -93,20 +107,39 @@ def image_size(path: str | os.PathLike) -> tuple[int, int]:
         return picture.size
 
 
+def is_on_its_side(path: str | os.PathLike) -> bool:
+    """Whether a picture's orientation tag says that its camera was turned by a quarter: its rows are columns then."""
+    with _opened(require_file(path, "image")) as picture:
+        return picture.getexif().get(ORIENTATION) in TURNS
+
+
 @contextlib.contextmanager
 def _opened(path: pathlib.Path) -> Iterator[Any]:
     """A PIL image whose header is read and whose size is allowed; whatever goes wrong becomes one ValueError."""
     from PIL import Image
 
     try:
+        formats = [*PICTURE_FORMATS, *_heif_format(path)]
         # opened here: libraries take some names for addresses
-        with open(path, "rb") as file, Image.open(file, formats=PICTURE_FORMATS) as picture:
+        with open(path, "rb") as file, Image.open(file, formats=formats) as picture:
             width, height = picture.size
             if width * height > MAX_PIXELS:
                 raise ValueError(f"it declares {width}x{height} pixels, at most {MAX_PIXELS} are read")
             yield picture
     except Exception as error:
         raise ValueError(f"image {str(path)!r} cannot be read: {error_line(error, 300)}") from error
+
+
+def _heif_format(path: pathlib.Path) -> tuple[str, ...]:
+    """The name of HEIC's format, once Pillow knows it, for a file of that ending."""
+    if path.suffix.lower() not in HEIF_ENDINGS:
+        return ()
+    try:
+        import pillow_heif  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise ValueError('HEIC needs its library: pip install "warpcage[heif]"') from error
+    pillow_heif.register_heif_opener()
+    return ("HEIF",)
 
 
 def _decoded(picture: Any, path: pathlib.Path) -> Any:
@@ -118,6 +151,10 @@ def _decoded(picture: Any, path: pathlib.Path) -> Any:
         return picture.convert("RGBA" if "transparency" in picture.info else "L" if grey else "RGB")
     if picture.mode in ("CMYK", "YCbCr", "LAB", "HSV"):
         return picture.convert("RGB")
+    if picture.mode in ("RGBa", "La"):  # multiplied by opacity, in TIFF
+        return picture.convert("RGBA" if picture.mode == "RGBa" else "LA")
+    if picture.mode == "I;16B":
+        return np.asarray(picture).astype(np.uint16)[..., None]
     picture.load()
     return picture
 

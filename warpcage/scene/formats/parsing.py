@@ -20,9 +20,9 @@ from ...core.files import JSON_ROOM, TEXT_ROOM, read_limited, require_file
 from ...core.names import error_line
 
 #: Endings of pictures, and what is tried where a name has none.
-PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".avif", ".heic", ".heif")
 
-GUESSED_ENDINGS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".webp")
+GUESSED_ENDINGS = (*PICTURE_ENDINGS, *(ending.upper() for ending in PICTURE_ENDINGS))
 
 #: Where a format has no splits of its own, every eighth picture is held out.
 HOLD_OUT = 8
