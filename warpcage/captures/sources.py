@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core import reports
 from ..core.checks import checked_path, listed, shown
 from ..core.files import require_file
 from ..core.names import agreed
@@ -170,6 +171,4 @@ def _has_pictures(folder: pathlib.Path) -> bool:
 def bar(total: int | None, step: str, shown: bool, *, done: int = 0) -> Any:
     """A bar for one step, as a context; its `update(count)` moves it on.
     total: None is not known; done: items that an earlier run did."""
-    from tqdm import tqdm
-
-    return tqdm(total=total, initial=done, desc=step, disable=not shown)
+    return reports.bar(total, step, done=done, shown=shown)

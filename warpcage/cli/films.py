@@ -24,6 +24,7 @@ from ..batch.job_file import write_jobs
 from ..batch.run import RunProgress, RunReport, run_jobs
 from ..core.files import PathLike, atomic_path
 from ..core.names import FRAGMENTS_WORD, TRANSPARENT, counted
+from ..core.reports import bar, say_above_bar
 from ..editor.document import Document
 from ..editor.exports import Film
 from ..editor.renderer import view_camera
@@ -268,20 +269,15 @@ class FilmWorkers:
         return [place, folder / WORKPLACE / place.name]
 
     def _run(self, path: pathlib.Path, out: pathlib.Path, missing: int, told: Callable[[], None]) -> RunReport:
-        from tqdm import tqdm
-
         count = len(self.frames)
-        with tqdm(total=count, initial=count - missing, desc="animate", disable=self.quiet) as bar:
+        with bar(count, "animate", done=count - missing, shown=not self.quiet) as shown:
 
             def show(state: RunProgress) -> None:
                 told()
                 if state.stage == "make":
-                    bar.update(count - missing + state.kept + state.done + state.failed - bar.n)
+                    shown.update(count - missing + state.kept + state.done + state.failed - shown.n)
 
-            def warn(line: str) -> None:
-                tqdm.write(f"warpcage: warning: {line}", file=sys.stderr)
-
-            return run_jobs(path, out, workers=self.workers, device=self.device, progress=show, warn=warn)
+            return run_jobs(path, out, workers=self.workers, device=self.device, progress=show, warn=say_above_bar)
 
 
 def frame_outputs(output: pathlib.Path, show: str, kind: str | None) -> tuple[dict[str, str], str]:

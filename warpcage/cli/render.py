@@ -16,6 +16,7 @@ from ..cage.pose_file import PoseFile
 from ..core.files import require_file
 from ..core.names import TRANSPARENT, counted
 from ..core.overlap import BackgroundWriter
+from ..core.reports import bar
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
 from ..editor.renderer import view_camera
 from ..editor.session import read_session
@@ -293,10 +294,9 @@ def _check(args: argparse.Namespace, output: pathlib.Path) -> None:
 
 def _render(shot: Shot, output: pathlib.Path) -> None:
     """Render the film or the folder here."""
-    from tqdm import tqdm
-
     args, cameras, kept = shot.args, shot.cameras, 0
-    with tqdm(range(args.frames), desc="animate", disable=args.quiet) as frames:  # ends before an error is said
+    numbers = range(args.frames)
+    with bar(args.frames, "animate", shown=not args.quiet, iterable=numbers) as frames:  # ends before an error is said
         if output.suffix:
             write_film(output, map(shot.picture, frames), args.fps, loop=args.loop != "once")
         else:
@@ -347,12 +347,10 @@ def _run_session(args: argparse.Namespace) -> None:
         _say_jobs(jobs, job.write(jobs, frames), view_camera(document.view, width, height))
         return
 
-    from tqdm import tqdm
-
-    with tqdm(total=len(frame_times(document.timeline)), desc="animate", disable=args.quiet) as bar:
+    with bar(len(frame_times(document.timeline)), "animate", shown=not args.quiet) as shown:
 
         def report(share: float | None, text: str) -> None:
-            bar.update(round((share or 0.0) * bar.total) - bar.n)
+            shown.update(round((share or 0.0) * shown.total) - shown.n)
 
         count = export_film(document, field, output, film, report)
     print(f"wrote {output}: {counted(count, 'frame')} of {outputs.size_text(width, height, output)}")

@@ -18,6 +18,7 @@ from ..cage.cage import Cage
 from ..cage.random_poses import RandomPoses
 from ..core.files import NpyFile
 from ..core.names import BACKGROUNDS, TRANSPARENT, counted
+from ..core.reports import bar, say_above_bar
 from ..core.threads import cpu_threads
 from ..scene.formats.transforms import TransformsCameras
 from ..view.camera import Camera, CameraFile, framing_orbit
@@ -68,15 +69,13 @@ class _Bar:
 
     def show(self, state: RunProgress) -> None:
         """Show how far the run is."""
-        from tqdm import tqdm
-
         if state.stage != self._stage:
             if self._bar is not None:
                 self._bar.close()
             start = state.kept if state.stage == "make" else 0
-            options: dict[str, Any] = {"total": state.total, "initial": start, "unit": " items", "smoothing": 0.1}
             brief = state.stage == "check"  # gone again: most jobs are looked through at once
-            self._bar = tqdm(desc=state.stage, disable=self._quiet, leave=not brief, delay=0.5 * brief, **options)
+            options: dict[str, Any] = {"stays": not brief, "delay": 0.5 * brief, "unit": " items", "smoothing": 0.1}
+            self._bar = bar(state.total, state.stage, done=start, shown=not self._quiet, **options)
             self._stage = state.stage
         assert self._bar is not None
         if state.failed:
@@ -86,9 +85,7 @@ class _Bar:
 
     def warn(self, line: str) -> None:
         """Print a line above the bar."""
-        from tqdm import tqdm
-
-        tqdm.write(f"warpcage: warning: {line}", file=sys.stderr)
+        say_above_bar(line)
 
 
 def _conclude(report: RunReport, output: str) -> int:
@@ -212,10 +209,8 @@ class _Told:
 
     def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
         """The vertices of each; most: of the first ones alone."""
-        from tqdm import tqdm
-
         count = len(self) if most is None else min(most, len(self))
-        yield from tqdm(self.source.rows(most), "poses", count, file=sys.stderr, disable=self._quiet, leave=False)
+        yield from bar(count, "poses", shown=not self._quiet, stays=False, iterable=self.source.rows(most))
 
     def drawn(self, number: int) -> dict | None:
         """What a worker draws a pose by; None where its vertices are written."""

@@ -77,6 +77,55 @@ def tell(done: int, total: int, words: str) -> None:
         raise Cancelled(f"{words.partition(':')[0]} was cancelled, {done}{f' of {total}' if total else ''} done")
 
 
+def bar(total: int | None, what: str, *, done: int = 0, shown: bool = True, stays: bool = True, **options: Any) -> Any:
+    """A bar of tqdm on stderr, `total` None or 0 where it is not known; where that is no terminal, one line at its end.
+    stays: whether it stands there after it; options: more of tqdm's own."""
+    kind = _bar_kind(sys.stderr.isatty() or "ipykernel" in sys.modules)  # a notebook shows bars, and is no terminal
+    how = {"total": total or None, "initial": done, "desc": what, "disable": not shown, "leave": stays}
+    return kind(file=sys.stderr, **how, **options)
+
+
+def say_above_bar(line: str) -> None:
+    """Print a warning on stderr, above a bar that may be shown."""
+    from tqdm import tqdm
+
+    tqdm.write(f"warpcage: warning: {line}", file=sys.stderr)
+
+
+class _Nowhere:
+    """A file that keeps nothing."""
+
+    def write(self, text: str) -> None:
+        pass
+
+    def flush(self) -> None:
+        pass
+
+
+@functools.cache
+def _bar_kind(terminal: bool) -> Any:
+    """The class of bars on a terminal or elsewhere; tqdm is loaded where one is shown, as it takes a while."""
+    from tqdm import tqdm
+
+    class LineBar(tqdm):
+        """A bar that is drawn nowhere, and of which the last state is written, so that logs have one line a stage."""
+
+        def __init__(self, *, file: Any, **options: Any):
+            self._log = file
+            super().__init__(file=_Nowhere(), **options)
+
+        def close(self) -> None:
+            if self.leave and not self.disable:
+                seen = self.format_dict
+                count = f"{seen['n']}/{seen['total']}" if seen["total"] else seen["n"]
+                more = f", {seen['postfix']}" if seen["postfix"] else ""
+                line = f"{self.desc.removesuffix(': ')}: {count} in {tqdm.format_interval(seen['elapsed'])}{more}"
+                print(line, file=self._log, flush=True)
+            super().close()
+
+    return tqdm if terminal else LineBar
+
+
 class _Bars:
     """Progress as a bar after the other."""
 
@@ -85,12 +134,10 @@ class _Bars:
         self._shown: tuple[str, int] | None = None  # what the bar is of
 
     def __call__(self, done: int, total: int, words: str) -> None:
-        from tqdm import tqdm
-
         what, _, more = words.partition(": ")
         if self._shown != (what, total):
             self.close()
-            self._bar, self._shown = tqdm(total=total or None, initial=done, desc=what), (what, total)
+            self._bar, self._shown = bar(total, what, done=done), (what, total)
         self._bar.update(done - self._bar.n)
         if more:
             self._bar.set_postfix_str(more)

@@ -1,0 +1,73 @@
+"""Bars of long work: on a terminal as tqdm draws them, elsewhere one line a stage, so that logs can be read."""
+
+import os
+import re
+import struct
+import subprocess
+import sys
+
+import pytest
+from runs import write_files
+
+STAGES = """
+from warpcage.core import reports
+with reports.bar(3, "frames", done=1) as bar:
+    for share in ("20 dB", "21 dB"):
+        bar.update(1)
+        bar.set_postfix_str(share)
+assert list(reports.bar(2, "poses", iterable=range(2))) == [0, 1]
+with reports.bar(None, "cameras") as bar:
+    bar.update(5)
+    reports.say_above_bar("too dark")
+with reports.bar(4, "check", stays=False) as bar:
+    bar.update(4)
+with reports.bar(4, "hidden", shown=False) as bar:
+    bar.update(4)
+"""
+
+
+def test_a_log_has_one_line_of_each_stage():
+    done = subprocess.run([sys.executable, "-c", STAGES], capture_output=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    lines = [re.sub(r"\d\d:\d\d", "TIME", line) for line in done.stderr.decode().split("\n")]
+    assert lines == [
+        "frames: 3/3 in TIME, 21 dB",
+        "poses: 2/2 in TIME",
+        "warpcage: warning: too dark",
+        "cameras: 5 in TIME",
+        "",
+    ]
+
+
+def test_a_terminal_has_bars():
+    fcntl, termios = pytest.importorskip("fcntl"), pytest.importorskip("termios")  # not on Windows
+    ours, theirs = os.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))  # it has no width of its own
+    child = subprocess.Popen([sys.executable, "-c", STAGES], stderr=theirs)
+    os.close(theirs)
+    shown = b""
+    while True:
+        try:
+            part = os.read(ours, 65536)
+        except OSError:  # the other end is closed
+            break
+        if not part:
+            break
+        shown += part
+    os.close(ours)
+    assert child.wait(timeout=60) == 0
+    assert b"\r" in shown and b"100%" in shown and b"warpcage: warning: too dark" in shown and b"hidden" not in shown
+
+
+@pytest.mark.parametrize("command", ["fit", "animate"])
+def test_commands_leave_logs_that_can_be_read(tmp_path, command):
+    write_files(tmp_path)
+    words = {
+        "fit": "fit scene -o new.npz --resolution 16 --epochs 1",
+        "animate": "animate ball.npz -o turn --frames 3 --size 16 --turn 90",
+    }[command].split()
+    run = [sys.executable, "-m", "warpcage", *words, "--device", "cpu"]
+    done = subprocess.run(run, cwd=tmp_path, capture_output=True, timeout=240)
+    said = done.stderr.decode()
+    assert done.returncode == 0 and "\r" not in said, said
+    assert len(re.findall(rf"^{command}: \d+/\d+ in ", said, re.MULTILINE)) == 1
