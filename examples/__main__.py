@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ast
-import difflib
 import os
 import pathlib
 import subprocess
 import sys
+
+from warpcage.core.names import meant
 
 FOLDER = pathlib.Path(__file__).resolve().parent
 
@@ -29,9 +30,8 @@ def main(words: list[str]) -> int:
         return 0
     name = words[0].removesuffix(".py")
     if name not in there:
-        near = difflib.get_close_matches(name, there, 1)
-        meant = f", did you mean {near[0]}?" if near else ": `python -m warpcage.examples` lists them"
-        print(f"warpcage: error: there is no example {name!r}{meant}", file=sys.stderr)
+        more = meant(name, there) or ": `python -m warpcage.examples` lists them"
+        print(f"warpcage: error: there is no example {name!r}{more}", file=sys.stderr)
         return 2
     # a process of its own, as one of them wants to begin without warpcage; it imports the package that this one is of
     paths = [os.path.dirname(sys.modules["warpcage"].__path__[0]), *filter(None, [os.environ.get("PYTHONPATH")])]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import pathlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 _Choice = TypeVar("_Choice")
@@ -57,8 +57,17 @@ LOOPS = ("once", "loop", "ping-pong")
 def require_name(value: object, names: Sequence[str], what: str) -> str:
     """A value that is one of the names that an option takes; `what` is the option's name."""
     if not isinstance(value, str) or value not in names:
-        raise ValueError(f"{what} must be one of {', '.join(names)}, got {' '.join(repr(value)[:60].split())}")
+        got = " ".join(repr(value)[:60].split())
+        raise ValueError(f"{what} must be one of {', '.join(names)}, got {got}{meant(value, names)}")
     return value
+
+
+def meant(value: object, names: Iterable[str]) -> str:
+    """What ends a message, such as ", did you mean green?": empty where none of the names is near to a value."""
+    import difflib
+
+    near = difflib.get_close_matches(value, names, 1) if isinstance(value, str) and len(value) <= 60 else []
+    return f", did you mean {near[0]}?" if near else ""
 
 
 def chosen(value: object, what: str, **choices: _Choice) -> _Choice:
