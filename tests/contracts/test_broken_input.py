@@ -14,7 +14,7 @@ from scene_writers import (
     write_transforms,
 )
 
-from warpcage import load_scene
+from warpcage import Error, load_scene
 
 WRITERS = {
     "blender": write_blender,
@@ -42,7 +42,7 @@ def refuse(folder, words, error=ValueError, **options):
     with pytest.raises(error) as caught:
         load_scene(folder, **options)
     message = str(caught.value)
-    assert type(caught.value) is error and "\n" not in message
+    assert isinstance(caught.value, error) and isinstance(caught.value, Error) and "\n" not in message
     for word in words.split(" | "):
         assert word in message, message
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scenes import blob_scene
 
-from warpcage import FieldOptimizer, VoxelField
+from warpcage import Error, FieldOptimizer, VoxelField
 from warpcage.cli.cages import read_mesh as read_object
 from warpcage.core import UNKNOWN, MemoryShortage, free_host_bytes, listed, npz_names, read_limited, read_npz
 from warpcage.field import io as field_files
@@ -29,7 +29,7 @@ def refused(action, *words, error=ValueError):
     with pytest.raises(error) as caught:
         action()
     message = str(caught.value)
-    assert type(caught.value) is error and "\n" not in message
+    assert isinstance(caught.value, error) and isinstance(caught.value, Error) and "\n" not in message
     for word in words:
         assert word in message, message
 

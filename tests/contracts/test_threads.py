@@ -405,7 +405,10 @@ def test_damaged_kernel_files_that_cannot_be_replaced_are_named(cached_module, m
     path.write_bytes(whole)
     assert done.returncode == 1
     last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith(f"RuntimeError: the compiled kernels in {path.parent} are damaged") and "remove it" in last
+    assert (
+        last.startswith(f"warpcage.errors.StateError: the compiled kernels in {path.parent} are damaged")
+        and "remove it" in last
+    )
 
 
 def test_threads_that_load_a_module_at_once_get_one(device):

@@ -21,6 +21,7 @@ from .. import __version__
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
 from ..core.names import error_line
+from ..errors import StateError
 from .items import EvaluateItem, FrameItem, Item
 from .job_file import Fingerprints, ItemReader
 from .manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes, OutputFolder
@@ -401,7 +402,7 @@ def make_runner(settings: RunnerSettings) -> ChunkRunner:
     folder = OutputFolder(settings.out)
     for path in (pathlib.Path(settings.base), folder.notes):
         if not path.is_dir():
-            raise RuntimeError(
+            raise StateError(
                 f"{platform.node()} does not see {str(path)!r}: all machines need the folders under the same path"
             )
     held = folder.worked_in()

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Generic, Protocol, TypeVar
 
+from ..errors import StateError
 from .chunk_runner import Chunk, ChunkOrder, ChunkReport, ChunkRunner, RunnerSettings
 from .manifest import DONE, ERROR, FAILED, OutputFolder, notes_of_chunk
 from .processes import Process, Share
@@ -164,7 +165,7 @@ def _replace(dispatcher: Dispatcher, engine: Engine, name: str, reason: str, war
         return
     warn(f"worker {name} is given up: it died before it made anything, again and again")
     if not dispatcher.workers and not dispatcher.finished:
-        raise RuntimeError(f"no worker is left: {reason}")
+        raise StateError(f"no worker is left: {reason}")
 
 
 Key = TypeVar("Key")  # a worker, or one of its chunks
@@ -245,7 +246,7 @@ class LocalEngine:
     def launch(self, worker: str) -> None:
         """The worker is here; a RuntimeError when it is started again."""
         if self._launches:  # a device that is lost stays so in this process
-            raise RuntimeError("the device works no more in this process: run again, what is made is kept")
+            raise StateError("the device works no more in this process: run again, what is made is kept")
         self._launches.append(self.now())
         self._events.append(Ready(worker))
 

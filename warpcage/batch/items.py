@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 from ..core.checks import checked_bounds, shown
 from ..core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, edit_fields
+from ..errors import InputError
 from ..splats.io import SPLAT_ENDINGS
 from . import words
 from .words import EDIT_WORDS, Checker, EditWords, checked_words, one_of, plain, safe_name, text
@@ -73,11 +74,11 @@ class Item(abc.ABC):
         """An item of the kind that it says from JSON; defaults: what holds where that says nothing.
         Words of other kinds of items are left out of the defaults."""
         if not isinstance(entry, Mapping):
-            raise ValueError(f"an item must be a JSON object, got {shown(entry)}")
+            raise InputError(f"an item must be a JSON object, got {shown(entry)}")
         usual = defaults if isinstance(defaults, Defaults) else Defaults(defaults or {})
         kind = entry.get("kind") or usual.words.get("kind") or "frame"
         if not isinstance(kind, str) or kind not in Item.kinds:
-            raise ValueError(f"'kind' must be one of {', '.join(Item.kinds)}, got {shown(kind)}")
+            raise InputError(f"'kind' must be one of {', '.join(Item.kinds)}, got {shown(kind)}")
         return Item.kinds[kind]._made(entry, usual.of(Item.kinds[kind]))
 
     @classmethod
@@ -86,7 +87,7 @@ class Item(abc.ABC):
         given |= checked_words(entry, cls.known, f"an item of kind {cls.kind!r}")
         given.pop("kind", None)
         if "id" not in given:
-            raise ValueError('an item needs an "id", such as "frame_0001"')
+            raise InputError('an item needs an "id", such as "frame_0001"')
         return cls(**cls._completed(given))
 
     @classmethod
@@ -128,7 +129,7 @@ def output_path(path: Any, item_id: str, word: str) -> str:
     """A checked name of an output, with the item's id put in. Raises ValueError for others."""
     found = safe_name(path.replace(ID, item_id) if isinstance(path, str) else path, word)
     if found.lower() in RESERVED:
-        raise ValueError(f"{word} cannot be {found!r}, which is the run's own")
+        raise InputError(f"{word} cannot be {found!r}, which is the run's own")
     return found
 
 
@@ -150,7 +151,7 @@ PART_ENDINGS = {
 
 def _edits(value: Any, word: str) -> tuple[EditWords, ...]:
     if not isinstance(value, list) or not value:
-        raise ValueError(f"{word} must be a list of at least one edit, got {shown(value)}")
+        raise InputError(f"{word} must be a list of at least one edit, got {shown(value)}")
     return tuple(EditWords.from_json(entry, f"edit {number} of {word}") for number, entry in enumerate(value, 1))
 
 
@@ -158,7 +159,7 @@ def _resolution(value: Any, word: str) -> int | str:
     if value == "precise":
         return value
     if type(value) is not int or value < 1:
-        raise ValueError(
+        raise InputError(
             f'{word} must be a whole number of lattice cells, or "precise" (mean_value and green only), '
             f"got {shown(value)}"
         )
@@ -169,7 +170,7 @@ def _camera(value: Any, word: str) -> Any:
     if isinstance(value, str) and value:
         return text(value, word)
     if not isinstance(value, dict) or not value:
-        raise ValueError(
+        raise InputError(
             f"{word} must be an object with {', '.join(_PINHOLE)}, or one with eye, target, width and height; or "
             f'"cameras.json#NAME" or "transforms.json#3", got {shown(value)}'
         )
@@ -178,7 +179,7 @@ def _camera(value: Any, word: str) -> Any:
     needed = {name: each for name, each in _LOOKING.items() if name not in _USUAL} if "eye" in value else _PINHOLE
     for name, check in needed.items():
         if value.get(name) is None:
-            raise ValueError(f"{word} lacks {name!r}")
+            raise InputError(f"{word} lacks {name!r}")
         check(value[name], f"{name!r} of {word}")
     return value
 
@@ -189,7 +190,7 @@ def _vector(value: Any, word: str) -> tuple[float, ...]:
 
 def _pose(value: Any, word: str) -> Any:
     if not isinstance(value, list) or len(value) != 4:
-        raise ValueError(f"{word} must be four rows of four numbers, got {shown(value)}")
+        raise InputError(f"{word} must be four rows of four numbers, got {shown(value)}")
     return [words.numbers(row, f"a row of {word}", 4) for row in value]
 
 
@@ -215,26 +216,26 @@ _USUAL = ("up", "fov_degrees")
 def _size(value: Any, word: str) -> tuple[int, ...]:
     sides = value if isinstance(value, list | tuple) else [value]
     if not 1 <= len(sides) <= 2:
-        raise ValueError(f"{word} must be a width, or [width, height], in pixels, got {shown(value)}")
+        raise InputError(f"{word} must be a width, or [width, height], in pixels, got {shown(value)}")
     return tuple(_SIDE(side, word) for side in sides)
 
 
 def _scale(value: Any, word: str) -> tuple[float, float]:
     low, high = words.numbers(value, word, 2)
     if high < low:
-        raise ValueError(f"{word} must be [low, high], got [{low:g}, {high:g}]")
+        raise InputError(f"{word} must be [low, high], got [{low:g}, {high:g}]")
     return low, high
 
 
 def _frame_outputs(value: Any, word: str) -> dict[str, str]:
     if not isinstance(value, dict) or not value:
-        raise ValueError(f'{word} must be an object such as {{"rgb": "{ID}.png", "depth": "{ID}.npy"}}')
+        raise InputError(f'{word} must be an object such as {{"rgb": "{ID}.png", "depth": "{ID}.npy"}}')
     for part, path in value.items():
         if part not in PART_ENDINGS:
-            raise ValueError(f"{word} has no {shown(part)}, only {', '.join(PART_ENDINGS)}")
+            raise InputError(f"{word} has no {shown(part)}, only {', '.join(PART_ENDINGS)}")
         endings = PART_ENDINGS[part]
         if not isinstance(path, str) or not path.lower().endswith(endings):
-            raise ValueError(f"{part!r} of {word} must end in {' '.join(endings)}, got {shown(path)}")
+            raise InputError(f"{part!r} of {word} must end in {' '.join(endings)}, got {shown(path)}")
     return dict(value)
 
 
@@ -315,13 +316,13 @@ class FrameItem(Item):
     def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
         for word in ("field", "camera"):
             if word not in given:
-                raise ValueError(f"a frame needs a {word!r}")
+                raise InputError(f"a frame needs a {word!r}")
         short = {word: given.pop(word) for word in SHORT_EDIT if word in given}
         if short and "edits" in given:
-            raise ValueError(f"{next(iter(short))!r} and 'edits' do not go together: put it into one of the edits")
+            raise InputError(f"{next(iter(short))!r} and 'edits' do not go together: put it into one of the edits")
         if short:
             if "cage" not in short:
-                raise ValueError(f"{next(iter(short))!r} needs a 'cage', the cage at rest")
+                raise InputError(f"{next(iter(short))!r} needs a 'cage', the cage at rest")
             given["edits"] = (EditWords(**edit_fields(short)),)
         outputs = given.get("outputs") or {"rgb": f"{ID}.png"}
         given["outputs"] = {
@@ -335,18 +336,18 @@ def _require_possible(given: dict[str, Any]) -> None:
     """Raise ValueError for words of a frame that do not go together."""
     outputs, edits = given["outputs"], given.get("edits")
     if len(set(outputs.values())) < len(outputs):
-        raise ValueError(f"two of the 'outputs' are one file: {', '.join(outputs.values())}")
+        raise InputError(f"two of the 'outputs' are one file: {', '.join(outputs.values())}")
     needing = [part for part in ("masks", "reveal", "fold", "outside") if part in outputs]
     needing += [word for word in ("fill", "overlay") if given.get(word)]
     if needing and not edits:
-        raise ValueError(f"{needing[0]!r} needs a deformation: 'cage' and 'posed', or 'edits'")
+        raise InputError(f"{needing[0]!r} needs a deformation: 'cage' and 'posed', or 'edits'")
     if given.get("resolution") == "precise" and given.get("coordinates", FIELD_COORDINATES) == "harmonic":
-        raise ValueError("harmonic coordinates have no closed form: give 'resolution' a number, or leave it out")
+        raise InputError("harmonic coordinates have no closed form: give 'resolution' a number, or leave it out")
     clear = given.get("background") == TRANSPARENT
     if clear and outputs.get("rgb", "").lower().endswith((".jpg", ".jpeg")):
-        raise ValueError("a JPEG has no opacity: write a .png or .exr, or name another 'background'")
+        raise InputError("a JPEG has no opacity: write a .png or .exr, or name another 'background'")
     if given.get("fill") and given.get("background") is not None:
-        raise ValueError("'fill' continues the field's own background: it cannot be combined with 'background'")
+        raise InputError("'fill' continues the field's own background: it cannot be combined with 'background'")
 
 
 def _options(value: Any, word: str) -> dict[str, Any]:
@@ -355,10 +356,10 @@ def _options(value: Any, word: str) -> dict[str, Any]:
     from ..fitting.splats.options import checked_splat_options
 
     if not isinstance(value, dict):
-        raise ValueError(f'{word} must be an object such as {{"quality": "fast"}}, got {shown(value)}')
+        raise InputError(f'{word} must be an object such as {{"quality": "fast"}}, got {shown(value)}')
     kind = value.get("representation", "voxels")
     if kind not in REPRESENTATIONS or (kind == "splats" and "bounds" in value):
-        raise ValueError(f"{word}: 'representation' must be voxels, or splats without 'bounds', got {shown(kind)}")
+        raise InputError(f"{word}: 'representation' must be voxels, or splats without 'bounds', got {shown(kind)}")
     try:
         check = checked_options if kind == "voxels" else checked_splat_options
         check({name: each for name, each in value.items() if name not in ("seed", "bounds", "representation")})
@@ -366,14 +367,14 @@ def _options(value: Any, word: str) -> dict[str, Any]:
         if value.get("bounds") is not None:
             checked_bounds(value["bounds"])
     except (ValueError, TypeError) as error:
-        raise ValueError(f"{word}: {error}") from None
+        raise InputError(f"{word}: {error}") from None
     return value
 
 
 def _output(*endings: str) -> Checker:
     def check(value: Any, word: str) -> str:
         if not isinstance(value, str) or not value.lower().endswith(endings):
-            raise ValueError(f"{word} must end in {' '.join(endings)}, got {shown(value)}")
+            raise InputError(f"{word} must end in {' '.join(endings)}, got {shown(value)}")
         return value
 
     return check
@@ -382,7 +383,7 @@ def _output(*endings: str) -> Checker:
 def _masks(value: Any, word: str) -> bool | str:
     if value in ("split", "weights") or isinstance(value, bool):
         return value
-    raise ValueError(f'{word} must be true, false, "split" or "weights", got {shown(value)}')
+    raise InputError(f'{word} must be true, false, "split" or "weights", got {shown(value)}')
 
 
 _SCENE_WORDS: dict[str, Checker] = {
@@ -429,7 +430,7 @@ class FitItem(Item):
     @classmethod
     def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
         if "scene" not in given:
-            raise ValueError("a fit needs a 'scene', the folder of its pictures")
+            raise InputError("a fit needs a 'scene', the folder of its pictures")
         refined = bool(given.get("options", {}).get("refine_cameras"))
         of_splats = given.get("options", {}).get("representation") == "splats"
         if "output" in given:
@@ -484,7 +485,7 @@ class EvaluateItem(Item):
     def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
         for word in ("field", "scene"):
             if word not in given:
-                raise ValueError(f"an evaluation needs a {word!r}")
+                raise InputError(f"an evaluation needs a {word!r}")
         given["outputs"] = _outputs(given, {"report": ".json"})
         return given
 
@@ -497,7 +498,7 @@ def _outputs(given: dict[str, Any], endings: dict[str, str]) -> dict[str, str]:
         named = named or f"{ID}{ending}"
         several = {first: named} | {part: named[: -len(ending)] + each for part, each in others}
     elif named is not None or not isinstance(several, dict) or set(several) != set(endings):
-        raise ValueError(f"'outputs' must be an object of {', '.join(endings)}, without 'output' beside it")
+        raise InputError(f"'outputs' must be an object of {', '.join(endings)}, without 'output' beside it")
     for part, path in several.items():
         _output(endings[part])(path, f"{part!r} of 'outputs'")
     return {part: output_path(path, given["id"], f"{part!r} of 'outputs'") for part, path in several.items()}
@@ -548,7 +549,7 @@ def require_frame(entry: Mapping[str, Any], defaults: Mapping[str, Any]) -> None
     """Refuse a line of a job with records that is no frame: a ValueError. defaults: "defaults" of the header."""
     kind = entry.get("kind") or defaults.get("kind") or FrameItem.kind
     if kind != FrameItem.kind:
-        raise ValueError(f"'records' are of frames: an item of kind {shown(kind)} belongs into another job")
+        raise InputError(f"'records' are of frames: an item of kind {shown(kind)} belongs into another job")
 
 
 def require_recordable(entry: Mapping[str, Any], item: Item, records: Mapping[str, Any]) -> None:
@@ -556,9 +557,9 @@ def require_recordable(entry: Mapping[str, Any], item: Item, records: Mapping[st
     itself."""
     expected = {part: path.replace(ID, item.id) for part, path in record_outputs(records).items()}
     if entry.get("outputs") is not None and item.outputs != expected:
-        raise ValueError("'records' of the header say what is written: leave 'outputs' out")
+        raise InputError("'records' of the header say what is written: leave 'outputs' out")
     name = item.id.rpartition("/")[2]
     if records["kind"] == FOLDER and name + RECORD_ENDING == TRANSFORMS:
-        raise ValueError(f"a folder of records has a {TRANSFORMS} of its own: call it something else")
+        raise InputError(f"a folder of records has a {TRANSFORMS} of its own: call it something else")
     if records["kind"] == WEBDATASET and "." in name:
-        raise ValueError(f"a WebDataset cuts names at their first dot: call it {name.replace('.', '_')!r}")
+        raise InputError(f"a WebDataset cuts names at their first dot: call it {name.replace('.', '_')!r}")

@@ -20,12 +20,13 @@ import numpy as np
 from ..core.checks import listed, shown
 from ..core.files import JSON_ROOM, NpyFile, PathLike, atomic_path, file_stamp, require_file
 from ..core.memory import LRUCache, require_host_memory
+from ..errors import InputError
 from .items import KINDS, Defaults, EvaluateItem, FitItem, FrameItem, Item, canonical, record_outputs
 from .words import checked_words, one_of, split_reference
 
 
 def _no_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no number of JSON")
+    raise InputError(f"{name} is no number of JSON")
 
 
 _DECODER = json.JSONDecoder(parse_constant=_no_constant)
@@ -50,7 +51,7 @@ class ItemReader:
             return checked_item(entry, self._usual, self.records)
         except ValueError as error:
             name = f" ({shown(entry['id'])})" if isinstance(entry.get("id"), str) else ""
-            raise ValueError(f"{self.path}, line {line}{name}: {error}") from None
+            raise InputError(f"{self.path}, line {line}{name}: {error}") from None
 
 
 def parsed_line(data: bytes, where: str, *, first: bool = False) -> dict[str, Any]:
@@ -60,17 +61,17 @@ def parsed_line(data: bytes, where: str, *, first: bool = False) -> dict[str, An
         text = data.decode("utf-8-sig" if first else "utf-8")
         content = _DECODER.decode(text)
     except UnicodeDecodeError:
-        raise ValueError(f"{where}: it holds no text (UTF-8)") from None
+        raise InputError(f"{where}: it holds no text (UTF-8)") from None
     except RecursionError:
-        raise ValueError(f"{where}: its JSON is nested too deeply") from None
+        raise InputError(f"{where}: its JSON is nested too deeply") from None
     except json.JSONDecodeError as error:
-        raise ValueError(
+        raise InputError(
             f"{where}: its JSON breaks off or is damaged at column {error.colno}: every line is one whole object"
         ) from None
     except ValueError as error:  # NaN, or a number of too many digits
-        raise ValueError(f"{where}: {error}") from None
+        raise InputError(f"{where}: {error}") from None
     if not isinstance(content, dict):
-        raise ValueError(f"{where}: it must be a JSON object, got {shown(content)}")
+        raise InputError(f"{where}: it must be a JSON object, got {shown(content)}")
     return content
 
 
@@ -143,7 +144,7 @@ class JobFile:
     def item(self, index: int) -> Item:
         """An item by its number, from 0, with what it takes from the header."""
         if not 0 <= index < len(self):
-            raise ValueError(f"{self.path} has items 0 to {len(self) - 1}, got {index}")
+            raise InputError(f"{self.path} has items 0 to {len(self) - 1}, got {index}")
         line = int(self._lines[index + 1])
         return self.reader.item(self._data(line), line + 1)
 
@@ -176,11 +177,11 @@ class JobFile:
         first, second = self.item(one), self.item(two)
         where = f"{self.path}, line {self.line(two)}"
         if first.id.lower() == second.id.lower():
-            raise ValueError(f"{where}: the id {second.id!r} is that of line {self.line(one)}: ids must differ")
+            raise InputError(f"{where}: the id {second.id!r} is that of line {self.line(one)}: ids must differ")
         paths = {path.lower() for path in first.outputs.values()}
         for path in second.outputs.values():
             if path.lower() in paths:
-                raise ValueError(
+                raise InputError(
                     f"{where} ({second.id!r}): it writes {path!r}, as line {self.line(one)} does ({first.id!r}): "
                     "outputs must differ"
                 )
@@ -201,7 +202,7 @@ class JobFile:
             kept[line] = bool(self._file.read(int(lengths[line])).strip(blank))
         lines = np.flatnonzero(kept).astype(np.int32)
         if not len(lines):
-            raise ValueError(f"{self.path} is empty: a job file begins with a header, {_HEADER_SHAPE}")
+            raise InputError(f"{self.path} is empty: a job file begins with a header, {_HEADER_SHAPE}")
         return starts, lines
 
     def _object(self, line: int) -> dict[str, Any]:
@@ -213,7 +214,7 @@ class JobFile:
         start, end = int(self._starts[line]), int(self._starts[line + 1])
         where = f"{self.path}, line {line + 1}"
         if end - start > MAX_LINE:
-            raise ValueError(
+            raise InputError(
                 f"{where}: it has {end - start:,} bytes, at most {MAX_LINE:,} are read: put arrays into .npy files"
             )
         if end - start > CHUNK:
@@ -227,20 +228,20 @@ class JobFile:
         line = int(self._lines[0])
         header, where = self._object(line), f"{self.path}, line {line + 1}"
         if header.get("format") != FORMAT:
-            raise ValueError(
+            raise InputError(
                 f"{where}: it is no header of a job file: its format is {shown(header.get('format'))}, not {FORMAT!r}; "
                 f"a job file begins with {_HEADER_SHAPE}"
             )
         version = header.get("version")
         if type(version) is not int or version < 1:
-            raise ValueError(f"{where}: its version must be a whole number from 1, got {shown(version)}")
+            raise InputError(f"{where}: its version must be a whole number from 1, got {shown(version)}")
         if version > VERSION:
-            raise ValueError(f"{where}: its version is {version}, this warpcage reads up to {VERSION}: upgrade")
+            raise InputError(f"{where}: its version is {version}, this warpcage reads up to {VERSION}: upgrade")
         try:
             _check_defaults(header.get("defaults") or {})
             check_records(header.get("records") or {}, header.get("defaults") or {})
         except ValueError as error:
-            raise ValueError(f"{where}: {error}") from None
+            raise InputError(f"{where}: {error}") from None
         return header
 
 
@@ -257,14 +258,14 @@ def _marks(item: Item) -> list[int]:
 def _check_defaults(defaults: Any) -> None:
     """Raise ValueError for defaults that no kind of item takes."""
     if not isinstance(defaults, dict):
-        raise ValueError(f"'defaults' must be an object of words of items, got {shown(defaults)}")
+        raise InputError(f"'defaults' must be an object of words of items, got {shown(defaults)}")
     kind = defaults.get("kind")
     if kind is not None:
         one_of(*KINDS)(kind, "'kind' of 'defaults'")
     known = {word: None for maker in KINDS.values() for word in maker.known if word != "id"}
     for word, value in defaults.items():
         if word not in known:
-            raise ValueError(f"'defaults' has no {shown(word)}, only {listed(known, most=60)}")
+            raise InputError(f"'defaults' has no {shown(word)}, only {listed(known, most=60)}")
         if value is None:
             continue
         makers = [KINDS[kind]] if kind is not None and word in KINDS[kind].known else list(KINDS.values())
@@ -289,7 +290,7 @@ def check_records(records: Any, defaults: Mapping[str, Any]) -> None:
     from . import words
 
     if not isinstance(records, dict):
-        raise ValueError(f"'records' must be an object with a kind, got {shown(records)}")
+        raise InputError(f"'records' must be an object with a kind, got {shown(records)}")
     if not records:
         return
     known = {
@@ -300,9 +301,9 @@ def check_records(records: Any, defaults: Mapping[str, Any]) -> None:
         "alpha": words.truth,
     }
     if "kind" not in checked_words(records, known, "'records'"):
-        raise ValueError("'records' needs a 'kind': folder or webdataset")
+        raise InputError("'records' needs a 'kind': folder or webdataset")
     if defaults.get("outputs") is not None:
-        raise ValueError("'records' say what is written: leave 'outputs' of 'defaults' out")
+        raise InputError("'records' say what is written: leave 'outputs' of 'defaults' out")
 
 
 def write_jobs(
@@ -331,7 +332,7 @@ def write_jobs(
                 version = max(version, checked_item(entry, complete, records or {}).version)
                 file.write(_line(entry))
             except ValueError as error:
-                raise ValueError(f"item {count} ({shown(entry.get('id'))}): {error}") from None
+                raise InputError(f"item {count} ({shown(entry.get('id'))}): {error}") from None
         file.seek(0)
         file.write(_line(header | {"version": version}))  # as long as it was: versions have one digit
     return count

@@ -23,6 +23,7 @@ import numpy as np
 
 from ..core.checks import shown, warn_caller
 from ..core.files import PathLike, atomic_path
+from ..errors import InputError, file_error
 
 #: States of an item in notes: it was begun; it is done; it failed and is not tried again; it failed and may be.
 STARTED, DONE, FAILED, ERROR = "started", "done", "failed", "error"
@@ -58,7 +59,7 @@ class Notes:
             if written != len(line):
                 with contextlib.suppress(OSError):
                     self.file.truncate(self.file.tell() - (written or 0))
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+                raise file_error(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path)))
 
     def close(self) -> None:
         """Close the file."""
@@ -317,14 +318,14 @@ class Part:
 
     def __post_init__(self) -> None:
         if not 1 <= self.number <= self.count:
-            raise ValueError(f"there is no part {self.number} of {self.count}: they are numbered from 1")
+            raise InputError(f"there is no part {self.number} of {self.count}: they are numbered from 1")
 
     @classmethod
     def named(cls, text: str) -> Part:
         """The part of a text such as "3/16". Raises ValueError for others."""
         found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
         if found is None:
-            raise ValueError(f"a part must be a number of how many, such as 3/16, got {shown(text)}")
+            raise InputError(f"a part must be a number of how many, such as 3/16, got {shown(text)}")
         return cls(int(found[1]), int(found[2]))
 
     @property
@@ -370,7 +371,7 @@ class OutputFolder:
     def prepare(self) -> None:
         """Make the folder."""
         if self.path.exists() and not self.path.is_dir():
-            raise ValueError(f"{str(self.path)!r} is a file: -o takes a folder")
+            raise InputError(f"{str(self.path)!r} is a file: -o takes a folder")
         inner_first = (self.notes, self.own, self.path, *self.path.parents)
         self._made = [each for each in inner_first if not each.exists()]
         self.notes.mkdir(parents=True, exist_ok=True)
@@ -388,7 +389,7 @@ class OutputFolder:
             if free and self.part is not None:
                 free = _lock(held.enter_context(open(self.own / f"{self.part.name}.lock", "a+b")), exclusive=True)
             if not free:
-                raise ValueError(f"another run writes to {str(self.path)!r}: wait for its end, or give another folder")
+                raise InputError(f"another run writes to {str(self.path)!r}: wait for its end, or give another folder")
             if self.part is not None:
                 yield
                 return
@@ -396,7 +397,7 @@ class OutputFolder:
             end = time.monotonic() + PATIENCE
             while not _lock(workers, exclusive=True):
                 if time.monotonic() > end:
-                    raise ValueError(
+                    raise InputError(
                         f"workers of an earlier run still write to {str(self.path)!r}: end them, or give another folder"
                     )
                 time.sleep(0.05)

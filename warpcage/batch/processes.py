@@ -27,6 +27,7 @@ import warp as wp
 from ..core.devices import start_warp
 from ..core.names import error_line
 from ..core.threads import cpu_threads, limit_threads
+from ..errors import InputError, MissingPackageError, StateError
 from .chunk_runner import ChunkOrder, ChunkReport, ChunkRunner, RunnerSettings, make_runner
 from .scheduler import MOST_CHUNKS
 
@@ -235,9 +236,9 @@ class LocalHost:
         require_shared(device)
         count = 0 if device == "cpu" else (gpus or _count_gpus)()
         if device == "cuda" and not count:
-            raise ValueError("device 'cuda' is not there: this machine has no GPU that Warp sees")
+            raise InputError("device 'cuda' is not there: this machine has no GPU that Warp sees")
         if count and workers > count:
-            raise ValueError(f"{workers} workers need as many GPUs, this machine has {count}: give --workers {count}")
+            raise InputError(f"{workers} workers need as many GPUs, this machine has {count}: give --workers {count}")
         self._gpus = os.environ.get("CUDA_VISIBLE_DEVICES") or ",".join(map(str, range(count)))
         threads = max(1, cpu_threads() // workers)
         self.share = Share(workers, min(count, 1), 0, threads, "cuda:0" if count else "cpu")
@@ -250,7 +251,7 @@ class LocalHost:
     def waited(self, seconds: float) -> None:
         """Raise RuntimeError where no worker started for a long time."""
         if seconds > START_HERE:
-            raise RuntimeError(f"no worker started within {START_HERE:.0f} s")
+            raise StateError(f"no worker started within {START_HERE:.0f} s")
 
     def death_line(self, error: BaseException) -> str:
         """Why a worker gives no answer but an error: the line of its process."""
@@ -260,7 +261,7 @@ class LocalHost:
 def require_shared(device: str | None) -> None:
     """Raise ValueError for a device that several workers cannot share."""
     if device not in (None, "cpu", "cuda"):
-        raise ValueError(f"--device of several workers is cpu or cuda, each has the GPU of its number, got {device!r}")
+        raise InputError(f"--device of several workers is cpu or cuda, each has the GPU of its number, got {device!r}")
 
 
 def _count_gpus() -> int:
@@ -281,7 +282,7 @@ def load_ray() -> types.ModuleType:
     try:
         import ray
     except ImportError:
-        raise ImportError("--cluster needs Ray: pip install 'warpcage[cluster]'") from None
+        raise MissingPackageError("--cluster needs Ray: pip install 'warpcage[cluster]'") from None
     return ray
 
 
@@ -297,7 +298,7 @@ def ray_session(cluster: str) -> Iterator[types.ModuleType]:
         try:
             ray.init(address=cluster, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
-            raise ValueError(
+            raise InputError(
                 f"no Ray cluster answers at {cluster!r}: {error_line(error, named=True)}. One that asks for a token "
                 "wants RAY_AUTH_MODE=token and its own token in ~/.ray/auth_token"
             ) from error
@@ -315,11 +316,11 @@ def _require_answer(address: str) -> None:
         return
     host, _, port = address.rpartition(":")
     if not host or not port.isdigit() or "/" in host:
-        raise ValueError(f"--cluster takes the address of a Ray cluster, such as 10.0.0.1:6379, got {address!r}")
+        raise InputError(f"--cluster takes the address of a Ray cluster, such as 10.0.0.1:6379, got {address!r}")
     try:
         socket.create_connection((host.strip("[]"), int(port)), CONNECT).close()
     except (OSError, OverflowError) as error:
-        raise ValueError(f"no Ray cluster answers at {address!r}: {error_line(error, named=True)}") from None
+        raise InputError(f"no Ray cluster answers at {address!r}: {error_line(error, named=True)}") from None
 
 
 @contextlib.contextmanager
@@ -396,7 +397,7 @@ class RayHost:
     def waited(self, seconds: float) -> None:
         """Raise RuntimeError where no worker started for a long time."""
         if seconds > START_THERE:
-            raise RuntimeError(
+            raise StateError(
                 f"no worker started within {START_THERE:.0f} s: Ray has no place for one with "
                 f"{self.share.gpus} GPUs and {self.share.cpus:g} CPUs"
             )

@@ -25,6 +25,7 @@ from ..core.arrays import array_bytes
 from ..core.checks import shown
 from ..core.files import DAMAGED, NpyFile, file_stamp, require_file
 from ..core.memory import LRUCache, free_bytes
+from ..errors import InputError
 from ..scene.formats.transforms import TransformsCameras
 from ..splats.splat_field import AnyField, read_field
 from ..view.camera import Camera, CameraFile, camera_from_json, fitted
@@ -102,16 +103,16 @@ class References:
             except ValueError:
                 found = np.empty(0, object)
             if found.dtype.kind not in "fiu":
-                raise ValueError(f"{what} must hold numbers, in lists of equal length, got {shown(value)}")
+                raise InputError(f"{what} must hold numbers, in lists of equal length, got {shown(value)}")
             return found
         name, place = split_reference(value)
         if not name.lower().endswith(".npy"):
-            raise ValueError(f"{what} must be an .npy file, a row of one (file.npy#17) or nested lists, got {value!r}")
+            raise InputError(f"{what} must be an .npy file, a row of one (file.npy#17) or nested lists, got {value!r}")
         file = self._kept(name, "array file", NpyFile)
         if not place:
             return file.read()
         if not place.isdigit():
-            raise ValueError(f"{what}: {value!r} names no row: write {name}#17")
+            raise InputError(f"{what}: {value!r} names no row: write {name}#17")
         return file.row(int(place))
 
     def rest_cage(self, edit: EditWords, field: AnyField) -> RestCage:
@@ -139,7 +140,7 @@ class References:
         if not isinstance(value, str) or split_reference(value)[0].lower().endswith(".npy"):
             vertices = self.array(value, "'posed'")
             if vertices.shape != rest.vertices.shape:
-                raise ValueError(
+                raise InputError(
                     f"'posed' must be {rest.vertices.shape} as the cage at rest, got {vertices.shape} of "
                     f"{shown(value)}{_row_hint(value, vertices, rest)}"
                 )
@@ -166,7 +167,7 @@ class References:
         moving, shown_pose = self._kept(name, "cage file", read, ("moving", rest_cage.hash, edit.up))
         if moving is None:
             if place:
-                raise ValueError(f"{name}: there is no keyframe {place!r}: nothing moves in it")
+                raise InputError(f"{name}: there is no keyframe {place!r}: nothing moves in it")
             return None
         return shown_pose if shown_pose is not None and not place else _keyframe(moving, name, place)
 
@@ -178,7 +179,7 @@ class References:
             camera = self._camera(item, field)  # that of a scene is turned with a straightened field
             return fitted(camera, item.size, "'size'")
         except DAMAGED as error:
-            raise ValueError(f"'camera' cannot be used: {error}") from None
+            raise InputError(f"'camera' cannot be used: {error}") from None
 
     def _camera(self, item: FrameItem, field: AnyField) -> Camera:
         value = item.camera
@@ -193,7 +194,7 @@ class References:
         if isinstance(cameras, CameraFile):
             return _named(cameras, place, name)
         if not place:
-            raise ValueError(f"{name} holds {len(cameras)} cameras: name one, {name}#0")
+            raise InputError(f"{name} holds {len(cameras)} cameras: name one, {name}#0")
         camera = cameras.camera(place, size)
         return camera if field.straightening is None else camera.moved(field.straightening)
 
@@ -210,7 +211,7 @@ def _posed_file(path: pathlib.Path, edit: EditWords, rest_cage: RestCage) -> Cag
     try:
         return rest_cage.cage.match(posed)
     except ValueError as error:
-        raise ValueError(f"cage {edit.posed!r} does not fit its rest cage: {error}") from None
+        raise InputError(f"cage {edit.posed!r} does not fit its rest cage: {error}") from None
 
 
 def inline_camera(value: dict[str, Any]) -> Camera:
@@ -221,9 +222,9 @@ def inline_camera(value: dict[str, Any]) -> Camera:
     try:
         return camera_from_json(value, 0).camera
     except KeyError as error:
-        raise ValueError(f"'camera' lacks {error.args[0]!r}") from None
+        raise InputError(f"'camera' lacks {error.args[0]!r}") from None
     except DAMAGED as error:
-        raise ValueError(f"'camera' cannot be used: {error}") from None
+        raise InputError(f"'camera' cannot be used: {error}") from None
 
 
 @functools.lru_cache(maxsize=INLINE_CAMERAS)
@@ -243,7 +244,7 @@ def _named(cameras: CameraFile, place: str, name: str) -> Camera:
     try:
         return cameras.named(place)
     except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
+        raise InputError(f"{name}: {error}") from None
 
 
 def _keyframe(file: PoseFile, name: str, place: str) -> Cage:
@@ -252,11 +253,11 @@ def _keyframe(file: PoseFile, name: str, place: str) -> Cage:
     if not place and len(file) == 1:
         return file[file.names[0]]
     if not place:
-        raise ValueError(f"{name} holds {len(file)} poses: name one, {name}#{file.names[0]}")
+        raise InputError(f"{name} holds {len(file)} poses: name one, {name}#{file.names[0]}")
     try:
         return file[place]
     except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
+        raise InputError(f"{name}: {error}") from None
 
 
 def _row_hint(value: Any, vertices: np.ndarray, rest: Cage) -> str:
@@ -282,7 +283,7 @@ class PrefetchedField:
         stamp = file_stamp(self._path)
         found = read_field(self._path, scene_scale=self._scene_scale)
         if file_stamp(self._path) != stamp:
-            raise ValueError(f"{self._path} was changed while it was read")
+            raise InputError(f"{self._path} was changed while it was read")
         return stamp, found
 
     def take(self, path: str, stamp: tuple[int, int], scene_scale: float) -> OnDevice | None:

@@ -21,6 +21,7 @@ from ..core.files import NpyFile, PathLike, require_file
 from ..core.memory import LRUCache
 from ..core.names import error_line
 from ..core.threads import cpu_threads, limit_threads
+from ..errors import InputError
 from .chunk_runner import Chunk, ChunkOrder, Maker, RunnerSettings, leaves_no_room, make_runner, run_name
 from .engines import GRACE, Engine, Host, LocalEngine, ProcessEngine, drive
 from .items import FOLDER, Item
@@ -302,7 +303,7 @@ def _watched(path: pathlib.Path) -> Callable[[], None]:
         except FileNotFoundError:
             return
         if now.st_ino == before.st_ino and (now.st_size, now.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
-            raise ValueError(f"{path} was changed while it ran: run again, what is made and unchanged is kept")
+            raise InputError(f"{path} was changed while it ran: run again, what is made and unchanged is kept")
 
     return check
 

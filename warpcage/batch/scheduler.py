@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from ..core.names import counted
+from ..errors import InputError
 from .chunk_runner import Chunk, ChunkReport
 from .items import KINDS, Item
 from .job_file import JobFile
@@ -55,7 +56,7 @@ class ChunkQueue:
         starts = np.flatnonzero(np.diff(groups, prepend=groups[:1] - 1)) if len(groups) else np.zeros(0, np.int64)
         self._names = groups[starts]
         if len(np.unique(self._names)) < len(self._names):
-            raise ValueError("items of a group must follow each other")
+            raise InputError("items of a group must follow each other")
         self._begin = starts.copy()  # the first item of each group that nobody has taken
         self._end = np.append(starts[1:], len(groups))
         self._kinds = np.zeros(len(starts), np.int64) if kinds is None else np.asarray(kinds, np.int64)[starts]
@@ -593,7 +594,7 @@ def _refuse_twins(
         one, two = sorted((int(owners[order[place]]), int(owners[order[place + 1]])))
         shared = set(names(job.item(one))) & set(names(job.item(two))) if one != two else set(names(job.item(one)))
         if shared and (one != two or len(names(job.item(one))) > len(shared)):
-            raise ValueError(
+            raise InputError(
                 f"{job.path}, lines {job.line(one)} and {job.line(two)}: two items have {what} {min(shared)!r}: "
                 "each needs its own"
             )

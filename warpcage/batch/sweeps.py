@@ -21,6 +21,7 @@ from ..cage.random_poses import RandomNumbers, RandomPoses
 from ..core.checks import checked_whole
 from ..core.files import PathLike, atomic_path
 from ..core.names import FIELD_COORDINATES, require_coordinates
+from ..errors import InputError
 from ..view.camera import Camera, CameraFile, CameraKey
 from .job_file import write_jobs
 from .words import drawn_words
@@ -206,7 +207,7 @@ class _Corners:
         for number, row in enumerate(source.rows(most)):
             vertices = np.ascontiguousarray(row, dtype="<f8")
             if vertices.shape != self._shape or not np.isfinite(vertices).all():
-                raise ValueError(
+                raise InputError(
                     f"pose {number} of {source.origin(number)} must be {self._shape} finite numbers as the cage at "
                     f"rest has them, got shape {vertices.shape}"
                 )
@@ -258,9 +259,9 @@ def write_sweep(
     path = pathlib.Path(path)
     kinds = [require_coordinates(kind) for kind in coordinates]
     if not kinds or len(set(kinds)) < len(kinds):
-        raise ValueError(f"a sweep needs kinds of coordinates, each once, got {list(coordinates)}")
+        raise InputError(f"a sweep needs kinds of coordinates, each once, got {list(coordinates)}")
     if not sum(map(len, sources)):
-        raise ValueError("a sweep needs at least one pose")
+        raise InputError("a sweep needs at least one pose")
     given = [source for source in sources if len(source) and source.drawn(0) is None]
     drawn = [source for source in sources if len(source) and source.drawn(0) is not None]
     corners = _Corners(rest)
@@ -295,10 +296,10 @@ class _Items:
         self._sources, self._cameras, self._kinds, self._views, self._seed = sources, cameras, kinds, views, seed
         self._count = cameras.count if isinstance(cameras, RandomViews) else len(cameras)
         if not self._count:
-            raise ValueError("a sweep needs at least one camera")
+            raise InputError("a sweep needs at least one camera")
         if views is not None:
             if isinstance(cameras, RandomViews):
-                raise ValueError("random views are other ones for each pose: ask for as many as are wanted")
+                raise InputError("random views are other ones for each pose: ask for as many as are wanted")
             checked_whole(views, "views", 1, self._count)
         self._poses, self.named = poses_path(path).name, cameras_path(path)
         self.shared = {"coordinates": kinds[0]} if len(kinds) == 1 else {}

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..core.files import PathLike, atomic_path
+from ..errors import MissingFileError
 from .items import ITEMS_PER_SHARD, TRANSFORMS, WEBDATASET, FrameItem
 from .job_file import JobFile
 from .manifest import DONE, OutputFolder
@@ -141,7 +142,7 @@ def add_files(tar: tarfile.TarFile, name: str, stage: pathlib.Path, before: _Mem
     except FileNotFoundError:
         packed = before.find(name)
         if packed is None:
-            raise FileNotFoundError(f"{name!r} is not there, neither in {str(stage)!r} nor packed") from None
+            raise MissingFileError(f"{name!r} is not there, neither in {str(stage)!r} nor packed") from None
         info.size, opened = packed.size, before.open(packed)
         tar.addfile(info, opened)
         return

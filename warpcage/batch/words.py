@@ -11,6 +11,7 @@ from typing import Any
 from ..cage.random_poses import POSE_MODES, RandomPoseOptions
 from ..core.checks import checked_number, checked_positive, checked_whole, listed, shown
 from ..core.names import BACKGROUNDS, FRAGMENTS_WORD, TRANSPARENT, edit_fields, edit_words
+from ..errors import InputError
 
 #: Takes a value of JSON and the word that it stands at, and returns it as items have it.
 Checker = Callable[[Any, str], Any]
@@ -34,7 +35,7 @@ def safe_name(value: Any, word: str) -> str:
     parts = value.split("/") if isinstance(value, str) else [""]
     good = all(_PART.fullmatch(part) and len(part.encode("utf-8", "replace")) <= MAX_PART for part in parts)
     if not good or len(value) > MAX_SAFE_NAME:
-        raise ValueError(
+        raise InputError(
             f'{word} must be a relative name of letters, digits, "_", "-" and ".", with "/" between folders, '
             f'such as "shot/frame_0001", got {shown(value)}'
         )
@@ -48,20 +49,20 @@ def text(value: Any, word: str) -> str:
             return value
     except UnicodeEncodeError:
         pass
-    raise ValueError(f"{word} must be a text, got {shown(value)}")
+    raise InputError(f"{word} must be a text, got {shown(value)}")
 
 
 def truth(value: Any, word: str) -> bool:
     """True or false."""
     if not isinstance(value, bool):
-        raise ValueError(f"{word} must be true or false, got {shown(value)}")
+        raise InputError(f"{word} must be true or false, got {shown(value)}")
     return value
 
 
 def number(value: Any, word: str) -> float:
     """A finite number."""
     if isinstance(value, bool):
-        raise ValueError(f"{word} must be one finite number, got {value!r}")
+        raise InputError(f"{word} must be one finite number, got {value!r}")
     return checked_number(value, word)
 
 
@@ -69,7 +70,7 @@ def not_negative(value: Any, word: str) -> float:
     """A finite number of at least 0."""
     found = number(value, word)
     if found < 0.0:
-        raise ValueError(f"{word} must be 0 or more, got {found:g}")
+        raise InputError(f"{word} must be 0 or more, got {found:g}")
     return found
 
 
@@ -81,7 +82,7 @@ def positive(value: Any, word: str) -> float:
 def numbers(value: Any, word: str, count: int) -> tuple[float, ...]:
     """As many finite numbers."""
     if not isinstance(value, list | tuple) or len(value) != count:
-        raise ValueError(f"{word} must be {count} numbers, got {shown(value)}")
+        raise InputError(f"{word} must be {count} numbers, got {shown(value)}")
     return tuple(number(each, word) for each in value)
 
 
@@ -94,13 +95,13 @@ def background(value: Any, word: str) -> Any:
         if min(color) >= 0.0 and max(color) <= 1.0:
             return color
     known = ", ".join((*BACKGROUNDS, TRANSPARENT))
-    raise ValueError(f"{word} must be one of {known}, or three numbers in [0, 1], got {shown(value)}")
+    raise InputError(f"{word} must be one of {known}, or three numbers in [0, 1], got {shown(value)}")
 
 
 def color(value: Any, word: str) -> Any:
     """A colour."""
     if value == TRANSPARENT:
-        raise ValueError(f"{word} must be a colour, got {value!r}")
+        raise InputError(f"{word} must be a colour, got {value!r}")
     return background(value, word)
 
 
@@ -109,7 +110,7 @@ def one_of(*names: str) -> Checker:
 
     def check(value: Any, word: str) -> str:
         if not isinstance(value, str) or value not in names:
-            raise ValueError(f"{word} must be one of {', '.join(names)}, got {shown(value)}")
+            raise InputError(f"{word} must be one of {', '.join(names)}, got {shown(value)}")
         return value
 
     return check
@@ -129,7 +130,7 @@ def checked_words(entry: Mapping[str, Any], known: Mapping[str, Checker], what: 
     """The words of an object, each checked; null is a word that was left out."""
     unknown = next((word for word in entry if word not in known), None)
     if unknown is not None:
-        raise ValueError(f"{what} has no {shown(unknown)}, only {listed(known, most=40)}")
+        raise InputError(f"{what} has no {shown(unknown)}, only {listed(known, most=40)}")
     return {word: known[word](value, repr(word)) for word, value in entry.items() if value is not None}
 
 
@@ -157,7 +158,7 @@ def _pair(value: Any, word: str) -> list[float]:
 
 def _modes(value: Any, word: str) -> list[str]:
     if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
-        raise ValueError(f"{word} must be a list of some of {', '.join(POSE_MODES)}, got {shown(value)}")
+        raise InputError(f"{word} must be a list of some of {', '.join(POSE_MODES)}, got {shown(value)}")
     return value
 
 
@@ -168,10 +169,10 @@ def drawn_pose(value: Any, word: str) -> dict[str, Any]:
     """The words of a drawn pose, checked, with those that were left out, so that a hash of it is one of the pose.
     value: {"random": {"seed": 0, "number": 12}}; `stretch`, `reach` and `modes` if they are not usual."""
     if set(value) != {RANDOM} or not isinstance(value[RANDOM], dict):
-        raise ValueError(f'{word} must be an array, or {{"random": {{"seed": 0, "number": 12}}}}, got {shown(value)}')
+        raise InputError(f'{word} must be an array, or {{"random": {{"seed": 0, "number": 12}}}}, got {shown(value)}')
     given = checked_words(value[RANDOM], _WORDS, f"{RANDOM!r} of {word}")
     if "number" not in given:
-        raise ValueError(f"{RANDOM!r} of {word} needs a 'number', which of the poses of its seed it is")
+        raise InputError(f"{RANDOM!r} of {word} needs a 'number', which of the poses of its seed it is")
     bounds = {name: tuple(given[name]) for name in given if name not in ("seed", "number")}
     return {RANDOM: {"seed": given.get("seed", 0), "number": given["number"], **_bounds(**bounds)}}
 
@@ -193,7 +194,7 @@ def _bounds(**words: Any) -> dict[str, list]:
 def _cage(value: Any, word: str) -> Any:
     if isinstance(value, dict):
         if set(value) != {"vertices", "faces"}:
-            raise ValueError(f'{word} must be a cage file, or "vertices" and "faces", got {shown(value)}')
+            raise InputError(f'{word} must be a cage file, or "vertices" and "faces", got {shown(value)}')
         return {name: _array(each, f"{name!r} of {word}") for name, each in value.items()}
     return text(value, word)
 
@@ -203,7 +204,7 @@ def _array(value: Any, word: str) -> Any:
         return value
     if isinstance(value, str) and value:
         return text(value, word)
-    raise ValueError(f'{word} must be an array: "file.npy", "file.npy#17" or a list of [x, y, z], got {shown(value)}')
+    raise InputError(f'{word} must be an array: "file.npy", "file.npy#17" or a list of [x, y, z], got {shown(value)}')
 
 
 def _posed(value: Any, word: str) -> Any:
@@ -220,7 +221,7 @@ def _held(value: Any, word: str) -> Any:
             value = None
     if isinstance(value, list | tuple) and value and all(type(each) is int and each >= 0 for each in value):
         return tuple(value)
-    raise ValueError(f'{word} must be "cut", "still", or numbers of faces such as [4, 5, 17], got {shown(value)}')
+    raise InputError(f'{word} must be "cut", "still", or numbers of faces such as [4, 5, 17], got {shown(value)}')
 
 
 EDIT_WORDS: dict[str, Checker] = {
@@ -252,24 +253,24 @@ class EditWords:
 
     def __post_init__(self) -> None:
         if self.keep and self.remove:
-            raise ValueError("'keep' and 'remove' do not go together: choose one")
+            raise InputError("'keep' and 'remove' do not go together: choose one")
         if self.remove and self.posed is not None:
-            raise ValueError("what is removed needs no 'posed'")
+            raise InputError("what is removed needs no 'posed'")
         if self.remove and (self.falloff or self.held != "cut"):
-            raise ValueError("what is removed has no band in which it fades to rest: leave 'falloff' and 'held' out")
+            raise InputError("what is removed has no band in which it fades to rest: leave 'falloff' and 'held' out")
         if not self.remove and self.posed is None:
-            raise ValueError("'cage' needs 'posed', the same cage posed, or \"remove\": true")
+            raise InputError("'cage' needs 'posed', the same cage posed, or \"remove\": true")
         if self.held != "cut" and not self.falloff:
-            raise ValueError("'held' names the walls that an edit fades towards: give it a 'falloff' too")
+            raise InputError("'held' names the walls that an edit fades towards: give it a 'falloff' too")
 
     @classmethod
     def from_json(cls, entry: Any, what: str) -> EditWords:
         """An edit from JSON; what: how messages call it. Raises ValueError for words that cannot be."""
         if not isinstance(entry, Mapping):
-            raise ValueError(f"{what} must be an object with a cage, got {shown(entry)}")
+            raise InputError(f"{what} must be an object with a cage, got {shown(entry)}")
         given = checked_words(entry, EDIT_WORDS, what)
         if "cage" not in given:
-            raise ValueError(f"{what} needs a 'cage'")
+            raise InputError(f"{what} needs a 'cage'")
         return cls(**edit_fields(given))
 
     def to_json(self) -> dict[str, Any]:

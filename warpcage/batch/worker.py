@@ -25,6 +25,7 @@ from ..core.threads import cpu_threads
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
 from ..edits.edits import CageEdit, picture_cells
+from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..fitting.cameras import tuned_scene
 from ..fitting.evaluation import evaluation_report, in_world_of
@@ -125,7 +126,7 @@ class FrameMaker:
         else:
             bound_key, renderer, drawn = None, field, []
         if item.antialias is not None and isinstance(field, VoxelField):
-            raise ValueError("'antialias' is for files of splats, this field is one of voxels (.npz)")
+            raise InputError("'antialias' is for files of splats, this field is one of voxels (.npz)")
         frame = renderer.render(camera, **_render_options(item))
         if item.fill:
             frame = _filled(frame, field, camera)
@@ -207,9 +208,9 @@ def _render_options(item: FrameItem) -> dict[str, Any]:
 
 def _filled(frame: Frame, field: AnyField, camera: Camera) -> Frame:
     if not isinstance(field, VoxelField):
-        raise ValueError("'fill' is for fields of voxels (.npz), this one is of splats")
+        raise InputError("'fill' is for fields of voxels (.npz), this one is of splats")
     if field.background_model is None:
-        raise ValueError("'fill': behind this field there is one colour, so that nothing is missing where it shows")
+        raise InputError("'fill': behind this field there is one colour, so that nothing is missing where it shows")
     return fill_unseen(frame, field, camera)
 
 
@@ -284,7 +285,7 @@ def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -
 def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> Writer:
     ending = pathlib.PurePosixPath(path).suffix.lower()
     if part in ("reveal", "fold", "outside", "masks") and "reveal" not in frame.arrays:
-        raise ValueError(f"{part!r} is for fields of voxels (.npz), this one is of splats")
+        raise InputError(f"{part!r} is for fields of voxels (.npz), this one is of splats")
     if ending == ".npy":
         return lambda temporary: write_array(temporary, getattr(frame, part))
 
@@ -365,7 +366,7 @@ def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFi
     scene = in_world_of(field, scene)
     if item.tune_cameras:
         if not isinstance(field, VoxelField):
-            raise ValueError(f"'tune_cameras' is for fields of voxels (.npz), {item.field!r} is of splats")
+            raise InputError(f"'tune_cameras' is for fields of voxels (.npz), {item.field!r} is of splats")
         scene = tuned_scene(field, scene)
     found = evaluation_report(field, scene)
     fields.settle(key)
@@ -479,7 +480,7 @@ class Worker:
             return self.frames.make(item)
         if isinstance(item, EvaluateItem):
             return make_evaluation(item, self.references, self.fields)
-        raise ValueError(f"a worker makes no {type(item).__name__}")
+        raise InputError(f"a worker makes no {type(item).__name__}")
 
     def checkpoint_path(self, item: FitItem) -> pathlib.Path:
         """Where the progress of a fit is kept: another place for other inputs, and for another version."""

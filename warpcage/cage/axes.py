@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from ..errors import InputError
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -30,7 +32,7 @@ def with_up(text: str, up: Sequence[float] | None) -> str:
     if not {"up", "-up", "+up"} & set(words):
         return text
     if up is None:
-        raise ValueError(f"{text!r} needs --up or --object: they say what is up")
+        raise InputError(f"{text!r} needs --up or --object: they say what is up")
 
     def said(word: str) -> str:
         sign = -1.0 if word[0] == "-" else 1.0

@@ -13,6 +13,7 @@ from ..core.arrays import PointsLike
 from ..core.checks import device_by_name, renamed, warn_caller
 from ..core.files import PathLike
 from ..core.reports import Progress, hears
+from ..errors import InputError
 from ..field.selection import NodeSelection
 from ..field.voxel_field import VoxelField
 from ..mesh.io import write_mesh
@@ -177,7 +178,7 @@ class Cage(PosableMesh):
                 nothing of its object, or the names of several objects of which none is chosen.
         """
         if up == "auto" and reference is None:
-            raise ValueError(
+            raise InputError(
                 "up='auto' needs a reference: the field that a cage at rest stands around, or the rest cage of a pose"
             )
         cage, standing = load_standing(cls, path, up=None if up == "auto" else up, reference=reference, object=object)

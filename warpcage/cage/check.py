@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..coordinates.coordinates import deform_points
+from ..errors import InputError
 from ..field.selection import NodeSelection, visible_nodes
 from ..field.voxel_field import VoxelField
 from ..mesh.match import matched_vertices
@@ -270,7 +271,7 @@ def _enclosed(
     if points is None:
         return None
     if not len(points):
-        raise ValueError(complaint)
+        raise InputError(complaint)
     if problem:
         return 0.0
     inside = inside_mesh(points, cage)

@@ -14,6 +14,7 @@ from ..core.arrays import as_host_points, is_device_array
 from ..core.checks import checked_path, checked_positive, listed, require_type
 from ..core.files import PathLike, require_file
 from ..core.names import counted
+from ..errors import InputError
 from ..mesh.io import ALL_OBJECTS, ENDINGS, object_names, turned_up
 from ..mesh.io.gltf_animation import read_gltf_motion
 from ..mesh.io.vertex_cache import CACHE_ENDINGS, read_vertex_cache
@@ -49,7 +50,7 @@ def read_pose(path: PathLike, rest: Cage) -> Cage:
     file = PoseFile(rest, {"shown": shown}) if shown else PoseFile.load(path, rest)
     if len(file) != 1:
         names = listed(file, 4, none="none")
-        raise ValueError(
+        raise InputError(
             f"{str(path)!r} holds {counted(len(file), 'pose')} ({names}): take one, PoseFile.load(path, rest)[name]"
         )
     return file[file.names[0]]
@@ -65,7 +66,7 @@ def read_motion(
     if ending in GLTF_ENDINGS and rest is None:
         rest = Cage.load(path, up=up)
     if rest is None:
-        raise ValueError(f"{str(path)!r} holds poses alone: give the cage at rest")
+        raise InputError(f"{str(path)!r} holds poses alone: give the cage at rest")
     files = numbered_files(path)
     moving = sequence_poses(files, rest, fps=fps or USUAL_RATE, up=up) if files else None
     if ending in MOVING_ENDINGS:
@@ -73,7 +74,7 @@ def read_motion(
     if moving is not None:
         return moving
     if name:
-        raise ValueError(f"{str(path)!r}: there is no animation or shape {name!r}: nothing moves in it")
+        raise InputError(f"{str(path)!r}: there is no animation or shape {name!r}: nothing moves in it")
     return PoseFile(rest, {path.stem: Cage.load(path, up=up, reference=rest)})
 
 
@@ -85,7 +86,7 @@ def file_poses(
         return gltf_poses(path, rest, name=name, up=up)
     file = cache_poses(path, rest, up=up, fps=fps)
     if name and name not in file:
-        raise ValueError(f"{path}: there is no frame {name!r}, only {listed(file)}")
+        raise InputError(f"{path}: there is no frame {name!r}, only {listed(file)}")
     return file if not name else PoseFile(rest, {name: file[name]})
 
 
@@ -95,12 +96,12 @@ def cache_poses(path: PathLike, rest: Cage, *, up: str | None = None, fps: float
     cache = read_vertex_cache(path)
     count, points = cache.vertices.shape[:2]
     if points != len(rest.vertices):
-        raise ValueError(
+        raise InputError(
             f"{path} has {points} vertices, its cage at rest {len(rest.vertices)}: a vertex cache has no faces, and "
             "takes the vertices as they are in the file of the cage"
         )
     if count > MAX_FILES:
-        raise ValueError(f"{path}: {count} frames, at most {MAX_FILES} are read")
+        raise InputError(f"{path}: {count} frames, at most {MAX_FILES} are read")
     was = up or standing_of_pose(rest.with_vertices(cache.vertices[0]), "z", rest).up
     rate = USUAL_RATE if fps is None else checked_positive(fps, "fps")
     times = cache.moments / rate if cache.in_frames else cache.moments
@@ -164,14 +165,14 @@ def sequence_poses(
     rate = checked_positive(fps, "fps")
     numbers = [number for path in paths if (number := _number(pathlib.Path(path))) is not None]
     if not numbers or len(set(numbers)) < len(paths):
-        raise ValueError("a sequence of cage files needs a number at the end of each name, another one for each")
+        raise InputError("a sequence of cage files needs a number at the end of each name, another one for each")
     first, standing = load_standing(Cage, paths[0], up=up, reference=rest, expected=expected)
     order = _order(rest, first, str(paths[0]))  # vertices may come in another order, the same in all files
     file = PoseFile(rest)
     for path, number in zip(paths, numbers, strict=True):
         cage = first if path is paths[0] else Cage.load(path, up=standing.up, object=first.object_name or None)
         if cage.faces.shape != first.faces.shape or not np.array_equal(cage.faces, first.faces):
-            raise ValueError(f"cage {str(path)!r} has other faces than {str(paths[0])!r}: one cage moves in a sequence")
+            raise InputError(f"cage {str(path)!r} has other faces than {str(paths[0])!r}: one cage moves in a sequence")
         name = pathlib.Path(path).stem
         file[name] = cage.vertices[order]
         file.times[name], file.easings[name] = (number - numbers[0]) / rate, "linear"
@@ -191,9 +192,9 @@ def numbered_files(text: PathLike) -> list[pathlib.Path] | None:
     else:
         return None
     if not found:
-        raise ValueError(f"{str(text)!r}: no cage file with a number at the end of its name is there")
+        raise InputError(f"{str(text)!r}: no cage file with a number at the end of its name is there")
     if len(found) > MAX_FILES:
-        raise ValueError(f"{str(text)!r}: {len(found)} cage files, at most {MAX_FILES} are read")
+        raise InputError(f"{str(text)!r}: {len(found)} cage files, at most {MAX_FILES} are read")
     return sorted(found, key=lambda file: (_number(file) or 0, file.name))
 
 
@@ -218,6 +219,6 @@ def _order(rest: Cage, mesh: Cage, name: str) -> np.ndarray:
     try:
         matched = rest.match(mesh).vertices
     except ValueError as error:
-        raise ValueError(f"cage {name!r} does not fit its rest cage: {error}") from None
+        raise InputError(f"cage {name!r} does not fit its rest cage: {error}") from None
     numbers = {vertex.tobytes(): index for index, vertex in reversed(list(enumerate(mesh.vertices + 0.0)))}
     return np.array([numbers[vertex.tobytes()] for vertex in matched + 0.0])

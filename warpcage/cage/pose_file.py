@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from ..core.checks import checked_number, checked_path, checked_positive, listed, shown
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..core.names import EASINGS, LOOPS, require_name
+from ..errors import InputError
 from ..mesh.io import ENDINGS
 from ..mesh.io.vertex_cache import CACHE_ENDINGS, write_vertex_cache
 from ..mesh.mesh import require_mesh
@@ -67,11 +68,11 @@ class PoseFile:
 
     def __setitem__(self, name: str, pose: Cage | ArrayLike) -> None:
         if not isinstance(name, str) or not name.strip():
-            raise ValueError(f"a keyframe needs a name, got {name!r}")
+            raise InputError(f"a keyframe needs a name, got {name!r}")
         try:
             self._poses[name] = self.rest.match(pose) if isinstance(pose, Cage) else self.rest.with_vertices(pose)
         except ValueError as error:
-            raise ValueError(f"keyframe {name!r}: {error}") from None
+            raise InputError(f"keyframe {name!r}: {error}") from None
 
     def __delitem__(self, name: str) -> None:
         self[name]
@@ -80,7 +81,7 @@ class PoseFile:
 
     def __getitem__(self, name: str) -> Cage:
         if name not in self._poses:
-            raise ValueError(f"there is no keyframe {name!r}, only {listed(self._poses, none='the rest cage')}")
+            raise InputError(f"there is no keyframe {name!r}, only {listed(self._poses, none='the rest cage')}")
         return self._poses[name]
 
     def __len__(self) -> int:
@@ -111,7 +112,7 @@ class PoseFile:
         """
         vertices = self.rest.vertices.copy()
         if not isinstance(weights, Mapping):
-            raise ValueError(f"weights must be numbers by names of keyframes, got {shown(weights)}")
+            raise InputError(f"weights must be numbers by names of keyframes, got {shown(weights)}")
         for name, weight in weights.items():
             weight = checked_number(weight, f"the weight of keyframe {name!r}")
             vertices += weight * (self[name].vertices - self.rest.vertices)
@@ -131,10 +132,10 @@ class PoseFile:
             ValueError: For a time outside the sequence or unknown names.
         """
         if names is not None and (isinstance(names, str) or not isinstance(names, Iterable)):
-            raise ValueError(f"names must be a list of keyframes, got {shown(names)}")
+            raise InputError(f"names must be a list of keyframes, got {shown(names)}")
         names, time = list(self.names if names is None else names), checked_number(time, "time")
         if not names or not 0.0 <= time <= len(names) - 1:
-            raise ValueError(f"time must be 0 to {len(names) - 1} for {len(names)} keyframes, got {time}")
+            raise InputError(f"time must be 0 to {len(names) - 1} for {len(names)} keyframes, got {time}")
         return self.rest.with_vertices(value_along([self[name].vertices for name in names], time))
 
     @property
@@ -166,12 +167,12 @@ class PoseFile:
         if not len(self):
             return self.rest
         if not names:
-            raise ValueError("no keyframe has a time")
+            raise InputError("no keyframe has a time")
         times, values = [self.times[name] for name in names], [self._poses[name].vertices for name in names]
         easings = [self.easings.get(name, "smooth") for name in names]
         for name, easing in zip(names, easings, strict=True):
             if easing not in EASINGS:
-                raise ValueError(f"keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}")
+                raise InputError(f"keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}")
         whole = times[0] == 0.0 and times[-1] == self.length
         closed = self.loop == "loop" and whole and np.array_equal(values[0], values[-1])
         return self.rest.with_vertices(value_at(times, values, seconds, easings, closed=closed))
@@ -226,7 +227,7 @@ class PoseFile:
     def _save_cache(self, path: PathLike) -> None:
         rate = self.fps or 24.0
         if not len(self):
-            raise ValueError(f"{path}: a vertex cache needs a keyframe")
+            raise InputError(f"{path}: a vertex cache needs a keyframe")
         if self.timed:
             frames = [self.at_time(time) for time in frame_times(self.length, rate, self.loop or "once")]
         else:
@@ -245,14 +246,14 @@ class PoseFile:
         self.times = {name: checked_number(time, f"the time of keyframe {name!r}") for name, time in self.times.items()}
         for name, easing in self.easings.items():
             if not isinstance(easing, str) or not easing.strip():
-                raise ValueError(f"the easing of keyframe {name!r} must be a word, got {easing!r}")
+                raise InputError(f"the easing of keyframe {name!r} must be a word, got {easing!r}")
         if self.fps is not None:
             self.fps = checked_positive(self.fps, "fps")
         if self.loop is not None:
             require_name(self.loop, LOOPS, "loop")
         for index, key in enumerate(self.cameras):
             if key.time is None:
-                raise ValueError(f"camera {key.name or index} needs a time")
+                raise InputError(f"camera {key.name or index} needs a time")
 
     @classmethod
     def load(
@@ -296,22 +297,22 @@ class PoseFile:
         try:
             document = read_json(path, "pose file")
             if document["format"] != _FORMAT:
-                raise ValueError(f"its format is {document['format']!r}, not {_FORMAT!r}")
+                raise InputError(f"its format is {document['format']!r}, not {_FORMAT!r}")
             version, keyframes = document["version"], document["keyframes"]
             if type(version) is not int or version < 1:
-                raise ValueError(f"its version must be a whole number from 1, got {version!r}")
+                raise InputError(f"its version must be a whole number from 1, got {version!r}")
             if version > _VERSION:
-                raise ValueError(f"its version is {version}, this warpcage reads up to {_VERSION}: upgrade")
+                raise InputError(f"its version is {version}, this warpcage reads up to {_VERSION}: upgrade")
             if not isinstance(keyframes, list):
-                raise ValueError(f"its keyframes must be a list, got {type(keyframes).__name__}")
+                raise InputError(f"its keyframes must be a list, got {type(keyframes).__name__}")
             own = Cage(document["cage"]["vertices"], document["cage"]["faces"])
             if cage_hash(own) != document["cage"]["sha256"]:
-                raise ValueError("its cage does not have the hash it names: the file was changed")
+                raise InputError("its cage does not have the hash it names: the file was changed")
             poses = {frame["name"]: own.with_vertices(frame["vertices"]) for frame in keyframes}
             if len(poses) < len(keyframes):
                 names = [frame["name"] for frame in keyframes]
                 twice = next(name for name in names if names.count(name) > 1)
-                raise ValueError(f"two of its keyframes are named {twice!r}")
+                raise InputError(f"two of its keyframes are named {twice!r}")
             file = cls(own if rest is None else rest, poses)
             file.times = {frame["name"]: frame["time"] for frame in keyframes if "time" in frame}
             file.easings = {frame["name"]: frame["easing"] for frame in keyframes if "easing" in frame}
@@ -320,9 +321,9 @@ class PoseFile:
             file._check_moments()
             return file
         except DAMAGED as error:
-            raise ValueError(f"{path}: {damage('pose file', error)}") from None
+            raise InputError(f"{path}: {damage('pose file', error)}") from None
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise InputError(f"{path}: {error}") from None
 
 
 def cage_hash(cage: Cage) -> str:
@@ -360,7 +361,7 @@ class Preset:
         good = good and len(axes) <= axis_count and all(map(is_axis, axes))
         good = good and not any(re.fullmatch("[-+][xyz]", axis) for axis in axes[:1])
         if not good:
-            raise ValueError(f"pose {text!r} is not a preset: {PRESET_HELP}")
+            raise InputError(f"pose {text!r} is not a preset: {PRESET_HELP}")
         self.kind, self.amount = kind, tuple(amount)
         self.family = (kind, *axes)  # presets of one family differ in the amount alone
         self.neutral = neutral  # the number that changes nothing

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import PointsLike, as_host_points
 from ..core.checks import AXES, axis_index, checked_number, checked_positive, checked_vector, real_array, renamed, shown
+from ..errors import InputError
 from ..mesh.mesh import ClosedMesh, own_axis, principal_axes
 from . import random_poses
 
@@ -22,7 +23,7 @@ def direction(axis: str | ArrayLike, name: str = "axis") -> np.ndarray:
     vector = checked_vector(axis, name)
     longest = np.abs(vector).max()
     if longest == 0.0:
-        raise ValueError(f"{name} must be a direction, got (0, 0, 0)")
+        raise InputError(f"{name} must be a direction, got (0, 0, 0)")
     vector = vector / longest  # its square may be beyond float64
     return vector / np.linalg.norm(vector)
 
@@ -40,7 +41,7 @@ def frame_along(axis: str | ArrayLike, towards: str | ArrayLike | None = None) -
     aim = np.eye(3)[int(np.argmin(np.abs(w)))] if towards is None else direction(towards, "towards")
     u = aim - (aim @ w) * w
     if np.linalg.norm(u) < 1e-6:
-        raise ValueError(f"a bend needs two different directions, got axis {axis} and towards {towards}")
+        raise InputError(f"a bend needs two different directions, got axis {axis} and towards {towards}")
     u /= np.linalg.norm(u)
     return np.stack([u, np.cross(w, u), w])
 
@@ -62,7 +63,7 @@ def bend(
     angle, along = np.deg2rad(checked_number(degrees, "degrees")), axis_index(axis)
     sign, across = signed_axis(towards)
     if across == along:
-        raise ValueError(f"bend needs two different axes, got axis {axis!r} and towards {towards!r}")
+        raise InputError(f"bend needs two different axes, got axis {axis!r} and towards {towards!r}")
     rest, box, middle = _prepared(vertices, bounds, center)
     start, length = _limits(limits, box, along)
 
@@ -153,7 +154,7 @@ def stretch(
     stretched[:, along] += (factor - 1.0) * np.clip(rest[:, along] - start, 0.0, length)
     if keep_volume:
         if tuple(limits) != (0.0, 1.0):
-            raise ValueError(f"keep_volume stretches the whole length: limits must be (0, 1), got {tuple(limits)}")
+            raise InputError(f"keep_volume stretches the whole length: limits must be (0, 1), got {tuple(limits)}")
         across = np.arange(3) != along
         stretched[:, across] = middle[across] + (rest[:, across] - middle[across]) / np.sqrt(factor)
     return stretched
@@ -165,7 +166,7 @@ def scale(
     """Scale about the centre by one positive factor, or by one for each axis (3,): x' = c + factor (x - c)."""
     factors = np.asarray(factor, dtype=np.float64)
     if factors.shape not in ((), (3,)) or not np.isfinite(factors).all() or (factors <= 0.0).any():
-        raise ValueError(f"scale needs one positive factor or three, got {factor}")
+        raise InputError(f"scale needs one positive factor or three, got {factor}")
     rest, _, middle = _prepared(vertices, bounds, center)
     return middle + (rest - middle) * factors
 
@@ -203,17 +204,17 @@ def move(
     `radius` is where the effect ends, world units; None moves the group alone."""
     rest, step = as_host_points(vertices, name="vertices"), checked_vector(offset, "offset")
     if (group is None) == (center is None):
-        raise ValueError("move needs either a group of vertices or a centre")
+        raise InputError("move needs either a group of vertices or a centre")
     reach = None if radius is None else checked_positive(radius, "radius")
     if center is not None:
         if reach is None:
-            raise ValueError("move about a centre needs a radius")
+            raise InputError("move about a centre needs a radius")
         distance = np.linalg.norm(rest - checked_vector(center, "center"), axis=1)
     else:
         moved = np.atleast_1d(np.asarray(group))
         whole = moved.dtype.kind in "iu" and moved.ndim == 1 and len(moved)
         if not whole or moved.min() < 0 or moved.max() >= len(rest):
-            raise ValueError(f"group must be vertex numbers from 0 to {len(rest) - 1}, at least one")
+            raise InputError(f"group must be vertex numbers from 0 to {len(rest) - 1}, at least one")
         if reach is None:
             distance, reach = np.where(np.isin(np.arange(len(rest)), moved), 0.0, 1.0), 1.0
         else:
@@ -254,14 +255,14 @@ def _prepared(
     rest = as_host_points(vertices, name="vertices")
     if bounds is None:
         if not len(rest):
-            raise ValueError("a pose needs at least one vertex, or bounds")
+            raise InputError("a pose needs at least one vertex, or bounds")
         bounds = np.stack([rest.min(axis=0), rest.max(axis=0)])
     box = np.asarray(bounds, dtype=np.float64)
     if box.ndim == 2 and box.shape[0] > 2 and box.shape[1] == 3:
         box = np.stack([box.min(axis=0), box.max(axis=0)])
     # unlike checked_bounds: a flat cage can be posed along its own plane
     if box.shape != (2, 3) or not np.isfinite(box).all() or (box[1] < box[0]).any():
-        raise ValueError(f"bounds must be (2, 3), the lower corner first, got {box.tolist()}")
+        raise InputError(f"bounds must be (2, 3), the lower corner first, got {box.tolist()}")
     return rest, box, box.mean(axis=0) if center is None else checked_vector(center, "center")
 
 
@@ -269,10 +270,10 @@ def _limits(limits: Sequence[float], bounds: np.ndarray, along: int) -> tuple[fl
     """Where the limits begin along the axis and how far apart they are, world units."""
     shares = real_array(limits, "limits")
     if shares.shape != (2,) or not np.isfinite(shares).all() or not shares[0] < shares[1]:
-        raise ValueError(f"limits must be two shares of the bounding box, the lower first, got {shown(limits)}")
+        raise InputError(f"limits must be two shares of the bounding box, the lower first, got {shown(limits)}")
     extent = bounds[1, along] - bounds[0, along]
     if extent == 0.0:
-        raise ValueError(f"the bounding box is flat along axis {AXES[along]!r}: pose along another axis")
+        raise InputError(f"the bounding box is flat along axis {AXES[along]!r}: pose along another axis")
     return bounds[0, along] + shares[0] * extent, (shares[1] - shares[0]) * extent
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from ..coordinates.reference_mvc import mean_value_gradients
 from ..core.checks import checked_whole, shown
 from ..core.names import require_name
+from ..errors import InputError
 from ..mesh.faces import column_dot, face_edges
 from ..mesh.mesh import ClosedMesh
 from ..mesh.queries import intersecting_faces
@@ -244,7 +245,7 @@ class RandomPoseOptions:
 
     def __post_init__(self) -> None:
         if isinstance(self.modes, str) or not isinstance(self.modes, Sequence):
-            raise ValueError(f"modes of random poses must be a list of {', '.join(POSE_MODES)}, got {self.modes!r}")
+            raise InputError(f"modes of random poses must be a list of {', '.join(POSE_MODES)}, got {self.modes!r}")
         found = {
             "seed": checked_whole(self.seed, "the seed of random poses", 0),
             "stretch": _pair(self.stretch, "stretch"),
@@ -254,13 +255,13 @@ class RandomPoseOptions:
         for name, value in found.items():
             object.__setattr__(self, name, value)
         if not 0.0 < self.stretch[0] < 1.0 < self.stretch[1]:
-            raise ValueError(
+            raise InputError(
                 f"stretch must hold 1 between two positive bounds, such as 0.5 and 2, got {shown(self.stretch)}"
             )
         if not 0.0 < self.reach[0] <= self.reach[1] <= 1.0:
-            raise ValueError(f"reach must be two shares above 0 and up to 1, the lower first, got {shown(self.reach)}")
+            raise InputError(f"reach must be two shares above 0 and up to 1, the lower first, got {shown(self.reach)}")
         if not self.modes:
-            raise ValueError(f"random poses need at least one mode of {', '.join(POSE_MODES)}")
+            raise InputError(f"random poses need at least one mode of {', '.join(POSE_MODES)}")
 
 
 def _pair(values: Sequence[float], name: str) -> tuple[float, float]:
@@ -270,7 +271,7 @@ def _pair(values: Sequence[float], name: str) -> tuple[float, float]:
     except (TypeError, ValueError):
         pair = np.empty(0)
     if pair.shape != (2,) or not np.isfinite(pair).all():
-        raise ValueError(f"{name} must be two finite numbers, got {shown(values)}")
+        raise InputError(f"{name} must be two finite numbers, got {shown(values)}")
     return float(pair[0]), float(pair[1])
 
 
@@ -441,7 +442,7 @@ class RandomPoses(Generic[Posed]):
         self.chance = chance = RandomPoseOptions(seed, stretch, reach, modes)
         self.seed, self.stretch, self.reach, self.modes = chance.seed, chance.stretch, chance.reach, chance.modes
         if probe is not None and probe.rest is not rest:
-            raise ValueError("the probe of random poses must be one of the very cage that they are poses of")
+            raise InputError("the probe of random poses must be one of the very cage that they are poses of")
         self._probe = probe
 
     def pose(self, number: int) -> Posed:
@@ -481,7 +482,7 @@ class RandomPoses(Generic[Posed]):
                 if self._allowed(posed):
                     return posed.vertices
                 t *= BACK
-        raise ValueError(
+        raise InputError(
             f"no random pose of this cage stretches by {self.stretch[0]:g} to {self.stretch[1]:g} without folds: allow "
             "more stretch, or look for crossing faces and slivers (Cage.check)"
         )

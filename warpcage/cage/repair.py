@@ -6,6 +6,7 @@ import numpy as np
 
 from ..core.checks import axis_index, checked_number, checked_whole
 from ..core.names import agreed, counted
+from ..errors import InputError
 from ..mesh.mesh import ClosedMesh, MeshTopology
 from ..mesh.validity import coincident_vertices, inward_parts
 
@@ -20,7 +21,7 @@ def repaired_faces(cage: ClosedMesh, largest_hole: int = 12) -> tuple[np.ndarray
     for step in (_merged, _without_repeats, _wound_alike):
         faces = step(cage.vertices, faces, notes)
         if not len(faces):
-            raise ValueError("the cage has no face left that encloses anything: begin with another cage")
+            raise InputError("the cage has no face left that encloses anything: begin with another cage")
     faces = _closed(cage.vertices, faces, largest_hole, notes)
     faces = _outward(cage.vertices, faces, notes)
     return (faces if notes else cage.faces), tuple(notes)
@@ -190,7 +191,7 @@ def symmetrised(cage: ClosedMesh, axis: str = "x", *, center: float | None = Non
     # Faces stay, so squares may be cut along other diagonals on both sides.
     along = axis_index(axis)
     if keep not in ("both", "+", "-"):
-        raise ValueError(f"keep must be 'both', '+' or '-', got {keep!r}")
+        raise InputError(f"keep must be 'both', '+' or '-', got {keep!r}")
     middle = float(cage.bounds[:, along].mean()) if center is None else checked_number(center, "center")
     own = cage.vertices
     mirrored = own.copy()
@@ -198,7 +199,7 @@ def symmetrised(cage: ClosedMesh, axis: str = "x", *, center: float | None = Non
     partner = np.array([np.argmin(((own - image) ** 2).sum(axis=1)) for image in mirrored])
     alone = np.flatnonzero(partner[partner] != np.arange(len(own)))
     if len(alone):
-        raise ValueError(
+        raise InputError(
             f"{counted(len(alone), 'vertex', 'vertices')} {agreed(len(alone), 'has', 'have')} no partner "
             f"across the plane {axis} = {middle:.4g}, the first "
             f"{alone[0]}: move the plane with centre, or make the cage with symmetry={axis!r}"

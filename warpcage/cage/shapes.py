@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import axis_index, checked_positive, checked_vector, checked_whole
+from ..errors import InputError
 from .repair import cut_in_four
 
 #: Faces of an icosahedron over the corners of three golden rectangles.
@@ -25,11 +26,11 @@ def box(
     """The surface of a grid between two corners, both in `lower` (2, 3) where `upper` is None; see `Cage.box`."""
     corners = np.asarray(lower if upper is None else [lower, upper], dtype=np.float64)
     if corners.shape != (2, 3) or not np.isfinite(corners).all():
-        raise ValueError(f"a box needs two finite corners of 3 numbers, got {corners.tolist()}")
+        raise InputError(f"a box needs two finite corners of 3 numbers, got {corners.tolist()}")
     if not (corners[1] > corners[0]).all():
-        raise ValueError(f"a box needs its upper corner above the lower, got {corners.tolist()}")
+        raise InputError(f"a box needs its upper corner above the lower, got {corners.tolist()}")
     if np.shape(segments) not in ((), (3,)):
-        raise ValueError(f"box segments must be one whole number or three, got {segments!r}")
+        raise InputError(f"box segments must be one whole number or three, got {segments!r}")
     pieces = [checked_whole(count, "box segments", 1) for count in np.broadcast_to(np.asarray(segments), 3).tolist()]
 
     number: dict[tuple, int] = {}

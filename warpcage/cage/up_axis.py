@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..core.files import PathLike
+from ..errors import InputError
 from ..field.selection import some_visible_nodes
 from ..mesh.io import UPS, file_up, read_object, turned_up
 from ..mesh.match import matched_vertices
@@ -93,9 +94,9 @@ def load_standing(
             else:
                 standing = standing_of_rest(cage, chosen, reference, given=given)
         if standing.lost and up is None and not anywhere:
-            raise ValueError(standing.note)
+            raise InputError(standing.note)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
     return restood(cage, chosen, standing.up), standing
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from ..core.checks import checked_path, checked_whole, listed
 from ..core.files import atomic_path
 from ..core.names import agreed, counted
+from ..errors import InputError, MissingFileError
 from ..view.pictures import write_png
 from .colmap import Solver, load_pycolmap
 from .report import MOST_THUMBNAILS, THUMBNAIL, CaptureReport, make_contact_sheet, make_report
@@ -66,13 +67,13 @@ def require_new_folder(path: pathlib.Path) -> None:
     """Refuse an output that is there already, or that cannot be made."""
     if path.is_dir():
         if any(path.iterdir()):
-            raise ValueError(f"output folder {str(path)!r} is there and not empty: give a new one, or remove it")
+            raise InputError(f"output folder {str(path)!r} is there and not empty: give a new one, or remove it")
     elif path.exists() or path.is_symlink():
-        raise ValueError(f"output folder {str(path)!r} is a file: give a new one, or remove it")
+        raise InputError(f"output folder {str(path)!r} is a file: give a new one, or remove it")
     for parent in path.absolute().parents:
         if parent.exists():
             if not parent.is_dir():
-                raise ValueError(f"{str(path)!r} cannot be written: {str(parent)!r} is not a folder")
+                raise InputError(f"{str(path)!r} cannot be written: {str(parent)!r} is not a folder")
             return
 
 
@@ -143,11 +144,11 @@ def capture(
     feature_size = checked_whole(feature_size, "feature_size", LEAST_SIZE, MOST_SIZE)
     seed = checked_whole(seed, "seed", 0, 2**31 - 1)
     if not source.exists():
-        raise FileNotFoundError(f"video or folder {str(source)!r} is not there")
+        raise MissingFileError(f"video or folder {str(source)!r} is not there")
     require_new_folder(output)
     chosen = None if pictures is None else sorted(set(chosen_names(pictures)))
     if chosen is not None and not source.is_dir():
-        raise ValueError(f"pictures chooses from a folder of pictures, and {str(source)!r} is a video: give frames")
+        raise InputError(f"pictures chooses from a folder of pictures, and {str(source)!r} is a video: give frames")
     load_pycolmap()
     job = {
         "source": str(source.resolve()),
@@ -216,11 +217,11 @@ def _require_several(count: int, source: pathlib.Path, video: bool) -> None:
     if count >= LEAST_PICTURES:
         return
     if video:
-        raise ValueError(
+        raise InputError(
             f"video {str(source)!r} shows {counted(count, 'different view')}: cameras are found where the view moves; "
             f"{HOW_TO}"
         )
-    raise ValueError(
+    raise InputError(
         f"{str(source)!r} holds {counted(count, 'picture')}: cameras are found of at least {LEAST_PICTURES}, "
         f"and 30 or more are better; {HOW_TO}"
     )
@@ -310,13 +311,13 @@ def _find(
     features = solver.find_features()
     usual = float(np.median(features))
     if usual < LEAST_FEATURES:
-        raise ValueError(
+        raise InputError(
             f"the pictures of {str(source)!r} show too little to hold on to, {usual:.0f} features each: more light, "
             "sharper pictures, or something with a pattern around the object, such as a newspaper under it, help"
         )
     pairs, alike = solver.match(video=video)
     if not alike:
-        raise ValueError(
+        raise InputError(
             f"no two pictures of {str(source)!r} show the same ({pairs} pairs were compared): {HOW_TO}; what shines or "
             "moves cannot be matched"
         )

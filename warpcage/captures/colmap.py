@@ -15,6 +15,7 @@ import numpy as np
 
 from ..core.names import counted
 from ..core.threads import cpu_threads
+from ..errors import InputError
 from ..scene.pictures import COEFFICIENTS, distort
 from .sources import bar
 
@@ -233,7 +234,7 @@ def load_pycolmap() -> Any:
     try:
         import pycolmap
     except ImportError as error:
-        raise ValueError('finding cameras needs pycolmap: pip install "warpcage[capture]"') from error
+        raise InputError('finding cameras needs pycolmap: pip install "warpcage[capture]"') from error
     pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL)
     return pycolmap
 

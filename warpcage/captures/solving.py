@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InputError
 from ..view.camera import Camera
 from .agreement import Agreement, agreement_of, ahead_share
 from .colmap import LEAST_GROUP, Found, Solver, found_of
@@ -148,7 +149,7 @@ def _require_whole(source: pathlib.Path, labels: Sequence[str], solution: Soluti
         if len(group) < max(LEAST_GROUP, MOST_TORN * len(solution.found.pictures)):
             break  # they are ordered by size
         if total >= LEAST_ACROSS * agreement.inside(group):
-            raise ValueError(
+            raise InputError(
                 f"the cameras of {str(source)!r} come out torn: {len(group)} pictures ({_spread(labels, group)}) do "
                 f"not fit to the other {len(first)} ({_spread(labels, first)}), of {total} matches between them {good} "
                 "agree: capture one of these groups alone (--pictures), add pictures taken between them, or leave out "
@@ -179,7 +180,7 @@ def _require_agreement(source: pathlib.Path, labels: Sequence[str], solution: So
         if solution.ahead <= 0.5
         else "do not fit to the pictures:"
     )
-    raise ValueError(
+    raise InputError(
         f"the cameras of {str(source)!r} {wrong} only {100 * share:.0f} % of the matches agree with them, least those "
         f"of {worst}: leave these out (--pictures), add pictures from more sides in smaller steps, or give ones whose "
         "EXIF says the focal length"
@@ -197,7 +198,7 @@ def _require_most(source: pathlib.Path, names: Sequence[str], labels: Sequence[s
             for group in sorted(groups, key=min)
             if 2 * len(group) >= most
         )
-        raise ValueError(
+        raise InputError(
             f"the pictures of {str(source)!r} fall apart into groups that share nothing ({parts}): capture them one by "
             "one, or add pictures that show both"
         )
@@ -207,7 +208,7 @@ def _require_most(source: pathlib.Path, names: Sequence[str], labels: Sequence[s
         or 2 * most < count
         or len(solution.found.points) < LEAST_POINTS * most
     ):
-        raise ValueError(
+        raise InputError(
             f"cameras were found of {most} of {count} pictures of {str(source)!r}, which is too few to go by: "
             f"{HOW_TO}; keep the object still, and avoid mirrors, glass and bare walls"
         )
@@ -219,7 +220,7 @@ def _require_parallax(source: pathlib.Path, found: Found) -> None:
     spread = float(np.linalg.norm(np.ptp(places, axis=0)))
     away = float(np.median(np.linalg.norm(found.points - places.mean(axis=0), axis=1)))
     if spread < LEAST_PARALLAX * away:
-        raise ValueError(
+        raise InputError(
             f"the pictures of {str(source)!r} were taken from about one place, {100 * spread / away:.0f} % of the way "
             f"to what they show apart, which says nothing about depth: do not turn the camera, {HOW_TO}"
         )

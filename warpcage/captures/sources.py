@@ -15,6 +15,7 @@ from ..core import reports
 from ..core.checks import checked_path, listed, shown
 from ..core.files import require_file
 from ..core.names import agreed
+from ..errors import InputError, MissingFileError
 from ..view.pictures import MAX_PIXELS
 
 #: Endings of pictures that are read, and of those that are not but are often there.
@@ -48,14 +49,14 @@ def chosen_names(pictures: str | os.PathLike | Sequence[str]) -> list[str]:
     """Names of the pictures to use: themselves, or the lines of a text file."""
     if not isinstance(pictures, str | os.PathLike):
         if not isinstance(pictures, Sequence) or not all(isinstance(name, str) for name in pictures):
-            raise ValueError(f"pictures must be a text file or a list of names, got {shown(pictures)}")
+            raise InputError(f"pictures must be a text file or a list of names, got {shown(pictures)}")
         return list(pictures)
     path = checked_path(pictures, "pictures")
     require_file(path, "list of pictures")
     try:
         lines = path.read_text("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
-        raise ValueError(f"list of pictures {str(path)!r} is not text: give names of pictures, one a line") from error
+        raise InputError(f"list of pictures {str(path)!r} is not text: give names of pictures, one a line") from error
     return [line.strip() for line in lines if line.strip()]
 
 
@@ -65,12 +66,12 @@ def read_sources(folder: pathlib.Path, chosen: Sequence[str] | None = None) -> l
     entries = sorted(entry for entry in folder.iterdir() if entry.is_file() and not entry.name.startswith("."))
     files = [entry for entry in entries if entry.suffix.lower() in ENDINGS]
     if not files:
-        raise FileNotFoundError(_no_pictures(folder, entries))
+        raise MissingFileError(_no_pictures(folder, entries))
     if chosen is not None:
         known = {name for file in files for name in (file.name, file.stem)}
         missing = [name for name in chosen if name not in known]
         if missing:
-            raise ValueError(
+            raise InputError(
                 f"{str(folder)!r} holds no {agreed(len(missing), 'picture', 'pictures')} named {listed(missing, 4)}: "
                 "the list of pictures names files of that folder, one a line"
             )
@@ -86,7 +87,7 @@ def read_sources(folder: pathlib.Path, chosen: Sequence[str] | None = None) -> l
         names.add(name)
         sources.append(source)
     if not sources:
-        raise ValueError(
+        raise InputError(
             f"none of the {len(files)} pictures of {str(folder)!r} can be read: {broken[0][0]}: {broken[0][1]}"
         )
     if broken:
@@ -112,7 +113,7 @@ def load_upright(file: pathlib.Path) -> np.ndarray:
             clear = "A" in upright.mode or "transparency" in upright.info
             return np.array(upright.convert("RGBA" if clear else "RGB"))
     except Exception as error:
-        raise ValueError(f"picture {str(file)!r} cannot be read: {' '.join(str(error).split())}") from error
+        raise InputError(f"picture {str(file)!r} cannot be read: {' '.join(str(error).split())}") from error
 
 
 def shrink_factor(size: tuple[int, int], most: int) -> float:
@@ -128,7 +129,7 @@ def _source(file: pathlib.Path, name: str) -> Source:
     with open(file, "rb") as stream, Image.open(stream, formats=FORMATS) as picture:
         width, height = picture.size
         if width * height > MAX_PIXELS:
-            raise ValueError(f"it declares {width}x{height} pixels, at most {MAX_PIXELS} are read")
+            raise InputError(f"it declares {width}x{height} pixels, at most {MAX_PIXELS} are read")
         exif = picture.getexif()
         block = exif.get_ifd(EXIF_BLOCK)
         picture.load()

@@ -14,6 +14,7 @@ import numpy as np
 from ..core.files import atomic_path, require_file
 from ..core.names import agreed, counted
 from ..core.threads import cpu_threads
+from ..errors import InputError
 from .sources import Source, bar, load_upright, shrink_factor
 from .tones import mapped_picture, transfer_of
 
@@ -107,7 +108,7 @@ def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
                 before = small
                 shown.update()
     if size is None:
-        raise ValueError(f"video {str(path)!r} has no frame that can be decoded: it may be cut off, or not a video")
+        raise InputError(f"video {str(path)!r} has no frame that can be decoded: it may be cut off, or not a video")
     if broken[0]:
         warnings.warn(
             f"{counted(broken[0], 'frame')} of {str(path)!r} cannot be decoded and "
@@ -154,7 +155,7 @@ def write_frames(path: pathlib.Path, times: np.ndarray, files: list[pathlib.Path
                     shown.update()
                 if not missing:
                     return
-    raise ValueError(
+    raise InputError(
         f"video {str(path)!r}: {counted(len(missing), 'frame')} {agreed(len(missing), 'is', 'are')} not "
         "found again: it changed while it was read"
     )
@@ -175,10 +176,10 @@ def _opened(path: pathlib.Path) -> Any:
             container = av.open(name)
     except (FFmpegError, OSError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
-        raise ValueError(f"{str(path)!r} cannot be read as a video: {reason}") from error
+        raise InputError(f"{str(path)!r} cannot be read as a video: {reason}") from error
     if not container.streams.video:
         container.close()
-        raise ValueError(f"{str(path)!r} holds no video stream")
+        raise InputError(f"{str(path)!r} holds no video stream")
     container.streams.video[0].thread_type = "AUTO"
     return container
 

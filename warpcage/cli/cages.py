@@ -16,6 +16,7 @@ from ..cage.snap import cut_matter, snap_to_gaps
 from ..cage.up_axis import load_standing
 from ..core.checks import checked_bounds
 from ..core.files import require_file
+from ..errors import InputError
 from ..field.closer import is_splats, matter_around
 from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
@@ -38,11 +39,11 @@ def run_cage(args: argparse.Namespace) -> None:
     shared.require_field_scale(args)
     is_field = shared.is_field(args.field)
     if is_field and args.object is not None:
-        raise ValueError(f"--object names an object of a mesh file, {args.field!r} is a field")
+        raise InputError(f"--object names an object of a mesh file, {args.field!r} is a field")
     thing: Any = shared.read_field(args) if is_field else read_mesh(args.field, args.object)
     if args.snap is not None:
         if not is_field:
-            raise ValueError(f"--snap needs a field (.npz), got {args.field!r}")
+            raise InputError(f"--snap needs a field (.npz), got {args.field!r}")
         _snap(shared.require_voxels(thing, "--snap"), args, output)
         return
     if any(value is not None for value in _selection(args).values()):
@@ -76,9 +77,9 @@ def _snap(field: Any, args: argparse.Namespace, output: pathlib.Path) -> None:
 
 def _check_combination(args: argparse.Namespace) -> None:
     if (args.snap is None) != (args.reach is None):
-        raise ValueError("--snap needs --reach, how far its walls may move, and --reach belongs to --snap")
+        raise InputError("--snap needs --reach, how far its walls may move, and --reach belongs to --snap")
     if args.snap is not None and any(value is not None for value in _selection(args).values()):
-        raise ValueError("--snap looks at all of the field: leave the options out that select a part of it")
+        raise InputError("--snap looks at all of the field: leave the options out that select a part of it")
     needs = {
         "segments": ("box", args.box),
         "axis": ("cylinder", args.cylinder),
@@ -87,18 +88,18 @@ def _check_combination(args: argparse.Namespace) -> None:
     }
     for name, (shape, chosen) in needs.items():
         if getattr(args, name) is not None and not chosen:
-            raise ValueError(f"--{name} belongs to --{shape}")
+            raise InputError(f"--{name} belongs to --{shape}")
     if args.vertices is not None and (args.box or args.cylinder):
-        raise ValueError(
+        raise InputError(
             "--vertices is for a cage wrapped around the object: a box takes --segments, a cylinder --sides and --rings"
         )
     if args.vertices is not None:
         checked_count(args.vertices, "--vertices")
     for name in ("method", "symmetry"):
         if getattr(args, name) is not None and (args.box or args.cylinder):
-            raise ValueError(f"--{name} is for a cage wrapped around the object")
+            raise InputError(f"--{name} is for a cage wrapped around the object")
     if args.segments is not None and len(args.segments) not in (1, 3):
-        raise ValueError(f"--segments takes one number or three, got {len(args.segments)}")
+        raise InputError(f"--segments takes one number or three, got {len(args.segments)}")
 
 
 def _selection(args: argparse.Namespace) -> dict:
@@ -117,7 +118,7 @@ def _selected(field: Any, is_field: bool, args: argparse.Namespace) -> NodeSelec
     """The chosen nodes of a field. What was left out is printed."""
     chosen = {name: value for name, value in _selection(args).items() if value is not None}
     if not is_field:
-        raise ValueError(f"--{'in-box' if 'box' in chosen else next(iter(chosen))} is for fields, not for meshes")
+        raise InputError(f"--{'in-box' if 'box' in chosen else next(iter(chosen))} is for fields, not for meshes")
     selected = field
     if "selection" in chosen:
         selected = NodeSelection.load(chosen.pop("selection"), field)
@@ -144,7 +145,7 @@ def read_mesh(name: str, object: str | None = None) -> trimesh.Trimesh:
 
     path = require_file(name, "mesh file")
     if path.suffix.lower() not in options.MESH_ENDINGS:
-        raise ValueError(
+        raise InputError(
             f"mesh file {str(path)!r} must end in {' or '.join(options.MESH_ENDINGS)}, or in .npz for a field"
         )
     if object is not None or path.suffix.lower() == ".glb":  # strips and fans too, split vertices joined
@@ -153,11 +154,11 @@ def read_mesh(name: str, object: str | None = None) -> trimesh.Trimesh:
     try:
         mesh = trimesh.load(path, force="mesh", process=False, maintain_order=True)
     except Exception as error:
-        raise ValueError(f"{path} cannot be read as a mesh, it is cut off or damaged: {error}") from error
+        raise InputError(f"{path} cannot be read as a mesh, it is cut off or damaged: {error}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         if path.suffix.lower() == ".ply":
             read_object(path)  # which tells of points without faces
-        raise ValueError(f"{path} holds no triangles")
+        raise InputError(f"{path} holds no triangles")
     return mesh
 
 
@@ -176,7 +177,7 @@ def _cylinder_around(mesh: trimesh.Trimesh, args: argparse.Namespace) -> Cage:
     """Around the middle of the bounding box, wide enough for the flat sides to clear every vertex."""
     margin, axis, sides = _margin(mesh, args), args.axis or "z", args.sides or 12
     if sides < 3:
-        raise ValueError(f"a cylinder needs at least 3 sides, got {sides}")
+        raise InputError(f"a cylinder needs at least 3 sides, got {sides}")
     center = mesh.bounds.mean(axis=0)
     along = "xyz".index(axis)
     reach = np.linalg.norm(np.delete(mesh.vertices - center, along, axis=1), axis=1).max() + margin

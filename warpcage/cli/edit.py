@@ -16,6 +16,7 @@ from ..core.files import require_file
 from ..editor.demo import demo_files
 from ..editor.edit import edit, require_libraries
 from ..editor.session import free_session_path, session_path
+from ..errors import InputError
 from ..field.selection import NodeSelection
 from ..splats.io import splat_path
 from ..splats.splat_field import load_field
@@ -27,22 +28,22 @@ def run_edit(args: argparse.Namespace) -> None:
     # each pose would say so anew, with other numbers; the page shows what the cage does
     warnings.filterwarnings("ignore", message="a cage has gaps narrower")
     if (args.field is None) == (not args.demo):
-        raise ValueError("edit needs a field file, or --demo")
+        raise InputError("edit needs a field file, or --demo")
     try:
         require_libraries()
     except ImportError as error:  # not for want of warpcage's own
-        raise ValueError(str(error)) from None
+        raise InputError(str(error)) from None
     device = shared.chosen_device(args)
     if args.demo:
         if args.cage or args.selection:
-            raise ValueError("--demo brings its own cage: leave --cage and --selection out")
+            raise InputError("--demo brings its own cage: leave --cage and --selection out")
         args.field, demo_cage = map(str, demo_files(device))
     args.field = str(splat_path(args.field))
     require_file(args.field, "field file")
     kept = pathlib.Path(args.session) if args.session else session_path(args.field)
     if kept.exists() and (args.cage or args.selection) and not args.new:
         option = "--cage" if args.cage else "--selection"
-        raise ValueError(
+        raise InputError(
             f"{str(kept)!r} holds a session of this field: leave {option} out to go on with it, or give --new"
         )
     field = load_field(args.field, scene_scale=args.scene_scale, device=device)

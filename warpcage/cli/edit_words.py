@@ -14,6 +14,7 @@ from ..cage.pose_file import is_preset
 from ..core.checks import checked_number, listed, warn_caller
 from ..core.files import PathLike, atomic_path, read_json, require_file
 from ..core.names import edit_fields, edit_words
+from ..errors import InputError
 from .arguments.options import CAGE_ENDINGS, positive_float
 
 FORMAT, VERSION = "warpcage edits", 1
@@ -48,20 +49,20 @@ class EditWords:
 
     def __post_init__(self) -> None:
         if self.keep and self.remove:
-            raise ValueError("keep and remove do not go together: choose one")
+            raise InputError("keep and remove do not go together: choose one")
         if self.remove and self.posed is not None:
-            raise ValueError(f"what is removed needs no pose, got {self.posed!r}")
+            raise InputError(f"what is removed needs no pose, got {self.posed!r}")
         if self.remove and (self.falloff is not None or self.held != "cut"):
-            raise ValueError("what is removed has no band in which it fades to rest: leave falloff and held out")
+            raise InputError("what is removed has no band in which it fades to rest: leave falloff and held out")
         if not self.remove and self.posed is None:
-            raise ValueError(f"there is no posed cage: write {EDIT_SHAPE}")
+            raise InputError(f"there is no posed cage: write {EDIT_SHAPE}")
         for name in ("falloff", "fragments"):
             value = getattr(self, name)
             if value is not None and checked_number(value, name) < 0.0:
-                raise ValueError(f"{name} must be 0 or more, got {value:g}")
+                raise InputError(f"{name} must be 0 or more, got {value:g}")
         _ = self.walls  # refuses others
         if self.up not in (None, "y", "z"):
-            raise ValueError(f"up must be 'y' or 'z', got {self.up!r}")
+            raise InputError(f"up must be 'y' or 'z', got {self.up!r}")
 
     @property
     def walls(self) -> str | tuple[int, ...]:
@@ -71,7 +72,7 @@ class EditWords:
         try:
             return tuple(int(number) for number in self.held.split(","))
         except ValueError:
-            raise ValueError(
+            raise InputError(
                 f"held must be cut, still, or numbers of faces such as 4,5,17, got {self.held!r}"
             ) from None
 
@@ -90,7 +91,7 @@ def parse_edit(text: str) -> EditWords:
     ":object=NAME"."""
     found = _CAGE.fullmatch(text)
     if found is None:
-        raise ValueError(f"--edit {text!r} names no cage file ({' '.join(CAGE_ENDINGS)}): write {EDIT_SHAPE}")
+        raise InputError(f"--edit {text!r} names no cage file ({' '.join(CAGE_ENDINGS)}): write {EDIT_SHAPE}")
     cage, rest = found[1], found[2]
     words: dict[str, Any] = {}
     while rest is not None:
@@ -106,13 +107,13 @@ def parse_edit(text: str) -> EditWords:
         rest = before or None
     try:
         if rest is not None and (slip := _SLIP.fullmatch(rest)) and not pathlib.Path(rest).exists():
-            raise ValueError(
+            raise InputError(
                 f"{slip[1]!r} is no word of an edit, only keep, remove, falloff=, held=, fragments= and object="
             )
         words |= {name: positive_float(words[name]) for name in ("falloff", "fragments") if name in words}
         return EditWords(cage, rest or None, **words)
     except (ValueError, argparse.ArgumentTypeError) as error:
-        raise ValueError(f"--edit {text!r}: {error}") from None
+        raise InputError(f"--edit {text!r}: {error}") from None
 
 
 def read_edits_file(path: PathLike) -> list[EditWords]:
@@ -121,17 +122,17 @@ def read_edits_file(path: PathLike) -> list[EditWords]:
     try:
         content = read_edits_json(path)
         if content.get("format") != FORMAT:
-            raise ValueError(f"its format is {str(content.get('format'))[:40]!r}, not {FORMAT!r}")
+            raise InputError(f"its format is {str(content.get('format'))[:40]!r}, not {FORMAT!r}")
         version, edits = content.get("version"), content.get("edits")
         if type(version) is not int or version < 1:
-            raise ValueError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
+            raise InputError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
         if version > VERSION:
-            raise ValueError(f"its version is {version}, this warpcage reads up to {VERSION}: upgrade")
+            raise InputError(f"its version is {version}, this warpcage reads up to {VERSION}: upgrade")
         if not isinstance(edits, list) or not edits:
-            raise ValueError("its edits must be a list of at least one edit")
+            raise InputError("its edits must be a list of at least one edit")
         return [_words(edit, number, path.parent) for number, edit in enumerate(edits, 1)]
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
 
 
 def read_edits_json(path: pathlib.Path) -> dict[str, Any]:
@@ -151,19 +152,19 @@ def _words(edit: Any, number: int, folder: pathlib.Path) -> EditWords:
     """One edit of a file."""
     try:
         if not isinstance(edit, dict):
-            raise ValueError(f"it must be an object with a cage, got {type(edit).__name__}")
+            raise InputError(f"it must be an object with a cage, got {type(edit).__name__}")
         known = edit_words({field.name: field for field in dataclasses.fields(EditWords)})
         # what a later version adds has a higher version: an unknown word is a slip, and would be lost in silence
         if unknown := [name for name in edit if name not in known]:
-            raise ValueError(f"it has no {unknown[0]!r}, only {listed(known)}")
+            raise InputError(f"it has no {unknown[0]!r}, only {listed(known)}")
         given = {name: value for name, value in edit.items() if value is not None}
         for name, value in given.items():
             _require_kind(name, value, known[name].type)
         if "cage" not in given:
-            raise ValueError("it names no cage")
+            raise InputError("it names no cage")
         words = EditWords(**edit_fields(given))
     except ValueError as error:
-        raise ValueError(f"edit {number}: {error}") from None
+        raise InputError(f"edit {number}: {error}") from None
     posed = words.posed
     if posed is not None and not is_preset(posed):
         posed = os.path.join(folder, posed)
@@ -180,7 +181,7 @@ def _require_kind(name: str, value: Any, kind: Any) -> None:
     else:
         good, wanted = isinstance(value, str) and bool(value), "a text"
     if not good:
-        raise ValueError(f"{name} must be {wanted}, got {str(value)[:40]!r}")
+        raise InputError(f"{name} must be {wanted}, got {str(value)[:40]!r}")
 
 
 def _json(edit: EditWords, folder: pathlib.Path) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from ..core.files import atomic_path, require_file
 from ..core.names import counted
 from ..deform.bake import bake
 from ..deform.deformer import SplatDeformer
+from ..errors import InputError
 from ..field.clean import CleanOptions, clean_voxels
 from ..field.objects import select_object
 from ..field.selection import NodeSelection, painted_voxels, splat_matter, tinted
@@ -37,19 +38,19 @@ def run_bake(args: argparse.Namespace) -> None:
     of_splats = is_splat_file(args.field)
     output = options.check_output(args.output, shared.splat_outputs() if of_splats else (".npz",), "field file")
     if of_splats and (args.voxels is not None or args.format is not None):
-        raise ValueError("--voxels and --format are for fields of voxels: the ending of a splat file says its format")
+        raise InputError("--voxels and --format are for fields of voxels: the ending of a splat file says its format")
     if args.frames is not None and (not of_splats or "#" not in output.name):
-        raise ValueError("--frames writes numbered files of splats: give -o NAME_####.ply, the # for the number")
+        raise InputError("--frames writes numbered files of splats: give -o NAME_####.ply, the # for the number")
     if args.overwrite and args.frames is None:
-        raise ValueError("--overwrite is for numbered files: give --frames, how many; one file is replaced anyway")
+        raise InputError("--overwrite is for numbered files: give --frames, how many; one file is replaced anyway")
     if args.frames == 1:
-        raise ValueError("--frames 1 would write the pose at rest alone: give 2 or more, or leave it out")
+        raise InputError("--frames 1 would write the pose at rest alone: give 2 or more, or leave it out")
     if args.frames is None and of_splats and "##" in output.name:
-        raise ValueError("-o with # for a number writes numbered files: give --frames, how many")
+        raise InputError("-o with # for a number writes numbered files: give --frames, how many")
     if args.selection is None or args.frames is not None:
         shared.require_deformation(args, "bake" if args.frames is None else "--frames")
     elif args.voxels is not None and not is_deformed(args):
-        raise ValueError("--voxels is for a deformed scene: what is only cut out keeps its voxels")
+        raise InputError("--voxels is for a deformed scene: what is only cut out keeps its voxels")
     field = shared.read_field(args)
     if args.selection is not None:
         field = NodeSelection.load(args.selection, field).cut_out()
@@ -103,9 +104,9 @@ def run_clean(args: argparse.Namespace) -> None:
     preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
     shared.check_saved(args)
     if args.views is None and (args.least_views is not None or args.least_weight is not None):
-        raise ValueError("--least-views and --least-weight belong to --views, the cameras that must show what is kept")
+        raise InputError("--least-views and --least-weight belong to --views, the cameras that must show what is kept")
     if args.largest_scale is not None and not of_splats:
-        raise ValueError(f"--largest-scale is for files of splats, got {args.field!r}")
+        raise InputError(f"--largest-scale is for files of splats, got {args.field!r}")
     field = shared.read_field(args)
     options_of_view = {"least_views": args.least_views, "least_weight": args.least_weight}
     wanted = CleanOptions(
@@ -146,7 +147,7 @@ def run_mesh(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, options.MESH_ENDINGS, "mesh file")
     ending = output.suffix.lower()
     if args.colors and ending not in WITH_COLORS:
-        raise ValueError(f"--colors: {ending} has no colours, {' '.join(WITH_COLORS)} have")
+        raise InputError(f"--colors: {ending} has no colours, {' '.join(WITH_COLORS)} have")
     field = shared.require_voxels(shared.read_field(args), "mesh")
     colored = ending == ".glb" if args.colors is None else args.colors
 
@@ -192,15 +193,15 @@ def run_select(args: argparse.Namespace) -> None:
     shared.check_saved(args)
     regions = (args.in_box, args.sphere, args.in_cage, args.masks, args.depth)
     if all(given is None for given in (args.point, args.pixel, *regions)):
-        raise ValueError(
+        raise InputError(
             "select needs a click (--point or --pixel) or a region (--in-box, --sphere, --in-cage, --masks or --depth)"
         )
     if (args.depth is None) != (args.views is None):
-        raise ValueError("--depth and --views go together: distances from the cameras of views")
+        raise InputError("--depth and --views go together: distances from the cameras of views")
     if args.masks is not None and args.depth is not None:
-        raise ValueError("--masks and --depth cannot be combined: give one of them")
+        raise InputError("--masks and --depth cannot be combined: give one of them")
     if args.plane == "none" and (args.plane_at is not None or args.clearance is not None):
-        raise ValueError("--plane none leaves nothing out: --plane-at and --clearance belong to a plane")
+        raise InputError("--plane none leaves nothing out: --plane-at and --clearance belong to a plane")
     field = shared.read_field(args)
     corners = shared.visible_points(field, None, None)
     camera = shared.chosen_camera(args, corners) if args.pixel or preview or args.save_camera else None

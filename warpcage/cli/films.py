@@ -30,6 +30,7 @@ from ..editor.exports import Film
 from ..editor.renderer import view_camera
 from ..editor.timeline import document_at, frame_rate, frame_times
 from ..edits.edits import CageEdit
+from ..errors import InputError, StateError
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera, CameraKey, camera_json
 from ..view.film import CLEAR_ENDINGS, read_film_frame, write_film
@@ -97,7 +98,7 @@ def film_words(args: argparse.Namespace, *, scale: tuple[float, float] | None, d
     """The words of items for the options of `warpcage animate`, but "outputs"; the lattice of `args` is chosen already.
     scale: low and high disparity of pictures of depth and disparity."""
     if args.overlay and args.show != "rgb":
-        raise ValueError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
+        raise InputError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
     words: dict[str, Any] = {
         "background": TRANSPARENT if shared.is_transparent(args) else args.background,
         "antialias": args.antialias,
@@ -192,7 +193,7 @@ class _Rows:
         with self._file:
             self._file.seek(0)
             if self._write_header() != self._start:
-                raise RuntimeError("NumPy wrote a header of another length")
+                raise StateError("NumPy wrote a header of another length")
 
     def _write_header(self) -> int:
         # with room for the digits of a first axis that grows
@@ -284,7 +285,7 @@ def frame_outputs(output: pathlib.Path, show: str, kind: str | None) -> tuple[di
     """The words "outputs" of frames that become a film or a folder, and their ending; kind: --format of a folder."""
     if output.suffix.lower() in CLEAR_ENDINGS:
         if show != "rgb":
-            raise ValueError(f"--workers makes {output.suffix} films of colours alone: leave out --show, or --workers")
+            raise InputError(f"--workers makes {output.suffix} films of colours alone: leave out --show, or --workers")
         return {"film": "{id}.npz"}, "npz"  # as many bits as they hold
     return {show: "{id}." + (kind or "png")}, kind or "png"
 
@@ -299,9 +300,9 @@ def _require_all(report: RunReport) -> None:
     if report.failed:
         name, line = next(iter(report.failed.items()))
         more = f" ({counted(len(report.failed), 'frame')} failed)" if len(report.failed) > 1 else ""
-        raise RuntimeError(f"{name}: {line}{more}")
+        raise StateError(f"{name}: {line}{more}")
     if report.halt is not None:
-        raise RuntimeError(report.halt)
+        raise StateError(report.halt)
 
 
 def _collect(workplace: pathlib.Path, folder: pathlib.Path) -> None:
@@ -376,7 +377,7 @@ def session_job(
     """The job of a session's film, and its frames, which are those of `editor.exports.film_pictures`.
     path: the field's file; scene_scale: as the field was loaded."""
     if film.overlay:
-        raise ValueError("--jobs of a session draws no cages: leave --overlay out")
+        raise InputError("--jobs of a session draws no cages: leave --overlay out")
     settings, rate = document.settings, frame_rate(document.timeline)
     edits = [edit for edit in document.edits if edit.visible]
     words = {

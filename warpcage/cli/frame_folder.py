@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from ..core.files import atomic_path
 from ..core.overlap import BackgroundWriter
+from ..errors import InputError
 from ..view.camera import Camera
 from ..view.exr import read_exr
 from ..view.film import read_film_frame
@@ -94,7 +95,7 @@ def frame_files(folder: pathlib.Path) -> list[pathlib.Path]:
 def _allowed(foreign: str, folder: pathlib.Path, overwrite: bool) -> str:
     """Whose frames a folder holds. Raises ValueError for those of another film that nobody wants to be replaced."""
     if foreign and not overwrite:
-        raise ValueError(
+        raise InputError(
             f"folder {str(folder)!r} holds {foreign}: give another folder, or --overwrite to replace those frames; "
             "with the options of that film it is continued"
         )
@@ -121,7 +122,7 @@ def _read_note(note: pathlib.Path) -> dict:
     except ValueError:
         found = None
     if not isinstance(found, dict) or not {"frames", "field", "camera"} <= found.keys():
-        raise ValueError(f"{str(note)!r} is no note of frames that warpcage wrote: give another folder")
+        raise InputError(f"{str(note)!r} is no note of frames that warpcage wrote: give another folder")
     return found
 
 
@@ -173,5 +174,5 @@ def _picture_shape(path: pathlib.Path) -> tuple[int, ...]:
     with open(path, "rb") as file:
         file.seek(-len(PNG_END), os.SEEK_END)
         if file.read() != PNG_END:  # all pixels may be there before
-            raise ValueError(f"{path} is cut off")
+            raise InputError(f"{path} is cut off")
     return read_image(path).shape[:2]

@@ -16,6 +16,7 @@ from ..core.kernel_files import copy_kernel, find_kernel, kernel_names, kernel_s
 from ..core.modules import start_warp
 from ..core.names import counted
 from ..core.threads import cpu_threads
+from ..errors import InputError, MissingFileError
 from ..field.surroundings import LayeredBackground, OuterField
 from ..mesh.io import object_names
 from ..mesh.io.formats import format_lines, mesh_endings
@@ -42,7 +43,7 @@ def run_info(args: argparse.Namespace) -> None:
     path = None if args.field is None else pathlib.Path(args.field)
     of_splats = path is not None and path.exists() and is_splat_file(path)
     if sheet is not None and not (path is not None and path.is_dir() and not of_splats):
-        raise ValueError(f"--sheet shows the pictures of a scene folder, got {args.field!r}")
+        raise InputError(f"--sheet shows the pictures of a scene folder, got {args.field!r}")
     if path is None:
         rows = _machine()
     elif of_splats:
@@ -50,7 +51,7 @@ def run_info(args: argparse.Namespace) -> None:
     elif path.is_dir():
         rows = _scene(path, args, sheet)
     elif not path.exists():
-        raise FileNotFoundError(f"file {args.field!r} is not there")
+        raise MissingFileError(f"file {args.field!r} is not there")
     elif path.suffix.lower() == ".npz":
         rows = _field(path, args)
     elif path.suffix.lower() in mesh_endings():
@@ -58,7 +59,7 @@ def run_info(args: argparse.Namespace) -> None:
     elif path.suffix.lower() == ".json":
         rows = _json(path)
     else:
-        raise ValueError(
+        raise InputError(
             f"{args.field!r} is not a field (.npz), splats ({' '.join(endings_read())}), cage "
             f"({' '.join(mesh_endings())}), poses, edits or cameras (.json) or scene folder"
         )
@@ -186,11 +187,11 @@ def _json(path: pathlib.Path) -> Rows:
     try:
         kind = read_json(path, "file of warpcage").get("format")
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
     if kind == "warpcage session":
-        raise ValueError(f"{path}: a session of the editor: `warpcage edits {path}` lists its edits")
+        raise InputError(f"{path}: a session of the editor: `warpcage edits {path}` lists its edits")
     if not isinstance(kind, str) or kind not in kinds:
-        raise ValueError(f"{path}: not a file of warpcage: its format is none of {', '.join(kinds)}")
+        raise InputError(f"{path}: not a file of warpcage: its format is none of {', '.join(kinds)}")
     return kinds[kind](path)
 
 

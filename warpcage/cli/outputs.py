@@ -13,6 +13,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..deform.deformer import Deformer
+from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from ..view import frame_parts
 from ..view.camera import Camera
@@ -43,7 +44,7 @@ def finished(image: np.ndarray) -> np.ndarray:
 def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
     """Whether many pictures have opacity. Raises ValueError where their film or folder cannot hold what was asked."""
     if output.suffix and args.format is not None:
-        raise ValueError("--format is for folders of pictures: the ending of a film says what it is")
+        raise InputError("--format is for folders of pictures: the ending of a film says what it is")
     require_format(args.format or "")
     transparent = shared.is_transparent(args)
     if transparent:
@@ -110,7 +111,7 @@ class Shot:
         try:
             return self.deformation.at(place) if self.times is None else self.deformation.at_time(place)
         except ValueError as error:
-            raise ValueError(f"frame {index}, between the poses: {error}") from error
+            raise InputError(f"frame {index}, between the poses: {error}") from error
 
     def frame(self, index: int) -> tuple[Frame, list[Cage]]:
         """The frame, and the cages that it shows."""
@@ -124,7 +125,7 @@ class Shot:
                 self.deformer.pose(cages)
                 self.held = place
         except ValueError as error:
-            raise ValueError(f"frame {index}, between the poses: {error}") from error
+            raise InputError(f"frame {index}, between the poses: {error}") from error
         frame = shared.render_view(self.deformer, camera, self.args)
         return frame, self.deformation.drawn(self.deformer.deformed or cages)
 

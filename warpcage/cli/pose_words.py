@@ -25,6 +25,7 @@ from ..cage.pose_file import PoseFile, Preset, is_preset
 from ..cage.up_axis import UpAxis, load_standing
 from ..core.checks import listed
 from ..core.names import EASINGS, counted
+from ..errors import InputError
 from ..view.camera_path import timed_keys
 from ..view.motion import frame_rate, frame_times, pose_along, value_along
 from .arguments.options import CAGE_ENDINGS
@@ -115,24 +116,24 @@ def _timed(file: PoseFile, path: str) -> PoseFile | None:
         return None
     without = [name for name in file.names if name not in file.times]
     if without:
-        raise ValueError(
+        raise InputError(
             f"{path}: keyframe {without[0]!r} has no time, {file.timed[0]!r} has one: give it one, as in "
             f"warpcage pose CAGE -o {path} --key {without[0]!r} --at SECONDS"
         )
     if min(file.times.values(), default=0.0) < 0.0:
-        raise ValueError(
+        raise InputError(
             f"{path}: keyframe {file.timed[0]!r} is at {file.times[file.timed[0]]:g} s: a film begins at 0"
         )
     for name, easing in file.easings.items():
         if easing not in EASINGS:
-            raise ValueError(
+            raise InputError(
                 f"{path}: keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}"
             )
     if file.cameras:
         try:
             timed_keys(file.cameras)
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise InputError(f"{path}: {error}") from None
     note_jumps(file, path)
     return file
 
@@ -155,10 +156,10 @@ def set_frames(args: argparse.Namespace, film: PoseFile | None, given: set[str])
     Returns the times of the frames, seconds; None, the frames being as they were asked for, without a film."""
     if film is None:
         if args.loop is not None:
-            raise ValueError("--loop is for keys at times (a pose file with times, an animation): see --motion")
+            raise InputError("--loop is for keys at times (a pose file with times, an animation): see --motion")
         return None
     if "frames" in given:
-        raise ValueError("--frames does not go with keys at times, which say how long the film is: see --fps")
+        raise InputError("--frames does not go with keys at times, which say how long the film is: see --fps")
     args.loop = args.loop or film.loop or "once"
     if "fps" not in given:
         args.fps = frame_rate(USUAL_RATE if film.fps is None else film.fps)
@@ -180,9 +181,9 @@ def read_poses(
         path, name = named
         file = PoseFile.load(path, rest)
         if not len(file):
-            raise ValueError(f"pose file {path!r} holds no keyframes")
+            raise InputError(f"pose file {path!r} holds no keyframes")
         if name and name not in file:
-            raise ValueError(f"pose file {path!r}: there is no keyframe {name!r}, only {listed(file)}")
+            raise InputError(f"pose file {path!r}: there is no keyframe {name!r}, only {listed(file)}")
         poses = [file[name] for name in ([name] if name else file.names)]
     elif moving := _moving_poses(rest, text, up, expected):
         poses = moving
@@ -212,10 +213,10 @@ def only_pose(rest: Cage, text: str, up: str | None, poses: Sequence[Cage]) -> C
             return shown
         file = file_poses(named[0], rest, name=named[1], up=up)
         if file is not None and file.times:
-            raise ValueError(
+            raise InputError(
                 f"{text!r} holds an animation of {len(file)} frames: `warpcage animate` makes a film of it"
             )
-    raise ValueError(f"{text!r} holds {len(poses)} keyframes: name one, as in {text}:NAME")
+    raise InputError(f"{text!r} holds {len(poses)} keyframes: name one, as in {text}:NAME")
 
 
 def _moving_poses(rest: Cage, text: str, up: str | None, expected: Mapping[str, str] | None) -> list[Cage]:
@@ -223,7 +224,7 @@ def _moving_poses(rest: Cage, text: str, up: str | None, expected: Mapping[str, 
     if named := moving_file(text):
         file = file_poses(named[0], rest, name=named[1], up=up)
         if file is None and named[1]:
-            raise ValueError(f"{named[0]}: there is no animation or shape {named[1]!r}: nothing moves in it")
+            raise InputError(f"{named[0]}: there is no animation or shape {named[1]!r}: nothing moves in it")
     elif files := numbered_files(text):
         likely = (expected or {}).get(ending(str(files[0])))
         file = sequence_poses(files, rest, up=up, expected=likely)
@@ -237,7 +238,7 @@ def matched(rest: Cage, posed: Cage, name: str) -> Cage:
     try:
         found = rest.match(posed)
     except ValueError as error:
-        raise ValueError(f"cage {name!r} does not fit its rest cage: {error}") from None
+        raise InputError(f"cage {name!r} does not fit its rest cage: {error}") from None
     if not np.array_equal(posed.faces, rest.faces) or len(posed.vertices) != len(rest.vertices):
         print(f"warpcage: cage {name!r} has another order than its rest cage: matched", file=sys.stderr)
     return found

@@ -13,6 +13,7 @@ from ..cage.motion import file_poses
 from ..cage.pose_file import PoseFile, is_preset
 from ..core.files import require_file
 from ..core.names import counted
+from ..errors import InputError
 from ..mesh.io.formats import mesh_endings
 from ..splats.io import splat_path
 from ..splats.splat_field import load_field
@@ -26,13 +27,13 @@ from .shared import Deformation, PosedEdit, is_session, numbered_edits, session_
 
 def run_edits(args: argparse.Namespace) -> None:
     if args.file is None and not args.edit:
-        raise ValueError("give an edits file to read, or --edit for each edit to write")
+        raise InputError("give an edits file to read, or --edit for each edit to write")
     if args.edit and args.output is None:
-        raise ValueError("--edit needs -o, the edits file to write")
+        raise InputError("--edit needs -o, the edits file to write")
     output = None if args.output is None else options.check_output(args.output, (".json",), "edits file")
     if args.file is not None and is_session(args.file):
         if output is not None:
-            raise ValueError(f"{args.file} is a session of the editor, which --edits takes as it is: it needs no -o")
+            raise InputError(f"{args.file} is a session of the editor, which --edits takes as it is: it needs no -o")
         deformation, names = session_edits(args.file)
         _list(args.file, deformation, names)
         return
@@ -80,7 +81,7 @@ def run_pose_keys(args: argparse.Namespace, output: pathlib.Path) -> None:
     file.fps = file.fps if args.fps is None else float(args.fps)
     file.loop = args.loop or file.loop
     if not len(file) and not file.cameras:
-        raise ValueError(f"{str(output)!r} would hold no key: remove the file instead")
+        raise InputError(f"{str(output)!r} would hold no key: remove the file instead")
     file.save(output)
     print(f"wrote {output}: {_described(file)}")
 
@@ -93,13 +94,13 @@ def _posed(args: argparse.Namespace) -> str:
 def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
     name = args.key
     if not name.strip():
-        raise ValueError("--key needs a name")
+        raise InputError("--key needs a name")
     timed = [other for other in file.times if other != name]
     if args.at is None and timed and name not in file.times:
-        raise ValueError(f"--key {name!r} needs --at SECONDS: the other keys of the file have times")
+        raise InputError(f"--key {name!r} needs --at SECONDS: the other keys of the file have times")
     untimed = [other for other in file.names if other != name and other not in file.times]
     if args.at is not None and untimed:
-        raise ValueError(f"--at: key {untimed[0]!r} of the file has no time; give all keys times, or none")
+        raise InputError(f"--at: key {untimed[0]!r} of the file has no time; give all keys times, or none")
     alone = args.posed is None and not args.steps
     if args.camera is not None:
         _add_camera(file, args)
@@ -111,7 +112,7 @@ def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
     if args.at is not None:
         same = [other for other in timed if file.times[other] == args.at]
         if same:
-            raise ValueError(
+            raise InputError(
                 f"key {same[0]!r} of the file is at {args.at:g} s too: give another time (for a jump give the key "
                 "before it --easing hold)"
             )
@@ -124,12 +125,12 @@ def _add_camera(file: PoseFile, args: argparse.Namespace) -> None:
     held = [key for key in file.cameras if key.name == args.key]
     time = args.at if args.at is not None or not held else held[0].time
     if time is None:
-        raise ValueError(f"--key {args.key!r} needs --at SECONDS: a camera is reached at a time")
+        raise InputError(f"--key {args.key!r} needs --at SECONDS: a camera is reached at a time")
     easing = args.easing or (held[0].easing if held else "smooth")
     key = CameraKey(shared.named_camera(args, args.camera), time, args.key, easing)
     same = [other for other in file.cameras if other.name != args.key and other.time == time]
     if same:
-        raise ValueError(f"camera {same[0].name!r} of the file is at {time:g} s too: give another time")
+        raise InputError(f"camera {same[0].name!r} of the file is at {time:g} s too: give another time")
     file.cameras = [other for other in file.cameras if other.name != args.key] + [key]
 
 
@@ -138,20 +139,20 @@ def _add_all(file: PoseFile, args: argparse.Namespace) -> None:
     if args.posed is None:
         if args.at is None and args.easing is None and not args.steps and not args.remove and (args.fps or args.loop):
             return  # rate and loop alone
-        raise ValueError("a pose file needs --key NAME, or --posed with a file that moves")
+        raise InputError("a pose file needs --key NAME, or --posed with a file that moves")
     for name in ("at", "easing", "camera", "steps", "remove"):
         if getattr(args, name):
-            raise ValueError(f"{'steps of the pose go' if name == 'steps' else f'--{name} goes'} with --key")
+            raise InputError(f"{'steps of the pose go' if name == 'steps' else f'--{name} goes'} with --key")
     up = posed_up(args)
     film = read_film(file.rest, [args.posed], up, None, args.fps)
     if film is None:
         named = pose_file(args.posed)
         poses = read_poses(file.rest, args.posed, up)
         if len(poses) < 2 and named is None:
-            raise ValueError(f"{args.posed!r} holds one pose: give it a name, --key NAME")
+            raise InputError(f"{args.posed!r} holds one pose: give it a name, --key NAME")
         film = PoseFile.load(named[0], file.rest) if named and not named[1] else _shapes(file.rest, args.posed, up)
     if bool(film.times) != bool(file.times) and len(file):
-        raise ValueError("keys with times and keys without do not go into one pose file: write another one")
+        raise InputError("keys with times and keys without do not go into one pose file: write another one")
     for name in film.names:
         film[name].require_usable(f"keyframe {name!r} of {args.posed!r}")
         file[name] = film[name]
@@ -167,17 +168,17 @@ def _shapes(rest: Cage, text: str, up: str | None) -> PoseFile:
     """The shapes of a glTF file."""
     file = file_poses(text, rest, up=up)
     if file is None:
-        raise ValueError(f"{text!r} holds one pose: give it a name, --key NAME")
+        raise InputError(f"{text!r} holds one pose: give it a name, --key NAME")
     return file
 
 
 def _remove(file: PoseFile, args: argparse.Namespace, output: pathlib.Path) -> None:
     for name in ("at", "easing", "posed", "camera", "steps"):
         if getattr(args, name):
-            raise ValueError(f"--remove takes a key out: leave {'the steps' if name == 'steps' else f'--{name}'} out")
+            raise InputError(f"--remove takes a key out: leave {'the steps' if name == 'steps' else f'--{name}'} out")
     cameras = [key for key in file.cameras if key.name != args.key]
     if args.key not in file and len(cameras) == len(file.cameras):
-        raise ValueError(f"{output}: there is no key {args.key!r} to remove")
+        raise InputError(f"{output}: there is no key {args.key!r} to remove")
     file.cameras = cameras
     if args.key in file:
         del file[args.key]
@@ -203,11 +204,11 @@ def run_pose(args: argparse.Namespace) -> None:
         return
     given = [name for name in OPTIONS if getattr(args, name)]
     if given:
-        raise ValueError(f"--{given[0]} is for keys of a pose file: give one with -o (.json)")
+        raise InputError(f"--{given[0]} is for keys of a pose file: give one with -o (.json)")
     if not args.steps:
-        raise ValueError("no step given: --bend, --twist, --taper, --stretch, --scale, --rotate or --translate")
+        raise InputError("no step given: --bend, --twist, --taper, --stretch, --scale, --rotate or --translate")
     if output.exists() and pathlib.Path(args.cage).exists() and output.samefile(args.cage):
-        raise ValueError(
+        raise InputError(
             f"-o {output} is the cage at rest itself, which is needed beside a posed one: name another file"
         )
 
@@ -245,7 +246,7 @@ def _arguments(name: str, value: Any) -> tuple:
     if name != "scale":
         return (value,)
     if len(value) not in (1, 3):
-        raise ValueError(f"--scale takes one factor or three, got {len(value)}")
+        raise InputError(f"--scale takes one factor or three, got {len(value)}")
     return (value[0] if len(value) == 1 else tuple(value),)
 
 

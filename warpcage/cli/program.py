@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TextIO
 
 from ..core import reports
 from ..core.names import error_line
-from ..errors import MissingPackageError
+from ..errors import InputError, MissingPackageError
 from .arguments import cages, edit, fields, info, poses, render, runs, scenes
 from .arguments.options import package_version
 
@@ -69,7 +69,7 @@ class _Parser(argparse.ArgumentParser):
     """Reports wrong arguments in one line, as every other bad input is reported."""
 
     def error(self, message: str) -> NoReturn:
-        raise ValueError(f"{message} (see {self.prog} --help)")
+        raise InputError(f"{message} (see {self.prog} --help)")
 
 
 class _Version(argparse.Action):

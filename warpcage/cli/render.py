@@ -21,6 +21,7 @@ from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
 from ..editor.renderer import view_camera
 from ..editor.session import read_session
 from ..editor.timeline import frame_times
+from ..errors import InputError
 from ..view import frame_parts
 from ..view.camera import Camera
 from ..view.camera_path import camera_at, path_cameras
@@ -49,13 +50,13 @@ def run_flight(args: argparse.Namespace) -> None:
     output = _checked_flight_output(args.output)
     transparent = outputs.checked_opacity(args, output)
     if args.scene is None:
-        raise ValueError("--cameras needs --scene, the scene of the cameras")
+        raise InputError("--cameras needs --scene, the scene of the cameras")
     if any(getattr(args, name) is not None for name in SINGLE_CAMERA):
         name = next(name for name in SINGLE_CAMERA if getattr(args, name) is not None)
-        raise ValueError(f"--cameras cannot be combined with --{name}, which is for one picture")
+        raise InputError(f"--cameras cannot be combined with --{name}, which is for one picture")
     shared.check_saved(args)
     if args.cameras == "given" and args.frames is not None:
-        raise ValueError("--frames belongs to --cameras interpolate")
+        raise InputError("--frames belongs to --cameras interpolate")
     field = shared.read_field(args)
     shared.require_fillable(args, field)
     cameras = chosen_cameras(args)
@@ -93,7 +94,7 @@ def _checked_flight_output(text: str) -> pathlib.Path:
     if path.suffix:
         return options.check_output(text, FILM_ENDINGS, "film (a folder of pictures has no ending)")
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise ValueError(f"{text!r} exists already: --cameras writes a new or an empty folder, or a film")
+        raise InputError(f"{text!r} exists already: --cameras writes a new or an empty folder, or a film")
     options.check_parent(path)
     return path
 
@@ -117,7 +118,7 @@ def run_many_poses(args: argparse.Namespace) -> None:
     folder = _checked_folder(args.output)
     given = [name for name in SINGLE_POSE if getattr(args, name) is not None]
     if given:
-        raise ValueError(f"--{given[0]} is for one picture: give the name of a picture with -o")
+        raise InputError(f"--{given[0]} is for one picture: give the name of a picture with -o")
     shared.require_deformation(args, f"the folder {args.output!r}")
     transparent, kind = outputs.checked_opacity(args, folder), args.format or "png"
     shared.check_saved(args)
@@ -136,7 +137,7 @@ def run_many_poses(args: argparse.Namespace) -> None:
             try:
                 deformer.pose(cages)
             except ValueError as error:
-                raise ValueError(f"pose {number} of {count}: {error}") from error
+                raise InputError(f"pose {number} of {count}: {error}") from error
             frame = shared.render_view(deformer, camera, args)
             drawn = shared.drawn_cages(deformer, deformation) if args.overlay else ()
             picture = outputs.colors(frame, camera, drawn, transparent)
@@ -149,7 +150,7 @@ def run_many_poses(args: argparse.Namespace) -> None:
 def _checked_folder(text: str) -> pathlib.Path:
     path = pathlib.Path(text)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise ValueError(f"{text!r} exists already: pictures of several poses go into a new or an empty folder")
+        raise InputError(f"{text!r} exists already: pictures of several poses go into a new or an empty folder")
     options.check_parent(path)
     return path
 
@@ -160,13 +161,13 @@ def run_render(args: argparse.Namespace) -> None:
     if args.cameras is not None:
         return run_flight(args)
     if args.scene is not None or args.frames is not None:
-        raise ValueError("--scene and --frames belong to --cameras")
+        raise InputError("--scene and --frames belong to --cameras")
     if not pathlib.Path(args.output).suffix and shared.is_deformed(args):
         return run_many_poses(args)
     if args.posed is not None and len(args.posed) > 1:
-        raise ValueError(f"{len(args.posed)} poses make as many pictures: give a folder with -o, which has no ending")
+        raise InputError(f"{len(args.posed)} poses make as many pictures: give a folder with -o, which has no ending")
     if args.format is not None:
-        raise ValueError("--format is for folders of pictures: the ending of a single one says what it is")
+        raise InputError("--format is for folders of pictures: the ending of a single one says what it is")
     output = options.check_output(args.output, (".png", ".exr"), "picture")
     outputs.require_format(output)
     shared.check_saved(args)
@@ -278,12 +279,12 @@ def run_animate(args: argparse.Namespace) -> None:
 def _check(args: argparse.Namespace, output: pathlib.Path) -> None:
     """Raises ValueError for options that do not go together, before any long work."""
     if args.jobs is not None and args.workers is not None:
-        raise ValueError("--workers does not go with --jobs: give it to warpcage run")
+        raise InputError("--workers does not go with --jobs: give it to warpcage run")
     shared.check_saved(args)
     if outputs.checked_opacity(args, output) and args.show != "rgb":
-        raise ValueError(f"--show {args.show} has no opacity: leave out --background transparent")
+        raise InputError(f"--show {args.show} has no opacity: leave out --background transparent")
     if args.format == "exr" and args.show != "rgb":
-        raise ValueError("--format exr holds colours, opacity and depth together: leave out --show")
+        raise InputError("--format exr holds colours, opacity and depth together: leave out --show")
     if output.suffix:
         checked_rate(args.fps, output.suffix.lower())
     if args.overlay:
@@ -324,19 +325,19 @@ def _say_jobs(path: pathlib.Path, count: int, camera: Camera) -> None:
 def _run_session(args: argparse.Namespace) -> None:
     """The film of a session of the editor."""
     if args.workers is not None:
-        raise ValueError("--workers does not go with --session: write its --jobs, and give them to warpcage run")
+        raise InputError("--workers does not go with --session: write its --jobs, and give them to warpcage run")
     if given := _given_besides(args):
-        raise ValueError(f"--session cannot be combined with --{given[0].replace('_', '-')}: the session decides that")
+        raise InputError(f"--session cannot be combined with --{given[0].replace('_', '-')}: the session decides that")
     jobs = None if args.jobs is None else checked_jobs_path(args.jobs)
     output = FRAMES if jobs is not None else checked_film_path(args.output)
     options.check_parent(output)
     require_file(args.session, "session file")  # before a field is read, which takes a while
     width, height = shared.image_size(args) or DEFAULT_SIZE
     if args.format is not None:
-        raise ValueError("--session writes PNG files into a folder: leave --format out")
+        raise InputError("--session writes PNG files into a folder: leave --format out")
     transparent = outputs.checked_opacity(args, output)
     if args.background is not None and not transparent:
-        raise ValueError("--session cannot be combined with --background: the session decides that")
+        raise InputError("--session cannot be combined with --background: the session decides that")
     film = Film(width, height, args.overlay, transparent)
     if jobs is not None:
         args.device = "cpu"  # nothing is rendered
@@ -377,7 +378,7 @@ def _chosen_cameras(
         camera, pivot = shared.chosen_camera(args, points), shared.chosen_target(args, points)
         return turned_cameras(camera, pivot, args.up, 360.0 if args.turn is None else args.turn, args.frames)
     if any(given is not None for given in (args.turn, args.camera, args.view, args.frame, args.eye, args.target)):
-        raise ValueError("--cameras cannot be combined with --turn, --camera, --view, --frame, --eye or --target")
+        raise InputError("--cameras cannot be combined with --turn, --camera, --view, --frame, --eye or --target")
     if shared.camera_file(args.cameras):
         keys = shared.camera_keys(args, args.cameras)
         if times and all(key.time is not None for key in keys):
@@ -390,7 +391,7 @@ def turned_cameras(camera: Camera, pivot: np.ndarray, up: ArrayLike, degrees: fl
     """Cameras carried around an axis, `degrees` in all: through pivot (3,), world units, in the direction up (3,)."""
     axis = np.asarray(up, np.float64)
     if np.linalg.norm(axis) == 0:
-        raise ValueError("--up must not be 0 0 0")
+        raise InputError("--up must not be 0 0 0")
     axis /= np.linalg.norm(axis)
     steps = count if degrees % 360 == 0 else max(1, count - 1)  # after a full turn the next would be the first
     cameras = []
@@ -407,7 +408,7 @@ def _checked_output(text: str) -> pathlib.Path:
     if path.suffix:
         return options.check_output(text, FILM_ENDINGS, "film (a folder has no ending)")
     if path.exists() and not path.is_dir():
-        raise ValueError(f"film {text!r} is a file without an ending: give {', '.join(FILM_ENDINGS)} or a folder")
+        raise InputError(f"film {text!r} is a file without an ending: give {', '.join(FILM_ENDINGS)} or a folder")
     options.check_parent(path)
     return path
 

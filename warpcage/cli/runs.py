@@ -20,6 +20,7 @@ from ..core.files import NpyFile
 from ..core.names import BACKGROUNDS, TRANSPARENT, counted
 from ..core.reports import bar, say_above_bar
 from ..core.threads import cpu_threads
+from ..errors import InputError
 from ..scene.formats.transforms import TransformsCameras
 from ..view.camera import Camera, CameraFile, framing_orbit
 from . import shared
@@ -35,7 +36,7 @@ def run_run(args: argparse.Namespace) -> int:
     part = None if args.part is None else Part.named(args.part)
     if args.dry_run:
         if part is not None:
-            raise ValueError("--dry-run looks at the whole job: leave out --part")
+            raise InputError("--dry-run looks at the whole job: leave out --part")
         return _say(foresee(args.jobs, args.output, workers=args.workers or 1, device=args.device))
     Options(args.workers, args.cluster, args.device, args.retries, item_timeout=args.item_timeout)
     with _Bar(args.quiet) as bar:
@@ -228,11 +229,11 @@ def _check_words(args: argparse.Namespace) -> None:
     if re.match(r"orbit(:|$)", args.cameras):
         _orbit_words(args.cameras)
     if _random_count(args.cameras, "--cameras") is not None and args.views is not None:
-        raise ValueError("--views chooses among cameras that all poses share: random:N makes N for each pose anew")
+        raise InputError("--views chooses among cameras that all poses share: random:N makes N for each pose anew")
     if len(set(args.seeds)) < len(args.seeds):
-        raise ValueError(f"--seeds names one twice: {' '.join(map(str, args.seeds))}")
+        raise InputError(f"--seeds names one twice: {' '.join(map(str, args.seeds))}")
     if args.resolution is None and "harmonic" in args.coordinates:
-        raise ValueError("harmonic coordinates have no closed form: --resolution precise is for mean_value and green")
+        raise InputError("harmonic coordinates have no closed form: --resolution precise is for mean_value and green")
 
 
 def _background(args: argparse.Namespace) -> str | list[float] | None:
@@ -240,13 +241,13 @@ def _background(args: argparse.Namespace) -> str | list[float] | None:
     given = USUAL_BACKGROUNDS[args.image] if args.background is None else args.background
     known = (*BACKGROUNDS, TRANSPARENT, OWN)
     if isinstance(given, str) and given not in known:
-        raise ValueError(
+        raise InputError(
             f"--background {given!r} is not known: {', '.join(known)}, or three numbers in [0, 1] such as 0.2,0.3,0.4"
         )
     if given == OWN:
         return None
     if given == TRANSPARENT and args.image == "jpg":
-        raise ValueError("a JPEG has no opacity: take --image png, or another --background")
+        raise InputError("a JPEG has no opacity: take --image png, or another --background")
     return given if isinstance(given, str) else list(given)
 
 
@@ -256,7 +257,7 @@ def _random_count(text: str, option: str) -> int | None:
         return None
     found = re.fullmatch(r"random:(\d{1,9})", text)
     if found is None or int(found[1]) < 1:
-        raise ValueError(f"{option} {text!r} must be random:N, N at least 1")
+        raise InputError(f"{option} {text!r} must be random:N, N at least 1")
     return int(found[1])
 
 
@@ -288,7 +289,7 @@ def _array_source(text: str, rest: Cage) -> GivenSource:
     file = NpyFile(text)
     shape = file.shape if len(file.shape) == 3 else (1, *file.shape)
     if shape[1:] != rest.vertices.shape:
-        raise ValueError(f"{text} must hold (poses, {len(rest.vertices)}, 3) vertices of the cage, got {file.shape}")
+        raise InputError(f"{text} must hold (poses, {len(rest.vertices)}, 3) vertices of the cage, got {file.shape}")
     return GivenSource(file.read().reshape(shape), text)
 
 
@@ -336,7 +337,7 @@ def _orbit_words(text: str) -> tuple[int, float]:
     found = re.fullmatch(r"orbit:(\d{1,6})(?::(-?\d+(?:\.\d+)?))?", text)
     elevation = ELEVATION if found is None or found[2] is None else float(found[2])
     if found is None or int(found[1]) < 1 or not -90.0 < elevation < 90.0:
-        raise ValueError(
+        raise InputError(
             f"--cameras {text!r} must be orbit:N or orbit:N:ELEVATION, N at least 1, the elevation in degrees between "
             "-90 and 90"
         )

@@ -8,6 +8,7 @@ import json
 from ..captures.capture import capture
 from ..core.files import atomic_path
 from ..core.names import FIT_BACKGROUNDS, counted
+from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..fitting.cameras import tuned_scene
 from ..fitting.evaluation import comparison, error_image, evaluation_report, in_world_of
@@ -92,7 +93,7 @@ def run_fit(args: argparse.Namespace) -> None:
     preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
     for name in VOXEL_OPTIONS if kind == "splats" else SPLAT_OPTIONS:
         if getattr(args, name):
-            raise ValueError(f"--{name.replace('_', '-')} is not for fits of {kind}")
+            raise InputError(f"--{name.replace('_', '-')} is not for fits of {kind}")
     if args.max_memory is not None:
         args.max_memory = memory_size(args.max_memory)
     options.require_folder(args.scene)
@@ -100,7 +101,7 @@ def run_fit(args: argparse.Namespace) -> None:
 
     names_behind = args.background in FIT_BACKGROUNDS
     if kind == "splats" and args.background in ("outer", "layers"):
-        raise ValueError(f"--background {args.background} is for voxels: splats reach as far as the pictures do")
+        raise InputError(f"--background {args.background} is for voxels: splats reach as far as the pictures do")
     behind = args.background if names_behind else "auto"
     color = "white" if names_behind or args.background is None else args.background
     scene = shared.read_scene(args, color, orient="up" if args.straighten else None)

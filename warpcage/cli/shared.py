@@ -28,6 +28,7 @@ from ..deform.fill import fill_unseen
 from ..editor.session import FORMAT as SESSION_FORMAT
 from ..editor.session import read_session
 from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
+from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..scene.load import load_scene
 from ..scene.scene import Scene
@@ -123,12 +124,12 @@ def read_deformation(
     files. interpolation: "smooth" or "linear", between several poses of an edit; None takes one pose an edit."""
     ways = [f"--{name}" for name in ("cage", "edit", "edits") if getattr(args, name) is not None]
     if len(ways) > 1:
-        raise ValueError(f"{ways[0]} and {ways[1]} do not go together: name each cage of several by --edit")
+        raise InputError(f"{ways[0]} and {ways[1]} do not go together: name each cage of several by --edit")
     if args.posed is not None and args.cage is None:
-        raise ValueError("--posed needs --cage, the same cage at rest")
+        raise InputError("--posed needs --cage, the same cage at rest")
     if args.cage is not None:
         if args.posed is None and not getattr(args, "overlay", False):
-            raise ValueError(
+            raise InputError(
                 "--cage and --posed go together: the cage at rest and the same cage posed (--overlay shows it at rest)"
             )
         texts = args.posed if isinstance(args.posed, list) else [args.posed or "rest"]
@@ -149,7 +150,7 @@ def numbered_edits(
 ) -> Deformation:
     """The deformation of several edits; messages say which is wrong. Without a field axes are those of the formats."""
     if len(words) > MAX_EDITS:
-        raise ValueError(f"a scene takes at most {MAX_EDITS} edits, got {len(words)}")
+        raise InputError(f"a scene takes at most {MAX_EDITS} edits, got {len(words)}")
     parts = []
     for number, edit in enumerate(words, 1):
         with _named(f"edit {number} of {len(words)}"):
@@ -169,7 +170,7 @@ def is_session(path: str) -> bool:
     try:
         return read_edits_json(file).get("format") == SESSION_FORMAT
     except ValueError as error:
-        raise ValueError(f"{file}: {error}") from None
+        raise InputError(f"{file}: {error}") from None
 
 
 def _own_or_all(own: float | None, args: argparse.Namespace, name: str) -> float:
@@ -191,7 +192,7 @@ def _read_edit(
     texts = [with_up(text, None if field is None else field.up.tolist()) if is_preset(text) else text for text in texts]
     falloff = 0.0 if words.remove else _own_or_all(words.falloff, args, "falloff")
     if words.held != "cut" and not falloff and not words.remove:
-        raise ValueError("held names the walls that an edit fades towards: give it a falloff=WIDTH, or leave held out")
+        raise InputError("held names the walls that an edit fades towards: give it a falloff=WIDTH, or leave held out")
     size = _own_or_all(words.fragments, args, "fragments")
     edit = CageEdit(rest, words.keep, words.remove, falloff, words.walls, size)
     if words.remove:
@@ -209,7 +210,7 @@ def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformat
     """The visible edits of a session of the editor, in the poses that it was left in, and a line on each edit."""
     visible = [edit for edit in read_session(path).edits if edit.visible]
     if not visible:
-        raise ValueError(f"{path}: the session has no visible edit")
+        raise InputError(f"{path}: the session has no visible edit")
     parts = []
     for edit in visible:
         with _named(f"{path}: edit {edit.name!r}"):
@@ -229,7 +230,7 @@ def _named(what: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise ValueError(f"{what}: {error}") from error
+        raise InputError(f"{what}: {error}") from error
 
 
 def _moves(part: PosedEdit) -> bool:
@@ -274,9 +275,9 @@ def read_field(args: argparse.Namespace) -> AnyField:
     if is_splat_file(args.field):
         require_field_scale(args)
     elif getattr(args, "antialias", None) is not None:
-        raise ValueError(f"--antialias is for files of splats, got {args.field!r}")
+        raise InputError(f"--antialias is for files of splats, got {args.field!r}")
     elif getattr(args, "map", None) == "forward":
-        raise ValueError(f"--map forward is for files of splats, voxels are looked up backward, got {args.field!r}")
+        raise InputError(f"--map forward is for files of splats, voxels are looked up backward, got {args.field!r}")
     field = load_field(args.field, scene_scale=args.scene_scale, device=chosen_device(args))
     if getattr(args, "up", field) is None:  # a command with a view
         args.up = tuple(field.up)
@@ -312,7 +313,7 @@ def splat_outputs() -> tuple[str, ...]:
 def require_voxels(field: AnyField, what: str) -> VoxelField:
     """A field of voxels. Raises ValueError for splats; what: what is asked for, as the message begins."""
     if isinstance(field, SplatField):
-        raise ValueError(f"{what} is for fields of voxels (.npz), this one is of splats")
+        raise InputError(f"{what} is for fields of voxels (.npz), this one is of splats")
     return field
 
 
@@ -321,7 +322,7 @@ def scene_masks(path: str, field: AnyField) -> dict[str, Any]:
     world of a field."""
     scene = load_scene(path, orient=field.straightening)
     if scene.alphas is None:
-        raise ValueError(f"the pictures of scene {path!r} have no opacity to take as masks")
+        raise InputError(f"the pictures of scene {path!r} have no opacity to take as masks")
     masks = scene.alphas
     if scene.weights is not None:  # the object may be wherever pixels do not say that it is not
         masks = np.where(scene.weights > 0.0, masks, 1.0)
@@ -331,14 +332,14 @@ def scene_masks(path: str, field: AnyField) -> dict[str, Any]:
 def require_field_scale(args: argparse.Namespace) -> None:
     """Raises ValueError for --scene-scale where no field takes it."""
     if getattr(args, "scene_scale", 1.0) != 1.0 and not str(args.field).lower().endswith(".npz"):
-        raise ValueError(f"--scene-scale is for fields (.npz), got {args.field!r}")
+        raise InputError(f"--scene-scale is for fields (.npz), got {args.field!r}")
 
 
 def require_deformation(args: argparse.Namespace, what: str) -> None:
     """Raises ValueError where no cage is given for something that needs one; what: how the message calls it."""
     if not is_deformed(args):
         alone = " (or --cage alone, at rest)" if what == "--overlay" else ""
-        raise ValueError(f"{what} needs a deformation: --cage and --posed{alone}, --edit or --edits")
+        raise InputError(f"{what} needs a deformation: --cage and --posed{alone}, --edit or --edits")
 
 
 def visible_points(field: AnyField, deformation: Deformation | None, frame: str | None) -> np.ndarray:
@@ -379,12 +380,12 @@ def is_transparent(args: argparse.Namespace) -> bool:
     """Whether pictures have opacity instead of a background; refuses both, and unknown ones, before any long work."""
     known = (*BACKGROUNDS, TRANSPARENT)
     if isinstance(args.background, str) and args.background not in known:
-        raise ValueError(
+        raise InputError(
             f"--background {args.background!r} is not known: {', '.join(known)}, or three numbers in [0, 1] such as "
             "0.2,0.3,0.4"
         )
     if args.transparent and args.background not in (None, TRANSPARENT):
-        raise ValueError("--transparent cannot be combined with --background: give one of them")
+        raise InputError("--transparent cannot be combined with --background: give one of them")
     return args.transparent or args.background == TRANSPARENT
 
 
@@ -404,9 +405,9 @@ def require_fillable(args: argparse.Namespace, field: AnyField) -> None:
         return
     require_deformation(args, "--fill")
     if args.background is not None or args.transparent:
-        raise ValueError("--fill continues the field's own background: it cannot be combined with --background")
+        raise InputError("--fill continues the field's own background: it cannot be combined with --background")
     if field.background_model is None:
-        raise ValueError("--fill: behind this field there is one colour, so that nothing is missing where it shows")
+        raise InputError("--fill: behind this field there is one colour, so that nothing is missing where it shows")
 
 
 def drawn_cages(renderer: AnyField | Deformer, deformation: Deformation | None) -> list[Cage]:
@@ -448,10 +449,10 @@ def image_size(args: argparse.Namespace) -> tuple[int, int] | None:
     if args.size is None:
         return None
     if len(args.size) > 2:
-        raise ValueError(f"--size takes a width, or a width and a height, got {len(args.size)} numbers")
+        raise InputError(f"--size takes a width, or a width and a height, got {len(args.size)} numbers")
     width, height = args.size[0], args.size[-1]
     if width * height > MOST_PIXELS:
-        raise ValueError(f"--size: {width}x{height} is too large, a picture has at most {MOST_PIXELS:,} pixels")
+        raise InputError(f"--size: {width}x{height} is too large, a picture has at most {MOST_PIXELS:,} pixels")
     return width, height
 
 
@@ -460,7 +461,7 @@ def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
     size = image_size(args)
     if args.camera is not None:
         if any(given is not None for given in (args.eye, args.target, args.view, args.frame)):
-            raise ValueError("--camera cannot be combined with --eye, --target, --view or --frame")
+            raise InputError("--camera cannot be combined with --eye, --target, --view or --frame")
         if named := camera_file(args.camera):
             return fitted_to(Camera.load(*named, size=file_size(args)), args)
         return fitted_to(scene_camera(args, args.camera), args)
@@ -471,7 +472,7 @@ def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
     if args.eye is None and args.target is None:
         return framed
     if args.eye is not None and args.view is not None:
-        raise ValueError("--view cannot be combined with --eye: both say where the camera stands")
+        raise InputError("--view cannot be combined with --eye: both say where the camera stands")
     target = chosen_target(args, points)
     eye = framed.center + target - middle(points) if args.eye is None else args.eye
     return Camera.look_at(eye, target, **view)
@@ -574,10 +575,10 @@ def scene_camera(args: argparse.Namespace, text: str) -> Camera:
     """The camera that SCENE:[SPLIT:]INDEX names."""
     path, separator, index = text.rpartition(":")
     if not separator or not index.isdigit():
-        raise ValueError(
+        raise InputError(
             f"--camera must be a camera file (.json, .glb, .gltf), SCENE:INDEX or SCENE:SPLIT:INDEX, got {text!r}"
         )
     cameras = scene_cameras(args, path)
     if int(index) >= len(cameras):
-        raise ValueError(f"{path!r} has pictures 0 to {len(cameras) - 1}, got {index}")
+        raise InputError(f"{path!r} has pictures 0 to {len(cameras) - 1}, got {index}")
     return cameras[int(index)]

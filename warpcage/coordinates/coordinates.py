@@ -26,6 +26,7 @@ from ..core.devices import launch
 from ..core.memory import require_memory
 from ..core.names import OUTSIDE, POINT_COORDINATES, agreed, chosen, require_name
 from ..core.reports import Progress, hears
+from ..errors import InputError
 from ..kernels.coordinates import green, local_points, mean_value
 from ..kernels.lattice import cage_map
 from ..lattice.position_map import PositionMap
@@ -80,7 +81,7 @@ def _way_outside(outside: str | None, kind: str) -> str:
     if outside is None:
         return chosen(kind, "coordinates", harmonic="raise", mean_value="extend", green="raise")
     if require_name(outside, OUTSIDE, "outside") == "extend" and kind != "mean_value":
-        raise ValueError(f"{kind} coordinates are not defined outside of a cage: take outside='raise' or 'nan'")
+        raise InputError(f"{kind} coordinates are not defined outside of a cage: take outside='raise' or 'nan'")
     return outside
 
 
@@ -100,7 +101,7 @@ def _lost_rows(local: _Local, cage: ClosedMesh, kind: str, outside: str, *, flag
     if len(lost) and outside == "raise":
         any_point = ", mean_value for any"
         hint = chosen(kind, "coordinates", harmonic=any_point, mean_value="", green=any_point)
-        raise ValueError(
+        raise InputError(
             f"{len(lost)} of {local.count} points {agreed(len(lost), 'is', 'are')} outside the cage by more "
             f"than {SURFACE_TOLERANCE:g} of its size, "
             f"the first is point {lost[0]} at ({local.place(lost[0])}): {kind} coordinates are for points inside{hint}"
@@ -112,7 +113,7 @@ def _require_near(local: _Local, cage: ClosedMesh) -> None:
     """Refuse points so far from the cage that their mean value weights have no digits."""
     away = np.abs(local.world - cage.bounds.mean(axis=0)).max(axis=1) / cage.size
     lost = np.flatnonzero(away >= local_points.FARTHEST)
-    raise ValueError(
+    raise InputError(
         f"{len(lost)} of {local.count} points {agreed(len(lost), 'is', 'are')} "
         f"{local_points.FARTHEST:.0f} times the cage's size "
         f"away or more, the first is point {lost[0]} at ({local.place(lost[0])}): leave them out"
@@ -202,7 +203,7 @@ def deform_points(
     require_usable(rest, "rest cage")
     require_same_faces(rest, deformed)
     if deformed.size > rest.size and (problem := size_problem(deformed)):
-        raise ValueError(f"deformed cage {problem}")
+        raise InputError(f"deformed cage {problem}")
     return move(_localise(points, rest, device), rest, deformed, _way_outside(outside, coordinates))
 
 

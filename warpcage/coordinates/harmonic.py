@@ -12,6 +12,7 @@ from ..core.checks import warn_caller
 from ..core.devices import launch
 from ..core.memory import require_memory
 from ..core.names import agreed
+from ..errors import InputError
 from ..kernels.lattice.cage_map import CageMap, sample_weights
 from ..lattice.gaps import MapTarget, lattice_side_bytes
 from ..lattice.harmonic import HarmonicSolver
@@ -47,7 +48,7 @@ def harmonic_weights(
     outside = np.flatnonzero(~np.asarray(inside_mesh(host, cage, device=device)))  # inside: up to 1e-5 of its size out
     if len(outside):
         first = int(outside[0])
-        raise ValueError(
+        raise InputError(
             f"{len(outside)} of {len(host)} points {agreed(len(outside), 'is', 'are')} outside the cage, "
             f"the first is row {first} at "
             f"{host[first].tolist()}: harmonic coordinates are defined inside only"

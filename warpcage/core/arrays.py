@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ..errors import InputError
 from ..kernels.coordinates.local_points import NUMBERS, find_not_finite, localise_points
 from .devices import launch, resolve_device
 from .locks import device_turn
@@ -88,17 +89,17 @@ def device_rows(points: Any, name: str = "points") -> wp.array[Any, Any]:
     array: wp.array[Any, Any] = points if isinstance(points, wp.array) else _from_foreign(points, name)
     if array.dtype in VECTORS:
         if array.ndim != 1:
-            raise ValueError(f"{name} must be (n, 3), got {array.shape} of {array.dtype.__name__}")
+            raise InputError(f"{name} must be (n, 3), got {array.shape} of {array.dtype.__name__}")
         number = VECTORS[array.dtype]
         if not array.size:
             return empty_array((0, 3), number, array.device)
         strides: Any = (array.strides[0], wp.types.type_size_in_bytes(number))
         array = array_view(array, number, (len(array), 3), strides=strides)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name} must be (n, 3), got {tuple(array.shape)}")
+        raise InputError(f"{name} must be (n, 3), got {tuple(array.shape)}")
     if array.dtype not in NUMBERS:
         known = ", ".join(number.__name__ for number in NUMBERS)
-        raise ValueError(f"{name} on a device must be of {known}, got {array.dtype.__name__}")
+        raise InputError(f"{name} on a device must be of {known}, got {array.dtype.__name__}")
     return array
 
 
@@ -173,7 +174,7 @@ def require_no_gradient(points: Any, name: str) -> None:
         recorded = bool(getattr(points, "requires_grad", False)) and (torch is None or torch.is_grad_enabled())
         remedy = f"give {name}.detach(), or call it under torch.no_grad()"
     if recorded:
-        raise ValueError(f"no gradient passes from here to {name}, which require one: {remedy}")
+        raise InputError(f"no gradient passes from here to {name}, which require one: {remedy}")
 
 
 def _active_tape() -> Any:
@@ -219,11 +220,11 @@ def as_host_points(points: PointsLike, *, name: str = "points") -> np.ndarray:
         host = np.asarray(as_host_array(points, name))
         host = host.astype(np.float64, casting="unsafe" if host.dtype == object else "same_kind")
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} must be (n, 3) real numbers, got {type(points).__name__}") from None
+        raise InputError(f"{name} must be (n, 3) real numbers, got {type(points).__name__}") from None
     if host.shape == (0,):  # an empty list
         host = host.reshape(0, 3)
     if host.ndim != 2 or host.shape[1] != 3:
-        raise ValueError(f"{name} must be (n, 3), got {host.shape}")
+        raise InputError(f"{name} must be (n, 3), got {host.shape}")
     _require_finite_rows(host, name)
     return host
 
@@ -231,7 +232,7 @@ def as_host_points(points: PointsLike, *, name: str = "points") -> np.ndarray:
 def _require_finite_rows(host: np.ndarray, name: str) -> None:
     if not np.isfinite(host).all():
         row = int(np.flatnonzero(~np.isfinite(host).all(axis=1))[0])
-        raise ValueError(f"{name} must be finite, row {row} is {host[row]}")
+        raise InputError(f"{name} must be finite, row {row} is {host[row]}")
 
 
 def as_host_array(array: Any, name: str) -> Any:
@@ -253,7 +254,7 @@ def _from_foreign(array: Any, name: str) -> wp.array:
             wp.synchronize_device(found.device)
     except Exception as error:
         kind = type(array).__name__
-        raise ValueError(f"{name} of type {kind} could not be read through DLPack: {error_line(error)}") from error
+        raise InputError(f"{name} of type {kind} could not be read through DLPack: {error_line(error)}") from error
     assert isinstance(found, wp.array)
     return found
 

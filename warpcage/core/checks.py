@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import InputError, UseError
 from .names import error_line
 
 #: Most samples that a caller may ask for along the diagonal of a field: with more a picture takes minutes, and no pixel
@@ -39,14 +40,14 @@ Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 def require_type(value: object, kind: type, what: str) -> None:
     """Refuse an object of another type; `what` begins the message: "`what` a `kind`, got ..."."""
     if not isinstance(value, kind):
-        raise ValueError(f"{what} a {kind.__name__}, got {type(value).__name__}")
+        raise InputError(f"{what} a {kind.__name__}, got {type(value).__name__}")
 
 
 def checked_number(value: Any, name: str) -> float:
     """One finite number, or an array of no dimensions, as a float."""
     number = _number(value)
     if not math.isfinite(number):
-        raise ValueError(f"{name} must be one finite number, got {shown(value)}")
+        raise InputError(f"{name} must be one finite number, got {shown(value)}")
     return number
 
 
@@ -54,7 +55,7 @@ def checked_positive(value: Any, name: str) -> float:
     """One positive, finite number, or an array of no dimensions, as a float."""
     number = _number(value)
     if not (math.isfinite(number) and number > 0.0):
-        raise ValueError(f"{name} must be positive and finite, got {shown(value)}")
+        raise InputError(f"{name} must be positive and finite, got {shown(value)}")
     return number
 
 
@@ -68,14 +69,14 @@ def checked_march(step: float | None, default: float, diagonal: float, distance:
     `diagonal` is that of the field's box, `distance` goes from the camera to the middle of it."""
     number, shortest = checked_step(step, default), diagonal / MOST_SAMPLES
     if step is not None and number < shortest:
-        raise ValueError(
+        raise InputError(
             f"the march step must be at least {shortest:.3g} ({MOST_SAMPLES} in the field), got {shown(step)}"
         )
     told = 2.0 * float32_spacing(distance + diagonal)
     if not told <= number:
         farthest = 2.0**21 * number - diagonal
         remedy = f", or move it to within {farthest:.3g}" if farthest > 0 else ""
-        raise ValueError(
+        raise InputError(
             f"a camera {distance:.3g} from the middle of the field is too far for march steps of {number:.3g}, which "
             f"float32 cannot tell there: take a step of at least {told:.3g}{remedy}"
         )
@@ -92,7 +93,7 @@ def float32_spacing(value: float) -> float:
 def require_ordinary_side(side: float, what: str) -> None:
     """Refuse a longest side, world units, that float32 kernels cannot take: outside SMALLEST_SIDE .. LARGEST_SIDE."""
     if not SMALLEST_SIDE <= side <= LARGEST_SIDE:
-        raise ValueError(
+        raise InputError(
             f"{what} has a longest side of {side:.3g} units: kernels can work with {SMALLEST_SIDE:g} to "
             f"{LARGEST_SIDE:g}, scale it (and its cameras) to another unit"
         )
@@ -102,7 +103,7 @@ def checked_margin(margin: float) -> float:
     """A distance that is kept between two surfaces, not negative, in units of the caller."""
     number = _number(margin)
     if not (math.isfinite(number) and number >= 0.0):
-        raise ValueError(f"margin must be finite and not negative, got {shown(margin)}")
+        raise InputError(f"margin must be finite and not negative, got {shown(margin)}")
     return number
 
 
@@ -111,21 +112,21 @@ def checked_whole(value: Any, name: str, least: int, most: int | None = None) ->
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < least or (most is not None and value > most):
         span = f"of at least {least}" if most is None else f"from {least} to {most}"
-        raise ValueError(f"{name} must be a whole number {span}, got {shown(value)}")
+        raise InputError(f"{name} must be a whole number {span}, got {shown(value)}")
     return int(value)
 
 
 def checked_flag(value: Any, name: str) -> bool:
     """Yes or no: a bool of Python or NumPy; words are refused, which would all be yes."""
     if not isinstance(value, bool | np.bool_):
-        raise ValueError(f"{name} must be True or False, got {shown(value)}")
+        raise InputError(f"{name} must be True or False, got {shown(value)}")
     return bool(value)
 
 
 def checked_path(path: Any, name: str) -> pathlib.Path:
     """The name of a file or a folder, text or a path."""
     if not isinstance(path, str | os.PathLike) or isinstance(os.fspath(path), bytes):
-        raise ValueError(f"{name} must be a path, got {type(path).__name__}")
+        raise InputError(f"{name} must be a path, got {type(path).__name__}")
     return pathlib.Path(path)
 
 
@@ -139,7 +140,7 @@ def real_array(values: Any, name: str, dtype: Any = np.float64) -> np.ndarray:
             return given.astype(dtype, copy=False)
     except (TypeError, ValueError, OverflowError):
         pass
-    raise ValueError(f"{name} must be real numbers, got {shown(values)}")
+    raise InputError(f"{name} must be real numbers, got {shown(values)}")
 
 
 def checked_vector(value: ArrayLike, name: str) -> np.ndarray:
@@ -149,7 +150,7 @@ def checked_vector(value: ArrayLike, name: str) -> np.ndarray:
     except (TypeError, ValueError, OverflowError):
         vector = np.empty(0)
     if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ValueError(f"{name} must be 3 finite numbers, got {shown(value)}")
+        raise InputError(f"{name} must be 3 finite numbers, got {shown(value)}")
     return vector
 
 
@@ -158,7 +159,7 @@ def checked_direction(value: ArrayLike, name: str) -> np.ndarray:
     direction = checked_vector(value, name)
     length = np.linalg.norm(direction)
     if not length > 0:
-        raise ValueError(f"{name} must be a direction, got {direction.tolist()}")
+        raise InputError(f"{name} must be a direction, got {direction.tolist()}")
     return direction / length
 
 
@@ -166,7 +167,7 @@ def checked_bounds(bounds: ArrayLike, name: str = "bounds") -> np.ndarray:
     """An axis-aligned box: (2, 3) float64, lower and upper corner, read-only."""
     box = real_array(bounds, name).copy()
     if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[1] > box[0]).all():
-        raise ValueError(f"{name} must be (2, 3), finite, lower below upper, got {box.tolist()}")
+        raise InputError(f"{name} must be (2, 3), finite, lower below upper, got {box.tolist()}")
     box.setflags(write=False)
     return box
 
@@ -174,7 +175,7 @@ def checked_bounds(bounds: ArrayLike, name: str = "bounds") -> np.ndarray:
 def axis_index(axis: str) -> int:
     """The number of an axis: 0, 1 or 2 for "x", "y" or "z"."""
     if not isinstance(axis, str) or len(axis) != 1 or axis not in AXES:
-        raise ValueError(f"axis must be 'x', 'y' or 'z', got {shown(axis)}")
+        raise InputError(f"axis must be 'x', 'y' or 'z', got {shown(axis)}")
     return AXES.index(axis)
 
 
@@ -236,7 +237,7 @@ def registered_formats(group: str, what: str, require: Callable[[object], None])
 def require_endings(endings: tuple[str, ...]) -> None:
     """Refuse endings of a format's files that are no ends of names in small letters."""
     if not endings or not all(each.startswith(".") and each == each.lower() for each in endings):
-        raise ValueError(f"its endings must be lower case and begin with a dot, got {endings!r}")
+        raise InputError(f"its endings must be lower case and begin with a dot, got {endings!r}")
 
 
 def renamed(**names: str) -> Callable[[Decorated], Decorated]:
@@ -250,7 +251,7 @@ def renamed(**names: str) -> Callable[[Decorated], Decorated]:
             for new, old in names.items():
                 if old in options:
                     if new in options:
-                        raise TypeError(f"{old} is the old name of {new}: give one of them")
+                        raise UseError(f"{old} is the old name of {new}: give one of them")
                     warn_caller(f"{old}= is called {new}= now: the next version knows that name alone")
                     options[new] = options.pop(old)
             return function(*values, **options)

@@ -10,6 +10,7 @@ from typing import Any
 
 import warp as wp
 
+from ..errors import InputError
 from .locks import device_turn
 from .modules import Kernel, require_loaded, start_warp
 from .threads import cpu_threads, run_parts
@@ -33,11 +34,11 @@ def resolve_device(device: wp.DeviceLike = None) -> wp.Device:
         return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
     try:
         if str(device).startswith("cuda") and not wp.is_cuda_available():
-            raise ValueError("no CUDA")  # Warp would look for its current context, and print that there is no driver
+            raise InputError("no CUDA")  # Warp would look for its current context, and print that there is no driver
         return wp.get_device(str(device))
     except Exception as error:
         present = ", ".join(found.alias for found in wp.get_devices())
-        raise ValueError(f"device {str(device)!r} is not there: this machine has {present}") from error
+        raise InputError(f"device {str(device)!r} is not there: this machine has {present}") from error
 
 
 def launch(

@@ -19,6 +19,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from ..errors import InputError, MissingFileError, file_error
 from .checks import checked_path
 from .memory import MemoryShortage, free_host_bytes, require_host_memory
 from .threads import run_parallel
@@ -105,7 +106,8 @@ def read_limited(path: PathLike, what: str, room: int = 1) -> bytes:
     path = require_file(path, what)
     size = path.stat().st_size
     require_host_memory(room * size, f"{path}: its {size} bytes need")
-    return path.read_bytes()
+    with file_errors():
+        return path.read_bytes()
 
 
 def require_numbers(
@@ -113,14 +115,14 @@ def require_numbers(
 ) -> np.ndarray:
     """An array of real numbers from what `read_npz` read; a shape of None, or None for a side, is any."""
     if name not in contents:
-        raise ValueError(f"{path} lacks {name}")
+        raise InputError(f"{path} lacks {name}")
     array = contents[name]
     fits = shape is None or (
         array.ndim == len(shape) and all(want in (None, size) for want, size in zip(shape, array.shape, strict=True))
     )
     if array.dtype.kind not in "fiu" or not fits:
         wanted = "numbers" if shape is None else f"numbers of shape {shape}".replace("None", "any")
-        raise ValueError(f"{path}: {name} must hold {wanted}, got {array.dtype} {array.shape}")
+        raise InputError(f"{path}: {name} must hold {wanted}, got {array.dtype} {array.shape}")
     return array
 
 
@@ -135,7 +137,7 @@ def _opened_npz(path: PathLike, what: str) -> Iterator[zipfile.ZipFile]:
         reason = " ".join(str(error).split()) or type(error).__name__
         if isinstance(error, zipfile.BadZipFile) and not zipfile.is_zipfile(path):
             reason = "it is cut off or damaged" if _begins_as_archive(path) else "it holds something else"
-        raise ValueError(f"{path} is not an .npz {what}: {reason}") from error
+        raise InputError(f"{path} is not an .npz {what}: {reason}") from error
 
 
 def _begins_as_archive(path: pathlib.Path) -> bool:
@@ -155,14 +157,14 @@ def _array_name(info: zipfile.ZipInfo) -> str:
 def _check_sizes(archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], room: int) -> None:
     """Refuse arrays that cannot be in the file, or for which there is no memory."""
     if len({info.filename for info in members}) < len(members):
-        raise ValueError("it holds two arrays with the same name")
+        raise InputError("it holds two arrays with the same name")
     for info in members:
         if info.file_size > MAX_RATIO * info.compress_size + 1024:
-            raise ValueError(f"array {info.filename!r} claims {info.file_size} bytes out of {info.compress_size}")
+            raise InputError(f"array {info.filename!r} claims {info.file_size} bytes out of {info.compress_size}")
     assert archive.filename is not None
     packed, there = sum(info.compress_size for info in members), os.path.getsize(archive.filename)
     if packed > there:
-        raise ValueError(f"its arrays claim {packed} packed bytes, the file has {there}")
+        raise InputError(f"its arrays claim {packed} packed bytes, the file has {there}")
     total, free = sum(info.file_size for info in members), free_host_bytes()
     if room * total > free:
         need = f" and need {room * total / 2**30:.1f}" if room > 1 else ""
@@ -175,7 +177,7 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
         shape, fortran_order, dtype = read_npy_header(file, name)
         claimed, there = math.prod(shape) * dtype.itemsize, info.file_size - file.tell()
         if min(shape, default=0) < 0 or claimed != there:
-            raise ValueError(f"array {name!r} claims {claimed} bytes {shape}, the file has {there}")
+            raise InputError(f"array {name!r} claims {claimed} bytes {shape}, the file has {there}")
         array = np.empty(math.prod(shape), dtype)
         octets, filled = array.view(np.uint8), 0
         if info.compress_type == zipfile.ZIP_STORED and claimed > CHUNK:
@@ -185,7 +187,7 @@ def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
         while filled < claimed:
             count = file.readinto(octets[filled : filled + CHUNK])  # pyright: ignore[reportArgumentType]
             if not count:
-                raise ValueError(f"array {name!r} ends after {filled} of {claimed} bytes")
+                raise InputError(f"array {name!r} ends after {filled} of {claimed} bytes")
             filled += count
     return array.reshape(shape, order="F" if fortran_order else "C")
 
@@ -209,7 +211,7 @@ def _read_stored(archive: zipfile.ZipFile, info: zipfile.ZipInfo, octets: np.nda
             while filled < len(part):
                 count = file.readinto(part[filled:])  # pyright: ignore[reportArgumentType]
                 if not count:
-                    raise ValueError(f"array {_array_name(info)!r} ends after {place + filled} of {len(octets)} bytes")
+                    raise InputError(f"array {_array_name(info)!r} ends after {place + filled} of {len(octets)} bytes")
                 filled += count
         return zlib.crc32(part)  # pyright: ignore[reportArgumentType]
 
@@ -225,24 +227,42 @@ def read_npy_header(file: IO[bytes], name: str) -> tuple[tuple[int, ...], bool, 
     The file is at its beginning, afterwards at the array's first byte."""
     version = np.lib.format.read_magic(file)
     if version not in _HEADERS:
-        raise ValueError(f"array {name!r} has the unknown .npy version {version}")
+        raise InputError(f"array {name!r} has the unknown .npy version {version}")
     read_header, length_bytes = _HEADERS[version]
     prefix = file.read(length_bytes)
     length = int.from_bytes(prefix, "little")
     if length > MAX_HEADER:  # NumPy would read all of it first
-        raise ValueError(f"array {name!r} has a header of {length} bytes, at most {MAX_HEADER} are read")
+        raise InputError(f"array {name!r} has a header of {length} bytes, at most {MAX_HEADER} are read")
     shape, fortran_order, dtype = read_header(io.BytesIO(prefix + file.read(length)))
     if dtype.hasobject:
-        raise ValueError(f"array {name!r} holds pickled objects, which are never opened")
+        raise InputError(f"array {name!r} holds pickled objects, which are never opened")
     if dtype.kind not in "biufcSU" or not dtype.itemsize:  # records, and items without bytes
-        raise ValueError(f"array {name!r} holds neither numbers nor text, but {dtype}")
+        raise InputError(f"array {name!r} holds neither numbers nor text, but {dtype}")
     return shape, fortran_order, dtype
+
+
+@contextlib.contextmanager
+def file_errors() -> Iterator[None]:
+    """Make errors of the system in a block a `warpcage.Error` too."""
+    try:
+        yield
+    except OSError as error:
+        told = file_error(error)
+        if told is error:
+            raise
+        raise told.with_traceback(error.__traceback__) from error.__cause__
 
 
 @contextlib.contextmanager
 def atomic_path(path: PathLike) -> Iterator[pathlib.Path]:
     """A temporary file, with the same ending, that takes the place of `path` when the block ends without an error.
     After an error `path` is as it was. Where it is a symbolic link, it stays one, and its target is replaced."""
+    with file_errors(), _replacing(path) as temporary:
+        yield temporary
+
+
+@contextlib.contextmanager
+def _replacing(path: PathLike) -> Iterator[pathlib.Path]:
     # A file that is replaced passes on its permissions; a new one gets what an ordinary `open` gives it.
     path = checked_path(path, "the file to write")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -288,12 +308,12 @@ def require_file(path: PathLike, what: str) -> pathlib.Path:
     """The path of a file that must be there, itself and not a pointer to it or a page about it."""
     path = checked_path(path, f"the {what}")
     if os.path.isdir(path):
-        raise FileNotFoundError(f"{what} {str(path)!r} is a folder")
+        raise MissingFileError(f"{what} {str(path)!r} is a folder")
     if not os.path.isfile(path):  # False for names that no file can have, too
-        raise FileNotFoundError(f"{what} {str(path)!r} is not there")
+        raise MissingFileError(f"{what} {str(path)!r} is not there")
     stand_in = _stand_in(path)
     if stand_in:
-        raise ValueError(f"{what} {str(path)!r} is {stand_in}")
+        raise InputError(f"{what} {str(path)!r} is {stand_in}")
     return path
 
 
@@ -343,17 +363,17 @@ def read_json(path: PathLike, what: str) -> dict[str, Any]:
     try:
         content = json.loads(data.decode("utf-8"))
     except UnicodeDecodeError:
-        raise ValueError(f"{not_a(what)}: it holds no text") from None
+        raise InputError(f"{not_a(what)}: it holds no text") from None
     except RecursionError:
-        raise ValueError(f"{not_a(what)}: its JSON is nested too deeply") from None
+        raise InputError(f"{not_a(what)}: its JSON is nested too deeply") from None
     except json.JSONDecodeError as error:
         place = f"line {error.lineno}, column {error.colno}"
         wrong = f"its JSON breaks off or is damaged at {place}" if data.strip() else "it is empty"
-        raise ValueError(f"{not_a(what)}: {wrong}") from None
+        raise InputError(f"{not_a(what)}: {wrong}") from None
     except ValueError:  # of Python, which reads no longer ones
-        raise ValueError(f"{not_a(what)}: a number in it has thousands of digits") from None
+        raise InputError(f"{not_a(what)}: a number in it has thousands of digits") from None
     if not isinstance(content, dict):
-        raise ValueError(f"{not_a(what)}: it holds no JSON object")
+        raise InputError(f"{not_a(what)}: it holds no JSON object")
     return content
 
 
@@ -380,20 +400,20 @@ class NpyFile:
     def __init__(self, path: PathLike):
         self.path = require_file(path, "array file")
         self.stamp = file_stamp(self.path)  # size and time, by which a changed file is known
-        with self.path.open("rb") as file:
+        with file_errors(), self.path.open("rb") as file:
             try:
                 self.shape, columns_first, self.dtype = read_npy_header(file, self.path.name)
             except Exception as error:
                 reason = " ".join(str(error).split()) or type(error).__name__
-                raise ValueError(f"{self.path} is not an .npy file of numbers: {reason}") from None
+                raise InputError(f"{self.path} is not an .npy file of numbers: {reason}") from None
             self._start = file.tell()
         if self.dtype.kind not in NUMBERS or min(self.shape, default=0) < 0:
-            raise ValueError(f"{self.path} must hold numbers, got {self.dtype} of shape {self.shape}")
+            raise InputError(f"{self.path} must hold numbers, got {self.dtype} of shape {self.shape}")
         if columns_first and len(self.shape) > 1:
-            raise ValueError(f"{self.path} holds columns first: save it by np.save(path, np.ascontiguousarray(array))")
+            raise InputError(f"{self.path} holds columns first: save it by np.save(path, np.ascontiguousarray(array))")
         claimed = math.prod(self.shape) * self.dtype.itemsize
         if claimed != self.stamp[0] - self._start:
-            raise ValueError(
+            raise InputError(
                 f"{self.path} claims {claimed} bytes {self.shape}, it has {self.stamp[0] - self._start}: it is cut off "
                 "or damaged"
             )
@@ -411,7 +431,7 @@ class NpyFile:
         """The bytes of a row; see `row`."""
         if not self.shape or not 0 <= index < self.shape[0]:
             rows = self.shape[0] if self.shape else 0
-            raise ValueError(
+            raise InputError(
                 f"{self.path} has rows 0 to {rows - 1}, got {index}" if rows else f"{self.path} has no rows"
             )
         return self._read(self._start + index * self.row_bytes, self.row_bytes)
@@ -428,7 +448,7 @@ class NpyFile:
             file.seek(start)
             data = file.read(size)
         if len(data) != size:
-            raise ValueError(f"{self.path} was cut off while it was in use")
+            raise InputError(f"{self.path} was cut off while it was in use")
         return data
 
     def _array(self, data: bytes, shape: tuple[int, ...]) -> np.ndarray:

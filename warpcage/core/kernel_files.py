@@ -12,6 +12,7 @@ import pathlib
 import posixpath
 import re
 
+from ..errors import InputError
 from ..kernels import __path__ as kernel_folders
 from .checks import warn_caller
 from .files import atomic_path
@@ -85,12 +86,12 @@ def find_kernel(text: str) -> str:
                 f"the kernel file {text!r} is a part of {found[0]!r} now: the next version knows that name alone"
             )
     if len(found) > 1:
-        raise ValueError(f"several kernel files are called {text!r}: {', '.join(found)}")
+        raise InputError(f"several kernel files are called {text!r}: {', '.join(found)}")
     if not found:
         close = difflib.get_close_matches(_stem(wanted), map(_stem, names), cutoff=0.5)
         candidates = [name for stem in close for name in names if _stem(name) == stem]
         advice = f": did you mean {' or '.join(candidates)}?" if candidates else ""
-        raise ValueError(f"there is no kernel file {text!r}{advice or '; `warpcage kernels list` shows them all'}")
+        raise InputError(f"there is no kernel file {text!r}{advice or '; `warpcage kernels list` shows them all'}")
     return found[0]
 
 
@@ -157,7 +158,7 @@ def copy_kernel(name: str, destination: str | os.PathLike) -> list[pathlib.Path]
     texts |= {destination / each: native_text(each) for each in native}
     for path, text in texts.items():
         if path.exists() and path.read_text(encoding="utf-8") != text:
-            raise ValueError(f"{str(path)!r} is there with other contents: nothing is copied over it")
+            raise InputError(f"{str(path)!r} is there with other contents: nothing is copied over it")
 
     packages = {destination / "__init__.py": ROOT_DOCSTRING}
     for folder in sorted({each.partition("/")[0] for each in names}):
@@ -173,12 +174,12 @@ def _stem(name: str) -> str:
 def _check_package_name(folder: pathlib.Path) -> None:
     name = folder.resolve().name
     if not name.isidentifier() or keyword.iskeyword(name) or name == "warp":
-        raise ValueError(
+        raise InputError(
             f"Python cannot import a copy from a folder called {name!r}: give a name of letters, digits and "
             "underscores, such as 'my_kernels'"
         )
     if folder.exists() and not folder.is_dir():
-        raise ValueError(f"{str(folder)!r} is a file: give a folder for the copy")
+        raise InputError(f"{str(folder)!r} is a file: give a folder for the copy")
 
 
 def _write_whole(texts: dict[pathlib.Path, str]) -> None:

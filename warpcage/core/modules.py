@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 
 import warp as wp
 
+from ..errors import StateError
 from ..kernels.core import variants
 from . import reports
 from .locks import device_turn
@@ -95,7 +96,7 @@ def _load(module: wp.Module, device: wp.Device, block_dim: int | None) -> None:
         if _removed(folder):
             wp.load_module(module, device=device, block_dim=block_dim)
             return
-        raise RuntimeError(
+        raise StateError(
             f"the compiled kernels in {folder} are damaged, and the folder cannot be removed: remove it, or set "
             "WARP_CACHE_PATH to another one"
         ) from error
@@ -120,7 +121,7 @@ def _names(modules: Iterable[wp.Module]) -> list[str]:
 
 
 def _unwritable(error: OSError) -> RuntimeError:
-    return RuntimeError(
+    return StateError(
         f"compiled kernels are kept in {wp.config.kernel_cache_dir}, which cannot be written to "
         f"({error.strerror}): set WARP_CACHE_PATH to a folder that can"
     )

@@ -8,6 +8,8 @@ import pathlib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
+from ..errors import Error, InputError
+
 _Choice = TypeVar("_Choice")
 
 #: Kinds of coordinates, as `coordinates=` takes them.
@@ -58,7 +60,7 @@ def require_name(value: object, names: Sequence[str], what: str) -> str:
     """A value that is one of the names that an option takes; `what` is the option's name."""
     if not isinstance(value, str) or value not in names:
         got = " ".join(repr(value)[:60].split())
-        raise ValueError(f"{what} must be one of {', '.join(names)}, got {got}{meant(value, names)}")
+        raise InputError(f"{what} must be one of {', '.join(names)}, got {got}{meant(value, names)}")
     return value
 
 
@@ -118,7 +120,7 @@ def error_line(error: object, limit: int | None = None, *, named: bool = False, 
         text = f"{error.strerror[0].lower()}{error.strerror[1:]}{f' {name!r}' if name else ''}"
     elif isinstance(error, MemoryError):
         text = f"not enough memory{': ' if text else ''}{text}"
-    elif named and not (text and isinstance(error, (ValueError, FileNotFoundError))):
+    elif named and not (text and isinstance(error, (Error, ValueError, FileNotFoundError))):
         text = f"{type(error).__name__}{': ' if text else ''}{text}"
     elif isinstance(error, KeyError):
         text = f"{text[:60] or repr('')} is missing"

@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+from ..errors import InputError
+
 #: Environment variable with the number of CPU threads to use, where all cores would be too many.
 THREADS_VARIABLE = "WARPCAGE_THREADS"
 
@@ -40,7 +42,7 @@ def cpu_threads() -> int:
     if not asked:
         return os.cpu_count() or 1
     if not (asked.isascii() and asked.isdigit() and int(asked) >= 1):
-        raise ValueError(f"{THREADS_VARIABLE} must be a whole number of at least 1, got {asked!r}")
+        raise InputError(f"{THREADS_VARIABLE} must be a whole number of at least 1, got {asked!r}")
     return int(asked)
 
 

@@ -14,6 +14,7 @@ from ..core.devices import launch
 from ..core.memory import require_memory
 from ..core.names import chosen
 from ..core.reports import Progress, hears, tell
+from ..errors import InputError
 from ..field.sparse import link_mask
 from ..field.voxel_field import VoxelField
 from ..kernels.edits.bake import bake_nodes, mark_filled_nodes
@@ -77,7 +78,7 @@ def bake(
     require_type(deformer, Deformer, "bake needs")
     if isinstance(deformer, SplatDeformer):
         if resolution is not None or bounds is not None:
-            raise ValueError("splats are baked one by one: leave resolution and bounds out")
+            raise InputError("splats are baked one by one: leave resolution and bounds out")
         return deformer.baked()
     with deformer.lock:
         return _baked(deformer, resolution, bounds)
@@ -153,7 +154,7 @@ def filled_range(filled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for axis in range(3):
         indices = np.flatnonzero(filled.any(axis=tuple(other for other in range(3) if other != axis)))
         if not len(indices):
-            raise ValueError("nothing of the deformed scene lies in the bounds: there is nothing to bake")
+            raise InputError("nothing of the deformed scene lies in the bounds: there is nothing to bake")
         begin[axis], end[axis] = indices[0], indices[-1] + 1
         if end[axis] - begin[axis] < 2:
             begin[axis] = max(0, begin[axis] - 1)

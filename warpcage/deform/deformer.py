@@ -30,6 +30,7 @@ from ..core.reports import Progress, hears
 from ..edits.edits import CageEdit, checked_edits
 from ..edits.falloff import FalloffBand
 from ..edits.fragments import found_fragments
+from ..errors import InputError, UseError
 from ..field.render import STOP_TRANSMITTANCE, MakeArrays, March
 from ..field.voxel_field import VoxelField
 from ..kernels.edits.structs import MAPPED
@@ -127,14 +128,14 @@ class Deformer:
         require_type(field, VoxelField, "a Deformer needs")
         assert isinstance(field, VoxelField)
         if map not in (None, "backward"):
-            raise ValueError(f'map={map!r} is for splats: voxels are looked up backward, "backward" or None')
+            raise InputError(f'map={map!r} is for splats: voxels are looked up backward, "backward" or None')
         require_coordinates(coordinates)
         require_name(density, DENSITIES, "density")
         if resolution is None and coordinates == "harmonic":
-            raise ValueError("harmonic coordinates have no closed form: give a resolution, or mean_value or green")
+            raise InputError("harmonic coordinates have no closed form: give a resolution, or mean_value or green")
         require_store(store)
         if resolution is None and store != "map":
-            raise ValueError('store="weights" keeps weights on a lattice: give a resolution')
+            raise InputError('store="weights" keeps weights on a lattice: give a resolution')
         self.edits = checked_edits(rest)
         self.device = field.device if device is None else resolve_device(device)
         self.field = field.to(self.device)
@@ -167,7 +168,7 @@ class Deformer:
         return np.stack([reached[:, 0].min(axis=0), reached[:, 1].max(axis=0)])
 
     def __reduce__(self):
-        raise TypeError("a Deformer is held on a device and not copied between processes: make one in each of them")
+        raise UseError("a Deformer is held on a device and not copied between processes: make one in each of them")
 
     def pose(self, deformed: PoseLike | Sequence[PoseLike | None]) -> Deformer:
         """Move the cages.
@@ -232,7 +233,7 @@ class Deformer:
         at work meanwhile."""
         cages = list(deformed) if isinstance(deformed, list | tuple) else [deformed]
         if len(cages) != len(self.edits):
-            raise ValueError(f"a pose needs one cage per edit, {len(self.edits)}, got {len(cages)}")
+            raise InputError(f"a pose needs one cage per edit, {len(self.edits)}, got {len(cages)}")
         numbered = enumerate(zip(self.edits, cages, self._bands, strict=True))
         return [checked_pose(edit, cage, index, band) for index, (edit, cage, band) in numbered]
 
@@ -265,7 +266,7 @@ class Deformer:
         checked_whole(edit, "edit", 0, len(self.edits) - 1)
         posed = self.edits[edit].cage if self.deformed is None else self.deformed[edit]
         if posed is None or self.edits[edit].remove:
-            raise ValueError(f"edit {edit} removes what is in its cage: it has no map")
+            raise InputError(f"edit {edit} removes what is in its cage: it has no map")
         return inverse_error(self.edits[edit].cage, posed, self.coordinates, points, self.device)
 
     def to_canonical(
@@ -337,7 +338,7 @@ class Deformer:
             x = as_points(as_host_points(points) - origin, self.device)
         d = as_points(directions, self.device, name="directions")
         if x.shape != d.shape:
-            raise ValueError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
+            raise InputError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
         outputs = [empty_array(x.shape[0], kind, self.device) for kind in (wp.vec3, wp.vec3, wp.int32, wp.uint8)]
         launch(
             edits.map_kernel,
@@ -370,7 +371,7 @@ class Deformer:
     ) -> Frame:
         """`render` of a pose, which is worked out once the rest is checked."""
         if antialias is not None and checked_flag(antialias, "antialias"):
-            raise ValueError("antialias is for splats: voxels take more rays a pixel (supersampling)")
+            raise InputError("antialias is for splats: voxels take more rays a pixel (supersampling)")
         march_step, work = self.field.march_step(step, camera)
         field, center = self.field, wp.vec3(*(camera.center - self.field.center).tolist())
 
@@ -467,11 +468,11 @@ class SplatDeformer(Deformer):
         self.density = require_name(density, DENSITIES, "density")
         self.map = "forward" if map is None else require_name(map, SPLAT_MAPS, "map")
         if store != "map":
-            raise ValueError(f'splats keep their weights: store must be "map", got {store!r}')
+            raise InputError(f'splats keep their weights: store must be "map", got {store!r}')
         self.store, self.resolution = store, resolution
         self.edits = checked_edits(rest)
         if any(edit.fragments > 0.0 for edit in self.edits):
-            raise ValueError("fragments are for voxels: splats of a part that hang over its wall go by their shares")
+            raise InputError("fragments are for voxels: splats of a part that hang over its wall go by their shares")
         self.device = field.device if device is None else resolve_device(device)
         self.field = field.to(self.device)
         self.deformed = None
@@ -558,7 +559,7 @@ class SplatDeformer(Deformer):
         pattern = checked_path(path, "the name of a sequence")
         marks = re.findall("#+", pattern.name)
         if len(marks) != 1:
-            raise ValueError(f"a sequence needs one run of # in its name, such as walk_####.ply, got {pattern.name!r}")
+            raise InputError(f"a sequence needs one run of # in its name, such as walk_####.ply, got {pattern.name!r}")
         format_to_write(pattern)
         checked_whole(first, "first", 0)
         written: list[pathlib.Path] = []
@@ -573,7 +574,7 @@ class SplatDeformer(Deformer):
         return written
 
     def _to_canonical(self, edits: Any, points: Any, directions: Any, step: float | None, return_outside: bool) -> Any:
-        raise ValueError(
+        raise InputError(
             "to_canonical looks points up backward, as voxels are: splats move forward; take deform_points for points, "
             "or posed_splats for the splats themselves"
         )
@@ -589,5 +590,5 @@ class SplatDeformer(Deformer):
     ) -> Frame:
         """`render` of a pose."""
         if step is not None:
-            raise ValueError("splats are not marched through: leave step out")
+            raise InputError("splats are not marched through: leave step out")
         return render_field(self.field, posed_edits().posed, camera, background, supersampling, antialias)

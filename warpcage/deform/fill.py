@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..core.checks import require_type
+from ..errors import InputError
 from ..field.surroundings import LayeredBackground, OuterField
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
@@ -50,9 +51,9 @@ def fill_unseen(frame: Frame, field: VoxelField, camera: Camera) -> Frame:
     """
     require_type(frame, Frame, "fill_unseen needs")
     if frame.reveal is None:
-        raise ValueError("fill_unseen needs a frame that a Deformer rendered: this one has no masks")
+        raise InputError("fill_unseen needs a frame that a Deformer rendered: this one has no masks")
     if (camera.width, camera.height) != (frame.width, frame.height):
-        raise ValueError(f"the camera is {camera.width}x{camera.height}, the frame {frame.width}x{frame.height}")
+        raise InputError(f"the camera is {camera.width}x{camera.height}, the frame {frame.width}x{frame.height}")
     rgb, share = frame.rgb, np.zeros(frame.alpha.shape, np.float32)
     if frame.layered and field.background_model is not None:
         # of the background: where the object of the pictures is not any more. The reveal mask leaves out what an empty

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from aiohttp import WSCloseCode, web
 
+from ..errors import InputError
+
 #: Frames that may be on their way to a page.
 FRAMES_UNDER_WAY = 2
 
@@ -168,8 +170,8 @@ def unpacked_vertices(message: bytes) -> tuple[int, int, int, np.ndarray]:
     """The parts of a page's message: kind (2 posed, 3 at rest), sequence number, edit, and vertices (count, 3).
     It is `VERTICES`, then float64 (count, 3), little-endian."""
     if len(message) < VERTICES.size:
-        raise ValueError(f"a message of {len(message)} bytes is too short for vertices")
+        raise InputError(f"a message of {len(message)} bytes is too short for vertices")
     kind, sequence, edit, count = VERTICES.unpack_from(message)
     if kind not in (2, 3) or len(message) != VERTICES.size + 24 * count:
-        raise ValueError(f"a message of kind {kind} with {len(message)} bytes holds no {count} vertices")
+        raise InputError(f"a message of kind {kind} with {len(message)} bytes holds no {count} vertices")
     return kind, sequence, edit, np.frombuffer(message, "<f8", offset=VERTICES.size).reshape(count, 3)

@@ -13,6 +13,7 @@ from ..cage.cage import Cage
 from ..coordinates.coordinates import deform_points
 from ..core.names import EASINGS, FRAGMENTS_WORD, LOOPS
 from ..edits.edits import MAX_EDITS
+from ..errors import InputError
 from .document import (
     KINDS,
     MAX_KEYS,
@@ -57,7 +58,7 @@ def change_settings(document: Document, message: Message) -> Step:
     """Change how the scene is deformed and shown."""
     changes = {name: value for name, value in message.items() if name not in ("do", "n")}
     if not changes:
-        raise ValueError("nothing to change: give a setting and its value")
+        raise InputError("nothing to change: give a setting and its value")
     settings = checked_settings(document.settings, changes)
     return f"change {', '.join(changes)}", dataclasses.replace(document, settings=settings)
 
@@ -82,7 +83,7 @@ def reset_pose(document: Document, message: Message) -> Step:
     vertices = edit.posed.copy()
     chosen = list(checked_vertices(given, len(vertices)))
     if not chosen:
-        raise ValueError("nothing is selected: select the vertices to reset")
+        raise InputError("nothing is selected: select the vertices to reset")
     vertices[chosen] = edit.rest[chosen]
     return "reset", document.with_edit(dataclasses.replace(edit, posed=frozen_vertices(vertices)))
 
@@ -103,7 +104,7 @@ def preset_pose(edit: Edit, chosen: Sequence[int] | None, message: Message) -> n
     vertices = edit.posed.copy()
     rows = np.arange(len(vertices)) if chosen is None else np.asarray(chosen, np.int64)
     if not len(rows):
-        raise ValueError("nothing is selected: select vertices, or let the slider act on all")
+        raise InputError("nothing is selected: select vertices, or let the slider act on all")
     vertices[rows] = getattr(poses, name)(vertices[rows], amount, **options)
     return frozen_vertices(vertices)
 
@@ -117,7 +118,7 @@ def add_edit(document: Document, message: Message) -> Step:
     low, high = (frozen_vertices([message[name]])[0] for name in ("lower", "upper"))
     shape, center, size = message.get("shape", "box"), (low + high) / 2, high - low
     if not (size > 0).all():
-        raise ValueError("a cage needs a lower corner below its upper corner")
+        raise InputError("a cage needs a lower corner below its upper corner")
     if shape == "box":
         cage = Cage.box(low, high, segments=2)
     elif shape == "cylinder":
@@ -125,7 +126,7 @@ def add_edit(document: Document, message: Message) -> Step:
     elif shape == "icosphere":
         cage = Cage.icosphere(center, 0.5 * float(np.linalg.norm(size)), 1)
     else:
-        raise ValueError("shape must be one of box, cylinder, icosphere")
+        raise InputError("shape must be one of box, cylinder, icosphere")
     return with_new_edit(document, cage, kind)
 
 
@@ -134,7 +135,7 @@ def box_selection(document: Document, message: Message) -> Step:
     edit = document.edit(message["edit"])
     chosen = list(checked_vertices(message["vertices"], len(edit.rest)))
     if not chosen:
-        raise ValueError("nothing is selected: select the vertices to put a box around")
+        raise InputError("nothing is selected: select the vertices to put a box around")
     low, high = edit.rest[chosen].min(axis=0), edit.rest[chosen].max(axis=0)
     size = float(np.ptp(edit.rest, axis=0).max())
     margin = checked_between(message.get("margin", 0.02), 0.0, 1.0, "margin") * size
@@ -144,7 +145,7 @@ def box_selection(document: Document, message: Message) -> Step:
 def with_new_edit(document: Document, cage: Cage, kind: str = "move", name: str | None = None) -> Step:
     """A document with one more edit, which becomes the active one."""
     if len(document.edits) >= MAX_EDITS:
-        raise ValueError(f"a scene takes at most {MAX_EDITS} edits: delete one first")
+        raise InputError(f"a scene takes at most {MAX_EDITS} edits: delete one first")
     number = document.free_id
     edit = new_edit(number, cage, name or f"{KIND_NAMES[kind]} {len(document.edits) + 1}", kind)
     document = dataclasses.replace(document, edits=(*document.edits, edit), next_id=number + 1)
@@ -172,7 +173,7 @@ def change_edit(document: Document, message: Message) -> Step:
     if "visible" in message:
         changes["visible"] = checked_flag(message["visible"], "visible")
     if not changes:
-        raise ValueError("nothing to change: give a name, a kind, visible, falloff, held or " + FRAGMENTS_WORD)
+        raise InputError("nothing to change: give a name, a kind, visible, falloff, held or " + FRAGMENTS_WORD)
     label = f"{', '.join(changes)} of {edit.name}"
     return label, document.with_edit(dataclasses.replace(edit, **changes))
 
@@ -181,7 +182,7 @@ def order_edits(document: Document, message: Message) -> Step:
     """Put the edits in another order."""
     numbers = message["ids"]
     if not isinstance(numbers, list) or sorted(map(repr, numbers)) != sorted(repr(edit.id) for edit in document.edits):
-        raise ValueError("ids must name every edit once")
+        raise InputError("ids must name every edit once")
     return "order edits", dataclasses.replace(document, edits=tuple(document.edit(number) for number in numbers))
 
 
@@ -193,7 +194,7 @@ def subdivide_cage(document: Document, message: Message) -> Step:
     edit = document.edit(message["edit"])
     finer = edit.rest_cage.subdivide()
     if len(finer.vertices) > MAX_VERTICES:
-        raise ValueError(f"the cage would have {len(finer.vertices)} vertices: at most {MAX_VERTICES} can be edited")
+        raise InputError(f"the cage would have {len(finer.vertices)} vertices: at most {MAX_VERTICES} can be edited")
 
     def posed(pose: np.ndarray) -> np.ndarray:
         return Cage(pose, edit.faces).subdivide().vertices
@@ -211,7 +212,7 @@ def replace_cage(document: Document, number: int, cage: Cage, label: str) -> Ste
         try:
             return np.asarray(deform_points(cage.vertices, edit.rest_cage, Cage(pose, edit.faces), device="cpu"))
         except ValueError as error:
-            raise ValueError(f"the pose cannot be carried over to the new cage: {error}") from None
+            raise InputError(f"the pose cannot be carried over to the new cage: {error}") from None
 
     return label, _with_cage(document, edit, cage, posed)
 
@@ -241,13 +242,13 @@ def add_key(document: Document, message: Message) -> Step:
     key = next((key for key in document.timeline.keys if abs(key.time - time) < near), None)
     if key is None:
         if len(document.timeline.keys) >= MAX_KEYS:
-            raise ValueError(f"a film takes at most {MAX_KEYS} keys: delete some first")
+            raise InputError(f"a film takes at most {MAX_KEYS} keys: delete some first")
         name = checked_name(message.get("name") or free_name(document))
         key = Key(document.free_id, time, name)
         document = dataclasses.replace(document, next_id=document.next_id + 1)
     key = _filled(document, key, message)
     if key.poses is None and key.view is None:
-        raise ValueError("a key needs a pose, a camera or both")
+        raise InputError("a key needs a pose, a camera or both")
     document = document.with_key(key)
     return f"key {key.name}", document.with_timeline(length=max(document.timeline.length, key.time))
 
@@ -263,7 +264,7 @@ def change_key(document: Document, message: Message) -> Step:
         changes["name"] = checked_name(message["name"])
     key = _filled(document, dataclasses.replace(key, **changes) if changes else key, message)
     if key is document.key(message["id"]):
-        raise ValueError("nothing to change: give time, easing, name, pose or camera")
+        raise InputError("nothing to change: give time, easing, name, pose or camera")
     document = document.with_key(key)
     return f"change key {key.name}", document.with_timeline(length=max(document.timeline.length, key.time))
 
@@ -286,7 +287,7 @@ def change_timeline(document: Document, message: Message) -> Step:
     if "loop" in message:
         changes["loop"] = checked_choice(message["loop"], LOOPS, "loop")
     if not changes:
-        raise ValueError("nothing to change: give length, fps or loop")
+        raise InputError("nothing to change: give length, fps or loop")
     return f"film {', '.join(changes)}", document.with_timeline(**changes)
 
 
@@ -320,9 +321,9 @@ def run_command(document: Document, message: Message) -> Step:
     try:
         return COMMANDS[message["do"]](document, message)
     except KeyError as error:
-        raise ValueError(f"{message['do']}: {error.args[0]!r} is missing") from None
+        raise InputError(f"{message['do']}: {error.args[0]!r} is missing") from None
     except (TypeError, AttributeError, OverflowError, IndexError) as error:
-        raise ValueError(f"{message['do']}: a value has the wrong type: {error}") from None
+        raise InputError(f"{message['do']}: a value has the wrong type: {error}") from None
 
 
 def _with_cage(document: Document, edit: Edit, cage: Cage, posed: Callable[[np.ndarray], np.ndarray]) -> Document:

@@ -14,6 +14,7 @@ from ..cage.cage import Cage
 from ..core.checks import checked_number, shown
 from ..core.names import COORDINATES, DENSITIES, EASINGS, FIELD_COORDINATES, FRAGMENTS_WORD, LOOPS, edit_fields
 from ..edits.edits import HELD, MAX_EDITS, CageEdit
+from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from ..view.frame import MAX_SUPERSAMPLING, parse_background
 
@@ -41,18 +42,18 @@ def frozen_vertices(vertices: Any, count: int | None = None) -> np.ndarray:
     `count`: how many there must be; None takes any number."""
     if not isinstance(vertices, np.ndarray):
         if not isinstance(vertices, list | tuple) or not all(map(_is_row, vertices)):
-            raise ValueError("vertices must be a list of three numbers each")
+            raise InputError("vertices must be a list of three numbers each")
     try:
         array = np.array(vertices, dtype=np.float64)
     except OverflowError:
-        raise ValueError("vertices must be finite") from None
+        raise InputError("vertices must be finite") from None
     if array.ndim != 2 or array.shape[1:] != (3,) or (count is not None and len(array) != count):
         wanted = "(v, 3)" if count is None else f"({count}, 3)"
-        raise ValueError(f"vertices must be {wanted} numbers, got shape {array.shape}")
+        raise InputError(f"vertices must be {wanted} numbers, got shape {array.shape}")
     if not np.isfinite(array).all():
-        raise ValueError("vertices must be finite")
+        raise InputError("vertices must be finite")
     if array.size and np.abs(array).max() > MAX_PLACE:
-        raise ValueError(f"vertices must be within {MAX_PLACE:g} of zero")
+        raise InputError(f"vertices must be within {MAX_PLACE:g} of zero")
     array.setflags(write=False)
     return array
 
@@ -60,24 +61,24 @@ def frozen_vertices(vertices: Any, count: int | None = None) -> np.ndarray:
 def checked_name(name: Any) -> str:
     """A name in one line. Raises ValueError for another type, an empty one, a long one, or what cannot be printed."""
     if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME:
-        raise ValueError(f"a name must be 1 to {MAX_NAME} letters")
+        raise InputError(f"a name must be 1 to {MAX_NAME} letters")
     name = " ".join(name.split())
     if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
-        raise ValueError("a name must be letters that can be printed")
+        raise InputError("a name must be letters that can be printed")
     return name
 
 
 def checked_choice(value: Any, choices: Sequence[str], what: str) -> str:
     """A value that is one of some words. Raises ValueError for another one."""
     if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"{what} must be one of {', '.join(choices)}, got {shown(value)}")
+        raise InputError(f"{what} must be one of {', '.join(choices)}, got {shown(value)}")
     return value
 
 
 def checked_whole(value: Any, low: int, high: int, what: str) -> int:
     """A whole number in a range. Raises ValueError for another one."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise ValueError(f"{what} must be a whole number from {low} to {high}, got {shown(value)}")
+        raise InputError(f"{what} must be a whole number from {low} to {high}, got {shown(value)}")
     return value
 
 
@@ -89,17 +90,17 @@ def checked_id(value: Any, what: str) -> int:
 def checked_flag(value: Any, what: str) -> bool:
     """True or False. Raises ValueError for anything else."""
     if type(value) is not bool:
-        raise ValueError(f"{what} must be true or false, got {shown(value)}")
+        raise InputError(f"{what} must be true or false, got {shown(value)}")
     return value
 
 
 def checked_between(value: Any, low: float, high: float, what: str) -> float:
     """A number in a range. Raises ValueError for another one; True is no number."""
     if isinstance(value, bool | list | dict | str | None):
-        raise ValueError(f"{what} must be a number, got {shown(value)}")
+        raise InputError(f"{what} must be a number, got {shown(value)}")
     number = checked_number(value, what)
     if not low <= number <= high:
-        raise ValueError(f"{what} must be {low:g} to {high:g}, got {number:g}")
+        raise InputError(f"{what} must be {low:g} to {high:g}, got {number:g}")
     return number
 
 
@@ -107,14 +108,14 @@ def checked_vertices(numbers: Any, count: int) -> tuple[int, ...]:
     """Numbers of vertices of a cage that has `count`, ascending, each once."""
     given = checked_items(numbers, MAX_VERTICES, "vertices")
     if not all(type(number) is int and 0 <= number < count for number in given):
-        raise ValueError(f"vertices must be whole numbers from 0 to {count - 1}")
+        raise InputError(f"vertices must be whole numbers from 0 to {count - 1}")
     return tuple(sorted(set(given)))
 
 
 def checked_triple(values: Any, what: str) -> tuple[float, float, float]:
     """Three numbers. Raises ValueError for anything else."""
     if not isinstance(values, list | tuple) or len(values) != 3:
-        raise ValueError(f"{what} must be three numbers")
+        raise InputError(f"{what} must be three numbers")
     x, y, z = (checked_between(value, -MAX_PLACE, MAX_PLACE, what) for value in values)
     return x, y, z
 
@@ -122,7 +123,7 @@ def checked_triple(values: Any, what: str) -> tuple[float, float, float]:
 def checked_items(values: Any, most: int, what: str) -> list[Any]:
     """A list of at most so many items. Raises ValueError for anything else."""
     if not isinstance(values, list | tuple) or len(values) > most:
-        raise ValueError(f"{what} must be a list of at most {most}")
+        raise InputError(f"{what} must be a list of at most {most}")
     return list(values)
 
 
@@ -131,7 +132,7 @@ def parsed_json(text: str) -> Any:
     try:
         return json.loads(text, parse_constant=_refuse_constant)
     except RecursionError:
-        raise ValueError("lists within lists within lists go too deep") from None
+        raise InputError("lists within lists within lists go too deep") from None
 
 
 def _is_row(row: Any) -> bool:
@@ -141,7 +142,7 @@ def _is_row(row: Any) -> bool:
 
 
 def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number in JSON")
+    raise InputError(f"{name} is no number in JSON")
 
 
 SHOWN = ("rgb", "disparity", "alpha", "masks")
@@ -178,12 +179,12 @@ def checked_view(content: Any) -> View:
     eye, target, up = (checked_triple(content[name], name) for name in ("eye", "target", "up"))
     length = float(np.linalg.norm(up))
     if not 1e-12 < length < 1e12:
-        raise ValueError("a view needs a direction `up` that is not zero")
+        raise InputError("a view needs a direction `up` that is not zero")
     if not 1e-12 < np.linalg.norm(np.subtract(eye, target)) < 1e12:
-        raise ValueError("a view needs an eye some way from its target")
+        raise InputError("a view needs an eye some way from its target")
     forward = np.subtract(target, eye)
     if np.linalg.norm(np.cross(forward, up)) < 1e-6 * np.linalg.norm(forward) * length:
-        raise ValueError("a view cannot look along its own `up`")
+        raise InputError("a view cannot look along its own `up`")
     x, y, z = (float(value / length) for value in up)
     return View(eye, target, (x, y, z), checked_between(content["fov"], 1.0, 150.0, "fov"))
 
@@ -193,7 +194,7 @@ def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings
     known = {field.name for field in dataclasses.fields(Settings)}
     unknown = sorted(set(changes) - known)
     if unknown:
-        raise ValueError(f"there is no setting {unknown[0][:40]!r}, only {', '.join(sorted(known))}")
+        raise InputError(f"there is no setting {unknown[0][:40]!r}, only {', '.join(sorted(known))}")
     good: dict[str, Any] = {}
     for name, value in changes.items():
         if name == "background":
@@ -218,12 +219,12 @@ def _background(value: Any) -> str | tuple[float, float, float] | None:
             try:
                 r, g, b = bytes.fromhex(value[1:])
             except ValueError:
-                raise ValueError(f"background {value!r} is no colour: #rrggbb") from None
+                raise InputError(f"background {value!r} is no colour: #rrggbb") from None
             return r / 255, g / 255, b / 255
         parse_background(value)  # raises ValueError where there is no such name
         return value
     if not isinstance(value, list | tuple) or len(value) != 3:
-        raise ValueError("background must be a name, #rrggbb, or three numbers in [0, 1]")
+        raise InputError("background must be a name, #rrggbb, or three numbers in [0, 1]")
     r, g, b = (checked_between(part, 0.0, 1.0, "background") for part in value)
     return r, g, b
 
@@ -328,7 +329,7 @@ class Document:
         for edit in self.edits:
             if edit.id == number:
                 return edit
-        raise ValueError(f"there is no edit {number!r}: it may have been deleted")
+        raise InputError(f"there is no edit {number!r}: it may have been deleted")
 
     def key(self, number: int) -> Key:
         """A key by its number. Raises ValueError where there is none."""
@@ -336,13 +337,13 @@ class Document:
         for key in self.timeline.keys:
             if key.id == number:
                 return key
-        raise ValueError(f"there is no key {number!r}: it may have been deleted")
+        raise InputError(f"there is no key {number!r}: it may have been deleted")
 
     @property
     def free_id(self) -> int:
         """The number of the next edit or key. Raises ValueError where a foreign session has used them up."""
         if self.next_id > MAX_ID // 2:
-            raise ValueError("this session has no numbers left for new edits and keys: begin a new session")
+            raise InputError("this session has no numbers left for new edits and keys: begin a new session")
         return self.next_id
 
     def with_edit(self, edit: Edit) -> Document:
@@ -381,9 +382,9 @@ class Document:
         try:
             return _document(content)
         except KeyError as error:
-            raise ValueError(f"the session lacks {error.args[0]!r}") from None
+            raise InputError(f"the session lacks {error.args[0]!r}") from None
         except (TypeError, AttributeError, OverflowError, IndexError) as error:
-            raise ValueError(f"the session is damaged: {error}") from None
+            raise InputError(f"the session is damaged: {error}") from None
 
 
 def edit_json(edit: Edit) -> dict[str, Any]:
@@ -405,7 +406,7 @@ def edit_json(edit: Edit) -> dict[str, Any]:
 def new_edit(number: int, cage: ClosedMesh, name: str, kind: str = "move", posed: Any = None) -> Edit:
     """An edit around a cage at rest; `posed` (v, 3) None is at rest too."""
     if len(cage.vertices) > MAX_VERTICES:
-        raise ValueError(
+        raise InputError(
             f"a cage of {len(cage.vertices)} vertices is too large to edit by hand: at most {MAX_VERTICES}"
         )
     rest = frozen_vertices(cage.vertices)
@@ -433,14 +434,14 @@ def _key_json(key: Key) -> dict[str, Any]:
 
 def _document(content: Mapping[str, Any]) -> Document:
     if not isinstance(content, Mapping):
-        raise ValueError(f"a session must be a dictionary, got {type(content).__name__}")
+        raise InputError(f"a session must be a dictionary, got {type(content).__name__}")
     edits = tuple(_edit(one) for one in checked_items(content["edits"], MAX_EDITS, "edits"))
     sizes = {edit.id: len(edit.rest) for edit in edits}
     film = content["timeline"]
     keys = tuple(_key(one, sizes) for one in checked_items(film["keys"], MAX_KEYS, "keys"))
     numbers = [edit.id for edit in edits] + [key.id for key in keys]
     if len(set(numbers)) < len(numbers):
-        raise ValueError("two edits or keys of the session have the same number")
+        raise InputError("two edits or keys of the session have the same number")
     length = checked_between(film["length"], 0.0, MAX_SECONDS, "length")
     return Document(
         edits,
@@ -462,7 +463,7 @@ def checked_selection(content: Mapping[str, Any], sizes: Mapping[int, int]) -> S
     """A selection from edit, mode and vertices; `sizes` are the vertices of each edit by its number."""
     number = content["edit"]
     if number is not None and checked_id(number, "the number of an edit") not in sizes:
-        raise ValueError(f"there is no edit {number!r}: it may have been deleted")
+        raise InputError(f"there is no edit {number!r}: it may have been deleted")
     size = 0 if number is None else sizes[number]
     return Selection(
         number, checked_choice(content["mode"], PICKS, "mode"), checked_vertices(content["vertices"], size)

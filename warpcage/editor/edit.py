@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from ..cage.cage import Cage
 from ..core.checks import checked_whole, require_type
 from ..core.files import PathLike
+from ..errors import InputError, MissingPackageError
 from ..field.voxel_field import VoxelField
 from ..splats.splat_field import AnyField, SplatField, load_field
 from .document import Document
@@ -116,7 +117,7 @@ def require_libraries() -> None:
         import aiohttp  # noqa: F401
         import simplejpeg  # noqa: F401
     except ImportError as error:
-        raise ImportError(f"the editor needs {error.name}: pip install 'warpcage[edit]'") from None
+        raise MissingPackageError(f"the editor needs {error.name}: pip install 'warpcage[edit]'") from None
 
 
 def edit(
@@ -163,13 +164,13 @@ def edit(
     require_libraries()
     checked_whole(port, "the port", 0, 65535)
     if not isinstance(host, str) or isinstance(allowed_hosts, str):
-        raise ValueError("host must be an address, and allowed_hosts a list of names")
+        raise InputError("host must be an address, and allowed_hosts a list of names")
     if isinstance(field, VoxelField | SplatField):
         path, loaded = None, field
     elif isinstance(field, str | os.PathLike):
         path, loaded = pathlib.Path(field), load_field(field, scene_scale=scene_scale)
     else:
-        raise ValueError(f"the editor needs a VoxelField, a SplatField or the file of one, got {type(field).__name__}")
+        raise InputError(f"the editor needs a VoxelField, a SplatField or the file of one, got {type(field).__name__}")
     cages = [] if cage is None else [cage] if isinstance(cage, Cage) else list(cage)
     kept = session_path(path) if session is None and path is not None else session
     kept = None if kept is None else pathlib.Path(kept)
@@ -179,7 +180,7 @@ def edit(
     stamp = None if kept is None else file_stamp(kept)
     if kept is not None and stamp is not None:
         if cages:
-            raise ValueError(
+            raise InputError(
                 f"{kept} holds a session of this field already: leave the cage out to go on with it, or name another "
                 "file for the session"
             )

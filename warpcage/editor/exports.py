@@ -20,6 +20,7 @@ from ..core.files import PathLike
 from ..core.names import TRANSPARENT
 from ..core.overlap import BackgroundWriter
 from ..deform.bake import bake
+from ..errors import InputError
 from ..splats.io.formats import format_to_write
 from ..splats.splat_field import AnyField, SplatField, field_size
 from ..view.film import FILM_ENDINGS, checked_rate, require_clear_film, write_film
@@ -98,7 +99,7 @@ def film_pictures(document: Document, field: AnyField, film: Film, report: Repor
             try:
                 picture = _picture(scene, moment, film)
             except ValueError as error:
-                raise ValueError(f"at {time:.3f} s of the film: {error}") from error
+                raise InputError(f"at {time:.3f} s of the film: {error}") from error
             picture.flags.writeable = False
             shown = moment
         yield picture
@@ -110,12 +111,12 @@ def checked_film_path(path: PathLike) -> pathlib.Path:
     target = pathlib.Path(path)
     if target.suffix.lower() in FILM_ENDINGS:
         if target.is_dir():
-            raise ValueError(f"film {str(target)!r} is a folder")
+            raise InputError(f"film {str(target)!r} is a folder")
     elif target.suffix:
         endings = ", ".join(FILM_ENDINGS)
-        raise ValueError(f"film {str(target)!r} must end in {endings}, or have no ending: a folder of PNG files")
+        raise InputError(f"film {str(target)!r} must end in {endings}, or have no ending: a folder of PNG files")
     elif target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise ValueError(f"{str(target)!r} holds something already: give the name of a new folder")
+        raise InputError(f"{str(target)!r} holds something already: give the name of a new folder")
     return target
 
 
@@ -134,7 +135,7 @@ def atomic_folder(path: PathLike) -> Iterator[pathlib.Path]:
             os.rename(temporary, target)
         except OSError as error:
             if os.path.lexists(target):
-                raise ValueError(f"{str(path)!r} holds something already: give the name of a new folder") from error
+                raise InputError(f"{str(path)!r} holds something already: give the name of a new folder") from error
             raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -144,14 +145,14 @@ def export_cage(document: Document, number: int, path: PathLike, *, rest: bool =
     """Write the posed cage of an edit, or that at rest, whole or not at all; the ending is one of CAGE_ENDINGS."""
     edit, path = document.edit(number), pathlib.Path(path)
     if path.suffix.lower() not in CAGE_ENDINGS:
-        raise ValueError(f"cage {str(path)!r} must end in {', '.join(CAGE_ENDINGS)}")
+        raise InputError(f"cage {str(path)!r} must end in {', '.join(CAGE_ENDINGS)}")
     Cage(edit.rest if rest else edit.posed, edit.faces).save(path)
 
 
 def export_poses(document: Document, number: int, path: PathLike) -> None:
     """Write the keys of an edit as a pose file (.json), whole or not at all."""
     if pathlib.Path(path).suffix.lower() != ".json":
-        raise ValueError(f"pose file {str(path)!r} must end in .json")
+        raise InputError(f"pose file {str(path)!r} must end in .json")
     pose_file(document, number).save(path)
 
 
@@ -161,7 +162,7 @@ def export_baked(document: Document, field: AnyField, path: PathLike, report: Re
     if isinstance(field, SplatField):
         format_to_write(path)
     elif pathlib.Path(path).suffix.lower() != ".npz":
-        raise ValueError(f"field {str(path)!r} must end in .npz")
+        raise InputError(f"field {str(path)!r} must end in .npz")
     report(None, "poses the cages")
     scene = PosedScene(field)
     scene.prepare(dataclasses.replace(document, settings=dataclasses.replace(document.settings, mode="pose")))

@@ -25,6 +25,7 @@ from ..core.names import chosen
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
 from ..edits.edits import CageEdit
+from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..kernels.view import pictures
 from ..mesh.validity import require_usable
@@ -294,7 +295,7 @@ class PosedScene:
             return made
         for edit, one in zip(edits, made, strict=True):
             if one.falloff > 0.0 and one.held == "cut" and not len(cut_faces(one.cage, self.field)):
-                raise ValueError(
+                raise InputError(
                     f"{edit.name!r} fades to rest, but no wall of its cage cuts matter: nothing tears there. Set the "
                     "width to 0, or let the walls be held that the pose leaves in place"
                 )

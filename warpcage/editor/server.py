@@ -19,6 +19,7 @@ from aiohttp import BodyPartReader, WSMsgType, web
 from aiohttp.http import HttpProcessingError
 
 from ..core.names import error_line
+from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from .clients import MAX_SLOW, Client, packed_vertices, unpacked_vertices
 from .commands import COMMANDS
@@ -170,14 +171,14 @@ class Files:
         form = await request.multipart()
         part = await form.next()
         if not isinstance(part, BodyPartReader):
-            raise ValueError("an upload needs one file")
+            raise InputError("an upload needs one file")
         content = bytearray()
         while chunk := await part.read_chunk(1 << 16):
             content += chunk
             if len(content) > self._largest:
                 raise web.HTTPRequestEntityTooLarge(self._largest, len(content))
         if await form.next() is not None:  # which also raises where the form does not end
-            raise ValueError("an upload needs one file, and no more")
+            raise InputError("an upload needs one file, and no more")
         return str(part.filename or ""), bytes(content)
 
 
@@ -341,7 +342,7 @@ class Server:
         try:
             message = parsed_json(data)
             if not isinstance(message, dict) or not isinstance(message.get("do"), str):
-                raise ValueError('a message must be a dictionary with a word "do"')
+                raise InputError('a message must be a dictionary with a word "do"')
             number = message.get("n")
             if number is not None:
                 checked_whole(number, 0, 2**53, "n")
@@ -414,7 +415,7 @@ class Server:
             return None
         if do in self.tasks.commands:
             if len(client.slow) >= MAX_SLOW:
-                raise ValueError(f"{MAX_SLOW} commands of this page are under way already: wait for them")
+                raise InputError(f"{MAX_SLOW} commands of this page are under way already: wait for them")
             return self.tasks.handle(message)
         self._touched(client)
         if do == "view":
@@ -432,7 +433,7 @@ class Server:
         elif do in ("drag.end", "preset.end"):
             cancel = checked_flag(message.get("cancel", False), "cancel")
             if not session.is_moved_by(client):
-                raise ValueError(STRAYED)
+                raise InputError(STRAYED)
             session.end_gesture(client, cancel)
         elif do == "undo":
             return session.undo()
@@ -446,7 +447,7 @@ class Server:
             else:
                 self.player.stop()
         else:
-            raise ValueError(f"there is no command {do[:40]!r}")
+            raise InputError(f"there is no command {do[:40]!r}")
         return None
 
     def _begin(self, client: Client, message: dict[str, Any]) -> None:

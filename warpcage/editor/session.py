@@ -20,6 +20,7 @@ from ..cage.cage import Cage
 from ..core.checks import listed
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..core.names import error_line
+from ..errors import InputError
 from ..splats.splat_field import AnyField
 from ..view.camera import framing_orbit
 from . import commands, timeline
@@ -57,7 +58,7 @@ class History:
     def undo(self, present: Document) -> tuple[str, Document]:
         """The step that is undone and the document before it. Raises ValueError where there is none."""
         if not self.undo_steps:
-            raise ValueError("there is nothing to undo")
+            raise InputError("there is nothing to undo")
         label, before = self.undo_steps.pop()
         self.redo_steps.append((label, present))
         return label, seen_as(before, present)
@@ -65,7 +66,7 @@ class History:
     def redo(self, present: Document) -> tuple[str, Document]:
         """The step that is done again and the document after it. Raises ValueError where there is none."""
         if not self.redo_steps:
-            raise ValueError("there is nothing to redo")
+            raise InputError("there is nothing to redo")
         label, after = self.redo_steps.pop()
         self.undo_steps.append((label, present))
         return label, seen_as(after, present)
@@ -137,20 +138,20 @@ def read_session(path: PathLike, field: AnyField | None = None) -> Document:
     try:
         content: Any = read_json(path, "session file")
         if content.get("format") != FORMAT:
-            raise ValueError(f"it is no {FORMAT}")
+            raise InputError(f"it is no {FORMAT}")
         version = content.get("version")
         if type(version) is not int or version < 1:
-            raise ValueError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
+            raise InputError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
         if version > VERSION:
-            raise ValueError(f"its version is {version}, this warpcage reads up to {VERSION}: upgrade")
+            raise InputError(f"its version is {version}, this warpcage reads up to {VERSION}: upgrade")
         if field is not None and content["field"]["bounds"] != field.bounds.tolist():
             name = listed([str(content["field"].get("name"))])
-            raise ValueError(f"it belongs to another field, {name}, with other bounds")
+            raise InputError(f"it belongs to another field, {name}, with other bounds")
         return Document.from_json(content["document"])
     except DAMAGED as error:
-        raise ValueError(f"{path}: {damage('session file', error)}") from None
+        raise InputError(f"{path}: {damage('session file', error)}") from None
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
 
 
 #: Parts of the document that pages are told of.
@@ -251,7 +252,7 @@ class Session:
         gesture = self._gesture
         assert gesture is not None
         if gesture.edit.id != number:
-            raise ValueError(f"edit {number} is not being moved")
+            raise InputError(f"edit {number} is not being moved")
         if rest:
             gesture.rest = True
             document = commands.moved_rest(self.document, gesture.edit, vertices)

@@ -22,6 +22,7 @@ from ..cage.cage import Cage
 from ..cage.up_axis import UpAxis, load_standing
 from ..core.files import atomic_path
 from ..core.names import PLANES, counted, error_line
+from ..errors import InputError
 from ..field.objects import select_object
 from ..field.selection import NodeSelection
 from ..mesh.io import ENDINGS
@@ -113,9 +114,9 @@ class Jobs:
         """Begin a job in a thread, or let it wait for those of its kind that came before; returns its number."""
         with self._lock:
             if self._closed:
-                raise ValueError("the session is closing: nothing new is begun")
+                raise InputError("the session is closing: nothing new is begun")
             if len(self._progress) >= MAX_UNFINISHED:
-                raise ValueError(f"{MAX_UNFINISHED} jobs are unfinished already: cancel one, or wait")
+                raise InputError(f"{MAX_UNFINISHED} jobs are unfinished already: cancel one, or wait")
             number = self._next
             self._next += 1
             self._jobs[number] = Job(number, name)
@@ -164,7 +165,7 @@ class Jobs:
         """Forget a finished job."""
         with self._lock:
             if self._job(number).state == "running":
-                raise ValueError("the job is still running: cancel it first")
+                raise InputError("the job is still running: cancel it first")
             del self._jobs[number]
         self._tell()
 
@@ -188,7 +189,7 @@ class Jobs:
 
     def _job(self, number: int) -> Job:
         if number not in self._jobs:
-            raise ValueError(f"there is no job {number!r}: it may have been cleared")
+            raise InputError(f"there is no job {number!r}: it may have been cleared")
         return self._jobs[number]
 
     def _run_kind(self, kind: str) -> None:
@@ -321,12 +322,12 @@ class Tasks:
     def path_of(self, name: Any) -> pathlib.Path:
         """The path of a file in the session's folder by its name, which may not lead elsewhere, also not by a link."""
         if not isinstance(name, str) or not name or name != pathlib.PurePosixPath(name).name or "\\" in name:
-            raise ValueError(f"{str(name)[:100]!r} is no name of a file in the session's folder")
+            raise InputError(f"{str(name)[:100]!r} is no name of a file in the session's folder")
         if name.startswith(".") or not name.isprintable():
-            raise ValueError(f"{name[:100]!r} is no name of a file: it begins with a dot, or cannot be printed")
+            raise InputError(f"{name[:100]!r} is no name of a file: it begins with a dot, or cannot be printed")
         path = self.folder / name
         if path.resolve().parent != self.folder.resolve():
-            raise ValueError(f"{name[:100]!r} is no file of the session's folder: it leads out of it")
+            raise InputError(f"{name[:100]!r} is no file of the session's folder: it leads out of it")
         return path
 
     def download(self, name: str) -> pathlib.Path | None:
@@ -353,7 +354,7 @@ class Tasks:
         stem, ending = os.path.splitext(plain)
         if LOADABLE.get(ending.lower()) not in ("cage", "poses") or plain.lower().endswith(ENDING):
             endings = " ".join(ending for ending, kind in LOADABLE.items() if kind != "field")
-            raise ValueError(f"{plain[:100]!r} is no cage or pose file: {endings}")
+            raise InputError(f"{plain[:100]!r} is no cage or pose file: {endings}")
         stem = stem.encode()[:MAX_NAME_BYTES].decode(errors="ignore")
         with self._naming:  # two pages may send files of one name
             number, path = 1, self.path_of(stem + ending)
@@ -396,7 +397,7 @@ class Tasks:
         if click is None:
             return lambda: field
         if not isinstance(click, dict):
-            raise ValueError("click must hold across, down, aspect and plane")
+            raise InputError("click must hold across, down, aspect and plane")
         across, down = (checked_between(click.get(name), 0.0, 1.0, name) for name in ("across", "down"))
         aspect = checked_between(click.get("aspect"), 0.05, 20.0, "aspect")
         plane = checked_choice(click.get("plane"), (*PLANES, "none"), "plane")
@@ -408,7 +409,7 @@ class Tasks:
     def _simplify(self, message: dict[str, Any]) -> int:
         edit = self.session.document.edit(message["edit"])
         if len(edit.rest) <= COUNTS[0]:
-            raise ValueError(f"this cage has {len(edit.rest)} vertices: it cannot be made simpler")
+            raise InputError(f"this cage has {len(edit.rest)} vertices: it cannot be made simpler")
         count = checked_whole(message["count"], COUNTS[0], min(COUNTS[1], len(edit.rest) - 1), "count")
 
         def work(progress: Progress) -> Outcome:
@@ -468,13 +469,13 @@ class Tasks:
         """The path of a file or folder to write; what the editor did not write itself is never replaced."""
         path = self.path_of(name)
         if len(os.fsencode(path.name)) > 2 * MAX_NAME_BYTES:
-            raise ValueError(f"{path.name[:40]!r}... is too long for the name of a file")
+            raise InputError(f"{path.name[:40]!r}... is too long for the name of a file")
         if path.name.lower().endswith(ENDING):
-            raise ValueError(f"{path.name!r} is the name of a session's file: give another name")
+            raise InputError(f"{path.name!r} is the name of a session's file: give another name")
         if path.suffix.lower() not in endings:
-            raise ValueError(f"{path.name!r} must end in {' or '.join(endings) if any(endings) else 'no ending'}")
+            raise InputError(f"{path.name!r} must end in {' or '.join(endings) if any(endings) else 'no ending'}")
         if os.path.lexists(path) and not (path.name in self._made and self._made[path.name] == file_stamp(path)):
-            raise ValueError(f"{path.name!r} is there already: give another name")
+            raise InputError(f"{path.name!r} is there already: give another name")
         return path
 
     def _export(self, message: dict[str, Any]) -> int:
@@ -511,13 +512,13 @@ class Tasks:
         """The command line that makes the film of the session as it is, which is saved for it."""
         session = self.session
         if session.path is None or self.field_path is None:
-            raise ValueError("a field without a file has no command line: export the film here")
+            raise InputError("a field without a file has no command line: export the film here")
         film, output = requested_film(message), message.get("file") or "film.mp4"
         if not isinstance(output, str) or not output.isprintable():
-            raise ValueError("file must be the name of a film")
+            raise InputError("file must be the name of a film")
         await self._read(session.save)
         if session.save_error:
-            raise ValueError(f"the session could not be saved: {session.save_error}")
+            raise InputError(f"the session could not be saved: {session.save_error}")
         line = exports.export_command(
             session.path, self.field_path, film, output=output, scene_scale=session.scene_scale
         )

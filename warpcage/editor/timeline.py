@@ -13,6 +13,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..core.names import EASINGS
+from ..errors import InputError
 from ..view import motion as between
 from ..view.camera import CameraKey
 from ..view.camera_path import timed_keys
@@ -80,7 +81,7 @@ def pose_file(document: Document, number: int) -> PoseFile:
         file[name] = key.poses[number]
         file.times[name], file.easings[name] = key.time, key.easing
     if not len(file):
-        raise ValueError(f"no key holds a pose of {edit.name!r}: add one first")
+        raise InputError(f"no key holds a pose of {edit.name!r}: add one first")
     file.fps, file.loop = float(document.timeline.fps), document.timeline.loop
     for key in document.timeline.keys:
         if key.view is not None and not (file.cameras and file.cameras[-1].time == key.time):
@@ -95,25 +96,25 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
     # A keyframe goes into the key of its time, if there is one; those without times are spread evenly over the film.
     edit = document.edit(number)
     if not np.array_equal(file.rest.faces, edit.faces):
-        raise ValueError(f"the pose file is of another cage than {edit.name!r}: load it with this cage")
+        raise InputError(f"the pose file is of another cage than {edit.name!r}: load it with this cage")
     if not len(file) and not file.cameras:
-        raise ValueError("the pose file holds no keyframes")
+        raise InputError("the pose file holds no keyframes")
     keys = [_without_pose(key, number) if len(file) else key for key in document.timeline.keys]
     keys = [dataclasses.replace(key, view=None) if file.cameras else key for key in keys]
     keys = [key for key in keys if key.poses is not None or key.view is not None]
     count = len(keys) + len(file) + len(file.cameras)
     if count > MAX_KEYS:
-        raise ValueError(f"a film has at most {MAX_KEYS} keys, this one would have {count}")
+        raise InputError(f"a film has at most {MAX_KEYS} keys, this one would have {count}")
     by_time = {key.time: key for key in keys}
     spread = [float(time) for time in np.linspace(0.0, document.timeline.length, len(file))]
     next_id = document.next_id
     for name, evenly in zip(file.names, spread, strict=True):
         time = file.times.get(name, evenly)
         if not 0.0 <= time <= MAX_SECONDS:
-            raise ValueError(f"keyframe {name!r} is at {time:g} s: a film goes from 0 to {MAX_SECONDS:g} s")
+            raise InputError(f"keyframe {name!r} is at {time:g} s: a film goes from 0 to {MAX_SECONDS:g} s")
         easing = file.easings.get(name, "smooth")
         if easing not in EASINGS:
-            raise ValueError(f"keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}")
+            raise InputError(f"keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}")
         held = by_time.get(time)
         if held is None or number in (held.poses or {}):  # two keyframes of one time: a jump
             held = Key(next_id, time, "", easing)
@@ -126,7 +127,7 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
     for looking in timed_keys(file.cameras) if file.cameras else []:
         time = looking.time or 0.0
         if time > MAX_SECONDS:
-            raise ValueError(f"camera {looking.name!r} is at {time:g} s: a film goes from 0 to {MAX_SECONDS:g} s")
+            raise InputError(f"camera {looking.name!r} is at {time:g} s: a film goes from 0 to {MAX_SECONDS:g} s")
         held = by_time.get(time)
         if held is None:
             held = Key(next_id, time, " ".join(looking.name.split())[:MAX_NAME] or f"camera {next_id}", looking.easing)
@@ -167,7 +168,7 @@ def load_poses(document: Document, number: int, path: str) -> Document:
     try:
         return with_pose_file(document, number, file)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
 
 
 def _without_pose(key: Key, number: int) -> Key:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..core.checks import checked_number, renamed, warn_caller
+from ..errors import InputError
 from ..mesh.validity import require_usable
 from ..view.camera import Camera
 
@@ -58,18 +59,18 @@ class CageEdit:
 
     def __post_init__(self) -> None:
         if not isinstance(self.cage, Cage):
-            raise ValueError(f"an edit needs a Cage, got {type(self.cage).__name__}")
+            raise InputError(f"an edit needs a Cage, got {type(self.cage).__name__}")
         if self.keep_source and self.remove:
-            raise ValueError("an edit that removes its cage's content cannot keep the source: choose one")
+            raise InputError("an edit that removes its cage's content cannot keep the source: choose one")
         require_usable(self.cage, "the rest cage")
         object.__setattr__(self, "falloff", checked_number(self.falloff, "the falloff of an edit"))
         if self.falloff < 0.0:
-            raise ValueError(f"the falloff of an edit must be a width, 0 or more, got {self.falloff}")
+            raise InputError(f"the falloff of an edit must be a width, 0 or more, got {self.falloff}")
         if self.falloff > 0.0 and self.remove:
-            raise ValueError("an edit that removes its cage's content has no pose to fade: leave the falloff out")
+            raise InputError("an edit that removes its cage's content has no pose to fade: leave the falloff out")
         object.__setattr__(self, "fragments", checked_number(self.fragments, "the fragments of an edit"))
         if self.fragments < 0.0:
-            raise ValueError(f"the fragments of an edit must be a size, 0 or more, got {self.fragments}")
+            raise InputError(f"the fragments of an edit must be a size, 0 or more, got {self.fragments}")
         object.__setattr__(self, "held", checked_walls(self.held, len(self.cage.faces)))
 
 
@@ -77,14 +78,14 @@ def checked_walls(held: Any, face_count: int) -> str | tuple[int, ...]:
     """The walls that an edit holds: "cut", "still", or numbers of faces as an ascending tuple."""
     if isinstance(held, str):
         if held not in HELD:
-            raise ValueError(f"held must be {' or '.join(map(repr, HELD))} or numbers of faces, got {held!r}")
+            raise InputError(f"held must be {' or '.join(map(repr, HELD))} or numbers of faces, got {held!r}")
         return held
     faces = np.asarray(held)
     if faces.ndim != 1 or not len(faces) or faces.dtype.kind not in "iu":
-        raise ValueError(f"held must be {' or '.join(map(repr, HELD))} or numbers of faces, got {str(held)[:60]}")
+        raise InputError(f"held must be {' or '.join(map(repr, HELD))} or numbers of faces, got {str(held)[:60]}")
     if faces.min() < 0 or faces.max() >= face_count:
         wrong = faces[(faces < 0) | (faces >= face_count)][0]
-        raise ValueError(f"held names face {wrong}, the cage has faces 0 to {face_count - 1}")
+        raise InputError(f"held names face {wrong}, the cage has faces 0 to {face_count - 1}")
     return tuple(int(face) for face in np.unique(faces))
 
 
@@ -93,7 +94,7 @@ def checked_edits(rest: Cage | CageEdit | Sequence[Cage | CageEdit]) -> list[Cag
     given: list[Any] = list(rest) if isinstance(rest, list | tuple) else [rest]
     edits = [edit if isinstance(edit, CageEdit) else CageEdit(edit) for edit in given]
     if not 1 <= len(edits) <= MAX_EDITS:
-        raise ValueError(f"a Deformer takes 1 to {MAX_EDITS} edits, got {len(edits)}")
+        raise InputError(f"a Deformer takes 1 to {MAX_EDITS} edits, got {len(edits)}")
     return edits
 
 

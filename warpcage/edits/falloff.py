@@ -13,6 +13,7 @@ from ..cage.cage import Cage
 from ..cage.walls import cut_faces, in_matter, wall_groups
 from ..core.arrays import empty_array
 from ..core.devices import launch
+from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..kernels.edits import extension as kernels
 from ..kernels.edits.structs import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE
@@ -40,7 +41,7 @@ class FalloffBand:
         if edit.held == "cut":
             self.faces = cut_faces(edit.cage, field)
             if not len(self.faces):
-                raise ValueError(
+                raise InputError(
                     "no wall of the cage cuts matter, so that nothing tears there and no falloff is needed: leave it "
                     "out, or say which walls are held: still (those that each pose leaves in place), or face numbers"
                 )

@@ -13,6 +13,7 @@ from ..core.checks import checked_number, checked_positive, checked_whole
 from ..core.devices import launch
 from ..core.locks import device_turn
 from ..core.names import counted
+from ..errors import InputError
 from ..kernels.field.march import record_weights
 from ..kernels.view.rays import PinholeCamera
 from ..view.camera import Camera, camera_struct
@@ -56,14 +57,14 @@ class CleanOptions:
 
     def __post_init__(self) -> None:
         if not 0.0 <= checked_number(self.floaters, "floaters") < 1.0:
-            raise ValueError(f"floaters must be a share of the largest part, 0 to below 1, got {self.floaters:g}")
+            raise InputError(f"floaters must be a share of the largest part, 0 to below 1, got {self.floaters:g}")
         if self.parts is not None:
             checked_whole(self.parts, "parts", 1)
         checked_positive(self.least_weight, "least_weight")
         checked_whole(self.least_views, "least_views", 1)
         if self.cameras is not None and self.least_views > len(self.cameras):
             views = counted(len(self.cameras), "view")
-            raise ValueError(f"least_views must be at most the number of views, got {self.least_views} of {views}")
+            raise InputError(f"least_views must be at most the number of views, got {self.least_views} of {views}")
 
 
 def clean_voxels(field: VoxelField, options: CleanOptions) -> Cleaned:
@@ -96,7 +97,7 @@ def clean_voxels(field: VoxelField, options: CleanOptions) -> Cleaned:
 def require_left(left: np.ndarray) -> None:
     """Refuse to clean everything away; left: bool, what can be seen and stays."""
     if not left.any():
-        raise ValueError("nothing would be left: all that can be seen would go, ask for less")
+        raise InputError("nothing would be left: all that can be seen would go, ask for less")
 
 
 def went(count: int, whole: int, node: str, where: str) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_number, checked_vector, require_type, shown
 from ..core.names import PLANES, require_name
+from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from ..view.camera import Camera
 from .closer import choose_closer, is_splats, region_box
@@ -33,10 +34,10 @@ def pick_point(field: VoxelField, camera: Camera, pixel: ArrayLike) -> np.ndarra
     place = np.asarray(pixel)
     whole = place.shape == (2,) and np.issubdtype(place.dtype, np.number) and bool((place == np.floor(place)).all())
     if not whole:
-        raise ValueError(f"a pixel is a column and a row, two whole numbers, got {shown(pixel)}")
+        raise InputError(f"a pixel is a column and a row, two whole numbers, got {shown(pixel)}")
     column, row = (int(each) for each in place)
     if not (0 <= column < camera.width and 0 <= row < camera.height):
-        raise ValueError(
+        raise InputError(
             f"pixel {column} {row} is outside the picture of {camera.width}x{camera.height}: columns go from 0 to "
             f"{camera.width - 1}, rows from 0 to {camera.height - 1}"
         )
@@ -46,21 +47,21 @@ def pick_point(field: VoxelField, camera: Camera, pixel: ArrayLike) -> np.ndarra
     if hasattr(field, "distance_seen"):  # splats
         far = cast(Any, field).distance_seen(camera.center, direction, spread=1.0 / camera.fx)
         if not np.isfinite(far):
-            raise ValueError(nothing)
+            raise InputError(nothing)
         return camera.center + far * direction
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = (field.bounds - camera.center) / direction
     along = np.where(np.isnan(ends), [[-np.inf], [np.inf]], np.sort(ends, axis=0))
     near, far = max(float(along[0].max()), 0.0), float(along[1].min())
     if not near < far:
-        raise ValueError(nothing)
+        raise InputError(nothing)
     distance = near + field.step * (np.arange(int(np.ceil((far - near) / field.step))) + 0.5)
     points = camera.center + distance[:, None] * direction
     _, density = field.sample(points, np.broadcast_to(direction, points.shape))
     depth = np.cumsum(np.asarray(density, np.float64)) * field.step
     there = int(np.searchsorted(depth, -np.log(PICKED_TRANSMITTANCE)))
     if there == len(depth):
-        raise ValueError(nothing)
+        raise InputError(nothing)
     return points[there]
 
 
@@ -142,11 +143,11 @@ def select_object(
     if clearance is not None:
         clearance = checked_number(clearance, "clearance")
         if clearance < 0.0:
-            raise ValueError(f"clearance must not be negative, got {clearance}")
+            raise InputError(f"clearance must not be negative, got {clearance}")
         if plane is None:
-            raise ValueError("clearance is the distance from a plane: choose one")
+            raise InputError("clearance is the distance from a plane: choose one")
     if plane is None and plane_at is not None:
-        raise ValueError("plane_at is a point on the plane: choose 'ground', 'wall' or 'any'")
+        raise InputError("plane_at is a point on the plane: choose 'ground', 'wall' or 'any'")
     cameras, masks = _held(cameras), _held(masks)  # several grids may ask for them
     all_of: dict[str, Any] = {"box": box, "sphere": sphere, "cage": cage}
     all_of |= {"cameras": cameras, "masks": masks, "depth": depth}
@@ -180,7 +181,7 @@ def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: fl
         above = base.clearance(field.voxel_size) if clearance is None else clearance
         for click in () if clicks is None else clicks:
             if base.heights(click) <= above:
-                raise ValueError(_on_plane(click, base, above, plane))
+                raise InputError(_on_plane(click, base, above, plane))
         floor = Plane(base.normal, base.offset + above)
         voxels = above / float(np.max(field.voxel_size))
         node = getattr(root_field(field), "node_name", "voxel")
@@ -194,7 +195,7 @@ def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: fl
         mask = matter.connected(mask, clicks)
     if not mask.any():
         where = "" if floor is None else " above the plane"
-        raise ValueError(f"nothing is selected: no matter that is dense enough for a surface is left{where}")
+        raise InputError(f"nothing is selected: no matter that is dense enough for a surface is left{where}")
     notes += _cut_off(field, mask)
     mask = matter.with_fringe(mask, floor)
     return NodeSelection(region.field, mask, tuple(notes), floor)
@@ -239,7 +240,7 @@ class _Matter:
             distance = np.linalg.norm(places - click, axis=1)
             nearest = int(np.argmin(distance)) if len(cells) else -1
             if nearest < 0 or distance[nearest] > SEED_VOXELS * float(self._voxel.max()):
-                raise ValueError(
+                raise InputError(
                     f"the click at {click.round(4).tolist()} is on nothing: no matter that is dense enough for a "
                     f"surface lies within {SEED_VOXELS} voxels of it"
                 )
@@ -289,7 +290,7 @@ def _cut_off(field: DensityField, mask: np.ndarray) -> list[str]:
 def _clicks(field: DensityField, point, pixel, camera) -> np.ndarray | None:
     """(k, 3) places of clicks, None where there are none."""
     if (pixel is None) != (camera is None):
-        raise ValueError("pixel and camera go together: a click in the picture of a camera")
+        raise InputError("pixel and camera go together: a click in the picture of a camera")
     clicks = []
     if point is not None:
         rows = [point] if np.ndim(point) < 2 else list(np.asarray(point))
@@ -298,11 +299,11 @@ def _clicks(field: DensityField, point, pixel, camera) -> np.ndarray | None:
         whole = root_field(field)
         whole = getattr(whole, "field", whole)  # the splats, of densities on a grid of theirs
         if not (hasattr(whole, "sample") or is_splats(whole)):
-            raise ValueError("a click at a pixel needs a field that can be sampled")
+            raise InputError("a click at a pixel needs a field that can be sampled")
         rows = [pixel] if np.ndim(pixel) < 2 else list(np.asarray(pixel))
         clicks += [pick_point(cast("VoxelField", whole), camera, row) for row in rows]
     if (point is not None or pixel is not None) and not clicks:
-        raise ValueError("there is no click: give a point or a pixel")
+        raise InputError("there is no click: give a point or a pixel")
     return np.stack(clicks) if clicks else None
 
 
@@ -313,14 +314,14 @@ def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
     whole = root_field(field)
     planes = find_planes(whole, kind, up=up)
     if not planes:
-        raise ValueError(f"no {word} is found in the field: {_other_planes(kind)}")
+        raise InputError(f"no {word} is found in the field: {_other_planes(kind)}")
     if plane_at is not None:
         place = checked_vector(plane_at, "plane_at")
         far = [abs(float(plane.heights(place))) for plane in planes]
         nearest = int(np.argmin(far))
         room = max(planes[nearest].clearance(voxel), SEED_VOXELS * float(np.max(voxel)))
         if far[nearest] > room:
-            raise ValueError(
+            raise InputError(
                 f"no {word} passes near {place.tolist()}: the nearest of {len(planes)} is {far[nearest]:.4g} away"
             )
         return planes[nearest]
@@ -328,10 +329,10 @@ def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
     if clicks is None:
         places = matter.places(matter.above(None))
         if not len(places):
-            raise ValueError("nothing is selected: no matter in the region is dense enough for a surface")
+            raise InputError("nothing is selected: no matter in the region is dense enough for a surface")
         found = plane_through(planes, places, voxel, matter.holds)
         if found is None:
-            raise ValueError(f"what is selected stands on no {word}: {_other_planes(kind)}")
+            raise InputError(f"what is selected stands on no {word}: {_other_planes(kind)}")
         return found
 
     def grown(plane: Plane) -> np.ndarray:
@@ -343,8 +344,8 @@ def _support(field, matter: _Matter, clicks, kind: str, plane_at, up) -> Plane:
         return found
     for plane in planes:
         if abs(float(np.median(plane.heights(clicks)))) <= plane.clearance(voxel):
-            raise ValueError(_on_plane(clicks[0], plane, plane.clearance(voxel), kind))
-    raise ValueError(
+            raise InputError(_on_plane(clicks[0], plane, plane.clearance(voxel), kind))
+    raise InputError(
         f"the click at {clicks[0].round(4).tolist()} is above no {word} of the field's {len(planes)}: "
         f"{_other_planes(kind)}"
     )

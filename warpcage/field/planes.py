@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_number, checked_positive, checked_vector, checked_whole
 from ..core.names import PLANES, require_name
+from ..errors import InputError
 from .surface import DensityField, node_grid, surface_density
 
 #: Points that a plane is guessed from and tried on at most; all of them take part in its final fit.
@@ -79,7 +80,7 @@ class Plane:
         normal = checked_vector(self.normal, "the normal of a plane")
         length = float(np.linalg.norm(normal))
         if not length > 0.0:
-            raise ValueError("the normal of a plane must not be zero")
+            raise InputError("the normal of a plane must not be zero")
         object.__setattr__(self, "normal", normal / length)
         object.__setattr__(self, "offset", checked_number(self.offset, "the offset of a plane"))
 
@@ -101,7 +102,7 @@ def find_planes(
     count = checked_whole(count, "count", 1)
     upward = checked_vector(getattr(field, "up", (0.0, 0.0, 1.0)) if up is None else up, "up")
     if not np.linalg.norm(upward) > 0.0:
-        raise ValueError("up must be a direction, not zero")
+        raise InputError("up must be a direction, not zero")
     upward = upward / np.linalg.norm(upward)
     nodes = np.ptp(np.asarray(field.bounds, np.float64), axis=0) / field.voxel_size
     block = max(1, math.ceil(round(float(nodes.max())) / MOST_SIDE))

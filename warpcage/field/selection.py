@@ -20,6 +20,7 @@ from ..core.checks import (
 )
 from ..core.files import PathLike
 from ..core.names import counted
+from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from ..mesh.queries import inside_mesh
 from ..view.camera import Camera
@@ -46,7 +47,7 @@ def cut_out(field: VoxelField, mask: np.ndarray) -> VoxelField:
     from scipy.ndimage import binary_dilation
 
     if not mask.any():
-        raise ValueError("nothing is chosen that could be cut out")
+        raise InputError("nothing is chosen that could be cut out")
     links = field.grid.links.numpy()
     grown = np.asarray(binary_dilation(mask, np.ones((3, 3, 3), bool)))
     ends = [np.flatnonzero(grown.any(axis=others))[[0, -1]] + (0, 1) for others in ((1, 2), (0, 2), (0, 1))]
@@ -119,12 +120,12 @@ def in_masks(points: np.ndarray, cameras: list[Camera], masks: list[ArrayLike]) 
     """Which points (n, 3), world units, are inside the mask of every picture that they fall into, and fall into one.
     masks: one (h, w) per camera, the object where it is above half its largest value."""
     if len(cameras) != len(masks) or not cameras:
-        raise ValueError(f"one mask per camera is needed, got {len(masks)} masks and {len(cameras)} cameras")
+        raise InputError(f"one mask per camera is needed, got {len(masks)} masks and {len(cameras)} cameras")
     inside, seen = np.ones(len(points), dtype=bool), np.zeros(len(points), dtype=bool)
     for number, (camera, given) in enumerate(zip(cameras, masks, strict=True)):
         picture = np.asarray(given)
         if picture.shape != (camera.height, camera.width):
-            raise ValueError(
+            raise InputError(
                 f"mask {number} must be ({camera.height}, {camera.width}) as its camera, got {picture.shape}"
             )
         ahead, row, column = _fallen(points, camera)
@@ -140,9 +141,9 @@ def in_depths(points: np.ndarray, field: VoxelField, cameras: list[Camera], dept
     values = np.asarray(depth, np.float64) if np.shape(depth) == (2,) else np.full(2, np.nan)
     near, far = (checked_number(each, "depth") if np.isfinite(each) else np.nan for each in values)
     if not 0.0 <= near < far:
-        raise ValueError(f"depth must be two distances from the cameras, the nearer one first, got {depth!r}")
+        raise InputError(f"depth must be two distances from the cameras, the nearer one first, got {depth!r}")
     if not cameras:
-        raise ValueError("depth needs the cameras of the views")
+        raise InputError("depth needs the cameras of the views")
     within, without, hidden, through = (np.zeros(len(points), int) for _ in range(4))
     room = DEPTH_VOXELS * float(np.max(field.voxel_size))
     for camera in cameras:
@@ -208,7 +209,7 @@ def some_visible_nodes(field: DensityField, count: int = 20_000) -> np.ndarray:
         weights = getattr(field, "weights", None)
         densities = grid.density.numpy()[rows]
         if not np.isfinite(densities).all():
-            raise ValueError("a field with densities that are not finite has no visible nodes")
+            raise InputError("a field with densities that are not finite has no visible nodes")
         if weights is None:
             seen = densities >= -np.log1p(-VISIBLE_OPACITY) / np.prod(field.voxel_size) ** (1.0 / 3.0)
         else:
@@ -357,16 +358,16 @@ class NodeSelection:
         other = f"{path}: the selection is of another field"
         if hasattr(field, "matter"):
             if held.occupied != _occupancy(field):
-                raise ValueError(f"{other} than these splats: choose the object anew in this one")
+                raise InputError(f"{other} than these splats: choose the object anew in this one")
             field = cast(Any, field).matter(held.bounds, max(held.mask.shape))
         size, own = "x".join(map(str, held.mask.shape)), "x".join(map(str, node_grid(field)[0].shape))
         if size != own:
-            raise ValueError(f"{other}, of {size} voxels: this one has {own}")
+            raise InputError(f"{other}, of {size} voxels: this one has {own}")
         bounds, voxel_size = np.asarray(field.bounds, np.float64), np.asarray(field.voxel_size)
         if not same_box(held.bounds, bounds, voxel_size):
-            raise ValueError(f"{other}, from {held.bounds[0].tolist()} to {held.bounds[1].tolist()}")
+            raise InputError(f"{other}, from {held.bounds[0].tolist()} to {held.bounds[1].tolist()}")
         if held.occupied != _occupancy(field):
-            raise ValueError(f"{other} in the same box: choose the object anew in this one")
+            raise InputError(f"{other} in the same box: choose the object anew in this one")
         _require_some(held.mask, f"{path} holds no voxels")
         return cls(field, held.mask, held.notes, None if held.floor is None else Plane(*held.floor))
 
@@ -437,10 +438,10 @@ def select_nodes(
     if cage is not None:
         mask = _kept(mask, _in_mesh(field, mask, cage), notes, "outside the cage")
     if cameras is not None and (isinstance(cameras, str) or not isinstance(cameras, Iterable)):
-        raise ValueError(f"cameras must be a list of cameras, got {type(cameras).__name__}")
+        raise InputError(f"cameras must be a list of cameras, got {type(cameras).__name__}")
     cameras = None if cameras is None else list(cameras)
     if (cameras is None) != (masks is None and depth is None):
-        raise ValueError("cameras and masks go together, one mask per camera; so do cameras and depth")
+        raise InputError("cameras and masks go together, one mask per camera; so do cameras and depth")
     if cameras is not None and masks is not None:
         cells = np.argwhere(mask)
         inside = in_masks(_centers(field, cells), cameras, list(masks))
@@ -451,7 +452,7 @@ def select_nodes(
     if seed is not None:
         mask = _kept(mask, _grown(field, mask, seed, reach), notes, "not connected to the seed point")
     elif reach is not None:
-        raise ValueError("reach needs a seed point to reach from")
+        raise InputError("reach needs a seed point to reach from")
     if parts is not None:
         parts = checked_whole(parts, "parts", 1)
         labels, sizes, order = _parts(mask)
@@ -460,7 +461,7 @@ def select_nodes(
         )
     floaters = checked_number(floaters, "floaters")
     if not 0.0 <= floaters < 1.0:
-        raise ValueError(f"floaters must be a share of the largest part, 0 to below 1, got {floaters:g}")
+        raise InputError(f"floaters must be a share of the largest part, 0 to below 1, got {floaters:g}")
     if floaters > 0.0:
         labels, sizes, order = _parts(mask)
         large = order[sizes[order] >= floaters * sizes[order[0]]]
@@ -490,7 +491,7 @@ def _kept(mask: np.ndarray, keep: np.ndarray, notes: _Notes, where: str) -> np.n
 
 def _require_some(mask: np.ndarray, complaint: str) -> None:
     if not mask.any():
-        raise ValueError(f"nothing is selected: {complaint}")
+        raise InputError(f"nothing is selected: {complaint}")
 
 
 def _centers(field: DensityField, cells: np.ndarray) -> np.ndarray:
@@ -515,7 +516,7 @@ def _in_box(field: DensityField, mask: np.ndarray, box: ArrayLike) -> np.ndarray
 def _in_sphere(field: DensityField, mask: np.ndarray, sphere: ArrayLike) -> np.ndarray:
     values = np.asarray(sphere, np.float64) if np.shape(sphere) == (4,) else np.full(4, np.nan)
     if not (np.isfinite(values).all() and values[3] > 0.0):
-        raise ValueError(f"sphere must be a centre and a positive radius, four numbers, got {shown(sphere)}")
+        raise InputError(f"sphere must be a centre and a positive radius, four numbers, got {shown(sphere)}")
     cells = np.argwhere(mask)
     return _scattered(mask, cells, np.linalg.norm(_centers(field, cells) - values[:3], axis=1) <= values[3])
 
@@ -529,7 +530,7 @@ def _in_mesh(field: DensityField, mask: np.ndarray, cage: ClosedMesh) -> np.ndar
 def _in_views(field: DensityField, mask: np.ndarray, cameras: list[Camera], depth: ArrayLike) -> np.ndarray:
     whole = root_field(field)
     if not hasattr(whole, "render"):
-        raise ValueError("depth needs a field that can be rendered")
+        raise InputError("depth needs a field that can be rendered")
     cells = np.argwhere(mask)
     return _scattered(mask, cells, in_depths(_centers(field, cells), cast(VoxelField, whole), cameras, depth))
 
@@ -543,7 +544,7 @@ def _grown(field: DensityField, mask: np.ndarray, seed: ArrayLike, reach: float 
     distance = np.linalg.norm(_centers(field, cells) - start, axis=1)
     nearest = int(np.argmin(distance))
     if distance[nearest] > SEED_VOXELS * float(np.max(field.voxel_size)):
-        raise ValueError(
+        raise InputError(
             f"nothing visible is near the seed point {start.tolist()}: the nearest voxel is "
             f"{distance[nearest]:.4g} away, more than {SEED_VOXELS} voxels"
         )

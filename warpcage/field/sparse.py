@@ -12,6 +12,7 @@ import warp as wp
 
 from ..core.arrays import array_view, empty_array
 from ..core.devices import HostFlag, RecordedLaunch, launch
+from ..errors import InputError
 from ..kernels.field import occupancy
 from ..kernels.field import occupancy as grid_skip
 from ..kernels.field import refine as grid_halves
@@ -49,9 +50,9 @@ PADDING = 3
 def checked_resolution(links: Any) -> tuple[int, ...]:
     """Nodes (nx, ny, nz) of a grid by its links, NumPy or Warp; at least two along each axis."""
     if not hasattr(links, "shape"):
-        raise ValueError(f"links must be an array (nx, ny, nz), got {type(links).__name__}")
+        raise InputError(f"links must be an array (nx, ny, nz), got {type(links).__name__}")
     if len(links.shape) != 3 or min(links.shape) < 2:
-        raise ValueError(f"links must be (nx, ny, nz) with at least 2 along each axis, got {tuple(links.shape)}")
+        raise InputError(f"links must be (nx, ny, nz) with at least 2 along each axis, got {tuple(links.shape)}")
     return tuple(int(n) for n in links.shape)
 
 
@@ -178,13 +179,13 @@ def harmonics_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
     if isinstance(sh, wp.array):
         array = values_on_device(sh, wp.float32, device)  # without gaps: rows are read as runs of memory
         if array.ndim != 2 or array.shape[1] not in (LUMINANCE_NUMBERS, RGB_NUMBERS):
-            raise ValueError(f"sh on a device must be (rows, 24) or (rows, 27) float32, got {array.shape}")
+            raise InputError(f"sh on a device must be (rows, 24) or (rows, 27) float32, got {array.shape}")
         return array if array.is_contiguous else array.contiguous()
     host = np.asarray(sh)
     if host.ndim == 3 and host.shape[1:] == (BASIS_COUNT, 3):
         host = host.transpose(0, 2, 1).reshape(len(host), RGB_NUMBERS)
     elif host.ndim != 2 or host.shape[1] != LUMINANCE_NUMBERS:
-        raise ValueError(f"sh must be (rows, 9, 3) or (rows, 24), got {host.shape}")
+        raise InputError(f"sh must be (rows, 9, 3) or (rows, 24), got {host.shape}")
     if host.dtype == np.float16 and device.is_cuda:
         return _widened(wp.array(np.ascontiguousarray(host), dtype=wp.float16, device=device))
     if host.dtype == np.float16:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_positive
+from ..errors import InputError
 from ..mesh.mesh import connected_parts
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def extract_mesh(
     import trimesh
 
     if components not in ("largest", "all"):
-        raise ValueError(f"components must be 'largest' or 'all', got {components!r}")
+        raise InputError(f"components must be 'largest' or 'all', got {components!r}")
     densities, voxel_size = node_grid(field)
     if threshold is None:
         threshold = surface_density(densities, voxel_size)
@@ -62,7 +63,7 @@ def extract_mesh(
         threshold = checked_positive(threshold, "threshold, a density,")
     solid = densities > threshold
     if not solid.any():
-        raise ValueError(
+        raise InputError(
             f"no density of the field is above the threshold {threshold:.6g}: the largest is {densities.max():.6g}"
         )
 
@@ -90,7 +91,7 @@ def surface_density(densities: np.ndarray, voxel_size: ArrayLike) -> float:
 
     occupied = densities[densities > 0.0]
     if not len(occupied):
-        raise ValueError("the field is empty: it has no density above 0")
+        raise InputError("the field is empty: it has no density above 0")
     half_opaque = half_opaque_density(voxel_size)
     if np.mean(occupied > half_opaque) >= _LEAST_SHARE:
         return half_opaque
@@ -109,7 +110,7 @@ def half_opaque_density(voxel_size: ArrayLike) -> float:
 def require_field(field: object) -> None:
     """Refuse what has no densities at nodes."""
     if not hasattr(field, "node_densities"):
-        raise ValueError(f"a field is needed, or a selection of one, got {type(field).__name__}")
+        raise InputError(f"a field is needed, or a selection of one, got {type(field).__name__}")
 
 
 def node_grid(field: DensityField) -> tuple[np.ndarray, np.ndarray]:
@@ -118,11 +119,11 @@ def node_grid(field: DensityField) -> tuple[np.ndarray, np.ndarray]:
     densities = np.asarray(field.node_densities())
     voxel_size = np.broadcast_to(np.asarray(field.voxel_size, dtype=np.float64), 3)
     if densities.ndim != 3 or densities.size == 0:
-        raise ValueError(f"node densities must be (nx, ny, nz), got {densities.shape}")
+        raise InputError(f"node densities must be (nx, ny, nz), got {densities.shape}")
     if not np.isfinite(densities).all():
-        raise ValueError(f"the field holds {np.count_nonzero(~np.isfinite(densities))} densities that are not finite")
+        raise InputError(f"the field holds {np.count_nonzero(~np.isfinite(densities))} densities that are not finite")
     if not (np.isfinite(voxel_size).all() and (voxel_size > 0.0).all()):
-        raise ValueError(f"voxel_size must be positive and finite, got {voxel_size.tolist()}")
+        raise InputError(f"voxel_size must be positive and finite, got {voxel_size.tolist()}")
     return densities, voxel_size
 
 

@@ -16,6 +16,7 @@ from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..core.modules import Kernel
 from ..core.names import counted
+from ..errors import InputError
 from ..kernels.field.background import BackgroundLayers, add_background, sample_background
 from ..kernels.field.outer import OuterGrid, compose_outer, dim_pixels, sample_outer
 from ..view.camera import Camera, camera_struct, tile_threads
@@ -30,7 +31,7 @@ def seen_by_rays(
     origins: (n, 3), world units; directions: (n, 3) of any length but zero."""
     starts, along = as_host_points(origins, name="origins") - center, as_host_points(directions, name="directions")
     if starts.shape != along.shape:
-        raise ValueError(f"there must be as many directions as origins, got {len(along)} for {len(starts)}")
+        raise InputError(f"there must be as many directions as origins, got {len(along)} for {len(starts)}")
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     rays = [wp.array(each.astype(np.float32), dtype=wp.vec3, device=device) for each in (starts, along)]
     rgb = empty_array(len(starts), wp.vec3, device)
@@ -55,7 +56,7 @@ class LayeredBackground:
     ):
         self.device = resolve_device(values.device if device is None and isinstance(values, wp.array) else device)
         if int(side) != side or side < 2:
-            raise ValueError(f"a background has 2 cells or more along an edge, got {side}")
+            raise InputError(f"a background has 2 cells or more along an edge, got {side}")
         node_count = surface_node_count(side)
         self.center = checked_vector(center, "a background's center").copy()  # (3,) float64, world units
         half = checked_positive(half, "a background's half side")
@@ -63,16 +64,16 @@ class LayeredBackground:
         if not isinstance(values, wp.array):
             values = np.asarray(values, np.float32)
             if not np.isfinite(values).all():
-                raise ValueError("a background's values must be finite")
+                raise InputError("a background's values must be finite")
         shape = tuple(values.shape) + ((4,) if isinstance(values, wp.array) else ())
         if len(shape) != 3 or shape[0] < 2 or shape[1:] != (node_count, 4):
-            raise ValueError(
+            raise InputError(
                 f"a background of {side} cells along an edge has values (2 layers or more, "
                 f"{node_count}, 4), got {shape}"
             )
         self.unseen = None if unseen is None else np.array(unseen, np.float32)  # what nodes hold that no picture showed
         if self.unseen is not None and (self.unseen.shape != (4,) or not np.isfinite(self.unseen).all()):
-            raise ValueError(f"a background's unseen must be (4,) and finite, got {self.unseen.tolist()}")
+            raise InputError(f"a background's unseen must be (4,) and finite, got {self.unseen.tolist()}")
         layers = BackgroundLayers()
         layers.half, layers.side = half, int(side)
         if isinstance(values, wp.array):
@@ -166,13 +167,13 @@ class OuterField:
         self.center = checked_vector(center, "an outer field's center").copy()  # (3,) float64, world units, as `half`
         self.half = checked_vector(half, "an outer field's half sides").copy()
         if not (self.half > 0).all():
-            raise ValueError(f"an outer field's half sides must be positive, got {self.half.tolist()}")
+            raise InputError(f"an outer field's half sides must be positive, got {self.half.tolist()}")
         shape = tuple(links.shape)  # row of each voxel or -1
         if len(shape) != 3 or len(set(shape)) != 1 or shape[0] < 4:
-            raise ValueError(f"an outer field's links must be (n, n, n), n at least 4, got {shape}")
+            raise InputError(f"an outer field's links must be (n, n, n), n at least 4, got {shape}")
         rows = tuple(values.shape) + ((4,) if isinstance(values, wp.array) else ())  # r, g, b, density; below 0: none
         if len(rows) != 2 or rows[1] != 4:
-            raise ValueError(f"an outer field's values must be (rows, 4), got {rows}")
+            raise InputError(f"an outer field's values must be (rows, 4), got {rows}")
         with device_turn(self.device):
             grid = OuterGrid()
             grid.half, grid.sky = wp.vec3(*self.half), sky_layers(sky, self.device)
@@ -183,7 +184,7 @@ class OuterField:
                 host = np.ascontiguousarray(values, np.float32)
                 largest = int(np.asarray(links).max(initial=-1)) if isinstance(links, np.ndarray) else -1
                 if not np.isfinite(host).all() or largest >= len(host):
-                    raise ValueError("an outer field's values must be finite, one row for each that its links name")
+                    raise InputError("an outer field's values must be finite, one row for each that its links name")
                 grid.values = wp.array(host, dtype=wp.vec4, device=self.device)
             grid.skip = measure_skip(grid.links)
         self.grid = grid  # positions in it are relative to the centre
@@ -270,13 +271,13 @@ def sky_layers(sky: Any, device: wp.Device) -> Any:
         if colors.shape == (3,):
             colors = np.broadcast_to(colors, (surface_node_count(2), 3))
         if colors.ndim != 2 or colors.shape[1] != 3 or not np.isfinite(colors).all():
-            raise ValueError(f"an outer field's sky must be finite (3,) or (6 s^2 + 2, 3), got {colors.shape}")
+            raise InputError(f"an outer field's sky must be finite (3,) or (6 s^2 + 2, 3), got {colors.shape}")
         values = np.concatenate([colors, np.ones((len(colors), 1), np.float32)], axis=1)[None]
         sky = wp.array(np.ascontiguousarray(values), dtype=wp.vec4, device=device)
     nodes = sky.shape[-1]
     side = math.isqrt(max(0, (nodes - 2) // 6))
     if len(sky.shape) != 2 or side < 2 or nodes != surface_node_count(side):
-        raise ValueError(f"an outer field's sky must hold 6 s^2 + 2 colours, s at least 2, got {nodes}")
+        raise InputError(f"an outer field's sky must hold 6 s^2 + 2 colours, s at least 2, got {nodes}")
     layers: Any = BackgroundLayers()
     layers.half, layers.side = 1.0, side
     layers.values = sky if sky.device == device else sky.to(device)

@@ -22,6 +22,7 @@ from ..core.checks import (
 )
 from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.locks import device_turn, in_turn
+from ..errors import InputError, UseError
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..view.camera import Camera, rigid_motion
 from ..view.camera_path import RefinedCameras
@@ -128,12 +129,12 @@ class VoxelField:
         grid.density = values_on_device(density, wp.float32, self.device)
         grid.sh = harmonics_on_device(sh, self.device)
         if grid.density.ndim != 1 or grid.sh.shape[0] != grid.density.shape[0]:
-            raise ValueError(
+            raise InputError(
                 f"density and sh must have one row per voxel, got {grid.density.shape} and {grid.sh.shape[0]} rows"
             )
         self.weights = None if weights is None else values_on_device(weights, wp.float32, self.device)
         if self.weights is not None and self.weights.shape != grid.density.shape:
-            raise ValueError(f"weights must be one per row ({grid.density.shape[0]}), got {self.weights.shape}")
+            raise InputError(f"weights must be one per row ({grid.density.shape[0]}), got {self.weights.shape}")
 
         half = 0.5 * (self.bounds[1] - self.bounds[0])
         grid.lower = wp.vec3(*(0.5 * self.voxel_size - half))
@@ -172,11 +173,11 @@ class VoxelField:
         sigma = np.asarray(density, np.float32)
         coefficients = np.asarray(sh, np.float32)
         if sigma.ndim != 3 or coefficients.shape != (*sigma.shape, BASIS_COUNT, 3):
-            raise ValueError(
+            raise InputError(
                 f"density must be (nx, ny, nz) and sh (nx, ny, nz, 9, 3), got {sigma.shape}, {coefficients.shape}"
             )
         if not (np.isfinite(sigma).all() and np.isfinite(coefficients).all()):
-            raise ValueError("density and sh must be finite")
+            raise InputError("density and sh must be finite")
         nx, ny, nz = sigma.shape
         padded = np.pad(sigma > 0, 1)
         mask = np.zeros(sigma.shape, dtype=bool)
@@ -207,7 +208,7 @@ class VoxelField:
         return f"VoxelField({size}, {self.voxel_count} voxels, bounds {bounds}, {self.device})"
 
     def __reduce__(self):
-        raise TypeError(
+        raise UseError(
             "a VoxelField is held on a device and not copied between processes: save it, and load the file "
             "in each of them"
         )
@@ -234,7 +235,7 @@ class VoxelField:
         x = as_points(points, self.device)
         d = as_points(directions, self.device, name="directions")
         if x.shape != d.shape:
-            raise ValueError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
+            raise InputError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
         rgb = empty_array(x.shape[0], wp.vec3, self.device)
         density = empty_array(x.shape[0], wp.float32, self.device)
         launch(sample_field, x.shape[0], [self.grid, wp.vec3(*origin), x, d], [rgb, density], device=self.device)
@@ -434,7 +435,7 @@ class VoxelField:
         try:
             return cls.from_contents(held, device=device)
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
+            raise InputError(f"{path}: {error}") from error
 
     @classmethod
     @device_by_name

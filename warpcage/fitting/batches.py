@@ -15,6 +15,7 @@ from ..core.devices import launch, module_block_dim
 from ..core.locks import device_turn
 from ..core.modules import Kernel, require_loaded
 from ..core.threads import cpu_threads, run_parallel
+from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..kernels.fitting.batches import Pictures, mark_active_tiles
 from ..kernels.fitting.loss import TrainingRays
@@ -39,7 +40,7 @@ def counted_pixels(scene: Scene) -> int:
     """How many pixels of a scene's pictures count; ValueError where none does."""
     count = math.prod(scene.images.shape[:3]) if scene.weights is None else int((scene.weights > 0.0).sum())
     if count == 0:
-        raise ValueError("no pixel of the pictures counts: all weights are 0, there is nothing to fit")
+        raise InputError("no pixel of the pictures counts: all weights are 0, there is nothing to fit")
     return count
 
 
@@ -221,7 +222,7 @@ class Batches:
         field: None where all tiles count, as every pixel shows something."""
         tiles = self.counted_tiles if field is None else self._seeing(field)
         if len(tiles) == 0:
-            raise ValueError("no camera sees the bounds of the field: check the bounds and the cameras' axes")
+            raise InputError("no camera sees the bounds of the field: check the bounds and the cameras' axes")
         self.take(tiles)
         self.shuffle()
 

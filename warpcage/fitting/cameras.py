@@ -15,6 +15,7 @@ from ..core.checks import require_type
 from ..core.devices import launch
 from ..core.files import require_numbers
 from ..core.locks import device_turn
+from ..errors import InputError
 from ..field.render import STOP_TRANSMITTANCE
 from ..field.surroundings import OuterField
 from ..field.voxel_field import VoxelField
@@ -339,9 +340,9 @@ class CameraRefinement:
             now = getattr(self, name)
             held[name] = np.asarray(require_numbers(contents, f"camera_{name}", now.shape, path), np.float64)
             if not np.isfinite(held[name]).all():
-                raise ValueError(f"camera_{name} holds values that are not finite")
+                raise InputError(f"camera_{name} holds values that are not finite")
         if held["gains"].min(initial=1.0) <= 0 or np.abs(held["zooms"]).max(initial=0.0) > MOST_ZOOM:
-            raise ValueError("the cameras hold values that cannot be")
+            raise InputError("the cameras hold values that cannot be")
         for name, values in held.items():
             setattr(self, name, values)
 

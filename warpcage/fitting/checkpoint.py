@@ -17,6 +17,7 @@ from ..core.arrays import array_view
 from ..core.checks import checked_path
 from ..core.files import atomic_path, read_npz, require_numbers
 from ..core.threads import run_parallel
+from ..errors import InputError
 from ..scene.scene import Scene
 from .batches import ORDERS, PRECISIONS, Batches
 from .cameras import STATE, CameraRefinement
@@ -69,7 +70,7 @@ def require_writable(path: str | pathlib.Path) -> pathlib.Path:
     """A checkpoint's path. Raises ValueError where it does not end in .npz or is a folder."""
     path = checked_path(path, "the checkpoint")
     if path.suffix != ".npz" or path.is_dir():
-        raise ValueError(f"a checkpoint is a file that ends in .npz, got {str(path)!r}")
+        raise InputError(f"a checkpoint is a file that ends in .npz, got {str(path)!r}")
     return path
 
 
@@ -115,18 +116,18 @@ def load_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
     """Put a fresh fit, of the same scene, seed and options and before its first step, where a saved one was."""
     contents = read_npz(path, "checkpoint", NAMES.__contains__, room=ROOM)
     if str(contents.get("format", "")) != KIND:
-        raise ValueError(f"{path} is no fit checkpoint: remove it or name another file")
+        raise InputError(f"{path} is no fit checkpoint: remove it or name another file")
     if str(contents.get("version")) != str(VERSION):
-        raise ValueError(
+        raise InputError(
             f"{path} is a fit checkpoint of another version ({str(contents.get('version'))[:20]}, this warpcage reads "
             f"{VERSION}): fit with the warpcage that wrote it, remove it or name another file"
         )
     if str(contents.get("fingerprint")) != fingerprint(optimizer):
-        raise ValueError(
+        raise InputError(
             f"{path} is the checkpoint of another fit (scene, seed or options differ): remove it or name another file"
         )
     if isinstance(optimizer.background, OuterOptimizer) and "layers_values" in contents:  # the options are the same
-        raise ValueError(
+        raise InputError(
             f"{path} is the checkpoint of a fit with background layers, which background='auto' took for whole "
             "pictures before it took an outer field: fit with the warpcage that wrote it, remove it or name another one"
         )
@@ -134,7 +135,7 @@ def load_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
         _restore(optimizer, contents, pathlib.Path(path))
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         reason = " ".join(str(error).split())
-        raise ValueError(f"{path} is a damaged fit checkpoint, remove it or name another file: {reason}") from error
+        raise InputError(f"{path} is a damaged fit checkpoint, remove it or name another file: {reason}") from error
 
 
 def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path) -> None:
@@ -144,7 +145,7 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
     level, cursor, order = (int(state[name]) for name in ("level", "cursor", "order"))
     level_steps = [int(count) for count in state["level_steps"]]
     if not 0 <= level < len(optimizer.shapes) or len(level_steps) != len(schedule.level_steps):
-        raise ValueError(f"level {level} of {len(level_steps)} steps")
+        raise InputError(f"level {level} of {len(level_steps)} steps")
     shape = tuple(int(n) for n in require_numbers(contents, "resolution", (3,), path))
     shapes = [tuple(int(n) for n in held) for held in state["shapes"]]  # coarser than planned where memory was short
     planned = optimizer.shapes
@@ -152,7 +153,7 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
         2 <= n <= m for held, whole in zip(shapes, planned, strict=True) for n, m in zip(held, whole, strict=True)
     )
     if not fitting or shape != shapes[level]:
-        raise ValueError(f"resolution {shape} at level {level} of {shapes}, {planned} planned")
+        raise InputError(f"resolution {shape} at level {level} of {shapes}, {planned} planned")
     packed = require_numbers(contents, "occupancy", (-(-math.prod(shape) // 8),), path)
     occupied = np.unpackbits(packed, count=math.prod(shape)).reshape(shape)
     rows = int(occupied.sum())
@@ -161,21 +162,21 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
     moments = require_numbers(contents, "moments", (rows * ROW_NUMBERS,), path).astype(np.uint16)
     infinite = (moments & EXPONENT_BITS == EXPONENT_BITS).any()
     if infinite or not all(np.isfinite(values).all() for values in (density, sh)):
-        raise ValueError("values that are not finite")
+        raise InputError("values that are not finite")
     tiles = require_numbers(contents, "tiles", (None,), path)
     picture_bits = state.get("picture_bits", PRECISIONS[0])
     if picture_bits not in PRECISIONS:
-        raise ValueError(f"pictures of {picture_bits!r} bits per channel, {PRECISIONS} are known")
+        raise InputError(f"pictures of {picture_bits!r} bits per channel, {PRECISIONS} are known")
 
     optimizer.restore(wp.array(occupied.astype(np.uint8), device=optimizer.device), picture_bits)
     # which tiles count was found with the cameras that were then
     counted = 0 < len(tiles) <= batches.tile_total if optimizer.refinement else len(tiles) == batches.active_tiles
     if not counted or tiles.min() < 0 or tiles.max() >= batches.tile_total:
-        raise ValueError(f"{len(tiles)} tiles of pixels, {batches.active_tiles} expected")
+        raise InputError(f"{len(tiles)} tiles of pixels, {batches.active_tiles} expected")
     if not 0 <= cursor <= len(tiles):
-        raise ValueError(f"cursor {cursor} among {len(tiles)} tiles")
+        raise InputError(f"cursor {cursor} among {len(tiles)} tiles")
     if not 0 <= order < ORDERS:
-        raise ValueError(f"order {order}, its key is below {ORDERS}")
+        raise InputError(f"order {order}, its key is below {ORDERS}")
     for target, values, dtype in (
         (optimizer.current.field.grid.density, density, wp.float32),
         (optimizer.current.field.grid.sh, sh, wp.float32),

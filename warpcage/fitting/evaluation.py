@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import real_array, require_type
 from ..core.reports import Progress, hears, tell
+from ..errors import InputError
 from ..scene.scene import Scene
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
@@ -57,10 +58,10 @@ def _weighted_mean(values: np.ndarray, weights: ArrayLike) -> float:
     """Mean of values (h, w, ...) by the weights (h, w) of their pixels."""
     given = real_array(weights, "weights")
     if given.shape != values.shape[: given.ndim]:
-        raise ValueError(f"weights must be those of the pixels of {values.shape}, got {given.shape}")
+        raise InputError(f"weights must be those of the pixels of {values.shape}, got {given.shape}")
     total = float(given.sum())
     if not (given.size and given.min() >= 0.0 and 0.0 < total < math.inf):
-        raise ValueError("weights must be finite, at least 0, and somewhere above: nothing counts otherwise")
+        raise InputError("weights must be finite, at least 0, and somewhere above: nothing counts otherwise")
     by_pixel = values.reshape(*given.shape, -1).mean(axis=-1)
     # where they are 0 nothing counts, whatever is there
     return float((by_pixel * given)[given > 0.0].sum()) / total
@@ -73,7 +74,7 @@ def ssim(image: ArrayLike, reference: ArrayLike, *, weights: ArrayLike | None = 
 
     first, second = _clamped_pair(image, reference)
     if min(first.shape[:2]) < SSIM_WINDOW:
-        raise ValueError(
+        raise InputError(
             f"structural similarity needs images of at least {SSIM_WINDOW}x{SSIM_WINDOW} pixels, got {first.shape[:2]}"
         )
     options = {"channel_axis": -1, "data_range": 1.0, "gaussian_weights": True, "sigma": 1.5}
@@ -99,10 +100,10 @@ def _inner(values: np.ndarray) -> np.ndarray:
 def _clamped_pair(image: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     first, second = np.asarray(image), np.asarray(reference)
     if first.shape != second.shape:
-        raise ValueError(f"images to compare must be of one shape, got {first.shape} and {second.shape}")
+        raise InputError(f"images to compare must be of one shape, got {first.shape} and {second.shape}")
     for values in (first, second):
         if values.dtype.kind in "iu" and values.size and values.max() > 1:
-            raise ValueError(
+            raise InputError(
                 f"images to compare must hold values in [0, 1], got {values.dtype} up to {values.max()}: "
                 "divide 8-bit pictures by 255"
             )
@@ -122,7 +123,7 @@ def masked_psnr(image: ArrayLike, reference: ArrayLike, mask: ArrayLike, *, weig
     weights: as for `psnr`."""
     inside = np.asarray(mask) > OPAQUE
     if not inside.any():
-        raise ValueError("the mask is empty: there is nothing to compare")
+        raise InputError("the mask is empty: there is nothing to compare")
     weights = None if weights is None else np.asarray(weights)[inside]
     return psnr(np.asarray(image)[inside], np.asarray(reference)[inside], weights=weights)
 
@@ -153,7 +154,7 @@ def evaluate(
     """
     require_type(scene, Scene, "evaluate compares with")
     if not hasattr(renderer, "render"):
-        raise ValueError(f"evaluate needs a field or a Deformer, got {type(renderer).__name__}")
+        raise InputError(f"evaluate needs a field or a Deformer, got {type(renderer).__name__}")
     scene = in_world_of(renderer, scene)
     rows = []
     background, images = comparison(renderer, scene)
@@ -174,7 +175,7 @@ def evaluate(
         rows.append(row)
     tell(len(scene), len(scene), "evaluate")
     if not rows:
-        raise ValueError("no pixel of these views counts: all weights are 0, there is nothing to compare")
+        raise InputError("no pixel of these views counts: all weights are 0, there is nothing to compare")
     return rows
 
 
@@ -210,7 +211,7 @@ def mean_psnr(rows: list[dict[str, Any]]) -> float:
         ValueError: For no views.
     """
     if not rows:
-        raise ValueError("mean_psnr needs the rows of one view or more, got none")
+        raise InputError("mean_psnr needs the rows of one view or more, got none")
     return float(np.mean([row["psnr"] for row in rows]))
 
 

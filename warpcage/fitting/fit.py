@@ -15,6 +15,7 @@ from ..core.checks import checked_path
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
 from ..core.reports import Progress, hears, is_heard, tell
+from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..scene.scene import Scene
 from ..splats.splat_field import SplatField
@@ -94,7 +95,7 @@ def fit(
     held = None if checkpoint is None else require_writable(checkpoint)
     picture = None if preview is None else _preview_path(preview)
     if representation not in REPRESENTATIONS:
-        raise ValueError(f"representation must be one of {', '.join(REPRESENTATIONS)}, got {representation!r}")
+        raise InputError(f"representation must be one of {', '.join(REPRESENTATIONS)}, got {representation!r}")
     turn = device_turn(resolve_device(device))
     kept: Any = voxel_checkpoint if representation == "voxels" else splat_checkpoint
     optimizer: FieldOptimizer | SplatFit
@@ -103,7 +104,7 @@ def fit(
         if representation == "voxels":
             optimizer = FieldOptimizer(scene, bounds=bounds, **options)
         elif bounds is not None:
-            raise ValueError("bounds are for voxels: splats are fitted to all that the pictures show")
+            raise InputError("bounds are for voxels: splats are fitted to all that the pictures show")
         else:
             optimizer = SplatFit(scene, **options)
         if held is not None and held.exists():
@@ -142,7 +143,7 @@ def _preview_path(preview: str | pathlib.Path) -> pathlib.Path:
     """The file of a preview; ValueError where it is none."""
     path = checked_path(preview, "the preview")
     if path.suffix.lower() != ".png" or path.is_dir():
-        raise ValueError(f"a preview is a picture that ends in .png, got {str(path)!r}")
+        raise InputError(f"a preview is a picture that ends in .png, got {str(path)!r}")
     return path
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import array_view, empty_array
 from ..core.devices import lane_count, launch
+from ..errors import InputError
 from ..field.io.field_file import LUMINANCE_NUMBERS
 from ..field.render import STOP_TRANSMITTANCE
 from ..field.sparse import link_mask
@@ -312,7 +313,7 @@ def _started(mask: wp.array, bounds: np.ndarray, background: np.ndarray) -> tupl
     density = START_DEPTH / (0.5 * float((bounds[1] - bounds[0]).max()))
     field, nodes = field_from_mask(bounds, mask, density, background=background, device=mask.device)
     if not field.voxel_count:
-        raise ValueError(
+        raise InputError(
             "nothing is left to render after pruning: all images may show the background alone, or "
             "not fit their cameras"
         )

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from ..core.memory import free_bytes
+from ..errors import InputError
 
 #: Share of the free memory that a fit takes by default.
 FREE_SHARE = 0.9
@@ -59,7 +60,7 @@ def memory_size(size: object) -> int:
     elif isinstance(size, (int, float, np.integer, np.floating)) and not isinstance(size, bool):
         value = float(size)
     if not (value >= 1 and math.isfinite(value)):
-        raise ValueError(f"a memory size is a number of bytes or text such as '4GB' or '512MiB', got {size!r}")
+        raise InputError(f"a memory size is a number of bytes or text such as '4GB' or '512MiB', got {size!r}")
     return int(value)
 
 
@@ -98,7 +99,7 @@ class FitMemory:
 
     def refusal(self, rows: int, shape: tuple[int, ...], limit: int) -> ValueError:
         """The error for a first level of (nx, ny, nz) with `rows` voxels that does not fit into `limit` bytes."""
-        return ValueError(
+        return InputError(
             f"a fit within {memory_text(limit)} (max_memory) is not possible: the images take "
             f"{memory_text(self.fixed)}, the coarsest level {memory_text(self.level_bytes(rows, shape) - self.fixed)}"
         )
@@ -164,7 +165,7 @@ def require_image_memory(size: int, limit: int) -> None:
     """Raise ValueError, with the factor by which to shrink the images, where their `size` bytes exceed `limit`."""
     if size > limit:
         factor = math.ceil(math.sqrt(size / (IMAGE_SHARE * limit)))
-        raise ValueError(
+        raise InputError(
             f"the images take {memory_text(size)} of device memory and the fit may take {memory_text(limit)} "
             f"(max_memory): load them with downscale={factor}, or fewer of them"
         )

@@ -15,6 +15,7 @@ from ..core.checks import checked_bounds, require_type
 from ..core.devices import resolve_device
 from ..core.locks import in_turn
 from ..core.modules import load_modules
+from ..errors import InputError
 from ..field.sparse import mask_count
 from ..field.voxel_field import VoxelField
 from ..kernels.field import occupancy, refine
@@ -354,7 +355,7 @@ class FieldOptimizer:
             ValueError: When all steps are done.
         """
         if self.schedule.is_done:
-            raise ValueError(f"all {self.total_steps} steps are done")
+            raise InputError(f"all {self.total_steps} steps are done")
         if self.schedule.refines:
             self._refine()
         if self.schedule.thins_out:

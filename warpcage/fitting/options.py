@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..core.names import QUALITIES
+from ..errors import InputError
 from ..field.io.field_file import MAX_LAYER_SIDE, MAX_LAYERS, MAX_OUTER_SIDE
 from .memory import memory_size
 
@@ -255,7 +256,7 @@ _SET_BY_QUALITY: dict[str, dict[str, Any]] = dict(zip(QUALITIES, (_FAST, {}, _HI
 def checked_seed(seed: object) -> int:
     """A seed as an int. Raises ValueError unless it is a whole number of at least 0."""
     if not (isinstance(seed, (int, np.integer)) and seed >= 0):
-        raise ValueError(f"the seed must be a whole number of at least 0, got {seed!r}")
+        raise InputError(f"the seed must be a whole number of at least 0, got {seed!r}")
     return int(seed)
 
 
@@ -264,7 +265,7 @@ def checked_options(options: dict) -> FitOptions:
     if "epochs" in options:
         options = {"least_steps": 0, **options}
     if not isinstance(options.get("refine_cameras", False), bool):
-        raise ValueError(f"refine_cameras must be True or False, got {options['refine_cameras']!r}")
+        raise InputError(f"refine_cameras must be True or False, got {options['refine_cameras']!r}")
     return checked_fields(FitOptions, _SET_BY_QUALITY, options)
 
 
@@ -277,10 +278,10 @@ def checked_fields(kind: type[Options], by_quality: dict[str, dict[str, Any]], o
     names = {field.name for field in dataclasses.fields(kind)} | {"quality"}  # type: ignore[arg-type]
     unknown = sorted(set(options) - names)
     if unknown:
-        raise ValueError(f"fit has no option {unknown[0]!r}; it has {', '.join(sorted(names))}")
+        raise InputError(f"fit has no option {unknown[0]!r}; it has {', '.join(sorted(names))}")
     quality = options.pop("quality", "standard")
     if quality not in QUALITIES:
-        raise ValueError(f"quality {quality!r} is not known: {', '.join(QUALITIES)}")
+        raise InputError(f"quality {quality!r} is not known: {', '.join(QUALITIES)}")
     if options.get("max_memory") is not None:
         options["max_memory"] = memory_size(options["max_memory"])
     checked = kind(**{**by_quality[quality], **options})
@@ -289,5 +290,5 @@ def checked_fields(kind: type[Options], by_quality: dict[str, dict[str, Any]], o
         if values is None or (value is None and field.default is None):
             continue
         if not values.holds(value):
-            raise ValueError(f"{field.name} must be {values}, got {value!r}")
+            raise InputError(f"{field.name} must be {values}, got {value!r}")
     return checked

@@ -9,6 +9,7 @@ import warp as wp
 
 from ..core.arrays import empty_array
 from ..core.devices import launch
+from ..errors import InputError
 from ..field.sparse import mask_count
 from ..kernels.field.refine import dilate_mask
 from ..kernels.fitting.visual_hull import carve_visual_hull, keep_seen_voxels, sum_columns, sum_rows
@@ -25,10 +26,10 @@ class Silhouettes:
 
     def __init__(self, scene: Scene, device: wp.Device):
         if scene.alphas is None:
-            raise ValueError("the scene's images have no alpha: there are no silhouettes")
+            raise InputError("the scene's images have no alpha: there are no silhouettes")
         opaque = scene.alphas > OPAQUE
         if not (opaque if scene.weights is None else opaque & (scene.weights > 0.0)).any():
-            raise ValueError("every pixel of the scene is transparent: there is nothing to fit")
+            raise InputError("every pixel of the scene is transparent: there is nothing to fit")
         if scene.weights is not None:  # the object may be wherever pixels do not say that it is not
             opaque |= scene.weights == 0.0
         opaque = opaque.view(np.uint8)
@@ -61,7 +62,7 @@ class Silhouettes:
             shape = np.maximum(8, np.ceil(resolution * (box[1] - box[0]) / (box[1] - box[0]).max()).astype(int))
             occupied = np.argwhere(self.carve(box, shape).numpy())
             if len(occupied) == 0:
-                raise ValueError("the silhouettes of the views have no common inside: check cameras' axes and alphas")
+                raise InputError("the silhouettes of the views have no common inside: check cameras' axes and alphas")
             voxel = (box[1] - box[0]) / shape
             box = np.stack([box[0] + (occupied.min(axis=0) - 1) * voxel, box[0] + (occupied.max(axis=0) + 2) * voxel])
         return box
@@ -104,7 +105,7 @@ def possible_voxels(
         mask = silhouettes.carve(bounds, resolution)
     keep_seen(bounds, cameras, max(1, math.ceil(view_share * len(cameras))), mask)
     if not mask_count(mask):
-        raise ValueError(
+        raise InputError(
             "no camera sees the bounds of the field: check the bounds and the cameras' axes"
             if silhouettes is None
             else "no voxel of the bounds lies inside all silhouettes: check bounds, cameras and alphas"

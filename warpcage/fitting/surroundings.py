@@ -13,6 +13,7 @@ from ..core.arrays import array_view, empty_array
 from ..core.devices import launch
 from ..core.files import require_numbers
 from ..core.names import FIT_BACKGROUNDS
+from ..errors import InputError
 from ..field.io.field_file import surface_node_count
 from ..field.sparse import link_mask, mask_count
 from ..field.surroundings import LayeredBackground, OuterField, sky_layers
@@ -52,20 +53,20 @@ COLOR_STRIDE = 8
 def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
     """Whether random colours are behind a field in a fit; and "layers", "outer" or None, what is fitted beside it."""
     if kind not in FIT_BACKGROUNDS:
-        raise ValueError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
+        raise InputError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
     if kind == "auto":
         if scene.alphas is None:
             return False, None if _is_plain(scene) else "outer"  # plain: its border shows the background alone
         return True, None if scene.surroundings is None else "layers"
     if kind == "layers" and scene.alphas is not None and scene.surroundings is None:
-        raise ValueError(
+        raise InputError(
             "the pictures' own background is cut away by their opacity: background layers need whole "
             "pictures (masks=False) or split ones (masks='split')"
         )
     if kind == "outer" and scene.alphas is not None:
-        raise ValueError("an outer field needs whole pictures: load them with masks=False, or fit background='layers'")
+        raise InputError("an outer field needs whole pictures: load them with masks=False, or fit background='layers'")
     if kind == "random" and scene.alphas is None:
-        raise ValueError("the pictures have no opacity: random backgrounds need it, fit with background='layers'")
+        raise InputError("the pictures have no opacity: random backgrounds need it, fit with background='layers'")
     is_random = kind == "random" or (kind == "layers" and scene.alphas is not None)
     return is_random, kind if kind in ("layers", "outer") else None
 
@@ -235,7 +236,7 @@ class BackgroundOptimizer:
         for name, target in (("layers_values", self.layers.values), ("layers_moments", self.moments)):
             rows = require_numbers(contents, name, (int(met.sum()), 4), path)
             if not np.isfinite(rows).all() or (name == "layers_moments" and rows.min(initial=0.0) < 0):
-                raise ValueError(f"{name} holds values that cannot be")
+                raise InputError(f"{name} holds values that cannot be")
             values = target.numpy()
             values[met] = rows
             target.assign(values)
@@ -520,7 +521,7 @@ class OuterOptimizer:
         """Take over the state of a level from a checkpoint's arrays; path: for errors."""
         sides = [int(side) for side in require_numbers(contents, "outer_sides", (len(self.sides),), path)]
         if any(not 4 <= side <= planned for side, planned in zip(sides, self.sides, strict=True)):
-            raise ValueError(f"outer fields of {sides} voxels along a side, {self.sides} planned")
+            raise InputError(f"outer fields of {sides} voxels along a side, {self.sides} planned")
         side = sides[level]
         packed = require_numbers(contents, "outer_occupancy", (-(-(side**3) // 8),), path)
         occupied = np.unpackbits(packed, count=side**3).reshape(side, side, side)
@@ -529,11 +530,11 @@ class OuterOptimizer:
             require_numbers(contents, name, (rows, 4), path) for name in ("outer_values", "outer_moments")
         )
         if not (np.isfinite(values).all() and np.isfinite(moments).all()) or moments.min(initial=0.0) < 0:
-            raise ValueError("the outer field holds values that cannot be")
+            raise InputError("the outer field holds values that cannot be")
         nodes = surface_node_count(min(SKY_SIDE * 2**level, MOST_SKY))
         sky, sky_moments = (require_numbers(contents, name, (nodes, 4), path) for name in SKY_NAMES)
         if not (np.isfinite(sky).all() and np.isfinite(sky_moments).all()) or sky_moments.min() < 0:
-            raise ValueError("the sky holds values that cannot be")
+            raise InputError("the sky holds values that cannot be")
         self.sides = sides
         self._release()
         colors = wp.array(np.ascontiguousarray(sky[None], np.float32), dtype=wp.vec4, device=self.device)

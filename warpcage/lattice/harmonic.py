@@ -13,6 +13,7 @@ from ..core.checks import warn_caller
 from ..core.devices import lane_count, launch
 from ..core.modules import load_modules, require_loaded
 from ..core.reports import tell
+from ..errors import InputError
 from ..kernels.lattice import harmonic as harmonic_kernels
 from ..kernels.lattice import harmonic_coarse
 from ..kernels.lattice.cage_map import select_vertices, store_weights
@@ -59,7 +60,7 @@ COARSE_NODES = 2 * BLOCK_THREADS
 def require_tolerance(tolerance: float) -> float:
     """The tolerance of a harmonic solver, 2e-6 to 0.1, as a float."""
     if not isinstance(tolerance, int | float | np.floating) or not MIN_TOLERANCE <= tolerance <= 0.1:
-        raise ValueError(f"tolerance must be {MIN_TOLERANCE:g} to 0.1 of the cage's size, got {tolerance!r}")
+        raise InputError(f"tolerance must be {MIN_TOLERANCE:g} to 0.1 of the cage's size, got {tolerance!r}")
     return float(tolerance)
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..core.checks import require_ordinary_side
 from ..core.devices import lane_count, launch, resolve_device
 from ..core.locks import in_turn
+from ..errors import InputError
 from ..kernels.lattice.crossings import RUN, LineCrossings, cross_lines
 from ..kernels.lattice.distance import (
     BAND,
@@ -156,9 +157,9 @@ COARSEST_RESOLUTION = 4
 def require_resolution(resolution: int) -> int:
     """The number of cells along the longest side of a lattice, 8 to 1024, as an int."""
     if isinstance(resolution, bool) or not isinstance(resolution, int | np.integer):
-        raise ValueError(f"resolution must be a whole number of cells, got {resolution!r}")
+        raise InputError(f"resolution must be a whole number of cells, got {resolution!r}")
     if not MIN_RESOLUTION <= resolution <= MAX_RESOLUTION:
-        raise ValueError(f"resolution must be {MIN_RESOLUTION} to {MAX_RESOLUTION} cells, got {resolution}")
+        raise InputError(f"resolution must be {MIN_RESOLUTION} to {MAX_RESOLUTION} cells, got {resolution}")
     return int(resolution)
 
 
@@ -328,7 +329,7 @@ def lattice_frame(
     spacing = float(np.float32(max(b - a for a, b in zip(low, high, strict=True)) / resolution))
     far = max(max(abs(a - o), abs(b - o)) for a, b, o in zip(low, high, place, strict=True))
     if not math.ldexp(1.0, math.frexp(far)[1] - FLOAT32_BITS) <= MOST_ROUNDING * spacing:
-        raise ValueError(
+        raise InputError(
             f"the cage reaches {far:.3g} from the origin of its lattice, {far / cage.size:.2g} times its "
             f"size: float32 cannot tell cells of {spacing:.2g} apart there, move it nearer or take a "
             f"resolution below {resolution}"

@@ -15,6 +15,7 @@ from ..core.devices import resolve_device
 from ..core.locks import owner_lock
 from ..core.memory import free_bytes, require_memory
 from ..core.names import FIELD_COORDINATES, chosen, require_coordinates, require_store
+from ..errors import InputError
 from ..kernels.lattice.cage_map import CageMap
 from ..mesh.faces import face_area
 from ..mesh.match import require_same_faces
@@ -283,7 +284,7 @@ class PositionMap:
             ValueError: Without weights or a pose, for faces that differ, or an unusable cage.
         """
         if self.store != "weights":
-            raise ValueError('rebind needs the weights: make the PositionMap with store="weights"')
+            raise InputError('rebind needs the weights: make the PositionMap with store="weights"')
         require_usable(rest, "rest cage")
         with self.lock:
             launches, lattice = self._posed()
@@ -306,7 +307,7 @@ class PositionMap:
     def weights(self) -> LatticeWeights:
         """The weights of the last pose. Raises ValueError where none are kept."""
         if self._weights is None:
-            raise ValueError('no weights are kept: make the PositionMap with store="weights", and pose it')
+            raise InputError('no weights are kept: make the PositionMap with store="weights", and pose it')
         return self._weights
 
     @property
@@ -358,7 +359,7 @@ class PositionMap:
 
     def _posed(self) -> tuple[PoseLaunches, CageLattice]:
         if self._data is None or self.launches is None:
-            raise ValueError("the PositionMap has no pose yet: call pose(deformed) first")
+            raise InputError("the PositionMap has no pose yet: call pose(deformed) first")
         return self.launches, self.launches.solver.lattice
 
     def _too_large(self) -> str:

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from ..errors import InputError
 from .mesh import ClosedMesh, connected_parts
 
 
@@ -19,19 +20,19 @@ def require_same_faces(rest: ClosedMesh, deformed: ClosedMesh) -> None:
     try:
         matched_vertices(rest, deformed)
     except ValueError as error:
-        raise ValueError(str(error).replace("the pose", "the deformed cage", 1)) from None
+        raise InputError(str(error).replace("the pose", "the deformed cage", 1)) from None
     if same_count and np.array_equal(
         np.unique(np.sort(rest.faces, axis=1), axis=0), np.unique(np.sort(deformed.faces, axis=1), axis=0)
     ):
         first = int(np.flatnonzero((rest.faces != deformed.faces).any(axis=1))[0])
-        raise ValueError(
+        raise InputError(
             f"the deformed cage has the rest cage's faces in another order, from face {first} "
             f"({deformed.faces[first].tolist()}, not {rest.faces[first].tolist()}): pass rest.match(deformed)"
         )
     what = f"faces on {len(deformed.vertices)} vertices, not on {len(rest.vertices)}"
     if same_count:
         what = "vertices in another order"
-    raise ValueError(f"the deformed cage has the rest cage's {what}: pass rest.match(deformed)")
+    raise InputError(f"the deformed cage has the rest cage's {what}: pass rest.match(deformed)")
 
 
 #: Walks replayed at once: bounds the memory for large, regular cages.
@@ -53,12 +54,12 @@ def matched_vertices(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
         vertices, faces = _welded(pose)
     complaint = _counts_differ(rest, pose, faces)
     if complaint:
-        raise ValueError(f"the pose {complaint}")
+        raise InputError(f"the pose {complaint}")
     if rest.topology.closed and rest.volume * pose.volume < 0.0:
-        raise ValueError("the pose has the cage's faces turned inside out: flip its normals (it was mirrored)")
+        raise InputError("the pose has the cage's faces turned inside out: flip its normals (it was mirrored)")
     order = _correspondence(_Mesh.of(rest.vertices, rest.faces), _Mesh.of(vertices, faces))
     if order is None:
-        raise ValueError(f"the pose {_difference(rest, vertices, faces)}")
+        raise InputError(f"the pose {_difference(rest, vertices, faces)}")
     matched = rest.vertices.copy()
     used = np.unique(rest.faces)
     matched[used] = vertices[order[used]]
@@ -211,7 +212,7 @@ def _correspondence(rest: _Mesh, pose: _Mesh) -> np.ndarray | None:
             continue
         runner = [each[0] for each in found if each[1] == part and each[3] is not images and each[2] not in taken]
         if runner and cost >= _CLEARLY_BETTER * min(runner):
-            raise ValueError(
+            raise InputError(
                 "the pose fits the cage in several ways that move its vertices equally far: save it with "
                 "its vertices in the cage's order"
             )

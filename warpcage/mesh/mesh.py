@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from ..core.arrays import as_host_array, as_host_points
 from ..core.devices import launch
 from ..core.names import agreed, counted
+from ..errors import InputError
 from ..kernels.mesh.fans import prepare_fans
 
 
@@ -314,7 +315,7 @@ class ClosedMesh:
         """
         checked = _checked_vertices(vertices)
         if len(checked) != len(self.vertices):
-            raise ValueError(f"with_vertices needs {len(self.vertices)} vertices as the cage has, got {len(checked)}")
+            raise InputError(f"with_vertices needs {len(self.vertices)} vertices as the cage has, got {len(checked)}")
         self._topology = self.topology  # worked out before it is shared
         posed = copy.copy(self)
         posed._vertices, posed._bounds = checked, None
@@ -337,7 +338,7 @@ class ClosedMesh:
 def require_mesh(value: object, what: str) -> None:
     """Refuse an object that is no mesh; the message begins with `what`: "`what` a Cage, got ..."."""
     if not isinstance(value, ClosedMesh):
-        raise ValueError(f"{what} a Cage, got {type(value).__name__}")
+        raise InputError(f"{what} a Cage, got {type(value).__name__}")
 
 
 def _checked_vertices(vertices: ArrayLike) -> np.ndarray:
@@ -351,13 +352,13 @@ def _checked_faces(given: Any, vertex_count: int) -> np.ndarray:
     """(f, 3) int32, a read-only copy."""
     faces = np.asarray(as_host_array(given, "cage faces"))
     if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
-        raise ValueError(f"cage faces must be (f, 3) triangles, at least one, got {faces.shape}")
+        raise InputError(f"cage faces must be (f, 3) triangles, at least one, got {faces.shape}")
     if faces.dtype.kind not in "iu":
-        raise ValueError(f"cage faces must be whole numbers, got {faces.dtype}")
+        raise InputError(f"cage faces must be whole numbers, got {faces.dtype}")
     wrong = (faces < 0) | (faces >= vertex_count)
     if wrong.any():
         row = int(np.flatnonzero(wrong.any(axis=1))[0])
-        raise ValueError(f"cage face {row} is {faces[row].tolist()}, indices must be 0 to {vertex_count - 1}")
+        raise InputError(f"cage face {row} is {faces[row].tolist()}, indices must be 0 to {vertex_count - 1}")
     faces = np.array(faces, dtype=np.int32, order="C", copy=True)
     faces.setflags(write=False)
     return faces
@@ -399,7 +400,7 @@ def own_axis(mesh: ClosedMesh, name: str) -> str | np.ndarray:
     index = OWN_AXES.index(plain)
     for one in (index - 1, index):
         if 0 <= one < 2 and variances[one] < _LEAST_RATIO * variances[one + 1]:
-            raise ValueError(
+            raise InputError(
                 f"the cage has no {plain!r} axis: it reaches as far in other directions; name x, y, z or a direction"
             )
     return -axes[index] if name[0] == "-" else axes[index]

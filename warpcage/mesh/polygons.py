@@ -6,6 +6,8 @@ import heapq
 
 import numpy as np
 
+from ..errors import InputError
+
 #: A polygon is flat when its vertices lie this close to one plane, as a share of its size.
 _FLAT = 0.1
 
@@ -32,7 +34,7 @@ def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int
     if len(polygon) > MAX_CORNERS:
         if (heights > 0.0).all():  # a disc of so many corners has slivers
             return fan
-        raise ValueError(
+        raise InputError(
             f"a face of {len(polygon)} corners is not convex, at most {MAX_CORNERS} are cut into triangles: cut it in "
             "the program that made it"
         )

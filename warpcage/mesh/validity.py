@@ -7,6 +7,7 @@ import weakref
 import numpy as np
 
 from ..core.names import counted
+from ..errors import InputError
 from .faces import column_cross, column_dot, face_edges
 from .mesh import ClosedMesh
 
@@ -139,10 +140,10 @@ def first_geometric_problem(mesh: ClosedMesh) -> str:
 def require_usable(mesh: ClosedMesh, name: str = "cage") -> None:
     """Refuse a mesh on which coordinates cannot be computed, see `Cage.require_usable`; name: begins the message."""
     if not hasattr(mesh, "topology"):
-        raise ValueError(f"{name} must be a Cage, got {type(mesh).__name__}")
+        raise InputError(f"{name} must be a Cage, got {type(mesh).__name__}")
     problem = _known_problem(mesh)
     if problem:
-        raise ValueError(f"{name} {problem}")
+        raise InputError(f"{name} {problem}")
 
 
 def is_usable(mesh: ClosedMesh) -> bool:

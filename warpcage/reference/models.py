@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import InputError
 from .bricks import brick_model
 from .solids import Model, Part, ball, box, centered, cylinder, joined
 
@@ -208,7 +209,7 @@ def subdivided_model(name: str, longest_edge: float) -> Model:
     import trimesh
 
     if name not in MODELS:
-        raise ValueError(f"model {name!r} is not known: {', '.join(MODELS)}")
+        raise InputError(f"model {name!r} is not known: {', '.join(MODELS)}")
     vertices, faces, colors = MODELS[name]()
     vertices, faces, source = trimesh.remesh.subdivide_to_size(vertices, faces, longest_edge, return_index=True)  # pyright: ignore[reportAssignmentType]
     return np.asarray(vertices), faces.astype(np.int32), colors[source]

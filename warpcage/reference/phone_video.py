@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import warp as wp
 
+from ..errors import InputError
 from ..view.camera import Camera
 from ..view.film import write_video
 from .bricks import brick_model
@@ -75,7 +76,7 @@ def write_phone_video(
     # Rows are taken one after another (rolling shutter), blurred by the motion in their exposure; H.264 of 8 bits.
     width, height = size
     if height % strips or width % 2 or height % 2:
-        raise ValueError(f"a video of {width}x{height} pixels is not cut into {strips} strips of whole, even sizes")
+        raise InputError(f"a video of {width}x{height} pixels is not cut into {strips} strips of whole, even sizes")
     route = PhonePath() if route is None else route
     focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
     mesh = CarriedMesh(*table_scene(), texture=TEXTURE, device=device)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import empty_array
 from ..core.devices import launch, resolve_device
+from ..errors import InputError
 from ..kernels.reference.carried_raycast import SolidTexture, cast_carried_rays, shade_surface_points
 from ..kernels.reference.mesh_raycast import MeshLighting, cast_mesh_rays, measure_mesh_distance
 from ..view.camera import Camera, camera_struct
@@ -78,13 +79,13 @@ def checked_mesh(vertices: ArrayLike, faces: ArrayLike, colors: ArrayLike) -> tu
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int32)
     colors = np.asarray(colors, np.float32)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
-        raise ValueError(f"vertices must be finite (v, 3), got shape {vertices.shape}")
+        raise InputError(f"vertices must be finite (v, 3), got shape {vertices.shape}")
     if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0:
-        raise ValueError(f"faces must be (f, 3), got shape {faces.shape}")
+        raise InputError(f"faces must be (f, 3), got shape {faces.shape}")
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError(f"faces must be indices from 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}")
+        raise InputError(f"faces must be indices from 0 to {len(vertices) - 1}, got {faces.min()} to {faces.max()}")
     if colors.shape != faces.shape:
-        raise ValueError(f"colours must hold one colour per face, {faces.shape}, got {colors.shape}")
+        raise InputError(f"colours must hold one colour per face, {faces.shape}, got {colors.shape}")
     return vertices, faces, colors
 
 
@@ -92,14 +93,14 @@ def common_size(cameras: Sequence[Camera]) -> tuple[int, int]:
     """Width and height of every camera. Raises ValueError for no camera and for several sizes."""
     sizes = {(camera.width, camera.height) for camera in cameras}
     if len(sizes) != 1:
-        raise ValueError(f"give one camera or more, all of one image size, got {len(sizes)} sizes")
+        raise InputError(f"give one camera or more, all of one image size, got {len(sizes)} sizes")
     return sizes.pop()
 
 
 def require_samples(samples: int) -> None:
     """Raises ValueError for fewer than one ray along each side of a pixel."""
     if samples < 1:
-        raise ValueError(f"samples must be at least 1, got {samples}")
+        raise InputError(f"samples must be at least 1, got {samples}")
 
 
 class CarriedMesh:
@@ -140,7 +141,7 @@ class CarriedMesh:
         posed = self.vertices if posed is None else np.asarray(posed, np.float64)
         matrices = np.broadcast_to(np.eye(3), (count, 3, 3)) if view_matrices is None else np.asarray(view_matrices)
         if posed.shape != (count, 3) or matrices.shape != (count, 3, 3):
-            raise ValueError(
+            raise InputError(
                 f"posed must be ({count}, 3) and view_matrices ({count}, 3, 3), got {posed.shape} and {matrices.shape}"
             )
         require_samples(samples)

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import warp as wp
 
+from ..errors import InputError
 from ..scene.scene import Scene
 from ..view.camera import Camera
 from .models import MODELS
@@ -60,7 +61,7 @@ def synthetic_scene(
 ) -> tuple[Scene, Scene]:
     """Views of one of `KINDS` on white, training and test, from the upper hemisphere, 4 units of the model away."""
     if kind not in KINDS:
-        raise ValueError(f"scene kind {kind!r} is not known: {', '.join(KINDS)}")
+        raise InputError(f"scene kind {kind!r} is not known: {', '.join(KINDS)}")
     require_counts(train_views, test_views, size)
     chosen = KINDS[kind]
     vertices, faces, colors = MODELS[chosen.model]()

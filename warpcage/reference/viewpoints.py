@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..errors import InputError
 from ..view.camera import Camera
 
 #: Horizontal field of view (radians) and camera distance of the NeRF-synthetic scenes.
@@ -37,4 +38,4 @@ def reference_cameras(eyes: np.ndarray, target: np.ndarray, size: int) -> list[C
 def require_counts(train_views: int, test_views: int, size: int) -> None:
     """Raises ValueError for numbers of views, or of pixels along a side, below one."""
     if min(train_views, test_views, size) < 1:
-        raise ValueError(f"a scene needs views and pixels, got {train_views} + {test_views} views of {size} pixels")
+        raise InputError(f"a scene needs views and pixels, got {train_views} + {test_views} views of {size} pixels")

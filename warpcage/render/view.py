@@ -11,6 +11,7 @@ import warp as wp
 from ..cage.cage import Cage
 from ..core.checks import MOST_SAMPLES
 from ..core.devices import RecordedLaunches
+from ..errors import InputError
 from ..field.voxel_field import VoxelField
 
 
@@ -103,7 +104,7 @@ def require_short_march(spans: Sequence[float], step: float) -> None:
     """Refuse posed cages, of these spans, through which a march of this step, both world units, would take all day."""
     for index, size in enumerate(spans):
         if size > MOST_SAMPLES * step:
-            raise ValueError(
+            raise InputError(
                 f"the posed cage of edit {index} is {size:.3g} across, {size / step:.3g} march steps of {step:.3g}: "
                 f"make it smaller, or the step at least {size / MOST_SAMPLES:.3g}"
             )

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..core.names import agreed
+from ..errors import InputError
 from ..view.camera import Camera
 
 #: Where all cameras look the same way, the object is taken to be this many times their largest spread ahead.
@@ -75,13 +76,13 @@ def scene_box(cameras: Sequence[Camera], bounds: np.ndarray | None = None) -> np
     box = view_box(cameras)
     away = sum((box.mean(axis=0) - camera.center) @ camera.rotation[:, 2] <= 0 for camera in cameras)
     if 2 * away > len(cameras):
-        raise ValueError(
+        raise InputError(
             f"{away} of {len(cameras)} cameras {agreed(away, 'looks', 'look')} away from what the views "
             "have in common: check the "
             "cameras' axes, or give the bounds of what should be fitted"
         )
     if not (box[1] > box[0]).all():
-        raise ValueError(
+        raise InputError(
             "the cameras do not tell the size of what they look at: check focal lengths and positions, or "
             "give the bounds of what should be fitted"
         )
@@ -135,7 +136,7 @@ class Bounds:
         """The path of a file that a scene names; ValueError where it lies elsewhere."""
         real = pathlib.Path(os.path.realpath(path))
         if not any(real.is_relative_to(root) for root in self.roots):
-            raise ValueError(
+            raise InputError(
                 f"{where}: {path.name[:60]!r} is a link that leads out of the data folder {str(self.folder)!r}: put "
                 "the file there, or a link to its whole folder"
             )

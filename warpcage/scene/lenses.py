@@ -8,6 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..errors import InputError
+
 #: Focal lengths and principal point (fx, fy, cx, cy), pixels.
 Intrinsics = tuple[float, float, float, float]
 
@@ -206,7 +208,7 @@ def pinhole_parts(lens: Lens, intrinsics: Intrinsics, size: tuple[int, int], whe
     that is too wide those sides of a cube of which something is seen; as fine as the picture is on average."""
     left, right, top, bottom = (_extent(lens, intrinsics, size, way) for way in ((-1, 0), (1, 0), (0, -1), (0, 1)))
     if not min(left + right, top + bottom) > 0:
-        raise ValueError(f"{where}: {lens.model} sees nothing with {', '.join(f'{value:g}' for value in lens.values)}")
+        raise InputError(f"{where}: {lens.model} sees nothing with {', '.join(f'{value:g}' for value in lens.values)}")
     if max(left + right, top + bottom) <= np.radians(WIDEST):
         width, height = np.tan(left) + np.tan(right), np.tan(top) + np.tan(bottom)
         focal = np.sqrt(size[0] * size[1] / (width * height))
@@ -219,7 +221,7 @@ def pinhole_parts(lens: Lens, intrinsics: Intrinsics, size: tuple[int, int], whe
         parts = [Part(name, np.array(axes, np.float64).T, pinhole, (side, side)) for name, axes in SIDES.items()]
     for part in parts:
         if max(part.size) > MOST_PIXELS * max(size):
-            raise ValueError(f"{where}: {lens.model} would become views of {part.size[0]}x{part.size[1]} pixels")
+            raise InputError(f"{where}: {lens.model} would become views of {part.size[0]}x{part.size[1]} pixels")
     return [part for part in parts if not part.name or _seen_share(part, lens, intrinsics, size) >= LEAST_SEEN]
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_path, listed
 from ..core.reports import Progress, hears
+from ..errors import InputError, MissingFileError
 from ..view.camera import CameraFile, rigid_motion
 from ..view.frame import parse_background
 from .formats.table import SceneFormat, candidates, format_named
@@ -73,18 +74,18 @@ def load_scene(
     folder = checked_path(path, "the scene")
     if not folder.is_dir():
         what = "is a file" if folder.is_file() else "is not there"
-        raise FileNotFoundError(f"scene folder {str(folder)!r} {what}")
+        raise MissingFileError(f"scene folder {str(folder)!r} {what}")
     if int(downscale) != downscale or downscale < 1:
-        raise ValueError(f"downscale must be a whole number of at least 1, got {downscale}")
+        raise InputError(f"downscale must be a whole number of at least 1, got {downscale}")
     found = holding_format(folder) if format is None else format_named(format)
     if masks not in (True, False, "split", "weights"):
-        raise ValueError(f"masks must be True, False, 'split' or 'weights', got {masks!r}")
+        raise InputError(f"masks must be True, False, 'split' or 'weights', got {masks!r}")
     if isinstance(orient, str) and orient != "up":
-        raise ValueError(f"orient must be 'up', a rigid (4, 4), or None for the coordinates of files, got {orient!r}")
+        raise InputError(f"orient must be 'up', a rigid (4, 4), or None for the coordinates of files, got {orient!r}")
     motion = None if orient is None or isinstance(orient, str) else rigid_motion(orient, "orient")
 
     if model is not None and "model" not in found.options:
-        raise ValueError(f"model chooses among several that a scene holds: those of the format {found.name!r} hold one")
+        raise InputError(f"model chooses among several that a scene holds: those of the format {found.name!r} hold one")
     chosen = {} if model is None else {"model": model}
 
     def read(name: str) -> Scene:
@@ -100,7 +101,7 @@ def load_scene(
     try:
         return scene.with_cameras(CameraFile.load(cameras))
     except ValueError as error:
-        raise ValueError(f"{cameras}: {str(error).removeprefix(f'{cameras}: ')}") from None
+        raise InputError(f"{cameras}: {str(error).removeprefix(f'{cameras}: ')}") from None
 
 
 def _other_split(read: Callable[[str], Scene], scene: Scene) -> Scene:
@@ -124,4 +125,4 @@ def holding_format(path: str | os.PathLike) -> SceneFormat:
             return each
         tried.append(f"{each.name}: {each.mark}")
     there = listed(sorted(entry.name + "/" * entry.is_dir() for entry in folder.iterdir()), none="nothing")
-    raise ValueError(f"{str(folder)!r} is no scene of a known format ({'; '.join(tried)}); it holds {there}")
+    raise InputError(f"{str(folder)!r} is no scene of a known format ({'; '.join(tried)}); it holds {there}")

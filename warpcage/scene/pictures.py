@@ -13,6 +13,7 @@ import numpy as np
 
 from ..core.memory import free_host_bytes
 from ..core.reports import tell
+from ..errors import InputError, MissingFileError
 from ..view.camera import Camera, common_up
 from ..view.pictures import Rows, image_size, is_on_its_side, read_rows, shrink, shrink_weights, shrunk_size
 from .box import Bounds, bulk_box, view_box
@@ -61,7 +62,7 @@ def undistorted_intrinsics(intrinsics: Intrinsics, size: Size, coefficients: Seq
     low, high = 1.0, MAX_ZOOM
     if not holds(high):
         named = ", ".join(f"{name}={value:g}" for name, value in zip(COEFFICIENTS, coefficients, strict=False) if value)
-        raise ValueError(f"{where}: lens distortion {named} folds the picture or leaves none of it")
+        raise InputError(f"{where}: lens distortion {named} folds the picture or leaves none of it")
     for _ in range(20):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if holds(middle) else (middle, high)
@@ -163,7 +164,7 @@ def views_there(views: list[View], listing: pathlib.Path) -> list[View]:
     missing = next(view.file for view in views if not view.file.is_file())
     count = f"{listing} lists {len(views)} pictures, {len(views) - len(there)} of them are not there"
     if 2 * len(there) < len(views):
-        raise FileNotFoundError(f"{count}, more than half; the first is {str(missing)!r}")
+        raise MissingFileError(f"{count}, more than half; the first is {str(missing)!r}")
     warnings.warn(f"{count} and are left out, the first is {_printable(missing.name)}", stacklevel=3)
     return there
 
@@ -195,7 +196,7 @@ def make_scene(
         for file in view.files:
             allowed.require(file, view.where)
     if masks == "split" and any(view.mask is None for view in views):
-        raise ValueError(f"{views[0].where}: masks='split' needs a mask file for every picture")
+        raise InputError(f"{views[0].where}: masks='split' needs a mask file for every picture")
     views = _upright(views)
     views, sizes = _parted(views, _sizes(views))  # of the files
     intrinsics = [_intrinsics(view, size) for view, size in zip(views, sizes, strict=True)]
@@ -294,7 +295,7 @@ def _refuse_doubles(views: list[View]) -> None:
     for view in views:
         key = os.path.abspath(view.file)
         if key in seen:
-            raise ValueError(f"{view.where}: image {view.file.name!r} is listed twice, first in {seen[key]}")
+            raise InputError(f"{view.where}: image {view.file.name!r} is listed twice, first in {seen[key]}")
         seen[key] = view.where
 
 
@@ -329,13 +330,13 @@ def _sizes(views: list[View]) -> list[Size]:
             hint = ""
             if size[::-1] == tuple(view.size):
                 hint = ", which is on its side and has no tag that says which: turn the file by a quarter"
-            raise ValueError(
+            raise InputError(
                 f"{view.where}: the camera is for {_times(view.size)} pixels, image {view.file.name!r} "
                 f"has {_times(size)}{hint}"
             )
         for mask in view.mask_files:
             if size_of(view, mask) != size:
-                raise ValueError(
+                raise InputError(
                     f"{view.where}: mask {mask.name!r} is {_times(size_of(view, mask))}, its image {view.file.name!r} "
                     f"is {_times(size)}"
                 )
@@ -404,7 +405,7 @@ def _require_known_sizes(views: list[View], sizes: list[Size]) -> None:
             and view.part is None
             and _intrinsics(view, size) == _intrinsics(view, doubled)
         ):
-            raise ValueError(
+            raise InputError(
                 f"{view.where}: nothing says the size that the camera is for, and pictures must have one size: "
                 f"{views[other].file.name!r} is {_times(sizes[other])}, others are {_times(usual)}"
             )
@@ -438,7 +439,7 @@ def _camera(view: View, intrinsics: Intrinsics, size: Size) -> Camera:
     try:
         return Camera(fx, fy, cx, cy, width, height, view.pose)
     except ValueError as error:
-        raise ValueError(f"{view.where}: {error}") from error
+        raise InputError(f"{view.where}: {error}") from error
 
 
 def _workers(views: list[View], spans: list[Size], canvas: Size, downscale: int, split: bool, is_counted: bool) -> int:
@@ -448,13 +449,13 @@ def _workers(views: list[View], spans: list[Size], canvas: Size, downscale: int,
     flights = (flight_bytes(*each, downscale, split) for each in zip(views, spans, strict=True))
     flight, free, size = max(flights), free_host_bytes(), canvas
     if flight >= free:
-        raise ValueError(
+        raise InputError(
             f"reading a picture of {_times(size)} needs {flight / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free: "
             "shrink the files"
         )
     if held > free - flight:
         least = downscale * int(np.ceil(np.sqrt(held / (free - flight))))
-        raise ValueError(
+        raise InputError(
             f"{len(views)} pictures of {width}x{height} need {(held + flight) / 2**30:.1f} GiB, {free / 2**30:.1f} GiB "
             f"are free: give downscale={least} or more"
         )

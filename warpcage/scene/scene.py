@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds, real_array
+from ..errors import InputError
 from ..view.camera import Camera, CameraFile, common_up, rigid_motion
 from ..view.frame import parse_background
 from ..view.motion import axis_rotation
@@ -78,12 +79,12 @@ class Scene:
         count = len(images)
         for name, given in (("cameras", self.cameras), ("names", self.names)):
             if isinstance(given, str) or not isinstance(given, Sequence):
-                raise ValueError(f"{name} of a scene must be a list, got {type(given).__name__}")
+                raise InputError(f"{name} of a scene must be a list, got {type(given).__name__}")
         if len(self.cameras) != count:
-            raise ValueError(f"a scene needs one camera per image: {count} images, {len(self.cameras)} cameras")
+            raise InputError(f"a scene needs one camera per image: {count} images, {len(self.cameras)} cameras")
         names = list(self.names) or [f"{i:04d}" for i in range(count)]
         if len(names) != count:
-            raise ValueError(f"a scene needs one name per image: {count} images, {len(names)} names")
+            raise InputError(f"a scene needs one name per image: {count} images, {len(names)} names")
         weights = _checked_shares("weights", self.weights, images.shape[:3], names)
         for index, (name, image, camera) in enumerate(zip(names, images, self.cameras, strict=True)):
             _check_view(name, image, camera, None if weights is None else weights[index])
@@ -92,7 +93,7 @@ class Scene:
         if surroundings is not None:
             surroundings = np.asarray(surroundings, dtype=np.float32)
             if alphas is None or surroundings.shape != images.shape:
-                raise ValueError(f"scene surroundings must be {images.shape} beside alphas, got {surroundings.shape}")
+                raise InputError(f"scene surroundings must be {images.shape} beside alphas, got {surroundings.shape}")
         to_source = _checked_matrix(self.to_source, "to_source")
         points, point_colors = _checked_points(self.points, self.point_colors)
         checked = {
@@ -197,21 +198,21 @@ class Scene:
             named = {key.name: key.camera for key in cameras}
             missing = [name for name in self.names if name not in named]
             if missing:
-                raise ValueError(
+                raise InputError(
                     f"there is no camera for {len(missing)} of {len(self)} pictures, {missing[0]!r} among them: the "
                     "file must name all pictures of the split"
                 )
             chosen = [named[name] for name in self.names]
             turn = float(np.median([_turn(one, other) for one, other in zip(chosen, self.cameras, strict=True)]))
             if turn > OTHER_TURN:
-                raise ValueError(
+                raise InputError(
                     f"its cameras look elsewhere than the scene's, {turn:.0f} degrees in the median: they may be those "
                     "of another split, or of another world"
                 )
         else:
             chosen = [key.camera for key in cameras] if isinstance(cameras, CameraFile) else list(cameras)
         if len(chosen) != len(self):
-            raise ValueError(f"a scene needs one camera per image: {len(self)} images, {len(chosen)} cameras")
+            raise InputError(f"a scene needs one camera per image: {len(self)} images, {len(chosen)} cameras")
         pairs = zip(chosen, self.cameras, strict=True)
         return dataclasses.replace(self, cameras=[_at_size(camera, own.width, own.height) for camera, own in pairs])
 
@@ -278,7 +279,7 @@ def _checked_matrix(matrix: ArrayLike | None, name: str) -> np.ndarray | None:
         return None
     matrix = np.array(matrix, dtype=np.float64)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise ValueError(f"scene {name} must be a finite (4, 4) matrix, got shape {matrix.shape}")
+        raise InputError(f"scene {name} must be a finite (4, 4) matrix, got shape {matrix.shape}")
     return matrix
 
 
@@ -286,18 +287,18 @@ def _checked_points(points: ArrayLike | None, colors: ArrayLike | None) -> tuple
     """Finite points (m, 3) float64 and colours (m, 3) float32 in [0, 1], or None."""
     if points is None:
         if colors is not None:
-            raise ValueError("scene point_colors need points")
+            raise InputError("scene point_colors need points")
         return None, None
     places = real_array(points, "scene points")
     if places.ndim != 2 or places.shape[1] != 3 or not np.isfinite(places).all():
-        raise ValueError(f"scene points must be finite and (m, 3), got shape {places.shape}")
+        raise InputError(f"scene points must be finite and (m, 3), got shape {places.shape}")
     if colors is None:
         return places, None
     shades = real_array(colors, "scene point_colors", np.float32)
     if shades.shape != places.shape:
-        raise ValueError(f"scene point_colors must be {places.shape}, as the points, got {shades.shape}")
+        raise InputError(f"scene point_colors must be {places.shape}, as the points, got {shades.shape}")
     if shades.size and not (shades.min() >= 0.0 and shades.max() <= 1.0):  # false for NaN too
-        raise ValueError(
+        raise InputError(
             f"scene point_colors hold values from {shades.min():g} to {shades.max():g}: they must lie in [0, 1]"
         )
     return places, shades
@@ -306,25 +307,25 @@ def _checked_points(points: ArrayLike | None, colors: ArrayLike | None) -> tuple
 def _checked_images(images: np.ndarray) -> np.ndarray:
     """(n, h, w, 3) float32, n at least 1."""
     if not isinstance(images, Sequence | np.ndarray) or isinstance(images, str | bytes):
-        raise ValueError(f"images of a scene must be an array (n, h, w, 3), got {type(images).__name__}")
+        raise InputError(f"images of a scene must be an array (n, h, w, 3), got {type(images).__name__}")
     if len(images) == 0:
-        raise ValueError("a scene needs at least one image")
+        raise InputError("a scene needs at least one image")
     sizes = [np.shape(image)[:2] for image in images]
     if len(set(sizes)) > 1:
         other = next(i for i, size in enumerate(sizes) if size != sizes[0])
-        raise ValueError(f"scene images must be of one size: image 0 is {sizes[0]}, image {other} {sizes[other]}")
+        raise InputError(f"scene images must be of one size: image 0 is {sizes[0]}, image {other} {sizes[other]}")
     images = np.asarray(images, dtype=np.float32)
     if images.ndim != 4 or images.shape[-1] != 3:
-        raise ValueError(f"scene images must be (n, h, w, 3), got {images.shape}")
+        raise InputError(f"scene images must be (n, h, w, 3), got {images.shape}")
     return images
 
 
 def _check_view(name: str, image: np.ndarray, camera: Camera, weights: np.ndarray | None) -> None:
     """Refuse an image (h, w, 3) of wrong values, or of another size than its camera's: weights (h, w) are 0 beyond."""
     if not np.isfinite(image).all():
-        raise ValueError(f"image {name} holds values that are not finite")
+        raise InputError(f"image {name} holds values that are not finite")
     if image.min() < -IMAGE_ROOM or image.max() > 1 + IMAGE_ROOM:
-        raise ValueError(
+        raise InputError(
             f"image {name} holds values from {image.min():g} to {image.max():g}: they must lie in "
             "[0, 1] (8-bit pictures divided by 255)"
         )
@@ -332,9 +333,9 @@ def _check_view(name: str, image: np.ndarray, camera: Camera, weights: np.ndarra
     if (camera.height, camera.width) == (height, width):
         return
     if weights is None or camera.height > height or camera.width > width:
-        raise ValueError(f"camera of image {name} is {camera.width}x{camera.height}, images are {width}x{height}")
+        raise InputError(f"camera of image {name} is {camera.width}x{camera.height}, images are {width}x{height}")
     if weights[camera.height :].any() or weights[:, camera.width :].any():
-        raise ValueError(
+        raise InputError(
             f"camera of image {name} is {camera.width}x{camera.height}, images are {width}x{height}: weights must be 0 "
             "beyond the camera's picture"
         )
@@ -348,10 +349,10 @@ def _checked_shares(
         return None
     shares = real_array(shares, f"scene {name}", np.float32)
     if shares.shape != shape:
-        raise ValueError(f"scene {name} must be {shape}, a number for each pixel of the pictures, got {shares.shape}")
+        raise InputError(f"scene {name} must be {shape}, a number for each pixel of the pictures, got {shares.shape}")
     for image, share in zip(names, shares, strict=True):
         if not (share.min() >= -room and share.max() <= 1 + room):  # false for NaN too
-            raise ValueError(
+            raise InputError(
                 f"{name} of image {image} hold values from {share.min():g} to {share.max():g}: they must lie in [0, 1]"
             )
     return shares
@@ -370,7 +371,7 @@ def _at_size(camera: Camera, width: int, height: int) -> Camera:
     factor = max(round(camera.width / width), 1) / max(round(width / camera.width), 1)
     whole = [(camera.width, width), (camera.height, height)]
     if any(abs(held / factor - wanted) >= 1.0 for held, wanted in whole):
-        raise ValueError(
+        raise InputError(
             f"a camera is for pictures of {camera.width}x{camera.height}, those of the scene have {width}x{height}: "
             "sizes must be the same but for a whole factor"
         )

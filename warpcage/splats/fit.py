@@ -24,6 +24,7 @@ from ..core.checks import (
 from ..core.devices import launch
 from ..core.locks import device_turn
 from ..core.reports import Progress, hears, is_heard, tell
+from ..errors import InputError
 from ..kernels.splats import composite, composite_cpu, fit, project_slopes, tiles
 from ..kernels.splats.composite import SUMS
 from ..kernels.splats.project_slopes import SplatValues
@@ -131,7 +132,7 @@ class SplatGradients(SplatRenderer):
         grid, seen = tile_grid(camera), self._project(parameters.splats, lens)
         total = self._count(grid, *seen)
         if total > MOST_ENTRIES:
-            raise ValueError(f"splats touch {total} tiles of a picture, at most {MOST_ENTRIES}: fit smaller pictures")
+            raise InputError(f"splats touch {total} tiles of a picture, at most {MOST_ENTRIES}: fit smaller pictures")
         rgb, _ = self._draw_entries(grid, seen, total, color)
         self._parameters, self._lens = parameters, lens
         return rgb
@@ -244,9 +245,9 @@ class SplatRates:
     def __post_init__(self) -> None:
         for name, rate in dataclasses.asdict(self).items():
             if checked_number(rate, f"the rate {name}") < 0.0:
-                raise ValueError(f"the rate {name} must be 0 or more, got {rate!r}")
+                raise InputError(f"the rate {name} must be 0 or more, got {rate!r}")
         if not 0.0 < self.last <= 1.0:
-            raise ValueError(f"the share last of the rates must be above 0 and at most 1, got {self.last!r}")
+            raise InputError(f"the share last of the rates must be above 0 and at most 1, got {self.last!r}")
 
 
 @hears
@@ -306,9 +307,9 @@ def fit_splats(
     require_type(field, SplatField, "fit_splats needs")
     cameras, pictures = checked_pictures(cameras, images)
     if not len(field):
-        raise ValueError("a field without splats cannot be fitted: give it some to begin with")
+        raise InputError("a field without splats cannot be fitted: give it some to begin with")
     if loss not in LOSSES:
-        raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
+        raise InputError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
     steps = checked_whole(steps, "steps", 1)
     rates = SplatRates() if rates is None else rates
     require_type(rates, SplatRates, "rates must be")
@@ -336,13 +337,13 @@ def fit_splats(
     try:
         return optimizer.to_field()
     except ValueError as error:
-        raise ValueError(f"the fit left the range of float32, with smaller rates it stays there: {error}") from error
+        raise InputError(f"the fit left the range of float32, with smaller rates it stays there: {error}") from error
 
 
 def checked_growth(growth: float) -> float:
     """How many times as large a splat may become, 1 or more."""
     if checked_positive(growth, "growth") < 1.0:
-        raise ValueError(f"growth must be 1 or more times the size at first, got {growth}")
+        raise InputError(f"growth must be 1 or more times the size at first, got {growth}")
     return float(growth)
 
 
@@ -352,19 +353,19 @@ def checked_pictures(
     """Cameras, and pictures (h, w, 3) float32 that fit them; images: (m, h, w, 3), or a sequence of (h, w, 3)."""
     for name, values in (("cameras", cameras), ("images", images)):
         if isinstance(values, str) or not isinstance(values, Iterable):
-            raise ValueError(f"{name} must be a list, one for each picture, got {type(values).__name__}")
+            raise InputError(f"{name} must be a list, one for each picture, got {type(values).__name__}")
     cameras, pictures = list(cameras), [_as_picture(number, image) for number, image in enumerate(images)]
     if not cameras or len(cameras) != len(pictures):
-        raise ValueError(f"fit_splats needs pictures, a camera each: got {len(pictures)} and {len(cameras)} cameras")
+        raise InputError(f"fit_splats needs pictures, a camera each: got {len(pictures)} and {len(cameras)} cameras")
     for number, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
         require_type(camera, Camera, f"picture {number} needs")
         if picture.shape != (camera.height, camera.width, 3):
             size = f"({camera.height}, {camera.width}, 3)"
-            raise ValueError(f"picture {number} must be {size} as its camera says, got {picture.shape}")
+            raise InputError(f"picture {number} must be {size} as its camera says, got {picture.shape}")
         if not np.isfinite(picture).all():
-            raise ValueError(f"picture {number} has values that are not finite")
+            raise InputError(f"picture {number} has values that are not finite")
         if np.abs(picture).max() > LARGEST_COLOR:
-            raise ValueError(
+            raise InputError(
                 f"picture {number} has values from {picture.min():g} to {picture.max():g}: they must lie in [0, 1] "
                 "(8-bit pictures divided by 255)"
             )
@@ -377,7 +378,7 @@ def _as_picture(number: int, image: ArrayLike) -> np.ndarray:
         with np.errstate(over="ignore"):  # what float32 cannot hold is told as not finite
             return np.asarray(image, np.float32)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"picture {number} must be (h, w, 3) numbers, got {type(image).__name__}") from error
+        raise InputError(f"picture {number} must be (h, w, 3) numbers, got {type(image).__name__}") from error
 
 
 class SplatOptimizer:

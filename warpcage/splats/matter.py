@@ -13,6 +13,7 @@ from ..core.arrays import empty_array
 from ..core.checks import checked_bounds, checked_whole
 from ..core.devices import launch
 from ..core.memory import require_memory
+from ..errors import InputError
 from ..kernels.splats.fit import deposit_splats
 from ..view.camera import Camera
 from ..view.frame import Frame
@@ -180,7 +181,7 @@ class SplatDensity:
         """A field of the splats of a mask of nodes alone."""
         rows = self.splats_in(mask)
         if not rows.any():
-            raise ValueError("nothing is chosen that could be cut out: no splat lies in the chosen cells")
+            raise InputError("nothing is chosen that could be cut out: no splat lies in the chosen cells")
         return self.field.chosen(rows)
 
     def painted(self, mask: np.ndarray) -> SplatField:

@@ -13,6 +13,7 @@ from ..core.arrays import WarpStruct
 from ..core.checks import checked_flag, require_type
 from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.locks import owner_lock
+from ..errors import InputError
 from ..field.render import picture_arrays
 from ..kernels.splats import composite, composite_cpu, project, tiles
 from ..lattice.buffers import BufferPool
@@ -96,7 +97,7 @@ class SplatRenderer:
             self._draw(_band(grid, half, grid.rows - half), seen, inputs, outputs)
             return
         if total > 1 << 30:
-            raise ValueError(f"{total} splats in a row of tiles are more than can be sorted: draw a smaller picture")
+            raise InputError(f"{total} splats in a row of tiles are more than can be sorted: draw a smaller picture")
         self.entry_count += total
         keys, members = self._write(grid, total, seen)
         starts = self._sort(grid, total, keys, members)

@@ -18,6 +18,7 @@ from ..core.devices import resolve_device
 from ..core.files import PathLike
 from ..core.locks import in_turn
 from ..core.names import counted
+from ..errors import InputError, UseError
 from ..field.io import load_field as load_voxels
 from ..field.io.field_file import FieldContents
 from ..field.voxel_field import VoxelField
@@ -101,7 +102,7 @@ class SplatField:
             real_array(as_host_array(each, name), name, np.float32) for name, each in others.items()
         )
         if places.ndim != 2 or colors.ndim != 3:
-            raise ValueError(f"centres must be (n, 3) and harmonics (n, b, 3), got {places.shape}, {colors.shape}")
+            raise InputError(f"centres must be (n, 3) and harmonics (n, b, 3), got {places.shape}, {colors.shape}")
         if opacities.shape == (len(places), 1):  # as the optimiser of 3DGS holds them
             opacities = opacities[:, 0]
         self.contents = checked_contents(SplatContents(places, scales, turns, opacities, colors, layout))
@@ -425,12 +426,12 @@ class SplatField:
         rows = np.asarray(rows)
         if rows.dtype == bool:
             if rows.shape != (self.splat_count,):
-                raise ValueError(f"a mask of {self.splat_count} splats must be ({self.splat_count},), got {rows.shape}")
+                raise InputError(f"a mask of {self.splat_count} splats must be ({self.splat_count},), got {rows.shape}")
             rows = np.flatnonzero(rows)
         if rows.ndim != 1 or (
             len(rows) and not (rows.dtype.kind in "iu" and 0 <= rows.min() <= rows.max() < len(self))
         ):
-            raise ValueError(f"rows must be whole numbers from 0 to {self.splat_count - 1}, got {rows!r:.60}")
+            raise InputError(f"rows must be whole numbers from 0 to {self.splat_count - 1}, got {rows!r:.60}")
         rows = rows.astype(np.int64)
         return self.from_contents(chosen_contents(self.contents, rows), device=self.device, **self.view_options())
 
@@ -483,7 +484,7 @@ class SplatField:
         return f"SplatField({self.splat_count} splats of degree {self.degree}, bounds {bounds}, {self.device})"
 
     def __reduce__(self):
-        raise TypeError(
+        raise UseError(
             "a SplatField is held on a device and not copied between processes: save it, and load the file "
             "in each of them"
         )
@@ -504,7 +505,7 @@ def read_field(path: PathLike, *, scene_scale: float = 1.0) -> Callable[[wp.Devi
     if not is_splat_file(path):
         return functools.partial(_voxels_of, load_voxels(path, scene_scale=scene_scale), path)
     if scene_scale != 1.0:
-        raise ValueError(f"{path} holds splats, which keep their scale: leave the scene scale out")
+        raise InputError(f"{path} holds splats, which keep their scale: leave the scene scale out")
     splats = read_splats(path)
     return lambda device: SplatField.from_contents(splats, device=device)
 
@@ -514,7 +515,7 @@ def _voxels_of(contents: FieldContents, path: PathLike, device: wp.DeviceLike) -
     try:
         return VoxelField.from_contents(contents, device=device)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {error}") from error
 
 
 def field_size(field: AnyField) -> str:

@@ -26,6 +26,7 @@ from ..core.checks import (
 )
 from ..core.files import DAMAGED, PathLike, damage, require_file
 from ..core.names import EASINGS, LOOPS, require_name
+from ..errors import InputError
 from ..kernels.view.rays import TILE_HEIGHT, TILE_SIZE, TILE_WIDTH, PinholeCamera
 from .camera_file import CAMERA_NUMBERS, read_camera_document, write_camera_document
 
@@ -65,7 +66,7 @@ class Camera:
         for name in ("fx", "fy", "cx", "cy"):
             object.__setattr__(self, name, checked_number(getattr(self, name), f"{name} of a camera"))
         if not (self.fx > 0 and self.fy > 0):
-            raise ValueError(f"focal lengths must be positive, got fx={self.fx}, fy={self.fy}")
+            raise InputError(f"focal lengths must be positive, got fx={self.fx}, fy={self.fy}")
         pose = pose.copy()
         pose.setflags(write=False)
         object.__setattr__(self, "camera_to_world", pose)
@@ -104,16 +105,16 @@ class Camera:
         width, height = checked_pixels(width, "width of look_at"), checked_pixels(height, "height of look_at")
         fov_degrees = checked_number(fov_degrees, "fov_degrees of look_at")
         if not 0.0 < fov_degrees < 180.0:
-            raise ValueError(f"fov_degrees of look_at must be between 0 and 180, got {fov_degrees:g}")
+            raise InputError(f"fov_degrees of look_at must be between 0 and 180, got {fov_degrees:g}")
         with np.errstate(over="ignore"):
             forward = goal - place
         if not np.isfinite(forward).all():
-            raise ValueError(f"look_at needs places a finite distance apart, got {place} and {goal}")
+            raise InputError(f"look_at needs places a finite distance apart, got {place} and {goal}")
         longest = np.abs(forward).max()
         if longest > 0 and not 1e-100 < longest < 1e100:
             forward = forward / longest  # its square is beyond float64
         if np.linalg.norm(forward) == 0:
-            raise ValueError(f"look_at needs a target that is not the eye, both are {place}")
+            raise InputError(f"look_at needs a target that is not the eye, both are {place}")
         forward = forward / np.linalg.norm(forward)
         right = np.cross(forward, upward)
         if np.linalg.norm(right) < 1e-9:  # looking along `up`: any right will do
@@ -158,7 +159,7 @@ class Camera:
         try:
             return cameras.named(name)
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise InputError(f"{path}: {error}") from None
 
     @property
     def center(self) -> np.ndarray:
@@ -231,7 +232,7 @@ class Camera:
         """
         places = real_array(points, "points")
         if places.ndim != 2 or places.shape[1] != 3:
-            raise ValueError(f"points must be (n, 3), got {places.shape}")
+            raise InputError(f"points must be (n, 3), got {places.shape}")
         local = (places - self.center) @ self.rotation
         with np.errstate(divide="ignore", invalid="ignore"):
             u = self.fx * local[:, 0] / local[:, 2] + self.cx
@@ -287,7 +288,7 @@ def turntable(
     )
     target, axis = checked_vector(target, "target of a turntable"), checked_vector(up, "up of a turntable")
     if not axis.any():
-        raise ValueError("up of a turntable must be a direction, got 0 0 0")
+        raise InputError("up of a turntable must be a direction, got 0 0 0")
     axis = axis / np.linalg.norm(axis)
     side = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.9 else [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
@@ -317,9 +318,9 @@ def framing_orbit(
     `fill`: share of the picture's width or height that the points may take."""
     host = as_host_points(points)
     if not len(host):
-        raise ValueError("a view needs at least one point to look at")
+        raise InputError("a view needs at least one point to look at")
     if not (0 < fov_degrees < 180 and 0 < fill <= 1):
-        raise ValueError(f"a view needs fov_degrees in (0, 180) and fill in (0, 1], got {fov_degrees} and {fill}")
+        raise InputError(f"a view needs fov_degrees in (0, 180) and fill in (0, 1], got {fov_degrees} and {fill}")
     target = (host.min(axis=0) + host.max(axis=0)) / 2
     offsets = host - target
     tangent = np.tan(np.radians(fov_degrees) / 2) * fill
@@ -345,12 +346,12 @@ def rigid_motion(matrix: ArrayLike, name: str = "a rigid motion") -> np.ndarray:
     """A rigid motion (4, 4), checked; messages call it by `name`."""
     motion = real_array(matrix, name)
     if motion.shape != (4, 4) or not np.isfinite(motion).all():
-        raise ValueError(f"{name} must be a finite (4, 4) matrix, got shape {motion.shape}")
+        raise InputError(f"{name} must be a finite (4, 4) matrix, got shape {motion.shape}")
     rotation = motion[:3, :3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=POSE_TOLERANCE) or np.linalg.det(rotation) < 0:
-        raise ValueError(f"{name} must hold a rotation (orthonormal, determinant 1)")
+        raise InputError(f"{name} must hold a rotation (orthonormal, determinant 1)")
     if not np.allclose(motion[3], (0, 0, 0, 1), atol=POSE_TOLERANCE):
-        raise ValueError(f"{name} must end in the row 0 0 0 1, got {motion[3].tolist()}")
+        raise InputError(f"{name} must end in the row 0 0 0 1, got {motion[3].tolist()}")
     return motion
 
 
@@ -421,7 +422,7 @@ class CameraKey:
         if self.time is not None:
             time = checked_number(self.time, "the time of a camera")
             if time < 0.0:
-                raise ValueError(f"the time of a camera must be from 0 on, got {time:g}")
+                raise InputError(f"the time of a camera must be from 0 on, got {time:g}")
             object.__setattr__(self, "time", time)
         require_name(self.easing, EASINGS, "easing")
         if self.target is not None:
@@ -471,7 +472,7 @@ class CameraFile(list[CameraKey]):
         )
         if apart or len({time for time, _ in timed}) < len(timed):
             names = listed(dict.fromkeys(key.name for key in self if key.name))
-            raise ValueError(f"several of its cameras are at one time: name the one that moves, of {names}")
+            raise InputError(f"several of its cameras are at one time: name the one that moves, of {names}")
         return list(self)
 
     def named(self, name: str) -> Camera:
@@ -494,13 +495,13 @@ class CameraFile(list[CameraKey]):
             return found[0].camera
         names = listed(dict.fromkeys(key.name or str(index) for index, key in enumerate(self)))
         if len({key.name for key in found}) == 1 and all(key.time is not None for key in found):
-            raise ValueError(
+            raise InputError(
                 f"its camera {found[0].name!r} moves through {len(found)} keys: take one by its number, 0 to "
                 f"{len(self) - 1}, or all as a path"
             )
         if not name:
-            raise ValueError(f"it holds {len(self)} cameras: name one of {names}")
-        raise ValueError(f"it holds {f'{len(found)} cameras' if found else 'no camera'} {name!r}, only {names}")
+            raise InputError(f"it holds {len(self)} cameras: name one of {names}")
+        raise InputError(f"it holds {f'{len(found)} cameras' if found else 'no camera'} {name!r}, only {names}")
 
     def save(self, path: PathLike, *, extras: Sequence[dict[str, Any]] | None = None) -> None:
         """Write the file as JSON, whole or not at all. All numbers keep their digits.
@@ -542,9 +543,9 @@ class CameraFile(list[CameraKey]):
             keys = [camera_from_json(entry, index) for index, entry in enumerate(document["cameras"])]
             return cls(keys, fps=document.get("fps"), loop=document.get("loop"))
         except DAMAGED as error:
-            raise ValueError(f"{path}: {damage('camera file', error)}") from None
+            raise InputError(f"{path}: {damage('camera file', error)}") from None
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise InputError(f"{path}: {error}") from None
 
 
 def camera_json(key: CameraKey) -> dict[str, Any]:
@@ -562,14 +563,14 @@ def camera_from_json(entry: dict[str, Any], index: int) -> CameraKey:
     """A camera key from JSON. Raises ValueError for numbers that cannot be; index: what it is called without a name."""
     name = entry.get("name", "")
     if not isinstance(name, str):
-        raise ValueError(f"the name of camera {index} must be a text, got {str(name)[:40]!r}")
+        raise InputError(f"the name of camera {index} must be a text, got {str(name)[:40]!r}")
     try:
         camera = Camera(
             **{number: entry[number] for number in CAMERA_NUMBERS}, camera_to_world=entry["camera_to_world"]
         )
         return CameraKey(camera, entry.get("time"), name, entry.get("easing", "smooth"), entry.get("target"))
     except ValueError as error:
-        raise ValueError(f"camera {name or index}: {error}") from None
+        raise InputError(f"camera {name or index}: {error}") from None
 
 
 def fitted(camera: Camera, size: Sequence[int], name: str = "size") -> Camera:
@@ -582,7 +583,7 @@ def fitted(camera: Camera, size: Sequence[int], name: str = "size") -> Camera:
         return camera.resized(width, max(1, usual))
     height = int(size[1])
     if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
-        raise ValueError(
+        raise InputError(
             f"{name} {width} {height} would squeeze a {camera.width}x{camera.height} picture: give {width} {usual}"
         )
     return camera.resized(width, height)

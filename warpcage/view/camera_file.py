@@ -11,6 +11,7 @@ import numpy as np
 
 from ..core.checks import checked_path
 from ..core.files import PathLike, atomic_path, read_json
+from ..errors import InputError
 from ..mesh.io.gltf import errors_of_file, node_matrices, opened, read_buffers
 from ..mesh.io.gltf_animation import Channel, frames_of
 
@@ -39,15 +40,15 @@ def read_camera_document(path: pathlib.Path, size: tuple[int, int] | None = None
         return {"cameras": _read_gltf_entries(path, size)}
     document = read_json(path, "camera file")
     if document["format"] != _FORMAT:
-        raise ValueError(f"its format is {str(document['format'])[:40]!r}, not {_FORMAT!r}")
+        raise InputError(f"its format is {str(document['format'])[:40]!r}, not {_FORMAT!r}")
     version = document["version"]
     if type(version) is not int or version < 1:
-        raise ValueError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
+        raise InputError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
     if version > _VERSION:
-        raise ValueError(f"its version is {version}, this warpcage reads up to {_VERSION}: upgrade")
+        raise InputError(f"its version is {version}, this warpcage reads up to {_VERSION}: upgrade")
     cameras = document["cameras"]
     if not isinstance(cameras, list) or not cameras:
-        raise ValueError("its cameras must be a list of at least one")
+        raise InputError("its cameras must be a list of at least one")
     return document
 
 
@@ -57,9 +58,9 @@ def write_camera_document(
     """Write entries of cameras as JSON, whole or not at all."""
     path = checked_path(path, "the camera file")
     if path.suffix.lower() != ".json":
-        raise ValueError(f"camera file {str(path)!r} must end in .json")
+        raise InputError(f"camera file {str(path)!r} must end in .json")
     if not entries:
-        raise ValueError("a camera file needs at least one camera")
+        raise InputError("a camera file needs at least one camera")
     document: dict[str, Any] = {"format": _FORMAT, "version": _VERSION, "cameras": list(entries)}
     document |= {name: value for name, value in (("fps", fps), ("loop", loop)) if value is not None}
     with atomic_path(path) as temporary:
@@ -75,7 +76,7 @@ def _read_gltf_entries(path: pathlib.Path, size: tuple[int, int] | None) -> list
         at_rest = node_matrices(document)
         found = [index for index in at_rest if "camera" in nodes[index]]
         if not found:
-            raise ValueError("there is no camera in it: export with cameras (in Blender: Include, Cameras)")
+            raise InputError("there is no camera in it: export with cameras (in Blender: Include, Cameras)")
         channels = _channels(document, read_buffers(path, document, chunk))
         # all cameras count from the first key of the file, so that they stay together, and with what else moves in it
         begin = min((float(each.times[0]) for each in channels), default=0.0)
@@ -105,7 +106,7 @@ def _pose(matrix: np.ndarray) -> np.ndarray:
     pose = _TO_Z_UP @ matrix @ _TO_OPENCV
     lengths = np.linalg.norm(pose[:3, :3], axis=0)
     if not (np.isfinite(pose).all() and lengths.min() > 0.0):
-        raise ValueError("the place of a camera is not finite, or scaled to nothing")
+        raise InputError("the place of a camera is not finite, or scaled to nothing")
     pose[:3, :3] /= lengths
     return pose
 
@@ -113,10 +114,10 @@ def _pose(matrix: np.ndarray) -> np.ndarray:
 def _lens(entry: dict, size: tuple[int, int] | None) -> dict[str, float]:
     """The numbers of a camera of the file's field of view."""
     if "perspective" not in entry:
-        raise ValueError(f"its camera {entry.get('name', '')!r} is {entry.get('type')}: only perspective ones are read")
+        raise InputError(f"its camera {entry.get('name', '')!r} is {entry.get('type')}: only perspective ones are read")
     yfov, aspect = float(entry["perspective"]["yfov"]), float(entry["perspective"].get("aspectRatio", 1.0))
     if not (0.0 < yfov < np.pi and 0.0 < aspect < 1e4):
-        raise ValueError(f"a camera has a field of view of {yfov:g} and an aspect ratio of {aspect:g}")
+        raise InputError(f"a camera has a field of view of {yfov:g} and an aspect ratio of {aspect:g}")
     width, height = size or (WIDTH, max(1, round(WIDTH / aspect)))
     focal = 0.5 * height / float(np.tan(0.5 * yfov))
     values = (focal, focal, width / 2, height / 2, width, height)

@@ -12,6 +12,7 @@ import numpy as np
 from ..core.checks import checked_number, require_type
 from ..core.files import PathLike
 from ..core.names import agreed
+from ..errors import InputError
 from .camera import Camera, CameraFile, CameraKey, common_up
 from .motion import value_at
 
@@ -29,13 +30,13 @@ def timed_keys(keys: Sequence[CameraKey], length: float | None = None) -> list[C
     for key in keys:
         require_type(key, CameraKey, "a key of a camera path must be")
     if not keys:
-        raise ValueError("a camera path needs at least one camera")
+        raise InputError("a camera path needs at least one camera")
     untimed = [key for key in keys if key.time is None]
     if len(untimed) == len(keys):
         spread = np.linspace(0.0, len(keys) - 1.0 if length is None else length, len(keys)).tolist()
         keys = [dataclasses.replace(key, time=time) for key, time in zip(keys, spread, strict=True)]
     elif untimed:
-        raise ValueError(
+        raise InputError(
             f"{len(untimed)} of {len(keys)} cameras {agreed(len(untimed), 'has', 'have')} no time: give "
             "all of them one, or none"
         )
@@ -43,7 +44,7 @@ def timed_keys(keys: Sequence[CameraKey], length: float | None = None) -> list[C
     for one, two in zip(ordered, ordered[1:], strict=False):
         if one.time == two.time:
             names = f" ({one.name!r} and {two.name!r})" if one.name and two.name else ""
-            raise ValueError(f"two cameras of a path{names} are at {one.time:g} s: give each a time of its own")
+            raise InputError(f"two cameras of a path{names} are at {one.time:g} s: give each a time of its own")
     return ordered
 
 
@@ -69,7 +70,7 @@ def camera_at(keys: Sequence[CameraKey], time: float, *, closed: bool = False) -
     time, ordered = checked_number(time, "the time of a camera path"), timed_keys(keys)
     sizes = sorted({(key.camera.width, key.camera.height) for key in ordered})
     if len(sizes) > 1:
-        raise ValueError(f"cameras of a path must have one picture size, got {sizes}")
+        raise InputError(f"cameras of a path must have one picture size, got {sizes}")
     times, easings = [key.time or 0.0 for key in ordered], [key.easing for key in ordered]
     for key, at in zip(ordered, times, strict=True):
         if at == time or (time < at and key is ordered[0]) or (time > at and key is ordered[-1]):
@@ -90,7 +91,7 @@ def camera_at(keys: Sequence[CameraKey], time: float, *, closed: bool = False) -
 def path_cameras(keys: Sequence[CameraKey], count: int) -> list[Camera]:
     """Cameras evenly over a path, the first and the last key included; keys may have times or not."""
     if count < 1:
-        raise ValueError(f"a film needs at least one camera, got {count}")
+        raise InputError(f"a film needs at least one camera, got {count}")
     ordered = timed_keys(keys)
     times = np.linspace(ordered[0].time or 0.0, ordered[-1].time or 0.0, count)
     return [camera_at(ordered, float(time)) for time in times]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.files import atomic_path, require_file
+from ..errors import InputError
 from .pictures import path_with_ending, write_jpeg, write_png
 
 #: Depth where nothing is seen, as Blender writes it.
@@ -24,7 +25,7 @@ def require_openexr() -> Any:
     try:
         import OpenEXR
     except ImportError as error:
-        raise ValueError('OpenEXR pictures need its library: pip install "warpcage[exr]"') from error
+        raise InputError('OpenEXR pictures need its library: pip install "warpcage[exr]"') from error
     return OpenEXR
 
 
@@ -53,9 +54,9 @@ def write_exr(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | None
     exr = require_openexr()
     pixels = np.asarray(image, np.float32)
     if pixels.ndim != 3 or pixels.shape[-1] not in (3, 4) or 0 in pixels.shape:
-        raise ValueError(f"an EXR picture must be (h, w, 3) or (h, w, 4), got {pixels.shape}")
+        raise InputError(f"an EXR picture must be (h, w, 3) or (h, w, 4), got {pixels.shape}")
     if not np.isfinite(pixels).all():
-        raise ValueError("an image holds values that are not finite")
+        raise InputError("an image holds values that are not finite")
     light = linear_light(pixels[..., :3])
     channels: dict[str, np.ndarray] = {"RGB": light.astype(np.float16)}
     if pixels.shape[-1] == 4:
@@ -64,7 +65,7 @@ def write_exr(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | None
     if depth is not None:
         channels["Z"] = np.ascontiguousarray(depth, np.float32)
         if channels["Z"].shape != pixels.shape[:2]:
-            raise ValueError(f"depth must be {pixels.shape[:2]} as the picture, got {channels['Z'].shape}")
+            raise InputError(f"depth must be {pixels.shape[:2]} as the picture, got {channels['Z'].shape}")
     header = {"type": exr.scanlineimage, "compression": exr.ZIP_COMPRESSION, "chromaticities": _PRIMARIES}
     with atomic_path(path) as temporary:
         exr.File(header, channels).write(str(temporary))
@@ -79,4 +80,4 @@ def read_exr(path: str | os.PathLike) -> dict[str, np.ndarray]:
         with exr.File(str(path)) as file:
             return {name: np.array(channel.pixels) for name, channel in file.channels().items()}
     except RuntimeError as error:
-        raise ValueError(f"image {str(path)!r} cannot be read: {' '.join(str(error).split())}") from error
+        raise InputError(f"image {str(path)!r} cannot be read: {' '.join(str(error).split())}") from error

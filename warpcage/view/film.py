@@ -19,6 +19,7 @@ from ..core.files import atomic_path, read_npz, require_numbers
 from ..core.memory import require_host_memory
 from ..core.overlap import stream
 from ..core.reports import Progress, hears, tell
+from ..errors import InputError
 from .motion import MAX_DENOMINATOR
 from .opacity import with_spread_colors
 from .pictures import as_rgb, path_with_ending, read_image, to_uint8
@@ -50,7 +51,7 @@ def checked_rate(fps: float | Fraction, ending: str) -> Fraction:
     exact = fps if isinstance(fps, Fraction) else Fraction(checked_positive(fps, "fps"))
     rate = exact.limit_denominator(MAX_DENOMINATOR)
     if not low <= rate <= high:
-        raise ValueError(f"fps of a film ({ending}) must be from {float(low):g} to {float(high):g}, got {fps}")
+        raise InputError(f"fps of a film ({ending}) must be from {float(low):g} to {float(high):g}, got {fps}")
     return rate
 
 
@@ -63,7 +64,7 @@ def require_clear_film(path: str | os.PathLike) -> None:
     """Raises ValueError for a film that has no opacity; a name without an ending is a folder of pictures, which do."""
     ending = os.path.splitext(path)[1].lower()
     if ending and ending not in CLEAR_ENDINGS:
-        raise ValueError(
+        raise InputError(
             f"a film that ends in {ending} has no opacity: give .mov (ProRes 4444), .webm, or a folder of pictures, "
             "which has no ending"
         )
@@ -88,7 +89,7 @@ def write_film(
     elif ending in CLEAR_ENDINGS:
         write_clear_video(path, frames, fps)
     else:
-        raise ValueError(f"film {str(path)!r} must end in {', '.join(FILM_ENDINGS)}")
+        raise InputError(f"film {str(path)!r} must end in {', '.join(FILM_ENDINGS)}")
 
 
 def write_clear_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
@@ -97,7 +98,7 @@ def write_clear_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps:
     # Straight colours, as players of both take them; BT.709, limited range. ProRes is for editors, VP9 for browsers.
     ending = os.path.splitext(path)[1].lower()
     if ending not in CLEAR_ENDINGS:
-        raise ValueError(f"{str(path)!r} must end in {' or '.join(CLEAR_ENDINGS)}")
+        raise InputError(f"{str(path)!r} must end in {' or '.join(CLEAR_ENDINGS)}")
     rate = checked_rate(fps, ending)
     with atomic_path(path) as temporary:
         stream(_own(frames), deep_pixels, functools.partial(_encode_clear, temporary, ending, rate))
@@ -164,7 +165,7 @@ def deep_pixels(pixels: np.ndarray) -> np.ndarray:
     else:
         image = as_rgb(pixels)
     if not np.isfinite(image).all():
-        raise ValueError("an image holds values that are not finite")
+        raise InputError("an image holds values that are not finite")
     return np.round(np.clip(image, 0.0, 1.0) * 65535.0).astype(np.uint16)
 
 
@@ -182,7 +183,7 @@ def read_film_frame(path: str | os.PathLike) -> np.ndarray:
         contents = read_npz(path, "frame")
         pixels = require_numbers(contents, "pixels", (None, None, None), path)
         if pixels.dtype != np.uint16 or pixels.shape[-1] not in (3, 4):
-            raise ValueError(f"{path}: pixels must be (h, w, 3) or (h, w, 4) uint16, got {pixels.dtype} {pixels.shape}")
+            raise InputError(f"{path}: pixels must be (h, w, 3) or (h, w, 4) uint16, got {pixels.dtype} {pixels.shape}")
     else:
         pixels = read_image(path)
         pixels = pixels[..., 0] if pixels.shape[-1] == 1 else pixels
@@ -265,7 +266,7 @@ def _gif_durations(images: Sequence[Any], rate: Fraction) -> list[int]:
         same = index > 0 and images[index].tobytes() == images[index - 1].tobytes()
         still = duration + (still if same else 0)
         if still > MAX_STILL:
-            raise ValueError(
+            raise InputError(
                 f"a GIF shows a picture for at most {MAX_STILL / 1000} s, but frame {index} and those before it, which "
                 f"are equal, take {still / 1000:g} s: give a higher fps, or write .mp4"
             )
@@ -287,12 +288,12 @@ def _of_one_size(images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
         first = pixels.shape if first is None else first
         if pixels.shape != first:
             sides = 2 if pixels.shape[:2] != first[:2] else 3  # or one has opacity
-            raise ValueError(
+            raise InputError(
                 f"frames must have one size: frame 0 is {first[:sides]}, frame {index} is {pixels.shape[:sides]}"
             )
         yield pixels
     if first is None:
-        raise ValueError("a film needs at least one frame")
+        raise InputError("a film needs at least one frame")
 
 
 def _that_fit(images: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
@@ -311,5 +312,5 @@ def even_frame(frame: np.ndarray) -> np.ndarray:
     """A frame cut to even sizes, as yuv420p has half as many colours along each axis."""
     height, width = (side // 2 * 2 for side in frame.shape[:2])
     if height == 0 or width == 0:
-        raise ValueError(f"a video needs frames of at least 2x2 pixels, got {frame.shape[:2]}")
+        raise InputError(f"a video needs frames of at least 2x2 pixels, got {frame.shape[:2]}")
     return np.ascontiguousarray(frame[:height, :width])

@@ -18,6 +18,7 @@ from ..core.devices import launch
 from ..core.files import atomic_path
 from ..core.locks import device_turn
 from ..core.names import BACKGROUNDS, TRANSPARENT
+from ..errors import InputError
 from ..kernels.view import pictures
 from .camera import Camera
 from .exr import NOTHING, write_picture
@@ -77,19 +78,19 @@ class Frame:
         width, height = checked_whole(width, "width of a frame", 1), checked_whole(height, "height of a frame", 1)
         unknown = sorted(set(masks) - {*MASK_NAMES, *LATER_MASKS})
         if unknown:
-            raise ValueError(f"a frame has no mask {unknown[0]!r}, it has {', '.join(MASK_NAMES)}")
+            raise InputError(f"a frame has no mask {unknown[0]!r}, it has {', '.join(MASK_NAMES)}")
         self.width, self.height = int(width), int(height)
         self.arrays: dict[str, Any] = {"rgb": rgb, "alpha": alpha, "depth": depth}
         self.arrays.update({name: mask for name, mask in masks.items() if mask is not None})
         for name, array in self.arrays.items():
             if not hasattr(array, "shape"):
-                raise ValueError(f"{name} of a frame must be an array, got {type(array).__name__}")
+                raise InputError(f"{name} of a frame must be an array, got {type(array).__name__}")
             shape = tuple(array.shape)
             if isinstance(array, wp.array) and array.dtype == wp.vec3:
                 shape += (3,)
             expected = width * height * (3 if name == "rgb" else 1)
             if math.prod(shape) != expected:
-                raise ValueError(f"{name} of a {width}x{height} frame holds {expected} numbers, got shape {shape}")
+                raise InputError(f"{name} of a {width}x{height} frame holds {expected} numbers, got shape {shape}")
         self._host: dict[str, np.ndarray] = {}
         self._coming: dict[str, HostCopy] = {}
 
@@ -159,7 +160,7 @@ class Frame:
             else:
                 pixels, state = coming.wait()
                 if state == pictures.NOT_FINITE:
-                    raise ValueError(NOT_FINITE)
+                    raise InputError(NOT_FINITE)
                 self._host[RGB_BYTES] = pixels.reshape(self.height, self.width, 3)
                 self._coming.pop(RGB_BYTES, None)
         return self._host[RGB_BYTES]
@@ -173,7 +174,7 @@ class Frame:
         """
         if self.background is None:
             behind = "a model of a scene" if self.layered else "not known"
-            raise ValueError(
+            raise InputError(
                 f"what is behind this frame is {behind}, and cannot be taken away: render with "
                 f'background="{TRANSPARENT}"'
             )
@@ -213,7 +214,7 @@ class Frame:
             ValueError: For a frame that no camera rendered: set `camera`.
         """
         if self.camera is None:
-            raise ValueError("a frame that no camera rendered has depth along the rays alone: set its camera")
+            raise InputError("a frame that no camera rendered has depth along the rays alone: set its camera")
         return _depth_along_axis(self, self.camera)
 
     @property
@@ -279,7 +280,7 @@ class Frame:
         path = checked_path(path, "the picture to write")
         ending = path.suffix.lower()
         if ending not in PICTURE_ENDINGS:
-            raise ValueError(
+            raise InputError(
                 f"a frame is written to a file that ends in {', '.join(PICTURE_ENDINGS)}, got {path.name!r}"
             )
         if ending != ".npz":
@@ -309,7 +310,7 @@ class Frame:
         """
         for name in names:
             if not isinstance(name, str) or name not in (*self.arrays, RGB_BYTES):
-                raise ValueError(f"a frame has no array {shown(name)}, only {', '.join(self.arrays)}")
+                raise InputError(f"a frame has no array {shown(name)}, only {', '.join(self.arrays)}")
             array = self.arrays["rgb" if name == RGB_BYTES else name]
             if name in self._host or name in self._coming or not _comes_from_cuda(array):
                 continue
@@ -376,7 +377,7 @@ def depth_along_view(frame: Frame, camera: Camera) -> np.ndarray:
 def checked_supersampling(side: Any) -> int:
     """The number of rays along each side of a pixel, 1 to MAX_SUPERSAMPLING."""
     if not isinstance(side, numbers.Integral) or isinstance(side, bool) or not 1 <= int(side) <= MAX_SUPERSAMPLING:
-        raise ValueError(
+        raise InputError(
             f"supersampling must be 1 to {MAX_SUPERSAMPLING} rays along each side of a pixel, got {side!r}"
         )
     return int(side)
@@ -423,16 +424,16 @@ def parse_background(background: str | ArrayLike) -> np.ndarray:
     """The colour (3,) float32 in [0, 1] of a background: the name of one (see BACKGROUNDS), or three numbers."""
     if isinstance(background, str):
         if background == "random":
-            raise ValueError(
+            raise InputError(
                 "random backgrounds are drawn anew for every ray of a fit, where pictures have opacity: "
                 "load with a colour and fit with background='random'"
             )
         if background not in BACKGROUNDS:
-            raise ValueError(
+            raise InputError(
                 f"background {shown(background)} is not known: {', '.join(BACKGROUNDS)} or 3 numbers in [0, 1]"
             )
         background = BACKGROUNDS[background]
     color = real_array(background, "a background that is no colour name", np.float32)
     if color.shape != (3,) or not np.isfinite(color).all() or color.min() < 0 or color.max() > 1:
-        raise ValueError(f"background must be a colour name or three numbers in [0, 1], got {shown(background)}")
+        raise InputError(f"background must be a colour name or three numbers in [0, 1], got {shown(background)}")
     return color

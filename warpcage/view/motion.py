@@ -11,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from .camera import Camera
 
@@ -130,7 +131,7 @@ def frame_times(length: float, fps: float | Fraction, loop: str = "once") -> lis
     exact = period * rate
     count = exact.__floor__() + 1 if loop == "once" else max(1, exact.__ceil__())
     if count > MAX_FRAMES:
-        raise ValueError(f"a film has at most {MAX_FRAMES} frames, {length:g} s at {float(rate):g} would have {count}")
+        raise InputError(f"a film has at most {MAX_FRAMES} frames, {length:g} s at {float(rate):g} would have {count}")
     return [float(looped_time(loop, exact_length, index / rate)) for index in range(count)]
 
 
@@ -165,9 +166,9 @@ def pose_weights(count: int, motion: str = "swing") -> np.ndarray:
 def frame_places(count: int, keyframe_count: int, motion: str = "swing", interpolation: str = "smooth") -> np.ndarray:
     """Places (count,) of a film's frames among keyframes, 0 for the first and keyframe_count - 1 for the last."""
     if count < 1 or keyframe_count < 1:
-        raise ValueError(f"a film needs at least one frame and one keyframe, got {count} and {keyframe_count}")
+        raise InputError(f"a film needs at least one frame and one keyframe, got {count} and {keyframe_count}")
     if motion not in MOTIONS:
-        raise ValueError(f"motion {motion!r} is not known: {', '.join(MOTIONS)}")
+        raise InputError(f"motion {motion!r} is not known: {', '.join(MOTIONS)}")
     _check_interpolation(interpolation)
     if motion == "hold":
         return np.full(count, keyframe_count - 1.0)
@@ -184,7 +185,7 @@ def value_along(values: Sequence[np.ndarray], place: float, interpolation: str =
     # "linear" joins keyframes by straight lines, "smooth" is that of `value_at`, straight at both ends.
     _check_interpolation(interpolation)
     if not 0 <= place <= len(values) - 1:
-        raise ValueError(f"a place among {len(values)} keyframes must be 0 to {len(values) - 1}, got {place}")
+        raise InputError(f"a place among {len(values)} keyframes must be 0 to {len(values) - 1}, got {place}")
     return value_at(range(len(values)), values, place, [interpolation] * len(values), still_ends=False)
 
 
@@ -201,10 +202,10 @@ def pose_along(keyframes: Sequence[Mesh], place: float, interpolation: str = "sm
 def cameras_along(cameras: Sequence[Camera], count: int, interpolation: str = "smooth") -> list[Camera]:
     """`count` cameras on the way through a list of cameras of one picture size, the first and the last included."""
     if not cameras:
-        raise ValueError("a camera path needs at least one camera")
+        raise InputError("a camera path needs at least one camera")
     sizes = {(camera.width, camera.height) for camera in cameras}
     if len(sizes) > 1:
-        raise ValueError(f"cameras of a path must have one picture size, got {sorted(sizes)}")
+        raise InputError(f"cameras of a path must have one picture size, got {sorted(sizes)}")
     return [_camera_at(cameras, place, interpolation) for place in np.linspace(0, len(cameras) - 1, count)]
 
 
@@ -245,4 +246,4 @@ def _rotation_between(first: np.ndarray, second: np.ndarray, share: float) -> np
 
 def _check_interpolation(interpolation: str) -> None:
     if interpolation not in INTERPOLATIONS:
-        raise ValueError(f"interpolation {interpolation!r} is not known: {', '.join(INTERPOLATIONS)}")
+        raise InputError(f"interpolation {interpolation!r} is not known: {', '.join(INTERPOLATIONS)}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from .camera import Camera
 
@@ -33,16 +34,16 @@ def draw_cage(
     `width` in pixels; edges behind `depth` (h, w), distance along the ray as in Frame.depth, are left out."""
     pixels = np.asarray(image)
     if pixels.shape != (camera.height, camera.width, 3):
-        raise ValueError(f"the picture must be ({camera.height}, {camera.width}, 3) as its camera, got {pixels.shape}")
+        raise InputError(f"the picture must be ({camera.height}, {camera.width}, 3) as its camera, got {pixels.shape}")
     if depth is not None and np.shape(depth) != pixels.shape[:2]:
-        raise ValueError(f"depth must be {pixels.shape[:2]} as the picture, got {np.shape(depth)}")
+        raise InputError(f"depth must be {pixels.shape[:2]} as the picture, got {np.shape(depth)}")
     if not width > 0:
-        raise ValueError(f"the line width must be positive, got {width}")
+        raise InputError(f"the line width must be positive, got {width}")
     paint = np.asarray(color, np.float64)
     if paint.shape != (3,) or not ((paint >= 0) & (paint <= 1)).all():
-        raise ValueError(f"color must be three numbers in [0, 1], got {paint.tolist()}")
+        raise InputError(f"color must be three numbers in [0, 1], got {paint.tolist()}")
     if not (0 <= opacity <= 1 and 0 <= back_opacity <= 1):
-        raise ValueError(f"opacities must be in [0, 1], got {opacity} and {back_opacity}")
+        raise InputError(f"opacities must be in [0, 1], got {opacity} and {back_opacity}")
 
     front, back = _line_coverage(camera, cage, width, depth)
     scale = 255.0 if pixels.dtype == np.uint8 else 1.0

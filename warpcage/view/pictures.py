@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from ..core.files import atomic_path, require_file
 from ..core.names import error_line
+from ..errors import InputError
 
 #: The rows of a picture from one to another, (k, w, c) float32.
 Rows = Callable[[int, int | None], np.ndarray]
@@ -87,7 +88,7 @@ def read_rows(path: str | os.PathLike, *, upright: bool = False) -> Rows:
             pixels = TURNS[picture.getexif()[ORIENTATION]](np.asarray(pixels))
         first = np.asarray(pixels.crop((0, 0, 1, 1))) if not isinstance(pixels, np.ndarray) else pixels[:1]
         if first.dtype not in (np.uint8, np.uint16) or first.ndim not in (2, 3):
-            raise ValueError(f"it must hold 8 or 16 bits per channel, got {first.dtype} in {first.ndim} dimensions")
+            raise InputError(f"it must hold 8 or 16 bits per channel, got {first.dtype} in {first.ndim} dimensions")
     most = np.float32(np.iinfo(first.dtype).max)
 
     def rows(first: int, last: int | None) -> np.ndarray:
@@ -124,10 +125,10 @@ def _opened(path: pathlib.Path) -> Iterator[Any]:
         with open(path, "rb") as file, Image.open(file, formats=formats) as picture:
             width, height = picture.size
             if width * height > MAX_PIXELS:
-                raise ValueError(f"it declares {width}x{height} pixels, at most {MAX_PIXELS} are read")
+                raise InputError(f"it declares {width}x{height} pixels, at most {MAX_PIXELS} are read")
             yield picture
     except Exception as error:
-        raise ValueError(f"image {str(path)!r} cannot be read: {error_line(error, 300)}") from error
+        raise InputError(f"image {str(path)!r} cannot be read: {error_line(error, 300)}") from error
 
 
 def _heif_format(path: pathlib.Path) -> tuple[str, ...]:
@@ -137,7 +138,7 @@ def _heif_format(path: pathlib.Path) -> tuple[str, ...]:
     try:
         import pillow_heif  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise ValueError('HEIC needs its library: pip install "warpcage[heif]"') from error
+        raise InputError('HEIC needs its library: pip install "warpcage[heif]"') from error
     pillow_heif.register_heif_opener()
     return ("HEIF",)
 
@@ -197,7 +198,7 @@ def _png_pixels(image: ArrayLike) -> np.ndarray:
     if pixels.ndim == 3 and pixels.shape[-1] == 1:
         pixels = pixels[..., 0]
     if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[-1] in (3, 4))) or 0 in pixels.shape:
-        raise ValueError(f"a PNG holds (h, w), (h, w, 3) or (h, w, 4), got shape {pixels.shape}")
+        raise InputError(f"a PNG holds (h, w), (h, w, 3) or (h, w, 4), got shape {pixels.shape}")
     return pixels
 
 
@@ -209,10 +210,10 @@ def write_jpeg(path: str | os.PathLike, image: ArrayLike, *, quality: int = 95) 
     """Write a JPEG file, whole or not at all: (h, w) or (h, w, 3), in [0, 1] or uint8."""
     path = pathlib.Path(path)
     if path.suffix.lower() not in (".jpg", ".jpeg"):
-        raise ValueError(f"{str(path)!r} must end in .jpg or .jpeg")
+        raise InputError(f"{str(path)!r} must end in .jpg or .jpeg")
     pixels = to_uint8(image)
     if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[-1] == 3)) or 0 in pixels.shape:
-        raise ValueError(f"a JPEG holds (h, w) or (h, w, 3), got shape {pixels.shape}")
+        raise InputError(f"a JPEG holds (h, w) or (h, w, 3), got shape {pixels.shape}")
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         iio.imwrite(file, pixels, extension=".jpg", quality=quality, subsampling=0)  # 4:4:4: colours at full size
 
@@ -221,7 +222,7 @@ def path_with_ending(path: str | os.PathLike, ending: str) -> pathlib.Path:
     """The path of a file to write, once its ending, in capitals or not, is checked."""
     path = pathlib.Path(path)
     if path.suffix.lower() != ending:
-        raise ValueError(f"{str(path)!r} must end in {ending}")
+        raise InputError(f"{str(path)!r} must end in {ending}")
     return path
 
 
@@ -231,7 +232,7 @@ def to_uint8(image: ArrayLike) -> np.ndarray:
     if pixels.dtype == np.uint8:
         return pixels
     if not np.isfinite(pixels).all():
-        raise ValueError(NOT_FINITE)
+        raise InputError(NOT_FINITE)
     scaled = np.asarray(np.clip(pixels, 0.0, 1.0) * 255.0)
     return np.rint(scaled, out=scaled).astype(np.uint8)
 
@@ -250,7 +251,7 @@ def as_rgb(image: ArrayLike) -> np.ndarray:
     if pixels.ndim == 2:
         pixels = np.repeat(pixels[..., None], 3, axis=-1)
     if pixels.ndim != 3 or pixels.shape[-1] != 3 or 0 in pixels.shape:
-        raise ValueError(f"an image must be (h, w) or (h, w, 3), got {pixels.shape}")
+        raise InputError(f"an image must be (h, w) or (h, w, 3), got {pixels.shape}")
     return pixels
 
 
@@ -299,12 +300,12 @@ def contact_sheet(
     `columns` of None makes as many rows as columns, or one less."""
     pictures = [as_rgb(image) for image in images]
     if not pictures:
-        raise ValueError("a sheet needs at least one image")
+        raise InputError("a sheet needs at least one image")
     if len({picture.shape for picture in pictures}) > 1:
-        raise ValueError(f"images of a sheet must have one size, got {sorted({p.shape[:2] for p in pictures})}")
+        raise InputError(f"images of a sheet must have one size, got {sorted({p.shape[:2] for p in pictures})}")
     columns = math.ceil(math.sqrt(len(pictures))) if columns is None else columns
     if columns < 1 or gap < 0:
-        raise ValueError(f"a sheet needs columns >= 1 and gap >= 0, got {columns} and {gap}")
+        raise InputError(f"a sheet needs columns >= 1 and gap >= 0, got {columns} and {gap}")
     rows = math.ceil(len(pictures) / columns)
     height, width = pictures[0].shape[:2]
     sheet = np.empty((rows * (height + gap) - gap, columns * (width + gap) - gap, 3), np.float32)
@@ -333,12 +334,12 @@ def color_disparity(
     `scale`: of the darkest and the lightest colour, None for `disparity_range`; give one to a whole video."""
     values = np.asarray(disparity, np.float32)
     if values.ndim != 2:
-        raise ValueError(f"disparity must be (h, w), got {values.shape}")
+        raise InputError(f"disparity must be (h, w), got {values.shape}")
     if alpha is not None and np.shape(alpha) != values.shape:
-        raise ValueError(f"alpha must be {values.shape} as the disparity, got {np.shape(alpha)}")
+        raise InputError(f"alpha must be {values.shape} as the disparity, got {np.shape(alpha)}")
     low, high = disparity_range(values) if scale is None else scale
     if not (np.isfinite([low, high]).all() and high >= low):
-        raise ValueError(f"a disparity scale needs finite low <= high, got {low} and {high}")
+        raise InputError(f"a disparity scale needs finite low <= high, got {low} and {high}")
     seen = np.isfinite(values) & (values > 0)
     level = np.clip((np.where(seen, values, low) - low) / max(high - low, 1e-12), 0.0, 1.0)
     place = level * (len(_WARM) - 1)

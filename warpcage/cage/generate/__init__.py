@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.checks import checked_margin
 from ...core.reports import tell
+from ...errors import InputError
 from ...field.planes import Plane
 from ...field.selection import visible_nodes
 from ...field.surface import require_field
@@ -38,7 +39,7 @@ def ended_at(floor: Plane, cage: ClosedMesh, points: np.ndarray, spacing: float)
     if not below.any():
         return vertices
     if below.all():
-        raise ValueError("all of it lies below the plane that the object stands on")
+        raise InputError("all of it lies below the plane that the object stands on")
     ends = cage.edges[below[cage.edges[:, 0]] != below[cage.edges[:, 1]]]
     low, high = np.where(below[ends[:, 0], None], ends, ends[:, ::-1]).T
     share = heights[high] / (heights[high] - heights[low])
@@ -56,7 +57,7 @@ def ended_at(floor: Plane, cage: ClosedMesh, points: np.ndarray, spacing: float)
         now = ClosedMesh(moved, cage.faces)
         trouble = first_problem(now)
         if trouble or len(intersecting_faces(now.vertices, now.faces)):
-            raise ValueError(f"cut at the plane below the object it {trouble or 'passes through itself'}")
+            raise InputError(f"cut at the plane below the object it {trouble or 'passes through itself'}")
         left = near[~inside_mesh(near, now, device="cpu")]
         if not len(left):
             return moved
@@ -66,7 +67,7 @@ def ended_at(floor: Plane, cage: ClosedMesh, points: np.ndarray, spacing: float)
         pushed = np.exp(-0.5 * ((distance.min(axis=1) - distance.min()) / edge) ** 2)
         moved = moved.copy()
         moved[rows] += _STEP * spacing * pushed[:, None] * outward[rows]
-    raise ValueError("cut at the plane below the object it leaves some of the object out")
+    raise InputError("cut at the plane below the object it leaves some of the object out")
 
 
 def _sideways_normals(cage: ClosedMesh, normal: np.ndarray) -> np.ndarray:
@@ -105,7 +106,7 @@ def surface_points(vertices, faces, spacing) -> np.ndarray:
 def checked_count(vertex_count, name: str = "vertex_count") -> int:
     whole = isinstance(vertex_count, int | np.integer) and not isinstance(vertex_count, bool)
     if not whole or not _LEAST_COUNT <= vertex_count <= _MOST_COUNT:
-        raise ValueError(f"{name} must be a whole number, {_LEAST_COUNT} to {_MOST_COUNT}, got {vertex_count!r}")
+        raise InputError(f"{name} must be a whole number, {_LEAST_COUNT} to {_MOST_COUNT}, got {vertex_count!r}")
     return int(vertex_count)
 
 
@@ -120,19 +121,19 @@ def cage_around_mesh(
     `margin`: least distance between cage and mesh, world units; None takes 1 % of the mesh's size."""
     vertex_count = checked_count(vertex_count)
     if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
-        raise ValueError(f"a mesh must have vertices and faces, as a trimesh.Trimesh, got {type(mesh).__name__}")
+        raise InputError(f"a mesh must have vertices and faces, as a trimesh.Trimesh, got {type(mesh).__name__}")
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     faces = np.asarray(mesh.faces, dtype=np.int64)
     if not len(vertices) or not len(faces):
-        raise ValueError(f"the mesh is empty: it has {len(vertices)} vertices and {len(faces)} faces")
+        raise InputError(f"the mesh is empty: it has {len(vertices)} vertices and {len(faces)} faces")
     if not np.isfinite(vertices).all():
         row = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
-        raise ValueError(f"the mesh is not finite: vertex {row} is {vertices[row].tolist()}")
+        raise InputError(f"the mesh is not finite: vertex {row} is {vertices[row].tolist()}")
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError(f"the mesh's faces must be (f, 3) indices from 0 to {len(vertices) - 1}")
+        raise InputError(f"the mesh's faces must be (f, 3) indices from 0 to {len(vertices) - 1}")
     size = np.ptp(vertices, axis=0).max()
     if size == 0.0:
-        raise ValueError("the mesh has no extent: all its vertices are in one place")
+        raise InputError("the mesh has no extent: all its vertices are in one place")
     margin = checked_margin(0.01 * size if margin is None else margin)
     spacing = voxel_spacing(np.ptp(vertices, axis=0), vertex_count)
     points = np.concatenate([vertices, surface_points(vertices, faces, 0.5 * spacing)])
@@ -162,7 +163,7 @@ def cage_around_field(
     margin = checked_margin(1.0 if margin is None else margin) * voxel_size.max()  # 1: where trilinear values end
     points = visible_nodes(field, threshold)
     if not len(points):
-        raise ValueError("the field shows nothing to put a cage around: lower the threshold")
+        raise InputError("the field shows nothing to put a cage around: lower the threshold")
     extent = np.maximum(np.ptp(points, axis=0), voxel_size)
     # a grid no finer than the field's, or its empty lines between nodes would count as gaps
     spacing = max(voxel_spacing(extent, vertex_count), voxel_size.max())
@@ -178,11 +179,11 @@ def _cage_around_points(
     ends."""
     makers = {"shell": shell_cage, "voxel": voxel_cage}
     if method not in ("auto", *makers):
-        raise ValueError(f"method must be 'auto', 'shell' or 'voxel', got {method!r}")
+        raise InputError(f"method must be 'auto', 'shell' or 'voxel', got {method!r}")
     if symmetry not in (None, "x", "y", "z"):
-        raise ValueError(f"symmetry must be 'x', 'y' or 'z', the normal of the mirror plane, or None, got {symmetry!r}")
+        raise InputError(f"symmetry must be 'x', 'y' or 'z', the normal of the mirror plane, or None, got {symmetry!r}")
     if symmetry is not None and method == "shell":
-        raise ValueError("symmetry needs method 'voxel' (or 'auto', which takes it then), not 'shell'")
+        raise InputError("symmetry needs method 'voxel' (or 'auto', which takes it then), not 'shell'")
     if method == "auto":
         makers = {"voxel": voxel_cage} if symmetry is not None else makers
     else:
@@ -212,7 +213,7 @@ def _cage_around_points(
         _log.info("%s: %d vertices, volume %.4g", name, len(cage.vertices), cage.volume)
         found.append(cage)
     if not found:
-        raise ValueError(
+        raise InputError(
             f"no cage of {vertex_count} vertices could be made ({'; '.join(reasons)}): ask for more "
             "vertices, a smaller margin, or begin with Cage.box"
         )
@@ -235,7 +236,7 @@ def simplified_cage(vertices, faces, points, spacing, need, vertex_count) -> tup
         if not reason:
             return found, triangles
         reasons.append(reason)
-    raise ValueError(f"no cage of {vertex_count} vertices encloses the same ({reasons[-1]}): ask for more vertices")
+    raise InputError(f"no cage of {vertex_count} vertices encloses the same ({reasons[-1]}): ask for more vertices")
 
 
 def simplified(
@@ -246,7 +247,7 @@ def simplified(
     require_usable(cage, "the cage")
     vertex_count = checked_count(vertex_count)
     if vertex_count >= len(cage.vertices):
-        raise ValueError(f"the cage has {len(cage.vertices)} vertices already: ask for fewer, got {vertex_count}")
+        raise InputError(f"the cage has {len(cage.vertices)} vertices already: ask for fewer, got {vertex_count}")
     margin = checked_margin(margin)
     thing = cage if mesh is None and field is None else mesh
     spacing, slack, points = cage.size / 96.0, 0.0, []
@@ -259,8 +260,8 @@ def simplified(
         spacing = max(spacing, float(np.max(field.voxel_size)))
         slack = max(slack, 0.5 * float(np.linalg.norm(np.broadcast_to(field.voxel_size, 3))))
     if not any(map(len, points)):
-        raise ValueError("there is nothing to enclose: the object is empty")
+        raise InputError("there is nothing to enclose: the object is empty")
     # part by part: few vertices tell most objects that are not enclosed from those that are
     if thing is not cage and not all(inside_mesh(part, cage).all() for part in points):
-        raise ValueError("the cage does not enclose the object even before: check(field=...) says where")
+        raise InputError("the cage does not enclose the object even before: check(field=...) says where")
     return simplified_cage(cage.vertices, cage.faces, np.concatenate(points), spacing, slack + margin, vertex_count)

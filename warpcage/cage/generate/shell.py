@@ -12,7 +12,7 @@ import warp as wp
 from ...core.devices import launch, resolve_device
 from ...core.names import error_line
 from ...core.threads import cpu_threads
-from ...errors import MissingPackageError
+from ...errors import InputError, MissingPackageError
 from ...kernels.mesh.shell import look_up, look_up_directions, look_up_faces, measure_nearest
 from ...mesh.mesh import ClosedMesh
 from ...mesh.queries import inside_mesh, intersecting_faces
@@ -251,7 +251,7 @@ def shell_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
     # no closing is wider than a box, which holds as it is
     cage, reason = sound(shell, *split_box(points, 1.5 * shell.reach, vertex_count), need, vertex_count, last=True)
     if cage is None:
-        raise ValueError(f"{reason}; before: {', '.join(dict.fromkeys(reasons))}")
+        raise InputError(f"{reason}; before: {', '.join(dict.fromkeys(reasons))}")
     return cage
 
 

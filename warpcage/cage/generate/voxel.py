@@ -7,6 +7,7 @@ import itertools
 
 import numpy as np
 
+from ...errors import InputError
 from ...mesh.mesh import ClosedMesh
 from .decimate import progressive_hull
 from .fit import row_sums
@@ -57,7 +58,7 @@ def voxel_cage(points, spacing, slack, margin, vertex_count, symmetry=None) -> C
             reasons.append(reason)
         if found:
             return min(found, key=lambda cage: cage.volume)
-    raise ValueError(reasons[-1])
+    raise InputError(reasons[-1])
 
 
 def principal_frame(points: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ...core.names import BACKGROUNDS, TRANSPARENT
+from ...errors import InputError, MissingFileError
 
 CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
 
@@ -411,9 +412,9 @@ def check_output(text: str, endings: tuple[str, ...], what: str) -> pathlib.Path
     """Check the path of an output before any long work; endings: such as ".png"; what: how messages call the file."""
     path = pathlib.Path(text)
     if path.suffix.lower() not in endings:
-        raise ValueError(f"{what} {str(path)!r} must end in {' or '.join(endings)}")
+        raise InputError(f"{what} {str(path)!r} must end in {' or '.join(endings)}")
     if path.is_dir():
-        raise ValueError(f"{what} {str(path)!r} is a folder")
+        raise InputError(f"{what} {str(path)!r} is a folder")
     check_parent(path)
     return path
 
@@ -423,7 +424,7 @@ def check_parent(path: pathlib.Path) -> None:
     for parent in path.parents:
         if parent.exists():
             if not parent.is_dir():
-                raise ValueError(f"{str(path)!r} cannot be written: {str(parent)!r} is not a folder")
+                raise InputError(f"{str(path)!r} cannot be written: {str(parent)!r} is not a folder")
             return
 
 
@@ -431,4 +432,4 @@ def require_folder(path: str) -> None:
     """Raises FileNotFoundError where there is no such scene folder."""
     if not pathlib.Path(path).is_dir():
         what = "is a file" if pathlib.Path(path).is_file() else "is not there"
-        raise FileNotFoundError(f"scene folder {path!r} {what}")
+        raise MissingFileError(f"scene folder {path!r} {what}")

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.checks import checked_path, checked_positive, listed
 from ...core.files import atomic_path, npz_names, read_npz
+from ...errors import InputError
 from . import field_file
 from .field_file import LAYER_NAMES, OUTER_NAMES, OWN_NAMES, FieldContents, are_finite, own_arrays, read_own, voxel_side
 from .svox2 import SVOX2_KEYS, SVOX2_LAYERS, read_svox2, svox2_arrays
@@ -40,9 +41,9 @@ WRITERS = {"warpcage": _write_own, "compact": _write_compact, "svox2": _write_sv
 def save_field(field: FieldContents, path: str | os.PathLike, *, format: str = "warpcage") -> None:
     """Write a field to a file (.npz), whole or not at all."""
     if not str(path).endswith(".npz"):
-        raise ValueError(f"a field file ends in .npz, got {str(path)!r}")
+        raise InputError(f"a field file ends in .npz, got {str(path)!r}")
     if format not in WRITERS:
-        raise ValueError(f"field format {format!r} is not known: {', '.join(WRITERS)}")
+        raise InputError(f"field format {format!r} is not known: {', '.join(WRITERS)}")
     with atomic_path(path) as temporary:
         # "warpcage": packed occupancy bits, float32 densities, float16 harmonics and weights, the rest as RGBA bytes.
         # "compact": quantised and deflated, a third. "svox2": Plenoxels' SparseGrid.save; warns of what it leaves out.
@@ -82,8 +83,8 @@ def _read(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldContents:
     if all(key in contents for key in SVOX2_KEYS):
         return read_svox2(contents, path, SVOX2_LAYERS in npz_names(path, "field file"))
     if name == "warpcage fit":
-        raise ValueError(f"{path} is the checkpoint of a fit, not yet a field: run the same fit with it to the end")
-    raise ValueError(
+        raise InputError(f"{path} is the checkpoint of a fit, not yet a field: run the same fit with it to the end")
+    raise InputError(
         f"{path} is neither a warpcage nor a Plenoxels field: it holds {listed(npz_names(path, 'field file'))}"
     )
 
@@ -92,8 +93,8 @@ def _check(field: FieldContents, path: pathlib.Path) -> None:
     """Refuse rows that are missing, or values that are not finite."""
     named = int(field.links.max(initial=-1)) + 1
     if named > len(field.density) or len(field.density) != len(field.sh):
-        raise ValueError(f"{path}: links name {named} rows, density holds {len(field.density)}, sh {len(field.sh)}")
+        raise InputError(f"{path}: links name {named} rows, density holds {len(field.density)}, sh {len(field.sh)}")
     for name in ("density", "sh", "weights"):
         values = getattr(field, name)
         if values is not None and not are_finite(values):
-            raise ValueError(f"{path}: {name} holds values that are not finite")
+            raise InputError(f"{path}: {name} holds values that are not finite")

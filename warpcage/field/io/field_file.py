@@ -15,6 +15,7 @@ import numpy as np
 from ...core.files import require_numbers
 from ...core.memory import free_host_bytes
 from ...core.threads import run_parallel
+from ...errors import InputError
 
 #: Voxels that a grid may have, empty ones included: kernels count them in int32.
 MAX_VOXELS = 2**31 - 1
@@ -272,24 +273,24 @@ def read_layers(contents: dict[str, np.ndarray], path: pathlib.Path) -> LayerCon
 
     side, count = int(read("side", ())), int(read("count", ()))
     if not (2 <= side <= MAX_LAYER_SIDE and 2 <= count <= MAX_LAYERS):
-        raise ValueError(
+        raise InputError(
             f"{path}: background layers must be 2 to {MAX_LAYERS} of 2 to {MAX_LAYER_SIDE} cells along an edge, "
             f"got {count} of {side}"
         )
     shape = (count, surface_node_count(side))
     size = shape[0] * shape[1]
     if LAYER_NODE_BYTES * size > free_host_bytes():
-        raise ValueError(f"{path}: {count} background layers of {side} cells need more memory than is free")
+        raise InputError(f"{path}: {count} background layers of {side} cells need more memory than is free")
     packed = read("seen", (-(-size // 8),))
     if packed.dtype != np.uint8:
-        raise ValueError(f"{path}: {LAYERS_PREFIX}seen must be uint8, got {packed.dtype}")
+        raise InputError(f"{path}: {LAYERS_PREFIX}seen must be uint8, got {packed.dtype}")
     seen = np.unpackbits(packed, count=size).astype(bool).reshape(shape)
     rgba = read("rgba", (int(seen.sum()), 4))
     if rgba.dtype != np.uint8:
-        raise ValueError(f"{path}: {LAYERS_PREFIX}rgba must be uint8, got {rgba.dtype}")
+        raise InputError(f"{path}: {LAYERS_PREFIX}rgba must be uint8, got {rgba.dtype}")
     unseen = read("unseen", (4,)).astype(np.float32) if LAYERS_PREFIX + "unseen" in contents else None
     if unseen is None and not seen.all():
-        raise ValueError(f"{path} lacks {LAYERS_PREFIX}unseen")
+        raise InputError(f"{path} lacks {LAYERS_PREFIX}unseen")
     values = np.empty((*shape, 4), np.float32)
     values[...] = 0.0 if unseen is None else unseen
     values[seen, :3] = rgba[:, :3] / np.float32(255)
@@ -342,22 +343,22 @@ def read_outer(contents: dict[str, np.ndarray], path: pathlib.Path) -> OuterCont
 
     side = int(read("side", ()))
     if not MIN_OUTER_SIDE <= side <= MAX_OUTER_SIDE:
-        raise ValueError(
+        raise InputError(
             f"{path}: an outer field has {MIN_OUTER_SIDE} to {MAX_OUTER_SIDE} voxels along a side, got {side}"
         )
     count = side**3
     if OUTER_NODE_BYTES * count > free_host_bytes():
-        raise ValueError(f"{path}: an outer field of {side}^3 needs more memory than is free")
+        raise InputError(f"{path}: an outer field of {side}^3 needs more memory than is free")
     packed = read("occupancy", (-(-count // 8),))
     if packed.dtype != np.uint8:
-        raise ValueError(f"{path}: {OUTER_PREFIX}occupancy must be uint8, got {packed.dtype}")
+        raise InputError(f"{path}: {OUTER_PREFIX}occupancy must be uint8, got {packed.dtype}")
     occupied = np.unpackbits(packed, count=count).astype(bool).reshape(side, side, side)
     rows = int(occupied.sum())
     if OUTER_ROW_BYTES * rows > free_host_bytes():
-        raise ValueError(f"{path}: an outer field of {rows} voxels needs more memory than is free")
+        raise InputError(f"{path}: an outer field of {rows} voxels needs more memory than is free")
     rgba = read("rgba", (rows, 4))
     if rgba.dtype != np.uint8:
-        raise ValueError(f"{path}: {OUTER_PREFIX}rgba must be uint8, got {rgba.dtype}")
+        raise InputError(f"{path}: {OUTER_PREFIX}rgba must be uint8, got {rgba.dtype}")
     links = np.full(occupied.shape, -1, np.int32)
     links[occupied] = np.arange(rows, dtype=np.int32)
     sky = require_numbers(contents, OUTER_PREFIX + "sky", (None, 3), path).astype(np.float32) / 255
@@ -433,23 +434,23 @@ def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldConten
     """The field of a plain or compact file's arrays; path: for messages."""
     version = int(require_numbers(contents, "version", (), path))
     if version > FORMAT_VERSION:
-        raise ValueError(f"{path} has format version {version}, this warpcage reads up to {FORMAT_VERSION}: upgrade")
+        raise InputError(f"{path} has format version {version}, this warpcage reads up to {FORMAT_VERSION}: upgrade")
     shape = tuple(int(n) for n in require_numbers(contents, "resolution", (3,), path))
     count = math.prod(shape)
     if min(shape) < 2 or count > MAX_VOXELS or 6 * count > free_host_bytes():
-        raise ValueError(
+        raise InputError(
             f"{path}: resolution must be at least 2 along each axis, and small enough that links fit into memory, "
             f"got {shape}"
         )
     packed = require_numbers(contents, "occupancy", (-(-count // 8),), path)
     if packed.dtype != np.uint8:
-        raise ValueError(f"{path}: occupancy must be uint8, got {packed.dtype}")
+        raise InputError(f"{path}: occupancy must be uint8, got {packed.dtype}")
     occupied = np.unpackbits(packed, count=count).view(bool).reshape(shape)
     rows = int(np.count_nonzero(occupied))
     bounds = require_numbers(contents, "bounds", (2, 3), path)
     if is_packed(contents):
         if not (bounds[1] > bounds[0]).all():
-            raise ValueError(f"{path}: bounds must be lower below upper, got {bounds.tolist()}")
+            raise InputError(f"{path}: bounds must be lower below upper, got {bounds.tolist()}")
         contents = unpack(contents, rows, voxel_side(bounds, shape), path)
     require_numbers(contents, "density", (rows,), path)
     links = numbered(occupied)

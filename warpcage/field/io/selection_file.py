@@ -12,6 +12,7 @@ import numpy as np
 
 from ...core.checks import checked_path
 from ...core.files import DAMAGED, PathLike, atomic_path, damage, not_a, read_json, read_npz, require_file
+from ...errors import InputError
 
 #: How selection files end.
 SELECTION_ENDINGS = (".npz", ".json")
@@ -45,7 +46,7 @@ def save_selection(contents: SelectionContents, path: PathLike) -> None:
     """Write a selection file, whole or not at all: packed bits in .npz, runs of voxels in .json."""
     ending = checked_path(path, "the selection file").suffix.lower()
     if ending not in SELECTION_ENDINGS:
-        raise ValueError(f"selection file {str(path)!r} must end in {' or '.join(SELECTION_ENDINGS)}")
+        raise InputError(f"selection file {str(path)!r} must end in {' or '.join(SELECTION_ENDINGS)}")
     cells = np.argwhere(contents.mask)
     begin = cells.min(axis=0) if len(cells) else np.zeros(3, int)
     end = cells.max(axis=0) + 1 if len(cells) else np.zeros(3, int)
@@ -82,29 +83,29 @@ def load_selection(path: PathLike) -> SelectionContents:
             return _read(document, lambda size: _from_runs(document["runs"], size))
         arrays = read_npz(path, _WHAT, {"selection", "chosen"}.__contains__)
         if set(arrays) != {"selection", "chosen"} or arrays["selection"].dtype.kind != "U":
-            raise ValueError(not_a(_WHAT))
+            raise InputError(not_a(_WHAT))
         content = json.loads(str(arrays["selection"]))
         return _read(content, lambda size: _from_bits(arrays["chosen"], size))
     except DAMAGED as error:
-        raise ValueError(f"{path}: {damage(_WHAT, error)}") from None
+        raise InputError(f"{path}: {damage(_WHAT, error)}") from None
     except (ValueError, json.JSONDecodeError) as error:
         text = str(error)
-        raise ValueError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+        raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from None
 
 
 def _read(document: Any, chosen) -> SelectionContents:
     """The contents of a document; chosen: takes the size of its block and returns (size,) bool."""
     if not isinstance(document, dict) or document.get("format") != _FORMAT:
-        raise ValueError(not_a(_WHAT))
+        raise InputError(not_a(_WHAT))
     if document["version"] != _VERSION:
-        raise ValueError(f"it is of version {document['version']!r}, this release reads version {_VERSION}")
+        raise InputError(f"it is of version {document['version']!r}, this release reads version {_VERSION}")
     bounds = np.asarray(document["bounds"], np.float64)
     sizes = [_whole(document[name], least) for name, least in (("resolution", 2), ("begin", 0), ("shape", 0))]
     resolution, begin, shape = sizes
     if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[1] > bounds[0]).all():
-        raise ValueError("its bounds must be two corners, the lower one first")
+        raise InputError("its bounds must be two corners, the lower one first")
     if any(a + b > n for a, b, n in zip(begin, shape, resolution, strict=True)):
-        raise ValueError(f"its block of {shape} voxels from {begin} leaves the field of {resolution}")
+        raise InputError(f"its block of {shape} voxels from {begin} leaves the field of {resolution}")
     mask = np.zeros(resolution, bool)
     block = chosen(math.prod(shape)).reshape(shape)
     mask[tuple(slice(a, a + b) for a, b in zip(begin, shape, strict=True))] = block
@@ -112,7 +113,7 @@ def _read(document: Any, chosen) -> SelectionContents:
     if floor is not None:
         normal, offset = np.asarray(floor["normal"], np.float64), float(floor["offset"])
         if normal.shape != (3,) or not np.isfinite([*normal, offset]).all() or not normal.any():
-            raise ValueError("its floor must have a normal of three numbers and an offset")
+            raise InputError("its floor must have a normal of three numbers and an offset")
         floor = normal, offset
     notes = tuple(str(note) for note in document.get("notes", ()))
     return SelectionContents(bounds, str(document["occupied"]), mask, notes, floor)
@@ -122,20 +123,20 @@ def _whole(values: Any, least: int) -> list[int]:
     """Three whole numbers of a document."""
     fits = isinstance(values, list) and len(values) == 3
     if not fits or not all(type(each) is int and least <= each <= _MOST_SIDE for each in values):
-        raise ValueError(f"its sizes must be three whole numbers from {least} to {_MOST_SIDE}, got {values!r}")
+        raise InputError(f"its sizes must be three whole numbers from {least} to {_MOST_SIDE}, got {values!r}")
     return values
 
 
 def _from_bits(bits: np.ndarray, size: int) -> np.ndarray:
     if bits.dtype != np.uint8 or bits.shape != ((size + 7) // 8,):
-        raise ValueError("its voxels are not as many as it says")
+        raise InputError("its voxels are not as many as it says")
     return np.unpackbits(bits, count=size).astype(bool)
 
 
 def _from_runs(runs: Any, size: int) -> np.ndarray:
     lengths = np.asarray(runs)
     if lengths.ndim != 1 or (len(lengths) and (lengths.dtype.kind != "i" or lengths.min() < 0 or lengths.sum() > size)):
-        raise ValueError("its runs must be whole numbers of no more voxels than it says")
+        raise InputError("its runs must be whole numbers of no more voxels than it says")
     lengths = np.concatenate([lengths.astype(np.int64), [size - int(lengths.sum())]])
     return np.repeat(np.arange(len(lengths)) % 2 == 1, lengths)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...core.checks import warn_caller
 from ...core.files import require_numbers
+from ...errors import InputError
 from .field_file import BASIS_COUNT, MAX_VOXELS, FieldContents, as_half, rgb_harmonics
 
 #: Arrays that every svox2 file has.
@@ -47,7 +48,7 @@ def read_svox2(contents: dict[str, np.ndarray], path: pathlib.Path, layered: boo
     """The field of a svox2 file's arrays; layered: whether it has background layers, left out with a warning."""
     basis = int(require_numbers(contents, "basis_type", (), path))
     if basis != SVOX2_BASIS_SH:
-        raise ValueError(f"{path} has basis_type {basis}, only spherical harmonics (1) are read")
+        raise InputError(f"{path} has basis_type {basis}, only spherical harmonics (1) are read")
     if layered:
         warn_caller(f"the background layers of {path} are left out: only the field of a svox2 file is read")
     radius, center = (
@@ -59,12 +60,12 @@ def read_svox2(contents: dict[str, np.ndarray], path: pathlib.Path, layered: boo
     coefficients = require_numbers(contents, "sh_data", (None, None), path).astype(np.float32)
     basis_count = coefficients.shape[-1] // 3
     if coefficients.ndim != 2 or basis_count * 3 != coefficients.shape[-1] or basis_count not in (1, 4, 9):
-        raise ValueError(f"{path}: sh_data must hold 3, 12 or 27 values per row, got {coefficients.shape}")
+        raise InputError(f"{path}: sh_data must hold 3, 12 or 27 values per row, got {coefficients.shape}")
     sh = np.zeros((len(coefficients), BASIS_COUNT, 3), np.float32)
     sh[:, :basis_count] = coefficients.reshape(-1, 3, basis_count).transpose(0, 2, 1)
     links = require_numbers(contents, "links", (None, None, None), path)
     if links.dtype.kind != "i" or links.size > MAX_VOXELS:
-        raise ValueError(f"{path}: links must be at most {MAX_VOXELS} whole numbers, got {links.dtype} {links.shape}")
+        raise InputError(f"{path}: links must be at most {MAX_VOXELS} whole numbers, got {links.dtype} {links.shape}")
     links = np.clip(links, -1, np.iinfo(np.int32).max).astype(np.int32)  # svox2 may keep distances as negative links
     density = require_numbers(contents, "density_data", None, path).astype(np.float32).reshape(-1)
     return FieldContents(np.stack([center - radius, center + radius]), links, density, sh)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...core.files import atomic_path, read_npz, require_numbers
+from ...errors import InputError
 from ..checkpoint import ROOM, scene_digest
 
 if TYPE_CHECKING:
@@ -43,34 +44,34 @@ def load_progress(fit: SplatFit, path: str | pathlib.Path) -> None:
     names = {*known, *(f"{part}_{name}" for part in PARTS for name in NAMES)}
     contents = read_npz(path, "checkpoint", names.__contains__, room=ROOM)
     if str(contents.get("format", "")) != KIND:
-        raise ValueError(f"{path} is no checkpoint of a fit of splats: remove it or name another file")
+        raise InputError(f"{path} is no checkpoint of a fit of splats: remove it or name another file")
     if str(contents.get("version")) != str(VERSION):
-        raise ValueError(
+        raise InputError(
             f"{path} is a checkpoint of another version ({str(contents.get('version'))[:20]}, this warpcage reads "
             f"{VERSION}): fit with the warpcage that wrote it, remove it or name another file"
         )
     if str(contents.get("fingerprint")) != fingerprint(fit):
-        raise ValueError(
+        raise InputError(
             f"{path} is the checkpoint of another fit (scene, seed or options differ): remove it or name another file"
         )
     try:
         step = int(contents["step_count"])
         if not 0 <= step <= fit.total_steps:
-            raise ValueError(f"step {step} of {fit.total_steps}")
+            raise InputError(f"step {step} of {fit.total_steps}")
         count, found = fit.count_at(step), {part: {} for part in PARTS}
         for part in PARTS:
             for name, width in fit.growing.widths.items():
                 shape = (count, width) if width > 1 else (count,)
                 array = require_numbers(contents, f"{part}_{name}", shape, pathlib.Path(path))
                 if not np.isfinite(array).all():
-                    raise ValueError("values that are not finite")
+                    raise InputError("values that are not finite")
                 found[part][name] = array
         exposures = require_numbers(contents, "exposures", fit.exposure_state.shape, pathlib.Path(path))
         if not np.isfinite(exposures).all():
-            raise ValueError("values that are not finite")
+            raise InputError("values that are not finite")
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         reason = " ".join(str(error).split())
-        raise ValueError(f"{path} is a damaged fit checkpoint, remove it or name another file: {reason}") from error
+        raise InputError(f"{path} is a damaged fit checkpoint, remove it or name another file: {reason}") from error
     fit.restore(step, found, exposures)
 
 

@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 
 from ...core.checks import checked_whole, require_type
+from ...errors import InputError
 from ...field.selection import visible_rows
 from ...field.sparse import harmonics_on_host
 from ...field.voxel_field import VoxelField
@@ -64,7 +65,7 @@ def to_splats(field: VoxelField, *, most: int = 200_000, seed: int = 0) -> Splat
     opacities = _opacities(_mean_densities(field, centers) * side)
     chosen = np.flatnonzero(opacities >= LEAST_OPACITY)
     if not len(chosen):
-        raise ValueError("the field has nothing that can be seen: no splats can be made of it")
+        raise InputError("the field has nothing that can be seen: no splats can be made of it")
     larger = max(1.0, np.sqrt(len(chosen) / most))  # what is seen is a surface
     if len(chosen) > most:
         chosen = np.sort(random.choice(chosen, most, replace=False))

@@ -10,6 +10,7 @@ import warp as wp
 from ...core.arrays import empty_array
 from ...core.devices import launch, module_block_dim
 from ...core.modules import require_loaded
+from ...errors import InputError
 from ...kernels.fitting import splat_loss, splat_step
 
 #: Share of the structural similarity in the loss (Kerbl et al. 2023).
@@ -64,7 +65,7 @@ class PictureLoss:
         weights = self._ones if weights is None else weights
         for name, array in (("drawn", drawn), ("truth", truth), ("weights", weights)):
             if len(array) != self._pixels and array is not self._ones:
-                raise ValueError(f"{name} must have {self._pixels} pixels, got {len(array)}")
+                raise InputError(f"{name} must have {self._pixels} pixels, got {len(array)}")
         pictures, found = [self._loss, drawn, truth, weights], [self._slopes, self.errors]
         if self._tiled and self._windows:
             count = _tile_items(self._loss.rows, self._loss.columns)

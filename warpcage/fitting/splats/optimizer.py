@@ -17,6 +17,7 @@ from ...core.devices import launch, resolve_device
 from ...core.locks import device_turn, in_turn
 from ...core.modules import load_modules
 from ...core.names import counted
+from ...errors import InputError
 from ...kernels.fitting import splat_growth, splat_step
 from ...kernels.fitting.batches import Pictures
 from ...kernels.splats import composite, composite_cpu, fit, project, tiles
@@ -208,7 +209,7 @@ class SplatFit:
         )
         most = min(self.options.most_splats, int(counted_pixels(scene) / self.options.pixels_per_splat))
         if room < 1000:
-            raise ValueError(
+            raise InputError(
                 f"a fit of splats within {memory_text(self.memory_limit)} (max_memory) is not possible: the images "
                 f"take {memory_text(held)}"
             )
@@ -396,7 +397,7 @@ class SplatFit:
             most = max(most, self._view.count_entries(self.growing.splats, self.growing.count, self._lens))
         room = max(LEAST_ROOM, int(ROOM_SHARE * most))
         if room > MOST_ENTRIES:
-            raise ValueError(f"splats touch {most} tiles of a picture: fit smaller pictures, or fewer splats")
+            raise InputError(f"splats touch {most} tiles of a picture: fit smaller pictures, or fewer splats")
         self._view.room = room
         self._change()
 

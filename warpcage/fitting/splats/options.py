@@ -6,6 +6,7 @@ import dataclasses
 from typing import Any
 
 from ...core.names import QUALITIES
+from ...errors import InputError
 from ..options import checked_fields, number, option, positive, weight, whole, with_arguments
 from .start import STARTS
 
@@ -107,11 +108,11 @@ def checked_splat_options(options: dict) -> SplatFitOptions:
     """The options of a caller, `quality` and fields of SplatFitOptions by name, checked; `max_memory` in bytes."""
     for name in ("every_value", "antialias"):
         if not isinstance(options.get(name, False), bool):
-            raise ValueError(f"{name} must be True or False, got {options[name]!r}")
+            raise InputError(f"{name} must be True or False, got {options[name]!r}")
     if not isinstance(options.get("exposure"), bool | None):
-        raise ValueError(f"exposure must be True, False or None, got {options['exposure']!r}")
+        raise InputError(f"exposure must be True, False or None, got {options['exposure']!r}")
     checked = checked_fields(SplatFitOptions, SET_BY_QUALITY, options)
     for name, known in (("background", BACKGROUNDS), ("start", STARTS)):
         if getattr(checked, name) not in known:
-            raise ValueError(f"{name} must be one of {', '.join(known)}, got {getattr(checked, name)!r}")
+            raise InputError(f"{name} must be one of {', '.join(known)}, got {getattr(checked, name)!r}")
     return checked

@@ -10,6 +10,7 @@ import warp as wp
 
 from ...core.devices import resolve_device
 from ...core.threads import cpu_threads
+from ...errors import InputError
 from ...scene.box import axes_meeting, center_ahead, scene_box
 from ...scene.scene import Scene
 from ...view.camera import Camera
@@ -106,7 +107,7 @@ def starting_splats(scene: Scene, *, most: int, seed: int, device: wp.DeviceLike
     random = np.random.default_rng(seed)
     found = _captured_points(scene, most, random) if kind in ("auto", "points") else None
     if found is None and kind == "points":
-        raise ValueError(f"the scene has fewer than {LEAST_POINTS} points to begin with")
+        raise InputError(f"the scene has fewer than {LEAST_POINTS} points to begin with")
     has_points = found is not None
     if found is None:
         count = min(most, MOST_PLACES)

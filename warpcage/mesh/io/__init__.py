@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ...core.checks import checked_path, listed, require_type
 from ...core.files import PathLike, atomic_path, require_file
 from ...core.names import counted
+from ...errors import InputError
 from ..polygons import cut_polygon
 from .formats import ENDINGS, MeshFormat, mesh_format
 from .obj_off import UNNAMED, Polygons
@@ -82,9 +83,9 @@ def object_names(path: PathLike) -> list[str]:
 def _whole(path: pathlib.Path, vertices: np.ndarray, polygons: np.ndarray | Polygons) -> MeshFile:
     """What a reader gives, checked, in triangles."""
     if len(vertices) and not len(polygons) and path.suffix.lower() == ".ply":
-        raise ValueError(f"{path} holds {counted(len(vertices), 'point')} without faces, no mesh and no cage")
+        raise InputError(f"{path} holds {counted(len(vertices), 'point')} without faces, no mesh and no cage")
     if not len(vertices) or not len(polygons):
-        raise ValueError(f"{path}: no {'faces' if len(vertices) else 'vertices'} in it")
+        raise InputError(f"{path}: no {'faces' if len(vertices) else 'vertices'} in it")
     return MeshFile(path, vertices, polygons if isinstance(polygons, np.ndarray) else _cut(path, vertices, polygons))
 
 
@@ -105,7 +106,7 @@ def _chosen(
     if object not in (None, ALL_OBJECTS):
         require_type(object, str, "the name of an object must be")
         if object not in names and names not in ([], [UNNAMED]):
-            raise ValueError(f"{path}: there is no object {object!r} in it, only {listed(names)}")
+            raise InputError(f"{path}: there is no object {object!r} in it, only {listed(names)}")
         return object if object in names else ""
     if len(names) < 2:
         return "" if names in ([], [UNNAMED]) else names[0]
@@ -119,7 +120,7 @@ def _chosen(
         if len(fitting) == 1:
             return fitting[0]
         what += f", of which {listed(fitting)} fit the cage at rest"
-    raise ValueError(f"{what}: choose one by object= (--cage-object NAME), or {ALL_OBJECTS!r} for all as one")
+    raise InputError(f"{what}: choose one by object= (--cage-object NAME), or {ALL_OBJECTS!r} for all as one")
 
 
 def _fits(path: pathlib.Path, format: MeshFormat, name: str, fits: Callable[[np.ndarray, np.ndarray], bool]) -> bool:
@@ -148,14 +149,14 @@ def _cut(path: pathlib.Path, vertices: np.ndarray, polygons: Polygons) -> np.nda
     count, triangles = len(vertices), []
     for line, polygon in polygons:
         if len(polygon) < 3:
-            raise ValueError(f"{path}:{line}: a face needs at least 3 vertices, got {len(polygon)}")
+            raise InputError(f"{path}:{line}: a face needs at least 3 vertices, got {len(polygon)}")
         for index in polygon:
             if not 0 <= index < count:
-                raise ValueError(f"{path}:{line}: face with vertex {index} of 0 to {count - 1}, counted from 0")
+                raise InputError(f"{path}:{line}: face with vertex {index} of 0 to {count - 1}, counted from 0")
         try:
             triangles += [polygon] if len(polygon) == 3 else cut_polygon(vertices, polygon)
         except ValueError as error:
-            raise ValueError(f"{path}:{line}: {error}") from None
+            raise InputError(f"{path}:{line}: {error}") from None
     return np.array(triangles, dtype=np.int64)
 
 
@@ -178,5 +179,5 @@ def _up(path: pathlib.Path, verb: str = "read") -> str:
 def _turned(path: pathlib.Path, up: str | None, verb: str = "read") -> bool:
     """Whether the file has y up."""
     if up not in (None, *UPS):
-        raise ValueError(f"up must be 'z' or 'y', or None for the format's own, got {up!r}")
+        raise InputError(f"up must be 'z' or 'y', or None for the format's own, got {up!r}")
     return (up or _up(path, verb)) == "y"

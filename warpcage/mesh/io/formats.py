@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from ...core.checks import registered_formats, require_endings
+from ...errors import InputError
 from .gltf import gltf_object_names, read_gltf, write_glb, write_gltf
 from .obj_off import Polygons, obj_object_names, read_obj, read_obj_object, read_off, write_obj, write_off
 from .ply import read_ply, write_ply
@@ -57,10 +58,10 @@ def mesh_formats() -> tuple[MeshFormat, ...]:
 
 def _require_format(format: object) -> None:
     if not isinstance(format, MeshFormat):
-        raise ValueError(f"it must be a warpcage.mesh.MeshFormat, got {type(format).__name__}")
+        raise InputError(f"it must be a warpcage.mesh.MeshFormat, got {type(format).__name__}")
     require_endings(format.endings)
     if format.up not in ("z", "y"):
-        raise ValueError(f"its up must be 'z' or 'y', got {format.up!r}")
+        raise InputError(f"its up must be 'z' or 'y', got {format.up!r}")
 
 
 def mesh_format(path: pathlib.Path, verb: str = "read") -> MeshFormat:
@@ -72,9 +73,9 @@ def mesh_format(path: pathlib.Path, verb: str = "read") -> MeshFormat:
     found = next((format for format in formats if ending in format.endings), None)
     if found is None:
         known = list(dict.fromkeys(mesh_endings(verb)))
-        raise ValueError(f"cage file {str(path)!r} must end in {', '.join(known[:-1])} or {known[-1]}")
+        raise InputError(f"cage file {str(path)!r} must end in {', '.join(known[:-1])} or {known[-1]}")
     if getattr(found, verb) is None:
-        raise ValueError(f"{str(path)!r}: {found.name} files are not {'read' if verb == 'read' else 'written'}")
+        raise InputError(f"{str(path)!r}: {found.name} files are not {'read' if verb == 'read' else 'written'}")
     return found
 
 

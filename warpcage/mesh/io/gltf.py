@@ -16,6 +16,7 @@ import numpy as np
 from ...core.checks import shown
 from ...core.files import JSON_ROOM, read_limited
 from ...core.memory import require_host_memory
+from ...errors import InputError
 from .joining import joined_rows
 
 #: Kinds of the chunks of a .glb file.
@@ -45,9 +46,9 @@ def errors_of_file(path: pathlib.Path) -> Iterator[None]:
         OverflowError,
         json.JSONDecodeError,
     ) as error:
-        raise ValueError(f"{path}: not a glTF file that can be read: {type(error).__name__} {error}") from None
+        raise InputError(f"{path}: not a glTF file that can be read: {type(error).__name__} {error}") from None
     except ValueError as error:
-        raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+        raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
 
 
 def opened(path: pathlib.Path) -> tuple[dict, bytes | None]:
@@ -58,18 +59,18 @@ def opened(path: pathlib.Path) -> tuple[dict, bytes | None]:
         return json.loads(data.decode("utf-8")), None
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2 or length > len(data):
-        raise ValueError(f"glTF version 2 of {length} bytes expected, got version {version} and {len(data)} bytes")
+        raise InputError(f"glTF version 2 of {length} bytes expected, got version {version} and {len(data)} bytes")
     chunks, position = {}, 12
     while position + 8 <= length:
         size, kind = struct.unpack_from("<II", data, position)
         if position + 8 + size > length:
-            raise ValueError(
+            raise InputError(
                 f"a chunk of {size} bytes from byte {position + 8} on ends beyond the {length} of the file"
             )
         chunks.setdefault(kind, data[position + 8 : position + 8 + size])
         position += 8 + size
     if JSON_CHUNK not in chunks:
-        raise ValueError(f"there is no chunk of JSON in the {length} bytes of the file")
+        raise InputError(f"there is no chunk of JSON in the {length} bytes of the file")
     require_host_memory(JSON_ROOM * len(chunks[JSON_CHUNK]), f"its {len(chunks[JSON_CHUNK])} bytes of JSON need")
     return json.loads(chunks[JSON_CHUNK].decode("utf-8")), chunks.get(BINARY_CHUNK)
 
@@ -87,7 +88,7 @@ def read_buffers(path: pathlib.Path, document: dict, chunk: bytes | None) -> lis
         else:
             data = files[uri] = files[uri] if uri in files else _buffer_file(path, uri)
         if len(data) < entry["byteLength"]:
-            raise ValueError(f"a buffer of {entry['byteLength']} bytes expected, got {len(data)}")
+            raise InputError(f"a buffer of {entry['byteLength']} bytes expected, got {len(data)}")
         found.append(data)
     return found
 
@@ -99,9 +100,9 @@ def _buffer_file(path: pathlib.Path, uri: str) -> bytes:
     folders = (path.parent.resolve(), path.resolve().parent)
     leads_out = pathlib.PurePath(name).is_absolute() or ".." in pathlib.PurePath(name).parts
     if leads_out or not any(file.resolve().is_relative_to(folder) for folder in folders):
-        raise ValueError(f"its buffer {shown(uri)} leads out of the folder of the file")
+        raise InputError(f"its buffer {shown(uri)} leads out of the folder of the file")
     if not os.path.isfile(file):  # False for names that no file can have, too
-        raise ValueError(f"its buffer {shown(uri)} is not there")
+        raise InputError(f"its buffer {shown(uri)} is not there")
     return read_limited(file, "buffer")
 
 
@@ -116,7 +117,7 @@ def node_matrices(document: dict, moved: Mapping[int, dict] | None = None) -> di
     while stack:
         index, parent = stack.pop()
         if index in found:
-            raise ValueError(f"its node {index} has two parents, or is its own")
+            raise InputError(f"its node {index} has two parents, or is its own")
         node = nodes[index] | (moved or {}).get(index, {})
         found[index] = parent @ local_matrix(node) if _PLACES & node.keys() else parent
         stack += [(child, found[index]) for child in reversed(node.get("children", []))]
@@ -166,7 +167,7 @@ def values_of(document: dict, buffers: list[bytes], index: int, *, empty: int | 
     elif empty == count:
         values = np.zeros((count, width), kind)
     else:
-        raise ValueError(f"accessor {index} holds no plain values, at most sparse ones, which cannot be read here")
+        raise InputError(f"accessor {index} holds no plain values, at most sparse ones, which cannot be read here")
     if "sparse" in accessor:
         sparse = accessor["sparse"]
         places, changed = sparse["indices"], sparse["values"]
@@ -174,7 +175,7 @@ def values_of(document: dict, buffers: list[bytes], index: int, *, empty: int | 
         what = f"the sparse part of accessor {index}"
         rows = _viewed(document, buffers, places, number, 1, sparse["count"], what).reshape(-1).astype(np.int64)
         if len(rows) and not 0 <= rows.min() <= rows.max() < count:
-            raise ValueError(f"{what} has indices {rows.min()} to {rows.max()} for {count} values")
+            raise InputError(f"{what} has indices {rows.min()} to {rows.max()} for {count} values")
         values[rows] = _viewed(document, buffers, changed, kind, width, sparse["count"], what)
     return values
 
@@ -188,9 +189,9 @@ def _viewed(
     stride = view.get("byteStride", item)
     data = buffers[view["buffer"]]
     if stride < item or count < 0 or start < 0:
-        raise ValueError(f"{what} has a stride of {stride} bytes, {count} values and begins at {start}")
+        raise InputError(f"{what} has a stride of {stride} bytes, {count} values and begins at {start}")
     if count and start + (count - 1) * stride + item > len(data):
-        raise ValueError(f"{what} reads beyond its buffer of {len(data)} bytes")
+        raise InputError(f"{what} reads beyond its buffer of {len(data)} bytes")
     if not count:
         return np.zeros((0, width), kind)
     return np.ndarray((count, width), kind, data, start, (stride, kind.itemsize)).copy()
@@ -240,7 +241,7 @@ def read_gltf(path: pathlib.Path, name: str = "") -> tuple[np.ndarray, np.ndarra
             count += len(points)
     joined = np.concatenate(vertices)
     if not np.isfinite(joined).all():
-        raise ValueError(f"{path}: glTF vertex {np.flatnonzero(~np.isfinite(joined).all(axis=1))[0]} is not finite")
+        raise InputError(f"{path}: glTF vertex {np.flatnonzero(~np.isfinite(joined).all(axis=1))[0]} is not finite")
     return joined, np.concatenate(triangles)
 
 
@@ -250,7 +251,7 @@ def _require_room(document: dict, nodes: list[tuple[int, np.ndarray]]) -> None:
     vertices, triangles = (sum(counts[mesh][k] for mesh, _ in nodes) for k in range(2))
     what = f"its {len(nodes)} nodes with meshes come to {triangles} triangles and {vertices} vertices"
     if triangles > MAX_TRIANGLES or vertices > 3 * MAX_TRIANGLES:
-        raise ValueError(f"{what}: at most {MAX_TRIANGLES} triangles are read")
+        raise InputError(f"{what}: at most {MAX_TRIANGLES} triangles are read")
     require_host_memory(VERTEX_BYTES * vertices + TRIANGLE_BYTES * triangles, f"{what}, which need")
 
 
@@ -283,7 +284,7 @@ def mesh_parts(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.nda
         if mode not in _SURFACES:
             continue  # points and lines: loose vertices and edges of the exporting program
         if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
-            raise ValueError("it is compressed (Draco): export it without compression")
+            raise InputError("it is compressed (Draco): export it without compression")
         accessor = primitive["attributes"]["POSITION"]
         split |= len(primitive["attributes"]) > 1
         if accessor not in starts:  # primitives may share their vertices
@@ -298,7 +299,7 @@ def mesh_parts(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.nda
         )
         uneven = mode == _TRIANGLES and len(indices) % 3
         if uneven or (len(indices) and (indices.max() >= count or indices.min() < 0)):
-            raise ValueError(f"a mesh of {count} vertices has {len(indices)} indices up to {indices.max(initial=0)}")
+            raise InputError(f"a mesh of {count} vertices has {len(indices)} indices up to {indices.max(initial=0)}")
         faces.append(_as_triangles(indices, mode) + starts[accessor])
     if not positions:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), [], False

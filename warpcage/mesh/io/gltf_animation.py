@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.checks import listed
 from ...core.memory import require_host_memory
+from ...errors import InputError
 from .gltf import errors_of_file, mesh_parts, node_matrices, object_name, opened, placed_nodes, read_buffers, values_of
 from .joining import joined_rows
 
@@ -48,9 +49,9 @@ def read_gltf_motion(path: pathlib.Path, name: str = "", object: str = "") -> Gl
         if name and name not in animations and name not in shapes:
             known = [*animations, *shapes]
             held = f"only {listed(known)}" if known else "and nothing else that moves"
-            raise ValueError(f"there is no animation or shape {name!r}, {held}")
+            raise InputError(f"there is no animation or shape {name!r}, {held}")
         if len(animations) > 1 and not name:
-            raise ValueError(
+            raise InputError(
                 f"it holds {len(animations)} animations ({listed(animations)}): name one, as in {path.name}:"
                 f"{next(iter(animations))}"
             )
@@ -91,12 +92,12 @@ def frames_of(keys: np.ndarray) -> tuple[list[float], float]:
         if np.abs(frames - np.round(frames)).max() < ON_FRAME:
             count = round((end - begin) * fps) + 1
             if count > MAX_FRAMES:
-                raise ValueError(
+                raise InputError(
                     f"its animation of {end - begin:g} s has {count} frames, at most {MAX_FRAMES} are read"
                 )
             return [begin + index / fps for index in range(count)], fps
     if len(keys) > MAX_FRAMES:
-        raise ValueError(f"its animation has {len(keys)} keys, at most {MAX_FRAMES} are read")
+        raise InputError(f"its animation has {len(keys)} keys, at most {MAX_FRAMES} are read")
     return keys.tolist(), RATES[0]
 
 
@@ -112,9 +113,9 @@ class Channel:
         width = {"rotation": 4, "weights": shape_count}.get(self.path, 3)
         sets = 3 if self.interpolation == "CUBICSPLINE" else 1
         if not len(self.times) or numbers.size != len(self.times) * sets * width or (np.diff(self.times) < 0).any():
-            raise ValueError(f"the animation of node {self.node} has {numbers.size} values at {len(self.times)} times")
+            raise InputError(f"the animation of node {self.node} has {numbers.size} values at {len(self.times)} times")
         if not (np.isfinite(self.times).all() and np.isfinite(numbers).all()):
-            raise ValueError(f"the animation of node {self.node} holds values that are not finite")
+            raise InputError(f"the animation of node {self.node} holds values that are not finite")
         self.values = numbers.reshape(len(self.times), sets, width)
 
     def at(self, time: float) -> np.ndarray:
@@ -186,7 +187,7 @@ class _Body:
 
         shape_count = max((len(one.get("targets", [])) for one in primitives), default=0)
         if any(len(one.get("targets", [])) != shape_count for one in primitives):
-            raise ValueError("the parts of its mesh have different numbers of shapes")
+            raise InputError("the parts of its mesh have different numbers of shapes")
         require_host_memory(24 * shape_count * len(positions), f"its {shape_count} shapes need")
         self.shapes = [gathered(lambda one, count, k=k: moved(one, count, k)) for k in range(shape_count)]
         names = mesh.get("extras", {}).get("targetNames", []) if isinstance(mesh.get("extras", {}), dict) else []
@@ -194,7 +195,7 @@ class _Body:
         weights = document["nodes"][node].get("weights", mesh.get("weights", [0.0] * shape_count))
         self.weights = np.array(weights, np.float64)
         if self.weights.shape != (shape_count,):
-            raise ValueError(f"a mesh of {shape_count} shapes has {self.weights.size} weights")
+            raise InputError(f"a mesh of {shape_count} shapes has {self.weights.size} weights")
         self.skin = document["nodes"][node].get("skin")
         if self.skin is not None:
             self._read_skin(document, buffers, gathered)
@@ -207,7 +208,7 @@ class _Body:
             read = values_of(document, buffers, skin["inverseBindMatrices"]).astype(np.float64)
             binds = read.reshape(-1, 4, 4).transpose(0, 2, 1)
         if len(binds) < len(self.joints):
-            raise ValueError(f"a skin of {len(self.joints)} joints has {len(binds)} matrices")
+            raise InputError(f"a skin of {len(self.joints)} joints has {len(binds)} matrices")
         self.binds = binds
         sets = range(8)
 
@@ -220,7 +221,7 @@ class _Body:
             lambda one, count: np.concatenate([_as_floats(each) for each in attribute(one, "WEIGHTS")], axis=1)
         )
         if self.bones.shape != shares.shape or (self.bones.size and self.bones.max() >= len(self.joints)):
-            raise ValueError(f"a skin of {len(self.joints)} joints has bones up to {self.bones.max(initial=0)}")
+            raise InputError(f"a skin of {len(self.joints)} joints has bones up to {self.bones.max(initial=0)}")
         total = shares.sum(axis=1, keepdims=True)
         self.shares = np.divide(shares, total, out=np.zeros_like(shares), where=total > 0.0)
 
@@ -303,7 +304,7 @@ class _Moving:
         found = [body.at(self._weights(body, weights, shapes), matrices) for body in self.bodies]
         joined = np.concatenate(found) if found else np.zeros((0, 3))
         if not np.isfinite(joined).all():
-            raise ValueError("its motion leads to places that are not finite")
+            raise InputError("its motion leads to places that are not finite")
         return joined
 
     @staticmethod

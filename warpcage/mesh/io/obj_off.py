@@ -11,6 +11,7 @@ import numpy as np
 from ...core.checks import shown
 from ...core.files import TEXT_ROOM, read_limited
 from ...core.names import counted
+from ...errors import InputError
 
 #: (line or name, indices of vertices) of each polygon of a file.
 Polygons = list[tuple[int | str, list[int]]]
@@ -83,7 +84,7 @@ def _parsed_obj(path: pathlib.Path) -> tuple[np.ndarray, Polygons, list[str], li
 
 
 def _zero(path: pathlib.Path, line: int) -> NoReturn:
-    raise ValueError(f"{path}:{line}: OBJ counts vertices from 1, got a face with vertex 0")
+    raise InputError(f"{path}:{line}: OBJ counts vertices from 1, got a face with vertex 0")
 
 
 def write_obj(vertices: np.ndarray, faces: np.ndarray) -> bytes:
@@ -101,13 +102,13 @@ def read_off(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
     lines = text_lines(path)
     line, words = next(lines, (1, []))
     if not words or not words[0].upper().endswith("OFF") or words[0].upper() not in ("OFF", "COFF", "NOFF", "CNOFF"):
-        raise ValueError(f"{path}:{line}: an OFF file begins with 'OFF', got {shown(' '.join(words[:3]))}")
+        raise InputError(f"{path}:{line}: an OFF file begins with 'OFF', got {shown(' '.join(words[:3]))}")
     words = words[1:]
     if not words:
         line, words = next(lines, (line, []))
     counts = whole(words[:2], path, line)
     if len(counts) < 2 or min(counts) < 0:
-        raise ValueError(f"{path}:{line}: the numbers of vertices and faces expected, got {shown(' '.join(words))}")
+        raise InputError(f"{path}:{line}: the numbers of vertices and faces expected, got {shown(' '.join(words))}")
 
     vertices, polygons = [], []
     for line, words in lines:
@@ -116,10 +117,10 @@ def read_off(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
         elif len(polygons) < counts[1]:
             size = whole(words[:1], path, line)[0]
             if size < 0 or len(words) < size + 1:
-                raise ValueError(f"{path}:{line}: a face of {size} vertices expected, got {shown(' '.join(words))}")
+                raise InputError(f"{path}:{line}: a face of {size} vertices expected, got {shown(' '.join(words))}")
             polygons.append((line, whole(words[1 : size + 1], path, line)))
     if len(vertices) < counts[0] or len(polygons) < counts[1]:
-        raise ValueError(
+        raise InputError(
             f"{path}:{line}: {counted(counts[0], 'vertex', 'vertices')} and {counted(counts[1], 'face')} announced, "
             f"{len(vertices)} and {len(polygons)} found"
         )
@@ -157,9 +158,9 @@ def floats(words: list[str], path: pathlib.Path, line: int) -> list[float]:
     try:
         values = [float(word) for word in words]
     except ValueError:
-        raise ValueError(f"{path}:{line}: numbers expected, got {shown(' '.join(words))}") from None
+        raise InputError(f"{path}:{line}: numbers expected, got {shown(' '.join(words))}") from None
     if not np.isfinite(values).all():
-        raise ValueError(f"{path}:{line}: finite numbers expected, got {shown(' '.join(words))}")
+        raise InputError(f"{path}:{line}: finite numbers expected, got {shown(' '.join(words))}")
     return values
 
 
@@ -168,11 +169,11 @@ def whole(words: list[str], path: pathlib.Path, line: int) -> list[int]:
     try:
         return [int(word) for word in words]
     except ValueError:
-        raise ValueError(f"{path}:{line}: whole numbers expected, got {shown(' '.join(words))}") from None
+        raise InputError(f"{path}:{line}: whole numbers expected, got {shown(' '.join(words))}") from None
 
 
 def point(words: list[str], path: pathlib.Path, line: int) -> list[float]:
     """The first three words as finite numbers; colours and the like may follow."""
     if len(words) < 3:
-        raise ValueError(f"{path}:{line}: a vertex needs 3 numbers, got {len(words)}")
+        raise InputError(f"{path}:{line}: a vertex needs 3 numbers, got {len(words)}")
     return floats(words[:3], path, line)

@@ -11,6 +11,7 @@ import numpy as np
 from ...core.checks import listed, shown
 from ...core.files import TEXT_ROOM, read_limited
 from ...core.memory import require_host_memory
+from ...errors import InputError
 from .joining import joined_rows
 from .obj_off import floats, text_lines, whole
 
@@ -53,23 +54,23 @@ def _read(path: pathlib.Path, *, colors: bool) -> tuple[np.ndarray, list, np.nda
         names = [each[0] for each in properties]
         if name == "vertex":
             if "packed_position" in names or {"f_dc_0", "rot_0"} <= set(names):
-                raise ValueError(f"{path} holds splats, without faces, no mesh and no cage")
+                raise InputError(f"{path} holds splats, without faces, no mesh and no cage")
             if not {"x", "y", "z"} <= set(names):
-                raise ValueError(f"{path}: PLY vertices need properties x, y, z, got {listed(names)}")
+                raise InputError(f"{path}: PLY vertices need properties x, y, z, got {listed(names)}")
             vertices = _columns(values, [names.index(axis) for axis in "xyz"])
             seams = None if colors else _seams(properties, values)
             if colors and set(CHANNELS) <= set(names):
                 shades = _vertex_colors(path, properties, values)
             if not np.isfinite(vertices).all():
                 number = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
-                raise ValueError(f"{path}: PLY vertex {number} is not finite")
+                raise InputError(f"{path}: PLY vertex {number} is not finite")
         elif name == "face":
             column = next((k for k, each in enumerate(names) if each in ("vertex_indices", "vertex_index")), None)
             if column is None or isinstance(values, np.ndarray) or not isinstance(properties[column][1], tuple):
-                raise ValueError(f"{path}: PLY faces need a list property vertex_indices, got {listed(names)}")
+                raise InputError(f"{path}: PLY faces need a list property vertex_indices, got {listed(names)}")
             polygons = [(line, [int(index) for index in row[column]]) for line, row in values]
     if vertices is None:
-        raise ValueError(f"{path}: no vertices in it")
+        raise InputError(f"{path}: no vertices in it")
     if seams is not None:
         kept, number = seams
         count = len(vertices)
@@ -108,7 +109,7 @@ def _vertex_colors(path: pathlib.Path, properties: list[tuple[str, Any]], values
     """(v, 3) float32 in [0, 1], of properties of any type; numbers with a point reach to 1, or to 255."""
     kinds = dict(properties)
     if any(isinstance(kinds[name], tuple) for name in CHANNELS):
-        raise ValueError(f"{path}: PLY colours must be numbers, not lists")
+        raise InputError(f"{path}: PLY colours must be numbers, not lists")
     names = [each[0] for each in properties]
     colors = _columns(values, [names.index(name) for name in CHANNELS])
     whites = [WHITE.get(kinds[name]) for name in CHANNELS]
@@ -117,7 +118,7 @@ def _vertex_colors(path: pathlib.Path, properties: list[tuple[str, Any]], values
     colors = colors / whites
     if not (colors.min(initial=0.0) >= 0.0 and colors.max(initial=0.0) <= 1.0):  # false for NaN too
         wrong = int(np.flatnonzero(~((colors >= 0.0) & (colors <= 1.0)).all(axis=1))[0])
-        raise ValueError(f"{path}: the colour of PLY vertex {wrong} is no colour: {(colors[wrong] * whites).tolist()}")
+        raise InputError(f"{path}: the colour of PLY vertex {wrong} is no colour: {(colors[wrong] * whites).tolist()}")
     return colors.astype(np.float32)
 
 
@@ -129,27 +130,27 @@ def ply_header(path: pathlib.Path, data: bytes) -> tuple[str, list[Element], int
         words = data[position : len(data) if end < 0 else end].decode("ascii", errors="replace").split()
         position = len(data) if end < 0 else end + 1
         if line == 1 and words != ["ply"]:
-            raise ValueError(f"{path}:1: a PLY file begins with 'ply'")
+            raise InputError(f"{path}:1: a PLY file begins with 'ply'")
         if words[:1] == ["format"]:
             orders = {"ascii": "ascii", "binary_little_endian": "<", "binary_big_endian": ">"}
             if len(words) < 2 or words[1] not in orders:
-                raise ValueError(f"{path}:{line}: unknown PLY format {shown(' '.join(words[1:]))}")
+                raise InputError(f"{path}:{line}: unknown PLY format {shown(' '.join(words[1:]))}")
             order = orders[words[1]]
         elif words[:1] == ["element"]:
             if len(words) != 3 or not words[2].isdigit() or len(words[2]) > 18:
-                raise ValueError(f"{path}:{line}: an element needs a name and a count, got {shown(' '.join(words))}")
+                raise InputError(f"{path}:{line}: an element needs a name and a count, got {shown(' '.join(words))}")
             elements.append((words[1], int(words[2]), []))
         elif words[:1] == ["property"]:
             listed = words[1:2] == ["list"]
             kinds = [_PLY_TYPES.get(word) for word in (words[2:4] if listed else words[1:2])]
             if len(words) != (5 if listed else 3) or None in kinds or not elements:
-                raise ValueError(f"{path}:{line}: cannot read PLY property {shown(' '.join(words))}")
+                raise InputError(f"{path}:{line}: cannot read PLY property {shown(' '.join(words))}")
             elements[-1][2].append((words[-1], tuple(kinds) if listed else kinds[0]))
         elif words[:1] == ["end_header"]:
             if order is None:
-                raise ValueError(f"{path}:{line}: the PLY header names no format")
+                raise InputError(f"{path}:{line}: the PLY header names no format")
             return order, elements, position, line + 1
-    raise ValueError(f"{path}: the PLY header has no end_header")
+    raise InputError(f"{path}: the PLY header has no end_header")
 
 
 def _ply_text_rows(
@@ -161,7 +162,7 @@ def _ply_text_rows(
         for _ in range(count):
             found = next(lines, None)
             if found is None:
-                raise ValueError(f"{path}: {count} PLY elements {name!r} announced, {len(rows)} found")
+                raise InputError(f"{path}: {count} PLY elements {name!r} announced, {len(rows)} found")
             (line, words), row, position = found, [], 0
             for _, kind in properties:
                 size = whole(words[position : position + 1], path, line) if isinstance(kind, tuple) else None
@@ -169,7 +170,7 @@ def _ply_text_rows(
                 taken = 1 if size is None else (size or [0])[0]
                 values = floats(words[position : position + taken], path, line)
                 if len(values) < taken or size == []:
-                    raise ValueError(f"{path}:{line}: too few numbers for a PLY {name}")
+                    raise InputError(f"{path}:{line}: too few numbers for a PLY {name}")
                 position += taken
                 row.append(values[0] if size is None else values)
             rows.append((line, row))
@@ -185,14 +186,14 @@ def _ply_binary_rows(
         if kinds and not any(isinstance(kind, tuple) for kind in kinds):
             row_type = np.dtype([(f"p{k}", order + kind) for k, kind in enumerate(kinds)])
             if position + count * row_type.itemsize > len(body):
-                raise ValueError(f"{path}: the PLY file ends within its {count} elements {name!r}")
+                raise InputError(f"{path}: the PLY file ends within its {count} elements {name!r}")
             table = np.frombuffer(body, row_type, count, position)
             position += count * row_type.itemsize
             yield name, properties, table
             continue
         rows, room = [], len(body) - position
         if count * max(1, len(kinds)) > room:  # a property has at least a byte
-            raise ValueError(f"{path}: the PLY file ends within its {count} elements {name!r}")
+            raise InputError(f"{path}: the PLY file ends within its {count} elements {name!r}")
         need = PROPERTY_BYTES * count * (1 + len(kinds)) + LIST_ROOM * room
         require_host_memory(need, f"{path}: its {count} elements {name!r} need")
         for number in range(count):
@@ -204,13 +205,13 @@ def _ply_binary_rows(
                         taken = int(np.frombuffer(body, order + kind[0], 1, position)[0])
                         position += np.dtype(kind[0]).itemsize
                         if taken < 0:
-                            raise ValueError("a list of less than nothing")
+                            raise InputError("a list of less than nothing")
                     value_type = np.dtype(order + (kind[1] if isinstance(kind, tuple) else kind))
                     values = np.frombuffer(body, value_type, taken, position) if taken > 0 else np.zeros(0)
                     position += taken * value_type.itemsize
                     row.append(values.tolist() if isinstance(kind, tuple) else values[0])
             except ValueError:
-                raise ValueError(f"{path}: the PLY file ends within element {number} of {count} {name!r}") from None
+                raise InputError(f"{path}: the PLY file ends within element {number} of {count} {name!r}") from None
             rows.append((f"face {number}", row))
         yield name, properties, rows
 

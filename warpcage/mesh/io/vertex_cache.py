@@ -8,6 +8,7 @@ import struct
 import numpy as np
 
 from ...core.files import PathLike, atomic_path, read_limited
+from ...errors import InputError
 
 #: How vertex caches end.
 CACHE_ENDINGS = (".pc2", ".mdd")
@@ -37,28 +38,28 @@ def read_vertex_cache(path: PathLike) -> VertexCache:
     try:
         return _read_pc2(data) if data.startswith(_PC2_MARK) else _read_mdd(data)
     except ValueError as error:
-        raise ValueError(f"vertex cache {str(path)!r} cannot be read: {error}") from None
+        raise InputError(f"vertex cache {str(path)!r} cannot be read: {error}") from None
 
 
 def _read_pc2(data: bytes) -> VertexCache:
     if len(data) < _PC2_HEAD.size:
-        raise ValueError("it breaks off in its beginning")
+        raise InputError("it breaks off in its beginning")
     _, version, points, _, frames_each, count = _PC2_HEAD.unpack_from(data)
     if version != 1 or not 0.0 < frames_each < np.inf:
-        raise ValueError(f"it has version {version} and {frames_each:g} frames a sample, known are 1 and more than 0")
+        raise InputError(f"it has version {version} and {frames_each:g} frames a sample, known are 1 and more than 0")
     vertices = _positions(data, _PC2_HEAD.size, count, points, "<f4")
     return VertexCache(vertices, np.arange(count) * float(frames_each), True)
 
 
 def _read_mdd(data: bytes) -> VertexCache:
     if len(data) < _MDD_HEAD.size:
-        raise ValueError("it breaks off in its beginning")
+        raise InputError("it breaks off in its beginning")
     count, points = _MDD_HEAD.unpack_from(data)
     begin = _MDD_HEAD.size + 4 * max(count, 0)
     vertices = _positions(data, begin, count, points, ">f4")
     times = np.frombuffer(data, ">f4", count, _MDD_HEAD.size).astype(np.float64)
     if not np.isfinite(times).all() or not (np.diff(times) > 0.0).all():
-        raise ValueError("its times must be finite and ascend")
+        raise InputError("its times must be finite and ascend")
     return VertexCache(vertices, times - times[0], False)
 
 
@@ -66,13 +67,13 @@ def _positions(data: bytes, begin: int, count: int, points: int, kind: str) -> n
     """(n, v, 3) float32, which end the file."""
     claimed = begin + 12 * count * points
     if count < 1 or points < 1 or claimed != len(data):
-        raise ValueError(
+        raise InputError(
             f"{count} frames of {points} vertices take {claimed} bytes, the file has {len(data)}: it is cut off, "
             "damaged, or holds something else"
         )
     vertices = np.frombuffer(data, kind, 3 * count * points, begin).reshape(count, points, 3)
     if not np.isfinite(vertices).all():
-        raise ValueError("its vertices must be finite")
+        raise InputError("its vertices must be finite")
     return vertices.astype(np.float32)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...core.checks import shown, warn_caller
+from ...errors import InputError, MissingFileError
 from ..box import Bounds
 from ..pictures import View, files_of, make_scene, views_there
 from ..scene import Scene
@@ -46,15 +47,15 @@ def read(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     """Read a split: every eighth picture, by name, is `test`, the others are `train`. Options as for `load_scene`."""
     path = _output(folder)
     if path is None:
-        raise FileNotFoundError(f"{str(folder)!r} holds no output of Bundler ({MARK})")
+        raise MissingFileError(f"{str(folder)!r} holds no output of Bundler ({MARK})")
     Bounds(folder).require(path, str(folder))
     head, _, text = read_text(path, "Bundler file").partition("\n")
     if head.strip() != HEADER:
-        raise ValueError(f"{path} must begin with {HEADER!r}, got {shown(head)}")
+        raise InputError(f"{path} must begin with {HEADER!r}, got {shown(head)}")
     words = text.split()
     count, point_count = (int(value) for value in floats(" ".join(words[:2]), str(path))[:2] or (0, 0))
     if count < 1 or point_count < 0 or 2 + CAMERA * count + 7 * point_count > len(words):
-        raise ValueError(f"{path} announces {count} cameras and {point_count} points, and holds {len(words)} numbers")
+        raise InputError(f"{path} announces {count} cameras and {point_count} points, and holds {len(words)} numbers")
     finder = PictureFinder(folder, ("", "images"))
     views, left_out = [], 0
     for index, file in enumerate(_pictures(folder, path, finder, count)):
@@ -65,7 +66,7 @@ def read(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
         else:
             views.append(_view(file, values, where))
     if not views:
-        raise ValueError(f"{path} has no camera with a focal length")
+        raise InputError(f"{path} has no camera with a focal length")
     if left_out:
         warn_caller(f"{path}: {left_out} of {count} pictures have no camera and are left out")
     views = sorted(views_there(views, path), key=lambda view: str(view.file))
@@ -86,7 +87,7 @@ def _pictures(folder: pathlib.Path, path: pathlib.Path, finder: PictureFinder, c
         files = list(_listed(listing, finder))
     if len(files) != count:
         there = f"{listing or files[0].parent} {len(files)} pictures"
-        raise ValueError(f"{path} has {count} cameras, {there}: there must be one for each")
+        raise InputError(f"{path} has {count} cameras, {there}: there must be one for each")
     return files
 
 
@@ -103,7 +104,7 @@ def _view(file: pathlib.Path, values: list[float], where: str) -> View:
     to_camera = np.eye(4)
     to_camera[:3, :3], to_camera[:3, 3] = np.reshape(values[3:12], (3, 3)), values[12:]
     if not np.linalg.cond(to_camera[:3, :3]) < 1e6:
-        raise ValueError(f"{where} has no rotation")
+        raise InputError(f"{where} has no rotation")
     pose = np.linalg.inv(to_camera) @ TO_OPENCV
     return View(file, pose, where, lambda size: (focal, focal, size[0] / 2, size[1] / 2), distortion=(k1, k2, 0.0, 0.0))
 
@@ -115,9 +116,9 @@ def _points(words: list[str], place: int, count: int, path: pathlib.Path) -> tup
         where = f"{path}: point {index}"
         values = floats(" ".join(words[place : place + 7]), where)
         if len(values) < 7 or not 0 <= values[6] <= len(words):
-            raise ValueError(f"{where}: a place, a colour and a list of pictures expected, the file ends before")
+            raise InputError(f"{where}: a place, a colour and a list of pictures expected, the file ends before")
         places[index], colors[index] = values[:3], values[3:6]
         place += 7 + 4 * int(values[6])
     if not (colors >= 0).all() or not (colors <= 255).all():
-        raise ValueError(f"{path}: colours of points must lie in 0 to 255")
+        raise InputError(f"{path}: colours of points must lie in 0 to 255")
     return places, colors / np.float32(255)

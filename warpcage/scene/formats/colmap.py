@@ -12,6 +12,7 @@ import numpy as np
 
 from ...core.files import read_limited
 from ...core.names import error_line
+from ...errors import InputError, MissingFileError
 from ..lenses import Lens, all_around
 from ..pictures import COEFFICIENTS, View, files_of, make_scene, views_there
 from ..scene import Scene
@@ -78,7 +79,7 @@ class ModelImage:
         q = np.array(self.quaternion)
         length = np.linalg.norm(q)
         if not (np.isfinite(length) and length > 1e-12 and np.isfinite(self.translation).all()):
-            raise ValueError(f"{where} has no rotation or place: quaternion {q.tolist()}, {list(self.translation)}")
+            raise InputError(f"{where} has no rotation or place: quaternion {q.tolist()}, {list(self.translation)}")
         w, x, y, z = q / length
         to_camera = np.array(
             [
@@ -136,7 +137,7 @@ def _whole(word: str, where: str) -> int:
     try:
         return int(word)
     except ValueError as error:
-        raise ValueError(f"{where}: {error_line(error, 300)}") from error
+        raise InputError(f"{where}: {error_line(error, 300)}") from error
 
 
 def _cameras_txt(path: pathlib.Path) -> dict[int, ModelCamera]:
@@ -146,7 +147,7 @@ def _cameras_txt(path: pathlib.Path) -> dict[int, ModelCamera]:
         if not words:
             continue
         if len(words) < 5:
-            raise ValueError(f"{where}: CAMERA_ID MODEL WIDTH HEIGHT PARAMS expected, got {text[:60]!r}")
+            raise InputError(f"{where}: CAMERA_ID MODEL WIDTH HEIGHT PARAMS expected, got {text[:60]!r}")
         number, width, height = (_whole(words[index], where) for index in (0, 2, 3))
         cameras[number] = ModelCamera(words[1], (width, height), floats(" ".join(words[4:]), where))
     return cameras
@@ -163,7 +164,7 @@ def _images_txt(path: pathlib.Path) -> list[ModelImage]:
             continue
         where = f"{path}:{line}"
         if len(words) < 10:
-            raise ValueError(f"{where}: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME expected, got {text[:60]!r}")
+            raise InputError(f"{where}: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME expected, got {text[:60]!r}")
         values = floats(" ".join(words[1:8]), where)
         images.append(ModelImage(words[9], tuple(values[:4]), tuple(values[4:]), _whole(words[8], where)))
         is_open = True
@@ -190,13 +191,13 @@ def _points_txt(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray | None]:
         if not words:
             continue
         if len(words) < 4:
-            raise ValueError(f"{where}: POINT3D_ID X Y Z expected, got {text[:60]!r}")
+            raise InputError(f"{where}: POINT3D_ID X Y Z expected, got {text[:60]!r}")
         points.extend(floats(" ".join(words[1:4]), where))
         has_colors = has_colors and len(words) >= 7
         if has_colors:
             color = floats(" ".join(words[4:7]), where)
             if min(color) < 0 or max(color) > 255:
-                raise ValueError(f"{where}: R G B must lie in 0 to 255, got {' '.join(words[4:7])[:60]!r}")
+                raise InputError(f"{where}: R G B must lie in 0 to 255, got {' '.join(words[4:7])[:60]!r}")
             colors.extend(color)
     places = np.array(points, np.float64).reshape(-1, 3)
     return places, (np.array(colors) / 255.0).astype(np.float32).reshape(-1, 3) if has_colors else None
@@ -218,13 +219,13 @@ class _Bytes:
 
     def skip(self, size: int) -> None:
         if size > len(self.data) - self.position:
-            raise ValueError(f"{self.path} ends after {len(self.data)} bytes, {self.position + size} are announced")
+            raise InputError(f"{self.path} ends after {len(self.data)} bytes, {self.position + size} are announced")
         self.position += size
 
     def name(self) -> str:
         end = self.data.find(b"\0", self.position)
         if end < 0:
-            raise ValueError(f"{self.path} ends within a name")
+            raise InputError(f"{self.path} ends within a name")
         text = self.data[self.position : end].decode("utf-8", errors="surrogateescape")
         self.position = end + 1
         return text
@@ -233,7 +234,7 @@ class _Bytes:
         """The number of records to come, of at least `smallest` bytes each."""
         (count,) = self.take("<Q")
         if count * smallest > len(self.data) - self.position:
-            raise ValueError(f"{self.path} announces {count} records, more than {len(self.data)} bytes hold")
+            raise InputError(f"{self.path} announces {count} records, more than {len(self.data)} bytes hold")
         return count
 
 
@@ -242,13 +243,13 @@ def _cameras_bin(path: pathlib.Path) -> dict[int, ModelCamera]:
     for _ in range(file.count(40)):
         number, model, width, height = file.take("<iiQQ")
         if not 0 <= model < len(MODELS):
-            raise ValueError(
+            raise InputError(
                 f"{path}: camera {number} has the model of number {model}, which is not known: those that are read go "
                 f"from 0 to {len(MODELS) - 1} ({MODELS[-1].name}); run COLMAP's image_undistorter"
             )
         parameters = file.take(f"<{len(MODELS[model].parameters)}d")
         if not np.isfinite(parameters).all():
-            raise ValueError(f"{path}: camera {number} has parameters that are not finite")
+            raise InputError(f"{path}: camera {number} has parameters that are not finite")
         cameras[number] = ModelCamera(MODELS[model].name, (width, height), list(parameters))
     return cameras
 
@@ -271,7 +272,7 @@ def _points_bin(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
         file.skip(8 * track)
     places = np.array(points, np.float64).reshape(-1, 3)
     if not np.isfinite(places).all():
-        raise ValueError(f"{path} holds points that are not finite")
+        raise InputError(f"{path} holds points that are not finite")
     return places, np.frombuffer(colors, np.uint8).reshape(-1, 3) / np.float32(255)
 
 
@@ -310,7 +311,7 @@ def _chosen_model(folder: pathlib.Path, wanted: str | None) -> pathlib.Path:
     """The folder of the model that was asked for, or of the one with most pictures; others are told of."""
     models = _models(folder)
     if not models:
-        raise FileNotFoundError(f"{str(folder)!r} holds no COLMAP model ({MARK})")
+        raise MissingFileError(f"{str(folder)!r} holds no COLMAP model ({MARK})")
     counts = {name: len(read_images(folder / name)) if len(models) > 1 else 0 for name in models}
     return folder / chosen_part(counts, wanted, folder, "COLMAP model")
 
@@ -320,7 +321,7 @@ def read(folder: pathlib.Path, *, split: str, masks: bool | str, model: str | No
     # masks/<name>.png, as COLMAP itself takes it, or masks/<name> is the mask; the bulk of the points the bounds.
     found = read_model(_chosen_model(folder, model))
     if not found.images:
-        raise ValueError(f"{found.images_path} holds no images")
+        raise InputError(f"{found.images_path} holds no images")
     has_masks = bool(masks) and (folder / "masks").is_dir()
     finder = PictureFinder(folder, _picture_folders(folder, found))
     views = [_view(folder, finder, found, image, has_masks) for image in found.images]
@@ -343,7 +344,7 @@ def _view(folder: pathlib.Path, finder: PictureFinder, model: Model, image: Mode
     file = finder.find(image.name, where)
     camera = model.cameras.get(image.camera)
     if camera is None:
-        raise ValueError(f"{where} has camera {image.camera}, which {model.cameras_path} lacks")
+        raise InputError(f"{where} has camera {image.camera}, which {model.cameras_path} lacks")
     lens = _lens(camera, f"{model.cameras_path}: camera {image.camera}")
     mask = _mask_file(folder / "masks", finder.name_of(file), where) if has_masks else None
     return View(file, image.camera_to_world(where), where, size=camera.size, mask=mask, **lens)
@@ -353,13 +354,13 @@ def _lens(camera: ModelCamera, where: str) -> dict[str, Any]:
     """What a View takes of the lens of a camera."""
     found = next((each for each in MODELS if each.name == camera.model), None)
     if found is None:
-        raise ValueError(
+        raise InputError(
             f"{where}: camera model {camera.model[:60]!r} is not read, only {', '.join(each.name for each in MODELS)}: "
             "run COLMAP's image_undistorter"
         )
     names = found.parameters
     if len(camera.parameters) != len(names):
-        raise ValueError(f"{where} needs {len(names)} parameters ({' '.join(names)}), got {len(camera.parameters)}")
+        raise InputError(f"{where} needs {len(names)} parameters ({' '.join(names)}), got {len(camera.parameters)}")
     if found.lens == "EQUIRECTANGULAR":
         return {"intrinsics": all_around, "lens": Lens(found.lens)}
     given = dict(zip(names, camera.parameters, strict=True))

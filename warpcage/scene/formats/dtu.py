@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...core.files import read_npz
+from ...errors import InputError
 from ..pictures import View, make_scene
 from ..scene import Scene
 from .parsing import held_out, pictures_in
@@ -36,7 +37,7 @@ def read(folder: pathlib.Path, *, split: str, masks: bool | str, **options: Any)
     pictures = pictures_in(folder / "image")
     shapes = pictures_in(folder / "mask") if masks and (folder / "mask").is_dir() else [None] * len(pictures)
     if len(shapes) != len(pictures):
-        raise ValueError(f"{str(folder)!r} holds {len(pictures)} images and {len(shapes)} masks: one per image needed")
+        raise InputError(f"{str(folder)!r} holds {len(pictures)} images and {len(shapes)} masks: one per image needed")
     views, scales = [], []
     for index in held_out(len(pictures), split, folder):
         where = f"{path}: world_mat_{index} @ scale_mat_{index}"
@@ -63,7 +64,7 @@ def decompose(projection: np.ndarray, where: str) -> tuple[tuple[float, float, f
     block = projection[:, :3]
     scale = np.abs(block).max()
     if not (np.isfinite(projection).all() and scale > 0 and np.linalg.cond(block) < 1e12):
-        raise ValueError(f"{where} is singular or not finite: no camera")
+        raise InputError(f"{where} is singular or not finite: no camera")
     projection = projection / (scale * np.sign(np.linalg.det(block / scale)))  # its scale and sign are free
     block = projection[:, :3]
     # RQ by QR: block^-1 = R^-1 K^-1, an orthonormal factor times an upper triangular one
@@ -72,7 +73,7 @@ def decompose(projection: np.ndarray, where: str) -> tuple[tuple[float, float, f
     rotation, k = rotation * signs, np.linalg.inv(inverse * signs[:, None])
     k = k / k[2, 2]
     if abs(k[0, 1]) > SKEW_TOLERANCE * k[0, 0]:
-        raise ValueError(f"{where} has skew {k[0, 1]:.3g} pixels: cameras here have none")
+        raise InputError(f"{where} has skew {k[0, 1]:.3g} pixels: cameras here have none")
     pose = np.eye(4)
     pose[:3, :3] = rotation
     pose[:3, 3] = -np.linalg.solve(block, projection[:, 3])
@@ -82,10 +83,10 @@ def decompose(projection: np.ndarray, where: str) -> tuple[tuple[float, float, f
 def _matrix(cameras: dict, name: str, path: pathlib.Path) -> np.ndarray:
     """A (4, 4) float64 matrix of a camera file, completed where it has three rows."""
     if name not in cameras:
-        raise ValueError(f"{path} lacks {name}: it must hold one matrix per image")
+        raise InputError(f"{path} lacks {name}: it must hold one matrix per image")
     matrix = cameras[name]
     if matrix.shape == (3, 4) and matrix.dtype.kind in "fiu":
         matrix = np.concatenate([matrix, [[0, 0, 0, 1]]])
     if matrix.shape != (4, 4) or matrix.dtype.kind not in "fiu" or not np.isfinite(matrix).all():
-        raise ValueError(f"{path}: {name} must be a finite 4x4 matrix, got {matrix.dtype} {matrix.shape}")
+        raise InputError(f"{path}: {name} must be a finite 4x4 matrix, got {matrix.dtype} {matrix.shape}")
     return matrix.astype(np.float64)

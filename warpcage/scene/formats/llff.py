@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...core.files import NpyFile
+from ...errors import InputError, MissingFileError
 from ..lenses import Intrinsics
 from ..pictures import View, make_scene
 from ..scene import Scene
@@ -33,12 +34,12 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, **options: Any) ->
     path = folder / FILE
     file = NpyFile(path)
     if len(file.shape) != 2 or file.shape[1] != 17 or not file.shape[0]:
-        raise ValueError(f"{path} must be (n, 17), a row for each picture, got {file.shape}")
+        raise InputError(f"{path} must be (n, 17), a row for each picture, got {file.shape}")
     rows = file.read().astype(np.float64)
     images, factor = _pictures_folder(folder, downscale)
     pictures = pictures_in(images)
     if len(pictures) != len(rows):
-        raise ValueError(
+        raise InputError(
             f"{path} has {len(rows)} poses, {images} {len(pictures)} pictures: there must be one for each, in the "
             "order of their names"
         )
@@ -60,25 +61,25 @@ def _pictures_folder(folder: pathlib.Path, downscale: int) -> tuple[pathlib.Path
     if not fitting:
         there = f", only {', '.join(sizes[factor].name for factor in sorted(sizes))}: give downscale=" if sizes else ""
         least = min(sizes) if sizes else ""
-        raise FileNotFoundError(f"{str(folder)!r} holds no pictures in images{there}{least}")
+        raise MissingFileError(f"{str(folder)!r} holds no pictures in images{there}{least}")
     return sizes[max(fitting)], max(fitting)
 
 
 def _view(file: pathlib.Path, row: np.ndarray, where: str) -> View:
     """One picture with its camera."""
     if not np.isfinite(row[:15]).all():
-        raise ValueError(f"{where} holds numbers that are not finite")
+        raise InputError(f"{where} holds numbers that are not finite")
     matrix = row[:15].reshape(3, 5)
     pose = np.eye(4)
     pose[:3] = matrix[:, [1, 0, 2, 3]] * [1, 1, -1, 1]
     height, width, focal = matrix[:, 4]
     if not (height > 0 and width > 0 and focal > 0):
-        raise ValueError(f"{where}: height, width and focal length must be positive, got {height}, {width}, {focal}")
+        raise InputError(f"{where}: height, width and focal length must be positive, got {height}, {width}, {focal}")
 
     def intrinsics(size: tuple[int, int]) -> Intrinsics:
         across, down = size[0] / width, size[1] / height
         if abs(across - down) * max(width, height) > ROUNDING * max(1.0, across, down):
-            raise ValueError(
+            raise InputError(
                 f"{where}: the camera is for {width:g}x{height:g} pixels, image {file.name!r} has {size[0]}x{size[1]}, "
                 "which is another shape"
             )

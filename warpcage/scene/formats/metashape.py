@@ -15,6 +15,7 @@ import numpy as np
 from ...core.checks import shown, warn_caller
 from ...core.files import read_limited
 from ...core.names import error_line
+from ...errors import InputError, MissingFileError
 from ..box import Bounds
 from ..lenses import Lens, all_around
 from ..pictures import View, files_of, make_scene, views_there
@@ -65,7 +66,7 @@ def read(folder: pathlib.Path, *, split: str, model: str | None = None, **option
     of several chunks the one with most cameras is read, or the one of a label."""
     path = _listing(folder)
     if path is None:
-        raise FileNotFoundError(f"{str(folder)!r} holds no cameras of Metashape ({MARK})")
+        raise MissingFileError(f"{str(folder)!r} holds no cameras of Metashape ({MARK})")
     Bounds(folder).require(path, str(folder))
     chunk = _chosen(path, model)
     finder = PictureFinder(folder, ("images", ""))
@@ -79,11 +80,11 @@ def read(folder: pathlib.Path, *, split: str, model: str | None = None, **option
 def _document(path: pathlib.Path) -> ET.Element:
     data = read_limited(path, "cameras of Metashape", XML_ROOM)
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise ValueError(f"{path} defines entities, which cameras of Metashape have none of")
+        raise InputError(f"{path} defines entities, which cameras of Metashape have none of")
     try:
         return ET.fromstring(data)
     except (ET.ParseError, ValueError, LookupError, RecursionError) as error:  # LookupError: an encoding
-        raise ValueError(f"{path} is no XML file: {error_line(error, 300)}") from error
+        raise InputError(f"{path} is no XML file: {error_line(error, 300)}") from error
 
 
 def _chosen(path: pathlib.Path, model: str | None) -> _Chunk:
@@ -91,10 +92,10 @@ def _chosen(path: pathlib.Path, model: str | None) -> _Chunk:
     chunks = {each.get("label", str(index)): each for index, each in enumerate(_document(path).iter("chunk"))}
     placed = {name: [each for each in _cameras(chunk) if _is_placed(each)] for name, chunk in chunks.items()}
     if not any(placed.values()):
-        raise ValueError(f"{path} holds no enabled cameras with a transform")
+        raise InputError(f"{path} holds no enabled cameras with a transform")
     most = chosen_part({name: len(cameras) for name, cameras in placed.items()}, model, path, "chunk")
     if not placed[most]:
-        raise ValueError(f"{path}: chunk {most!r} holds no enabled cameras with a transform")
+        raise InputError(f"{path}: chunk {most!r} holds no enabled cameras with a transform")
     chunk, cameras = chunks[most], placed[most]
     worlds = {
         each.get("id"): _similarity(each, f"{path}: component {each.get('id')}") for each in chunk.iter("component")
@@ -143,7 +144,7 @@ def _similarity(owner: ET.Element, where: str) -> np.ndarray | None:
         result[:3, 3] = values["translation"]
     scale = 1.0 if values["scale"] is None else values["scale"][0]
     if not scale > 0 or not np.allclose(result[:3, :3] @ result[:3, :3].T, np.eye(3), atol=1e-4):
-        raise ValueError(f"{where}: its transform must be a rotation with a scale above zero")
+        raise InputError(f"{where}: its transform must be a rotation with a scale above zero")
     result[:3, :3] *= scale
     return result
 
@@ -158,7 +159,7 @@ def _values(element: ET.Element | None, count: int, where: str) -> list[float] |
         return None
     values = floats(element.text or "", where)
     if len(values) != count:
-        raise ValueError(f"{where} must hold {count} numbers, got {len(values)}")
+        raise InputError(f"{where} must hold {count} numbers, got {len(values)}")
     return values
 
 
@@ -186,7 +187,7 @@ def _view(finder: PictureFinder, chunk: _Chunk, camera: ET.Element) -> View:
         pose[:3, :3] /= np.cbrt(np.linalg.det(world[:3, :3]))
     sensor = chunk.sensors.get(camera.get("sensor_id"))
     if sensor is None:
-        raise ValueError(f"{where} has sensor {shown(camera.get('sensor_id'))}, which the file lacks")
+        raise InputError(f"{where} has sensor {shown(camera.get('sensor_id'))}, which the file lacks")
     lens = _lens(sensor, f"{chunk.path}: sensor {shown(sensor.get('id'))}")
     return View(finder.find(label, where), pose, where, **lens)
 
@@ -196,17 +197,17 @@ def _lens(sensor: ET.Element, where: str) -> dict[str, Any]:
     calibrations = sorted(sensor.findall("calibration"), key=lambda each: each.get("class") != "adjusted")
     kind = sensor.get("type", "frame")
     if kind not in KINDS:
-        raise ValueError(f"{where}: its type {shown(kind)} is not read, only {', '.join(KINDS)}")
+        raise InputError(f"{where}: its type {shown(kind)} is not read, only {', '.join(KINDS)}")
     if not calibrations and kind != "spherical":
-        raise ValueError(f"{where} has no calibration")
+        raise InputError(f"{where} has no calibration")
     given = calibrations[0] if calibrations else sensor
     resolution = given.find("resolution")
     resolution = sensor.find("resolution") if resolution is None else resolution
     if resolution is None:
-        raise ValueError(f"{where} has no resolution")
+        raise InputError(f"{where} has no resolution")
     width, height = floats(f"{resolution.get('width')} {resolution.get('height')}", f"{where}: resolution")
     if not 1 <= min(width, height) <= max(width, height) < 1e6:
-        raise ValueError(f"{where} is for {width:g}x{height:g} pixels")
+        raise InputError(f"{where} is for {width:g}x{height:g} pixels")
     size = (int(width), int(height))
     if kind == "spherical":
         return {"intrinsics": all_around, "size": size, "lens": Lens("EQUIRECTANGULAR")}
@@ -217,7 +218,7 @@ def _lens(sensor: ET.Element, where: str) -> dict[str, Any]:
 
     fx, fy = value("f") + value("b1"), value("f")
     if not min(fx, fy) > 0:
-        raise ValueError(f"{where}: f, and f with b1, must be positive, got {fy:g} and {fx:g}")
+        raise InputError(f"{where}: f, and f with b1, must be positive, got {fy:g} and {fx:g}")
     whole = {"intrinsics": (fx, fy, width / 2 + value("cx"), height / 2 + value("cy")), "size": size}
     if kind == "frame" and not any(map(value, ("k4", "p3", "p4", "b2"))):
         return whole | {"distortion": tuple(map(value, DISTORTION))}

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import InputError
 from ..box import Bounds
 from ..pictures import View, make_scene
 from ..scene import Scene
@@ -44,11 +45,11 @@ def _read_intrinsics(path: pathlib.Path) -> tuple[float, float, float, float]:
     if len(values) in (9, 16):
         k = np.reshape(values, (3, 3) if len(values) == 9 else (4, 4))
         if k[0, 1] != 0 or k[1, 0] != 0:
-            raise ValueError(f"{path}: a camera matrix with skew {k[0, 1]:g} is not read")
+            raise InputError(f"{path}: a camera matrix with skew {k[0, 1]:g} is not read")
         return k[0, 0], k[1, 1], k[0, 2], k[1, 2]
     first = floats(text.strip().splitlines()[0], str(path)) if values else []
     if len(first) not in (3, 4):
-        raise ValueError(f"{path}: a 4x4 or 3x3 matrix or a line 'f cx cy 0' expected, got {len(values)} numbers")
+        raise InputError(f"{path}: a 4x4 or 3x3 matrix or a line 'f cx cy 0' expected, got {len(values)} numbers")
     return first[0], first[0], first[1], first[2]
 
 
@@ -58,7 +59,7 @@ def _read_pose(path: pathlib.Path) -> np.ndarray:
     if len(values) == 12:
         values += [0.0, 0.0, 0.0, 1.0]
     if len(values) != 16:
-        raise ValueError(f"{path}: a 4x4 pose expected, got {len(values)} numbers")
+        raise InputError(f"{path}: a 4x4 pose expected, got {len(values)} numbers")
     return np.reshape(values, (4, 4))
 
 
@@ -69,5 +70,5 @@ def _read_bounds(folder: pathlib.Path) -> np.ndarray | None:
         return None
     values = floats(read_text(path, "file"), str(path))
     if len(values) not in (6, 7) or not np.less(values[:3], values[3:6]).all():
-        raise ValueError(f"{path}: x0 y0 z0 x1 y1 z1 with lower below upper expected, got {len(values)} numbers")
+        raise InputError(f"{path}: x0 y0 z0 x1 y1 z1 with lower below upper expected, got {len(values)} numbers")
     return np.reshape(values[:6], (2, 3))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...core.checks import shown
+from ...errors import InputError
 from ..box import Bounds
 from ..lenses import Lens, all_around
 from ..pictures import View, files_of, make_scene, views_there
@@ -33,7 +34,7 @@ def read(folder: pathlib.Path, *, split: str, model: str | None = None, **option
     found = _chosen(read_json(path, list), path, model)
     cameras, shots = found.get("cameras"), found.get("shots")
     if not isinstance(cameras, dict) or not isinstance(shots, dict) or not shots:
-        raise ValueError(f"{path}: a reconstruction needs cameras and shots")
+        raise InputError(f"{path}: a reconstruction needs cameras and shots")
     finder = PictureFinder(folder, ("images", ""))
     views = [_view(finder, cameras, name, shots[name], f"{path}: shot {shown(name)}") for name in sorted(shots)]
     views = sorted(views_there(views, path), key=lambda view: str(view.file))
@@ -46,7 +47,7 @@ def read(folder: pathlib.Path, *, split: str, model: str | None = None, **option
 def _chosen(content: list, path: pathlib.Path, model: str | None) -> dict:
     """The reconstruction of a number, or the one with most shots; others are told of."""
     if not content or not all(isinstance(each, dict) for each in content):
-        raise ValueError(f"{path} must hold a list of reconstructions")
+        raise InputError(f"{path} must hold a list of reconstructions")
     counts = {
         str(index): len(each["shots"]) if isinstance(each.get("shots"), dict) else 0
         for index, each in enumerate(content)
@@ -59,16 +60,16 @@ def _view(finder: PictureFinder, cameras: dict, name: str, shot: object, where: 
     from scipy.spatial.transform import Rotation
 
     if not isinstance(shot, dict):
-        raise ValueError(f"{where} must be a JSON object, got {shown(shot)}")
+        raise InputError(f"{where} must be a JSON object, got {shown(shot)}")
     given = cameras.get(shot.get("camera")) if isinstance(shot.get("camera"), str) else None
     if not isinstance(given, dict):
-        raise ValueError(f"{where} has camera {shown(shot.get('camera'))}, which the file lacks")
+        raise InputError(f"{where} has camera {shown(shot.get('camera'))}, which the file lacks")
     to_camera = np.eye(4)
     to_camera[:3, :3] = Rotation.from_rotvec(_vector(shot, "rotation", where)).as_matrix()
     to_camera[:3, 3] = _vector(shot, "translation", where)
     width, height = (number(given.get(side), f"{where}: {side} of its camera") for side in ("width", "height"))
     if not 1 <= min(width, height) <= max(width, height) < 1e6:
-        raise ValueError(f"{where}: its camera is for {width:g}x{height:g} pixels")
+        raise InputError(f"{where}: its camera is for {width:g}x{height:g} pixels")
     longer = max(width, height)
 
     def value(*names: str, default: float | None = None) -> float:
@@ -79,7 +80,7 @@ def _view(finder: PictureFinder, cameras: dict, name: str, shot: object, where: 
 
     kind = given.get("projection_type", "perspective")
     if not isinstance(kind, str) or kind not in KINDS:
-        raise ValueError(f"{where}: projection_type {shown(kind)} is not read, only {', '.join(KINDS)}")
+        raise InputError(f"{where}: projection_type {shown(kind)} is not read, only {', '.join(KINDS)}")
     size = (int(width), int(height))
     file, pose = finder.find(name, where), np.linalg.inv(to_camera)
     if kind in ("spherical", "equirectangular"):
@@ -114,7 +115,7 @@ KINDS = {
 def _vector(values: dict, name: str, where: str) -> list[float]:
     found = values.get(name)
     if not isinstance(found, list) or len(found) != 3:
-        raise ValueError(f"{where}: {name} must hold 3 numbers, got {shown(found)}")
+        raise InputError(f"{where}: {name} must hold 3 numbers, got {shown(found)}")
     return [number(each, f"{where}: {name}") for each in found]
 
 
@@ -126,11 +127,11 @@ def _points(points: object, path: pathlib.Path) -> tuple[np.ndarray | None, np.n
     for name, point in points.items():
         where = f"{path}: point {shown(name)}"
         if not isinstance(point, dict):
-            raise ValueError(f"{where} must be a JSON object, got {shown(point)}")
+            raise InputError(f"{where} must be a JSON object, got {shown(point)}")
         places.append(_vector(point, "coordinates", where))
         if point.get("color") is not None:
             colors.append(_vector(point, "color", where))
             if min(colors[-1]) < 0 or max(colors[-1]) > 255:
-                raise ValueError(f"{where}: color must lie in 0 to 255, got {shown(point['color'])}")
+                raise InputError(f"{where}: color must lie in 0 to 255, got {shown(point['color'])}")
     shades = (np.array(colors) / 255).astype(np.float32) if len(colors) == len(places) else None
     return np.array(places), shades

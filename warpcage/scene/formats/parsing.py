@@ -18,6 +18,7 @@ import numpy as np
 from ...core.checks import listed, shown, warn_caller
 from ...core.files import JSON_ROOM, TEXT_ROOM, read_limited, require_file
 from ...core.names import error_line
+from ...errors import InputError, MissingFileError
 
 #: Endings of pictures, and what is tried where a name has none.
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".avif", ".heic", ".heif")
@@ -44,9 +45,9 @@ def read_json(path: pathlib.Path, kind: type = dict) -> Any:
     try:
         content = json.loads(decoded(read_limited(path, "file", JSON_ROOM)))
     except (ValueError, RecursionError) as error:  # wrong bytes, wrong syntax, brackets without end
-        raise ValueError(f"{path} is no JSON file: {error_line(error, 300)}") from error
+        raise InputError(f"{path} is no JSON file: {error_line(error, 300)}") from error
     if not isinstance(content, kind):
-        raise ValueError(f"{path} must hold a JSON {'object' if kind is dict else 'list'}")
+        raise InputError(f"{path} must hold a JSON {'object' if kind is dict else 'list'}")
     return content
 
 
@@ -55,7 +56,7 @@ def read_text(path: pathlib.Path, what: str) -> str:
     try:
         return decoded(read_limited(path, what, TEXT_ROOM))
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is no text file: {error_line(error, 300)}") from error
+        raise InputError(f"{path} is no text file: {error_line(error, 300)}") from error
 
 
 #: A number as programs write it in countries where a comma stands before the decimals.
@@ -71,9 +72,9 @@ def floats(text: str, where: str) -> list[float]:
         values = [float(word) for word in words]
     except ValueError as error:
         mixed = " (decimal commas beside points)" if "," in text and "." in text else ""
-        raise ValueError(f"{where}: {error_line(error, 300)}{mixed}") from error
+        raise InputError(f"{where}: {error_line(error, 300)}{mixed}") from error
     if not all(map(math.isfinite, values)):
-        raise ValueError(f"{where} holds numbers that are not finite")
+        raise InputError(f"{where} holds numbers that are not finite")
     return values
 
 
@@ -86,7 +87,7 @@ def number(value: object, where: str) -> float:
             value = math.inf
         if math.isfinite(value):
             return value
-    raise ValueError(f"{where} must be a finite number, got {shown(value)}")
+    raise InputError(f"{where} must be a finite number, got {shown(value)}")
 
 
 def matrix(value: object, shape: tuple[int, int], where: str) -> np.ndarray:
@@ -97,7 +98,7 @@ def matrix(value: object, shape: tuple[int, int], where: str) -> np.ndarray:
         and len(value) == rows
         and all(isinstance(row, list) and len(row) == columns for row in value)
     ):
-        raise ValueError(f"{where} must be a {rows}x{columns} matrix, got {shown(value)}")
+        raise InputError(f"{where} must be a {rows}x{columns} matrix, got {shown(value)}")
     return np.array(
         [[number(entry, f"{where}[{i}][{j}]") for j, entry in enumerate(row)] for i, row in enumerate(value)]
     )
@@ -106,13 +107,13 @@ def matrix(value: object, shape: tuple[int, int], where: str) -> np.ndarray:
 def inside(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:
     """The path of `name` in `folder`; refused where it is the folder, or leads out of it by its words alone."""
     if not isinstance(name, str) or not name.strip() or "\0" in name or len(name) > 4000:
-        raise ValueError(f"{where} must be the name of a file, got {shown(name)}")
+        raise InputError(f"{where} must be the name of a file, got {shown(name)}")
     root = os.path.abspath(folder)
     relative = os.path.relpath(os.path.join(root, name.replace("\\", "/")), root)
     if relative == os.curdir:
-        raise ValueError(f"{where}: {shown(name)} is the data folder {str(folder)!r}, not a file in it")
+        raise InputError(f"{where}: {shown(name)} is the data folder {str(folder)!r}, not a file in it")
     if relative.split(os.sep)[0] == os.pardir:
-        raise ValueError(f"{where}: {shown(name)} leads out of the data folder {str(folder)!r}")
+        raise InputError(f"{where}: {shown(name)} leads out of the data folder {str(folder)!r}")
     return folder / relative
 
 
@@ -230,7 +231,7 @@ def pictures_in(folder: pathlib.Path) -> list[pathlib.Path]:
     files = sorted(file for file in folder.glob("*") if file.suffix.lower() in PICTURE_ENDINGS)
     files = [file for file in files if not file.name.startswith(DYNAMIC_MASK)]
     if not files:
-        raise FileNotFoundError(f"folder {str(folder)!r} holds no pictures ({', '.join(PICTURE_ENDINGS)})")
+        raise MissingFileError(f"folder {str(folder)!r} holds no pictures ({', '.join(PICTURE_ENDINGS)})")
     return files
 
 
@@ -252,7 +253,7 @@ def held_out(count: int, split: str, folder: pathlib.Path) -> list[int]:
     if split not in splits:
         raise missing_split(split, folder, splits)
     if not splits[split]:
-        raise ValueError(
+        raise InputError(
             f"split {split!r} of {str(folder)!r} is empty: every {HOLD_OUT}th picture is held out as "
             f"'test', and there is {count}"
         )
@@ -265,7 +266,7 @@ def chosen_part(counts: dict[str, int], wanted: str | None, where: pathlib.Path,
     if wanted is not None:
         fitting = [name for name in counts if wanted in (name, name.rpartition("/")[2])]
         if not fitting:
-            raise ValueError(f"{str(where)!r} holds no {kind} {wanted!r}, only {listed(counts)}")
+            raise InputError(f"{str(where)!r} holds no {kind} {wanted!r}, only {listed(counts)}")
         return fitting[0]
     most = max(counts, key=counts.__getitem__)
     others = [f"{name} ({count})" for name, count in counts.items() if count and name != most]
@@ -279,7 +280,7 @@ def chosen_part(counts: dict[str, int], wanted: str | None, where: pathlib.Path,
 
 def missing_split(split: str, folder: pathlib.Path, splits: Iterable[str]) -> FileNotFoundError:
     """An error that names the splits there are."""
-    return FileNotFoundError(f"split {split!r} of {str(folder)!r} is not there; splits: {listed(splits)}")
+    return MissingFileError(f"split {split!r} of {str(folder)!r} is not there; splits: {listed(splits)}")
 
 
 def split_file(folder: pathlib.Path, split: str) -> pathlib.Path:
@@ -294,8 +295,8 @@ def frames_of(transforms: dict, path: pathlib.Path) -> list[tuple[str, dict]]:
     """The frames of a transforms file, each with its name for messages."""
     frames = transforms.get("frames")
     if not isinstance(frames, list) or not frames:
-        raise ValueError(f"{path} holds no frames")
+        raise InputError(f"{path} holds no frames")
     for index, frame in enumerate(frames):
         if not isinstance(frame, dict):
-            raise ValueError(f"{path}: frame {index} must be a JSON object")
+            raise InputError(f"{path}: frame {index} must be a JSON object")
     return [(f"{path}: frame {index}", frame) for index, frame in enumerate(frames)]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...core.checks import shown
+from ...errors import InputError, MissingFileError
 from ..pictures import View, files_of, make_scene, views_there
 from ..scene import Scene
 from .colmap import ModelImage
@@ -29,7 +30,7 @@ def read_polycam(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     keyframes = folder / "keyframes"
     views = _polycam_views(keyframes, "corrected_") or _polycam_views(keyframes, "")
     if not views:
-        raise ValueError(f"{keyframes / 'cameras'} holds no cameras (.json)")
+        raise InputError(f"{keyframes / 'cameras'} holds no cameras (.json)")
     views = views_there(views, keyframes)
     chosen = [views[index] for index in held_out(len(views), split, folder)]
     return make_scene(folder, chosen, **options, beside=files_of(views), to_source=np.linalg.inv(TO_Z_UP))
@@ -75,11 +76,11 @@ def read_record3d(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     """Read a split: every eighth picture is `test`, the others are `train`. Options as for `load_scene`."""
     path = _metadata(folder)
     if path is None:
-        raise FileNotFoundError(f"{str(folder)!r} holds no capture of Record3D ({RECORD3D_MARK})")
+        raise MissingFileError(f"{str(folder)!r} holds no capture of Record3D ({RECORD3D_MARK})")
     given = read_json(path)
     poses = given.get("poses")
     if not isinstance(poses, list) or not poses:
-        raise ValueError(f"{path} holds no poses")
+        raise InputError(f"{path} holds no poses")
     images = folder / ("rgb" if (folder / "rgb").is_dir() else "rgbd")
     chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), MOST_PICTURES)).round().astype(int))
     views = views_there([_record3d_view(path, images, given, poses, int(index)) for index in chosen], path)
@@ -93,7 +94,7 @@ def _metadata(folder: pathlib.Path) -> pathlib.Path | None:
 
 def _numbers(value: object, count: int, where: str) -> list[float]:
     if not isinstance(value, list) or len(value) != count:
-        raise ValueError(f"{where} must hold {count} numbers, got {shown(value)}")
+        raise InputError(f"{where} must hold {count} numbers, got {shown(value)}")
     return [number(each, where) for each in value]
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import cast
 
 from ...core.checks import registered_formats, require_type, shown
+from ...errors import InputError
 from ..scene import Scene
 from . import bundler, colmap, dtu, llff, metashape, nsvf, opensfm, phone, transforms
 
@@ -66,7 +67,7 @@ def _require_format(format: object) -> None:
     require_type(format, SceneFormat, "it must be")
     name = cast(SceneFormat, format).name
     if not name or any(each.name == name for each in BUILT_IN):
-        raise ValueError(f"its name must be one that no other format has, got {shown(name)}")
+        raise InputError(f"its name must be one that no other format has, got {shown(name)}")
 
 
 def format_named(name: str) -> SceneFormat:
@@ -74,7 +75,7 @@ def format_named(name: str) -> SceneFormat:
     found = next((each for each in candidates() if each.name == name), None)
     if found is None:
         known = ", ".join(each.name for each in candidates())
-        raise ValueError(f"scene format {shown(name)} is not known: {known}")
+        raise InputError(f"scene format {shown(name)} is not known: {known}")
     return found
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...core.checks import listed, shown
 from ...core.files import PathLike, require_file
+from ...errors import InputError
 from ...mesh.io.ply import read_ply_points
 from ...view.camera import Camera
 from ...view.pictures import image_size
@@ -68,7 +69,7 @@ def _view(finder: PictureFinder, transforms: dict, where: str, frame: dict) -> V
     given = {**{name: transforms[name] for name in transforms if name != "frames"}, **frame}
     model = given.get("camera_model", "OPENCV")
     if model not in (*MODELS, *LENSES):
-        raise ValueError(f"{where}: camera_model {shown(model)} is not read, only {', '.join((*MODELS, *LENSES))}")
+        raise InputError(f"{where}: camera_model {shown(model)} is not read, only {', '.join((*MODELS, *LENSES))}")
     size = None
     if "w" in given or "h" in given:
         size = (int(_positive(given, "w", where)), int(_positive(given, "h", where)))
@@ -96,7 +97,7 @@ def _lens(given: dict, model: str, where: str) -> dict[str, Any]:
         values = tuple(_optional(given, name, where) or 0.0 for name in ("k1", "k2", "k3", "k4"))
         return {"intrinsics": intrinsics, "lens": Lens("FISHEYE", values)}
     if _optional(given, "k4", where):  # nerfstudio's k4 is a power of r, not OpenCV's
-        raise ValueError(f"{where}: distortion k4 is not read, only k1, k2, k3, p1, p2")
+        raise InputError(f"{where}: distortion k4 is not read, only k1, k2, k3, p1, p2")
     distortion = tuple(_optional(given, name, where) or 0.0 for name in COEFFICIENTS[:5])
     return {"intrinsics": intrinsics, "distortion": distortion}
 
@@ -111,7 +112,7 @@ def frame_intrinsics(given: dict, size: tuple[int, int], where: str) -> Intrinsi
     focal = [_focal(given, axis, side, where) for axis, side in zip("xy", size, strict=True)]
     known = [value for value in focal if value is not None]
     if not known:
-        raise ValueError(f"{where} has no fl_x and no camera_angle_x, nor has the file")
+        raise InputError(f"{where} has no fl_x and no camera_angle_x, nor has the file")
     fx, fy = (known[0] if value is None else value for value in focal)
     cx, cy = (_optional(given, name, where) for name in ("cx", "cy"))
     return fx, fy, size[0] / 2 if cx is None else cx, size[1] / 2 if cy is None else cy
@@ -125,7 +126,7 @@ def _focal(given: dict, axis: str, side: int, where: str) -> float | None:
     if angle is None:
         return None
     if not 0 < angle < np.pi:
-        raise ValueError(f"{where}: camera_angle_{axis} must lie between 0 and pi, got {angle}")
+        raise InputError(f"{where}: camera_angle_{axis} must lie between 0 and pi, got {angle}")
     return 0.5 * side / np.tan(0.5 * angle)
 
 
@@ -138,7 +139,7 @@ def _positive(given: dict, name: str, where: str) -> float:
     """A number above zero."""
     value = number(given.get(name), f"{where}: {name}")
     if value <= 0:
-        raise ValueError(f"{where}: {name} must be positive, got {value:g}")
+        raise InputError(f"{where}: {name} must be positive, got {value:g}")
     return value
 
 
@@ -153,12 +154,12 @@ def _of_split(views: list[View], transforms: dict, split: str, folder: pathlib.P
         raise missing_split(split, folder, lists)
     where = f"{path}: {split}_filenames"
     if not isinstance(lists[split], list) or not lists[split]:
-        raise ValueError(f"{where} must list the pictures of the split, got {shown(lists[split])}")
+        raise InputError(f"{where} must list the pictures of the split, got {shown(lists[split])}")
     by_file = {view.file: view for view in views}
     chosen = [find_picture(folder, name, where) for name in lists[split]]
     unknown = [file.name for file in chosen if file not in by_file]
     if unknown:
-        raise ValueError(f"{where} names {unknown[0]!r}, which no frame has")
+        raise InputError(f"{where} names {unknown[0]!r}, which no frame has")
     return [by_file[file] for file in chosen]
 
 
@@ -181,7 +182,7 @@ def _to_source(transforms: dict, path: pathlib.Path) -> np.ndarray | None:
     where = f"{path}: applied_transform"
     applied = matrix(_with_last_row(applied), (4, 4), where)
     if not np.linalg.cond(applied) < 1e12:
-        raise ValueError(f"{where} is singular")
+        raise InputError(f"{where} is singular")
     return np.linalg.inv(applied)
 
 
@@ -203,7 +204,7 @@ def read_blender(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     transforms = read_json(path)
     angle = number(transforms.get("camera_angle_x"), f"{path}: camera_angle_x")
     if not 0 < angle < np.pi:
-        raise ValueError(f"{path}: camera_angle_x must lie between 0 and pi, got {angle}")
+        raise InputError(f"{path}: camera_angle_x must lie between 0 and pi, got {angle}")
 
     def intrinsics(size: tuple[int, int]) -> tuple[float, float, float, float]:
         focal = 0.5 * size[0] / np.tan(0.5 * angle)
@@ -247,7 +248,7 @@ class TransformsCameras:
         try:
             return Camera(fx, fy, cx, cy, width, height, np.asarray(pose))
         except ValueError as error:
-            raise ValueError(f"{where}: {error}") from None
+            raise InputError(f"{where}: {error}") from None
 
     def _found(self, name: str) -> tuple[str, dict[str, Any]]:
         if name.isdigit() and int(name) < len(self._frames):
@@ -258,4 +259,4 @@ class TransformsCameras:
         if len(chosen) == 1:
             return self._frames[chosen[0]]
         wrong = f"{len(chosen)} frames" if chosen else "no frame"
-        raise ValueError(f"{self.path} has {wrong} {name!r}, only 0 to {len(names) - 1}: {listed(short)}")
+        raise InputError(f"{self.path} has {wrong} {name!r}, only 0 to {len(names) - 1}: {listed(short)}")

@@ -7,6 +7,7 @@ from typing import Any
 
 from ...core.checks import checked_path, warn_caller
 from ...core.files import PathLike, atomic_path, require_file
+from ...errors import InputError
 from .contents import SplatContents, rounding_of, sound_contents
 from .formats import BUILT_IN, format_to_read, format_to_write, holding_format
 from .sog import META
@@ -62,5 +63,5 @@ def _given(options: dict[str, Any], known: tuple[str, ...], what: str, path: Pat
     given = {name: value for name, value in options.items() if value is not None}
     for name in given:
         if name not in known:
-            raise ValueError(f"{path}: {what} with {name}: leave it out")
+            raise InputError(f"{path}: {what} with {name}: leave it out")
     return given

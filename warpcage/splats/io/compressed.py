@@ -7,6 +7,7 @@ import pathlib
 import numpy as np
 
 from ...core.checks import listed
+from ...errors import InputError
 from .contents import Y0, SplatContents, byte_logits, opacities_of, unit_quaternions
 from .ply import PlyParts
 
@@ -29,14 +30,14 @@ def read_compressed_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
     """The splats of a .compressed.ply file, of which elements chunk, vertex and sh were read; path: for messages."""
     chunk, vertex = parts.tables.get("chunk"), parts.tables["vertex"]
     if chunk is None:
-        raise ValueError(f"{path}: packed splats need an element 'chunk', got {listed(parts.tables)}")
+        raise InputError(f"{path}: packed splats need an element 'chunk', got {listed(parts.tables)}")
     ranges = [f"{begin}{axis}" for begin in ("min_", "max_", "min_scale_", "max_scale_") for axis in "xyz"]
     for table, names, kind in ((chunk, ranges, "f4"), (vertex, _WORDS, "u4")):
         lacking = [name for name in names if name not in (table.dtype.names or ()) or table.dtype[name].str[1:] != kind]
         if lacking:
-            raise ValueError(f"{path}: packed splats lack {listed(lacking)}")
+            raise InputError(f"{path}: packed splats lack {listed(lacking)}")
     if len(chunk) * CHUNK < len(vertex):
-        raise ValueError(
+        raise InputError(
             f"{path}: {len(vertex)} packed splats need {-(-len(vertex) // CHUNK)} chunks, got {len(chunk)}"
         )
     of = np.arange(len(vertex)) // CHUNK
@@ -52,7 +53,7 @@ def read_compressed_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
     if "min_r" in named:
         lacking = [f"{end}_{c}" for end in ("min", "max") for c in "rgb" if f"{end}_{c}" not in named]
         if lacking:
-            raise ValueError(f"{path}: packed splats lack {listed(lacking)}")
+            raise InputError(f"{path}: packed splats lack {listed(lacking)}")
         colors = within(colors, "", "rgb")
     further = _further(path, parts, len(vertex))
     harmonics = np.zeros((len(vertex), 1 + further.shape[1], 3), np.float32)
@@ -116,9 +117,9 @@ def _further(path: pathlib.Path, parts: PlyParts, count: int) -> np.ndarray:
     names = [f"f_rest_{k}" for k in range(len(table.dtype.names or ()))]
     odd = sorted(set(table.dtype.names or ()) ^ set(names))
     if odd or len(names) not in (9, 24, 45) or len(table) != count:
-        raise ValueError(f"{path}: element 'sh' must have 9, 24 or 45 bytes f_rest_0 and on for each of {count} splats")
+        raise InputError(f"{path}: element 'sh' must have 9, 24 or 45 bytes f_rest_0 and on for each of {count} splats")
     if any(table.dtype[name].str[1:] != "u1" for name in names):
-        raise ValueError(f"{path}: element 'sh' must hold bytes (uchar)")
+        raise InputError(f"{path}: element 'sh' must hold bytes (uchar)")
     octets = np.stack([table[name] for name in names], axis=1).astype(np.float64)
     shares = np.where(octets == 0, 0.0, np.where(octets == 255, 1.0, (octets + 0.5) / 256.0))
     return (8.0 * (shares - 0.5)).reshape(count, 3, -1).transpose(0, 2, 1)

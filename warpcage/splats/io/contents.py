@@ -11,6 +11,7 @@ import numpy as np
 from ...core.arrays import as_host_array
 from ...core.checks import float32_spacing, listed, real_array, warn_caller
 from ...core.names import agreed, counted
+from ...errors import InputError
 
 #: The first of the real harmonics, Y_0.
 Y0 = 0.28209479177387814
@@ -83,10 +84,10 @@ def checked_contents(contents: SplatContents) -> SplatContents:
         bad = np.isnan(values) if name == "logits" else ~np.isfinite(values)
         if bad.any():
             row = int(np.argwhere(bad)[0][0])
-            raise ValueError(f"splat {row} has {name} that are not finite: {values[row].tolist()}")
+            raise InputError(f"splat {row} has {name} that are not finite: {values[row].tolist()}")
     if contents.count and contents.log_scales.max() > MOST_LOG_SCALE:
         row = int(np.argmax(contents.log_scales.max(axis=1)))
-        raise ValueError(
+        raise InputError(
             f"splat {row} has a scale of exp({contents.log_scales[row].max():.3g}): float32 cannot hold it"
         )
     return contents
@@ -98,9 +99,9 @@ def _require_shapes(contents: SplatContents) -> None:
     width = harmonics.shape[1] if harmonics.ndim == 3 else 1
     for name, shape in zip(_ARRAYS, ((3,), (3,), (4,), (), (width, 3)), strict=True):
         if (found := getattr(contents, name).shape) != (count, *shape):
-            raise ValueError(f"{name} of {count} splats must be {(count, *shape)}, got {found}")
+            raise InputError(f"{name} of {count} splats must be {(count, *shape)}, got {found}")
     if width not in DEGREES:
-        raise ValueError(f"splats need {listed(DEGREES)} harmonics a channel, got {width}")
+        raise InputError(f"splats need {listed(DEGREES)} harmonics a channel, got {width}")
 
 
 def rounding_of(contents: SplatContents) -> tuple[float, float]:
@@ -152,7 +153,7 @@ def sound_contents(path: pathlib.Path, contents: SplatContents) -> SplatContents
         )
         return chosen_contents(contents, np.flatnonzero(~bad))
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
 
 
 def _refuse_rows(contents: SplatContents, many: int) -> None:
@@ -160,7 +161,7 @@ def _refuse_rows(contents: SplatContents, many: int) -> None:
     try:
         checked_contents(contents)
     except ValueError as error:
-        raise ValueError(f"{error}: {many} of {contents.count} are such, so the file is damaged") from None
+        raise InputError(f"{error}: {many} of {contents.count} are such, so the file is damaged") from None
 
 
 def chosen_contents(contents: SplatContents, rows: np.ndarray) -> SplatContents:
@@ -176,15 +177,15 @@ def _require_field(contents: SplatContents) -> None:
         return
     values = (contents.centers, contents.log_scales, contents.logits, contents.harmonics)
     if not turns.any() and not any(each.any() for each in values):
-        raise ValueError(f"all values of its {counted(count, 'splat')} are zero: the file was never filled")
+        raise InputError(f"all values of its {counted(count, 'splat')} are zero: the file was never filled")
     if np.isneginf(contents.log_scales).any(axis=1).all():
-        raise ValueError(f"the scales of its {counted(count, 'splat')} are zero: the file was never filled")
+        raise InputError(f"the scales of its {counted(count, 'splat')} are zero: the file was never filled")
     if count > 1 and not turns.any():
-        raise ValueError(
+        raise InputError(
             f"all its {count} quaternions are of length zero: write 1, 0, 0, 0 for splats that are not turned"
         )
     if count >= _FEW_EQUAL and (contents.centers == contents.centers[0]).all():
-        raise ValueError(f"all its {count} splats are at one place: the file is damaged")
+        raise InputError(f"all its {count} splats are at one place: the file is damaged")
 
 
 def bad_rows(contents: SplatContents) -> np.ndarray:
@@ -270,7 +271,7 @@ def contents_of_arrays(
     places = np.asarray(as_host_array(centers, "centers"))
     places = real_array(places, "centers", np.float64 if places.dtype == np.float64 else np.float32)
     if places.ndim != 2:
-        raise ValueError(f"centers must be (n, 3), got {places.shape}")
+        raise InputError(f"centers must be (n, 3), got {places.shape}")
     lengths, alphas = (
         real_array(as_host_array(each, name), name, np.float64)
         for each, name in ((scales, "scales"), (opacities, "opacities"))
@@ -280,9 +281,9 @@ def contents_of_arrays(
         (alphas, "opacities", (alphas >= 0.0) & (alphas <= 1.0), "in [0, 1]: not their logits"),
     ):
         if not fits.all():
-            raise ValueError(f"{name} must be {what}, got {values[~fits][0]:.3g}")
+            raise InputError(f"{name} must be {what}, got {values[~fits][0]:.3g}")
     if (colors is None) == (harmonics is None):
-        raise ValueError("splats have colors (n, 3) or harmonics (n, b, 3): give one of them")
+        raise InputError("splats have colors (n, 3) or harmonics (n, b, 3): give one of them")
     if harmonics is None:
         paint = (real_array(as_host_array(colors, "colors"), "colors", np.float64) - 0.5) / Y0
         coefficients = paint[:, None] if paint.ndim == 2 else paint
@@ -305,7 +306,7 @@ def _quaternions(matrices: np.ndarray) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     if matrices.shape[1:] != (3, 3) or not np.allclose(matrices @ matrices.transpose(0, 2, 1), np.eye(3), atol=1e-3):
-        raise ValueError(f"rotations must be quaternions (n, 4) w x y z, or rotations (n, 3, 3), got {matrices.shape}")
+        raise InputError(f"rotations must be quaternions (n, 4) w x y z, or rotations (n, 3, 3), got {matrices.shape}")
     if not len(matrices):
         return np.zeros((0, 4))
     return np.roll(Rotation.from_matrix(matrices).as_quat(), 1, axis=1)

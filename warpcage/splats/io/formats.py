@@ -10,6 +10,7 @@ from typing import cast
 
 from ...core.checks import checked_path, registered_formats, require_endings, require_type
 from ...core.files import PathLike
+from ...errors import InputError
 from .compressed import is_compressed, read_compressed_ply, write_compressed_ply
 from .contents import SplatContents
 from .gltf import has_splats, read_gltf_splats, write_glb_splats
@@ -52,7 +53,7 @@ def read_ply(path: pathlib.Path, activated: bool | None = None) -> SplatContents
     if not is_compressed(parts):
         return read_splat_ply(path, parts, activated)
     if activated is not None:
-        raise ValueError(f"{path}: activated is for plain .ply files: what packed ones hold is known")
+        raise InputError(f"{path}: activated is for plain .ply files: what packed ones hold is known")
     return read_compressed_ply(path, parts)
 
 
@@ -135,7 +136,7 @@ def _format_by_ending(path: PathLike, way: Callable[[SplatFormat], object], know
     for each in _candidates(named):
         if way(each) and each.has_ending(named):
             return each
-    raise ValueError(f"splat file {str(path)!r} must end in {known()}")
+    raise InputError(f"splat file {str(path)!r} must end in {known()}")
 
 
 def holding_format(path: PathLike) -> SplatFormat | None:

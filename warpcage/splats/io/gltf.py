@@ -12,6 +12,7 @@ import numpy as np
 from ...core.checks import shown, warn_caller
 from ...core.files import JSON_ROOM
 from ...core.memory import require_host_memory
+from ...errors import InputError
 from ...mesh.io.gltf import BINARY_CHUNK, JSON_CHUNK, errors_of_file, mesh_nodes, opened, read_buffers, values_of
 from .axes import GLTF_AXES, axes_matrix, turned
 from .contents import Y0, SplatContents, joined, logits_of, logs_of, opacities_of, unit_quaternions
@@ -64,7 +65,7 @@ def read_gltf_splats(path: pathlib.Path) -> SplatContents:
             if EXTENSION in primitive.get("extensions", {})
         ]
         if not nodes:
-            raise ValueError(f"{path}: it has no splats: no node of its scene has a mesh with {EXTENSION}")
+            raise InputError(f"{path}: it has no splats: no node of its scene has a mesh with {EXTENSION}")
         counts = [_claimed(document, primitive) for primitive, _ in nodes]
         require_host_memory(
             _SPLAT_BYTES * sum(counts), f"its {len(nodes)} nodes come to {sum(counts)} splats, which need"
@@ -148,7 +149,7 @@ def _claimed(document: dict, primitive: dict) -> int:
         return 0
     count = document["accessors"][primitive["attributes"]["POSITION"]]["count"]
     if not isinstance(count, int) or count < 0:
-        raise ValueError(f"a number of splats must be a whole number, got {shown(count)}")
+        raise InputError(f"a number of splats must be a whole number, got {shown(count)}")
     return count
 
 
@@ -156,7 +157,7 @@ def _primitive(path: pathlib.Path, document: dict, buffers: list[bytes], primiti
     """The splats of a part of a mesh, in glTF's axes."""
     told = primitive["extensions"][EXTENSION]
     if primitive.get("mode", 4) != _POINTS:
-        raise ValueError(f"splats are points, which is mode 0, got mode {shown(primitive.get('mode', 4))}")
+        raise InputError(f"splats are points, which is mode 0, got mode {shown(primitive.get('mode', 4))}")
     for key, known in (("kernel", _KERNEL), ("colorSpace", _COLORS)):
         if (value := told.get(key, known)) != known:
             warn_caller(f"{path}: its splats have {key} {shown(value)}, they are drawn as {known!r}")
@@ -166,10 +167,10 @@ def _primitive(path: pathlib.Path, document: dict, buffers: list[bytes], primiti
         begin, size = view.get("byteOffset", 0), view["byteLength"]
         data = buffers[view["buffer"]]
         if not 0 <= begin <= begin + size <= len(data):
-            raise ValueError(f"the part of a buffer for SPZ ends at byte {begin + size} of {len(data)}")
+            raise InputError(f"the part of a buffer for SPZ ends at byte {begin + size} of {len(data)}")
         contents = read_spz_data(path, data[begin : begin + size])
         if "POSITION" in primitive["attributes"] and contents.count != (claimed := _claimed(document, primitive)):
-            raise ValueError(f"{contents.count} splats are packed by SPZ, {claimed} are claimed")
+            raise InputError(f"{contents.count} splats are packed by SPZ, {claimed} are claimed")
         return turned(contents, axes_matrix(GLTF_AXES).T)  # from a field's axes, which SPZ was read into
     return _plain(document, buffers, primitive["attributes"])
 
@@ -179,20 +180,20 @@ def _plain(document: dict, buffers: list[bytes], attributes: dict[str, int]) -> 
 
     def values(name: str, width: int) -> np.ndarray:
         if name not in attributes:
-            raise ValueError(f"its splats lack {name}")
+            raise InputError(f"its splats lack {name}")
         accessor = document["accessors"][attributes[name]]
         found = values_of(document, buffers, attributes[name])
         if found.shape != (count, width):
-            raise ValueError(f"{name} of {count} splats must be {(count, width)}, got {found.shape}")
+            raise InputError(f"{name} of {count} splats must be {(count, width)}, got {found.shape}")
         if accessor.get("normalized"):
             most = _MOST.get(found.dtype.str[1:])
             if most is None:
-                raise ValueError(f"{name} cannot be normalized numbers of type {found.dtype}")
+                raise InputError(f"{name} cannot be normalized numbers of type {found.dtype}")
             return np.maximum(found / most, -1.0)
         return found.astype(np.float64)
 
     if "POSITION" not in attributes:
-        raise ValueError("its splats lack POSITION")
+        raise InputError("its splats lack POSITION")
     count = document["accessors"][attributes["POSITION"]]["count"]
     degree = max((k for k in range(1, 4) if f"{EXTENSION}:SH_DEGREE_{k}_COEF_0" in attributes), default=0)
     names = [f"{EXTENSION}:SH_DEGREE_{k}_COEF_{c}" for k in range(degree + 1) for c in range(2 * k + 1)]
@@ -215,10 +216,10 @@ def _placed(contents: SplatContents, matrix: np.ndarray) -> SplatContents:
         return contents
     axes = matrix[:3, :3]
     if not np.isfinite(matrix).all():
-        raise ValueError("a node's place is not finite")
+        raise InputError("a node's place is not finite")
     scale = float(np.cbrt(abs(np.linalg.det(axes))))
     if not scale > 0.0 or np.abs(axes.T @ axes / scale**2 - np.eye(3)).max() > _EVEN:
-        raise ValueError("a node stretches its splats unevenly: only turned, moved and evenly scaled ones are read")
+        raise InputError("a node stretches its splats unevenly: only turned, moved and evenly scaled ones are read")
     left, _, right = np.linalg.svd(axes / scale)
     moved = turned(contents, left @ right)
     return SplatContents(

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...core.files import read_limited
 from ...core.memory import require_host_memory
+from ...errors import InputError
 from .contents import Y0, SplatContents, byte_logits, joined, logs_of
 
 #: Bytes of the header of a file and of a section.
@@ -35,20 +36,20 @@ def read_ksplat(path: pathlib.Path) -> SplatContents:
     """The splats of a .ksplat file, whose axes are those of the .ply that it was made of."""
     data = read_limited(path, "splat file", room=_ROOM)
     if len(data) < HEADER:
-        raise ValueError(f"{path}: a .ksplat file has a header of {HEADER} bytes, got {len(data)}")
+        raise InputError(f"{path}: a .ksplat file has a header of {HEADER} bytes, got {len(data)}")
     major, minor, sections, _, _, total, level, *reach = _FILE.unpack_from(data)
     if (major, minor) != (0, 1):
-        raise ValueError(f"{path}: .ksplat files of version 0.1 are read, this is version {major}.{minor}")
+        raise InputError(f"{path}: .ksplat files of version 0.1 are read, this is version {major}.{minor}")
     if level >= len(_TYPES):
-        raise ValueError(f"{path}: .ksplat files of compression 0, 1 and 2 are read, this has {level}")
+        raise InputError(f"{path}: .ksplat files of compression 0, 1 and 2 are read, this has {level}")
     place = HEADER + sections * SECTION
     if place > len(data):
-        raise ValueError(f"{path}: the headers of {sections} sections take {place} bytes, got {len(data)}")
+        raise InputError(f"{path}: the headers of {sections} sections take {place} bytes, got {len(data)}")
     low, high = reach[3:] if reach[3] < reach[4] else (-_HARMONICS_REACH, _HARMONICS_REACH)
     heads = [_SECTION.unpack_from(data, HEADER + k * SECTION) for k in range(sections)]
     degree = max((head[-1] for head in heads if head[0]), default=0)
     if degree > 3:
-        raise ValueError(f"{path}: harmonics of degree {degree}: at most 3")
+        raise InputError(f"{path}: harmonics of degree {degree}: at most 3")
     parts, left = [], memoryview(data)
     for head in heads:
         part, size = _read_section(path, left[place:], head, level, (low, high))
@@ -56,7 +57,7 @@ def read_ksplat(path: pathlib.Path) -> SplatContents:
         place += size
     count = sum(part.count for part in parts)
     if count != total:
-        raise ValueError(f"{path}: its sections hold {count} splats, its header tells of {total}")
+        raise InputError(f"{path}: its sections hold {count} splats, its header tells of {total}")
     return joined(parts, degree)
 
 
@@ -66,7 +67,7 @@ def _read_section(
     """The splats of a section that begins where `data` does, and its bytes; reach: of harmonics in bytes."""
     count, most, bucket_size, buckets, block, bucket_bytes, span, _, full, partial, degree = head
     if degree > 3:
-        raise ValueError(f"{path}: harmonics of degree {degree}: at most 3")
+        raise InputError(f"{path}: harmonics of degree {degree}: at most 3")
     place_type, value_type, harmonic_type = _TYPES[level]
     further = (degree + 1) ** 2 - 1
     row = np.dtype(
@@ -81,12 +82,12 @@ def _read_section(
     begin = 4 * partial + bucket_bytes * buckets
     size = begin + row.itemsize * most
     if count > most or begin + row.itemsize * count > len(data):
-        raise ValueError(f"{path}: a section of {count} splats takes {size} bytes, {len(data)} are left in the file")
+        raise InputError(f"{path}: a section of {count} splats takes {size} bytes, {len(data)} are left in the file")
     table = np.frombuffer(data, row, count, begin)
     centers = table["place"].astype(np.float32)
     if level:
         if buckets and bucket_bytes < 12:
-            raise ValueError(f"{path}: a bucket has a middle of 12 bytes, got {bucket_bytes}")
+            raise InputError(f"{path}: a bucket has a middle of 12 bytes, got {bucket_bytes}")
         middles = np.frombuffer(
             data, [("middle", "<f4", 3), ("rest", "u1", max(bucket_bytes - 12, 0))], buckets, 4 * partial
         )
@@ -117,7 +118,7 @@ def _read_section(
 def _buckets(path: pathlib.Path, count: int, size: int, full: int, lengths: np.ndarray, buckets: int) -> np.ndarray:
     """(n,) the bucket of each splat: full ones first, then those of fewer splats."""
     if full + len(lengths) > buckets or full * size > count or full * size + int(lengths.sum()) < count:
-        raise ValueError(f"{path}: {full} full buckets of {size} and {len(lengths)} others do not hold {count} splats")
+        raise InputError(f"{path}: {full} full buckets of {size} and {len(lengths)} others do not hold {count} splats")
     require_host_memory(16 * count, f"{path}: its {count} splats need")
     last = np.searchsorted(np.cumsum(lengths.astype(np.int64)), np.arange(count - full * size), side="right")
     return np.concatenate([np.repeat(np.arange(full), size), full + last])

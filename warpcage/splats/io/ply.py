@@ -10,6 +10,7 @@ import numpy as np
 
 from ...core.checks import listed, warn_caller
 from ...core.files import read_limited
+from ...errors import InputError
 from ...mesh.io.ply import Element, ply_header
 from .contents import PlyLayout, SplatContents, logits_of, logs_of, opacities_of, rounding_of
 
@@ -51,19 +52,19 @@ def read_parts(path: pathlib.Path, wanted: tuple[str, ...]) -> PlyParts:
     order, elements, begin, _ = ply_header(path, data)
     _require_scales(path, elements)
     if order == "ascii":
-        raise ValueError(f"{path}: splats in PLY files of text are not read: write it as a binary file")
+        raise InputError(f"{path}: splats in PLY files of text are not read: write it as a binary file")
     names = [name for name, _, _ in elements]
     last = max((names.index(name) for name in wanted if name in names), default=-1)
     tables, begins, position = {}, {}, begin
     for name, count, properties in elements[: last + 1]:
         if any(isinstance(kind, tuple) for _, kind in properties):
-            raise ValueError(f"{path}: element {name!r} before the splats has lists, whose rows cannot be told apart")
+            raise InputError(f"{path}: element {name!r} before the splats has lists, whose rows cannot be told apart")
         fields = [field for field, _ in properties]
         if len(set(fields)) < len(fields) or name in tables:
-            raise ValueError(f"{path}: element {name!r} or one of its properties is there twice")
+            raise InputError(f"{path}: element {name!r} or one of its properties is there twice")
         row = np.dtype([(field, order + kind) for field, kind in properties])
         if position + count * row.itemsize > len(data):
-            raise ValueError(f"{path}: the file ends within its {count} elements {name!r}")
+            raise InputError(f"{path}: the file ends within its {count} elements {name!r}")
         tables[name] = np.frombuffer(data, row, count, position) if row.itemsize else np.zeros(count, row)
         begins[name] = position - begin
         position += count * row.itemsize
@@ -77,7 +78,7 @@ def _require_scales(path: pathlib.Path, elements: list[Element]) -> None:
     if {"x", "y", "z"} <= fields and not fields & {"scale_0", "opacity", "rot_0", "f_dc_0"}:
         meant = "a mesh" if any(name == "face" and count for name, count, _ in elements) else "points without scales"
         lacking = listed(name for name in _NEEDED if name not in fields)
-        raise ValueError(f"{path}: no 3DGS splats: the vertices lack {lacking}: it holds {meant}")
+        raise InputError(f"{path}: no 3DGS splats: the vertices lack {lacking}: it holds {meant}")
 
 
 def read_splat_ply(path: pathlib.Path, parts: PlyParts, activated: bool | None = None) -> SplatContents:
@@ -85,18 +86,18 @@ def read_splat_ply(path: pathlib.Path, parts: PlyParts, activated: bool | None =
     and scales instead of logits and logarithms; None finds out, and says so."""
     table = parts.tables.get("vertex")
     if table is None:
-        raise ValueError(f"{path}: a PLY file of splats has an element 'vertex', got {listed(parts.tables)}")
+        raise InputError(f"{path}: a PLY file of splats has an element 'vertex', got {listed(parts.tables)}")
     names = table.dtype.names or ()
     lacking = [name for name in _NEEDED if name not in names]
     if lacking:
-        raise ValueError(f"{path}: no 3DGS splats: the vertices lack {listed(lacking)}")
+        raise InputError(f"{path}: no 3DGS splats: the vertices lack {listed(lacking)}")
     rest = sorted(int(found[1]) for found in map(_REST.fullmatch, names) if found)
     if rest != list(range(len(rest))) or len(rest) not in (0, 9, 24, 45):
-        raise ValueError(f"{path}: splats have 0, 9, 24 or 45 properties f_rest_0 and on, got {len(rest)}")
+        raise InputError(f"{path}: splats have 0, 9, 24 or 45 properties f_rest_0 and on, got {len(rest)}")
     used = (*_NEEDED, *(f"f_rest_{k}" for k in rest), *((_FILTER,) if _FILTER in names else ()))
     odd = [name for name in used if table.dtype[name].str[1:] not in _FLOATS]
     if odd:
-        raise ValueError(f"{path}: properties {listed(odd)} of splats must be float or double")
+        raise InputError(f"{path}: properties {listed(odd)} of splats must be float or double")
 
     def columns(*fields: str) -> np.ndarray:
         kind = np.float64 if any(table.dtype[field].itemsize == 8 for field in fields) else np.float32

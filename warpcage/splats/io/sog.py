@@ -15,6 +15,7 @@ import numpy as np
 from ...core.checks import shown, warn_caller
 from ...core.files import DAMAGED, JSON_ROOM, damage, read_json, read_limited
 from ...core.memory import MemoryShortage, require_host_memory
+from ...errors import InputError
 from .codebooks import CODES, codebook, nearest, palette
 from .compressed import with_largest, without_largest
 from .contents import DEGREES, SplatContents, byte_logits, opacities_of
@@ -141,7 +142,7 @@ def _folder_meta(path: pathlib.Path) -> dict[str, Any]:
     except MemoryShortage:
         raise
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
 
 
 def _folder_files(path: pathlib.Path) -> _Files:
@@ -151,9 +152,9 @@ def _folder_files(path: pathlib.Path) -> _Files:
     def read(name: str) -> bytes:
         file = path.parent / name
         if not file.resolve().is_relative_to(folder):
-            raise ValueError(f"{path}: its file {shown(name)} leads out of the folder")
+            raise InputError(f"{path}: its file {shown(name)} leads out of the folder")
         if not file.is_file():
-            raise ValueError(f"{path}: its file {shown(name)} is not there")
+            raise InputError(f"{path}: its file {shown(name)} is not there")
         return read_limited(file, "picture")
 
     return read
@@ -165,9 +166,9 @@ def _archive_meta(path: pathlib.Path, archive: zipfile.ZipFile) -> dict[str, Any
     try:
         meta = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:  # a number of thousands of digits is a ValueError too
-        raise ValueError(f"{path}: its {META} is damaged: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path}: its {META} is damaged: {' '.join(str(error).split())}") from None
     if not isinstance(meta, dict):
-        raise ValueError(f"{path}: its {META} holds no JSON object")
+        raise InputError(f"{path}: its {META} holds no JSON object")
     return meta
 
 
@@ -176,10 +177,10 @@ def _read(path: pathlib.Path, meta: dict[str, Any], files: _Files) -> SplatConte
     try:
         version = meta.get("version", 1)
         if version not in (1, 2):
-            raise ValueError(f"{path}: SOG of version 1 and 2 is read, this is version {shown(version)}")
+            raise InputError(f"{path}: SOG of version 1 and 2 is read, this is version {shown(version)}")
         return _SogReader(path, meta, files, version).read()
     except (*DAMAGED, IndexError) as error:
-        raise ValueError(f"{path}: {damage('SOG file', error)}") from None
+        raise InputError(f"{path}: {damage('SOG file', error)}") from None
 
 
 class _SogReader:
@@ -189,7 +190,7 @@ class _SogReader:
         self.path, self.meta, self.files, self.version = path, meta, files, version
         count = meta["count"] if version == 2 else meta["means"]["shape"][0]
         if not isinstance(count, int) or isinstance(count, bool) or count < 0:
-            raise ValueError(f"{path}: its number of splats must be a whole number, got {shown(count)}")
+            raise InputError(f"{path}: its number of splats must be a whole number, got {shown(count)}")
         self.count = count
 
     def read(self) -> SplatContents:
@@ -231,13 +232,13 @@ class _SogReader:
         width, height = _picture_size(self.path, data)
         coefficients = width // _ROW
         if width % _ROW or coefficients not in (3, 8, 15):
-            raise ValueError(f"{self.path}: a palette of harmonics is 192, 512 or 960 pixels wide, got {width}")
+            raise InputError(f"{self.path}: a palette of harmonics is 192, 512 or 960 pixels wide, got {width}")
         if self.version == 2 and told["bands"] != DEGREES[1 + coefficients]:
-            raise ValueError(
+            raise InputError(
                 f"{self.path}: {shown(told['bands'])} bands of harmonics do not fit a palette {width} pixels wide"
             )
         if height * _ROW > 2 * _MOST_ENTRIES:
-            raise ValueError(
+            raise InputError(
                 f"{self.path}: a palette of harmonics has at most {_MOST_ENTRIES} entries, got {height * _ROW}"
             )
         require_host_memory(_HARMONIC_BYTES * coefficients * self.count, f"{self.path}: its harmonics need")
@@ -246,7 +247,7 @@ class _SogReader:
         of = labels[:, 0].astype(int) | labels[:, 1].astype(int) << 8
         entries = told["count"] if self.version == 2 else height * _ROW
         if not isinstance(entries, int) or isinstance(entries, bool) or not 0 <= entries <= height * _ROW:
-            raise ValueError(f"{self.path}: a palette of {shown(entries)} entries does not fit {height} rows of {_ROW}")
+            raise InputError(f"{self.path}: a palette of {shown(entries)} entries does not fit {height} rows of {_ROW}")
         outside = of >= entries
         if outside.any():
             warn_caller(f"{self.path}: {int(outside.sum())} splats name harmonics that are not there: they have none")
@@ -264,10 +265,10 @@ class _SogReader:
             book = np.zeros(CODES)
             told = self._numbers(name, "codebook", None)
             if len(told) > CODES:
-                raise ValueError(f"{self.path}: a codebook has at most {CODES} numbers, that of {name} {len(told)}")
+                raise InputError(f"{self.path}: a codebook has at most {CODES} numbers, that of {name} {len(told)}")
             book[: len(told)] = told
             if codes.size and codes.max() >= len(told):
-                raise ValueError(f"{self.path}: the codebook of {name} has {len(told)} numbers, not {codes.max() + 1}")
+                raise InputError(f"{self.path}: the codebook of {name} has {len(told)} numbers, not {codes.max() + 1}")
             return book[codes].astype(np.float32)
         return self._ranged(name, codes, width)
 
@@ -283,19 +284,19 @@ class _SogReader:
         told = self.meta[name][key]
         told = told if isinstance(told, list) else [told]
         if not all(isinstance(each, int | float) and not isinstance(each, bool) for each in told):
-            raise ValueError(f"{self.path}: {key} of {name} must be numbers")
+            raise InputError(f"{self.path}: {key} of {name} must be numbers")
         if width is not None and len(told) != width:
-            raise ValueError(f"{self.path}: {key} of {name} must be {width} numbers, got {len(told)}")
+            raise InputError(f"{self.path}: {key} of {name} must be {width} numbers, got {len(told)}")
         return np.array(told, np.float64)
 
     def _file(self, name: str, index: int) -> bytes:
         """The bytes of a picture."""
         files = self.meta[name]["files"]
         if not isinstance(files, list) or len(files) <= index:
-            raise ValueError(f"{self.path}: the files of {name} must be a list of {index + 1} or more names")
+            raise InputError(f"{self.path}: the files of {name} must be a list of {index + 1} or more names")
         file = files[index]
         if not isinstance(file, str) or not file or pathlib.PurePath(file).name != file or "\\" in file:
-            raise ValueError(f"{self.path}: the name of a file of {name} is no plain name: {shown(file)}")
+            raise InputError(f"{self.path}: the name of a file of {name} is no plain name: {shown(file)}")
         return self.files(file)
 
     def _pixels(self, name: str, index: int) -> np.ndarray:
@@ -303,7 +304,7 @@ class _SogReader:
         data = self._file(name, index)
         width, height = _picture_size(self.path, data)
         if not self.count <= width * height <= 2 * self.count + _SPARE_PIXELS:
-            raise ValueError(f"{self.path}: a picture of {name} has {width} x {height} pixels for {self.count} splats")
+            raise InputError(f"{self.path}: a picture of {name} has {width} x {height} pixels for {self.count} splats")
         return _decoded_picture(self.path, data).reshape(-1, 4)[: self.count]
 
 
@@ -320,7 +321,7 @@ def _decoded_picture(path: pathlib.Path, data: bytes) -> np.ndarray:
     try:
         return np.array(picture.convert("RGBA"))
     except Exception as error:  # decoders raise of all kinds
-        raise ValueError(f"{path}: a picture of it cannot be read: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path}: a picture of it cannot be read: {' '.join(str(error).split())}") from None
 
 
 def _opened_picture(path: pathlib.Path, data: bytes) -> Any:
@@ -332,9 +333,9 @@ def _opened_picture(path: pathlib.Path, data: bytes) -> Any:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its size is compared with the splats
             picture = Image.open(io.BytesIO(data), formats=("WEBP", "PNG"))
     except UnidentifiedImageError:
-        raise ValueError(f"{path}: a picture of it cannot be read: it is no WebP and no PNG picture") from None
+        raise InputError(f"{path}: a picture of it cannot be read: it is no WebP and no PNG picture") from None
     except Exception as error:  # decoders raise of all kinds
-        raise ValueError(f"{path}: a picture of it cannot be read: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path}: a picture of it cannot be read: {' '.join(str(error).split())}") from None
     if picture.mode not in ("RGB", "RGBA"):
-        raise ValueError(f"{path}: a picture of it must have red, green and blue, got {picture.mode}")
+        raise InputError(f"{path}: a picture of it must have red, green and blue, got {picture.mode}")
     return picture

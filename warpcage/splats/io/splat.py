@@ -7,6 +7,7 @@ import pathlib
 import numpy as np
 
 from ...core.files import read_limited
+from ...errors import InputError
 from .contents import Y0, SplatContents, byte_logits, logs_of, opacities_of, unit_quaternions
 
 _ROW = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
@@ -18,7 +19,7 @@ def read_splat(path: pathlib.Path) -> SplatContents:
     """The splats of a .splat file."""
     data = read_limited(path, "splat file", room=_ROOM)
     if len(data) % _ROW.itemsize:
-        raise ValueError(f"{path}: a .splat file has {_ROW.itemsize} bytes a splat, got {len(data)} bytes")
+        raise InputError(f"{path}: a .splat file has {_ROW.itemsize} bytes a splat, got {len(data)} bytes")
     table = np.frombuffer(data, _ROW)
     shares = table["color"] / 255.0
     return SplatContents(

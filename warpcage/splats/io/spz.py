@@ -13,6 +13,7 @@ import numpy as np
 from ...core.checks import shown, warn_caller
 from ...core.files import read_limited
 from ...core.memory import require_host_memory
+from ...errors import InputError
 from .axes import SPZ_AXES, axes_matrix, turned, turned_over
 from .compressed import with_largest, without_largest
 from .contents import DEGREES, SplatContents, byte_logits, opacities_of
@@ -58,15 +59,15 @@ def read_spz_data(path: pathlib.Path, data: bytes) -> SplatContents:
     packed = data.startswith(_GZIP)
     head = gunzipped_head(path, data, _HEADER.size) if packed else data[: _HEADER.size]
     if len(head) < _HEADER.size:
-        raise ValueError(f"{path}: an .spz file has a header of {_HEADER.size} bytes, got {len(head)}")
+        raise InputError(f"{path}: an .spz file has a header of {_HEADER.size} bytes, got {len(head)}")
     magic, version, count, degree, bits, flags, _ = _HEADER.unpack(head)
     if magic != _MAGIC:
-        raise ValueError(f"{path}: no .spz file: it begins with {head[:4]!r}")
+        raise InputError(f"{path}: no .spz file: it begins with {head[:4]!r}")
     if not 1 <= version <= (3 if packed else 4):
         most = "1 to 3 in gzip" if packed else "1 to 4"
-        raise ValueError(f"{path}: .spz files of version {most} are read, this is version {version}")
+        raise InputError(f"{path}: .spz files of version {most} are read, this is version {version}")
     if degree > 4 or bits > 23:
-        raise ValueError(f"{path}: harmonics of degree {degree} and {bits} bits after the point: at most 4 and 23")
+        raise InputError(f"{path}: harmonics of degree {degree} and {bits} bits after the point: at most 4 and 23")
     further = (degree + 1) ** 2 - 1
     widths = (6 if version == 1 else 9, 1, 3, 3, 3 if version < 3 else 4, 3 * further)
     size = count * sum(widths)
@@ -78,7 +79,7 @@ def read_spz_data(path: pathlib.Path, data: bytes) -> SplatContents:
         whole = gunzipped(path, data, _HEADER.size + size + _MOST_EXTENSIONS) if packed else data
         extra = len(whole) - _HEADER.size - size
         if extra < 0 or (extra and not flags & _EXTENDED):
-            raise ValueError(
+            raise InputError(
                 f"{path}: {count} splats of degree {degree} take {_HEADER.size + size} bytes, got {len(whole)}"
             )
         ends = np.cumsum([_HEADER.size, *(count * width for width in widths)])
@@ -95,7 +96,7 @@ def read_spz_data(path: pathlib.Path, data: bytes) -> SplatContents:
 def write_spz(contents: SplatContents, version: int = 3) -> bytes:
     """An .spz file of version 3 or 4; ValueError for splats too far from the origin for 24 bits."""
     if version not in (3, 4) or isinstance(version, bool):
-        raise ValueError(f".spz files of version 3 and 4 are written, got {shown(version)}")
+        raise InputError(f".spz files of version 3 and 4 are written, got {shown(version)}")
     contents = turned_over(contents)
     count, degree = contents.count, DEGREES[contents.harmonics.shape[1]]
     reach = float(np.abs(contents.centers).max()) if count else 0.0
@@ -103,7 +104,7 @@ def write_spz(contents: SplatContents, version: int = 3) -> bytes:
     while bits > 0 and reach * (1 << bits) > _MOST:
         bits -= 1
     if reach * (1 << bits) > _MOST:
-        raise ValueError(f"an .spz file holds positions up to {_MOST}, a splat is {reach:.4g} away: move or scale it")
+        raise InputError(f"an .spz file holds positions up to {_MOST}, a splat is {reach:.4g} away: move or scale it")
     fixed = np.round(contents.centers.astype(np.float64) * (1 << bits)).astype(np.int32)
     places = np.stack([(fixed >> shift) & 255 for shift in (0, 8, 16)], axis=-1)
     alphas = np.round(255.0 * opacities_of(contents.logits))
@@ -123,17 +124,17 @@ def write_spz(contents: SplatContents, version: int = 3) -> bytes:
 def _streams(path: pathlib.Path, data: bytes, sizes: list[int]) -> tuple[list[bytes], bytes]:
     """The parts of a file of version 4, each of the size that it must have, and its extensions."""
     if len(data) < _HEADER_4.size:
-        raise ValueError(f"{path}: an .spz file of version 4 has a header of {_HEADER_4.size} bytes, got {len(data)}")
+        raise InputError(f"{path}: an .spz file of version 4 has a header of {_HEADER_4.size} bytes, got {len(data)}")
     *_, streams, table = _HEADER_4.unpack_from(data)
     wanted = sizes if sizes[-1] or streams == len(sizes) else sizes[:-1]  # without harmonics they have no stream
     place = table + streams * _STREAM.size
     if streams != len(wanted) or not _HEADER_4.size <= table <= table + _MOST_EXTENSIONS or place > len(data):
-        raise ValueError(f"{path}: {len(wanted)} streams expected, got {streams} with their table at byte {table}")
+        raise InputError(f"{path}: {len(wanted)} streams expected, got {streams} with their table at byte {table}")
     parts = []
     for k, size in enumerate(wanted):
         packed, claimed = _STREAM.unpack_from(data, table + k * _STREAM.size)
         if claimed != size or place + packed > len(data):
-            raise ValueError(
+            raise InputError(
                 f"{path}: stream {k} must hold {size} bytes and end in the file of {len(data)}, it claims {claimed} in "
                 f"{packed} from byte {place} on"
             )
@@ -160,7 +161,7 @@ def _declared_axes(path: pathlib.Path, extensions: bytes) -> str:
         if kind == _AXES_RECORD:
             value = int.from_bytes(content[:4], "little")
             if len(content) < 4 or value > len(_AXES):
-                raise ValueError(f"{path}: its coordinate system {value} is not known: 0 to {len(_AXES)} are")
+                raise InputError(f"{path}: its coordinate system {value} is not known: 0 to {len(_AXES)} are")
             return _AXES[value - 1] if value else SPZ_AXES
     return SPZ_AXES
 
@@ -172,7 +173,7 @@ def _records(path: pathlib.Path, extensions: bytes) -> Iterator[tuple[int, bytes
         kind, size = _RECORD.unpack_from(extensions, place)
         place += _RECORD.size + size
         if place > len(extensions):
-            raise ValueError(f"{path}: its extension {kind:#x} of {size} bytes ends beyond all {len(extensions)}")
+            raise InputError(f"{path}: its extension {kind:#x} of {size} bytes ends beyond all {len(extensions)}")
         yield kind, extensions[place - size : place]
 
 

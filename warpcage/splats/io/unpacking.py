@@ -14,6 +14,7 @@ from ...core.checks import shown
 from ...core.files import CHUNK, MAX_RATIO
 from ...core.memory import require_host_memory
 from ...core.names import install_line
+from ...errors import InputError
 
 #: Bytes that a packed byte may come to, beyond some that any file may have. The places of splats alone are a tenth of
 #: what files of them hold, and hardly pack.
@@ -27,7 +28,7 @@ def require_packed(path: pathlib.Path, claimed: int, packed: int, what: str, tim
     """Refuse far more bytes than splats were ever packed in, before they are unpacked; times: how much better
     than others what is packed there may be."""
     if claimed > times * (MOST_PACKED * packed + LITTLE):
-        raise ValueError(f"{path}: {what} claim {claimed} bytes out of {packed}: splats cannot be packed so far")
+        raise InputError(f"{path}: {what} claim {claimed} bytes out of {packed}: splats cannot be packed so far")
 
 
 def gunzipped_head(path: pathlib.Path, data: bytes, size: int) -> bytes:
@@ -35,7 +36,7 @@ def gunzipped_head(path: pathlib.Path, data: bytes, size: int) -> bytes:
     try:
         return zlib.decompressobj(31).decompress(data, size)
     except zlib.error as error:
-        raise ValueError(f"{path}: what gzip packed in it cannot be unpacked: {error}") from None
+        raise InputError(f"{path}: what gzip packed in it cannot be unpacked: {error}") from None
 
 
 def gunzipped(path: pathlib.Path, data: bytes, most: int) -> bytes:
@@ -46,15 +47,15 @@ def gunzipped(path: pathlib.Path, data: bytes, most: int) -> bytes:
             part = unpacker.decompress(rest, min(CHUNK, most + 1 - total))
             total += len(part)
             if total > most:
-                raise ValueError(f"{path}: more than {most} bytes are packed in it, which its header does not tell")
+                raise InputError(f"{path}: more than {most} bytes are packed in it, which its header does not tell")
             parts.append(part)
             rest = unpacker.unconsumed_tail
             if not part and not rest:
                 break
     except zlib.error as error:
-        raise ValueError(f"{path}: what gzip packed in it cannot be unpacked: {error}") from None
+        raise InputError(f"{path}: what gzip packed in it cannot be unpacked: {error}") from None
     if not unpacker.eof:
-        raise ValueError(f"{path}: the file ends before what is packed in it")
+        raise InputError(f"{path}: the file ends before what is packed in it")
     return b"".join(parts)
 
 
@@ -71,9 +72,9 @@ def unzstd(path: pathlib.Path, data: bytes, size: int) -> bytes:
             with zstd.ZstdFile(io.BytesIO(data), options=options) as reader:
                 found = _read_up_to(reader, size + 1)
     except (zstd.ZstdError, EOFError) as error:
-        raise ValueError(f"{path}: what zstd packed in it cannot be unpacked: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path}: what zstd packed in it cannot be unpacked: {' '.join(str(error).split())}") from None
     if len(found) != size:
-        raise ValueError(
+        raise InputError(
             f"{path}: {size} bytes should be packed by zstd, got {'more' if len(found) > size else len(found)}"
         )
     return found
@@ -90,7 +91,7 @@ def zip_members(path: pathlib.Path, what: str) -> zipfile.ZipFile:
     try:
         return zipfile.ZipFile(path)
     except (zipfile.BadZipFile, NotImplementedError, ValueError, UnicodeDecodeError, EOFError) as error:
-        raise ValueError(f"{path}: not {what}, which is a .zip archive: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path}: not {what}, which is a .zip archive: {' '.join(str(error).split())}") from None
 
 
 def read_member(path: pathlib.Path, archive: zipfile.ZipFile, name: str, room: int, most: int = 1 << 40) -> bytes:
@@ -99,21 +100,21 @@ def read_member(path: pathlib.Path, archive: zipfile.ZipFile, name: str, room: i
     try:
         info = archive.getinfo(name)
     except KeyError:
-        raise ValueError(f"{path}: the archive lacks {shown(name)}") from None
+        raise InputError(f"{path}: the archive lacks {shown(name)}") from None
     if info.flag_bits & 1:
-        raise ValueError(f"{path}: {shown(name)} is encrypted, which is not read")
+        raise InputError(f"{path}: {shown(name)} is encrypted, which is not read")
     if info.file_size > MAX_RATIO * info.compress_size + 1024:
-        raise ValueError(f"{path}: {shown(name)} claims {info.file_size} bytes out of {info.compress_size}")
+        raise InputError(f"{path}: {shown(name)} claims {info.file_size} bytes out of {info.compress_size}")
     if info.file_size > most:
-        raise ValueError(f"{path}: {shown(name)} has {info.file_size} bytes, at most {most} are read")
+        raise InputError(f"{path}: {shown(name)} has {info.file_size} bytes, at most {most} are read")
     require_host_memory(room * info.file_size, f"{path}: the {info.file_size} bytes of {shown(name)} need")
     try:
         with archive.open(info) as member:
             found = _read_up_to(member, info.file_size + 1)
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError) as error:
-        raise ValueError(f"{path}: {shown(name)} cannot be unpacked: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path}: {shown(name)} cannot be unpacked: {' '.join(str(error).split())}") from None
     if len(found) != info.file_size:
-        raise ValueError(f"{path}: {shown(name)} ends after {len(found)} of {info.file_size} bytes")
+        raise InputError(f"{path}: {shown(name)} ends after {len(found)} of {info.file_size} bytes")
     return found
 
 
@@ -132,4 +133,4 @@ def _zstd() -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise ValueError(install_line(name, str(pathlib.Path(__file__).parents[3]))) from error
+        raise InputError(install_line(name, str(pathlib.Path(__file__).parents[3]))) from error
