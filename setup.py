@@ -55,6 +55,7 @@ DEV = [
     "codespell>=2.3",
     "import-linter>=2.0",
     "pyright[nodejs]>=1.1.380",
+    "mypy>=1.11",
     "clang-format>=22",
     "pre-commit>=3.7",
     "build>=1.0",

@@ -45,7 +45,7 @@ BAD_INPUT = (
 class Maker(Protocol):
     """Makes items: `batch.worker.Worker`, or what stands for it in tests."""
 
-    def submit(self, item: Item, out: str | os.PathLike | None = None) -> Future[dict[str, int]]:
+    def submit(self, item: Item, out: str | os.PathLike[str] | None = None) -> Future[dict[str, int]]:
         """Make an item; its files may be written while the next one is made. out: where, instead of the run's folder.
         Becomes its files and their sizes in bytes, or what went wrong."""
         ...

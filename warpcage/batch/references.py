@@ -76,7 +76,7 @@ class RestCage(NamedTuple):
 class References:
     """Reads what items refer to. What was read from a file is kept while the file stays as it is."""
 
-    def __init__(self, base: str | os.PathLike):
+    def __init__(self, base: str | os.PathLike[str]):
         self.base = pathlib.Path(base)
         self._files: LRUCache[Any] = LRUCache(MOST_FILES)
         self._drawn = SampledPoses()

@@ -388,8 +388,8 @@ class Worker:
 
     def __init__(
         self,
-        base: str | os.PathLike,
-        out: str | os.PathLike,
+        base: str | os.PathLike[str],
+        out: str | os.PathLike[str],
         device: wp.DeviceLike = None,
         *,
         memory: int | None = None,
@@ -436,12 +436,12 @@ class Worker:
         self.fields.forget()
         gc.collect()
 
-    def run(self, item: Item, out: str | os.PathLike | None = None) -> dict[str, int]:
+    def run(self, item: Item, out: str | os.PathLike[str] | None = None) -> dict[str, int]:
         """Make an item; returns the bytes of its outputs, by their paths. out: their folder; None is that of the
         worker."""
         return self.submit(item, out).result()
 
-    def submit(self, item: Item, out: str | os.PathLike | None = None) -> Future[dict[str, int]]:
+    def submit(self, item: Item, out: str | os.PathLike[str] | None = None) -> Future[dict[str, int]]:
         """Make an item; its outputs are encoded and written in another thread, while the next item is rendered.
         Becomes the bytes of its outputs by their paths once they are in their places, or its error."""
         try:

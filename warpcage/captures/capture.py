@@ -92,8 +92,8 @@ MOST_FRAMES, LEAST_SIZE, MOST_SIZE = 2000, 100, 8000
 
 
 def capture(
-    path: str | os.PathLike,
-    output: str | os.PathLike,
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str],
     *,
     pictures: str | os.PathLike | Sequence[str] | None = None,
     frames: int = 120,

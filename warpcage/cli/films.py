@@ -372,7 +372,7 @@ class FilmEncoder:
 
 
 def session_job(
-    document: Document, field: VoxelField, film: Film, path: str | os.PathLike, scene_scale: float = 1.0
+    document: Document, field: VoxelField, film: Film, path: str | os.PathLike[str], scene_scale: float = 1.0
 ) -> tuple[FilmJob, Iterator[FilmFrame]]:
     """The job of a session's film, and its frames, which are those of `editor.exports.film_pictures`.
     path: the field's file; scene_scale: as the field was loaded."""

@@ -52,14 +52,14 @@ def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
     return transparent
 
 
-def require_format(path: str | os.PathLike) -> None:
+def require_format(path: str | os.PathLike[str]) -> None:
     """Raises ValueError for an OpenEXR file where its library is not installed, before any long work."""
     if os.fspath(path).lower().endswith("exr"):
         require_openexr()
 
 
 def picture_task(
-    path: str | os.PathLike, image: np.ndarray, frame: Frame, camera: Camera
+    path: str | os.PathLike[str], image: np.ndarray, frame: Frame, camera: Camera
 ) -> tuple[Callable[[], None], int]:
     """What writes a picture of a frame, .png, or .exr with its depth, in any thread, and the bytes that it holds."""
     # It needs neither the frame any more, nor what that has on a device.

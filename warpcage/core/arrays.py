@@ -34,7 +34,7 @@ class DLPackArray(Protocol):
 WarpStruct: TypeAlias = Any
 
 #: Points as callers give them: NumPy, nested sequences, a Warp array, or one of another library.
-PointsLike = ArrayLike | wp.array | DLPackArray
+PointsLike: TypeAlias = "ArrayLike | wp.array[Any, Any] | DLPackArray"
 
 
 def is_device_array(array: object) -> bool:

@@ -147,7 +147,7 @@ def native_text(path: str) -> str:
     return (FOLDER / path).read_text(encoding="utf-8")
 
 
-def copy_kernel(name: str, destination: str | os.PathLike) -> list[pathlib.Path]:
+def copy_kernel(name: str, destination: str | os.PathLike[str]) -> list[pathlib.Path]:
     """Copy a kernel file and all that it needs into a package that imports without warpcage; returns their paths,
     sorted. All or nothing is copied; files that are there with the same text stay, and so does every `__init__.py`."""
     destination = pathlib.Path(destination)

@@ -6,35 +6,41 @@ import functools
 import os
 import pathlib
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
 from ..errors import Error, InputError
 
 _Choice = TypeVar("_Choice")
 
 #: Kinds of coordinates, as `coordinates=` takes them.
-COORDINATES = ("harmonic", "mean_value", "green")
+Coordinates: TypeAlias = Literal["harmonic", "mean_value", "green"]
+COORDINATES: tuple[str, ...] = get_args(Coordinates)
 
 #: Their defaults: of what poses a field, as the paper has it, and of points, which may lie outside of a cage.
-FIELD_COORDINATES, POINT_COORDINATES = "harmonic", "mean_value"
+FIELD_COORDINATES: Coordinates = "harmonic"
+POINT_COORDINATES: Coordinates = "mean_value"
 
 #: What happens to points outside of a cage, as `outside=` takes them.
 OUTSIDE = ("extend", "raise", "nan")
 
 #: How a sample's density follows an edit, as `density=` takes them.
-DENSITIES = ("opacity", "paper")
+Density: TypeAlias = Literal["opacity", "paper"]
+DENSITIES: tuple[str, ...] = get_args(Density)
 
 #: What a map on a lattice keeps, as `store=` takes them.
-STORES = ("map", "weights")
+Store: TypeAlias = Literal["map", "weights"]
+STORES: tuple[str, ...] = get_args(Store)
 
 #: The word for `CageEdit.fragments` in files of edits, jobs and sessions, which stay as they are.
 FRAGMENTS_WORD = "crumbs"
 
 #: How splats follow a cage, as `map=` takes them.
-SPLAT_MAPS = ("forward", "backward")
+SplatMap: TypeAlias = Literal["forward", "backward"]
+SPLAT_MAPS: tuple[str, ...] = get_args(SplatMap)
 
 #: Qualities of a fit, as `quality=` takes them; `fitting.options` says what each sets.
-QUALITIES = ("fast", "standard", "high")
+Quality: TypeAlias = Literal["fast", "standard", "high"]
+QUALITIES: tuple[str, ...] = get_args(Quality)
 
 #: Colours behind a picture, by name.
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "gray": (0.5, 0.5, 0.5)}

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import pathlib
 import re
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.arrays import PointsLike, as_given, as_host_points, as_points, empty_array, is_device_array, require_finite
+from ..core.arrays import as_given, as_host_points, as_points, empty_array, is_device_array, require_finite
 from ..core.checks import checked_flag, checked_path, checked_step, checked_whole, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import owner_lock
@@ -21,6 +22,10 @@ from ..core.names import (
     DENSITIES,
     FIELD_COORDINATES,
     SPLAT_MAPS,
+    Coordinates,
+    Density,
+    SplatMap,
+    Store,
     chosen,
     require_coordinates,
     require_name,
@@ -47,13 +52,13 @@ from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
 from .exact import ExactEdits
-from .posed import PosedDeformer
+from .posed import DeformerOptions, PosedDeformer, PoseLike, RestLike
 from .poses import checked_pose, inverse_error
 from .splat_baking import baked_field, numbered_files, warn_of_others
 from .splat_edits import SplatEdits
 
-#: A pose of one cage: the Cage, its vertices (v, 3), or a file.
-PoseLike: TypeAlias = Cage | PointsLike | str | os.PathLike[str]
+if TYPE_CHECKING:
+    from typing_extensions import Self, Unpack  # of the type checker
 
 
 class Deformer:
@@ -106,7 +111,18 @@ class Deformer:
             reads `posed_edits()`.
     """
 
-    def __new__(cls, field: VoxelField | SplatField, *args: Any, **options: Any) -> Deformer:
+    if TYPE_CHECKING:
+
+        @overload
+        def __new__(cls, field: SplatField, rest: RestLike, **options: Unpack[DeformerOptions]) -> SplatDeformer: ...
+        @overload
+        def __new__(cls, field: VoxelField, rest: RestLike, **options: Unpack[DeformerOptions]) -> Self: ...
+        @overload
+        def __new__(
+            cls, field: VoxelField | SplatField, rest: RestLike, **options: Unpack[DeformerOptions]
+        ) -> Deformer: ...
+
+    def __new__(cls, field: Any, *args: Any, **options: Any) -> Any:
         if cls is Deformer and isinstance(field, SplatField):
             return object.__new__(SplatDeformer)
         return super().__new__(cls)
@@ -115,14 +131,14 @@ class Deformer:
     def __init__(
         self,
         field: VoxelField | SplatField,
-        rest: Cage | CageEdit | Sequence[Cage | CageEdit],
+        rest: RestLike,
         *,
-        coordinates: str = FIELD_COORDINATES,
+        coordinates: Coordinates = FIELD_COORDINATES,
         resolution: int | None = 128,
-        density: str = "opacity",
+        density: Density = "opacity",
         device: wp.DeviceLike = None,
-        store: str = "map",
-        map: str | None = None,
+        store: Store = "map",
+        map: SplatMap | None = None,
         progress: bool | Progress = False,
     ):
         require_type(field, VoxelField, "a Deformer needs")
@@ -139,7 +155,10 @@ class Deformer:
         self.edits = checked_edits(rest)
         self.device = field.device if device is None else resolve_device(device)
         self.field = field.to(self.device)
-        self.coordinates, self.resolution, self.density, self.store = coordinates, resolution, density, store
+        self.coordinates: Coordinates = coordinates
+        self.density: Density = density
+        self.store: Store = store
+        self.resolution = resolution
         self.deformed: list[Cage | None] | None = None
         self.lock, self._order = owner_lock(self.device), StreamOrder(self.device)
         self._held: list[Cage | None] | None = None  # the pose that is in the buffers
@@ -453,19 +472,20 @@ class SplatDeformer(Deformer):
     def __init__(
         self,
         field: SplatField,
-        rest: Cage | CageEdit | Sequence[Cage | CageEdit],
+        rest: RestLike,
         *,
-        coordinates: str = FIELD_COORDINATES,
+        coordinates: Coordinates = FIELD_COORDINATES,
         resolution: int | None = 128,
-        density: str = "opacity",
+        density: Density = "opacity",
         device: wp.DeviceLike = None,
-        store: str = "map",
-        map: str | None = None,
+        store: Store = "map",
+        map: SplatMap | None = None,
         progress: bool | Progress = False,
     ):
         require_type(field, SplatField, "a SplatDeformer needs")
-        self.coordinates = require_coordinates(coordinates)
-        self.density = require_name(density, DENSITIES, "density")
+        require_coordinates(coordinates)
+        require_name(density, DENSITIES, "density")
+        self.coordinates, self.density = coordinates, density
         self.map = "forward" if map is None else require_name(map, SPLAT_MAPS, "map")
         if store != "map":
             raise InputError(f'splats keep their weights: store must be "map", got {store!r}')
@@ -531,7 +551,7 @@ class SplatDeformer(Deformer):
 
     def save_sequence(
         self,
-        path: str | os.PathLike,
+        path: str | os.PathLike[str],
         poses: Iterable[PoseLike | Sequence[PoseLike | None]],
         *,
         first: int = 1,
@@ -592,3 +612,9 @@ class SplatDeformer(Deformer):
         if step is not None:
             raise InputError("splats are not marched through: leave step out")
         return render_field(self.field, posed_edits().posed, camera, background, supersampling, antialias)
+
+
+# `__new__`, which chooses the class, would hide it
+for _class in (Deformer, SplatDeformer):
+    _of_self = inspect.signature(_class.__init__)
+    _class.__signature__ = _of_self.replace(parameters=list(_of_self.parameters.values())[1:])  # pyright: ignore

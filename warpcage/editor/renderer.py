@@ -11,7 +11,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import warp as wp
@@ -247,7 +247,7 @@ class PosedScene:
         deformer = kept.get(cells)
         vertices = [edit.posed for edit in edits]
         if deformer is None:
-            coordinates, density = options
+            coordinates, density = cast(tuple[Any, Any], options)  # names, which documents check
             deformer = Deformer(
                 self.field, self._cage_edits(edits, rest), coordinates=coordinates, resolution=cells, density=density
             )

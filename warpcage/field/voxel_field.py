@@ -402,7 +402,7 @@ class VoxelField:
             return np.zeros(links.shape, np.float32)
         return np.where(links >= 0, rows.numpy()[np.maximum(links, 0)], np.float32(0))
 
-    def save(self, path: str | os.PathLike, *, format: str = "warpcage") -> None:
+    def save(self, path: str | os.PathLike[str], *, format: str = "warpcage") -> None:
         """Write the field to a file, whole or not at all.
 
         Args:
@@ -415,7 +415,9 @@ class VoxelField:
         save_field(self._contents(), path, format=format)
 
     @classmethod
-    def load(cls, path: str | os.PathLike, *, scene_scale: float = 1.0, device: wp.DeviceLike = None) -> VoxelField:
+    def load(
+        cls, path: str | os.PathLike[str], *, scene_scale: float = 1.0, device: wp.DeviceLike = None
+    ) -> VoxelField:
         """Read our own .npz or a Plenoxels (svox2) checkpoint.
 
         Args:

@@ -6,6 +6,7 @@ import functools
 import hashlib
 import json
 import math
+import os
 import pathlib
 import weakref
 from typing import Any, Protocol
@@ -66,7 +67,7 @@ class Fit(Protocol):
 _fingerprints: weakref.WeakKeyDictionary[Fit, str] = weakref.WeakKeyDictionary()
 
 
-def require_writable(path: str | pathlib.Path) -> pathlib.Path:
+def require_writable(path: str | os.PathLike[str]) -> pathlib.Path:
     """A checkpoint's path. Raises ValueError where it does not end in .npz or is a folder."""
     path = checked_path(path, "the checkpoint")
     if path.suffix != ".npz" or path.is_dir():

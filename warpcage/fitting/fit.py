@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
 import pathlib
 import sys
 import time
-from typing import Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import warp as wp
 from numpy.typing import ArrayLike
@@ -24,8 +25,13 @@ from . import checkpoint as voxel_checkpoint
 from .checkpoint import require_writable
 from .evaluation import comparison
 from .optimizer import FieldOptimizer
+from .options import FitNames
 from .splats import checkpoint as splat_checkpoint
 from .splats.optimizer import SplatFit
+from .splats.options import SplatFitNames
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack  # of the type checker
 
 _log = logging.getLogger(__name__)
 
@@ -37,11 +43,11 @@ REPRESENTATIONS = ("voxels", "splats")
 
 
 @overload
-def fit(scene: Scene, *, representation: Literal["voxels"] = "voxels", **options: Any) -> VoxelField: ...
+def fit(scene: Scene, *, representation: Literal["voxels"] = "voxels", **options: Unpack[FitNames]) -> VoxelField: ...
 
 
 @overload
-def fit(scene: Scene, *, representation: Literal["splats"], **options: Any) -> SplatField: ...
+def fit(scene: Scene, *, representation: Literal["splats"], **options: Unpack[SplatFitNames]) -> SplatField: ...
 
 
 @hears
@@ -54,9 +60,9 @@ def fit(
     seed: int = 0,
     progress: bool | Progress = True,
     bounds: ArrayLike | None = None,
-    checkpoint: str | pathlib.Path | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_seconds: float = 60.0,
-    preview: str | pathlib.Path | None = None,
+    preview: str | os.PathLike[str] | None = None,
     preview_seconds: float = 20.0,
     **options: Any,
 ) -> VoxelField | SplatField:
@@ -139,7 +145,7 @@ def fit(
     return field
 
 
-def _preview_path(preview: str | pathlib.Path) -> pathlib.Path:
+def _preview_path(preview: str | os.PathLike[str]) -> pathlib.Path:
     """The file of a preview; ValueError where it is none."""
     path = checked_path(preview, "the preview")
     if path.suffix.lower() != ".png" or path.is_dir():

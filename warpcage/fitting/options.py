@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import os
 import textwrap
-from typing import Any, TypeVar
+from typing import Any, TypedDict, TypeVar
 
 import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
 
-from ..core.names import QUALITIES
+from ..core.names import QUALITIES, Quality
+from ..core.reports import Progress
 from ..errors import InputError
 from ..field.io.field_file import MAX_LAYER_SIDE, MAX_LAYERS, MAX_OUTER_SIDE
 from .memory import memory_size
@@ -292,3 +296,74 @@ def checked_fields(kind: type[Options], by_quality: dict[str, dict[str, Any]], o
         if not values.holds(value):
             raise InputError(f"{field.name} must be {values}, got {value!r}")
     return checked
+
+
+class FitCall(TypedDict, total=False):
+    """What every `fit` takes by name, for type checkers."""
+
+    quality: Quality
+    device: wp.DeviceLike
+    seed: int
+    progress: bool | Progress
+    checkpoint: str | os.PathLike[str] | None
+    checkpoint_seconds: float
+    preview: str | os.PathLike[str] | None
+    preview_seconds: float
+
+
+class FitNames(FitCall, total=False):
+    """What a `fit` of voxels takes by name, for type checkers: the fields of FitOptions too."""
+
+    bounds: ArrayLike | None
+    resolution: int | None
+    max_resolution: int
+    footprint: float
+    levels: int
+    level_growth: float
+    epochs: float
+    least_steps: int
+    batch_rays: int | None
+    tile_size: int
+    rate_density: float
+    rate_density_end: float
+    rate_sh: float
+    rate_sh_end: float
+    decay_power: float
+    directional: float | None
+    directional_end: float | None
+    degree_falloff: float
+    beta: float
+    scarcity: float | None
+    variation_density: float
+    variation_sh: float
+    variation_high_degree: float
+    variation: float | None
+    shrink_sh: float
+    variation_share: float
+    prune_weight: float
+    keep_weight: float
+    keep_at: float
+    supersampling: int
+    view_share: float
+    background: str
+    opacity_share: float
+    background_layers: int
+    background_side: int | None
+    max_background_side: int
+    background_detail: float
+    rate_background: float
+    rate_background_end: float
+    variation_background: float
+    variation_background_depth: float
+    outer_resolution: int | None
+    max_outer_resolution: int
+    rate_outer: float
+    rate_outer_end: float
+    rate_outer_density: float
+    rate_outer_density_end: float
+    variation_outer: float
+    variation_outer_density: float
+    front_opacity: float
+    sky_follows: float
+    refine_cameras: bool
+    max_memory: int | str | None

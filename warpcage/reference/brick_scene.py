@@ -22,7 +22,7 @@ from .viewpoints import CAMERA_ANGLE_X, orbit_eyes, reference_cameras, require_c
 
 
 def write_brick_scene(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     *,
     train_views: int = 60,
     test_views: int = 8,

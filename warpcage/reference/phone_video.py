@@ -56,7 +56,7 @@ class PhonePath:
 
 
 def write_phone_video(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     *,
     frames: int = 40,
     size: tuple[int, int] = (256, 192),  # width and height, even, pixels

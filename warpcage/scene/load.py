@@ -20,7 +20,7 @@ from .scene import Scene, rotation_to
 
 @hears
 def load_scene(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     *,
     split: str = "train",
     downscale: int = 1,
@@ -28,7 +28,7 @@ def load_scene(
     background: str | ArrayLike = "white",
     masks: bool | str = True,
     orient: str | ArrayLike | None = None,
-    cameras: str | os.PathLike | None = None,
+    cameras: str | os.PathLike[str] | None = None,
     model: str | None = None,
     progress: bool | Progress = False,
 ) -> Scene:
@@ -117,7 +117,7 @@ def _straightening(scene: Scene) -> np.ndarray | None:
     return rotation_to(scene.up, np.array([0.0, 0.0, 1.0]))
 
 
-def holding_format(path: str | os.PathLike) -> SceneFormat:
+def holding_format(path: str | os.PathLike[str]) -> SceneFormat:
     """The first format that fits a scene folder; ValueError, with what is known and what is there, where none does."""
     folder, tried = pathlib.Path(path), []
     for each in candidates():

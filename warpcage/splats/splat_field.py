@@ -115,7 +115,7 @@ class SplatField:
 
     @classmethod
     def load(
-        cls, path: str | os.PathLike, *, activated: bool | None = None, device: wp.DeviceLike = None
+        cls, path: str | os.PathLike[str], *, activated: bool | None = None, device: wp.DeviceLike = None
     ) -> SplatField:
         """Read splats from a file.
 
@@ -194,7 +194,7 @@ class SplatField:
         options = {"antialias": contents.antialias} | options
         return cls(contents.centers, *values, layout=contents.layout, **options)
 
-    def save(self, path: str | os.PathLike, *, version: int | None = None) -> None:
+    def save(self, path: str | os.PathLike[str], *, version: int | None = None) -> None:
         """Write the splats to a file, whole or not at all.
 
         What was loaded from a .ply and is saved as one is the same file, bit for bit. The other formats quantise:

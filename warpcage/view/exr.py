@@ -35,7 +35,7 @@ def linear_light(colors: ArrayLike) -> np.ndarray:
     return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
-def write_picture(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | None = None) -> None:
+def write_picture(path: str | os.PathLike[str], image: ArrayLike, depth: ArrayLike | None = None) -> None:
     """Write a picture as the ending says, whole or not at all: .png, .jpg, or .exr, which alone has depth (h, w).
     The image is as `write_png`, `write_jpeg` and `write_exr` take it."""
     ending = pathlib.Path(path).suffix.lower()
@@ -47,7 +47,7 @@ def write_picture(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | 
         write_png(path, image)
 
 
-def write_exr(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | None = None) -> None:
+def write_exr(path: str | os.PathLike[str], image: ArrayLike, depth: ArrayLike | None = None) -> None:
     """Write an OpenEXR file, whole or not at all: half floats of linear light; depth (h, w), world units, in floats.
     The image is (h, w, 3), or (h, w, 4) with straight colours, as screens take them (sRGB): 0 black, 1 white."""
     path = path_with_ending(path, ".exr")
@@ -71,7 +71,7 @@ def write_exr(path: str | os.PathLike, image: ArrayLike, depth: ArrayLike | None
         exr.File(header, channels).write(str(temporary))
 
 
-def read_exr(path: str | os.PathLike) -> dict[str, np.ndarray]:
+def read_exr(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     """The channels of an OpenEXR file of one part, as they are in it, by name.
     They are "RGB" (h, w, 3) or "RGBA" (h, w, 4), and "Z" (h, w)."""
     path = require_file(path, "image")

@@ -60,7 +60,7 @@ def film_size(width: int, height: int, ending: str) -> tuple[int, int]:
     return (width // 2 * 2, height // 2 * 2) if ending == ".mp4" else (width, height)
 
 
-def require_clear_film(path: str | os.PathLike) -> None:
+def require_clear_film(path: str | os.PathLike[str]) -> None:
     """Raises ValueError for a film that has no opacity; a name without an ending is a folder of pictures, which do."""
     ending = os.path.splitext(path)[1].lower()
     if ending and ending not in CLEAR_ENDINGS:
@@ -72,7 +72,7 @@ def require_clear_film(path: str | os.PathLike) -> None:
 
 @hears
 def write_film(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     frames: Iterable[ArrayLike],
     fps: float | Fraction = 24.0,
     *,
@@ -92,7 +92,7 @@ def write_film(
         raise InputError(f"film {str(path)!r} must end in {', '.join(FILM_ENDINGS)}")
 
 
-def write_clear_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
+def write_clear_video(path: str | os.PathLike[str], frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
     """Write a video that keeps opacity, whole or not at all: ProRes 4444 (.mov) or VP9 (.webm).
     Frames (h, w, 4) with straight colours, or (h, w, 3), in [0, 1] or uint8, are taken one by one."""
     # Straight colours, as players of both take them; BT.709, limited range. ProRes is for editors, VP9 for browsers.
@@ -169,14 +169,14 @@ def deep_pixels(pixels: np.ndarray) -> np.ndarray:
     return np.round(np.clip(image, 0.0, 1.0) * 65535.0).astype(np.uint16)
 
 
-def write_film_frame(path: str | os.PathLike, picture: ArrayLike) -> None:
+def write_film_frame(path: str | os.PathLike[str], picture: ArrayLike) -> None:
     """Write a frame of a film with 16 bits (.npz), without loss and with all that its encoder needs, in place."""
     data = io.BytesIO()
     np.savez_compressed(data, pixels=deep_pixels(np.asarray(picture)))
     pathlib.Path(path).write_bytes(data.getbuffer())
 
 
-def read_film_frame(path: str | os.PathLike) -> np.ndarray:
+def read_film_frame(path: str | os.PathLike[str]) -> np.ndarray:
     """Read a picture that becomes a frame of a film; one of `write_film_frame` (.npz) is (h, w, 3) or (h, w, 4) uint16.
     Others are as `read_image` has them, grey as (h, w). Read-only."""
     if os.path.splitext(path)[1].lower() == ".npz":
@@ -196,7 +196,7 @@ def _byte_pixels(pixels: np.ndarray) -> np.ndarray:
     return to_uint8(as_rgb(pixels))
 
 
-def write_video(path: str | os.PathLike, frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
+def write_video(path: str | os.PathLike[str], frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
     """Write an H.264 video that browsers play (yuv420p), whole or not at all; odd sizes lose their last row or column.
     Frames are (h, w, 3) of one size, in [0, 1] or uint8, and are taken one by one."""
     path = path_with_ending(path, ".mp4")
@@ -222,7 +222,7 @@ def _encode_video(path: pathlib.Path, rate: Fraction, images: Iterable[np.ndarra
 
 
 def write_gif(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     frames: Iterable[ArrayLike],
     fps: float | Fraction = 15.0,
     *,

@@ -264,7 +264,7 @@ class Frame:
         """
         return self._mask("outside")
 
-    def save(self, path: str | os.PathLike) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Write the frame to a file, whole or not at all.
 
         Args:

@@ -72,13 +72,13 @@ _WARM = (
 FAR_ROOM = 0.15
 
 
-def read_image(path: str | os.PathLike) -> np.ndarray:
+def read_image(path: str | os.PathLike[str]) -> np.ndarray:
     """Read a picture file (PNG, JPEG, WebP, BMP, TIFF, AVIF, HEIC): (h, w, c) float32 in [0, 1]; c is 1 or 2 for
     grey, 3 or 4 for colour. Rows are as the file stores them: a camera's orientation tag is not applied."""
     return read_rows(path)(0, None)
 
 
-def read_rows(path: str | os.PathLike, *, upright: bool = False) -> Rows:
+def read_rows(path: str | os.PathLike[str], *, upright: bool = False) -> Rows:
     """Decode a picture file: a function of the first row and the one after the last (None: the end) that gives them.
     Rows become floats, as in `read_image`, when they are asked for; upright: turned as `is_on_its_side` says."""
     path = require_file(path, "image")
@@ -102,7 +102,7 @@ def read_rows(path: str | os.PathLike, *, upright: bool = False) -> Rows:
     return rows
 
 
-def image_size(path: str | os.PathLike) -> tuple[int, int]:
+def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     """Width and height, pixels, that a picture file declares; its pixels are not read."""
     with _opened(require_file(path, "image")) as picture:
         return picture.size
@@ -178,7 +178,7 @@ def _read_deep_png(path: pathlib.Path) -> np.ndarray:
         return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
-def write_png(path: str | os.PathLike, image: ArrayLike) -> None:
+def write_png(path: str | os.PathLike[str], image: ArrayLike) -> None:
     """Write a PNG file, whole or not at all: (h, w), (h, w, 3) or (h, w, 4), in [0, 1] or uint8."""
     path = path_with_ending(path, ".png")
     pixels = _png_pixels(image)
@@ -206,7 +206,7 @@ def _encode_png(file: BinaryIO, pixels: np.ndarray) -> None:
     iio.imwrite(file, pixels, extension=".png", compress_level=1, compress_type=PNG_STRATEGY)
 
 
-def write_jpeg(path: str | os.PathLike, image: ArrayLike, *, quality: int = 95) -> None:
+def write_jpeg(path: str | os.PathLike[str], image: ArrayLike, *, quality: int = 95) -> None:
     """Write a JPEG file, whole or not at all: (h, w) or (h, w, 3), in [0, 1] or uint8."""
     path = pathlib.Path(path)
     if path.suffix.lower() not in (".jpg", ".jpeg"):
@@ -218,7 +218,7 @@ def write_jpeg(path: str | os.PathLike, image: ArrayLike, *, quality: int = 95) 
         iio.imwrite(file, pixels, extension=".jpg", quality=quality, subsampling=0)  # 4:4:4: colours at full size
 
 
-def path_with_ending(path: str | os.PathLike, ending: str) -> pathlib.Path:
+def path_with_ending(path: str | os.PathLike[str], ending: str) -> pathlib.Path:
     """The path of a file to write, once its ending, in capitals or not, is checked."""
     path = pathlib.Path(path)
     if path.suffix.lower() != ending:

@@ -38,7 +38,7 @@ def _write_svox2(path: pathlib.Path, field: FieldContents) -> None:
 WRITERS = {"warpcage": _write_own, "compact": _write_compact, "svox2": _write_svox2}
 
 
-def save_field(field: FieldContents, path: str | os.PathLike, *, format: str = "warpcage") -> None:
+def save_field(field: FieldContents, path: str | os.PathLike[str], *, format: str = "warpcage") -> None:
     """Write a field to a file (.npz), whole or not at all."""
     if not str(path).endswith(".npz"):
         raise InputError(f"a field file ends in .npz, got {str(path)!r}")
@@ -50,7 +50,7 @@ def save_field(field: FieldContents, path: str | os.PathLike, *, format: str = "
         WRITERS[format](temporary, field)
 
 
-def load_field(path: str | os.PathLike, *, scene_scale: float = 1.0) -> FieldContents:
+def load_field(path: str | os.PathLike[str], *, scene_scale: float = 1.0) -> FieldContents:
     """Read a field; scene_scale: factor on the scene's positions before the field was optimised, undone here."""
     scene_scale = checked_positive(scene_scale, "scene_scale")  # svox2 scales NeRF-synthetic scenes by 2/3
     path = checked_path(path, "the field file")

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from numpy.typing import ArrayLike
+
 from ...core.names import QUALITIES
 from ...errors import InputError
-from ..options import checked_fields, number, option, positive, weight, whole, with_arguments
+from ..options import FitCall, checked_fields, number, option, positive, weight, whole, with_arguments
 from .start import STARTS
 
 
@@ -116,3 +118,48 @@ def checked_splat_options(options: dict) -> SplatFitOptions:
         if getattr(checked, name) not in known:
             raise InputError(f"{name} must be one of {', '.join(known)}, got {getattr(checked, name)!r}")
     return checked
+
+
+class SplatFitNames(FitCall, total=False):
+    """What a `fit` of splats takes by name, for type checkers: the fields of SplatFitOptions too."""
+
+    weights: ArrayLike | None
+    steps: int
+    most_splats: int
+    pixels_per_splat: float
+    degree: int
+    degree_every: float
+    coarse_until: float
+    start: str
+    start_scale: float
+    start_opacity: float
+    grow_from: float
+    grow_until: float
+    revive_until: float
+    grow_every: int
+    growth: float | None
+    rate_centers: float
+    rate_centers_end: float
+    rate_log_scales: float
+    rate_quaternions: float
+    rate_logits: float
+    rate_colors: float
+    rate_harmonics: float
+    exposure: bool | None
+    exposure_from: float
+    rate_exposure: float
+    last: float
+    fall_from: float
+    noise: float
+    opacity_weight: float
+    scale_weight: float
+    settle_from: float
+    ssim: float
+    every_value: bool
+    largest_scale: float | None
+    most_elongation: float | None
+    elongation_weight: float
+    least_scale: float
+    antialias: bool
+    background: str
+    max_memory: int | str | None

@@ -1,0 +1,63 @@
+"""Types for callers: typical calls are taken by type checkers, wrong ones are not, and signatures are seen."""
+
+import dataclasses
+import importlib.util
+import inspect
+import json
+import os
+import pathlib
+import re
+import subprocess
+import sys
+
+import pytest
+
+import warpcage
+from warpcage.deform.posed import DeformerOptions
+from warpcage.fitting.options import FitNames
+from warpcage.fitting.splats.options import SplatFitNames
+
+ROOT = pathlib.Path(__file__).parents[2]
+CALLS, WRONG = (ROOT / "tests" / "typed" / name for name in ("calls.py", "wrong_calls.py"))
+
+
+def pyright(path):
+    """Lines with errors, and what is said of them."""
+    command = [sys.executable, "-m", "pyright", "--outputjson", "--pythonpath", sys.executable, str(path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    found = json.loads(done.stdout)["generalDiagnostics"]
+    return {each["range"]["start"]["line"] + 1: each["message"] for each in found if each["severity"] == "error"}
+
+
+def mypy(path):
+    """As `pyright`."""
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", str(path)]
+    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"MYPYPATH": str(ROOT)}, capture_output=True, text=True)
+    assert done.returncode in (0, 1), done.stdout + done.stderr
+    return {int(line): text for line, text in re.findall(rf"{path.name}:(\d+): error: (.*)", done.stdout)}
+
+
+@pytest.mark.parametrize("checker", [pyright, mypy], ids=["pyright", "mypy"])
+def test_type_checkers_know_the_calls(checker):
+    if importlib.util.find_spec(checker.__name__) is None:
+        pytest.skip(f"{checker.__name__} is not installed")
+    assert checker(CALLS) == {}
+    marked = {number for number, line in enumerate(WRONG.read_text().splitlines(), 1) if line.endswith("# wrong")}
+    assert len(marked) > 10 and set(checker(WRONG)) == marked
+
+
+@pytest.mark.parametrize("kind", [warpcage.Deformer, warpcage.SplatDeformer])
+def test_the_signature_of_a_deformer_is_seen(kind):
+    names = list(inspect.signature(kind).parameters)
+    assert names[:2] == ["field", "rest"] and set(names[2:]) == set(DeformerOptions.__annotations__)
+
+
+@pytest.mark.parametrize(
+    ("names", "options"), [(FitNames, warpcage.FitOptions), (SplatFitNames, warpcage.SplatFitOptions)]
+)
+def test_names_of_options_are_those_of_their_classes(names, options):
+    fields = {field.name: field.type for field in dataclasses.fields(options)}
+    types = {name: getattr(kind, "__forward_arg__", kind) for name, kind in names.__annotations__.items()}
+    assert {name: types[name] for name in fields} == fields
+    called = set(inspect.signature(warpcage.fit).parameters) | {"weights"}
+    assert set(types) - set(fields) <= called
