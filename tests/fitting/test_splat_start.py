@@ -150,6 +150,10 @@ def test_where_pictures_have_no_points_places_lie_on_their_rays():
         found += mine.sum()
     assert found == len(added)
     assert np.array_equal(start_of(scene).centers, start.centers)
+    counted = np.ones((2, SIZE, SIZE), np.float32)
+    counted[1] = 0.0
+    ignored = start_of(dataclasses.replace(scene, weights=counted))
+    assert (ignored.colors[len(points) :, 2] == np.float32(0.2)).all() and len(ignored.centers) > len(points)
     assert len(start_of(scene, most=len(points) + 7).centers) == len(points) + 7
 
 

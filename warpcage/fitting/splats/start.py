@@ -156,9 +156,12 @@ def _gap_rays(scene: Scene, view: int, points: np.ndarray, random: np.random.Gen
     seen, rows, columns = _pixels(camera, points)
     taken = np.zeros((math.ceil(camera.height / side), math.ceil(camera.width / side)), bool)
     taken[(rows / side).astype(int), (columns / side).astype(int)] = True
-    cells = np.argwhere(~binary_dilation(taken, np.ones((3, 3), bool)))
+    cells = np.argwhere(np.logical_not(binary_dilation(taken, np.ones((3, 3), bool))))
     corner = (cells[:, ::-1] + random.random((len(cells), 2))) * side
     x, y = np.minimum(corner, np.array([camera.width, camera.height]) - 0.5).T
+    if scene.weights is not None:
+        counts = scene.weights[view, y.astype(int), x.astype(int)] > 0.0
+        x, y = x[counts], y[counts]
     local = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones(len(x))], axis=1)
     rays = local @ camera.rotation.T
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
