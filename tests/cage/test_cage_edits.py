@@ -67,8 +67,8 @@ def test_overlapping_edits_resolve_in_order(device, side_view):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"coordinates": "bilinear"}, "coordinates 'bilinear'"),
-        ({"density": "thick"}, "density 'thick'"),
+        ({"coordinates": "bilinear"}, "coordinates .*, got 'bilinear'"),
+        ({"density": "thick"}, "density .*, got 'thick'"),
         ({"resolution": None}, MESSAGES["deform.no_closed_form"]),
         ({"resolution": 2}, "resolution"),
         ({"device": "cuda:99"}, "device"),
@@ -110,7 +110,7 @@ def test_bad_poses_are_refused_and_the_last_one_stays():
         (flat, "the deformed cage"),
         (other, "vertices"),
         ([BOX, BOX], "one cage per edit"),
-        (BOX.vertices, "a Cage, got ndarray"),
+        (BOX.vertices[1:], "vertices"),
         (None, "a Cage, got NoneType"),
     ):
         with pytest.raises(ValueError, match=message):

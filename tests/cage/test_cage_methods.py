@@ -44,6 +44,7 @@ def test_every_scene_is_enclosed_whole(scene, count, method):
 def test_auto_takes_the_tighter_of_both(scene, caplog):
     field = scene_field(scene, 32)
     cages = {method: Cage.from_field(field, 60, method=method) for method in ("shell", "voxel")}
+    caplog.clear()
     with caplog.at_level("INFO", "warpcage"):
         chosen = Cage.from_field(field, 60)
     assert chosen.volume == min(cage.volume for cage in cages.values())

@@ -72,6 +72,8 @@ def complaints(thing):
     if isinstance(thing, property):
         return found + ([] if "return" in thing.fget.__annotations__ else ["its value is not annotated"])
 
+    if inspect.isclass(thing) and issubclass(thing, Exception):  # made of a message alone
+        return found
     parameters, result = signature_of(thing)
     parts = sections(docstring)
     described = entries(parts.get("Args", ()))

@@ -26,6 +26,7 @@ FIXED = {
     "warpcage.cli": {"main": "function"},
     "warpcage.core.devices": {"launch": "function", "resolve_device": "function"},
     "warpcage.core.files": {"atomic_path": "function"},
+    "warpcage.core.names": {"meant": "function"},
     "warpcage.core.locks": {"device_turn": "function"},
     "warpcage.core.threads": {"cpu_threads": "function", "limit_threads": "function"},
     "warpcage.editor.demo": {"demo_files": "function"},

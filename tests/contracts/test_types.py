@@ -37,13 +37,20 @@ def mypy(path):
     return {int(line): text for line, text in re.findall(rf"{path.name}:(\d+): error: (.*)", done.stdout)}
 
 
+def lines_with(mark, path):
+    return {number for number, line in enumerate(path.read_text().splitlines(), 1) if mark in line.rpartition("`")[2]}
+
+
 @pytest.mark.parametrize("checker", [pyright, mypy], ids=["pyright", "mypy"])
 def test_type_checkers_know_the_calls(checker):
     if importlib.util.find_spec(checker.__name__) is None:
         pytest.skip(f"{checker.__name__} is not installed")
-    assert checker(CALLS) == {}
-    marked = {number for number, line in enumerate(WRONG.read_text().splitlines(), 1) if line.endswith("# wrong")}
-    assert len(marked) > 10 and set(checker(WRONG)) == marked
+    # of a class with both, mypy asks __init__ alone what a call gives, and not __new__
+    unseen = lines_with("# mypy sees", CALLS), lines_with("# mypy sees", WRONG)
+    calls, wrong = unseen if checker is mypy else (set(), set())
+    assert set(checker(CALLS)) == calls
+    marked = lines_with("# wrong", WRONG)
+    assert len(marked) > 10 and set(checker(WRONG)) == marked - wrong
 
 
 @pytest.mark.parametrize("kind", [warpcage.Deformer, warpcage.SplatDeformer])

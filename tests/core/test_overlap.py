@@ -13,8 +13,9 @@ from runs import DEFORMED, SMALL, run, succeed, write_files
 
 import warpcage.view.film as film
 from warpcage import Deformer
+from warpcage.cli import outputs
 from warpcage.core import SPARE, BackgroundWriter, stream
-from warpcage.view import pictures, write_film
+from warpcage.view import write_film
 
 #: Seconds until a test that hangs fails.
 PATIENCE = 60.0
@@ -285,9 +286,7 @@ def test_a_film_that_cannot_be_encoded_ends_the_rendering(files, tmp_path, capsy
 
 def test_a_picture_is_written_while_the_next_are_rendered(files, tmp_path, monkeypatch):
     """The first picture's file waits until the third frame was rendered."""
-    from warpcage.cli import outputs
-
-    render, write, count, third = Deformer.render, pictures.write_png, [], threading.Event()
+    render, write, count, third = Deformer.render, outputs.write_picture, [], threading.Event()
 
     def counted(self, *words, **options):
         count.append(1)
@@ -295,28 +294,26 @@ def test_a_picture_is_written_while_the_next_are_rendered(files, tmp_path, monke
             third.set()
         return render(self, *words, **options)
 
-    def waits(path, image):
+    def waits(path, image, depth):
         assert third.wait(PATIENCE)
-        write(path, image)
+        write(path, image, depth)
 
     monkeypatch.setattr(Deformer, "render", counted)
-    monkeypatch.setattr(outputs, "write_png", waits)
+    monkeypatch.setattr(outputs, "write_picture", waits)
     succeed(files, *ANIMATE, tmp_path / "frames")
     assert len(list((tmp_path / "frames").glob("*.png"))) == 8
 
 
 def test_a_picture_that_cannot_be_written_costs_itself_alone(files, tmp_path, capsys, monkeypatch):
-    from warpcage.cli import outputs
+    write = outputs.write_picture
 
-    write = pictures.write_png
-
-    def fails(path, image):
+    def fails(path, image, depth):
         if path.name == "frame_0002.png":
             raise OSError(28, "No space left on device", str(path))
-        write(path, image)
+        write(path, image, depth)
 
     with monkeypatch.context() as patch:
-        patch.setattr(outputs, "write_png", fails)
+        patch.setattr(outputs, "write_picture", fails)
         assert run(files, *ANIMATE, tmp_path / "frames") == 2
     assert "no space left on device" in capsys.readouterr().err
     there = sorted((tmp_path / "frames").glob("*"))

@@ -387,7 +387,7 @@ def test_masks_of_a_lens_are_undone_with_the_picture(tmp_path, bricks, lens):
 
 
 @pytest.mark.parametrize("format", ["transforms", "colmap"])
-def test_mask_files_may_say_what_counts(tmp_path, bricks, format):
+def test_mask_files_may_say_what_counts(tmp_path, bricks, format, capsys):
     """mask_path and masks/NAME.png: opacity as ever, or weights of whole pictures; a dynamic mask goes with either."""
     if format == "transforms":
         write_transforms(tmp_path, bricks, masks=True)
@@ -406,6 +406,8 @@ def test_mask_files_may_say_what_counts(tmp_path, bricks, format):
     assert cut.weights[0].all() and not cut.weights[1].any()
     around = load_scene(tmp_path, split="all", masks="split").surroundings
     np.testing.assert_allclose(around[0], (1 - alphas[0, ..., None]) * scene.images[0], atol=1e-6)
+    main(["info", str(tmp_path)])
+    assert "ignored       12.5 % of pixels" in capsys.readouterr().out  # one of eight that are train
     with pytest.raises(ValueError, match="'split' or 'weights'"):
         load_scene(tmp_path, masks="weight")
 
@@ -421,7 +423,7 @@ def test_commands_take_weights(tmp_path, bricks, capsys):
     write_colmap(tmp_path, bricks, binary=True, masks=True)
     share = 100 * (bricks.rgba[[i for i in range(10) if i % 8]][..., 3] == 0).mean()
     main(["info", str(tmp_path)])
-    assert "ignored" in capsys.readouterr().out
+    assert "ignored" not in capsys.readouterr().out  # they are opacity, where nobody says otherwise
     words = ["fit", str(tmp_path), "-o", str(tmp_path / "f.npz"), "--weight-masks", "--device", "cpu", "--quiet"]
     main([*words, "--epochs", "0.5", "--resolution", "16"])
     scene = load_scene(tmp_path, masks="weights")

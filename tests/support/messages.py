@@ -117,6 +117,7 @@ MESSAGES = {
     "splats.cameras_list": "cameras must be a list, one for each picture, got Camera",
     "splats.format_unusable": "the splat format 'xyz' of package:xyz cannot be used",
     "splats.images_list": "images must be a list, one for each picture, got NoneType",
+    "splats.logits_of_others": r"logits of 20 splats must be \(20,\), got \(20, 2\)",
     "splats.no_splats": "no 3DGS splats: the vertices lack f_dc_0",
     "splats.not_finite": "splat 0 has quaternions that are not finite",
     "splats.picture_of_frame": r"picture 0 must be \(h, w, 3\) numbers, got Frame",

@@ -33,11 +33,11 @@ def posed(field: VoxelField, splats: SplatField, kind: Kind) -> VoxelField:
     cage = Cage.from_field(field, vertex_count=60, progress=follow)
     deformer = Deformer(field, cage, coordinates=kind, resolution=64, density="paper", store="map")
     assert_type(deformer, Deformer)
-    assert_type(Deformer(splats, [cage, cage], map="backward"), SplatDeformer)
+    assert_type(Deformer(splats, [cage, cage], map="backward"), SplatDeformer)  # mypy sees a Deformer
     deformer.pose(cage.twist(20))
     deformer.pose(np.zeros((8, 3), np.float32))
     deformer.pose([pathlib.Path("a.obj"), None])
-    assert_type(warpcage.bake(Deformer(splats, cage).pose(cage)), SplatField)
+    assert_type(warpcage.bake(Deformer(splats, cage).pose(cage)), SplatField)  # mypy sees a VoxelField
     return warpcage.bake(deformer, 64, progress=follow)
 
 

@@ -255,16 +255,14 @@ def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | N
         ("pictures", f"{len(scene)} of {' to '.join(f'{w}x{h}' for w, h in dict.fromkeys((sizes[0], sizes[-1])))}"),
         ("colours", _range(scene.images, "of 1")),
         ("opacity", "no" if scene.alphas is None else f"yes, {100 * float(scene.alphas.mean()):.1f} % covered"),
-        (
-            "ignored",
-            "nothing" if scene.weights is None else f"{100 * float((scene.weights == 0.0).mean()):.1f} % of pixels",
-        ),
         ("focal length", _range(focal, "pixels")),
         ("cameras in", _box(centers.min(axis=0), centers.max(axis=0))),
         ("up", scene.up.round(3).tolist()),
         ("bounds", "not given" if scene.bounds is None else _box(*scene.bounds)),
         ("memory", f"{(scene.images.nbytes + (0 if scene.alphas is None else scene.alphas.nbytes)) / 1e6:.0f} MB"),
     ]
+    if scene.weights is not None:
+        rows.append(("ignored", f"{100 * float((scene.weights == 0.0).mean()):.1f} % of pixels"))
     if sheet is not None:
         rows.append(("sheet", _write_sheet(scene, sheet)))
     return rows
