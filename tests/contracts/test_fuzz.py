@@ -13,7 +13,7 @@ pytest.importorskip("hypothesis")
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from program_writers import write_bundler, write_llff, write_metashape, write_opensfm
+from program_writers import write_bundler, write_llff, write_metashape, write_opensfm, write_realityscan
 from scene_writers import brick_pictures, write_blender, write_colmap, write_dtu, write_nsvf, write_transforms
 
 from warpcage import Cage, FieldOptimizer, PoseFile, VoxelField, load_scene
@@ -114,6 +114,7 @@ FORMATS = {
     "colmap fisheye": lambda folder, pictures: write_colmap(folder, pictures, binary=True, model="OPENCV_FISHEYE",
                                                             distortion=(0.02, -0.002, 0, 0)),
     "llff": write_llff,
+    "realityscan": lambda folder, pictures: write_realityscan(folder, pictures, lens=(-0.02, 0, 0, 0, 0.001, 0)),
     "bundler": lambda folder, pictures: write_bundler(folder, pictures, distortion=(-0.02, 0.001)),
     "opensfm": lambda folder, pictures: write_opensfm(folder, pictures, k1=-0.02, p1=0.001),
     "metashape": lambda folder, pictures: write_metashape(folder, pictures, lens={"k1": -0.02, "p1": 0.001}),

@@ -9,7 +9,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from messages import MESSAGES
-from program_writers import write_bundler, write_llff, write_metashape, write_opensfm
+from program_writers import write_bundler, write_llff, write_metashape, write_opensfm, write_realityscan
 from scene_writers import (
     brick_pictures,
     write_blender,
@@ -169,6 +169,7 @@ FOLDERS = {
     "llff": (write_llff, "images"),
     "bundler": (write_bundler, "images"),
     "opensfm": (write_opensfm, "images"),
+    "realityscan": (write_realityscan, "images"),
     "metashape": (write_metashape, "images"),
 }
 
@@ -276,6 +277,8 @@ DAMAGED = {
     "bundler negative": (write_bundler, "bundle/bundle.out", "3 30\n", "-1 30\n", "announces -1 cameras"),
     "bundler list": (write_bundler, "bundle/bundle.out", "\n2 0 7", "\n9999999999 0 7", "a list of pictures expected"),
     "bundler NaN": (write_bundler, "bundle/bundle.out", "3 30\n31.0", "3 30\nnan", "not finite"),
+    "realityscan column": (write_realityscan, "cameras.csv", ",f,", ",g,", "lacks the columns f"),
+    "realityscan row": (write_realityscan, "cameras.csv", "view_01.png,", "view_01.png;", "16 values expected"),
     "bundler version": (write_bundler, "bundle/bundle.out", "v0.3", "v0.1", "must begin with '# Bundle file v0.3'"),
     "opensfm size": (write_opensfm, "reconstruction.json", '"width": 24', '"width": 1e300', "1e+300x20 pixels"),
     "opensfm no size": (write_opensfm, "reconstruction.json", '"width": 24', '"width": null', "width of its camera"),

@@ -1,5 +1,5 @@
-"""Scenes of other programs come back: LLFF, Bundler, OpenSfM, Metashape. Each is compared with the cameras that it was
-written from, and pixels of known points with the formulas of its own documentation."""
+"""Scenes of other programs come back: LLFF, Bundler, RealityScan, OpenSfM, Metashape. Each is compared with the cameras
+that it was written from, and pixels of known points with the formulas of its own documentation."""
 
 import json
 import xml.etree.ElementTree as ET
@@ -16,10 +16,20 @@ from program_writers import (
     write_llff,
     write_metashape,
     write_opensfm,
+    write_realityscan,
 )
 from scene_writers import Pictures, brick_pictures
 from scipy.spatial.transform import Rotation
-from test_scene_formats import LENSES, lens_pictures, load, require_equal, require_held_out_splits, require_undistorted
+from test_scene_formats import (
+    LENSES,
+    lens_pictures,
+    load,
+    picture_of,
+    pixel_centers,
+    require_equal,
+    require_held_out_splits,
+    require_undistorted,
+)
 
 from warpcage import load_scene
 
@@ -124,6 +134,46 @@ def test_bundler_lenses_are_undone(tmp_path):
     pictures = lens_pictures(LENSES["barrel"], single_focal=True, middle=True)
     write_bundler(tmp_path, pictures, distortion=LENSES["barrel"])
     require_undistorted(load_scene(tmp_path), pictures)
+
+
+# RealityScan
+
+
+def test_realityscan(tmp_path, centered):
+    write_realityscan(tmp_path, centered)
+    require_held_out_splits(tmp_path, centered)
+    scene = load(tmp_path, split="all", format="realityscan")
+    expected = []
+    for line in (tmp_path / "cameras.csv").read_text().splitlines()[1:]:
+        x, y, alt, *angles, f, px, py = map(float, line.split(",")[1:10])
+        (sh, sp, sr), (ch, cp, cr) = np.sin(np.radians(angles)), np.cos(np.radians(angles))
+        heading = np.array([[ch, sh, 0], [-sh, ch, 0], [0, 0, 1]])  # clockwise, as a compass has it
+        pitch, roll = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]]), np.array([[cr, 0, sr], [0, 1, 0], [-sr, 0, cr]])
+        right, up, back = ((SQUARE - [x, y, alt]) @ (heading @ pitch @ roll)).T
+        focal = f / 36 * 24
+        expected.append(np.stack([12 + 24 * px - focal * right / back, 10 + 24 * py + focal * up / back], axis=1))
+    require_pixels(scene, expected)
+
+
+@pytest.mark.parametrize("lens", ["barrel", "tangential", "all"])
+def test_realityscan_lenses_are_undone(tmp_path, lens):
+    pictures = lens_pictures(LENSES[lens], single_focal=True)
+    k1, k2, t1, t2 = (*LENSES[lens], 0.0, 0.0)[:4]
+    write_realityscan(tmp_path, pictures, lens=(k1, k2, 0.0, 0.0, t1, t2))
+    require_undistorted(load_scene(tmp_path), pictures)
+
+
+@pytest.mark.parametrize("lens", ["barrel", "tangential", "all"])
+def test_realityscan_lenses_of_four_radial_coefficients(tmp_path, lens):
+    """They are resampled in another way; with next to nothing as the fourth, to the same pictures."""
+    pictures = lens_pictures(LENSES[lens], single_focal=True)
+    k1, k2, t1, t2 = (*LENSES[lens], 0.0, 0.0)[:4]
+    write_realityscan(tmp_path, pictures, lens=(k1, k2, 0.0, 1e-9, t1, t2))
+    scene = load_scene(tmp_path)
+    for image, read, written in zip(scene.images, scene.cameras, pictures.cameras[1:], strict=False):
+        np.testing.assert_allclose(read.camera_to_world, written.camera_to_world, atol=1e-9)
+        error = np.abs(image - picture_of(read, pixel_centers(read)))[2:-2, 2:-2]
+        assert read.width > 40 and error.max() < 0.01
 
 
 # OpenSfM
@@ -256,6 +306,7 @@ def test_metashape_entities_are_refused(tmp_path, bricks):
 
 
 WRITERS = {"llff": write_llff, "bundler": write_bundler, "opensfm": write_opensfm, "metashape": write_metashape}
+WRITERS["realityscan"] = write_realityscan
 
 
 @pytest.mark.parametrize("name", WRITERS)

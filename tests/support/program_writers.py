@@ -58,6 +58,19 @@ def write_bundler(folder, pictures, *, distortion=(0.0, 0.0), lost=(), listing="
         (folder / listing).write_text("\n".join(names) + "\n")
 
 
+def write_realityscan(folder, pictures, *, lens=(0.0,) * 6, name="cameras.csv", home="images"):
+    """lens: k1 to k4, t1 and t2."""
+    write_pictures(folder / home, pictures)
+    lines = ["#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"]
+    for picture, camera in zip(pictures.names, pictures.cameras, strict=True):
+        longer = max(camera.width, camera.height)
+        z, x, y = Rotation.from_matrix(camera.rotation @ OPENGL[:3, :3]).as_euler("ZXY", degrees=True)
+        middle = (camera.cx - camera.width / 2) / longer, (camera.cy - camera.height / 2) / longer
+        values = [*camera.center, -z, x, y, camera.fx * 36 / longer, *middle, *lens]
+        lines.append(",".join([f"{picture}.png", *(repr(float(value)) for value in values)]))
+    (folder / name).write_text("\n".join(lines) + "\n")
+
+
 def opensfm_reconstruction(pictures, kind="brown", **coefficients):
     """The content of a reconstruction with a camera for each picture."""
     cameras, shots = {}, {}

@@ -44,8 +44,8 @@ def load_scene(
             others are "train", and "all" is both.
         downscale: Whole factor by which width and height shrink, by area averages of premultiplied colour.
         format: "blender" (NeRF-synthetic), "nsvf", "dtu" (IDR layout), "transforms" (nerfstudio, instant-ngp),
-            "colmap", "polycam" (its raw data), "record3d", "opensfm", "metashape", "bundler", "llff", or one that
-            another package adds. None takes the first of these that fits.
+            "colmap", "polycam" (its raw data), "record3d", "opensfm", "metashape", "bundler",
+            "realityscan" (its .csv), "llff", or one that another package adds. None takes the first of these that fits.
         background: Colour put behind transparent pixels, a name or (3,) in [0, 1].
         masks: True makes mask files alphas, and what they hide the background. "split" keeps what they hide as the
             scene's surroundings, which `fit` puts into layers behind the object. "weights" makes them `Scene.weights`:

@@ -11,7 +11,7 @@ from typing import cast
 from ...core.checks import registered_formats, require_type, shown
 from ...errors import InputError
 from ..scene import Scene
-from . import bundler, colmap, dtu, llff, metashape, nsvf, opensfm, phone, transforms
+from . import bundler, colmap, dtu, llff, metashape, nsvf, opensfm, phone, realityscan, transforms
 
 #: Where other packages register a SceneFormat, in the entry points of their setup.
 ENTRY_POINTS = "warpcage.scene_formats"
@@ -42,6 +42,7 @@ BUILT_IN = (
     SceneFormat("opensfm", opensfm.MARK, opensfm.is_scene, opensfm.read, ("model",)),
     SceneFormat("metashape", metashape.MARK, metashape.is_scene, metashape.read, ("model",)),
     SceneFormat("bundler", bundler.MARK, bundler.is_scene, bundler.read),
+    SceneFormat("realityscan", realityscan.MARK, realityscan.is_scene, realityscan.read),
     SceneFormat("llff", llff.MARK, llff.is_scene, llff.read),
 )
 
