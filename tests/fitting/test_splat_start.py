@@ -10,7 +10,7 @@ from warpcage.fitting.splats import fitted_scene, scene_units, starting_splats
 from warpcage.view.motion import axis_rotation
 
 SIZE = 48
-GAPS = 43  # places more than 216 points, where pictures have none: a fifth
+GAPS = 43  # far places more than 216 points, where pictures have none: a fifth
 CENTER = np.array([10.0, -3.0, 2.0])
 
 
@@ -74,7 +74,29 @@ def test_splats_lie_at_the_points_as_large_as_their_neighbors_are_far():
     start = start_of(plain_scene(cameras_around(), points=points, point_colors=colors))
     assert np.array_equal(start.centers[:216], points) and np.array_equal(start.colors[:216], colors)
     np.testing.assert_allclose(start.log_scales[:216], np.log(0.07), atol=1e-6)  # corners have three neighbours too
-    assert start.source == f"216 points of the capture and {GAPS} places where pictures have none"
+    assert start.source == f"216 points of the capture and {GAPS} far places where pictures have none"
+
+
+def test_places_where_pictures_have_no_points_are_far_behind():
+    scene = plain_scene(cameras_around(), points=lattice(0.07))
+    start = start_of(scene)
+    far = start.centers[216:]
+    _, unit, _ = scene_units(scene)
+    centers = np.stack([camera.center for camera in scene.cameras])
+    distances = np.linalg.norm(far[:, None] - centers, axis=-1)
+    assert len(far) == GAPS and np.abs(distances / unit - 20.0).min(axis=1).max() < 1e-9
+    rays = (far[:, None] - centers) / distances[..., None]
+    views = np.abs(distances / unit - 20.0).argmin(axis=1)
+    angles = [
+        np.degrees(np.arccos((rays[n, view] @ unit_rays(scene.points - centers[view]).T).max()))
+        for n, view in enumerate(views)
+    ]
+    assert min(angles) > 1.0  # a cell of the picture is two degrees wide, and those beside points stay empty
+    assert len(start_of(scene, kind="points").centers) == 216
+
+
+def unit_rays(rays):
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 def test_sizes_are_root_mean_squares_of_three_distances():

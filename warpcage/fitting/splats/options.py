@@ -32,9 +32,10 @@ class SplatFitOptions:
     )
     start: str = option(
         "auto",
-        'Where splats begin. "points": at those of the capture. "voxels": on the surface of a quick fit of voxels. '
-        '"random": inside the silhouettes, or at places that several views see. "auto": points where the scene has '
-        "them, inside silhouettes where images have alpha, otherwise voxels.",
+        'Where splats begin. "points": at those of the capture alone. "voxels": on the surface of a quick fit of '
+        'voxels. "random": inside the silhouettes, or at places that several views see. "auto": at points where the '
+        "scene has them and at places where pictures have none, inside silhouettes where images have alpha, otherwise "
+        "voxels.",
     )
     start_scale: float = positive(0.3, "Scale of a splat at first over the distance of its neighbours.")
     start_opacity: float = number(0.5, 0.01, 0.99, "Opacity of a splat at first.")

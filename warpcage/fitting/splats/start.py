@@ -54,8 +54,8 @@ VIEWS, LOOKING_VIEWS, TRIES = 3, 64, 16
 LEAST_EXTENT = 0.1
 
 #: Where pictures show what no point tells of: cells along their longer side in which points are looked for, how many
-#: points look, places over points, and the farthest, in units of `scene_units`.
-GAP_CELLS, GAP_POINTS, GAP_SHARE, GAP_FAR = 24, 50_000, 0.2, 20.0
+#: points look, places over points, and how far these are, in units of `scene_units`.
+GAP_CELLS, GAP_POINTS, GAP_SHARE, GAP_DISTANCE = 24, 50_000, 0.2, 20.0
 
 #: Quick fits of voxels: longest side of their pictures, options, and views below which they show too little.
 QUICK_SIDE, QUICK_SIDE_CPU, LEAST_VIEWS = 400, 100, 8
@@ -121,39 +121,39 @@ def starting_splats(scene: Scene, *, most: int, seed: int, device: wp.DeviceLike
             found = centers, _pictured(scene, centers)[0], f"{len(centers):,} random places {source}"
     centers, colors, source = found
     first = Start(centers, colors.astype(np.float32, copy=False), _log_scales(centers, scene), source)
-    return _with_gaps(scene, first, most, random) if has_points and scene.alphas is None else first
+    completes = has_points and kind == "auto" and scene.alphas is None
+    return _with_gaps(scene, first, most, random) if completes else first
 
 
 def _with_gaps(scene: Scene, first: Start, most: int, random: np.random.Generator) -> Start:
-    """Points and, in the cells of pictures that show none of them, places on rays, from the depth of points to far."""
-    # Reconstructions have no points on the sky and on plain walls. Splats that grow from others alone close such holes
-    # late, by large ones near the cameras; evenly over the logarithm of the distance some places are right at once.
+    """Points and, in the cells of pictures that show none of them, places far behind all of them."""
+    # Reconstructions have no points on the sky. Splats that grow from others alone close such holes late, by large ones
+    # near the cameras. Nearer places would do so too, in front of plain walls: they cost captures indoors 0.5 to 3 dB.
     looking = first.centers[np.sort(random.permutation(len(first.centers))[:GAP_POINTS])]
     views = [_gap_rays(scene, view, looking, random) for view in range(len(scene))]
-    origins, rays, colors, widths, depths = (np.concatenate(each) for each in zip(*views, strict=True))
+    origins, rays, colors, widths = (np.concatenate(each) for each in zip(*views, strict=True))
     count = min(len(rays), int(GAP_SHARE * len(first.centers)), most - len(first.centers))
     if count <= 0:
         return first
     chosen = np.sort(random.choice(len(rays), count, replace=False))
     _, unit, _ = scene_units(scene)
-    near = min(float(np.median(depths)) if len(depths) else unit, GAP_FAR * unit)
-    distances = np.exp(random.uniform(math.log(near), math.log(GAP_FAR * unit), count))
+    distance = GAP_DISTANCE * unit
     return Start(
-        np.concatenate([first.centers, origins[chosen] + distances[:, None] * rays[chosen]]),
+        np.concatenate([first.centers, origins[chosen] + distance * rays[chosen]]),
         np.concatenate([first.colors, colors[chosen]]),
-        np.concatenate([first.log_scales, np.log(widths[chosen] * distances).astype(np.float32)]),
-        f"{first.source} and {count:,} places where pictures have none",
+        np.concatenate([first.log_scales, np.log(widths[chosen] * distance).astype(np.float32)]),
+        f"{first.source} and {count:,} far places where pictures have none",
     )
 
 
 def _gap_rays(scene: Scene, view: int, points: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, ...]:
     """Of each cell of a picture that has no point (n, 3) in it or beside it, a ray: origins and directions (m, 3),
-    colours (m, 3), widths of the cells at distance 1 (m,); and the depths of the points in the picture."""
+    colours (m, 3), widths of the cells at distance 1 (m,)."""
     from scipy.ndimage import binary_dilation
 
     camera, image = scene.cameras[view], scene.images[view]
     side = max(camera.width, camera.height) / min(GAP_CELLS, max(camera.width, camera.height))
-    seen, rows, columns = _pixels(camera, points)
+    _, rows, columns = _pixels(camera, points)
     taken = np.zeros((math.ceil(camera.height / side), math.ceil(camera.width / side)), bool)
     taken[(rows / side).astype(int), (columns / side).astype(int)] = True
     cells = np.argwhere(np.logical_not(binary_dilation(taken, np.ones((3, 3), bool))))
@@ -166,8 +166,7 @@ def _gap_rays(scene: Scene, view: int, points: np.ndarray, random: np.random.Gen
     rays = local @ camera.rotation.T
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     origins = np.broadcast_to(camera.center, rays.shape)
-    depths = (points[seen] - camera.center) @ camera.rotation[:, 2]
-    return origins, rays, image[y.astype(int), x.astype(int)], np.full(len(rays), side / camera.fx), depths
+    return origins, rays, image[y.astype(int), x.astype(int)], np.full(len(rays), side / camera.fx)
 
 
 def _captured_points(scene: Scene, most: int, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray, str] | None:
