@@ -13,6 +13,7 @@ pytest.importorskip("hypothesis")
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from phone_writers import write_arkitscenes, write_polycam, write_record3d, write_stray
 from program_writers import write_bundler, write_llff, write_metashape, write_opensfm, write_realityscan
 from scene_writers import brick_pictures, write_blender, write_colmap, write_dtu, write_nsvf, write_transforms
 
@@ -113,6 +114,10 @@ FORMATS = {
                                                            distortion=(-0.02, 0, 0, 0)),
     "colmap fisheye": lambda folder, pictures: write_colmap(folder, pictures, binary=True, model="OPENCV_FISHEYE",
                                                             distortion=(0.02, -0.002, 0, 0)),
+    "polycam": write_polycam,
+    "record3d": lambda folder, pictures: write_record3d(folder, pictures, each=True),
+    "arkitscenes": write_arkitscenes,
+    "stray": write_stray,
     "llff": write_llff,
     "realityscan": lambda folder, pictures: write_realityscan(folder, pictures, lens=(-0.02, 0, 0, 0, 0.001, 0)),
     "bundler": lambda folder, pictures: write_bundler(folder, pictures, distortion=(-0.02, 0.001)),

@@ -1,5 +1,6 @@
 """Scenes made to be misread: memory is counted before pictures are read, and nothing outside the folder is."""
 
+import functools
 import json
 import shutil
 import threading
@@ -9,6 +10,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from messages import MESSAGES
+from phone_writers import write_arkitscenes, write_polycam, write_record3d, write_stray
 from program_writers import write_bundler, write_llff, write_metashape, write_opensfm, write_realityscan
 from scene_writers import (
     brick_pictures,
@@ -166,6 +168,10 @@ FOLDERS = {
     "dtu": (write_dtu, "image"),
     "transforms": (lambda folder, pictures: write_transforms(folder, pictures, masks=True), "images"),
     "colmap": (lambda folder, pictures: write_colmap(folder, pictures, binary=False), "images"),
+    "polycam": (write_polycam, "keyframes/images"),
+    "record3d": (write_record3d, "rgb"),
+    "arkitscenes": (functools.partial(write_arkitscenes, place="", between=False), "lowres_wide"),
+    "stray": (write_stray, "rgb"),
     "llff": (write_llff, "images"),
     "bundler": (write_bundler, "images"),
     "opensfm": (write_opensfm, "images"),
@@ -202,11 +208,12 @@ def test_a_picture_that_is_a_link_out_of_the_folder_is_refused(scene, tmp_path):
 def test_a_link_to_a_whole_folder_may_lead_anywhere_but_not_links_in_it(scene, tmp_path):
     folder, images, split = scene
     whole = load_scene(folder, split=split)
+    images = folder / images.relative_to(folder).parts[0]
     captures = images.rename(tmp_path / "captures")
     images.symlink_to(captures)
     np.testing.assert_array_equal(load_scene(folder, split=split).images, whole.images)
     np.testing.assert_array_equal(load_scene(_linked(folder, tmp_path), split=split).images, whole.images)
-    picture = sorted(captures.glob("*.png"))[1]
+    picture = sorted(captures.rglob("*.png"))[1]
     picture.symlink_to(picture.rename(tmp_path / "outside.png"))
     with pytest.raises(ValueError, match="leads out of the data folder"):
         load_scene(folder, split=split)
@@ -265,6 +272,10 @@ def test_names_with_steps_back_and_whole_paths_inside_the_folder_are_read(tmp_pa
 # Values of other programs' files
 
 
+#: Files of ARKitScenes.
+ARKIT_POSES = "41069021_frames/lowres_wide.traj"
+ARKIT_LENS = "41069021_frames/lowres_wide_intrinsics/41069021_3454.326.pincam"
+
 #: A writer, its file, what is put in place of what, and what is said: counts, types and numbers that cannot be.
 DAMAGED = {
     "bundler counts": (
@@ -280,6 +291,16 @@ DAMAGED = {
     "realityscan column": (write_realityscan, "cameras.csv", ",f,", ",g,", "lacks the columns f"),
     "realityscan row": (write_realityscan, "cameras.csv", "view_01.png,", "view_01.png;", "16 values expected"),
     "bundler version": (write_bundler, "bundle/bundle.out", "v0.3", "v0.1", "must begin with '# Bundle file v0.3'"),
+    "record3d NaN": (write_record3d, "metadata.json", '"poses": [[', '"poses": [[NaN, ', "must hold 7 numbers"),
+    "record3d no turn": (write_record3d, "metadata.json", '"poses": [[', '"poses": [[0,0,0,0,1,2,3], [', "picture 0"),
+    "arkitscenes line": (write_arkitscenes, ARKIT_POSES, "3454.2254", "3454.2254 1", "7 numbers, expected, got 8"),
+    "arkitscenes NaN": (write_arkitscenes, ARKIT_POSES, "3454.325400 ", "3454.325400 nan ", "not finite"),
+    "arkitscenes lens": (write_arkitscenes, ARKIT_LENS, "24 20 31.0", "24 20 -31.0", "the first four above zero"),
+    "arkitscenes size": (write_arkitscenes, ARKIT_LENS, "24 20 31.0", "1e300 20 31.0", "1e+300"),
+    "stray columns": (write_stray, "odometry.csv", "qw", "w", "lacks the columns qw"),
+    "stray row": (write_stray, "odometry.csv", "0.0000, 000000", "000000", "9 values expected"),
+    "stray matrix": (write_stray, "camera_matrix.csv", "31.0", "31.0, 1", "must hold 9 numbers, got 10"),
+    "stray focal": (write_stray, "camera_matrix.csv", "31.0", "0.0", "focal"),
     "opensfm size": (write_opensfm, "reconstruction.json", '"width": 24', '"width": 1e300', "1e+300x20 pixels"),
     "opensfm no size": (write_opensfm, "reconstruction.json", '"width": 24', '"width": null', "width of its camera"),
     "opensfm NaN": (write_opensfm, "reconstruction.json", '"rotation": [', '"rotation": [NaN, ', "must hold 3 numbers"),

@@ -1,12 +1,16 @@
-"""Scenes as programs of phones write them come back: raw data of Polycam, captures of Record3D."""
+"""Scenes as programs of phones write them come back: raw data of Polycam, captures of Record3D and Stray Scanner,
+videos of ARKitScenes. Pixels of known points are compared with the formulas of their own documentation."""
 
 import json
 
 import numpy as np
 import pytest
 from messages import MESSAGES
-from scene_writers import OPENGL, brick_pictures, write_image
-from test_scene_formats import load, require_equal
+from phone_writers import write_arkitscenes, write_json, write_polycam, write_record3d, write_stray
+from program_writers import SHADES, SQUARE
+from scene_writers import brick_pictures
+from scipy.spatial.transform import Rotation
+from test_scene_formats import load, require_equal, require_held_out_splits
 
 
 @pytest.fixture(scope="module")
@@ -14,28 +18,11 @@ def bricks():
     return brick_pictures(10)
 
 
-def write_json(path, content):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content))
-
-
-#: What takes z up, as scenes of phones are read, to ARKit's world with y up.
-TO_ARKIT = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-
-
 @pytest.mark.parametrize("corrected", [False, True])
 def test_polycam(tmp_path, bricks, corrected):
     """The raw data of Polycam: a JSON file a picture; optimised ones are taken where they are there."""
     kinds = ("", "corrected_") if corrected else ("",)
-    for kind in kinds:
-        for name, rgba, camera in zip(bricks.names, bricks.rgba, bricks.cameras, strict=True):
-            pose = TO_ARKIT @ camera.camera_to_world @ OPENGL
-            pose[:3, 3] += 5.0 * (corrected and kind == "")  # the first guess of the phone
-            content = {f"t_{row}{column}": pose[row, column] for row in range(3) for column in range(4)}
-            content |= {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy, "blur_score": 90.0}
-            content |= {"width": camera.width, "height": camera.height, "neighbors": [], "timestamp": 1}
-            write_json(tmp_path / f"keyframes/{kind}cameras/{name}.json", content)
-            write_image(tmp_path / f"keyframes/{kind}images/{name}.png", rgba)
+    write_polycam(tmp_path, bricks, kinds=kinds, shift=5.0 * corrected)
     require_equal(load(tmp_path, split="all"), bricks)
     np.testing.assert_allclose(load(tmp_path).to_source @ [0, 0, 1, 1], [0, 1, 0, 1], atol=1e-12)
     (tmp_path / f"keyframes/{kinds[-1]}cameras/{bricks.names[2]}.json").write_text('{"fx": 3}')
@@ -46,22 +33,75 @@ def test_polycam(tmp_path, bricks, corrected):
 @pytest.mark.parametrize("each", [False, True])
 @pytest.mark.parametrize("file, images", [("metadata", "rgbd"), ("metadata.json", "rgb")])
 def test_record3d(tmp_path, bricks, file, images, each):
-    from scipy.spatial.transform import Rotation
-
-    first, poses = bricks.cameras[0], []
-    for number, (rgba, camera) in enumerate(zip(bricks.rgba, bricks.cameras, strict=True)):
-        pose = TO_ARKIT @ camera.camera_to_world @ OPENGL
-        poses.append([*Rotation.from_matrix(pose[:3, :3]).as_quat(), *pose[:3, 3]])
-        write_image(tmp_path / images / f"{number}.png", rgba)
-    content = {"w": first.width, "h": first.height, "fps": 60, "poses": poses}
-    content["K"] = [first.fx, 0, 0, 0, first.fy, 0, first.cx, first.cy, 1]
-    if each:
-        content["perFrameIntrinsicCoeffs"] = [[c.fx, c.fy, c.cx, c.cy] for c in bricks.cameras]
-        content["K"] = [1.0] * 9
-    write_json(tmp_path / file, content)
-    found = load(tmp_path, split="all", format="record3d")
-    require_equal(found, bricks)
+    write_record3d(tmp_path, bricks, file=file, images=images, each=each)
+    require_equal(load(tmp_path, split="all", format="record3d"), bricks)
+    content = json.loads((tmp_path / file).read_text())
     content["poses"][1] = [0.0] * 6
     write_json(tmp_path / file, content)
     with pytest.raises(ValueError, match=r"poses\[1\] must hold 7 numbers"):
+        load(tmp_path)
+
+
+# ARKitScenes
+
+
+@pytest.mark.parametrize("place", ["", "41069021_frames"])
+def test_arkitscenes(tmp_path, bricks, place):
+    write_arkitscenes(tmp_path, bricks, place=place)
+    require_held_out_splits(tmp_path, bricks)
+    scene = load(tmp_path, split="all", format="arkitscenes")
+    np.testing.assert_allclose(scene.points, SQUARE, atol=1e-6)
+    np.testing.assert_allclose(scene.point_colors, SHADES / 255, atol=1e-6)
+    files = sorted((tmp_path / place / "lowres_wide_intrinsics").iterdir())[::2]
+    lines = (tmp_path / place / "lowres_wide.traj").read_text().splitlines()
+    for camera, line, file in zip(scene.cameras, lines, files, strict=True):
+        values = np.array(line.split(), float)
+        x, y, z = (Rotation.from_rotvec(values[1:4]).apply(SQUARE) + values[4:]).T
+        _, _, fx, fy, cx, cy = map(float, file.read_text().split())
+        np.testing.assert_allclose(
+            camera.project(SQUARE)[0], np.stack([fx * x / z + cx, fy * y / z + cy], 1), atol=1e-6
+        )
+
+
+def test_arkitscenes_takes_the_largest_pictures(tmp_path, bricks):
+    write_arkitscenes(tmp_path, bricks.pick([0, 1, 2]), images="wide", mesh=False)
+    write_arkitscenes(tmp_path, bricks, mesh=False)
+    require_equal(load(tmp_path, split="all"), bricks.pick([0, 1, 2]))
+    require_equal(load(tmp_path, split="all", model="lowres_wide"), bricks)
+    with pytest.raises(ValueError, match="only wide, lowres_wide"):
+        load(tmp_path, model="vga_wide")
+
+
+def test_arkitscenes_of_other_times(tmp_path, bricks):
+    write_arkitscenes(tmp_path, bricks)
+    path = tmp_path / "41069021_frames" / "lowres_wide.traj"
+    path.write_text(path.read_text().replace("345", "745"))
+    with pytest.raises(ValueError, match=MESSAGES["scene.no_pose_in_time"]):
+        load(tmp_path)
+
+
+# Stray Scanner
+
+
+def test_stray(tmp_path, bricks):
+    write_stray(tmp_path, bricks)
+    require_held_out_splits(tmp_path, bricks)
+    scene = load(tmp_path, split="all", format="stray")
+    np.testing.assert_allclose(scene.to_source @ [0, 0, 1, 1], [0, 1, 0, 1], atol=1e-12)
+    matrix = np.loadtxt(tmp_path / "camera_matrix.csv", delimiter=",")
+    rows = np.loadtxt(tmp_path / "odometry.csv", delimiter=",", skiprows=1)
+    world = SQUARE @ scene.to_source[:3, :3].T
+    for camera, row in zip(scene.cameras, rows, strict=True):
+        seen = Rotation.from_quat(row[5:]).inv().apply(world - row[2:5]) @ matrix.T
+        np.testing.assert_allclose(camera.project(SQUARE)[0], seen[:, :2] / seen[:, 2:], atol=1e-6)
+
+
+def test_stray_frames_must_be_pictures(tmp_path, bricks):
+    write_stray(tmp_path, bricks)
+    for index in (3, 4):
+        (tmp_path / "rgb" / f"{index:06d}.png").unlink()
+    assert len(load(tmp_path, split="all")) == 8
+    (tmp_path / "rgb").rename(tmp_path / "depth")
+    (tmp_path / "rgb.mp4").write_bytes(b"video")
+    with pytest.raises(FileNotFoundError, match="rgb.mp4 .*ffmpeg -i rgb.mp4"):
         load(tmp_path)

@@ -5,14 +5,13 @@ import json
 
 import numpy as np
 import pytest
+from phone_writers import write_polycam
 from scene_writers import (
-    OPENGL,
     brick_pictures,
     spiral_cameras,
     write_blender,
     write_colmap,
     write_dtu,
-    write_image,
     write_nsvf,
     write_transforms,
 )
@@ -56,25 +55,12 @@ def bricks():
     return brick_pictures(10)
 
 
-def write_polycam(folder, pictures):
-    turn = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-    for name, rgba, camera in zip(pictures.names, pictures.rgba, pictures.cameras, strict=True):
-        pose = turn @ camera.camera_to_world @ OPENGL
-        content = {f"t_{row}{column}": pose[row, column] for row in range(3) for column in range(4)}
-        content |= {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
-        content |= {"width": camera.width, "height": camera.height}
-        for kind in ("cameras", "corrected_cameras"):
-            (folder / "keyframes" / kind).mkdir(parents=True, exist_ok=True)
-        (folder / f"keyframes/corrected_cameras/{name}.json").write_text(json.dumps(content))
-        write_image(folder / f"keyframes/corrected_images/{name}.png", rgba)
-
-
 WRITERS = {
     "transforms": lambda folder, pictures: write_transforms(folder, pictures, shared=False),
     "transforms with masks": lambda folder, pictures: write_transforms(folder, pictures, shared=False, masks=True),
     "colmap": lambda folder, pictures: write_colmap(folder, pictures, binary=True),
     "colmap text with masks": lambda folder, pictures: write_colmap(folder, pictures, binary=False, masks=True),
-    "polycam": write_polycam,
+    "polycam": lambda folder, pictures: write_polycam(folder, pictures, kinds=("corrected_",)),
 }
 
 

@@ -108,6 +108,7 @@ MESSAGES = {
     "scene.most_shots": r"of 3 reconstructions 2 is taken.*\(10\); others: 0 \(2\)",
     "scene.moved": "names 3 files by paths of another folder, the first is",
     "scene.no_known_format": "no scene of a known format.*transforms.json.*it holds notes.txt, photos/",
+    "scene.no_pose_in_time": "lowres_wide.traj has no pose at the time of a picture in",
     "scene.on_its_side": "24x20 pixels, image 'view_01.png' has 20x24, which is on its side",
     "scene.one_left_out": "1 of them are not there and are left out",
     "scene.picture_memory": "reading a picture of 96x64 needs .* are free: shrink the files",

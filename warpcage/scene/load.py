@@ -44,8 +44,9 @@ def load_scene(
             others are "train", and "all" is both.
         downscale: Whole factor by which width and height shrink, by area averages of premultiplied colour.
         format: "blender" (NeRF-synthetic), "nsvf", "dtu" (IDR layout), "transforms" (nerfstudio, instant-ngp),
-            "colmap", "polycam" (its raw data), "record3d", "opensfm", "metashape", "bundler",
-            "realityscan" (its .csv), "llff", or one that another package adds. None takes the first of these that fits.
+            "colmap", "polycam" (its raw data), "record3d", "arkitscenes", "stray" (Stray Scanner), "opensfm",
+            "metashape", "bundler", "realityscan" (its .csv), "llff", or one that another package adds. None takes the
+            first of these that fits.
         background: Colour put behind transparent pixels, a name or (3,) in [0, 1].
         masks: True makes mask files alphas, and what they hide the background. "split" keeps what they hide as the
             scene's surroundings, which `fit` puts into layers behind the object. "weights" makes them `Scene.weights`:
@@ -59,7 +60,7 @@ def load_scene(
             them after a fit. They are in the world that `orient` leads to. None takes those of the scene's files.
         model: Which of several COLMAP models, by its folder such as "1" or "sparse/1", of several reconstructions of
             OpenSfM, by its number, or of several chunks of Metashape, by its label. None takes the one with most
-            pictures.
+            pictures. Of ARKitScenes the folder of pictures; None takes that of the largest.
         progress: True shows a bar on stderr. A function is told (done, total, words), in pictures, and ends the work by
             returning False or by raising.
 

@@ -20,7 +20,7 @@ from ..box import Bounds
 from ..lenses import Lens, all_around
 from ..pictures import View, files_of, make_scene, views_there
 from ..scene import Scene
-from .parsing import PictureFinder, chosen_part, floats, held_out
+from .parsing import PictureFinder, chosen_part, floats, held_out, picture_size
 
 MARK = "cameras.xml of Metashape beside images/"
 
@@ -206,9 +206,7 @@ def _lens(sensor: ET.Element, where: str) -> dict[str, Any]:
     if resolution is None:
         raise InputError(f"{where} has no resolution")
     width, height = floats(f"{resolution.get('width')} {resolution.get('height')}", f"{where}: resolution")
-    if not 1 <= min(width, height) <= max(width, height) < 1e6:
-        raise InputError(f"{where} is for {width:g}x{height:g} pixels")
-    size = (int(width), int(height))
+    size = picture_size(width, height, where)
     if kind == "spherical":
         return {"intrinsics": all_around, "size": size, "lens": Lens("EQUIRECTANGULAR")}
 

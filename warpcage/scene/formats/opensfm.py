@@ -15,7 +15,7 @@ from ..box import Bounds
 from ..lenses import Lens, all_around
 from ..pictures import View, files_of, make_scene, views_there
 from ..scene import Scene
-from .parsing import PictureFinder, chosen_part, held_out, number, read_json
+from .parsing import PictureFinder, chosen_part, held_out, number, picture_size, read_json
 
 MARK = "reconstruction.json, in it or in opensfm/, beside images/"
 FILES = ("reconstruction.json", "opensfm/reconstruction.json")
@@ -68,8 +68,7 @@ def _view(finder: PictureFinder, cameras: dict, name: str, shot: object, where: 
     to_camera[:3, :3] = Rotation.from_rotvec(_vector(shot, "rotation", where)).as_matrix()
     to_camera[:3, 3] = _vector(shot, "translation", where)
     width, height = (number(given.get(side), f"{where}: {side} of its camera") for side in ("width", "height"))
-    if not 1 <= min(width, height) <= max(width, height) < 1e6:
-        raise InputError(f"{where}: its camera is for {width:g}x{height:g} pixels")
+    size = picture_size(width, height, f"{where}: its camera")
     longer = max(width, height)
 
     def value(*names: str, default: float | None = None) -> float:
@@ -81,7 +80,6 @@ def _view(finder: PictureFinder, cameras: dict, name: str, shot: object, where: 
     kind = given.get("projection_type", "perspective")
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"{where}: projection_type {shown(kind)} is not read, only {', '.join(KINDS)}")
-    size = (int(width), int(height))
     file, pose = finder.find(name, where), np.linalg.inv(to_camera)
     if kind in ("spherical", "equirectangular"):
         return View(file, pose, where, all_around, size, lens=Lens("EQUIRECTANGULAR"))

@@ -90,6 +90,13 @@ def number(value: object, where: str) -> float:
     raise InputError(f"{where} must be a finite number, got {shown(value)}")
 
 
+def picture_size(width: float, height: float, where: str) -> tuple[int, int]:
+    """Sides of a picture in whole pixels; refused where no picture has them."""
+    if not 1 <= min(width, height) <= max(width, height) < 1e6:
+        raise InputError(f"{where} is for {width:g}x{height:g} pixels")
+    return int(width), int(height)
+
+
 def matrix(value: object, shape: tuple[int, int], where: str) -> np.ndarray:
     """A matrix of finite numbers out of JSON lists, float64."""
     rows, columns = shape

@@ -1,18 +1,34 @@
-"""Captures of phones with LiDAR: the raw data of Polycam, and Record3D as it exports it."""
+"""Captures of phones as ARKit logs them: raw data of Polycam, Record3D as it exports it, ARKitScenes, Stray Scanner."""
 
 from __future__ import annotations
 
+import bisect
+import csv
 import pathlib
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from ...core.checks import shown
+from ...core.checks import listed, shown
 from ...errors import InputError, MissingFileError
+from ...mesh.io.ply import read_ply_points
+from ..box import Bounds
 from ..pictures import View, files_of, make_scene, views_there
 from ..scene import Scene
 from .colmap import ModelImage
-from .parsing import PICTURE_ENDINGS, TO_OPENCV, held_out, is_file, number, read_json
+from .parsing import (
+    PICTURE_ENDINGS,
+    TO_OPENCV,
+    chosen_part,
+    floats,
+    held_out,
+    is_file,
+    number,
+    picture_size,
+    pictures_in,
+    read_json,
+    read_text,
+)
 
 POLYCAM_MARK = "keyframes/ with cameras/ and images/"
 
@@ -22,7 +38,7 @@ TO_Z_UP = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 def is_polycam(folder: pathlib.Path) -> bool:
     """Whether a folder holds the raw data of Polycam."""
-    return (folder / "keyframes" / "cameras").is_dir()
+    return any((folder / "keyframes" / name).is_dir() for name in ("cameras", "corrected_cameras"))
 
 
 def read_polycam(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
@@ -57,7 +73,7 @@ def _polycam_view(file: pathlib.Path, images: pathlib.Path) -> View:
         TO_Z_UP @ pose @ TO_OPENCV,
         str(file),
         (value("fx"), value("fy"), value("cx"), value("cy")),
-        (int(value("width")), int(value("height"))),
+        picture_size(value("width"), value("height"), str(file)),
     )
 
 
@@ -82,10 +98,14 @@ def read_record3d(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     if not isinstance(poses, list) or not poses:
         raise InputError(f"{path} holds no poses")
     images = folder / ("rgb" if (folder / "rgb").is_dir() else "rgbd")
-    chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), MOST_PICTURES)).round().astype(int))
-    views = views_there([_record3d_view(path, images, given, poses, int(index)) for index in chosen], path)
+    views = views_there([_record3d_view(path, images, given, poses, index) for index in _evenly(len(poses))], path)
     chosen = [views[index] for index in held_out(len(views), split, folder)]
     return make_scene(folder, chosen, **options, beside=files_of(views), to_source=np.linalg.inv(TO_Z_UP))
+
+
+def _evenly(count: int) -> list[int]:
+    """Indices of all pictures, or of MOST_PICTURES evenly."""
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_PICTURES)).round().astype(int)).tolist()
 
 
 def _metadata(folder: pathlib.Path) -> pathlib.Path | None:
@@ -98,13 +118,20 @@ def _numbers(value: object, count: int, where: str) -> list[float]:
     return [number(each, where) for each in value]
 
 
-def _record3d_view(path: pathlib.Path, images: pathlib.Path, given: dict, poses: list, index: int) -> View:
-    """One picture with its camera."""
-    where = f"{path}: picture {index}"
-    x, y, z, w, *place = _numbers(poses[index], 7, f"{path}: poses[{index}]")
+def _pose(quaternion: list[float], place: list[float], where: str) -> np.ndarray:
+    """A motion (4, 4) by a quaternion x y z w and a place."""
+    x, y, z, w = quaternion
     # ModelImage holds the inverse motion: that of the conjugate, without a shift
     pose = ModelImage("", (w, -x, -y, -z), (0.0, 0.0, 0.0), 0).camera_to_world(where)
     pose[:3, 3] = place
+    return pose
+
+
+def _record3d_view(path: pathlib.Path, images: pathlib.Path, given: dict, poses: list, index: int) -> View:
+    """One picture with its camera."""
+    where = f"{path}: picture {index}"
+    values = _numbers(poses[index], 7, f"{path}: poses[{index}]")
+    pose = _pose(values[:4], values[4:], where)
     each = given.get("perFrameIntrinsicCoeffs")
     if isinstance(each, list) and len(each) == len(poses):
         fx, fy, cx, cy = _numbers(each[index], 4, f"{path}: perFrameIntrinsicCoeffs[{index}]")
@@ -113,5 +140,167 @@ def _record3d_view(path: pathlib.Path, images: pathlib.Path, given: dict, poses:
         fx, fy, cx, cy = matrix[0], matrix[4], matrix[6], matrix[7]
     candidates = [images / f"{index}{ending}" for ending in (".jpg", *PICTURE_ENDINGS)]
     picture = next((candidate for candidate in candidates if is_file(candidate)), candidates[0])
-    size = (int(number(given.get("w"), f"{path}: w")), int(number(given.get("h"), f"{path}: h")))
-    return View(picture, TO_Z_UP @ pose @ TO_OPENCV, where, (fx, fy, cx, cy), size)
+    width, height = (number(given.get(side), f"{path}: {side}") for side in "wh")
+    return View(picture, TO_Z_UP @ pose @ TO_OPENCV, where, (fx, fy, cx, cy), picture_size(width, height, str(path)))
+
+
+# ARKitScenes (Baruch et al. 2021): DATA.md of its repository, and its loader. Lines of lowres_wide.traj are a time, a
+# rotation vector and a translation from the world, with z up, to cameras with OpenCV's axes. Names of pictures end in
+# their times, those of intrinsics beside them too: width, height, fx, fy, cx, cy.
+
+ARKITSCENES_MARK = "lowres_wide.traj, in it or in NAME_frames/, beside lowres_wide/ and lowres_wide_intrinsics/"
+TRAJECTORY = "lowres_wide.traj"
+
+Value = TypeVar("Value")
+
+#: Folders of pictures of the camera that the poses are for, the largest pictures first.
+PICTURES = ("wide", "vga_wide", "lowres_wide")
+
+#: Seconds by which a picture may miss its pose, and its intrinsics, as in the data's own loader.
+POSE_TIME, LENS_TIME = 0.005, 0.002
+
+
+def is_arkitscenes(folder: pathlib.Path) -> bool:
+    """Whether a folder holds a video of ARKitScenes."""
+    return _trajectory(folder) is not None
+
+
+def _trajectory(folder: pathlib.Path) -> pathlib.Path | None:
+    candidates = [folder / TRAJECTORY, *sorted(folder.glob(f"*_frames/{TRAJECTORY}"))]
+    return next(filter(is_file, candidates), None)
+
+
+def read_arkitscenes(folder: pathlib.Path, *, split: str, model: str | None = None, **options: Any) -> Scene:
+    """Read a split: every eighth picture is `test`, the others are `train`. Options as for `load_scene`; of several
+    folders of pictures the one with the largest is read, or the one of a name."""
+    path = _trajectory(folder)
+    if path is None:
+        raise MissingFileError(f"{str(folder)!r} holds no video of ARKitScenes ({ARKITSCENES_MARK})")
+    bounds = Bounds(folder)
+    bounds.require(path, str(folder))
+    homes = {name: path.parent / name for name in PICTURES if (path.parent / f"{name}_intrinsics").is_dir()}
+    homes = {name: home for name, home in homes.items() if home.is_dir()}
+    if not homes:
+        raise MissingFileError(f"{str(path.parent)!r} holds none of {listed(PICTURES)} with its intrinsics beside it")
+    name = next(iter(homes)) if model is None else chosen_part(dict.fromkeys(homes, 0), model, path.parent, "folder")
+    lenses = _timed(sorted(homes[name].with_name(f"{name}_intrinsics").glob("*.pincam")))
+    poses, found = _read_trajectory(path), []
+    for time, file in _timed(pictures_in(homes[name])).items():  # 60 a second, of poses there are 10
+        pose, lens = _nearest(poses, time, POSE_TIME), _nearest(lenses, time, LENS_TIME)
+        if pose is not None and lens is not None:
+            found.append((file, pose, lens))
+    if not found:
+        raise InputError(f"{path} has no pose at the time of a picture in {homes[name]} that has intrinsics (.pincam)")
+    views = [_pincam_view(*found[index], bounds) for index in _evenly(len(found))]
+    chosen = [views[index] for index in held_out(len(views), split, folder)]
+    points = colors = None
+    mesh = next(iter(sorted(folder.glob("*_mesh.ply"))), None)
+    if mesh is not None:
+        points, colors = read_ply_points(bounds.require(mesh, str(folder)))
+    return make_scene(folder, chosen, **options, beside=files_of(views), points=points, point_colors=colors)
+
+
+def _timed(files: list[pathlib.Path]) -> dict[float, pathlib.Path]:
+    """Files by the times, seconds, that their names end in; those of other names are left out."""
+    found = {}
+    for file in files:
+        word = file.stem.rpartition("_")[2]
+        if word.replace(".", "", 1).isdecimal():
+            found[float(word)] = file
+    return dict(sorted(found.items()))
+
+
+def _nearest(by_time: dict[float, Value], time: float, most: float) -> Value | None:
+    """What is nearest in time, None where nothing is near enough; in the order of time."""
+    times = list(by_time)
+    place = bisect.bisect(times, time)
+    near = min(times[max(place - 1, 0) : place + 1], key=lambda each: abs(each - time), default=np.inf)
+    return by_time[near] if abs(near - time) < most else None
+
+
+def _read_trajectory(path: pathlib.Path) -> dict[float, np.ndarray]:
+    """Poses (4, 4) from camera to world by their times."""
+    from scipy.spatial.transform import Rotation
+
+    poses = {}
+    for line, text in enumerate(read_text(path, "trajectory").splitlines(), 1):
+        if not text.strip():
+            continue
+        values = floats(text, f"{path}:{line}")
+        if len(values) != 7:
+            raise InputError(f"{path}:{line}: a time, a rotation and a place, 7 numbers, expected, got {len(values)}")
+        to_camera = np.eye(4)
+        to_camera[:3, :3] = Rotation.from_rotvec(values[1:4]).as_matrix()
+        to_camera[:3, 3] = values[4:]
+        poses[values[0]] = np.linalg.inv(to_camera)
+    return dict(sorted(poses.items()))
+
+
+def _pincam_view(file: pathlib.Path, pose: np.ndarray, lens: pathlib.Path, bounds: Bounds) -> View:
+    """One picture with its camera."""
+    values = floats(read_text(bounds.require(lens, str(lens.parent)), "intrinsics"), str(lens))
+    if len(values) != 6 or not min(values[:4]) > 0:
+        raise InputError(f"{lens} must hold width, height, fx, fy, cx, cy, the first four above zero, got {values}")
+    width, height, fx, fy, cx, cy = values
+
+    return View(file, pose, str(file), (fx, fy, cx, cy), picture_size(width, height, str(lens)))
+
+
+# Stray Scanner: docs.strayrobots.io has its files; that cameras have OpenCV's axes is how its own viewer uses them.
+
+STRAY_MARK = "odometry.csv and camera_matrix.csv beside rgb/, the frames of rgb.mp4"
+STRAY_COLUMNS = ("frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+def is_stray(folder: pathlib.Path) -> bool:
+    """Whether a folder holds a capture of Stray Scanner."""
+    return all(is_file(folder / name) for name in ("odometry.csv", "camera_matrix.csv"))
+
+
+def read_stray(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
+    """Read a split: every eighth picture is `test`, the others are `train`. Options as for `load_scene`."""
+    path, images = folder / "odometry.csv", folder / "rgb"
+    if not images.is_dir():
+        raise MissingFileError(
+            f"{str(folder)!r} holds no folder rgb/: make the frames of rgb.mp4 into pictures first, "
+            "ffmpeg -i rgb.mp4 -q:v 2 -start_number 0 rgb/%06d.jpg"
+        )
+    bounds = Bounds(folder)
+    matrix = floats(
+        read_text(bounds.require(folder / "camera_matrix.csv", str(folder)), "camera matrix").replace(",", " "),
+        str(folder / "camera_matrix.csv"),
+    )
+    if len(matrix) != 9:
+        raise InputError(f"{folder / 'camera_matrix.csv'} must hold 9 numbers, got {len(matrix)}")
+    rows = _stray_rows(bounds.require(path, str(folder)))
+    files = {int(file.stem): file for file in pictures_in(images) if file.stem.isdecimal()}
+    there = [frame for frame in sorted(rows) if frame in files]
+    if 2 * len(there) < len(rows):
+        raise MissingFileError(f"{path} has poses of {len(rows)} frames, {images} pictures of {len(there)} of them")
+    views = []
+    for index in _evenly(len(there)):
+        frame = there[index]
+        where = f"{path}: frame {frame}"
+        x, y, z, *turn = rows[frame]
+        pose = TO_Z_UP @ _pose(turn, [x, y, z], where)
+        views.append(View(files[frame], pose, where, (matrix[0], matrix[4], matrix[2], matrix[5])))
+    chosen = [views[index] for index in held_out(len(views), split, folder)]
+    return make_scene(folder, chosen, **options, beside=files_of(views), to_source=np.linalg.inv(TO_Z_UP))
+
+
+def _stray_rows(path: pathlib.Path) -> dict[int, list[float]]:
+    """Place and quaternion x y z w by the numbers of frames."""
+    rows = csv.reader(read_text(path, "odometry").splitlines(), skipinitialspace=True)
+    head = [word.strip() for word in next(rows, [])]
+    missing = [name for name in STRAY_COLUMNS if name not in head]
+    if missing:
+        raise InputError(f"{path} lacks the columns {listed(missing)}, which its first line must name")
+    found = {}
+    for row in filter(None, rows):
+        where = f"{path}:{rows.line_num}"
+        values = dict(zip(head, row, strict=False))
+        frame, *numbers = floats(" ".join(values.get(name, "") for name in STRAY_COLUMNS), where)
+        if len(numbers) != 7:
+            raise InputError(f"{where}: {len(head)} values expected, as in the first line, got {shown(','.join(row))}")
+        found[int(frame)] = numbers
+    return found

@@ -39,6 +39,8 @@ BUILT_IN = (
     SceneFormat("colmap", colmap.MARK, colmap.is_scene, colmap.read, ("model",)),
     SceneFormat("polycam", phone.POLYCAM_MARK, phone.is_polycam, phone.read_polycam),
     SceneFormat("record3d", phone.RECORD3D_MARK, phone.is_record3d, phone.read_record3d),
+    SceneFormat("arkitscenes", phone.ARKITSCENES_MARK, phone.is_arkitscenes, phone.read_arkitscenes, ("model",)),
+    SceneFormat("stray", phone.STRAY_MARK, phone.is_stray, phone.read_stray),
     SceneFormat("opensfm", opensfm.MARK, opensfm.is_scene, opensfm.read, ("model",)),
     SceneFormat("metashape", metashape.MARK, metashape.is_scene, metashape.read, ("model",)),
     SceneFormat("bundler", bundler.MARK, bundler.is_scene, bundler.read),

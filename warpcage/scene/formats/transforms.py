@@ -26,6 +26,7 @@ from .parsing import (
     matrix,
     missing_split,
     number,
+    picture_size,
     read_json,
     split_file,
 )
@@ -72,7 +73,7 @@ def _view(finder: PictureFinder, transforms: dict, where: str, frame: dict) -> V
         raise InputError(f"{where}: camera_model {shown(model)} is not read, only {', '.join((*MODELS, *LENSES))}")
     size = None
     if "w" in given or "h" in given:
-        size = (int(_positive(given, "w", where)), int(_positive(given, "h", where)))
+        size = picture_size(_positive(given, "w", where), _positive(given, "h", where), where)
     pose = matrix(_with_last_row(frame.get("transform_matrix")), (4, 4), f"{where}: transform_matrix") @ TO_OPENCV
     mask = frame.get("mask_path")
     return View(
@@ -235,7 +236,8 @@ class TransformsCameras:
         where, frame = self._found(name)
         given = {**{key: value for key, value in self._content.items() if key != "frames"}, **frame}
         if "w" in given and "h" in given:
-            width, height = (int(number(given[side], f"{where}: {side}")) for side in "wh")
+            width, height = (number(given[side], f"{where}: {side}") for side in "wh")
+            width, height = picture_size(width, height, where)
         elif size is not None:
             width, height = size
         else:
