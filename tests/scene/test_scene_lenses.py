@@ -204,6 +204,52 @@ def test_metashape_coefficients_that_opencv_has_not(tmp_path):
     require_sky(load_scene(tmp_path, split="all"), pictures, 1)
 
 
+#: OpenSfM's lenses; p1 and p2 are its own, which are OpenCV's p1 and p2.
+OPENSFM = {
+    "fisheye62": {
+        "k1": 0.02,
+        "k2": -0.01,
+        "k3": 0.003,
+        "k4": 0.001,
+        "k5": -2e-4,
+        "k6": 1e-4,
+        "p1": 0.004,
+        "p2": -0.006,
+    },
+    "dual": {"transition": 0.6, "k1": -0.03, "k2": 0.008},
+}
+OPENSFM["fisheye624"] = {**OPENSFM["fisheye62"], "s0": 0.006, "s1": -0.003, "s2": -0.005, "s3": 0.002}
+
+
+@pytest.mark.parametrize("kind", OPENSFM)
+def test_opensfm_lenses_that_opencv_has_not(tmp_path, kind):
+    """By the formulas of its page on geometry (and of its source, for the dual lens and thin prisms)."""
+    given = dict.fromkeys(("p1", "p2", "s0", "s1", "s2", "s3", "transition"), 0.0) | OPENSFM[kind]
+
+    def bent(x, y):
+        """Where a place of the fisheye projection, or of the mix, comes to be."""
+        s = x * x + y * y
+        radial = 1 + sum(given.get(f"k{power}", 0.0) * s**power for power in range(1, 7))
+        a = x * radial + 2 * given["p1"] * x * y + given["p2"] * (s + 2 * x * x) + given["s0"] * s + given["s1"] * s * s
+        b = y * radial + 2 * given["p2"] * x * y + given["p1"] * (s + 2 * y * y) + given["s2"] * s + given["s3"] * s * s
+        return np.stack([a, b], axis=-1)
+
+    def seen(camera):
+        target = (pixel_centers(camera) - [camera.cx, camera.cy]) / camera.fx
+        place = target.copy()
+        for _ in range(200):
+            place += target - bent(*np.moveaxis(place, -1, 0))
+        radius = np.maximum(np.hypot(*np.moveaxis(place, -1, 0)), 1e-12)
+        angles = np.linspace(0, 1.4, 200001)
+        mixed = given["transition"] * np.tan(angles) + (1 - given["transition"]) * angles
+        angle = np.interp(radius, mixed, angles)
+        return np.concatenate([place * (np.sin(angle) / radius)[..., None], np.cos(angle)[..., None]], axis=-1)
+
+    pictures = sky_pictures(seen, 96, 72, 80.0)
+    write_opensfm(tmp_path, pictures, kind=kind, **OPENSFM[kind])
+    require_sky(load_scene(tmp_path, split="all"), pictures, 1)
+
+
 def test_one_view_has_no_pixel_that_was_not_seen_in_the_middle_of_its_edges(tmp_path):
     for lens, focal in (
         (Lens("FISHEYE", FISHEYE), 60.0),

@@ -77,7 +77,7 @@ def opensfm_reconstruction(pictures, kind="brown", **coefficients):
     for name, camera in zip(pictures.names, pictures.cameras, strict=True):
         longer = max(camera.width, camera.height)
         given = {"projection_type": kind, "width": camera.width, "height": camera.height, **coefficients}
-        if kind in ("perspective", "fisheye"):
+        if kind in ("perspective", "fisheye", "dual"):
             given["focal"] = camera.fx / longer
         elif kind not in ("spherical", "equirectangular"):
             given |= {"focal_x": camera.fx / longer, "focal_y": camera.fy / longer}

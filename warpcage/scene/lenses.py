@@ -100,6 +100,20 @@ def _unified(x, y, z, alpha, beta) -> tuple[np.ndarray, np.ndarray]:
     return x / depth, y / depth
 
 
+def _opensfm(x, y, z, transition, p1, p2, s0, s1, s2, s3, *radial: float) -> tuple[np.ndarray, np.ndarray]:
+    # OpenSfM's fisheye62, fisheye624 and dual, by its source: a pinhole's share of the place, then what bends it
+    u, v = _angles(x, y, z)
+    if transition:
+        a, b = _planar(x, y, z)
+        u, v = u + transition * (a - u), v + transition * (b - v)
+    square = u * u + v * v
+    bent = _powers(square, radial)
+    return (
+        u * bent + 2 * p1 * u * v + p2 * (square + 2 * u * u) + square * (s0 + s1 * square),
+        v * bent + 2 * p2 * u * v + p1 * (square + 2 * v * v) + square * (s2 + s3 * square),
+    )
+
+
 def _all_around(x, y, z) -> tuple[np.ndarray, np.ndarray]:
     """Longitude and latitude, radians: an equirectangular picture."""
     return np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))
@@ -130,6 +144,7 @@ PROJECTIONS: dict[str, Projection] = {
     "EUCM": _unified,
     "EQUIRECTANGULAR": _all_around,
     "METASHAPE": _metashape,
+    "OPENSFM": _opensfm,
 }
 
 

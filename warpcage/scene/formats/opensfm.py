@@ -92,12 +92,17 @@ def _view(finder: PictureFinder, cameras: dict, name: str, shot: object, where: 
         value("c_y", default=0.0) * longer + height / 2,
     )
     values = tuple(value(each, default=0.0) for each in KINDS[kind])
+    if kind.startswith("fisheye6") or kind == "dual":
+        return View(file, pose, where, intrinsics, size, lens=Lens("OPENSFM", values))
     if kind.startswith("fisheye"):
         return View(file, pose, where, intrinsics, size, lens=Lens("FISHEYE", values))
     return View(file, pose, where, intrinsics, size, distortion=values)
 
 
-#: Kinds of cameras, and the names of their coefficients, in the order of COEFFICIENTS or of powers of the angle.
+#: Coefficients of the lens OPENSFM, in its order; what a camera lacks of them is 0.
+ALL = ("transition", "p1", "p2", "s0", "s1", "s2", "s3", "k1", "k2", "k3", "k4", "k5", "k6")
+
+#: Kinds of cameras, and the names of their coefficients, in the order of COEFFICIENTS, of powers of the angle, or ALL.
 KINDS = {
     "perspective": ("k1", "k2"),
     "simple_radial": ("k1",),
@@ -105,6 +110,9 @@ KINDS = {
     "brown": ("k1", "k2", "p1", "p2", "k3"),
     "fisheye": ("k1", "k2"),
     "fisheye_opencv": ("k1", "k2", "k3", "k4"),
+    "fisheye62": ALL,
+    "fisheye624": ALL,
+    "dual": ALL,
     "spherical": (),
     "equirectangular": (),
 }

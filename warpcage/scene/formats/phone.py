@@ -191,7 +191,8 @@ def read_arkitscenes(folder: pathlib.Path, *, split: str, model: str | None = No
             found.append((file, pose, lens))
     if not found:
         raise InputError(f"{path} has no pose at the time of a picture in {homes[name]} that has intrinsics (.pincam)")
-    views = [_pincam_view(*found[index], bounds) for index in _evenly(len(found))]
+    taken = [found[index] for index in _evenly(len(found))]
+    views = [_pincam_view(file, pose, lens, bounds) for file, pose, lens in taken]
     chosen = [views[index] for index in held_out(len(views), split, folder)]
     points = colors = None
     mesh = next(iter(sorted(folder.glob("*_mesh.ply"))), None)
