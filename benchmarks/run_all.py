@@ -47,6 +47,7 @@ QUICK = {
     "every_kernel": "every_kernel.py --device cpu",
     "fits_scenes": "fits scenes --kind thin --views 8 --size 24 --option least_steps=9 --worst {out}/worst"
     " --json {out}/fits.json",
+    "files": "files {out} --device cpu --side 80 --out {out}/files.png",
     "splat_fits": "splat-fits ours {scene} --device cpu --quality fast --option steps=30 most_splats=400 --out {out}/s",
     "splat_fits_profile": "splat-fits profile {scene} --device cpu --steps 40 --window 20 --out {out}/s",
     "splats": "splats views --device cpu --count 3000 --sizes 80 --json {out}/splats_times.json",
