@@ -11,6 +11,7 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
+from ..core.checks import format_lines
 from ..core.files import read_json
 from ..core.kernel_files import copy_kernel, find_kernel, kernel_names, kernel_summary
 from ..core.modules import start_warp
@@ -19,12 +20,12 @@ from ..core.threads import cpu_threads
 from ..errors import InputError, MissingFileError
 from ..field.surroundings import LayeredBackground, OuterField
 from ..mesh.io import object_names
-from ..mesh.io.formats import format_lines, mesh_endings
+from ..mesh.io.formats import mesh_endings, mesh_formats
 from ..scene.formats.table import format_lines as scene_lines
 from ..scene.load import holding_format, load_scene
 from ..scene.scene import Scene
 from ..splats.io import is_splat_file, splat_path
-from ..splats.io.formats import endings_read, format_to_read
+from ..splats.io.formats import endings_read, format_to_read, splat_formats
 from ..splats.splat_field import SplatField
 from ..view.camera import CameraFile
 from ..view.pictures import contact_sheet, shrink, write_png
@@ -77,7 +78,8 @@ def _machine() -> Rows:
         ("python", platform.python_version()),
         ("platform", platform.platform()),
     ]
-    rows += [("meshes and cages", line) for line in format_lines()]
+    rows += [("meshes and cages", line) for line in format_lines(mesh_formats())]
+    rows += [("splats", line) for line in format_lines(splat_formats())]
     rows += [("scenes", line) for line in scene_lines()]
     return rows + [(device.alias, device_line(device)) for device in wp.get_devices()]
 

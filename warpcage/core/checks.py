@@ -234,6 +234,15 @@ def registered_formats(group: str, what: str, require: Callable[[object], None])
             yield format
 
 
+def format_lines(formats: Iterable[Any]) -> list[str]:
+    """Each format of files in words: name, endings, and what is done with it."""
+    return [
+        f"{format.name} ({' '.join(format.endings)}): "
+        + " and ".join(word for word, can in (("read", format.read), ("written", format.write)) if can)
+        for format in formats
+    ]
+
+
 def require_endings(endings: tuple[str, ...]) -> None:
     """Refuse endings of a format's files that are no ends of names in small letters."""
     if not endings or not all(each.startswith(".") and each == each.lower() for each in endings):

@@ -82,12 +82,3 @@ def mesh_format(path: pathlib.Path, verb: str = "read") -> MeshFormat:
 def mesh_endings(verb: str = "read") -> Iterable[str]:
     """Endings of the files that can be read, or with "write" written."""
     return (ending for format in mesh_formats() if getattr(format, verb) for ending in format.endings)
-
-
-def format_lines() -> list[str]:
-    """Each format in words: name, endings, and what is done with it."""
-    return [
-        f"{format.name} ({' '.join(format.endings)}): "
-        + " and ".join(word for word, can in (("read", format.read), ("written", format.write)) if can)
-        for format in mesh_formats()
-    ]
