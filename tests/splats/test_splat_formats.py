@@ -359,6 +359,23 @@ def test_sog_by_hand(version, packed, tmp_path):
         np.testing.assert_array_equal(loaded(path / "meta.json").contents.centers, field.contents.centers)
 
 
+def test_sog_of_a_folder_that_was_packed(tmp_path):
+    """As the menus of file browsers pack one: the files are in a folder of the archive."""
+    meta, files, places = sog_set(2)
+    with zipfile.ZipFile(tmp_path / "a.sog", "w") as archive:
+        for name, data in {"meta.json": json.dumps(meta).encode(), **files, "._meta.json": b"x"}.items():
+            archive.writestr(f"my set/{name}", data)
+    np.testing.assert_allclose(loaded(tmp_path / "a.sog").contents.centers, places, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("ending, meant", [(".splat", ".spz"), (".spz", ".ply"), (".ksplat", ".glb"), (".glb", ".sog")])
+def test_files_of_another_ending_say_which(tmp_path, ending, meant):
+    field_of(some_splats(32)).save(tmp_path / f"a{meant}")
+    path = (tmp_path / f"a{meant}").rename(tmp_path / f"b{ending}")
+    with pytest.raises(ValueError, match=f"b{ending} begins as {meant} files do, not as {ending} files"):
+        loaded(path)
+
+
 def test_sog_of_more_splats_than_its_palette_has(tmp_path, monkeypatch):
     monkeypatch.setattr("warpcage.splats.io.sog._MOST_ENTRIES", 64)
     rng = np.random.default_rng(0)

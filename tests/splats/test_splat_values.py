@@ -90,6 +90,21 @@ def test_activated_values_are_found_with_zeros_and_rounded_ones(tmp_path):
     np.testing.assert_array_equal(field.opacities[:3], [0.0, 1.0, 1.0])
 
 
+@pytest.mark.parametrize("kind", ["opacity", "scale"])
+def test_one_kind_of_activated_values_is_found_alone(kind, tmp_path):
+    columns = some_columns(400)
+    changed = {name: values for name, values in activated(columns).items() if name.startswith(kind)}
+    path = write_ply(tmp_path / "half.ply", columns | changed)
+    with pytest.warns(UserWarning, match="half.ply: no .* activated=False"):
+        field = warpcage.SplatField.load(path, device="cpu").contents
+    plain = loaded(write_ply(tmp_path / "plain.ply", columns)).contents
+    np.testing.assert_allclose(field.logits, plain.logits, atol=1e-4)
+    np.testing.assert_allclose(field.log_scales, plain.log_scales, atol=1e-5)
+    raw = loaded(path, activated=False).contents
+    np.testing.assert_array_equal(raw.logits, (columns | changed)["opacity"].astype(np.float32))
+    np.testing.assert_array_equal(raw.log_scales[:, 1], (columns | changed)["scale_1"].astype(np.float32))
+
+
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3, 1e6])
 def test_fitted_files_are_never_taken_for_activated(size, tmp_path):
     """In worlds of any size, from micrometres to maps: what a fit makes has logits of both signs."""
@@ -222,7 +237,18 @@ def test_scales_of_zero_are_left_out(tmp_path):
     np.testing.assert_array_equal(field.contents.centers[:, 0], [0.0, 1.0, 3.0])
 
 
+def test_a_few_rows_of_zeros_are_left_out(tmp_path):
+    columns = {name: np.where(np.arange(40) == 7, 0.0, values) for name, values in some_columns().items()}
+    path = write_ply(tmp_path / "a.ply", columns)
+    with pytest.warns(UserWarning, match="1 of 40 splats .* is splat 7$"):
+        assert len(warpcage.SplatField.load(path, device="cpu")) == 39
+
+
 BROKEN = {
+    "the end was never filled": (
+        lambda c: {name: np.where(np.arange(40) < 20, values, 0.0) for name, values in c.items()},
+        "20 of its 40 splats are zero",
+    ),
     "all rows zero": (lambda c: {name: np.zeros(40) for name in c}, "its 40 splats are zero"),
     "one row of zeros": (lambda c: {name: np.zeros(1) for name in c}, "its 1 splat are zero"),
     "no rotation": (lambda c: c | {f"rot_{k}": np.zeros(40) for k in range(4)}, "all its 40 quaternions are of"),

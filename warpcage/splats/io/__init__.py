@@ -9,7 +9,7 @@ from ...core.checks import checked_path, warn_caller
 from ...core.files import PathLike, atomic_path, require_file
 from ...errors import InputError
 from .contents import SplatContents, rounding_of, sound_contents
-from .formats import BUILT_IN, format_to_read, format_to_write, holding_format
+from .formats import BUILT_IN, format_to_read, format_to_write, holding_format, require_own_beginning
 from .sog import META
 
 #: Endings of the files, and what writes them. The first that fits counts.
@@ -32,6 +32,7 @@ def read_splats(path: PathLike, **options: Any) -> SplatContents:
     given = _given(options, format.read_options, f"{format.name} files are not read", path)
     file = require_file(named, "splat file")
     assert format.read is not None
+    require_own_beginning(file, format)
     return sound_contents(file, format.read(file, **given))
 
 

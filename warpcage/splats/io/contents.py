@@ -149,7 +149,7 @@ def sound_contents(path: pathlib.Path, contents: SplatContents) -> SplatContents
             _refuse_rows(contents, many)
         warn_caller(
             f"{path}: {many} of {counted(count, 'splat')} {agreed(many, 'is', 'are')} left out, with values that are "
-            f"not finite, too large, or scales of zero: the first is splat {np.argmax(bad)}"
+            f"not finite, too large, all zero, or scales of zero: the first is splat {np.argmax(bad)}"
         )
         return chosen_contents(contents, np.flatnonzero(~bad))
     except ValueError as error:
@@ -162,6 +162,9 @@ def _refuse_rows(contents: SplatContents, many: int) -> None:
         checked_contents(contents)
     except ValueError as error:
         raise InputError(f"{error}: {many} of {contents.count} are such, so the file is damaged") from None
+    raise InputError(
+        f"all values of {many} of its {contents.count} splats are zero: the file was not filled to its end"
+    )
 
 
 def chosen_contents(contents: SplatContents, rows: np.ndarray) -> SplatContents:
@@ -175,8 +178,7 @@ def _require_field(contents: SplatContents) -> None:
     count, turns = contents.count, contents.quaternions
     if not count:
         return
-    values = (contents.centers, contents.log_scales, contents.logits, contents.harmonics)
-    if not turns.any() and not any(each.any() for each in values):
+    if _are_zero(contents).all():
         raise InputError(f"all values of its {counted(count, 'splat')} are zero: the file was never filled")
     if np.isneginf(contents.log_scales).any(axis=1).all():
         raise InputError(f"the scales of its {counted(count, 'splat')} are zero: the file was never filled")
@@ -188,10 +190,16 @@ def _require_field(contents: SplatContents) -> None:
         raise InputError(f"all its {count} splats are at one place: the file is damaged")
 
 
+def _are_zero(contents: SplatContents) -> np.ndarray:
+    """(n,) bool which splats have no value but zero: the file's room for them."""
+    axes = {name: tuple(range(1, getattr(contents, name).ndim)) for name in _ARRAYS}
+    return ~np.any([getattr(contents, name).any(axis=axes[name]) for name in _ARRAYS], axis=0)
+
+
 def bad_rows(contents: SplatContents) -> np.ndarray:
-    """(n,) bool which splats have values that are not finite, or that float32 cannot hold a covariance of. An opacity
-    whose logit is infinite is 0 or 1, and good."""
-    bad = np.isnan(contents.logits) | (contents.log_scales > MOST_LOG_SCALE).any(axis=1)
+    """(n,) bool which splats have values that are not finite, that float32 cannot hold a covariance of, or none but
+    zero. An opacity whose logit is infinite is 0 or 1, and good."""
+    bad = np.isnan(contents.logits) | (contents.log_scales > MOST_LOG_SCALE).any(axis=1) | _are_zero(contents)
     for values in (contents.centers, contents.log_scales, contents.quaternions, contents.harmonics):
         bad |= ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     return bad

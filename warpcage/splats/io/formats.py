@@ -139,6 +139,19 @@ def _format_by_ending(path: PathLike, way: Callable[[SplatFormat], object], know
     raise InputError(f"splat file {str(path)!r} must end in {known()}")
 
 
+#: What files of some formats begin with, by their endings.
+_BEGINNINGS = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK\x03\x04": ".sog", b"glTF": ".glb"}
+
+
+def require_own_beginning(path: pathlib.Path, format: SplatFormat) -> None:
+    """Refuse a file that begins as those of another format do, whatever its ending says."""
+    with path.open("rb") as opened:
+        head = opened.read(4)
+    meant = next((ending for mark, ending in _BEGINNINGS.items() if head.startswith(mark)), None)
+    if format in BUILT_IN and meant is not None and not any(each.endswith(meant) for each in format.endings):
+        raise InputError(f"{path} begins as {meant} files do, not as {format.endings[0]} files: give it that ending")
+
+
 def holding_format(path: PathLike) -> SplatFormat | None:
     """The format of a file that holds splats; None for any other."""
     return next((each for each in _candidates(path) if each.read and each.holds(path)), None)

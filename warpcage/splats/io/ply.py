@@ -30,6 +30,10 @@ _FLOATS = ("f4", "f8")
 #: What an opacity of 1 may be rounded up by.
 _ROUNDED = 1e-5
 
+#: Of one kind alone scales are found where there are so many splats and half the numbers are so near 0, opacities where
+#: they spread by more.
+_MANY, _NEAR_ZERO, _SPREAD = 100, 0.25, 0.1
+
 #: The property by which Mip-Splatting widens a splat.
 _FILTER = "filter_3D"
 
@@ -93,7 +97,9 @@ def read_splat_ply(path: pathlib.Path, parts: PlyParts, activated: bool | None =
         raise InputError(f"{path}: no 3DGS splats: the vertices lack {listed(lacking)}")
     rest = sorted(int(found[1]) for found in map(_REST.fullmatch, names) if found)
     if rest != list(range(len(rest))) or len(rest) not in (0, 9, 24, 45):
-        raise InputError(f"{path}: splats have 0, 9, 24 or 45 properties f_rest_0 and on, got {len(rest)}")
+        gap = next((k for k in range(len(rest)) if k not in rest), None)
+        without = "" if gap is None else f" without f_rest_{gap}"
+        raise InputError(f"{path}: splats have 0, 9, 24 or 45 properties f_rest_0 and on, got {len(rest)}{without}")
     used = (*_NEEDED, *(f"f_rest_{k}" for k in rest), *((_FILTER,) if _FILTER in names else ()))
     odd = [name for name in used if table.dtype[name].str[1:] not in _FLOATS]
     if odd:
@@ -112,15 +118,19 @@ def read_splat_ply(path: pathlib.Path, parts: PlyParts, activated: bool | None =
             harmonics[:, 1 + coefficient, channel] = table[f"f_rest_{k}"]
         log_scales = columns("scale_0", "scale_1", "scale_2").astype(np.float32)
         logits = columns("opacity")[:, 0].astype(np.float32)
+    of_scales = of_opacities = bool(activated)
     if activated is None:
-        activated = _look_activated(log_scales, logits)
-        if activated:
+        of_scales, of_opacities = _look_activated(log_scales, logits)
+        if of_scales or of_opacities:
+            seen = ["no opacity leaves 0 to 1"] * of_opacities + ["no scale is below 0"] * of_scales
+            usual = ["logits"] * of_opacities + ["logarithms"] * of_scales
             warn_caller(
-                f"{path}: no opacity leaves 0 to 1 and no scale is below 0, so they are taken as they are, "
-                "not as logits and logarithms: activated=False reads them as those"
+                f"{path}: {' and '.join(seen)}, so they are taken as they are, not as {' and '.join(usual)}: "
+                "activated=False reads them as those"
             )
-    if activated:
+    if of_scales:
         log_scales = logs_of(log_scales)
+    if of_opacities:
         with np.errstate(invalid="ignore"):
             logits = logits_of(np.where(logits <= 1.0 + _ROUNDED, np.minimum(logits, 1.0), np.nan).astype(np.float64))
     header, kept = parts.header, table
@@ -139,14 +149,21 @@ def read_splat_ply(path: pathlib.Path, parts: PlyParts, activated: bool | None =
         )
 
 
-def _look_activated(scales: np.ndarray, opacities: np.ndarray) -> bool:
-    """Whether values are those of scales and opacities, not their logarithms and logits: logits leave 0 to 1 in any
+def _look_activated(scales: np.ndarray, opacities: np.ndarray) -> tuple[bool, bool]:
+    """Whether values are those of scales, and of opacities, not their logarithms and logits: logits leave 0 to 1 in any
     field that was fitted, and logarithms above 0 are of splats larger than a unit of the world."""
     good = np.isfinite(scales).all(axis=1) & np.isfinite(opacities)
     scales, opacities = scales[good], opacities[good]
-    if not len(scales) or scales.min() < 0.0 or scales.max() == 0.0:
-        return False
-    return bool(opacities.min() >= 0.0 and 0.0 < opacities.max() <= 1.0 + _ROUNDED)
+    if not len(scales):
+        return False, False
+    of_scales = bool(scales.min() >= 0.0 and scales.max() > 0.0)
+    of_opacities = bool(opacities.min() >= 0.0 and 0.0 < opacities.max() <= 1.0 + _ROUNDED)
+    if of_scales and of_opacities:
+        return True, True
+    # one kind alone must be clearer: splats made by hand may have logits of 0.5, or be a little larger than a unit
+    many = len(scales) >= _MANY
+    of_scales &= many and bool(np.median(scales) < _NEAR_ZERO)
+    return of_scales, of_opacities and many and bool(np.ptp(opacities) > _SPREAD)
 
 
 def _filtered(log_scales: np.ndarray, logits: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

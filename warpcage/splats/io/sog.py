@@ -60,8 +60,9 @@ def read_sog(path: pathlib.Path) -> SplatContents:
     if path.name.lower() == META:
         return _read(path, _folder_meta(path), _folder_files(path))
     with zip_members(path, "a .sog file") as archive:
-        meta = _archive_meta(path, archive)
-        return _read(path, meta, lambda name: read_member(path, archive, name, 1))
+        inside = _archive_folder(archive)
+        meta = _archive_meta(path, archive, inside)
+        return _read(path, meta, lambda name: read_member(path, archive, inside + name, 1))
 
 
 def write_sog(contents: SplatContents) -> bytes:
@@ -160,9 +161,15 @@ def _folder_files(path: pathlib.Path) -> _Files:
     return read
 
 
-def _archive_meta(path: pathlib.Path, archive: zipfile.ZipFile) -> dict[str, Any]:
+def _archive_folder(archive: zipfile.ZipFile) -> str:
+    """The one folder of an archive that was made of a folder, with a slash; "" where the files are at its top."""
+    found = [name for name in archive.namelist() if name.count("/") == 1 and name.endswith(f"/{META}")]
+    return found[0].removesuffix(META) if len(found) == 1 and META not in archive.namelist() else ""
+
+
+def _archive_meta(path: pathlib.Path, archive: zipfile.ZipFile, inside: str) -> dict[str, Any]:
     """What the meta.json of an archive tells."""
-    data = read_member(path, archive, META, JSON_ROOM, _MOST_META)
+    data = read_member(path, archive, inside + META, JSON_ROOM, _MOST_META)
     try:
         meta = json.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:  # a number of thousands of digits is a ValueError too
