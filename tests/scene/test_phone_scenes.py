@@ -28,6 +28,10 @@ def test_polycam(tmp_path, bricks, corrected):
     (tmp_path / f"keyframes/{kinds[-1]}cameras/{bricks.names[2]}.json").write_text('{"fx": 3}')
     with pytest.raises(ValueError, match=MESSAGES["scene.pose_number"]):
         load(tmp_path)
+    (tmp_path / f"keyframes/{kinds[-1]}images").rename(tmp_path / "depth")
+    (tmp_path / "keyframes/images").rename(tmp_path / "other") if corrected else None
+    with pytest.raises(ValueError, match="holds no cameras/ .* beside images/"):
+        load(tmp_path)
 
 
 @pytest.mark.parametrize("each", [False, True])

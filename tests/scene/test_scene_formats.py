@@ -13,6 +13,7 @@ from scene_writers import (
     write_blender,
     write_colmap,
     write_dtu,
+    write_image,
     write_nsvf,
     write_transforms,
 )
@@ -279,6 +280,29 @@ def test_formats_are_told_apart_and_named(tmp_path, bricks):
     (empty / "notes.txt").write_text("")
     with pytest.raises(ValueError, match=MESSAGES["scene.no_known_format"]):
         load_scene(empty)
+    write_colmap(empty / "capture", bricks, binary=True)
+    with pytest.raises(ValueError, match="give its folder 'capture'"):
+        load_scene(empty)
+
+
+def test_focal_lengths_that_are_no_pixels_are_refused(tmp_path, bricks):
+    """Millimetres, or shares of the picture, which other programs have."""
+    write_transforms(tmp_path, bricks)
+    path = tmp_path / "transforms.json"
+    content = json.loads(path.read_text())
+    for each in (content, *content["frames"]):
+        each.update({name: 0.035 for name in ("fl_x", "fl_y") if name in each})
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="a focal length of 0.035 pixels"):
+        load(tmp_path)
+
+
+def test_masks_that_hide_everything_are_told(tmp_path, bricks):
+    write_transforms(tmp_path, bricks, masks=True)
+    for mask in (tmp_path / "masks").iterdir():
+        write_image(mask, np.zeros((20, 24), np.uint8))
+    with pytest.warns(UserWarning, match="masks hide all of 10 of 10 pictures"):
+        assert load(tmp_path, split="all").alphas.max() == 0
 
 
 # Kinds of pictures

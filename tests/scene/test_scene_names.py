@@ -115,6 +115,7 @@ def test_decimal_commas(tmp_path, bricks, name):
 
 
 ELSEWHERE = ["/home/somebody/capture/images/", "C:\\Users\\somebody\\capture\\images\\", "../capture/images/", "D:/x/"]
+ELSEWHERE += ["file:///home/somebody/images/"]
 
 
 @pytest.mark.parametrize("start", ELSEWHERE)
@@ -134,6 +135,15 @@ def test_paths_of_another_machine(tmp_path, bricks, name, start):
     listing.write_text(text.replace(plain, f"{written}other/sub/view_"))
     with pytest.warns(UserWarning, match=MESSAGES["scene.moved"]):
         require_equal(load(tmp_path, split="all"), bricks)
+
+
+@pytest.mark.parametrize("name", ["transforms", "colmap"])
+def test_endings_in_other_letters(tmp_path, bricks, name):
+    """IMG.JPG in place of IMG.jpg, as programs and file systems change them."""
+    FORMATS[name][0](tmp_path, bricks)
+    for picture in (tmp_path / "images").iterdir():
+        picture.rename(picture.with_suffix(".PNG"))
+    require_equal(load(tmp_path, split="all"), bricks)
 
 
 def test_no_file_outside_of_the_folder_is_taken(tmp_path, bricks):

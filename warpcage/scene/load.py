@@ -126,4 +126,14 @@ def holding_format(path: str | os.PathLike[str]) -> SceneFormat:
             return each
         tried.append(f"{each.name}: {each.mark}")
     there = listed(sorted(entry.name + "/" * entry.is_dir() for entry in folder.iterdir()), none="nothing")
-    raise InputError(f"{str(folder)!r} is no scene of a known format ({'; '.join(tried)}); it holds {there}")
+    inner = next((entry for entry in sorted(folder.iterdir()) if entry.is_dir() and _is_scene(entry)), None)
+    hint = "" if inner is None else f": give its folder {inner.name!r}, which is a scene"
+    raise InputError(f"{str(folder)!r} is no scene of a known format ({'; '.join(tried)}); it holds {there}{hint}")
+
+
+def _is_scene(folder: pathlib.Path) -> bool:
+    """Whether a folder is a scene; no for one whose files cannot be read."""
+    try:
+        return any(each.is_scene(folder) for each in candidates())
+    except (ValueError, OSError):
+        return False

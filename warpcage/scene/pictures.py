@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from ..core.checks import warn_caller
 from ..core.memory import free_host_bytes
 from ..core.reports import tell
 from ..errors import InputError, MissingFileError
@@ -25,6 +26,9 @@ COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's o
 
 #: The picture is never enlarged beyond this to get rid of what lies past its edge.
 MAX_ZOOM = 4.0
+
+#: Shortest focal length in shares of a side, 171 degrees: shorter ones are no pixels, but shares or millimetres.
+SHORTEST_FOCAL = 0.04
 
 #: Width and height, pixels.
 Size = tuple[int, int]
@@ -259,6 +263,8 @@ def make_scene(
     # opaque images say nothing about the object's outline; averages of ones are not 1 to the last bit
     shown = (alpha[: size[1], : size[0]] for alpha, size in zip(alphas, shrunk, strict=True))
     opaque = all(alpha.min() > 1.0 - ALPHA_ROUNDING for alpha in shown)
+    if 2 * (hidden := sum(not alpha.any() for alpha in alphas)) > len(views):
+        warn_caller(f"{folder}: masks hide all of {hidden} of {len(views)} pictures: they keep what is white")
     has_points = points is not None and len(points) > 0
     if bounds is None and points is not None:
         bounds = bulk_box(points, view_box(cameras), common_up(cameras))
@@ -436,6 +442,8 @@ def _camera(view: View, intrinsics: Intrinsics, size: Size) -> Camera:
     """A view's camera; errors name its file."""
     fx, fy, cx, cy = intrinsics
     width, height = size
+    if 0 < fx < SHORTEST_FOCAL * width or 0 < fy < SHORTEST_FOCAL * height:
+        raise InputError(f"{view.where}: a focal length of {min(fx, fy):.3g} pixels is too short for {width}x{height}")
     try:
         return Camera(fx, fy, cx, cy, width, height, view.pose)
     except ValueError as error:

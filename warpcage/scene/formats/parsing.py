@@ -181,8 +181,11 @@ ENCODINGS = ("gb18030", "cp932", "cp949", "big5", "cp1252")
 
 
 def _spellings(name: str) -> Iterator[str]:
-    """A name as it is, and as it may be meant where its bytes are no UTF-8, or its accents are letters of their own."""
+    """A name as it is, and as it may be meant: with an ending in other letters (.JPG), where its bytes are no UTF-8, or
+    its accents are letters of their own."""
     yield name
+    stem, dot, ending = name.rpartition(".")
+    yield from (f"{stem}{dot}{each}" for each in (ending.lower(), ending.upper()) if each != ending)
     if name.isascii():
         return
     for form in ("NFC", "NFD"):
@@ -195,8 +198,8 @@ def _spellings(name: str) -> Iterator[str]:
 
 
 def _leads_out(folder: pathlib.Path, name: str) -> bool:
-    """Whether a name is a path of another place: from a root or a drive, or back out of the folder."""
-    if re.match(r"[A-Za-z]:[\\/]", name):
+    """Whether a name is a path of another place: from a root, a drive or a file://, or back out of the folder."""
+    if re.match(r"[A-Za-z]+:[\\/]", name):
         return True
     try:
         inside(folder, name, "")

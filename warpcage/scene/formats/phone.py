@@ -46,7 +46,7 @@ def read_polycam(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     keyframes = folder / "keyframes"
     views = _polycam_views(keyframes, "corrected_") or _polycam_views(keyframes, "")
     if not views:
-        raise InputError(f"{keyframes / 'cameras'} holds no cameras (.json)")
+        raise InputError(f"{keyframes} holds no cameras/ (.json) beside images/, and no corrected_ ones")
     views = views_there(views, keyframes)
     chosen = [views[index] for index in held_out(len(views), split, folder)]
     return make_scene(folder, chosen, **options, beside=files_of(views), to_source=np.linalg.inv(TO_Z_UP))
