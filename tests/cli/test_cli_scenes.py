@@ -45,6 +45,13 @@ def test_info_of_scenes(files, capsys, name):
     assert info(capsys, files / name, "--split", "test")["pictures"] == "2 of 24x20"
 
 
+@pytest.mark.parametrize("name", ["transforms/transforms.json", "colmap/sparse/0/cameras.bin"])
+def test_info_of_a_file_of_a_scene_says_which_folder(files, capsys, name):
+    assert main(["info", str(files / name)]) == 2
+    error = capsys.readouterr().err
+    assert f"part of the scene '{files / name.split('/')[0]}': give that" in error
+
+
 def test_info_of_files(files, capsys):
     rows = info(capsys, files / "ball.npz")
     assert rows["kind"] == "field" and rows["resolution"] == "16x16x16"

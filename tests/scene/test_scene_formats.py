@@ -280,9 +280,13 @@ def test_formats_are_told_apart_and_named(tmp_path, bricks):
     (empty / "notes.txt").write_text("")
     with pytest.raises(ValueError, match=MESSAGES["scene.no_known_format"]):
         load_scene(empty)
-    write_colmap(empty / "capture", bricks, binary=True)
-    with pytest.raises(ValueError, match="give its folder 'capture'"):
-        load_scene(empty)
+
+
+@pytest.mark.parametrize("given, said", [("", "give its folder 'capture'"), ("capture/sparse", "capture': give that")])
+def test_a_folder_around_a_scene_or_in_one_says_so(tmp_path, bricks, given, said):
+    write_colmap(tmp_path / "capture", bricks, binary=True)
+    with pytest.raises(ValueError, match=said):
+        load_scene(tmp_path / given)
 
 
 def test_focal_lengths_that_are_no_pixels_are_refused(tmp_path, bricks):

@@ -22,7 +22,7 @@ from ..field.surroundings import LayeredBackground, OuterField
 from ..mesh.io import object_names
 from ..mesh.io.formats import mesh_endings, mesh_formats
 from ..scene.formats.table import format_lines as scene_lines
-from ..scene.load import holding_format, load_scene
+from ..scene.load import holding_format, load_scene, scene_around
 from ..scene.scene import Scene
 from ..splats.io import is_splat_file, splat_path
 from ..splats.io.formats import endings_read, format_to_read, splat_formats
@@ -62,7 +62,7 @@ def run_info(args: argparse.Namespace) -> None:
     else:
         raise InputError(
             f"{args.field!r} is not a field (.npz), splats ({' '.join(endings_read())}), cage "
-            f"({' '.join(mesh_endings())}), poses, edits or cameras (.json) or scene folder"
+            f"({' '.join(mesh_endings())}), poses, edits or cameras (.json) or scene folder{scene_around(path)}"
         )
     width = max(len(name) for name, _ in rows)
     for name, value in rows:
@@ -193,7 +193,9 @@ def _json(path: pathlib.Path) -> Rows:
     if kind == "warpcage session":
         raise InputError(f"{path}: a session of the editor: `warpcage edits {path}` lists its edits")
     if not isinstance(kind, str) or kind not in kinds:
-        raise InputError(f"{path}: not a file of warpcage: its format is none of {', '.join(kinds)}")
+        raise InputError(
+            f"{path}: not a file of warpcage: its format is none of {', '.join(kinds)}{scene_around(path)}"
+        )
     return kinds[kind](path)
 
 

@@ -128,7 +128,17 @@ def holding_format(path: str | os.PathLike[str]) -> SceneFormat:
     there = listed(sorted(entry.name + "/" * entry.is_dir() for entry in folder.iterdir()), none="nothing")
     inner = next((entry for entry in sorted(folder.iterdir()) if entry.is_dir() and _is_scene(entry)), None)
     hint = "" if inner is None else f": give its folder {inner.name!r}, which is a scene"
+    hint = scene_around(folder) or hint  # a folder of COLMAP's model, of pictures
     raise InputError(f"{str(folder)!r} is no scene of a known format ({'; '.join(tried)}); it holds {there}{hint}")
+
+
+def scene_around(path: pathlib.Path) -> str:
+    """What to say of a file or folder that is part of a scene; "" where it is of none."""
+    above = [
+        each for each in path.absolute().parents[:3] if "sparse" not in each.parts[-2:]
+    ]  # COLMAP's has no pictures
+    around = next(filter(_is_scene, above), None)
+    return "" if around is None else f"; it is part of the scene {str(around)!r}: give that folder"
 
 
 def _is_scene(folder: pathlib.Path) -> bool:
