@@ -104,7 +104,7 @@ def test_a_fit_with_found_cameras_is_as_good_as_one_with_true_ones(walk):
 def test_the_report_says_what_was_found(walk):
     folder, report, _ = walk
     assert {entry.name for entry in folder.iterdir()} == {
-        "images", "transforms.json", "points.ply", "capture.json", "capture.md", "contact.png"
+        "images", "transforms.json", "points.ply", "capture.json", "capture.md", "contact.png", "box.png"
     }  # fmt: skip
     content = json.loads((folder / "capture.json").read_text())
     assert content["registered"] == 18 and content["frames_of_the_video"] == 36
@@ -112,7 +112,13 @@ def test_the_report_says_what_was_found(walk):
     assert 85 < report.around < 140 and 10 < report.elevation[0] < report.elevation[1] < 60  # it walked 250 degrees
     assert report.sphere < report.upper < 0.7
     page = (folder / "capture.md").read_text()
-    assert "18 of 18" in page and "contact.png" in page and "Walk all the way around" in page
+    assert (
+        "18 of 18" in page
+        and "contact.png" in page
+        and "box.png" in page
+        and "cameras look at" in page
+        and "Walk all the way around" in page
+    )
     assert not any(entry.name.startswith(".scene") for entry in folder.parent.iterdir())
 
 

@@ -80,9 +80,23 @@ def test_contact_sheet(files, capsys, tmp_path):
     np.testing.assert_allclose(sheet[:20, :24], images[0], atol=0.003)
     np.testing.assert_allclose(sheet[24:44, 28:52], images[4], atol=0.003)
     for words in (["ball.npz"], []):
-        assert main(["info", *[str(files / word) for word in words], "--sheet", str(tmp_path / "other.png")]) == 2
-        assert "--sheet shows the pictures of a scene folder" in capsys.readouterr().err
+        for option, message in (
+            ("--sheet", "shows the pictures of a scene folder"),
+            ("--box", "shows where the object"),
+        ):
+            assert main(["info", *[str(files / word) for word in words], option, str(tmp_path / "other.png")]) == 2
+            assert f"{option} {message}" in capsys.readouterr().err
     assert not (tmp_path / "other.png").exists()
+
+
+def test_info_says_where_the_object_is(files, capsys, tmp_path):
+    """How far outlines reach takes a device, and is found for a picture alone."""
+    for name in ("transforms", "dtu"):
+        assert "object" not in info(capsys, files / name)
+        row = info(capsys, files / name, "--box", tmp_path / f"{name}.png", "--device", "cpu")["object"]
+        assert row.endswith(f"within the object's outlines in the pictures; see {tmp_path / name}.png"), row
+        picture = read_image(tmp_path / f"{name}.png")
+        assert (np.ptp(picture.reshape(-1, 3), axis=0) > 0.6).all() and picture.shape[1] > 1000
 
 
 def test_masks_can_be_left_alone(files, tmp_path, capsys):

@@ -7,6 +7,7 @@ import pytest
 from messages import MESSAGES
 
 from warpcage import Camera, FieldOptimizer, Scene, VoxelField, evaluate, fit, mean_psnr, turntable
+from warpcage.scene import find_box
 
 SIZE = 16
 QUICK = {"progress": False, "resolution": 16, "levels": 2, "epochs": 8, "batch_rays": 512}
@@ -138,8 +139,11 @@ def test_nothing_but_background_is_refused():
 def test_cameras_that_all_look_away_are_refused(alpha):
     scene = seen(around(6), alpha=alpha)
     away = dataclasses.replace(scene, cameras=[turned(camera) for camera in scene.cameras])
-    with pytest.raises(ValueError, match="6 of 6 cameras look away"):
-        fit(away, **QUICK)
+    if alpha:
+        with pytest.raises(ValueError, match="6 of 6 cameras look away"):
+            fit(away, **QUICK)
+    else:  # they may be pictures of a room, taken in its middle
+        assert "a place, or cameras whose axes are wrong" in find_box(away.cameras).reason
     with pytest.raises(ValueError, match="inside all silhouettes" if alpha else "no camera sees the bounds"):
         fit(away, bounds=[[-0.5] * 3, [0.5] * 3], **QUICK)
 
@@ -149,7 +153,7 @@ def test_cameras_in_one_place_that_look_around_need_bounds():
         Camera.look_at([0, 0, 0], [np.cos(a), np.sin(a), 0.2 * np.sin(3 * a)], fov_degrees=80, width=SIZE, height=SIZE)
         for a in 2 * np.pi * np.arange(6) / 6
     ]
-    with pytest.raises(ValueError, match="cameras look away .* give the bounds"):
+    with pytest.raises(ValueError, match="do not tell the size .* give the bounds"):
         fit(Scene(grey(6), None, cameras), **QUICK)
     with pytest.raises(ValueError, match="size of what they look at"):
         fit(Scene(grey(1), None, [dataclasses.replace(cameras[0], fx=1e30, fy=1e30)]), **QUICK)

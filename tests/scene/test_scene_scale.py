@@ -10,7 +10,7 @@ from warpcage import Cage, Camera, Deformer, Scene, SplatField, VoxelField, bake
 from warpcage.cli import main
 from warpcage.core import resolve_device
 from warpcage.fitting import object_bounds
-from warpcage.scene import view_box
+from warpcage.scene import find_box
 
 FAR = np.array([1e4, -2e4, 3e4])
 WORLDS = {
@@ -100,7 +100,7 @@ def test_bounds_follow_the_cameras(pictures, world, layout):
             for x in (0.0, 0.5, 1.0)
             for y in (0.0, 0.3)
         ]
-    box, moved = (view_box(placed(cameras, *place)) for place in ((1.0, 0 * FAR), (scale, shift)))
+    box, moved = (find_box(placed(cameras, *place)).bounds for place in ((1.0, 0 * FAR), (scale, shift)))
     np.testing.assert_allclose((moved - shift) / scale, box, atol=1e-8)
     if layout == "parallel":
         assert box[0, 2] > 0.0  # ahead

@@ -18,10 +18,11 @@ from ..core.checks import checked_path, checked_whole, listed
 from ..core.files import atomic_path
 from ..core.names import agreed, counted
 from ..errors import InputError, MissingFileError
+from ..scene.box_picture import box_text, draw_box
 from ..view.pictures import write_png
 from .colmap import Solver, load_pycolmap
 from .report import MOST_THUMBNAILS, THUMBNAIL, CaptureReport, make_contact_sheet, make_report
-from .scene_folder import placed, write_scene
+from .scene_folder import cameras_of, object_box, placed, write_scene
 from .solving import HOW_TO, LEAST_PICTURES, Solution, doubts, solve
 from .sources import Source, chosen_names, read_sources, shrink_factor
 from .video import FrameScores, pick_frames, scan_video, shrink_all, write_frames
@@ -108,8 +109,8 @@ def capture(
     compared, of a small folder all pictures. Pictures of one size, maker, model and focal length share a camera.
     Cameras are found all at once (GLOMAP, Pan et al. 2024), and picture by picture where the matches disagree with
     those. The scene is written with +z up, the object around the origin and its box two units long, in the format
-    "transforms" of `load_scene`: images/, transforms.json, points.ply; and capture.md, capture.json and contact.png,
-    which say how good it is. The folder appears whole or not at all.
+    "transforms" of `load_scene`: images/, transforms.json, points.ply; and capture.md, capture.json, contact.png and
+    box.png, which say how good it is, and where the object. The folder appears whole or not at all.
 
     What has been done is kept in a hidden folder beside the output until the end. After an interrupt or a kill the same
     call continues there.
@@ -181,6 +182,8 @@ def _capture(
     solution = _find(source, work, sources, names, video, feature_size, seed, progress)
     found = placed(solution.found)
     facts["share_of_matches_that_agree"] = round(solution.agreement.share, 4)
+    box = object_box(found)
+    facts["object"] = f"{box_text(box.bounds)}, {box.reason}"
 
     new = work / "scene"
     shutil.rmtree(new, ignore_errors=True)
@@ -192,6 +195,7 @@ def _capture(
     kept = [source.name for source in sources]
     report = make_report(output, source.name or str(source), kept, sharp, found, size, to_pixels, facts)
     report.advice.extend(doubts(solution, kept))
+    write_png(new / "box.png", draw_box(cameras_of(found), found.points, box))
     _write_contact_sheet(new / "contact.png", [work / "small" / name for name in names], report)
     (new / "capture.json").write_text(report.to_json(), encoding="utf-8")
     (new / "capture.md").write_text(report.to_markdown(), encoding="utf-8")

@@ -148,6 +148,8 @@ class CaptureReport:
         lines = [f"# Capture of {self.source}", "", "| | |", "| --- | --- |"]
         lines += [f"| {name} | {value} |" for name, value in rows]
         lines += ["", *(f"- {sentence}" for sentence in self.advice), ""] if self.advice else [""]
+        if "object" in self.facts:
+            lines += ["![cameras, points, and the object's box from three sides](box.png)", ""]
         lines += ["![all pictures; those without a camera have a red frame](contact.png)", ""]
         if self.left_out:
             lines += ["No camera: " + ", ".join(self.left_out), ""]

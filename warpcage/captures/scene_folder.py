@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ..core.threads import cpu_threads
-from ..scene.box import bulk_box, view_box
+from ..scene.box import FoundBox, find_box
 from ..scene.pictures import distort, undistorted_intrinsics
 from ..scene.scene import rotation_to
 from ..view.camera import Camera, common_up
@@ -198,25 +198,22 @@ def _write_picture(path: pathlib.Path, source: Source, pinhole: Pinhole) -> None
 def placed(found: Found) -> Found:
     """The cameras and points of a capture, from COLMAP's own frame and unit, in coordinates of its object."""
     # +z is up for the cameras (`common_up`), the first one at -y; the object's box is around 0, its longest side 2.
-    upright = rotation_to(common_up(_cameras(found)), np.array([0.0, 0.0, 1.0]))
+    upright = rotation_to(common_up(cameras_of(found)), np.array([0.0, 0.0, 1.0]))
     turned = found.moved(np.eye(3) if upright is None else upright[:3, :3], np.zeros(3), 1.0)
-    center = object_box(turned).mean(axis=0)
+    center = object_box(turned).bounds.mean(axis=0)
     x, y = (turned.poses[0, :3, 3] - center)[:2]
     turn = -0.5 * np.pi - np.arctan2(y, x)
     about = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
     turned = turned.moved(about, np.zeros(3), 1.0)
-    box = object_box(turned)
+    box = object_box(turned).bounds
     return turned.moved(np.eye(3), box.mean(axis=0), 2.0 / float((box[1] - box[0]).max()))
 
 
-def object_box(found: Found) -> np.ndarray:
-    """The box of the object (2, 3), lower and upper corner, as `load_scene` finds it from a scene's points."""
-    cameras = _cameras(found)
-    seen = view_box(cameras)
-    box = bulk_box(found.points, seen, common_up(cameras))
-    return seen if box is None else box
+def object_box(found: Found) -> FoundBox:
+    """The box of the object, as `load_scene` finds it from a scene's points."""
+    return find_box(cameras_of(found), found.points)
 
 
-def _cameras(found: Found) -> list[Camera]:
+def cameras_of(found: Found) -> list[Camera]:
     """Pinhole cameras of the pictures, without what the lenses bend."""
     return [Camera(*lens.intrinsics, *lens.size, pose) for lens, pose in zip(found.lenses, found.poses, strict=True)]

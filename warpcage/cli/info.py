@@ -19,8 +19,10 @@ from ..core.names import counted
 from ..core.threads import cpu_threads
 from ..errors import InputError, MissingFileError
 from ..field.surroundings import LayeredBackground, OuterField
+from ..fitting.silhouettes import Silhouettes
 from ..mesh.io import object_names
 from ..mesh.io.formats import mesh_endings, mesh_formats
+from ..scene.box_picture import box_text, draw_box
 from ..scene.formats.table import format_lines as scene_lines
 from ..scene.load import holding_format, load_scene, scene_around
 from ..scene.scene import Scene
@@ -41,16 +43,20 @@ Rows = list[tuple[str, object]]
 def run_info(args: argparse.Namespace) -> None:
     shared.require_field_scale(args)
     sheet = None if args.sheet is None else options.check_output(args.sheet, (".png",), "contact sheet")
+    box = None if args.box is None else options.check_output(args.box, (".png",), "picture")
     path = None if args.field is None else pathlib.Path(args.field)
     of_splats = path is not None and path.exists() and is_splat_file(path)
-    if sheet is not None and not (path is not None and path.is_dir() and not of_splats):
-        raise InputError(f"--sheet shows the pictures of a scene folder, got {args.field!r}")
+    if not (path is not None and path.is_dir() and not of_splats):
+        if sheet is not None:
+            raise InputError(f"--sheet shows the pictures of a scene folder, got {args.field!r}")
+        if box is not None:
+            raise InputError(f"--box shows where the object of a scene folder is, got {args.field!r}")
     if path is None:
         rows = _machine()
     elif of_splats:
         rows = _splats(splat_path(path))
     elif path.is_dir():
-        rows = _scene(path, args, sheet)
+        rows = _scene(path, args, sheet, box)
     elif not path.exists():
         raise MissingFileError(f"file {args.field!r} is not there")
     elif path.suffix.lower() == ".npz":
@@ -246,7 +252,7 @@ def _edits(path: pathlib.Path) -> Rows:
     return [("kind", "edits"), ("edits", len(edits)), *numbered, ("file", _file_size(path))]
 
 
-def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | None) -> Rows:
+def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | None, box: pathlib.Path | None) -> Rows:
     form = args.format or holding_format(path).name
     scene = load_scene(path, split=args.split, format=form)
     sizes = sorted({(camera.width, camera.height) for camera in scene.cameras})
@@ -263,6 +269,7 @@ def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | N
         ("cameras in", _box(centers.min(axis=0), centers.max(axis=0))),
         ("up", scene.up.round(3).tolist()),
         ("bounds", "not given" if scene.bounds is None else _box(*scene.bounds)),
+        *([("object", _object(scene, args, box))] if scene.alphas is None or box is not None else []),
         ("memory", f"{(scene.images.nbytes + (0 if scene.alphas is None else scene.alphas.nbytes)) / 1e6:.0f} MB"),
     ]
     if scene.weights is not None:
@@ -270,6 +277,20 @@ def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | N
     if sheet is not None:
         rows.append(("sheet", _write_sheet(scene, sheet)))
     return rows
+
+
+def _object(scene: Scene, args: argparse.Namespace, path: pathlib.Path | None) -> str:
+    """Where fits take the object to be, of which a picture may be written."""
+    silhouettes = None if scene.alphas is None else Silhouettes(scene, shared.chosen_device(args))
+    try:
+        found = scene_box(scene, silhouettes)
+    except ValueError as error:
+        if path is not None:
+            raise
+        return str(error)
+    if path is not None:
+        write_png(path, draw_box(scene.cameras, scene.points, found))
+    return f"{box_text(found.bounds)}, {found.reason}" + ("" if path is None else f"; see {path}")
 
 
 def _write_sheet(scene: Scene, path: pathlib.Path) -> str:

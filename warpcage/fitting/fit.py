@@ -18,6 +18,7 @@ from ..core.locks import device_turn
 from ..core.reports import Progress, hears, is_heard, tell
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
+from ..scene.box_picture import box_text, draw_box
 from ..scene.scene import Scene
 from ..splats.splat_field import SplatField
 from ..view.pictures import side_by_side, write_png
@@ -84,9 +85,10 @@ def fit(
         checkpoint: File (.npz) that holds the progress, always whole. The fit goes on from a file that is there, and
             removes it when it is done. None keeps no progress.
         checkpoint_seconds: Time between two writes of the checkpoint.
-        preview: Picture (.png) that is written anew while the fit goes on: a picture of the scene beside the field's
-            view of its camera. None writes none.
-        preview_seconds: Time between two writes of the preview, of which the first comes after as long.
+        preview: Picture (.png) that is written anew while the fit goes on: at once, of voxels, cameras, points and
+            the object's box from three sides (`warpcage.scene.draw_box`), then a picture of the scene beside the
+            field's view of its camera. None writes none.
+        preview_seconds: Time between two writes of the preview, of which the first view comes after as long.
         options: Fields of FitOptions by name, e.g. resolution=256, epochs=12 or max_memory="4GB"; for splats those of
             SplatFitOptions, e.g. steps=7000 or most_splats=200000, and the `weights` of SplatFit.
 
@@ -115,6 +117,10 @@ def fit(
             optimizer = SplatFit(scene, **options)
         if held is not None and held.exists():
             kept.load_progress(optimizer, held)
+    if isinstance(optimizer, FieldOptimizer):
+        _say(f"box {box_text(optimizer.found.bounds)}, {optimizer.found.reason}", progress)
+        if picture is not None:
+            write_png(picture, draw_box(scene.cameras, scene.points, optimizer.found))
     shown = saved = pictured = time.monotonic()
     words = "fit"
     while optimizer.step_count < optimizer.total_steps:
@@ -134,15 +140,20 @@ def fit(
     tell(optimizer.step_count, optimizer.total_steps, words)
     optimizer.measure_psnr()
     if optimizer.coarser:
-        _log.info("fit: %s", optimizer.coarser)
-        if progress is True:
-            print(f"fit: {optimizer.coarser}", file=sys.stderr)
+        _say(optimizer.coarser, progress)
     field = optimizer.finish()
     if held is not None:
         held.unlink(missing_ok=True)
     if picture is not None:
         _write_preview(picture, field, scene)
     return field
+
+
+def _say(words: str, progress: bool | Progress) -> None:
+    """Tell of a fit: on stderr where a bar is there, too."""
+    _log.info("fit: %s", words)
+    if progress is True:
+        print(f"fit: {words}", file=sys.stderr)
 
 
 def _preview_path(preview: str | os.PathLike[str]) -> pathlib.Path:

@@ -20,7 +20,7 @@ from ..field.sparse import mask_count
 from ..field.voxel_field import VoxelField
 from ..kernels.field import occupancy, refine
 from ..kernels.fitting import batches, loss, loss_warps, rmsprop, visual_hull
-from ..scene.box import scene_box
+from ..scene.box import FoundBox, find_looks, scene_box
 from ..scene.scene import Scene
 from ..view.camera import Camera
 from ..view.camera_path import RefinedCameras
@@ -66,6 +66,7 @@ class FieldOptimizer:
         options: All options, with the number of levels that the fit has, and its tiles' size.
         device: The Warp device.
         bounds: (2, 3) box of the field, world units.
+        found: Where the object is, and why.
         shapes: (nx, ny, nz) voxels of each level; made coarser during the fit where memory is short.
         planned: (nx, ny, nz) voxels of each level if memory were not short.
         memory_limit: Bytes that the fit may take, beside the layers or the outer field.
@@ -102,10 +103,10 @@ class FieldOptimizer:
 
         silhouettes = None if scene.alphas is None else Silhouettes(scene, self.device)
         if bounds is None:
-            bounds = scene_box(scene.cameras, scene.bounds)
-            if silhouettes is not None:
-                bounds = silhouettes.bound(bounds)
-        box = checked_bounds(bounds)
+            self.found = scene_box(scene, silhouettes)
+        else:
+            self.found = FoundBox(checked_bounds(bounds), find_looks(scene.cameras), "as given")
+        box = self.found.bounds
         layer_side, around_bytes = 0, 0
         if around == "layers":
             layer_side, around_bytes = layers_that_fit(scene, self.options, self.shards, self.memory_limit)

@@ -70,8 +70,7 @@ class Silhouettes:
 
 def object_bounds(scene: Scene, device: wp.Device) -> np.ndarray:
     """The box (2, 3), world units, of a scene's object, shrunk to the visual hull where there are alphas."""
-    box = scene_box(scene.cameras, scene.bounds)
-    return box if scene.alphas is None else Silhouettes(scene, device).bound(box)
+    return scene_box(scene, None if scene.alphas is None else Silhouettes(scene, device)).bounds
 
 
 def keep_seen(bounds: np.ndarray, cameras: list[Camera], least: int, mask: wp.array) -> None:

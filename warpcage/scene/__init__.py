@@ -5,7 +5,8 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "box": "are_inliers bulk_box view_box",
+        "box": "FoundBox Look are_inliers find_box",
+        "box_picture": "draw_box",
         "formats.parsing": "held_out",
         "formats.table": "SceneFormat scene_formats",
         "pictures": "COEFFICIENTS View distort make_scene undistort undistorted_intrinsics",

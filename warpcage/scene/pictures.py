@@ -15,9 +15,9 @@ from ..core.checks import warn_caller
 from ..core.memory import free_host_bytes
 from ..core.reports import tell
 from ..errors import InputError, MissingFileError
-from ..view.camera import Camera, common_up
+from ..view.camera import Camera
 from ..view.pictures import Rows, image_size, is_on_its_side, read_rows, shrink, shrink_weights, shrunk_size
-from .box import Bounds, bulk_box, view_box
+from .box import Bounds, find_box
 from .formats.parsing import DYNAMIC_MASK, is_file
 from .lenses import Intrinsics, Lens, Part, pinhole_parts
 from .scene import Scene
@@ -192,7 +192,7 @@ def make_scene(
     to_source: np.ndarray | None = None,  # (4, 4) as Scene has it
 ) -> Scene:
     """Read the pictures of views, undo their distortion, shrink them and put them on the background."""
-    # The bounds are taken from the points, if there are no others: the bulk of those that the cameras look at.
+    # The bounds are taken from the points, if there are no others: those that the cameras look at.
     _refuse_doubles(views)
     views = [_with_masks(view, masks) for view in views]
     allowed = Bounds(folder)
@@ -266,15 +266,15 @@ def make_scene(
     if 2 * (hidden := sum(not alpha.any() for alpha in alphas)) > len(views):
         warn_caller(f"{folder}: masks hide all of {hidden} of {len(views)} pictures: they keep what is white")
     has_points = points is not None and len(points) > 0
-    if bounds is None and points is not None:
-        bounds = bulk_box(points, view_box(cameras), common_up(cameras))
+    found = find_box(cameras, points) if bounds is None and has_points else None
     return Scene(
         images,
         None if opaque else alphas,
         cameras,
         background,
         _names(views),
-        bounds=bounds,
+        bounds=bounds if found is None else found.bounds,
+        found=found,
         to_source=to_source,
         surroundings=None if opaque else surroundings,
         captured=any(view.mask is not None for view in views),

@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..view.camera import Camera, CameraFile, common_up, rigid_motion
 from ..view.frame import parse_background
 from ..view.motion import axis_rotation
+from .box import FoundBox, are_found, find_box
 
 #: Images may leave [0, 1] by this much, as renders of a field do; values further out are in other units.
 IMAGE_ROOM = 1.0
@@ -54,6 +55,7 @@ class Scene:
         weights: (n, h, w) float32 in [0, 1], how much each pixel counts: 0 for what is to be ignored, such as people
             who walk by. Fits and figures take nothing from pixels of 0. A pixel of a smaller picture has the least of
             those that it is made of, as its colour is made of them all. None counts all.
+        found: Where the bounds come from where they were found from the points; it says nothing of other bounds.
 
     Raises:
         ValueError: If the parts do not fit together, or images, alphas, weights, points or their colours hold values
@@ -73,6 +75,7 @@ class Scene:
     points: np.ndarray | None = None
     point_colors: np.ndarray | None = None
     weights: np.ndarray | None = None
+    found: FoundBox | None = None
 
     def __post_init__(self) -> None:
         images = _checked_images(self.images)
@@ -234,7 +237,7 @@ class Scene:
         Args:
             motion: (4, 4) from the coordinates of this scene to those of the new one.
             round_bounds: Whether the bounds are those of a ball, which stay as large. Otherwise they become the box
-                around the moved box.
+                around the moved box, or are found anew where they were found from points.
 
         Returns:
             The scene. Its `straightening` is that of this one followed by the motion, `to_source` undoes it.
@@ -243,18 +246,24 @@ class Scene:
             ValueError: If the motion is not rigid.
         """
         motion = rigid_motion(motion)
-        bounds = self.bounds
+        bounds, found = self.bounds, None
+        cameras = [camera.moved(motion) for camera in self.cameras]
+        points = None if self.points is None else self.points @ motion[:3, :3].T + motion[:3, 3]
         if bounds is not None and round_bounds:
             bounds = bounds - bounds.mean(axis=0) + motion[:3, :3] @ bounds.mean(axis=0) + motion[:3, 3]
+        elif points is not None and are_found(self):
+            found = find_box(cameras, points)
+            bounds = found.bounds
         elif bounds is not None:
             corners = bounds[np.indices((2, 2, 2)).reshape(3, 8).T, np.arange(3)] @ motion[:3, :3].T + motion[:3, 3]
             bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
         before, source = (np.eye(4) if each is None else each for each in (self.straightening, self.to_source))
         return dataclasses.replace(
             self,
-            cameras=[camera.moved(motion) for camera in self.cameras],
-            points=None if self.points is None else self.points @ motion[:3, :3].T + motion[:3, 3],
+            cameras=cameras,
+            points=points,
             bounds=bounds,
+            found=found,
             to_source=source @ np.linalg.inv(motion),
             straightening=motion @ before,
         )

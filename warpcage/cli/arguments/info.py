@@ -14,6 +14,7 @@ INFO_EXAMPLE = """\
   warpcage info lego.npz
   warpcage info cage.obj
   warpcage info data/lego --split test --sheet lego.png
+  warpcage info place --box place.png                        where fit takes the object to be
 """
 
 #: Most pictures on a contact sheet, and their longest side there.
@@ -34,6 +35,9 @@ def add_info_arguments(parser: argparse.ArgumentParser) -> None:
         "--sheet",
         metavar="PICTURE",
         help=f"write a contact sheet of a scene's pictures, at most {SHEET_PICTURES} of them (.png)",
+    )
+    parser.add_argument(
+        "--box", metavar="PICTURE", help="write a picture of a scene's cameras, points and object's box (.png)"
     )
     options.add_scene_scale(parser)
     options.add_device(parser)

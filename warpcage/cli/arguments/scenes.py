@@ -103,7 +103,8 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preview",
         metavar="PICTURE",
-        help="write this picture (.png) anew every 20 seconds: a picture of the scene beside the field so far",
+        help="write this picture (.png) anew every 20 seconds: a picture of the scene beside the field so far; before "
+        "the first, of voxels, the cameras, points and the box of the object",
     )
     parser.add_argument(
         "--resolution",

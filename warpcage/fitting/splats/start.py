@@ -246,7 +246,7 @@ def _places_inside(scene: Scene, count: int, random: np.random.Generator, device
     assert scene.alphas is not None
     carving = scene if step == 1 else scene.subset(slice(None, None, step))
     silhouettes = Silhouettes(carving, device)
-    box = silhouettes.bound(scene_box(scene.cameras, scene.bounds))
+    box = scene_box(scene, silhouettes).bounds
     size = box[1] - box[0]
     shape = tuple(int(n) for n in np.maximum(np.round(RESOLUTION * size / size.max()), 1))
     mask = possible_voxels(silhouettes, carving.cameras, box, shape, VIEW_SHARE, device, neighbors=False)
