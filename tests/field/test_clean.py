@@ -36,6 +36,20 @@ def test_fragments_go_and_the_rest_stays_to_the_bit(scene, device):
     assert alone[held].all() and (alone & (labels == FRAGMENT)).sum() <= len(fragments)
 
 
+def test_a_thin_pole_stays_and_floaters_go(device):
+    """A pole of one voxel with a gap of two, that hangs together with nothing above it, and floaters larger than it."""
+    density = np.zeros((48, 48, 48))
+    density[8:40, 8:40, 4:16] = 30.0
+    pole = [*range(16, 28), *range(30, 36)]
+    density[24, 24, pole] = 30.0
+    floaters = np.zeros(density.shape, bool)
+    floaters[2:4, 2:4, 38:41] = floaters[40:43, 5:7, 30:32] = True
+    density[floaters] = 30.0
+    field = VoxelField.from_dense(density, np.zeros((48, 48, 48, 9, 3)), [[-1] * 3, [1] * 3], device=device)
+    left = kept(clean_voxels(field, CleanOptions()).field)
+    assert left[24, 24, pole].all() and not left[floaters].any() and left[8:40, 8:40, 4:16].all()
+
+
 def test_views_keep_what_they_show(scene, device):
     field = scene.field.to(device)
     camera = scene.camera(size=128)

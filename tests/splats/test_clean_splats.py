@@ -44,6 +44,29 @@ def test_floaters_go_and_nothing_else(scene):
     assert kept.gone.sum() == FAINT
 
 
+def test_a_thin_pole_stays_and_planted_floaters_go():
+    """One row of splats on the table, thinner than a cell, and clouds of more splats in the air."""
+    field, labels = place(faint=0)
+    random = np.random.default_rng(0)
+    heights = np.arange(0.72, 1.6, 0.02)
+    pole = np.stack([np.full(len(heights), -0.2), np.full(len(heights), -0.1), heights], axis=1)
+    floaters = np.concatenate([random.normal(each, 0.02, (40, 3)) for each in ((1.2, 1.0, 1.7), (-1.3, -1.2, 1.5))])
+    centers, held = np.concatenate([pole, floaters]), field.contents
+    more = len(centers)
+    values = {
+        "centers": centers,
+        "log_scales": np.full((more, 3), np.log(0.01)),
+        "quaternions": np.tile([1.0, 0, 0, 0], (more, 1)),
+        "logits": np.full(more, 3.0),
+        "harmonics": np.zeros((more, *held.harmonics.shape[1:])),
+    }
+    field = SplatField(*(np.concatenate([getattr(held, name), each]) for name, each in values.items()), device="cpu")
+    gone = clean_splats(field, CleanOptions()).gone
+    first = len(labels)
+    assert not gone[first : first + len(pole)].any() and gone[first + len(pole) :].all()
+    np.testing.assert_array_equal(gone[:first], labels == FLOATER)
+
+
 def test_parts_that_are_kept_and_splats_that_are_too_large(scene):
     field, labels = scene
     # the room with its table is one part, the ball on the floor another only where it does not touch it
