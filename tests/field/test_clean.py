@@ -6,7 +6,8 @@ from scenes import FRAGMENT, TableScene
 
 from warpcage import Camera, VoxelField
 from warpcage.cli import main
-from warpcage.field.clean import CleanOptions, clean_voxels, voxel_weights
+from warpcage.field import CleanOptions, clean_voxels
+from warpcage.field.clean import voxel_weights
 
 
 @pytest.fixture(scope="module")

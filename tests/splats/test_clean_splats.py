@@ -8,8 +8,9 @@ from splat_scenes import CUP, FLOATER, TABLE, one_splat, place, place_camera
 
 from warpcage import Cage, NodeSelection, SplatField
 from warpcage.cli import main
-from warpcage.field.clean import CleanOptions
-from warpcage.splats.clean import clean_splats, views_of_splats
+from warpcage.field import CleanOptions
+from warpcage.splats import clean_splats
+from warpcage.splats.clean import views_of_splats
 from warpcage.view.pictures import read_image
 
 FAINT = 50

@@ -5,6 +5,7 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
+        "clean": "CleanOptions Cleaned clean_voxels",
         "io": "load_field",
         "io.field_file": "surface_node_count",
         "objects": "pick_point",

@@ -6,6 +6,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "binding": "CageBinding PIECE PoseFit fit_similarity pieces_of sh_basis split_tree turned_harmonics",
+        "clean": "clean_splats",
         "fit": "SplatGradients SplatParameters",
         "io": "WRITERS is_splat_file",
         "io.axes": "turned_over",
