@@ -143,7 +143,7 @@ def test_cameras_that_all_look_away_are_refused(alpha):
         with pytest.raises(ValueError, match="6 of 6 cameras look away"):
             fit(away, **QUICK)
     else:  # they may be pictures of a room, taken in its middle
-        assert "a place, or cameras whose axes are wrong" in find_box(away.cameras).reason
+        assert "cameras whose axes are wrong" in find_box(away.cameras).reason
     with pytest.raises(ValueError, match="inside all silhouettes" if alpha else "no camera sees the bounds"):
         fit(away, bounds=[[-0.5] * 3, [0.5] * 3], **QUICK)
 
