@@ -85,7 +85,7 @@ setup(
         "warpcage": ["py.typed", "__init__.pyi"],
         "warpcage.editor": ["page/*", "page/*/*"],
         "warpcage.examples": ["clusters/*"],
-        **{f"warpcage.kernels.{room}": ["*.h", "cpp/*.h"] for room in find_packages("kernels")},
+        **{f"warpcage.kernels.{room}": ["*.h", "cpp/*.h", "README.md"] for room in find_packages("kernels")},
     },
     install_requires=[
         "warp-lang>=1.19",

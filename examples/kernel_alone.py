@@ -2,8 +2,8 @@
 
     python examples/kernel_alone.py
 
-The command `warpcage kernels copy mean_value DEST` copies one kernel file with the files that it needs into a package.
-This program copies them to a temporary folder and imports the copy: nothing else of the library is used.
+The command `warpcage kernels copy mean_value DEST --alone` copies a kernel file with those that it needs into a
+package. This program copies them to a temporary folder and imports the copy: nothing else of the library is used.
 """
 
 import argparse
@@ -18,7 +18,7 @@ argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescrip
 wp.config.log_level = wp.LOG_WARNING  # no line for each module that Warp loads
 
 with tempfile.TemporaryDirectory() as folder:
-    command = [sys.executable, "-m", "warpcage", "kernels", "copy", "mean_value", f"{folder}/borrowed"]
+    command = [sys.executable, "-m", "warpcage", "kernels", "copy", "mean_value", f"{folder}/borrowed", "--alone"]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     sys.path.insert(0, folder)
     from borrowed.coordinates.mean_value import mean_value_position

@@ -148,7 +148,7 @@ def test_a_wheel_holds_every_file_once(wheel):
     linked = {ROOT / "warpcage" / name for name in ("kernels", "examples")}
     package = [path for path in (ROOT / "warpcage").rglob("*.py") if linked.isdisjoint(path.parents)]
     expected = [path.relative_to(ROOT).as_posix() for path in package] + ["warpcage/py.typed", "warpcage/__init__.pyi"]
-    kernels = [path for pattern in ("*.py", "*.h") for path in (ROOT / "kernels").rglob(pattern)]
+    kernels = [path for pattern in ("*.py", "*.h", "*.md") for path in (ROOT / "kernels").rglob(pattern)]
     expected += [f"warpcage/{path.relative_to(ROOT).as_posix()}" for path in kernels]
     examples = [path for pattern in ("*.py", "clusters/*.*") for path in (ROOT / "examples").glob(pattern)]
     expected += [f"warpcage/{path.relative_to(ROOT).as_posix()}" for path in examples]

@@ -89,10 +89,10 @@ def test_says_what_it_is_for(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_copy_is_complete(name, tmp_path):
     """Every relative import of every copied file finds its file in the copy, in a package all the way down."""
-    paths = copy_kernel(name, tmp_path / "lifted")
+    paths = copy_kernel(name, tmp_path / "lifted", alone=True)
     files = {path.relative_to(tmp_path / "lifted").as_posix() for path in paths}
     needed = {name, *all_needs(name)}
-    assert files == {f"{each}.py" for each in needed}.union(*map(native_files, needed))
+    assert files == {f"{each}.py" for each in needed}.union(["LICENSE", "NOTICE"], *map(native_files, needed))
     assert all(
         (path.parent / "__init__.py").is_file() and (path.parent.parent / "__init__.py").is_file()
         for path in paths
@@ -109,7 +109,7 @@ def test_copies_import_without_warpcage(tmp_path):
     program = "import sys\nsys.modules['warpcage'] = None  # so that importing it fails\n"
     for name in names:
         package = f"with_{name.partition('/')[2]}"
-        assert main(["kernels", "copy", name, str(tmp_path / package)]) == 0
+        assert main(["kernels", "copy", name, str(tmp_path / package), "--alone"]) == 0
         program += f"import {package}.{name.replace('/', '.')}\n"
     (tmp_path / "program.py").write_text(program, encoding="utf-8")
     done = subprocess.run([sys.executable, "program.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300)
@@ -125,7 +125,7 @@ def test_a_copy_compiles_without_warpcage(tmp_path):
         "render/march_cpu.h",
     ]
     assert sorted(native_files("render/march_cpu")) == names
-    paths = copy_kernel("render/march_cpu", tmp_path / "lifted")
+    paths = copy_kernel("render/march_cpu", tmp_path / "lifted", alone=True)
     assert {tmp_path / "lifted" / name for name in names} < set(paths)
     program = (
         "import sys\nsys.modules['warpcage'] = None\nimport warp as wp\n"

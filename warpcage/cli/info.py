@@ -13,7 +13,7 @@ from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..core.checks import format_lines
 from ..core.files import read_json
-from ..core.kernel_files import copy_kernel, find_kernel, kernel_names, kernel_summary
+from ..core.kernel_files import copy_kernel, find_kernel, kernel_groups, kernel_names, kernel_summary
 from ..core.modules import start_warp
 from ..core.names import counted
 from ..core.threads import cpu_threads
@@ -321,7 +321,7 @@ def run_kernels(args: argparse.Namespace) -> None:
     if args.action == "list":
         _print_list()
     else:
-        _copy(args.name, pathlib.Path(args.destination))
+        _copy(args.name, pathlib.Path(args.destination), args.alone)
 
 
 def _print_list() -> None:
@@ -331,11 +331,17 @@ def _print_list() -> None:
         print(f"{name:{width}}  {kernel_summary(name)}")
 
 
-def _copy(text: str, destination: pathlib.Path) -> None:
-    name = find_kernel(text)
+def _copy(text: str, destination: pathlib.Path, alone: bool) -> None:
+    name = text if text in kernel_groups() else find_kernel(text)
     options.check_parent(destination)
-    paths = copy_kernel(name, destination)
+    paths = copy_kernel(name, destination, alone=alone)
     module = f"{destination.resolve().name}.{name}".replace("/", ".")
+    host = [path for path in paths if "host" in path.relative_to(destination).parts]
     print(f"{destination} holds {name} and all that it needs; use it as in: from {module} import ...")
     for path in paths:
-        print(f"  {path}")
+        if path not in host:
+            print(f"  {path}")
+    if host:
+        print(f"  {destination / 'host'}: {counted(len(host), 'module')} that launch kernels")
+    if not alone:
+        print(f"a call that runs as it stands: {destination / name.partition('/')[0] / 'README.md'}")

@@ -16,8 +16,8 @@ __getattr__, __dir__, __all__ = lazy_exports(
         ),
         "files": "NpyFile atomic_path file_stamp joined_crc npz_names read_limited read_npz",
         "kernel_files": (
-            "FOLDER MOVED all_needs copy_kernel direct_needs find_kernel kernel_names kernel_source "
-            "kernel_summary native_files"
+            "FOLDER MOVED all_needs copy_kernel direct_needs find_kernel host_modules kernel_call kernel_groups "
+            "kernel_names kernel_source kernel_summary native_files"
         ),
         "locks": "device_turn owner_lock",
         "memory": "MEASURED_EVERY MemoryShortage LRUCache UNKNOWN free_host_bytes",

@@ -23,6 +23,8 @@ from .names import error_line
 #: What DLPack calls main memory.
 DLPACK_CPU = 1
 
+_ROOT = __name__.removesuffix("core.arrays")  # "warpcage.", and another in copies of this module
+
 
 class DLPackArray(Protocol):
     """An array of another library (torch, CuPy, JAX) that tells where its memory is."""
@@ -308,7 +310,7 @@ def array_bytes(thing: object, leave: Sequence[object] = ()) -> int:
             open_things += each.values()
         elif isinstance(each, list | tuple | set):
             open_things += each
-        elif type(each).__module__.startswith("warpcage.") or hasattr(each, "_ctype"):  # which structs have
+        elif type(each).__module__.startswith(_ROOT) or hasattr(each, "_ctype"):  # which structs have
             open_things += _attributes(each)
     return sum(held.values())
 

@@ -1,16 +1,22 @@
 """The kernel files as text: their names (`folder/stem`), what each one needs, and copies that work without warpcage."""
 
+# A copy has the kernel files in folders as here, and in `host/` the modules that launch them, in rooms as in warpcage:
+# both say `from ..x import y`, but that host code finds its kernels one level up. Which modules come along follows from
+# the imports of the call in the README.md of a kernel folder.
+
 from __future__ import annotations
 
 import ast
 import contextlib
 import difflib
 import functools
+import importlib.metadata
 import keyword
 import os
 import pathlib
 import posixpath
 import re
+from collections.abc import Iterable
 
 from ..errors import InputError
 from ..kernels import __path__ as kernel_folders
@@ -19,6 +25,10 @@ from .files import atomic_path
 
 FOLDER = pathlib.Path(kernel_folders[0])
 ROOT_DOCSTRING = '"""Kernels of warpcage (Apache License 2.0), copied with `warpcage kernels copy`."""\n'
+HOST_DOCSTRING = '"""Modules of warpcage that launch the kernels beside this folder (Apache License 2.0)."""\n'
+
+_PACKAGE = pathlib.Path(__file__).parents[1]
+_COPY = "my_kernels"  #: the name of a copy in the READMEs of kernel folders
 
 _FORMER = {  # kernel files by the names that they, or parts of them, had before: this version understands these
     "core/loads": "core/entries",
@@ -105,26 +115,95 @@ def kernel_summary(name: str) -> str:
     return (ast.get_docstring(ast.parse(kernel_source(name))) or "").partition("\n")[0]
 
 
+def kernel_groups() -> list[str]:
+    """The folders of kernel files, sorted, such as "coordinates"."""
+    return sorted({name.partition("/")[0] for name in kernel_names()})
+
+
 @functools.cache
 def direct_needs(name: str) -> frozenset[str]:
     """Names of the kernel files that a kernel file imports itself."""
-    folder = name.partition("/")[0]
-    needed = set()
-    for node in ast.walk(ast.parse(kernel_source(name))):
-        if isinstance(node, ast.ImportFrom) and node.level and node.module:
-            module = node.module.replace(".", "/")
-            needed.add(f"{folder}/{module}" if node.level == 1 else module)
-    return frozenset(needed)
+    return frozenset(_kernel_name(module) for module in _imports(f"kernels/{name}"))
 
 
 def all_needs(name: str) -> set[str]:
     """Names of the kernel files that a kernel file needs, directly or through another, without itself."""
-    needed: set[str] = set()
-    waiting = [name]
+    return {_kernel_name(module) for module in _closure([f"kernels/{name}"])} - {name}
+
+
+def host_modules(group: str) -> list[str]:
+    """The modules, such as "lattice/position_map", that the call in a kernel folder's README.md needs, sorted."""
+    return sorted(module for module in _closure(_call_imports(group)) if not module.startswith("kernels/"))
+
+
+def kernel_call(group: str) -> str:
+    """The Python code in the README.md of a kernel folder, for a copy called `my_kernels`."""
+    return _readme(group).partition("```python\n")[2].partition("```")[0]
+
+
+def _readme(group: str) -> str:
+    return (FOLDER / group / "README.md").read_text(encoding="utf-8")
+
+
+def _call_imports(group: str) -> set[str]:
+    """The modules that the call of a kernel folder imports: "kernels/lattice/gaps", "lattice/position_map"."""
+    found = set()
+    for node in ast.walk(ast.parse(kernel_call(group))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(f"{_COPY}."):
+            path = node.module.split(".")[1:]
+            base = path[1:] if path[0] == "host" else ["kernels", *path]
+            found |= _imported(base, [alias.name for alias in node.names])
+    return found
+
+
+def _kernel_name(module: str) -> str:
+    return module.removeprefix("kernels/")
+
+
+def _module_file(module: str) -> pathlib.Path | None:
+    """The file of a module of the package, which is named by its path in it; packages are named by their folder."""
+    base = FOLDER / _kernel_name(module) if module.startswith("kernels/") else _PACKAGE / module
+    files = (base.with_suffix(".py"), base / "__init__.py")
+    return next((path for path in files if path.is_file()), None)
+
+
+def _imported(base: list[str], names: list[str]) -> set[str]:
+    """The modules that `from base import names` needs: those names that are modules, else the base."""
+    modules = ("/".join([*base, name]) for name in names)
+    return {module if _module_file(module) else "/".join(base) for module in modules}
+
+
+@functools.cache
+def _imports(module: str) -> frozenset[str]:
+    """The modules that a module imports as it runs; those for type checkers alone are none of them."""
+    file = _module_file(module)
+    assert file is not None, module
+    inside = module.split("/")[: None if file.name == "__init__.py" else -1]
+    found: set[str] = set()
+    waiting: list[ast.AST] = [ast.parse(file.read_text(encoding="utf-8"))]
     while waiting:
-        found = direct_needs(waiting.pop()) - needed
-        needed |= found
-        waiting += found
+        node = waiting.pop()
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            waiting += node.orelse
+        elif isinstance(node, ast.ImportFrom) and node.level:
+            base = [*inside[: len(inside) - node.level + 1], *(node.module or "").split(".")]
+            found |= _imported(list(filter(None, base)), [alias.name for alias in node.names])
+        else:
+            waiting += ast.iter_child_nodes(node)
+    return frozenset(found)
+
+
+def _closure(modules: Iterable[str]) -> set[str]:
+    """The modules, and all that they need; Python also runs the packages that host modules lie in."""
+    needed: set[str] = set()
+    waiting = set(modules)
+    while waiting:
+        module = waiting.pop()
+        needed.add(module)
+        found = set(_imports(module))
+        if not module.startswith("kernels/"):
+            found |= {parent.as_posix() for parent in pathlib.PurePosixPath(module).parents} - {"."}
+        waiting |= found - needed
     return needed
 
 
@@ -147,24 +226,53 @@ def native_text(path: str) -> str:
     return (FOLDER / path).read_text(encoding="utf-8")
 
 
-def copy_kernel(name: str, destination: str | os.PathLike[str]) -> list[pathlib.Path]:
-    """Copy a kernel file and all that it needs into a package that imports without warpcage; returns their paths,
-    sorted. All or nothing is copied; files that are there with the same text stay, and so does every `__init__.py`."""
+def copy_kernel(name: str, destination: str | os.PathLike[str], *, alone: bool = False) -> list[pathlib.Path]:
+    """Copy a kernel file, or all of a folder, with what it needs, the modules that launch it and a README with the call
+    (alone: without those) into a package that imports without warpcage. Paths, sorted; all or nothing is copied."""
+    # Files that are there with the same text stay, and so do every README and every `__init__.py`.
     destination = pathlib.Path(destination)
     _check_package_name(destination)
-    names = sorted({name} | all_needs(name))
+    group = name.partition("/")[0]
+    wanted = [f"kernels/{each}" for each in kernel_names() if name in (each, group) and each.startswith(f"{group}/")]
+    modules = _closure([*wanted, *(() if alone else _call_imports(group))])
+    names = sorted(_kernel_name(module) for module in modules if module.startswith("kernels/"))
     texts = {destination / f"{each}.py": kernel_source(each) for each in names}  # imports are relative: folders stay
-    native = sorted(frozenset().union(*map(native_files, names)))
-    texts |= {destination / each: native_text(each) for each in native}
+    texts |= {destination / each: native_text(each) for each in frozenset().union(*map(native_files, names))}
+    host = sorted(module for module in modules if not module.startswith("kernels/"))
+    texts |= {destination / "host" / path: text for path, text in map(_host_file, host)}
+    texts |= {destination / path.name: path.read_text(encoding="utf-8") for path in _license_files()}
     for path, text in texts.items():
         if path.exists() and path.read_text(encoding="utf-8") != text:
             raise InputError(f"{str(path)!r} is there with other contents: nothing is copied over it")
 
-    packages = {destination / "__init__.py": ROOT_DOCSTRING}
+    kept = {destination / "__init__.py": ROOT_DOCSTRING}
     for folder in sorted({each.partition("/")[0] for each in names}):
-        packages[destination / folder / "__init__.py"] = (FOLDER / folder / "__init__.py").read_text(encoding="utf-8")
-    _write_whole({path: text for path, text in (packages | texts).items() if not path.exists()})
+        kept[destination / folder / "__init__.py"] = (FOLDER / folder / "__init__.py").read_text(encoding="utf-8")
+    if host:
+        kept[destination / "host" / "__init__.py"] = HOST_DOCSTRING
+    if not alone:
+        kept[destination / group / "README.md"] = _readme(group).replace(_COPY, destination.resolve().name)
+    _write_whole({path: text for path, text in (kept | texts).items() if not path.exists()})
     return sorted(texts)
+
+
+def _host_file(module: str) -> tuple[str, str]:
+    """Path and text of a module in `host/`, which finds kernels in the folder above."""
+    file = _module_file(module)
+    assert file is not None, module
+    text = file.read_text(encoding="utf-8")
+    text = re.sub(r"^(\s*from \.+)kernels\.", r"\1.", text, flags=re.MULTILINE)
+    return f"{module}/__init__.py" if file.name == "__init__.py" else f"{module}.py", text
+
+
+def _license_files() -> list[pathlib.Path]:
+    """LICENSE and NOTICE of a checkout, or as they were installed."""
+    names = ("LICENSE", "NOTICE")
+    beside = [_PACKAGE.parent / name for name in names]
+    if (_PACKAGE.parent / "setup.py").is_file():
+        return beside
+    installed = importlib.metadata.files("warpcage") or []
+    return [pathlib.Path(str(path.locate())) for path in installed if path.name in names]
 
 
 def _stem(name: str) -> str:

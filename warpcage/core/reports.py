@@ -163,7 +163,7 @@ def show_log(level: str) -> None:
     global _shown
     if level and level not in LEVELS:
         raise InputError(f"{LOG_VARIABLE} must be one of {', '.join(LEVELS)}, got {level[:60]!r}")
-    log = logging.getLogger("warpcage")
+    log = logging.getLogger(__name__.removesuffix(".core.reports"))  # "warpcage", and another in copies of this module
     if _shown is not None:
         log.removeHandler(_shown)
     _shown = logging.StreamHandler() if level else logging.NullHandler()

@@ -43,22 +43,30 @@ def add_info_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_device(parser)
 
 
-KERNELS_HELP = "list the kernel files, or copy one with all that it needs into a program of your own"
+KERNELS_HELP = "list the kernel files, or copy some with all that they need into a program of your own"
 
 KERNELS_EXAMPLE = """\
   warpcage kernels list
   warpcage kernels copy mean_value my_kernels
+  warpcage kernels copy lattice my_maps
+  warpcage kernels copy harmonics my_kernels --alone
 
-The copy needs Warp and nothing of warpcage: from my_kernels.coordinates.mean_value import mean_value_position
+The copy needs Warp and nothing of warpcage: from my_kernels.coordinates.mean_value import mean_value_position. It has
+the modules that launch its kernels, in host/, the licence, and a README.md with a call that runs.
 """
 
 
 def add_kernels_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="action", required=True)
     actions.add_parser("list", help="print the name and the topic of every kernel file")
-    copy = actions.add_parser("copy", help="copy one kernel file and the files that it needs")
-    copy.add_argument("name", help="kernel file, such as mean_value or coordinates/mean_value")
+    copy = actions.add_parser("copy", help="copy a kernel file, or all of a folder, with what they need")
+    copy.add_argument(
+        "name", help="kernel file, such as mean_value or coordinates/mean_value, or a folder of them, such as lattice"
+    )
     copy.add_argument("destination", metavar="DEST", help="folder of the copy; Python imports it by this name")
+    copy.add_argument(
+        "--alone", action="store_true", help="without the modules that launch the kernels, for launches of your own"
+    )
 
 
 DOCTOR_HELP = "look whether warpcage works on this machine, and say what to do where it does not"
