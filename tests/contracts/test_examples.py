@@ -43,7 +43,7 @@ def test_every_example_is_tested():
     names = {path.name for path in EXAMPLES.glob("[a-z]*.py")}
     assert names == {"render_lego.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py",
                      "analytic_field.py", "cage_contact_sheet.py", "edit_dtu.py", "edit_fox.py",
-                     "edit_parts.py", "bend_splats.py", "augment_captures.py"}  # fmt: skip
+                     "edit_parts.py", "bend_splats.py", "augment_captures.py", "pipeline_step.py"}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
@@ -51,6 +51,23 @@ def test_small_examples(name, tmp_path):
     assert len((EXAMPLES / name).read_text().splitlines()) < 75
     run(name, cwd=tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_step_of_a_pipeline(tmp_path):
+    pytest.importorskip("torch")
+    assert len((EXAMPLES / "pipeline_step.py").read_text().splitlines()) < 80
+    assert "one fit cancelled, one done" in run("pipeline_step.py", "--out", "out", cwd=tmp_path)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["frame.npz", "frame.png", "pipeline.log"]
+    picture = read_image(tmp_path / "out" / "frame.png")
+    assert picture.shape == (40, 40, 4) and 0.2 < (picture[..., 3] > 0.5).mean() < 0.5
+
+
+def test_a_step_of_a_pipeline_says_what_it_needs(tmp_path):
+    path = str(EXAMPLES / "pipeline_step.py")
+    program = f"import runpy, sys; sys.modules['torch'] = None; runpy.run_path({path!r}, run_name='__main__')"
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 1 and done.stderr == "pipeline_step.py needs torch: pip install torch\n"
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
