@@ -271,3 +271,30 @@ def test_how_long_a_capture_takes():
     assert expected_seconds(np.full(3, 0), pairs, 4) == pytest.approx(once / 2) and expected_seconds([], [], 2) == 0
     assert time_line(292, 4500, 1000, 2).startswith("292 pictures, 4500 pairs to match: about 17 minutes on 2 cores; q")
     assert time_line(3, 3, 5, 1) == "3 pictures, 3 pairs to match: about 1 minute on 1 core"
+
+
+@pytest.mark.parametrize("step", ["shrink", "matches", "cameras", "undistort"])
+def test_a_capture_tells_how_far_it_is_and_ends_when_it_is_asked_to(tmp_path, glances, step, capfd):
+    folder, output, told = save_pictures(tmp_path / "in", glances[0]), tmp_path / "out", []
+
+    def progress(done, total, words):
+        told.append(words)
+        assert 0 <= done and (done <= total or total == 0)
+        return words != step
+
+    with pytest.raises(warpcage.Cancelled, match=f"{step} was cancelled"):
+        warpcage.capture(folder, output, progress=progress)
+    assert told[-1] == step and not output.exists() and (tmp_path / ".out.capture").is_dir()
+    assert capfd.readouterr() == ("", "")
+    steps = ["shrink", "features", "matches", "cameras", "undistort"]
+    assert list(dict.fromkeys(told)) == steps[: steps.index(step) + 1]
+    if step == "undistort":  # the same call goes on from there
+        told.clear()
+        report = warpcage.capture(folder, output, progress=lambda *values: told.append(values))
+        assert report.registered_count == 6 and told[-1] == (6, 6, "undistort")
+
+
+def test_what_is_no_progress_of_a_capture(tmp_path, glances):
+    with pytest.raises(ValueError, match="progress must be True, False"):
+        warpcage.capture(save_pictures(tmp_path / "in", glances[0]), tmp_path / "out", progress=5)
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]

@@ -17,6 +17,7 @@ import numpy as np
 from ..core.checks import checked_path, checked_whole, listed
 from ..core.files import atomic_path
 from ..core.names import agreed, counted
+from ..core.reports import Progress, heard
 from ..errors import InputError, MissingFileError
 from ..scene.box_picture import box_text, draw_box
 from ..view.pictures import write_png
@@ -100,7 +101,7 @@ def capture(
     frames: int = 120,
     feature_size: int = 800,
     seed: int = 0,
-    progress: bool = True,
+    progress: bool | Progress = True,
 ) -> CaptureReport:
     """Make a scene of a video or of a folder of pictures: find the cameras, undistort the pictures.
 
@@ -125,7 +126,8 @@ def capture(
         feature_size: Longer side at which features are looked for, pixels; larger pictures are shrunk for that. More
             finds cameras more exactly, and takes longer.
         seed: Seed of what COLMAP draws by lot. The same pictures, up to 200, give the same cameras on the same machine.
-        progress: Whether bars are shown, and before the matches about how long it takes.
+        progress: Whether bars are shown, and before the matches about how long it takes. A function is told how much is
+            done, of how much (0: not known) and of which step, and ends the work by returning False or by raising.
 
     Returns:
         What was found.
@@ -136,6 +138,7 @@ def capture(
             found: too few, too little texture, no overlap; and cameras that come out wrong, torn in parts or inside
             out, by the matches. The message says what to do. Also for names in `pictures` that are not in the folder,
             and where pycolmap is not installed.
+        Cancelled: Where `progress` returned False. The same call continues there.
 
     Warns:
         UserWarning: For pictures and frames that cannot be read, and for pictures without a camera.
@@ -160,8 +163,8 @@ def capture(
         "seed": seed,
         "pycolmap": importlib.metadata.version("pycolmap"),
     }
-    with WorkFolder(output, job) as work:
-        return _capture(source, output, work, chosen, frames, feature_size, seed, progress)
+    with heard(None if isinstance(progress, bool) else progress), WorkFolder(output, job) as work:
+        return _capture(source, output, work, chosen, frames, feature_size, seed, progress is True)
 
 
 def _capture(

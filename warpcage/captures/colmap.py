@@ -17,7 +17,7 @@ from ..core.names import counted
 from ..core.threads import cpu_threads
 from ..errors import InputError
 from ..scene.pictures import COEFFICIENTS, distort
-from .sources import bar
+from .sources import StepBar
 
 
 @dataclasses.dataclass(frozen=True)
@@ -270,7 +270,7 @@ class Solver:
         options.sift.max_num_features = MOST_FEATURES
         counts = self._feature_counts()
         left = [name for name, count in zip(self.names, counts, strict=True) if count < 0]
-        with bar(len(self.names), "features", self.progress, done=len(self.names) - len(left)) as shown:
+        with self._begin(len(self.names), "features", done=len(self.names) - len(left)) as shown:
             for first in range(0, len(left), PICTURES_AT_ONCE):
                 part = left[first : first + PICTURES_AT_ONCE]
                 self._run(
@@ -298,7 +298,7 @@ class Solver:
         verification.ransac.random_seed = self.seed
         pairing, listed = colmap.ImportedPairingOptions(), self.database.with_name("pairs.txt")
         pairing.match_list_path = listed
-        with bar(len(pairs), "matches", self.progress, done=len(pairs) - len(left)) as shown:
+        with self._begin(len(pairs), "matches", done=len(pairs) - len(left)) as shown:
             for first in range(0, len(left), PAIRS_AT_ONCE):
                 part = left[first : first + PAIRS_AT_ONCE]
                 listed.write_text("".join(f"{self.names[a]} {self.names[b]}\n" for a, b in part), encoding="utf-8")
@@ -340,7 +340,7 @@ class Solver:
         options, manager, stop = self._global_options(), colmap.ReconstructionManager(), threading.Event()
         opened = colmap.Database.open(database)
         try:
-            with bar(None, "cameras", self.progress) as shown:
+            with self._begin(None, "cameras") as shown:
 
                 def step() -> None:
                     if stop.is_set():
@@ -359,7 +359,7 @@ class Solver:
         """Find cameras and points from the matches, picture by picture; folder: an empty one for COLMAP's own files.
         Returns pycolmap Reconstructions, the largest first; several where the pictures fall apart into groups."""
         options = self._mapping_options()
-        with bar(len(self.names), "cameras", self.progress) as shown:
+        with self._begin(len(self.names), "cameras") as shown:
             found = self._run(
                 self.colmap.incremental_mapping,
                 self.database,
@@ -371,8 +371,7 @@ class Solver:
             )
             models = sorted(found.values(), key=lambda model: -model.num_reg_images())
             if models:
-                shown.n = min(models[0].num_reg_images(), len(self.names))
-                shown.refresh()
+                shown.update(min(models[0].num_reg_images(), len(self.names)) - shown.done)
         return models
 
     def refine(self, model: Any) -> Any:
@@ -406,6 +405,12 @@ class Solver:
         return copy
 
     # What these share
+
+    _shown: StepBar | None = None  # of the step that is at work, or was last
+
+    def _begin(self, total: int | None, step: str, *, done: int = 0) -> StepBar:
+        self._shown = StepBar(total, step, self.progress, done=done)
+        return self._shown
 
     def _import_pictures(self) -> None:
         """A database of cameras and pictures, in order: COLMAP itself would number them as its threads end."""
@@ -491,7 +496,8 @@ class Solver:
     def run_in_thread(
         self, function: Callable[..., Any], *arguments: Any, cancel: Callable[[], None] = lambda: None, **options: Any
     ) -> Any:
-        """Run a function of COLMAP in a thread, while this one hears interrupts; both end before this returns."""
+        """Run a function of COLMAP in a thread, while this one hears interrupts and tells how far the step is; both end
+        before this returns."""
         outcome: list[Any] = []
         failure: list[BaseException] = []
 
@@ -509,7 +515,8 @@ class Solver:
         try:
             thread.start()
             while not ended.wait(0.1):
-                pass
+                if self._shown is not None:
+                    self._shown.tell()
         except BaseException:
             cancel()
             if thread.ident is not None:  # it was started

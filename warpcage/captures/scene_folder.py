@@ -15,7 +15,7 @@ from ..scene.pictures import distort, undistorted_intrinsics
 from ..scene.scene import rotation_to
 from ..view.camera import Camera, common_up
 from .colmap import Found, Lens
-from .sources import Source, bar, load_upright, shrink_factor
+from .sources import Source, StepBar, load_upright, shrink_factor
 
 
 def common_size(sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
@@ -141,16 +141,16 @@ def write_scene(
                 "transform_matrix": (camera.camera_to_world @ TO_OPENGL).tolist(),
             }
         )
-    with bar(len(chosen), "undistort", progress) as shown, ThreadPoolExecutor(cpu_threads()) as pool:
+    with StepBar(len(chosen), "undistort", progress) as shown, ThreadPoolExecutor(cpu_threads()) as pool:
 
         def write(index: int) -> None:
             _write_picture(folder / frames[index]["file_path"], chosen[index], pinholes[index])
-            shown.update()
 
         for pinhole in dict.fromkeys(pinholes):  # by camera, whose table of pixels is large
             members = [index for index, other in enumerate(pinholes) if other is pinhole]
             pinhole.prepare()
-            list(pool.map(write, members))
+            for _ in pool.map(write, members):
+                shown.update()
             pinhole.forget()
     write_points(folder / "points.ply", found)
     content = {"camera_model": "PINHOLE", "ply_file_path": "points.ply", "frames": frames}

@@ -7,7 +7,6 @@ import os
 import pathlib
 import warnings
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -169,7 +168,27 @@ def _has_pictures(folder: pathlib.Path) -> bool:
         return False
 
 
-def bar(total: int | None, step: str, shown: bool, *, done: int = 0) -> Any:
-    """A bar for one step, as a context; its `update(count)` moves it on.
+class StepBar:
+    """A bar for one step, as a context, which also tells who hears of the capture.
     total: None is not known; done: items that an earlier run did."""
-    return reports.bar(total, step, done=done, shown=shown)
+
+    def __init__(self, total: int | None, step: str, shown: bool, *, done: int = 0):
+        self._bar, self._total, self._step = reports.bar(total, step, done=done, shown=shown), total or 0, step
+        self.done = done
+
+    def __enter__(self) -> StepBar:
+        self.tell()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.close()
+
+    def update(self, count: int = 1) -> None:
+        """Move it on. Only the thread that called warpcage tells, and ends the work by that."""
+        self.done += count
+        self._bar.update(count)
+        self.tell()
+
+    def tell(self) -> None:
+        """Tell once more how far the step is."""
+        reports.tell(min(self.done, self._total) if self._total else self.done, self._total, self._step)

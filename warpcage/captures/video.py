@@ -15,7 +15,7 @@ from ..core.files import atomic_path, require_file
 from ..core.names import agreed, counted
 from ..core.threads import cpu_threads
 from ..errors import InputError
-from .sources import Source, bar, load_upright, shrink_factor
+from .sources import Source, StepBar, load_upright, shrink_factor
 from .tones import mapped_picture, transfer_of
 
 #: Pictures are compared at this width or height, whichever is longer, pixels.
@@ -96,7 +96,7 @@ def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
     with _opened(path) as container:
         context = container.streams.video[0].codec_context
         total = container.streams.video[0].frames or None
-        with bar(total, "frames", progress) as shown:
+        with StepBar(total, "frames", progress) as shown:
             for frame in _frames(container, broken):
                 grey = _brightness(frame)
                 small = shrunk_grey(grey, MOTION_SIZE)
@@ -139,7 +139,7 @@ def write_frames(path: pathlib.Path, times: np.ndarray, files: list[pathlib.Path
 
     wanted = dict(zip(times.tolist(), files, strict=True))
     missing = {time: file for time, file in wanted.items() if not file.is_file()}
-    with bar(len(files), "pictures", progress, done=len(files) - len(missing)) as shown:
+    with StepBar(len(files), "pictures", progress, done=len(files) - len(missing)) as shown:
         if not missing:
             return
         with _opened(path) as container:
@@ -235,10 +235,10 @@ def shrink_all(
 
     def shrink(index: int) -> None:
         sharp[index] = _shrink(sources[index], folder / names[index], size)
-        shown.update()
 
-    with bar(len(sources), "shrink", progress) as shown, ThreadPoolExecutor(cpu_threads()) as pool:
-        list(pool.map(shrink, range(len(sources))))
+    with StepBar(len(sources), "shrink", progress) as shown, ThreadPoolExecutor(cpu_threads()) as pool:
+        for _ in pool.map(shrink, range(len(sources))):
+            shown.update()
     return names, sharp
 
 
