@@ -50,7 +50,7 @@ TRANSPARENT = "transparent"
 
 #: What may stand behind a field while it is fitted: a new random colour for every ray, an outer field or
 #: background layers that are fitted too, the scene's one colour, or whichever of these the pictures suggest.
-FIT_BACKGROUNDS = ("auto", "outer", "layers", "random", "constant")
+FIT_BACKGROUNDS = ("auto", "outer", "shells", "layers", "random", "constant")
 
 #: How the way from a key of a film to the next one goes.
 EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out")

@@ -30,6 +30,7 @@ from .level import Level, level_memory
 from .memory import FitMemory, finest, memory_limit, memory_text
 from .options import checked_options, checked_seed
 from .schedule import Schedule, plan_batches, plan_grid
+from .shells import ShellOptimizer
 from .silhouettes import Silhouettes, possible_voxels
 from .surroundings import (
     MEMORY_SHARE,
@@ -110,7 +111,7 @@ class FieldOptimizer:
         layer_side, around_bytes = 0, 0
         if around == "layers":
             layer_side, around_bytes = layers_that_fit(scene, self.options, self.shards, self.memory_limit)
-        elif around == "outer":
+        elif around is not None:
             around_bytes = int(MEMORY_SHARE * self.memory_limit)
         self.memory_limit -= around_bytes
         grid = plan_grid(scene, self.options, box, around is not None)
@@ -133,18 +134,19 @@ class FieldOptimizer:
         self.current = Level(mask, self.bounds, scene.background, self.shards)
         del mask
         self.has_around = around is not None
-        if around == "outer":  # which begins with this colour too, and would explain all if the field did not
+        if around in ("outer", "shells"):  # which begins with this colour too, and would explain all if the field did not
             self.current.paint(mean_color(scene))
         self._activate_tiles()
         batch_tiles, level_steps = plan_batches(self.options, pixels, self.batches.active_tiles)
         self.batches.size(batch_tiles)
         self.schedule = Schedule(self.options, level_steps, grid.scarcity)
-        self.background: BackgroundOptimizer | OuterOptimizer | None = None
-        if around == "outer":
+        self.background: BackgroundOptimizer | OuterOptimizer | ShellOptimizer | None = None
+        if around in ("outer", "shells"):
             side = self.options.outer_resolution
             if side is None:
                 side = min(max(self.planned[-1]), self.options.max_outer_resolution)
-            self.background = OuterOptimizer(
+            kind = OuterOptimizer if around == "outer" else ShellOptimizer
+            self.background = kind(
                 mean_color(scene),
                 self.bounds,
                 scene.cameras,
@@ -277,7 +279,7 @@ class FieldOptimizer:
 
     def memory(self) -> FitMemory:
         """What levels of the fit take, as their owners state it."""
-        fixed = self.batches.held_bytes if isinstance(self.background, OuterOptimizer) else self._fixed_bytes()
+        fixed = self.batches.held_bytes if isinstance(self.background, (OuterOptimizer, ShellOptimizer)) else self._fixed_bytes()
         return self.current.memory(fixed, self.batches.mark_bytes)  # outer fields have a limit of their own
 
     @property

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..core.names import QUALITIES, Quality
 from ..core.reports import Progress
 from ..errors import InputError
-from ..field.io.field_file import MAX_LAYER_SIDE, MAX_LAYERS, MAX_OUTER_SIDE
+from ..field.io.field_file import MAX_LAYER_SIDE, MAX_LAYERS, MAX_OUTER_SIDE, MAX_SHELLS
 from .memory import memory_size
 
 MAX_LEVELS = 6
@@ -175,7 +175,8 @@ class FitOptions:
     background: str = option(
         "auto",
         'What is behind the field. "random": random colours that supervise opacity, for images with alpha. '
-        '"outer": an OuterField around the box, for whole images. "layers": a LayeredBackground behind it, for whole '
+        '"outer": an OuterField around the box, for whole images. "shells": a ShellField, voxels of a place in nested '
+        'cubes around the box, for the same. "layers": a LayeredBackground behind it, for whole '
         'or split images. "constant": the colour of the scene. '
         '"auto": "random" for images with alpha, with layers where masks split them; "outer" for whole images, but '
         '"constant" where their border shows the colour of the scene alone.',
@@ -224,6 +225,15 @@ class FitOptions:
         0.1,
         "Weight of a loss by which the sky of an outer field follows what is seen behind the box, relative to the "
         "photometric one. Views that look where no training view did see the sky.",
+    )
+    shell_count: int = whole(
+        6, 1, MAX_SHELLS, "Nested cubes around the box, each twice as large as the one within; behind the last is the sky."
+    )
+    shell_slope_rate: float = number(
+        0.2,
+        0.0,
+        LARGEST_FACTOR,
+        "Learning rate of how the colours of nested cubes change with the direction, relative to `rate_outer`.",
     )
     refine_cameras: bool = option(
         False, "Whether poses, focal lengths and the exposure of each picture are refined with the field."
@@ -365,5 +375,7 @@ class FitNames(FitCall, total=False):
     variation_outer_density: float
     front_opacity: float
     sky_follows: float
+    shell_count: int
+    shell_slope_rate: float
     refine_cameras: bool
     max_memory: int | str | None

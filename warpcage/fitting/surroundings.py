@@ -51,7 +51,7 @@ COLOR_STRIDE = 8
 
 
 def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
-    """Whether random colours are behind a field in a fit; and "layers", "outer" or None, what is fitted beside it."""
+    """Whether random colours are behind a field in a fit; and "layers", "outer", "shells" or None, what is fitted beside it."""
     if kind not in FIT_BACKGROUNDS:
         raise InputError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
     if kind == "auto":
@@ -63,12 +63,13 @@ def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
             "the pictures' own background is cut away by their opacity: background layers need whole "
             "pictures (masks=False) or split ones (masks='split')"
         )
-    if kind == "outer" and scene.alphas is not None:
-        raise InputError("an outer field needs whole pictures: load them with masks=False, or fit background='layers'")
+    if kind in ("outer", "shells") and scene.alphas is not None:
+        words = "an outer field needs" if kind == "outer" else "nested cubes need"
+        raise InputError(f"{words} whole pictures: load them with masks=False, or fit background='layers'")
     if kind == "random" and scene.alphas is None:
         raise InputError("the pictures have no opacity: random backgrounds need it, fit with background='layers'")
     is_random = kind == "random" or (kind == "layers" and scene.alphas is not None)
-    return is_random, kind if kind in ("layers", "outer") else None
+    return is_random, kind if kind in ("layers", "outer", "shells") else None
 
 
 def _is_plain(scene: Scene) -> bool:

@@ -68,6 +68,25 @@ class OuterContents:
 
 
 @dataclasses.dataclass(frozen=True)
+class ShellContents:
+    """Nested cubes around a field on the host."""
+
+    center: np.ndarray  # (3,) float64 middle and half sides of the box that they surround, world units
+    half: np.ndarray
+    cubes: int
+    side: int  # entries of the table along a side of a cube
+    places: np.ndarray  # (bricks, 4) int32 first entry, cube after cube along x, and size
+    nodes: np.ndarray  # (bricks, 729) bool, nodes that have rows of their own, in the rows' order
+    values: np.ndarray  # (rows, 4) float32 red, green, blue and density per half side of the cube
+    slopes: np.ndarray  # (rows, 3) float32 change of the colours along x, y and z of the direction
+    sky: np.ndarray  # (nodes, 3) float32 colours of a cube at infinity
+
+    def shrunk(self, divisor: float) -> ShellContents:
+        """The nested cubes of a smaller world; divisor: old lengths over new ones."""
+        return dataclasses.replace(self, center=self.center / divisor, half=self.half / divisor)
+
+
+@dataclasses.dataclass(frozen=True)
 class FieldContents:
     """A voxel field on the host, as field files read and write it; None is what the file does not say."""
 
@@ -306,6 +325,9 @@ OUTER_NAMES = tuple(OUTER_PREFIX + name for name in ("center", "half", "side", "
 
 #: Fewest and most voxels along a side of contracted space.
 MIN_OUTER_SIDE, MAX_OUTER_SIDE = 4, 1290
+
+#: Most nested cubes: the last is 2^11 times as large as the box.
+MAX_SHELLS = 12
 
 #: Bytes that a node, and a voxel that holds values, take while they are read.
 OUTER_NODE_BYTES, OUTER_ROW_BYTES = 10, 40
