@@ -1,12 +1,12 @@
 """Voxels of a place around a box: nested cubes, each twice as large, of bricks of eight cells a side."""
 
-# Cube k, 0 to K - 1, has half side U_k = H 2^k, H the longest half side of the box; it holds what is outside cube k - 1,
-# cube 0 what is outside the box. A table of M^3 entries a cube says which brick is where: a brick of size s covers s^3
-# entries, its voxels are s / 8 of an entry, so that a voxel is a cube at any distance. Bricks exist only where there is
-# something. Their corners are nodes: bricks of one size share those at which they meet. A row has a constant colour,
+# Cube k, 0 to K - 1, has half side U_k = H 2^k, H the longest half side of the box; it holds what is outside cube
+# k - 1, cube 0 what is outside the box. A table of M^3 entries a cube says which brick is where: one of size s covers
+# s^3 entries, its voxels are s / 8 of an entry: a voxel is a cube at any distance. Bricks exist only where there
+# is something. Their corners are nodes: bricks of one size share those at which they meet. A row has a constant colour,
 # density per U_k (a voxel stops as much light in each cube), and the slope by which colours change with the direction.
-# A ray is cut at the cubes' faces, then at the bricks': both sides of a face compute it from the same numbers. Positions
-# are from the middle of the box, in world units. Beyond the last cube is a cube of colours at infinity.
+# A ray is cut at the cubes' faces, then at the bricks': both sides of a face compute it from the same numbers.
+# Positions are from the middle of the box, in world units. Beyond the last cube is a cube of colours at infinity.
 
 import warp as wp
 
@@ -38,7 +38,7 @@ class Shells:
     places: wp.array(dtype=wp.vec4i)  # (bricks,) first entry and size
     links: wp.array2d(dtype=wp.int32)  # (bricks, 729) row of a node, or -1
     values: wp.array(dtype=wp.vec4)  # (rows,) red, green, blue, density
-    slopes: wp.array(dtype=wp.vec4)  # (rows,) change of all colours along x, y and z of the ray's direction; the 4th spare
+    slopes: wp.array(dtype=wp.vec4)  # (rows,) change of all colours along x, y, z of the ray's direction; 4th spare
     sky: BackgroundLayers  # one layer, at infinity
 
 
@@ -337,10 +337,7 @@ BORROWED = wp.constant(wp.uint8(2))
 
 @wp.kernel
 def share_nodes(
-    first: int,
-    table: wp.array3d(dtype=wp.int32),
-    places: wp.array(dtype=wp.vec4i),
-    nodes: wp.array2d(dtype=wp.uint8),
+    first: int, table: wp.array3d(dtype=wp.int32), places: wp.array(dtype=wp.vec4i), nodes: wp.array2d(dtype=wp.uint8)
 ):
     """Tell which of the nodes (bricks, 729) that are not 0 are borrowed, and have their owners own them."""
     n = first + wp.tid()
@@ -355,10 +352,7 @@ def share_nodes(
 
 @wp.kernel
 def adopt_nodes(
-    first: int,
-    table: wp.array3d(dtype=wp.int32),
-    places: wp.array(dtype=wp.vec4i),
-    nodes: wp.array2d(dtype=wp.uint8),
+    first: int, table: wp.array3d(dtype=wp.int32), places: wp.array(dtype=wp.vec4i), nodes: wp.array2d(dtype=wp.uint8)
 ):
     """Have bricks borrow the nodes on their faces that others of their size have: values go on across faces."""
     n = first + wp.tid()

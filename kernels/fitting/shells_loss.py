@@ -1,9 +1,9 @@
 """Gradients of the photometric loss and of the total variation by the values of nested cubes, and their steps."""
 
 # As outer_loss.py, whose notation this is, through field/shells. A colour is clamped at zero after its slope by the
-# direction d is added: dL/dslope = d (sum of the gradients by the channels that are not clamped). What splitting a brick
-# may earn is told by the sum of |alpha dL/dalpha| over its samples (Sun et al., "Sparse Voxels Rasterization", CVPR
-# 2025, section 3.3).
+# direction d is added: dL/dslope = d (sum of the gradients by the channels that are not clamped). What splitting a
+# brick may earn is told by the sum of |alpha dL/dalpha| over its samples (Sun et al., "Sparse Voxels Rasterization",
+# CVPR 2025, section 3.3).
 
 import warp as wp
 
@@ -140,9 +140,7 @@ def accumulate_shell_gradient(
         change = grad_front[n] - wp.vec4(0.0, 0.0, 0.0, by_front)
         by_color = wp.vec3(change[0], change[1], change[2])
         total = wp.dot(seen, change)
-        add_shell_gradient(
-            shells, origin, direction, 0.0, between, by_color, total, grad_values, grad_slopes, earned
-        )
+        add_shell_gradient(shells, origin, direction, 0.0, between, by_color, total, grad_values, grad_slopes, earned)
     grad_color = grad_behind[n]
     if seen[3] > OUTER_STOP and wp.length_sq(grad_color) > 0.0:
         total = wp.dot(behind[n], grad_color)
@@ -261,7 +259,8 @@ def accumulate_shell_variation(
 ):
     """Adds the gradient of the total variations of colours, densities and slopes. One item per cell of each brick, from
     first_cell on. Neighbours share rows: on the CPU each thread needs gradients of its own."""
-    # As outer_loss.accumulate_outer_variation: forward differences from the cell's first node, within the brick.
+    # As outer_loss.accumulate_outer_variation: forward differences from the cell's first node, within the brick. The
+    # scales are for bricks of one entry; those of larger ones grow with their faces, which rays meet more often.
     n = (first_cell + first + wp.tid()) % (BRICK_CELLS * shells.links.shape[0])
     brick = n // BRICK_CELLS
     cell = n % BRICK_CELLS
@@ -284,9 +283,10 @@ def accumulate_shell_variation(
             slope_squares += wp.cw_mul(turn, turn)
     by_value = wp.vec4(scale_color, scale_color, scale_color, scale_density)
     by_slope = wp.vec4(scale_slope, scale_slope, scale_slope, 0.0)
+    faces = float(shells.places[brick][3] * shells.places[brick][3])
     for channel in range(4):
-        by_value[channel] = by_value[channel] / wp.sqrt(squares[channel])
-        by_slope[channel] = by_slope[channel] / wp.sqrt(slope_squares[channel])
+        by_value[channel] = faces * by_value[channel] / wp.sqrt(squares[channel])
+        by_slope[channel] = faces * by_slope[channel] / wp.sqrt(slope_squares[channel])
     total = wp.vec4()
     slope_total = wp.vec4()
     for axis in range(3):

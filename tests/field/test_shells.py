@@ -39,43 +39,34 @@ def node_key(place, node):
 
 
 def random_shells(device, center=(0.0, 0.0, 0.0), density=4.0, seed=0):
-    """A ShellField of random values, some densities below zero, and (8,) float64 of each of its nodes by its key."""
+    """A ShellField of random values, some densities below zero; the key of each row; and (bricks, 9, 9, 9, 8) float64
+    numbers of all nodes, 0 where they have none."""
     random = np.random.default_rng(seed)
     places = random_places(random)
     marks = (random.random((len(places), 729)) < 0.7).astype(np.uint8)
     layout = BrickLayout(CUBES, SIDE, places, wp.array(marks, dtype=wp.uint8, device=device))
-    links, table = layout.links.numpy(), {}
-    numbers = np.zeros((layout.rows, 8))
+    links, table, rows = layout.links.numpy(), {}, {}
+    numbers, dense = np.zeros((layout.rows, 8)), np.zeros((len(places), 9, 9, 9, 8))
     for brick, node in np.argwhere(links >= 0):
-        key = node_key(places[brick], np.array(np.unravel_index(node, (9, 9, 9))))
+        at = np.unravel_index(node, (9, 9, 9))
+        key = node_key(places[brick], np.array(at))
         if key not in table:
-            colors = random.random(3)
-            table[key] = np.array([*colors, density * random.normal(0.4, 0.5), *random.normal(0, 0.2, 3), 0.0])
-            table[key] = table[key].astype(np.float32).astype(float)
-        numbers[links[brick, node]] = table[key]
+            drawn = [*random.random(3), density * random.normal(0.4, 0.5), *random.normal(0, 0.2, 3), 0.0]
+            table[key] = np.array(drawn, np.float32).astype(float)
+        numbers[links[brick, node]], rows[links[brick, node]] = table[key], key
+        dense[(brick, *at)] = table[key]
     sky = random.random((6 * 3**2 + 2, 3))
-    return ShellField(center, HALF, layout, numbers[:, :4], numbers[:, 4:], sky=sky), table
+    return ShellField(center, HALF, layout, numbers[:, :4], numbers[:, 4:], sky=sky), rows, dense
 
 
-def value_in_cell(table, place, at):
-    """(8,) trilinear numbers at a place in a brick's cells."""
-    low = np.minimum(np.floor(at).astype(int), 7)
-    total = np.zeros(8)
-    for corner in np.ndindex(2, 2, 2):
-        weight = np.where(corner, at - low, 1 - (at - low)).prod()
-        total += weight * table.get(node_key(place, low + corner), 0.0)
-    return total
-
-
-def march(shells, table, origin, direction, begin=0.0, end=np.inf):
-    """(rgb, light) of a ray outside the box, cut at the planes of all cubes and entries."""
+def samples(shells, origin, direction, begin, end):
+    """(brick, place in its cells, length over half the side of its cube) of each sample of a ray outside the box, which
+    is cut at the planes of all cubes and entries."""
     o = np.asarray(origin, float) - shells.center
-    largest, places = HALF.max(), shells.layout.places.numpy()
-    where = shells.layout.table.numpy()
-    planes = [np.concatenate([unit * np.linspace(-1, 1, SIDE + 1) for unit in largest * 2.0 ** np.arange(CUBES)])] * 3
-    planes = [np.concatenate([each, [-half, half]]) for each, half in zip(planes, HALF, strict=True)]
+    largest, places, where = HALF.max(), shells.layout.places.numpy(), shells.layout.table.numpy()
+    faces = np.concatenate([unit * np.linspace(-1, 1, SIDE + 1) for unit in largest * 2.0 ** np.arange(CUBES)])
     with np.errstate(divide="ignore", invalid="ignore"):
-        cuts = np.concatenate([(each - o[axis]) / direction[axis] for axis, each in enumerate(planes)])
+        cuts = np.concatenate([([*faces, -HALF[a], HALF[a]] - o[a]) / direction[a] for a in range(3)])
     last = 1e3 if np.isinf(end) else end
     cuts = np.sort(cuts[np.isfinite(cuts) & (cuts > begin) & (cuts < last)])
     parts = []
@@ -90,25 +81,36 @@ def march(shells, table, origin, direction, begin=0.0, end=np.inf):
             parts[-1][2] = far
         elif brick >= 0:
             parts.append([brick, near, far])
-    color, light = np.zeros(3), 1.0
     for brick, near, far in parts:
         place = places[brick]
         cube = place[0] // SIDE
         unit = largest * 2.0**cube
-        voxel = 2 * unit / SIDE * place[3] / 8
-        count = max(1, int(np.ceil((far - near) / voxel / 0.5 - 1e-3)))
+        count = max(1, int(np.ceil((far - near) / (2 * unit / SIDE * place[3] / 8) / 0.5 - 1e-3)))
         for k in range(count):
             x = o + (near + (k + 0.5) * (far - near) / count) * direction
             entries = (x / unit + 1) * SIDE / 2 - [place[0] - cube * SIDE, place[1], place[2]]
-            numbers = value_in_cell(table, place, np.clip(entries * 8 / place[3], 0, 8))
-            kept = np.exp(-max(numbers[3], 0.0) * (far - near) / count / unit)
-            color += light * (1 - kept) * np.maximum(numbers[:3] + numbers[4:7] @ direction, 0)
-            light *= kept
-    return color, light
+            yield brick, np.clip(entries * 8 / place[3], 0, 8), (far - near) / count / unit
 
 
-def seen(shells, table, origin, direction):
-    color, light = march(shells, table, origin, direction)
+def march(shells, dense, origin, direction, begin=0.0, end=np.inf):
+    """(rgb, light) of a ray outside the box, dense: of random_shells."""
+    found = list(samples(shells, origin, direction, begin, end))
+    if not found:
+        return np.zeros(3), 1.0
+    bricks, places, lengths = (np.array(each) for each in zip(*found, strict=True))
+    low = np.minimum(np.floor(places).astype(int), 7)
+    numbers = np.zeros((len(bricks), 8))
+    for corner in np.ndindex(2, 2, 2):
+        weights = np.where(corner, places - low, 1 - (places - low)).prod(axis=1)
+        numbers += weights[:, None] * dense[(bricks, *(low + corner).T)]
+    kept = np.exp(-np.maximum(numbers[:, 3], 0) * lengths)
+    light = np.concatenate([[1.0], np.cumprod(kept)])
+    colors = np.maximum(numbers[:, :3] + (numbers[:, 4:7] @ direction)[:, None], 0)
+    return (light[:-1] * (1 - kept)) @ colors, light[-1]
+
+
+def seen(shells, dense, origin, direction):
+    color, light = march(shells, dense, origin, direction)
     return color + light * oracle.sky_color(shells, direction)
 
 
@@ -133,14 +135,14 @@ def test_bricks_of_one_size_share_the_nodes_at_which_they_meet(device):
 
 def test_colors_match_numpy(device):
     """Rays from within the box, in each cube and beyond all, straight along axes and along faces too."""
-    shells, table = random_shells(device, center=(0.3, -0.2, 0.5))
+    shells, _, dense = random_shells(device, center=(0.3, -0.2, 0.5))
     random = np.random.default_rng(1)
     directions = random.normal(size=(150, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     origins = shells.center + random.uniform(-1, 1, (150, 3)) * 8 * random.random((150, 1))
     directions[:6] = np.concatenate([np.eye(3), -np.eye(3)])
     found = shells.sample(origins, directions)
-    expected = [seen(shells, table, *ray) for ray in zip(origins, directions, strict=True)]
+    expected = [seen(shells, dense, *ray) for ray in zip(origins, directions, strict=True)]
     error = np.abs(found - expected).max(axis=1)
     # where a length is a whole number of steps, float32 may take one sample more
     assert np.quantile(error, 0.95) < 1e-4 and error.max() < 2e-2
@@ -148,7 +150,7 @@ def test_colors_match_numpy(device):
 
 
 def test_views_are_put_between_what_is_before_and_behind(device):
-    shells, table = random_shells(device)
+    shells, _, dense = random_shells(device)
     camera = warpcage.Camera.look_at([3.0, 1.4, 0.8], [0, 0, 0], fov_degrees=70, width=8, height=6)
     random = np.random.default_rng(1)
     alpha = random.random(48) * (random.random(48) > 0.3)
@@ -163,8 +165,8 @@ def test_views_are_put_between_what_is_before_and_behind(device):
     errors = []
     for n in range(48):
         cut = depth[n] if alpha[n] > 0 else 0.0
-        front, light = march(shells, table, origins[n], directions[n], 0.0, cut) if cut else (np.zeros(3), 1.0)
-        back, left = march(shells, table, origins[n], directions[n], cut)
+        front, light = march(shells, dense, origins[n], directions[n], 0.0, cut) if cut else (np.zeros(3), 1.0)
+        back, left = march(shells, dense, origins[n], directions[n], cut)
         behind = back + left * oracle.sky_color(shells, directions[n])
         expected = front + light * (rgb[n] + (1 - alpha[n]) * behind)
         errors.append(np.abs(arrays[0].numpy()[n] - expected).max())
@@ -178,7 +180,7 @@ def whole_loss(device, by_sky):
     field, density, sh = oracle.random_field(
         device, resolution=(4, 4, 4), keep=0.5, density_scale=0.5, bounds=(-HALF, HALF), numbers=(24,)
     )
-    shells, table = random_shells(device, density=2.0)
+    shells, rows, dense = random_shells(device, density=2.0)
     cameras = [
         warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=70, width=8, height=6)
         for eye in ([3.0, 0.4, 0.5], [-0.3, 0.5, 0.2], [-1.4, -2.1, 0.3])
@@ -204,10 +206,6 @@ def whole_loss(device, by_sky):
         inputs=[0, shells.grid, rays, front, behind, grad_front, grad_behind, BY_FRONT, by_sky],
         outputs=[by_value, by_slope, earned, grad_sky],
     )
-    links, places, rows = shells.layout.links.numpy(), shells.layout.places.numpy(), {}
-    for brick, node in np.argwhere(links >= 0):
-        key = node_key(places[brick], np.array(np.unravel_index(node, (9, 9, 9))))
-        rows[links[brick, node]] = key
     gradients = np.concatenate([by_value.numpy(), by_slope.numpy()], axis=1)
     return SimpleNamespace(**locals())
 
@@ -217,41 +215,41 @@ def test_gradients_match_finite_differences(device):
     whole = whole_loss(device, by_sky=0.0)
     shells, field, found = whole.shells, whole.field, whole.gradients
 
-    def loss(table):
+    def loss(dense):
         total = 0.0
         for camera, image in zip(whole.cameras, whole.images, strict=True):
             origins, directions = camera.rays()
             for row, column in np.ndindex(6, 8):
                 ray = origins[row, column], directions[row, column]
                 between = oracle.front_end(shells, *ray)
-                front, light = march(shells, table, *ray, 0.0, between) if between > 0 else (np.zeros(3), 1.0)
-                back, left = march(shells, table, *ray, between)
+                front, light = march(shells, dense, *ray, 0.0, between) if between > 0 else (np.zeros(3), 1.0)
+                back, left = march(shells, dense, *ray, between)
                 behind = back + left * oracle.sky_color(shells, ray[1])
                 inner = oracle.render_ray(field, whole.density, whole.sh, *ray, field.step, behind, 6.0)[0]
                 total += whole.scale * ((front + light * inner - image[row, column]) ** 2).sum()
                 total += BY_FRONT * (1 - light)
         return total
 
-    random = np.random.default_rng(0)
+    random, links = np.random.default_rng(0), shells.layout.links.numpy().reshape(-1, 9, 9, 9)
     for number in range(7):
         largest = np.abs(found[:, number]).max()
         assert largest > 0
         row = random.permutation(np.flatnonzero(np.abs(found[:, number]) > 0.2 * largest))[0]
         ends = []
         for sign in (1, -1):
-            moved = dict(whole.table)
-            moved[whole.rows[row]] = moved[whole.rows[row]] + sign * 1e-4 * (np.arange(8) == number)
+            moved = whole.dense.copy()
+            moved[links == row, number] += sign * 1e-4
             ends.append(loss(moved))
         expected = (ends[0] - ends[1]) / 2e-4
         assert abs(found[row, number] - expected) < 5e-3 * largest + 3e-3 * abs(expected)
     assert (found[:, 7] == 0).all()
-    earned, table = whole.earned.numpy(), shells.layout.links.numpy()
-    touched = [(np.abs(found[rows[rows >= 0], 3]).max(initial=0.0) > 0) for rows in table]
+    earned = whole.earned.numpy()
+    touched = [(np.abs(found[rows[rows >= 0], 3]).max(initial=0.0) > 0) for rows in links.reshape(-1, 729)]
     assert (earned > 0).sum() > 5 and not (earned[~np.array(touched)] > 0).any()
 
 
 def test_variation_gradient_matches_finite_differences(device):
-    shells, _ = random_shells(device)
+    shells, _, _ = random_shells(device)
     links = shells.layout.links.numpy().reshape(-1, 9, 9, 9)
     scales = np.array([0.2, 0.2, 0.2, 0.7, 0.3, 0.3, 0.3, 0.0])
     by_value, by_slope = (wp.zeros(shells.voxel_count, dtype=wp.vec4, device=device) for _ in range(2))
@@ -268,7 +266,8 @@ def test_variation_gradient_matches_finite_differences(device):
         for other in others:
             difference = numbers[other] - numbers[here]
             squares += np.where(((other >= 0) & (here >= 0))[..., None], difference**2, 0.0)
-        return (np.where((here >= 0)[..., None], np.sqrt(squares), 0.0) @ scales).sum()
+        faces = shells.layout.places.numpy()[:, 3].astype(float) ** 2
+        return (np.where((here >= 0)[..., None], np.sqrt(squares), 0.0) @ scales).sum(axis=(1, 2, 3)) @ faces
 
     found = np.concatenate([by_value.numpy(), by_slope.numpy()], axis=1)
     at = np.argwhere(np.abs(found) > 0)
@@ -278,4 +277,4 @@ def test_variation_gradient_matches_finite_differences(device):
             moved = numbers.copy()
             moved[place] += sign * 1e-6
             ends.append(variation(moved))
-        assert found[place] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=2e-3)
+        assert found[place] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-2)

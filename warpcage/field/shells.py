@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -19,9 +19,9 @@ from ..kernels.field import shells as kernels
 from ..kernels.field.occupancy import SKIP_LIMIT
 from ..kernels.field.outer import dim_pixels
 from ..view.camera import Camera, camera_struct, tile_threads
-from .io.field_file import ShellContents
+from .io.shell_file import ShellContents
 from .sparse import spread_distances
-from .surroundings import seen_by_rays, sky_layers
+from .surroundings import LayeredBackground, OuterField, seen_by_rays, sky_layers
 
 #: Nodes of a brick.
 BRICK_NODES = int(kernels.BRICK_NODES)
@@ -147,7 +147,9 @@ class ShellField:
 
     def __repr__(self) -> str:
         center = self.center.round(4).tolist()
-        return f"ShellField({self.layout.cubes}x{self.side}^3, {self.voxel_count} voxels around {center}, {self.device})"
+        return (
+            f"ShellField({self.layout.cubes}x{self.side}^3, {self.voxel_count} voxels around {center}, {self.device})"
+        )
 
     @in_turn
     def sample(self, origins: PointsLike, directions: PointsLike) -> np.ndarray:
@@ -181,3 +183,7 @@ def _on_device(rows: np.ndarray | wp.array, count: int, device: wp.Device) -> wp
         raise InputError(f"nested cubes of {count} rows need finite numbers for each of them, got {host.shape}")
     host = np.pad(host, ((0, 0), (0, 4 - host.shape[1])))
     return wp.array(np.ascontiguousarray(host), dtype=wp.vec4, device=device)
+
+
+#: What may lie around a field.
+Surroundings: TypeAlias = LayeredBackground | OuterField | ShellField

@@ -24,6 +24,7 @@ from .batches import ORDERS, PRECISIONS, Batches
 from .cameras import STATE, CameraRefinement
 from .level import COEFFICIENTS, ROW_NUMBERS, Level
 from .schedule import Schedule
+from .shells import ShellOptimizer
 from .surroundings import BackgroundOptimizer, OuterOptimizer
 
 #: Version 5: rows of luminance and differences of colour. 6: refined cameras.
@@ -37,6 +38,7 @@ NAMES = frozenset(
     (
         *("format", "version", "fingerprint", "state", "resolution", "occupancy", "density", "sh", "tiles", "moments"),
         *("layers_met", "layers_values", "layers_moments"),
+        *("shells_side", "shells_places", "shells_nodes", "shells_values", "shells_moments", "shells_earned"),
         *("outer_sides", "outer_occupancy", "outer_values", "outer_moments", "outer_sky", "outer_sky_moments"),
         *(f"camera_{name}" for name in STATE),
     )
@@ -57,7 +59,7 @@ class Fit(Protocol):
     current: Level
     batches: Batches
     schedule: Schedule
-    background: BackgroundOptimizer | OuterOptimizer | None
+    background: BackgroundOptimizer | OuterOptimizer | ShellOptimizer | None
     refinement: CameraRefinement | None
 
     def restore(self, mask: wp.array, bits: int) -> None: ...

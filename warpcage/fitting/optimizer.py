@@ -134,7 +134,7 @@ class FieldOptimizer:
         self.current = Level(mask, self.bounds, scene.background, self.shards)
         del mask
         self.has_around = around is not None
-        if around in ("outer", "shells"):  # which begins with this colour too, and would explain all if the field did not
+        if around in ("outer", "shells"):  # which begins so too, and would explain all if the field did not
             self.current.paint(mean_color(scene))
         self._activate_tiles()
         batch_tiles, level_steps = plan_batches(self.options, pixels, self.batches.active_tiles)
@@ -279,8 +279,9 @@ class FieldOptimizer:
 
     def memory(self) -> FitMemory:
         """What levels of the fit take, as their owners state it."""
-        fixed = self.batches.held_bytes if isinstance(self.background, (OuterOptimizer, ShellOptimizer)) else self._fixed_bytes()
-        return self.current.memory(fixed, self.batches.mark_bytes)  # outer fields have a limit of their own
+        own_limit = isinstance(self.background, (OuterOptimizer, ShellOptimizer))
+        fixed = self.batches.held_bytes if own_limit else self._fixed_bytes()
+        return self.current.memory(fixed, self.batches.mark_bytes)
 
     @property
     def coarser(self) -> str | None:
@@ -363,6 +364,8 @@ class FieldOptimizer:
             self._refine()
         if self.schedule.thins_out:
             self._thin_out()
+        if self.schedule.divides and isinstance(self.background, ShellOptimizer):
+            self.background.divide(self.batches.picture_rays, self.field)
         self.batches.advance(self.schedule.rays_per_side)
         self.accumulate_gradients()
         self._apply_gradients()

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from ..core.names import QUALITIES, Quality
 from ..core.reports import Progress
 from ..errors import InputError
-from ..field.io.field_file import MAX_LAYER_SIDE, MAX_LAYERS, MAX_OUTER_SIDE, MAX_SHELLS
+from ..field.io.field_file import MAX_LAYER_SIDE, MAX_LAYERS, MAX_OUTER_SIDE
+from ..field.io.shell_file import MAX_SHELLS
 from .memory import memory_size
 
 MAX_LEVELS = 6
@@ -227,7 +228,14 @@ class FitOptions:
         "photometric one. Views that look where no training view did see the sky.",
     )
     shell_count: int = whole(
-        6, 1, MAX_SHELLS, "Nested cubes around the box, each twice as large as the one within; behind the last is the sky."
+        6, 1, MAX_SHELLS, "Nested cubes around the box, each twice as large as the one within; beyond is the sky."
+    )
+    shell_divisions: int = whole(
+        0, 0, 16, "How often in the last level bricks of nested cubes are divided into eight, those that earn most."
+    )
+    shell_divided: float = number(0.15, 0.0, 1.0, "Share of the bricks that are divided each time.")
+    shell_footprint: float = positive(
+        1.0, "Bricks are divided as long as their voxels are wider than so many pixels of the nearest view."
     )
     shell_slope_rate: float = number(
         0.2,
@@ -376,6 +384,9 @@ class FitNames(FitCall, total=False):
     front_opacity: float
     sky_follows: float
     shell_count: int
+    shell_divisions: int
+    shell_divided: float
+    shell_footprint: float
     shell_slope_rate: float
     refine_cameras: bool
     max_memory: int | str | None

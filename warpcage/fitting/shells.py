@@ -14,9 +14,11 @@ from ..core.devices import launch
 from ..core.files import require_numbers
 from ..errors import InputError
 from ..field.io.field_file import surface_node_count
+from ..field.io.shell_file import MAX_BRICKS, require_apart
 from ..field.shells import BRICK_NODES, BrickLayout, ShellField
 from ..field.surroundings import sky_layers
 from ..field.voxel_field import VoxelField
+from ..kernels.field import shells
 from ..kernels.field.background import refine_layers
 from ..kernels.fitting import shells_loss
 from ..kernels.fitting.background_loss import accumulate_layer_variation, apply_layer_rmsprop
@@ -32,19 +34,22 @@ from .surroundings import (
     FRONT_SHARE,
     MOST_SKY,
     NEAREST_SHARE,
-    SKY_NAMES,
     SKY_RATE,
     SKY_SIDE,
     SKY_VARIATION,
     VALUE_BYTES,
     VARIATION_SIDE,
+    checked_sky,
 )
 
-#: Cells of a brick, and along its side.
-BRICK_CELLS, CELLS = 512, 8
+#: Cells of a brick, and along its side; and what a node is that has a row.
+BRICK_CELLS, CELLS, OWNED = int(shells.BRICK_CELLS), int(shells.BRICK), int(shells.OWNED)
+
+#: Device memory of a brick beside its rows: its place, its nodes and their links; and of an entry of the table.
+BRICK_BYTES, ENTRY_BYTES = 16 + 5 * BRICK_NODES, 5
 
 #: Optical depth of half the side of a cube at the start.
-START_DEPTH = 0.05
+START_DEPTH = 0.01
 
 #: Rows of a brick's children for each of their cells that are kept: sheets have more nodes than cells.
 NODES_A_CELL = 1.4
@@ -70,16 +75,23 @@ class ShellOptimizer:
         device: wp.Device,
     ):
         self.options, self.shards, self.device, self.limit = options, shards, device, limit
-        self.batch_rays = batch_rays
+        self.batch_rays, self.cameras = batch_rays, cameras
         self.center, self.half = bounds.mean(axis=0), 0.5 * (bounds[1] - bounds[0])
-        first = max(1, round(side / CELLS / 2 ** (options.levels - 1)))
+        first = max(1, round(side / CELLS / 2 ** (options.levels - 1)))  # bricks along a side in the first level
+        brick = BRICK_NODES * row_bytes(shards) + BRICK_BYTES
+        while (
+            first > 1 and options.shell_count * first**3 * brick > limit
+        ):  # all of them exist until they are looked at
+            first -= 1
         centers = np.stack([camera.center for camera in cameras]) - self.center
         layout = self._whole(options.shell_count, first)
         cells = empty_array((layout.places.shape[0], BRICK_CELLS), wp.uint8, device)
         nearest = NEAREST_SHARE * float(np.linalg.norm(centers, axis=1).min())
         least = max(1, math.ceil(FRONT_SHARE * len(cameras)))
         inputs = [wp.vec3(*self.half), first, layout.places, camera_array(cameras, self.center, device)]
-        launch(shells_loss.mark_seen_cells, cells.size, [*inputs, nearest, FRONT_DISTANCE, least], [cells], device=device)
+        launch(
+            shells_loss.mark_seen_cells, cells.size, [*inputs, nearest, FRONT_DISTANCE, least], [cells], device=device
+        )
         layout, _ = self._divided(layout, cells, np.zeros(layout.places.shape[0], bool))
         start = np.array([*color, START_DEPTH], np.float32)
         values = np.broadcast_to(start, (layout.rows, 4))
@@ -94,7 +106,9 @@ class ShellOptimizer:
         """A brick in each entry of a table, without nodes."""
         entries = np.stack(np.meshgrid(*map(np.arange, (cubes * side, side, side)), indexing="ij"), axis=-1)
         places = np.concatenate([entries.reshape(-1, 3), np.ones((entries.size // 3, 1))], axis=1)
-        return BrickLayout(cubes, side, places, wp.zeros((len(places), BRICK_NODES), dtype=wp.uint8, device=self.device))
+        return BrickLayout(
+            cubes, side, places, wp.zeros((len(places), BRICK_NODES), dtype=wp.uint8, device=self.device)
+        )
 
     # Bricks
 
@@ -104,7 +118,8 @@ class ShellOptimizer:
         kept = self._octants(cells) > 0
         whole = np.flatnonzero(kept.any(axis=1) & ~split)
         parent, octant = np.nonzero(kept & split[:, None])
-        places, finer = layout.places.numpy(), int(split.any())
+        places = layout.places.numpy()
+        finer = int((split & (places[:, 3] == 1)).any())
         places = places << finer  # a table twice as fine
         corners = np.stack([octant >> 2, (octant >> 1) & 1, octant & 1], axis=1)
         halves = places[parent].copy()
@@ -142,11 +157,10 @@ class ShellOptimizer:
         """(bricks,) bool, which of the bricks that should be divided can be: those that earn most first."""
         octants = self._octants(cells)
         layout, rows = self.outer.layout, row_bytes(self.shards)
-        brick_bytes = 16 + 5 * BRICK_NODES
-        whole = octants.sum(axis=1) * (NODES_A_CELL * rows) + brick_bytes * octants.any(axis=1)
-        divided = octants.sum(axis=1) * (8 * NODES_A_CELL * rows) + brick_bytes * (octants > 0).sum(axis=1)
+        whole = octants.sum(axis=1) * (NODES_A_CELL * rows) + BRICK_BYTES * octants.any(axis=1)
+        divided = octants.sum(axis=1) * (8 * NODES_A_CELL * rows) + BRICK_BYTES * (octants > 0).sum(axis=1)
         held = 2 * VALUE_BYTES * layout.rows + layout.held_bytes  # of the bricks before, until the new ones are there
-        left = self.limit - held - 8 * 5 * layout.table.size - whole.sum()
+        left = self.limit - held - 8 * ENTRY_BYTES * layout.table.size - whole.sum()
         order = np.argsort(-np.where(wanted, self.earned(), -1.0), kind="stable")
         affordable = np.zeros(len(wanted), bool)
         affordable[order[np.cumsum((divided - whole)[order]) <= left]] = True
@@ -229,6 +243,36 @@ class ShellOptimizer:
         self.gradients, self.slope_gradients = [], []
         self._rebuild(cells, np.zeros(self.outer.brick_count, bool), moments=True)
 
+    def divide(self, picture_rays: PictureRays, field: VoxelField) -> None:
+        """Divide the bricks that earn most, where pixels are finer than their voxels, and prune the rest."""
+        options, earned = self.options, self.earned()
+        cells = self._weighty(picture_rays, field, options.prune_weight / self.outer.side)
+        self.gradients, self.slope_gradients = [], []
+        top = np.zeros(len(earned), bool)
+        top[np.argsort(-earned, kind="stable")[: round(options.shell_divided * len(earned))]] = True
+        if self.outer.layout.side == MAX_BRICKS:  # no finer table
+            top &= self.outer.layout.places.numpy()[:, 3] > 1
+        top[top] = self._pixels_wide(np.flatnonzero(top)) > options.shell_footprint
+        self._rebuild(cells, self._affordable(cells, top), moments=True)
+
+    def _pixels_wide(self, bricks: np.ndarray) -> np.ndarray:
+        """(bricks,) width of a voxel in pixels of the nearest view that has the middle of its brick, 0 where none."""
+        side = self.outer.layout.side
+        places = self.outer.layout.places.numpy()[bricks]
+        units = self.half.max() * 2.0 ** (places[:, 0] // side)
+        corners = np.stack([places[:, 0] % side, places[:, 1], places[:, 2]], axis=1)
+        middles = ((corners + 0.5 * places[:, 3:]) * 2.0 / side - 1.0) * units[:, None] + self.center
+        voxels = 2.0 * units / side * places[:, 3] / CELLS
+        widest = np.zeros(len(bricks))
+        for camera in self.cameras:
+            local = (middles - camera.center) @ camera.rotation
+            ahead = np.maximum(local[:, 2], 1e-9)
+            column, row = camera.fx * local[:, 0] / ahead + camera.cx, camera.fy * local[:, 1] / ahead + camera.cy
+            seen = (local[:, 2] > 0) & (np.abs(column / camera.width - 0.5) < 0.5)
+            seen &= np.abs(row / camera.height - 0.5) < 0.5
+            widest = np.maximum(widest, np.where(seen, camera.fx * voxels / ahead, 0.0))
+        return widest
+
     # Steps
 
     def prepare(self, rays: Any, surroundings: Any) -> None:
@@ -281,9 +325,52 @@ class ShellOptimizer:
         inputs = [rates.outer, density, self.options.shell_slope_rate * rates.outer, beta, EPSILON]
         totals = [self.outer.layout.sizes, self.gradients[0], self.slope_gradients[0]]
         outputs = [self.moments, self.slope_moments, grid.values, grid.slopes]
-        launch(
-            shells_loss.apply_shell_rmsprop, self.outer.layout.rows, [*inputs, *totals], outputs, device=self.device
+        launch(shells_loss.apply_shell_rmsprop, self.outer.layout.rows, [*inputs, *totals], outputs, device=self.device)
+
+    # State
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Bricks, values and second moments, for a checkpoint."""
+        layout, grid = self.outer.layout, self.outer.grid
+        return {
+            "shells_side": np.array(layout.side, np.int32),
+            "shells_places": layout.places.numpy(),
+            "shells_nodes": np.packbits((layout.nodes.numpy() == OWNED).ravel()),
+            "shells_values": np.concatenate([grid.values.numpy(), grid.slopes.numpy()], axis=1),
+            "shells_moments": np.concatenate([self.moments.numpy(), self.slope_moments.numpy()], axis=1),
+            "shells_earned": self.earned(),
+            "outer_sky": grid.sky.values.numpy()[0],
+            "outer_sky_moments": self.sky_moments.numpy()[0],
+        }
+
+    def restore(self, contents: dict[str, np.ndarray], level: int, path: pathlib.Path) -> None:
+        """Take over the state of a level from a checkpoint's arrays; path: for errors."""
+        side = int(require_numbers(contents, "shells_side", (), path))
+        if not 1 <= side <= MAX_BRICKS:
+            raise InputError(f"nested cubes of {side} bricks along a side")
+        places = require_numbers(contents, "shells_places", (None, 4), path).astype(np.int32)
+        require_apart(places, self.options.shell_count, side, path)
+        size = len(places) * BRICK_NODES
+        packed = require_numbers(contents, "shells_nodes", (-(-size // 8),), path)
+        nodes = np.unpackbits(packed, count=size).reshape(-1, BRICK_NODES)
+        layout = BrickLayout(
+            self.options.shell_count, side, places, wp.array(nodes, dtype=wp.uint8, device=self.device)
         )
+        values, moments = (
+            require_numbers(contents, name, (layout.rows, 8), path) for name in ("shells_values", "shells_moments")
+        )
+        earned = require_numbers(contents, "shells_earned", (len(places),), path)
+        if not all(np.isfinite(each).all() for each in (values, moments, earned)) or moments.min(initial=0.0) < 0:
+            raise InputError("the nested cubes hold values that cannot be")
+        sky, sky_moments = checked_sky(contents, level, path)
+        self._release()
+        colors = wp.array(sky, dtype=wp.vec4, device=self.device)
+        self.outer = ShellField(self.center, self.half, layout, values[:, :4], values[:, 4:], sky=colors)
+        self._allocate()
+        self.sky_moments.assign(sky_moments)
+        self.moments.assign(np.ascontiguousarray(moments[:, :4], np.float32))
+        self.slope_moments.assign(np.ascontiguousarray(moments[:, 4:], np.float32))
+        self._earned[0].assign(earned.astype(np.float32))
 
     def result(self, picture_rays: PictureRays, field: VoxelField) -> ShellField:
         """The nested cubes so far, pruned, colours in [0, 1] and densities of at least 0."""

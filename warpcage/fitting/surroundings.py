@@ -51,7 +51,8 @@ COLOR_STRIDE = 8
 
 
 def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
-    """Whether random colours are behind a field in a fit; and "layers", "outer", "shells" or None, what is fitted beside it."""
+    """Whether random colours are behind a field in a fit; and what is fitted beside it: "layers", "outer", "shells" or
+    None."""
     if kind not in FIT_BACKGROUNDS:
         raise InputError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
     if kind == "auto":
@@ -532,16 +533,13 @@ class OuterOptimizer:
         )
         if not (np.isfinite(values).all() and np.isfinite(moments).all()) or moments.min(initial=0.0) < 0:
             raise InputError("the outer field holds values that cannot be")
-        nodes = surface_node_count(min(SKY_SIDE * 2**level, MOST_SKY))
-        sky, sky_moments = (require_numbers(contents, name, (nodes, 4), path) for name in SKY_NAMES)
-        if not (np.isfinite(sky).all() and np.isfinite(sky_moments).all()) or sky_moments.min() < 0:
-            raise InputError("the sky holds values that cannot be")
+        sky, sky_moments = checked_sky(contents, level, path)
         self.sides = sides
         self._release()
-        colors = wp.array(np.ascontiguousarray(sky[None], np.float32), dtype=wp.vec4, device=self.device)
+        colors = wp.array(sky, dtype=wp.vec4, device=self.device)
         self.outer = self._started(wp.array(occupied, dtype=wp.uint8, device=self.device), colors)
         self._allocate()
-        self.sky_moments.assign(np.ascontiguousarray(sky_moments[None], np.float32))
+        self.sky_moments.assign(sky_moments)
         self.outer.grid.values.assign(values.astype(np.float32))
         self.moments.assign(moments.astype(np.float32))
 
@@ -556,6 +554,15 @@ class OuterOptimizer:
         self.outer.grid.values.assign(values)
         sky.assign(np.clip(sky.numpy(), 0.0, 1.0))
         return self.outer
+
+
+def checked_sky(contents: dict[str, np.ndarray], level: int, path: pathlib.Path) -> list[np.ndarray]:
+    """(1, nodes, 4) float32 colours and second moments of a level's sky, of a checkpoint's arrays; path: for errors."""
+    nodes = surface_node_count(min(SKY_SIDE * 2**level, MOST_SKY))
+    sky, moments = (require_numbers(contents, name, (nodes, 4), path) for name in SKY_NAMES)
+    if not (np.isfinite(sky).all() and np.isfinite(moments).all()) or moments.min() < 0:
+        raise InputError("the sky holds values that cannot be")
+    return [np.ascontiguousarray(each[None], np.float32) for each in (sky, moments)]
 
 
 def row_bytes(shards: int) -> int:

@@ -16,6 +16,7 @@ from ...core.files import require_numbers
 from ...core.memory import free_host_bytes
 from ...core.threads import run_parallel
 from ...errors import InputError
+from .shell_file import ShellContents, read_shells, shell_arrays
 
 #: Voxels that a grid may have, empty ones included: kernels count them in int32.
 MAX_VOXELS = 2**31 - 1
@@ -68,25 +69,6 @@ class OuterContents:
 
 
 @dataclasses.dataclass(frozen=True)
-class ShellContents:
-    """Nested cubes around a field on the host."""
-
-    center: np.ndarray  # (3,) float64 middle and half sides of the box that they surround, world units
-    half: np.ndarray
-    cubes: int
-    side: int  # entries of the table along a side of a cube
-    places: np.ndarray  # (bricks, 4) int32 first entry, cube after cube along x, and size
-    nodes: np.ndarray  # (bricks, 729) bool, nodes that have rows of their own, in the rows' order
-    values: np.ndarray  # (rows, 4) float32 red, green, blue and density per half side of the cube
-    slopes: np.ndarray  # (rows, 3) float32 change of the colours along x, y and z of the direction
-    sky: np.ndarray  # (nodes, 3) float32 colours of a cube at infinity
-
-    def shrunk(self, divisor: float) -> ShellContents:
-        """The nested cubes of a smaller world; divisor: old lengths over new ones."""
-        return dataclasses.replace(self, center=self.center / divisor, half=self.half / divisor)
-
-
-@dataclasses.dataclass(frozen=True)
 class FieldContents:
     """A voxel field on the host, as field files read and write it; None is what the file does not say."""
 
@@ -100,7 +82,7 @@ class FieldContents:
     straightening: np.ndarray | None = None  # (4, 4) motion from the coordinates of the scene's files; None: the same
     supersampling: int | None = None  # rays along each side of a pixel
     layers: LayerContents | None = None
-    outer: OuterContents | None = None
+    outer: OuterContents | ShellContents | None = None
 
     def options(self) -> dict[str, Any]:
         """What is known beside the voxels and layers, by the names of VoxelField's arguments."""
@@ -326,9 +308,6 @@ OUTER_NAMES = tuple(OUTER_PREFIX + name for name in ("center", "half", "side", "
 #: Fewest and most voxels along a side of contracted space.
 MIN_OUTER_SIDE, MAX_OUTER_SIDE = 4, 1290
 
-#: Most nested cubes: the last is 2^11 times as large as the box.
-MAX_SHELLS = 12
-
 #: Bytes that a node, and a voxel that holds values, take while they are read.
 OUTER_NODE_BYTES, OUTER_ROW_BYTES = 10, 40
 
@@ -390,9 +369,9 @@ def read_outer(contents: dict[str, np.ndarray], path: pathlib.Path) -> OuterCont
     return OuterContents(read("center", (3,)), read("half", (3,)), links, values, sky)
 
 
-#: Files with an outer field are of version 4, of luminous rows of version 3, others with background layers of version
-#: 2; the rest stays readable by older releases.
-FORMAT_VERSION, LUMINOUS_VERSION, LAYERS_VERSION = 4, 3, 2
+#: Files with nested cubes are of version 5, with an outer field of version 4, of luminous rows of version 3, with
+#: background layers of version 2; the rest stays readable by older releases.
+FORMAT_VERSION, OUTER_VERSION, LUMINOUS_VERSION, LAYERS_VERSION = 5, 4, 3, 2
 
 #: The arrays of a plain file, without its layers.
 OWN_NAMES = (
@@ -423,15 +402,19 @@ def own_arrays(field: FieldContents) -> dict[str, Any]:
         contents["weights"] = as_half(field.weights[order])
     if field.layers is not None:
         contents |= layer_arrays(field.layers)
-    if field.outer is not None:
+    if isinstance(field.outer, ShellContents):
+        contents |= shell_arrays(field.outer)
+    elif field.outer is not None:
         contents |= outer_arrays(field.outer)
     return contents
 
 
 def _least_version(field: FieldContents) -> int:
     """The oldest version of the format that can hold a field."""
-    if field.outer is not None:
+    if isinstance(field.outer, ShellContents):
         return FORMAT_VERSION
+    if field.outer is not None:
+        return OUTER_VERSION
     if field.sh.ndim == 2:
         return LUMINOUS_VERSION
     return 1 if field.layers is None else LAYERS_VERSION
@@ -497,5 +480,5 @@ def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldConten
         straightening=straightening,
         supersampling=supersampling,
         layers=read_layers(contents, path),
-        outer=read_outer(contents, path),
+        outer=read_outer(contents, path) or read_shells(contents, path),
     )
