@@ -26,6 +26,9 @@ BRICK_NODES = wp.constant(729)
 #: A brick is looked for so far ahead, in entries of the table: rounding may leave a ray on either side of a face.
 AHEAD = wp.constant(1.0e-3)
 
+#: And by at least this share of the distance, so that a ray from far away gets on.
+LEAST_AHEAD = wp.constant(1.0e-6)
+
 
 @wp.struct
 class Shells:
@@ -109,7 +112,7 @@ def brick_part(shells: Shells, part: CubePart, at: float):
     result = BrickPart()
     side = shells.table.shape[1]
     entry = wp.vec3i()
-    ahead = at + AHEAD / wp.length(part.slope)
+    ahead = at + wp.max(AHEAD / wp.length(part.slope), LEAST_AHEAD * at)
     for axis in range(3):
         entry[axis] = wp.clamp(int(wp.floor(part.start[axis] + ahead * part.slope[axis])), 0, side - 1)
     offset = part.cube * side

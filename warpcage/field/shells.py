@@ -10,7 +10,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.arrays import PointsLike, empty_array
-from ..core.checks import checked_vector
+from ..core.checks import checked_vector, require_ordinary_side
 from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..core.names import counted
@@ -82,6 +82,7 @@ class ShellField:
         self.half = checked_vector(half, "the half sides of nested cubes").copy()
         if not (self.half > 0).all():
             raise InputError(f"the half sides of nested cubes must be positive, got {self.half.tolist()}")
+        require_ordinary_side(2.0 * float(self.half.max()), "the box of nested cubes")
         self.layout = layout
         with device_turn(self.device):
             grid: Any = kernels.Shells()

@@ -79,9 +79,7 @@ class ShellOptimizer:
         self.center, self.half = bounds.mean(axis=0), 0.5 * (bounds[1] - bounds[0])
         first = max(1, round(side / CELLS / 2 ** (options.levels - 1)))  # bricks along a side in the first level
         brick = BRICK_NODES * row_bytes(shards) + BRICK_BYTES
-        while (
-            first > 1 and options.shell_count * first**3 * brick > limit
-        ):  # all of them exist until they are looked at
+        while first > 1 and options.shell_count * first**3 * brick > limit:  # all exist until they are looked at
             first -= 1
         centers = np.stack([camera.center for camera in cameras]) - self.center
         layout = self._whole(options.shell_count, first)
