@@ -205,8 +205,8 @@ class FitOptions:
         None,
         8,
         MAX_OUTER_SIDE,
-        "Voxels along each side of the contracted space around the box. None is the field's resolution, at most "
-        "`max_outer_resolution`.",
+        "Voxels along each side of the contracted space around the box; of nested cubes about as many, a multiple of "
+        "8 * 2^(levels - 1). None is the field's resolution, at most `max_outer_resolution`.",
     )
     max_outer_resolution: int = whole(
         512, 8, MAX_OUTER_SIDE, "Most voxels along each side of contracted space where `outer_resolution` is None."
@@ -231,7 +231,7 @@ class FitOptions:
         6, 1, MAX_SHELLS, "Nested cubes around the box, each twice as large as the one within; beyond is the sky."
     )
     shell_divisions: int = whole(
-        0, 0, 16, "How often in the last level bricks of nested cubes are divided into eight, those that earn most."
+        3, 0, 16, "How often in the last level bricks of nested cubes are divided into eight, those that earn most."
     )
     shell_divided: float = number(0.15, 0.0, 1.0, "Share of the bricks that are divided each time.")
     shell_footprint: float = positive(

@@ -24,6 +24,7 @@ from ..kernels.fitting import shells_loss
 from ..kernels.fitting.background_loss import accumulate_layer_variation, apply_layer_rmsprop
 from ..view.camera import Camera, camera_array
 from .batches import PictureRays, ShardedWork, launch_shards, sum_shards
+from .memory import MOST_ITEMS
 from .options import FitOptions
 from .schedule import Rates
 from .surroundings import (
@@ -161,7 +162,8 @@ class ShellOptimizer:
         left = self.limit - held - 8 * ENTRY_BYTES * layout.table.size - whole.sum()
         order = np.argsort(-np.where(wanted, self.earned(), -1.0), kind="stable")
         affordable = np.zeros(len(wanted), bool)
-        affordable[order[np.cumsum((divided - whole)[order]) <= left]] = True
+        bricks = np.cumsum((octants > 0).sum(axis=1)[order]) + np.count_nonzero(octants.any(axis=1))
+        affordable[order[(np.cumsum((divided - whole)[order]) <= left) & (bricks * BRICK_NODES <= MOST_ITEMS)]] = True
         return affordable & wanted
 
     def earned(self) -> np.ndarray:
