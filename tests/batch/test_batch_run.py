@@ -28,7 +28,7 @@ from runs import (
 )
 
 import warpcage
-from warpcage.batch import OutputFolder, pack_shard, read_shard
+from warpcage.batch import OutputFolder, pack_shard, read_shard, unpaid
 from warpcage.cli import main
 
 
@@ -493,3 +493,12 @@ def test_a_folder_of_records_is_a_scene(tmp_path):
     assert run_with(path, out).complete
     assert len(json.loads((out / "transforms.json").read_text())["frames"]) == 6 == len(records(out))
     assert len(warpcage.load_scene(out).images) > 4
+
+
+def test_workers_that_do_not_pay_are_told():
+    """Processes take longer to start than a few small frames take to be made."""
+    assert unpaid(2, 12, 11.9, 1.4) == (
+        "2 workers took 11.9 s to start and 1.4 s for 12 items: fewer workers would have been quicker, they pay for "
+        "longer work"
+    )
+    assert unpaid(2, 12, 1.4, 1.5) is None and unpaid(4, 9, 2.9, 1.0) is None and unpaid(4, 9, 3.1, 1.0) is not None

@@ -12,7 +12,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "manifest": "Manifest Notes OutputFolder Part id_key merge_notes notes_of_chunk write_array",
         "processes": "load_ray LocalHost ray_session RayHost Share",
         "references": "PrefetchedField",
-        "run": "foresee Missing Options planned run_jobs RunProgress RunReport",
+        "run": "foresee Missing Options planned run_jobs RunProgress RunReport unpaid",
         "scheduler": "AIM LARGEST ChunkQueue Dispatcher",
         "sweeps": "GivenSource RandomSource RandomViews write_sweep",
         "webdataset": "finish_folder pack_shard read_shard shard_holds shard_path shard_stage split_key staged_shards",

@@ -19,7 +19,7 @@ from ..core.checks import checked_positive, checked_whole
 from ..core.devices import resolve_device
 from ..core.files import NpyFile, PathLike, require_file
 from ..core.memory import LRUCache
-from ..core.names import error_line
+from ..core.names import counted, error_line
 from ..core.threads import cpu_threads, limit_threads
 from ..errors import InputError
 from .chunk_runner import Chunk, ChunkOrder, Maker, RunnerSettings, leaves_no_room, make_runner, run_name
@@ -129,7 +129,8 @@ def run_jobs(
         part: One of several parts of the job, which runs beside those of the others; a run of the whole job merges what
             they note into the manifest, and writes what is of all items together. None is the whole job.
         progress: Called with how far the run is. None says nothing.
-        warn: Called with a line where a worker dies. None says nothing.
+        warn: Called with a line where a worker dies, and at the end where one worker would have been quicker than
+            several. None says nothing.
         make: What makes the items in place of a worker of ours, so that everything around it can be tested: called in
             each process with the folder of the job file, the output folder and the device. What it returns has
             `submit(item, out)`, a Future of the bytes of the outputs by their paths, and `close()`. Processes import it
@@ -217,7 +218,10 @@ def _run(
             for number in range(max(1, min(count, len(plan.items)))):
                 dispatcher.add_worker(str(number))
 
+            ready: list[float] = []  # seconds until the drive tells for the first time: a worker is ready
+
             def tell() -> None:
+                ready.append(time.monotonic() - begin)
                 progress(
                     dataclasses.replace(
                         state,
@@ -229,7 +233,18 @@ def _run(
                 )
 
             tell()
-            merging.halt = drive(dispatcher, engine, progress=tell, warn=warn)
+            warned: list[str] = []
+
+            def note(line: str) -> None:
+                warned.append(line)
+                warn(line)
+
+            begun = len(ready)
+            merging.halt = drive(dispatcher, engine, progress=tell, warn=note)
+            if count > 1 and options.cluster is None and merging.halt is None and len(ready) > begun and not warned:
+                line = unpaid(count, dispatcher.done, ready[begun], time.monotonic() - begin - ready[begun])
+                if line is not None:
+                    warn(line)
         return _ended(job, folder, plan, dispatcher, begin, merging.halt)
 
 
@@ -257,6 +272,16 @@ class _Orders:
         indices = range(begin, min(begin + self._shard_size, len(self._job)))
         there = (self._job.item(index) for index in indices if index not in self.dispatcher.failures)
         return [{path: part for part, path in item.outputs.items()} for item in there]
+
+
+def unpaid(workers: int, items: int, start: float, work: float) -> str | None:
+    """A line where one worker would have been quicker than several, which took seconds to start, and then to work."""
+    if workers * work >= start + work:  # at the left the most that one takes: it has the cores of all
+        return None
+    return (
+        f"{workers} workers took {start:.1f} s to start and {work:.1f} s for {counted(items, 'item')}: fewer workers "
+        "would have been quicker, they pay for longer work"
+    )
 
 
 def _ended(
