@@ -28,11 +28,8 @@ BRICK_NODES = int(kernels.BRICK_NODES)
 
 
 class BrickLayout:
-    """Which bricks there are, and the rows of their nodes.
-
-    places: (bricks, 4) int32 first entry of the table, cube after cube along x, and size; nodes: (bricks, 729) uint8,
-    0 where a brick has no node of its own.
-    """
+    """Bricks and the rows of their nodes. places: (bricks, 4) first entry of the table, cube after cube along x, and
+    size; nodes: (bricks, 729) uint8, 0 where a brick asks for none."""
 
     def __init__(self, cubes: int, side: int, places: np.ndarray, nodes: wp.array):
         device = nodes.device

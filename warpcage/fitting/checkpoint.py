@@ -201,8 +201,11 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
 def fingerprint(optimizer: Fit) -> str:
     """Hash, in hexadecimal digits, of all that a fit depends on: seed, options and scene."""
     if optimizer not in _fingerprints:  # once, as a fit reads pictures only when it begins
-        given = json.dumps(optimizer.given, sort_keys=True).encode()
-        _fingerprints[optimizer] = hashlib.blake2b(given + scene_digest(optimizer.scene), digest_size=32).hexdigest()
+        given = optimizer.given
+        if given["background"] != "shells":  # checkpoints of versions before these options stay readable
+            given = {name: value for name, value in given.items() if not name.startswith("shell_")}
+        words = json.dumps(given, sort_keys=True).encode()
+        _fingerprints[optimizer] = hashlib.blake2b(words + scene_digest(optimizer.scene), digest_size=32).hexdigest()
     return _fingerprints[optimizer]
 
 
