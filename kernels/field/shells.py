@@ -416,3 +416,62 @@ def link_borrowed(
     if nodes[brick, number] == BORROWED:
         owner = owner_of_node(table, places, brick, number)
         links[brick, number] = links[owner[0], owner[1]]
+
+
+@wp.kernel
+def mark_seen_cells(
+    first: int,
+    half: wp.vec3,
+    side: int,
+    places: wp.array(dtype=wp.vec4i),
+    cameras: wp.array(dtype=PinholeCamera),
+    nearest: float,
+    front: float,
+    least: int,
+    cells: wp.array2d(dtype=wp.uint8),
+):
+    """1 in cells (bricks, 512) that may hold matter, by where cameras stand and look; 0 in others. side: of the table.
+    Otherwise as outer.mark_outer_nodes; a cell is seen where its middle or a corner is."""
+    n = first + wp.tid()
+    brick = n // BRICK_CELLS
+    cell = n % BRICK_CELLS
+    place = places[brick]
+    cube = place[0] // side
+    unit = wp.max(half) * float(1 << cube)
+    entry = 2.0 * unit / float(side)
+    voxel = entry * float(place[3]) / float(BRICK)
+    lower = wp.vec3(float(place[0] - cube * side), float(place[1]), float(place[2]))
+    within = wp.vec3(float(cell // 64), float((cell // 8) % 8), float(cell % 8)) + wp.vec3(0.5, 0.5, 0.5)
+    x = entry * lower + voxel * within - wp.vec3(unit, unit, unit)
+    inner = wp.where(cube == 0, half, wp.vec3(0.5 * unit, 0.5 * unit, 0.5 * unit))
+    kept = int(0)
+    for axis in range(3):
+        if wp.abs(x[axis]) + 0.5 * voxel > inner[axis]:
+            kept = int(1)
+    needed = int(1)
+    seen = int(0)
+    for view in range(cameras.shape[0]):
+        camera = cameras[view]
+        distance = wp.length(x - camera.center)
+        if distance < nearest:
+            kept = int(0)
+        shown = bool(False)
+        for corner in range(9):
+            y = x
+            if corner < 8:
+                y = x + voxel * wp.vec3(
+                    float(corner >> 2) - 0.5, float((corner >> 1) & 1) - 0.5, float(corner & 1) - 0.5
+                )
+            local = wp.transpose(camera.rotation) * (y - camera.center)
+            if local[2] > 0.0:
+                column = camera.focal[0] * local[0] / local[2] + camera.principal_point[0]
+                row = camera.focal[1] * local[1] / local[2] + camera.principal_point[1]
+                if column >= 0.0 and row >= 0.0 and column < float(camera.width) and row < float(camera.height):
+                    shown = True
+        if shown:
+            seen += 1
+            if distance < front * wp.length(camera.center):
+                needed = least
+    if seen < needed:
+        kept = int(0)
+    cells[brick, cell] = wp.uint8(kept)

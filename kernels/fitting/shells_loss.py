@@ -11,7 +11,6 @@ from ..field.background import layer_value, surface_sample
 from ..field.grid import VoxelGrid
 from ..field.outer import FAR_AWAY, OUTER_STOP
 from ..field.shells import (
-    BRICK,
     BRICK_CELLS,
     BRICK_NODES,
     NODES,
@@ -246,6 +245,14 @@ def record_counted_shell_weights(
         record_around_box(shells, inner, cameras[pixel[0]], pixel[2], pixel[1], step, weights)
 
 
+@wp.func
+def cell_node(cell: int, corner: int):
+    """Number of a node of a brick's cell."""
+    i = cell // 64 + (corner >> 2)
+    j = (cell // 8) % 8 + ((corner >> 1) & 1)
+    return (i * NODES + j) * NODES + cell % 8 + (corner & 1)
+
+
 @wp.kernel
 def accumulate_shell_variation(
     first: int,
@@ -264,7 +271,7 @@ def accumulate_shell_variation(
     n = (first_cell + first + wp.tid()) % (BRICK_CELLS * shells.links.shape[0])
     brick = n // BRICK_CELLS
     cell = n % BRICK_CELLS
-    node = ((cell // 64) * NODES + (cell // 8) % 8) * NODES + cell % 8
+    node = cell_node(cell, 0)
     row = shells.links[brick, node]
     if row < 0:
         return
@@ -352,65 +359,6 @@ def apply_shell_rmsprop(
 
 
 @wp.kernel
-def mark_seen_cells(
-    first: int,
-    half: wp.vec3,
-    side: int,
-    places: wp.array(dtype=wp.vec4i),
-    cameras: wp.array(dtype=PinholeCamera),
-    nearest: float,
-    front: float,
-    least: int,
-    cells: wp.array2d(dtype=wp.uint8),
-):
-    """1 in cells (bricks, 512) that may hold matter, by where cameras stand and look; 0 in others. side: of the table.
-    Otherwise as field/outer.mark_outer_nodes; a cell is seen where its middle or a corner is."""
-    n = first + wp.tid()
-    brick = n // BRICK_CELLS
-    cell = n % BRICK_CELLS
-    place = places[brick]
-    cube = place[0] // side
-    unit = wp.max(half) * float(1 << cube)
-    entry = 2.0 * unit / float(side)
-    voxel = entry * float(place[3]) / float(BRICK)
-    lower = wp.vec3(float(place[0] - cube * side), float(place[1]), float(place[2]))
-    within = wp.vec3(float(cell // 64), float((cell // 8) % 8), float(cell % 8)) + wp.vec3(0.5, 0.5, 0.5)
-    x = entry * lower + voxel * within - wp.vec3(unit, unit, unit)
-    inner = wp.where(cube == 0, half, wp.vec3(0.5 * unit, 0.5 * unit, 0.5 * unit))
-    kept = int(0)
-    for axis in range(3):
-        if wp.abs(x[axis]) + 0.5 * voxel > inner[axis]:
-            kept = int(1)
-    needed = int(1)
-    seen = int(0)
-    for view in range(cameras.shape[0]):
-        camera = cameras[view]
-        distance = wp.length(x - camera.center)
-        if distance < nearest:
-            kept = int(0)
-        shown = bool(False)
-        for corner in range(9):
-            y = x
-            if corner < 8:
-                y = x + voxel * wp.vec3(
-                    float(corner >> 2) - 0.5, float((corner >> 1) & 1) - 0.5, float(corner & 1) - 0.5
-                )
-            local = wp.transpose(camera.rotation) * (y - camera.center)
-            if local[2] > 0.0:
-                column = camera.focal[0] * local[0] / local[2] + camera.principal_point[0]
-                row = camera.focal[1] * local[1] / local[2] + camera.principal_point[1]
-                if column >= 0.0 and row >= 0.0 and column < float(camera.width) and row < float(camera.height):
-                    shown = True
-        if shown:
-            seen += 1
-            if distance < front * wp.length(camera.center):
-                needed = least
-    if seen < needed:
-        kept = int(0)
-    cells[brick, cell] = wp.uint8(kept)
-
-
-@wp.kernel
 def mark_weighty_cells(
     first: int,
     links: wp.array2d(dtype=wp.int32),
@@ -424,10 +372,7 @@ def mark_weighty_cells(
     cell = n % BRICK_CELLS
     kept = int(0)
     for corner in range(8):
-        i = cell // 64 + (corner >> 2)
-        j = (cell // 8) % 8 + ((corner >> 1) & 1)
-        k = cell % 8 + (corner & 1)
-        row = links[brick, (i * NODES + j) * NODES + k]
+        row = links[brick, cell_node(cell, corner)]
         if row >= 0:
             if weights[row] >= threshold:
                 kept = int(1)
@@ -466,16 +411,11 @@ def mark_nodes(
     n = first + wp.tid()
     brick = n // BRICK_CELLS
     cell = n % BRICK_CELLS
-    i = cell // 64
-    j = (cell // 8) % 8
-    k = cell % 8
-    c = cell_in_parent(parents[brick][1], wp.vec3(float(i) + 0.5, float(j) + 0.5, float(k) + 0.5))
+    middle = wp.vec3(float(cell // 64) + 0.5, float((cell // 8) % 8) + 0.5, float(cell % 8) + 0.5)
+    c = cell_in_parent(parents[brick][1], middle)
     if cells[parents[brick][0], (int(c[0]) * 8 + int(c[1])) * 8 + int(c[2])] > wp.uint8(0):
         for corner in range(8):
-            a = i + (corner >> 2)
-            b = j + ((corner >> 1) & 1)
-            d = k + (corner & 1)
-            nodes[brick, (a * NODES + b) * NODES + d] = OWNED
+            nodes[brick, cell_node(cell, corner)] = OWNED
 
 
 @wp.kernel

@@ -88,9 +88,7 @@ class ShellOptimizer:
         nearest = NEAREST_SHARE * float(np.linalg.norm(centers, axis=1).min())
         least = max(1, math.ceil(FRONT_SHARE * len(cameras)))
         inputs = [wp.vec3(*self.half), first, layout.places, camera_array(cameras, self.center, device)]
-        launch(
-            shells_loss.mark_seen_cells, cells.size, [*inputs, nearest, FRONT_DISTANCE, least], [cells], device=device
-        )
+        launch(shells.mark_seen_cells, cells.size, [*inputs, nearest, FRONT_DISTANCE, least], [cells], device=device)
         layout, _ = self._divided(layout, cells, np.zeros(layout.places.shape[0], bool))
         start = np.array([*color, START_DEPTH], np.float32)
         values = np.broadcast_to(start, (layout.rows, 4))
