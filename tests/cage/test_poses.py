@@ -70,6 +70,19 @@ def test_taper_scales_across_and_stretch_along():
     assert np.allclose(poses.stretch(rod, 2, limits=(0.25, 0.5))[:, 2], [0, 1, 3, 3, 3, 5])
 
 
+def test_an_axis_from_its_other_end():
+    rod = np.stack([np.zeros(6), np.zeros(6), np.arange(6.0)], axis=1)
+    heap = np.random.default_rng(0).random((40, 3))
+    for pose, amount in ((poses.bend, 40), (poses.twist, 30), (poses.taper, 0.5), (poses.stretch, 2)):
+        against = pose(heap, amount, axis="-z", limits=(0, 0.5))
+        assert np.allclose(against, pose(heap, amount, axis=[0, 0, -1], limits=(0, 0.5)))
+        assert not np.allclose(against, pose(heap, amount, axis="z", limits=(0, 0.5)), atol=0.05)
+    assert np.allclose(poses.bend(rod, 40, axis="-z", center=[0, 0, 5])[5], rod[5])  # what lies at its beginning stays
+    assert np.allclose(poses.rotate(rod, 30, axis="-z"), poses.rotate(rod, -30, axis="z"))
+    with pytest.raises(ValueError, match="axis must be"):
+        poses.twist(rod, 10, axis="-q")
+
+
 def test_scale_translate_rotate():
     box = Cage.box([0, 0, 0], [2, 2, 2])
     assert box.scale(2).bounds.tolist() == [[-1, -1, -1], [3, 3, 3]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +35,11 @@ def signed_axis(name: str) -> tuple[float, int]:
     return 1.0, axis_index(name)
 
 
+def _is_plain(axis: str | ArrayLike) -> TypeGuard[str]:
+    """Whether an axis is named, and not against it ("-x")."""
+    return isinstance(axis, str) and not axis.startswith("-")
+
+
 def frame_along(axis: str | ArrayLike, towards: str | ArrayLike | None = None) -> np.ndarray:
     """Unit vectors x, y and z, one a row (3, 3): z along `axis`, x to what is across it of `towards` (None: any)."""
     w = direction(axis, "axis")
@@ -58,7 +63,7 @@ def bend(
 ) -> np.ndarray:
     """Bend the straight line through the centre along an axis into a circular arc towards another axis.
     `towards` may be "-x", against an axis, or a direction (3,), of which what is across the axis counts."""
-    if not (isinstance(axis, str) and isinstance(towards, str)):
+    if not (_is_plain(axis) and isinstance(towards, str)):
         return _along(bend, vertices, degrees, axis, towards, limits=limits, center=center, bounds=bounds)
     angle, along = np.deg2rad(checked_number(degrees, "degrees")), axis_index(axis)
     sign, across = signed_axis(towards)
@@ -97,7 +102,7 @@ def twist(
 ) -> np.ndarray:
     """Turn each slice across an axis about the line through the centre by t * degrees.
     The angle is anticlockwise seen against the axis."""
-    if not isinstance(axis, str):
+    if not _is_plain(axis):
         return _along(twist, vertices, degrees, axis, limits=limits, center=center, bounds=bounds)
     angle, along = np.deg2rad(checked_number(degrees, "degrees")), axis_index(axis)
     rest, box, middle = _prepared(vertices, bounds, center)
@@ -120,7 +125,7 @@ def taper(
     bounds: ArrayLike | None = None,
 ) -> np.ndarray:
     """Scale each slice across an axis about the line through the centre by 1 + (factor - 1) t."""
-    if not isinstance(axis, str):
+    if not _is_plain(axis):
         return _along(taper, vertices, factor, axis, limits=limits, center=center, bounds=bounds)
     factor, along = checked_positive(factor, "factor"), axis_index(axis)
     rest, box, middle = _prepared(vertices, bounds, center)
@@ -144,7 +149,7 @@ def stretch(
 ) -> np.ndarray:
     """Make what lies between the limits longer: w' = w + (factor - 1) s.
     `keep_volume` scales across the axis by 1 / sqrt(factor), about the line, and needs the limits (0, 1)."""
-    if not isinstance(axis, str):
+    if not _is_plain(axis):
         kept = {"keep_volume": keep_volume, "limits": limits}
         return _along(stretch, vertices, factor, axis, center=center, bounds=bounds, **kept)
     factor, along = checked_positive(factor, "factor"), axis_index(axis)
@@ -186,7 +191,7 @@ def rotate(
 ) -> np.ndarray:
     """Turn by `degrees` about the line through the centre along an axis, anticlockwise seen against it."""
     angle = np.deg2rad(checked_number(degrees, "degrees"))
-    k = np.eye(3)[axis_index(axis)] if isinstance(axis, str) else direction(axis, "axis")
+    k = np.eye(3)[axis_index(axis)] if _is_plain(axis) else direction(axis, "axis")
     rest, _, middle = _prepared(vertices, bounds, center)
     y = rest - middle  # Rodrigues' formula
     return middle + np.cos(angle) * y + np.sin(angle) * np.cross(k, y) + (1.0 - np.cos(angle)) * np.outer(y @ k, k)
@@ -310,7 +315,7 @@ class PosableMesh(ClosedMesh):
 
         Args:
             degrees: Angle of the arc.
-            axis: "x", "y" or "z", the axis that is bent; one of the mesh's own, "long", "middle" or "short" (see
+            axis: "x", "y", "z" or "-x", the axis that is bent; one of the mesh's own, "long", "middle" or "short" (see
                 `principal_axes`); or a direction (3,) of any length.
             towards: The direction that it is bent to: another axis, "-x" against it, or a direction (3,), of which what
                 is across the axis counts.
@@ -339,7 +344,7 @@ class PosableMesh(ClosedMesh):
 
         Args:
             degrees: Angle at the upper limit, anticlockwise seen against the axis.
-            axis: "x", "y", "z", "long", "middle", "short", or a direction (3,).
+            axis: "x", "y", "z", "-x", "long", "middle", "short", or a direction (3,).
             limits: (2,) where the angle begins and ends to grow, as shares of the bounding box along the axis.
             center: (3,) a point on the line that it turns about, world units. None is the middle of the bounding box.
 
@@ -364,7 +369,7 @@ class PosableMesh(ClosedMesh):
 
         Args:
             factor: Factor at the upper limit, positive; it is 1 at the lower.
-            axis: "x", "y", "z", "long", "middle", "short", or a direction (3,).
+            axis: "x", "y", "z", "-x", "long", "middle", "short", or a direction (3,).
             limits: (2,) where the factor begins and ends to change, as shares of the bounding box along the axis.
             center: (3,) a point on the line that it scales about, world units. None is the middle of the bounding box.
 
@@ -390,7 +395,7 @@ class PosableMesh(ClosedMesh):
 
         Args:
             factor: Length afterwards over length before, positive.
-            axis: "x", "y", "z", "long", "middle", "short", or a direction (3,).
+            axis: "x", "y", "z", "-x", "long", "middle", "short", or a direction (3,).
             limits: (2,) what is stretched, as shares of the bounding box along the axis. What is beyond moves along.
             keep_volume: Whether to make it thinner across the axis by the square root of the factor. This needs the
                 limits (0, 1).
@@ -441,7 +446,7 @@ class PosableMesh(ClosedMesh):
 
         Args:
             degrees: Angle, anticlockwise seen against the axis.
-            axis: "x", "y", "z", "long", "middle", "short", or a direction (3,) of any length.
+            axis: "x", "y", "z", "-x", "long", "middle", "short", or a direction (3,) of any length.
             center: (3,) a point on the axis, world units. None is the middle of the bounding box.
 
         Returns:
