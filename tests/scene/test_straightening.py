@@ -165,7 +165,7 @@ def test_presets_take_the_scenes_up(fields, tmp_path, capsys):
     capsys.readouterr()
     for words, said in (
         (["--twist", 50, "--axis", "up"], "needs --up or --object"),
-        (["--twist", 50, "--axis", "1,2"], "x, y, z, up, long, middle, short, or a direction such as 0,0.2,1"),
+        (["--twist", 50, "--axis", "1,2"], "x, y, z, -x, up, long, middle, short, or a direction such as 0,0.2,1"),
         (["--bend", 50, "--axis", "z", "--towards", "0,0,1"], "two different directions"),
     ):
         assert run(fields, "pose", tmp_path / "cage.obj", "-o", tmp_path / "no.obj", *words) == 2
