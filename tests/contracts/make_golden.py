@@ -341,9 +341,9 @@ def make_scenes(folder):
     from scipy.spatial.transform import Rotation
 
     pictures = scene_writers.brick_pictures(3, width=6, height=5)
-    centred = scene_writers.brick_pictures(3, width=6, height=5, centred=True)
-    scene_writers.write_blender(folder / "blender", centred.pick(range(2)))
-    scene_writers.write_blender(folder / "blender", centred.pick([2]), "test")
+    centered = scene_writers.brick_pictures(3, width=6, height=5, centered=True)
+    scene_writers.write_blender(folder / "blender", centered.pick(range(2)))
+    scene_writers.write_blender(folder / "blender", centered.pick([2]), "test")
     scene_writers.write_transforms(folder / "transforms", pictures, shared=False, distortion={"k1": 0.1, "p1": 0.01})
     points = np.random.default_rng(0).uniform(-1, 1, (20, 3))
     scene_writers.write_colmap(
@@ -351,7 +351,7 @@ def make_scenes(folder):
     )
     scene_writers.write_colmap(folder / "colmap", pictures, binary=True, points=points, masks=True)
     scene_writers.write_dtu(folder / "dtu", pictures)
-    scene_writers.write_nsvf(folder / "nsvf", centred, "002")
+    scene_writers.write_nsvf(folder / "nsvf", centered, "002")
     turned = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
     poses = []
     for number, (name, rgba, camera) in enumerate(zip(pictures.names, pictures.rgba, pictures.cameras, strict=True)):
