@@ -87,8 +87,8 @@ def test_work_tells_how_far_it_is(name, things, capfd):
         assert isinstance(words, str) and words and "\n" not in words
 
 
-class Stop(Exception):
-    """An exception of the caller."""
+class Stop(ValueError):
+    """An exception of the caller, of a class that is caught in places."""
 
 
 @pytest.mark.parametrize("how", ["false", "raise"])

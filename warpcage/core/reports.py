@@ -23,6 +23,14 @@ Progress: TypeAlias = Callable[[int, int, str], object]
 _listener: contextvars.ContextVar[Progress | None] = contextvars.ContextVar("listener", default=None)
 
 
+class _Ended(BaseException):
+    """Carries what a listener raised past all that catches errors on the way, up to the call that took it."""
+
+    def __init__(self, error: Exception):
+        super().__init__(error)
+        self.error = error
+
+
 @contextlib.contextmanager
 def heard(progress: bool | Progress | None) -> Iterator[None]:
     """Let a caller hear of the work in a block: True shows bars on stderr, a function is told.
@@ -34,12 +42,17 @@ def heard(progress: bool | Progress | None) -> Iterator[None]:
     if not callable(listener):
         raise InputError(f"progress must be True, False or a function, got {type(progress).__name__}")
     token = _listener.set(listener)
+    error: Exception | None = None
     try:
         yield
+    except _Ended as ended:
+        error = ended.error
     finally:
         _listener.reset(token)
         if isinstance(listener, _Bars):
             listener.close()
+    if error is not None:
+        raise error from error.__cause__
 
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
@@ -70,11 +83,12 @@ def tell(done: int, total: int, words: str) -> None:
         return
     token = _listener.set(None)  # what the caller does meanwhile is not part of the work
     try:
-        goes_on = listener(done, total, words) is not False
+        if listener(done, total, words) is False:
+            raise Cancelled(f"{words.partition(':')[0]} was cancelled, {done}{f' of {total}' if total else ''} done")
+    except Exception as error:
+        raise _Ended(error) from None
     finally:
         _listener.reset(token)
-    if not goes_on:
-        raise Cancelled(f"{words.partition(':')[0]} was cancelled, {done}{f' of {total}' if total else ''} done")
 
 
 def bar(total: int | None, what: str, *, done: int = 0, shown: bool = True, stays: bool = True, **options: Any) -> Any:
