@@ -27,6 +27,7 @@ def things(tmp_path_factory):
         "scene": blob_scene(count=4, size=12, device="cpu"),
         "field": field,
         "splats": splats,
+        "centers": splats.contents.centers,
         "cameras": cameras,
         "images": [splats.render(camera).rgb for camera in cameras],
         "deformer": Deformer(field, BOX, coordinates="mean_value", resolution=12).pose(BOX.bend(20)),
@@ -59,6 +60,10 @@ WORK = {
     "load_scene": lambda t, **options: warpcage.load_scene(t["folder"] / "scene", **options).images.sum(),
     "bake": lambda t, **options: warpcage.bake(t["deformer"], 12, **options).voxel_count,
     "cage of a field": lambda t, **options: Cage.from_field(t["field"], 30, **options).volume,
+    "object": lambda t, **options: warpcage.select_object(t["field"], plane=None, **options).mask.sum(),
+    "object of splats": lambda t, **options: warpcage.select_object(
+        t["splats"], plane=None, point=t["centers"][0], **options
+    ).mask.sum(),
     "harmonic weights": lambda t, **options: warpcage.harmonic_coordinates(
         POINTS, BOX, 12, device="cpu", **options
     ).std(),

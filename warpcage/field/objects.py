@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..core.checks import checked_number, checked_vector, require_type, shown
 from ..core.names import PLANES, require_name
+from ..core.reports import Progress, hears, tell
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from ..view.camera import Camera
@@ -73,10 +74,14 @@ FRINGE_VOXELS, FRINGE_SHARE = 2, 0.02
 #: From so many dense nodes on at a side of the field's box an object may go on beyond it.
 AT_SIDE = 4
 
+#: Steps of choosing an object on one grid, of which is told.
+STEPS = 4
+
 #: What messages call each kind of plane.
 PLANE_WORDS = {"ground": "ground plane", "wall": "wall", "any": "plane"}
 
 
+@hears
 def select_object(
     field: DensityField,
     *,
@@ -95,6 +100,7 @@ def select_object(
     clearance: float | None = None,
     parts: int | None = None,
     floaters: float = 0.0,
+    progress: bool | Progress = False,
 ) -> NodeSelection:
     """An object of a scene without what it stands on: no masks are needed.
 
@@ -131,6 +137,8 @@ def select_object(
             deviations of the heights of the plane's points and one voxel.
         parts: Number of connected parts to keep, the largest. None keeps all.
         floaters: Connected parts with fewer than this share of the largest part's nodes are dropped. 0 keeps all.
+        progress: True shows bars on stderr. A function is told (done, total, words), in steps
+            on each grid, and ends the work by False.
 
     Returns:
         The selection. Its `floor` is where it was cut; its `notes` tell of sides of the field's box that it reaches
@@ -139,6 +147,7 @@ def select_object(
     Raises:
         ValueError: In one line: a click on nothing or on the plane, no such plane, nothing left, or values that make no
             sense.
+        Cancelled: Where `progress` returned False.
     """
     clicks = _clicks(field, point, pixel, camera)
     if clearance is not None:
@@ -155,6 +164,7 @@ def select_object(
     given = {name: value for name, value in all_of.items() if value is not None}
 
     def choose(seen: DensityField) -> NodeSelection:
+        tell(0, STEPS, "object: what is in the region")
         chosen = _object_in(select_nodes(seen, **given), clicks, plane, plane_at, up, clearance)
         if parts is None and floaters == 0.0:
             return chosen
@@ -172,11 +182,13 @@ def _held(values: Any) -> Any:
 def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: float | None) -> NodeSelection:
     """The object in what is visible of a region of a field, by clicks (k, 3) or all of it, above its plane."""
     field = region.field
+    tell(1, STEPS, "object: what is dense")
     matter = _Matter(region)
     if clicks is not None:
         matter.connected(matter.above(None), clicks)
     notes = list(region.notes)
     floor = None
+    tell(2, STEPS, "object: what it stands on")
     if plane is not None:
         base = plane if isinstance(plane, Plane) else _support(field, matter, clicks, plane, plane_at, up)
         above = base.clearance(field.voxel_size) if clearance is None else clearance
@@ -191,6 +203,7 @@ def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: fl
             f"{(base.normal * base.offset).round(4).tolist()}, normal {base.normal.round(3).tolist()}"
             + (f", {100 * base.share:.0f} % of the surface" if len(base.points) else "")
         )
+    tell(3, STEPS, "object: what is connected")
     mask = matter.above(floor)
     if clicks is not None:
         mask = matter.connected(mask, clicks)
@@ -199,6 +212,7 @@ def _object_in(region: NodeSelection, clicks, plane, plane_at, up, clearance: fl
         raise InputError(f"nothing is selected: no matter that is dense enough for a surface is left{where}")
     notes += _cut_off(field, mask)
     mask = matter.with_fringe(mask, floor)
+    tell(STEPS, STEPS, "object: its fringe")
     return NodeSelection(region.field, mask, tuple(notes), floor)
 
 
