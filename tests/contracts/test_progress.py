@@ -22,6 +22,8 @@ def things(tmp_path_factory):
     field, splats = shiny_field("cpu", resolution=12), splats_in_box("cpu", count=60, degree=0)
     cameras = [view(eye=eye, size=12) for eye in ((2.5, 0, 0.5), (0, 2.5, 0.5), (-2.5, 0, 0.5))]
     folder = tmp_path_factory.mktemp("progress")
+    field.save(folder / "saved.npz")
+    splats.save(folder / "saved.ply")
     return {
         "folder": write_files(folder),
         "scene": blob_scene(count=4, size=12, device="cpu"),
@@ -60,6 +62,10 @@ WORK = {
     "load_scene": lambda t, **options: warpcage.load_scene(t["folder"] / "scene", **options).images.sum(),
     "bake": lambda t, **options: warpcage.bake(t["deformer"], 12, **options).voxel_count,
     "cage of a field": lambda t, **options: Cage.from_field(t["field"], 30, **options).volume,
+    "field": lambda t, **options: (
+        warpcage.VoxelField.load(t["folder"] / "saved.npz", device="cpu", **options).voxel_count
+    ),
+    "splats": lambda t, **options: len(warpcage.SplatField.load(t["folder"] / "saved.ply", device="cpu", **options)),
     "object": lambda t, **options: warpcage.select_object(t["field"], plane=None, **options).mask.sum(),
     "object of splats": lambda t, **options: warpcage.select_object(
         t["splats"], plane=None, point=t["centers"][0], **options

@@ -22,6 +22,7 @@ from ..core.checks import (
 )
 from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.locks import device_turn, in_turn
+from ..core.reports import Progress, hears, tell
 from ..errors import InputError, UseError
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..view.camera import Camera, rigid_motion
@@ -415,8 +416,14 @@ class VoxelField:
         save_field(self._contents(), path, format=format)
 
     @classmethod
+    @hears
     def load(
-        cls, path: str | os.PathLike[str], *, scene_scale: float = 1.0, device: wp.DeviceLike = None
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        scene_scale: float = 1.0,
+        device: wp.DeviceLike = None,
+        progress: bool | Progress = False,
     ) -> VoxelField:
         """Read our own .npz or a Plenoxels (svox2) checkpoint.
 
@@ -425,6 +432,7 @@ class VoxelField:
             scene_scale: The factor that the positions of its scene were multiplied by, which bounds are divided by:
                 2/3 for svox2's NeRF-synthetic scenes, so that they fit the cameras of `load_scene`.
             device: Warp device. None is CUDA where there is one.
+            progress: True shows a bar on stderr. A function is told (done, total, words) and ends the work by False.
 
         Returns:
             The field.
@@ -432,12 +440,17 @@ class VoxelField:
         Raises:
             FileNotFoundError: If there is no such file.
             ValueError: For a file of neither format, or whose parts do not fit.
+            Cancelled: Where `progress` returned False.
         """
+        tell(0, 2, "field: its file")
         held = load_field(path, scene_scale=scene_scale)
+        tell(1, 2, "field: its tables")
         try:
-            return cls.from_contents(held, device=device)
+            field = cls.from_contents(held, device=device)
         except ValueError as error:
             raise InputError(f"{path}: {error}") from error
+        tell(2, 2, "field: its tables")
+        return field
 
     @classmethod
     @device_by_name

@@ -18,6 +18,7 @@ from ..core.devices import resolve_device
 from ..core.files import PathLike
 from ..core.locks import in_turn
 from ..core.names import counted
+from ..core.reports import Progress, hears, tell
 from ..errors import InputError, UseError
 from ..field.io import load_field as load_voxels
 from ..field.io.field_file import FieldContents
@@ -114,8 +115,14 @@ class SplatField:
         self._density: SplatDensity | None = None
 
     @classmethod
+    @hears
     def load(
-        cls, path: str | os.PathLike[str], *, activated: bool | None = None, device: wp.DeviceLike = None
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        activated: bool | None = None,
+        device: wp.DeviceLike = None,
+        progress: bool | Progress = False,
     ) -> SplatField:
         """Read splats from a file.
 
@@ -128,18 +135,25 @@ class SplatField:
             activated: Of .ply files: whether they have opacities and scales instead of logits and logarithms. None
                 finds out from their ranges, and says so in a warning where they have.
             device: Warp device. None is CUDA where there is one.
+            progress: True shows a bar on stderr. A function is told (done, total, words) and ends the work by False.
 
         Returns:
             The field.
 
         Raises:
             FileNotFoundError: If there is no such file.
+            Cancelled: Where `progress` returned False.
             ValueError: For a file of another layout, one with more splats whose values are not finite, or one that
                 was never filled: with zeros alone, without scales, or without rotations.
         """
         if activated is not None:
             checked_flag(activated, "activated")
-        return cls.from_contents(read_splats(path, activated=activated), device=device)
+        tell(0, 2, "splats: their file")
+        contents = read_splats(path, activated=activated)
+        tell(1, 2, "splats: their tables")
+        field = cls.from_contents(contents, device=device)
+        tell(2, 2, "splats: their tables")
+        return field
 
     @classmethod
     def from_arrays(
