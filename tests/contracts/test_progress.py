@@ -1,5 +1,7 @@
 """Progress of long work: one protocol, which ends the work too and leaves nothing half-done."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from fields import BOX, shiny_field, view
@@ -125,6 +127,15 @@ def test_work_ends_when_it_is_asked_to(name, how, things):
         assert len(told) == last + 1 and (how == "raise" or isinstance(caught.value, warpcage.Error))
         assert sorted(things["folder"].rglob("*")) == before
     assert WORK[name](things, progress=False) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("answer", "ends"), [(np.bool_(False), True), (np.bool_(True), False), (0, False), ("", False)]
+)
+def test_a_false_of_numpy_ends_work(answer, ends, things):
+    """A zero does not, as functions that write or count return them."""
+    with pytest.raises(Cancelled) if ends else contextlib.nullcontext():
+        WORK["harmonic weights"](things, progress=lambda *values: answer)
 
 
 def test_a_bar_goes_to_stderr(things, capfd):

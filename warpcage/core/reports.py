@@ -81,9 +81,12 @@ def tell(done: int, total: int, words: str) -> None:
     listener = _listener.get()
     if listener is None:
         return
+    import numpy as np  # `warpcage --help` starts without it
+
     token = _listener.set(None)  # what the caller does meanwhile is not part of the work
     try:
-        if listener(done, total, words) is False:
+        answer = listener(done, total, words)
+        if isinstance(answer, bool | np.bool_) and not answer:  # a comparison of NumPy's numbers is no bool
             raise Cancelled(f"{words.partition(':')[0]} was cancelled, {done}{f' of {total}' if total else ''} done")
     except Exception as error:
         raise _Ended(error) from None
