@@ -10,6 +10,7 @@ from fields import BOX, shiny_field
 from messages import MESSAGES
 
 from warpcage import Cage, Deformer, deform_points, green_coordinates, harmonic_coordinates, mean_value_coordinates
+from warpcage.errors import InputError
 
 POSED = BOX.bend(40, axis="x", towards="z")
 COUNT = 12
@@ -251,3 +252,26 @@ def test_cages_of_tensors(device):
     assert np.array_equal(Cage(vertices, faces).vertices, BOX.vertices)
     with pytest.raises(ValueError, match=MESSAGES["arrays.no_gradient"]):
         Cage(vertices.requires_grad_(True), faces)
+
+
+class Unreadable:
+    """An array whose memory is nowhere, as torch's on the device "meta"."""
+
+    def __dlpack__(self, **options):
+        raise BufferError("it has no memory")
+
+    __dlpack_device__ = __dlpack__
+
+
+UNREADABLE = {
+    "points": lambda array: deform_points(array, BOX, POSED),
+    "vertices": lambda array: Cage(array, BOX.faces),
+    "sampled": lambda array: field_on("cpu").sample(array, array),
+}
+
+
+@pytest.mark.parametrize("call", UNREADABLE.values(), ids=UNREADABLE)
+def test_an_array_without_memory_is_told(call):
+    """By the same line everywhere, with what its library says."""
+    with pytest.raises(InputError, match="of type Unreadable could not be read through DLPack: it has no memory"):
+        call(Unreadable())

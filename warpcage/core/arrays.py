@@ -211,15 +211,19 @@ def _foreign_device(points: Any) -> wp.Device | None:
         return points.device
     if not (is_device_array(points) and hasattr(points, "__dlpack_device__")):
         return None
-    kind, index = points.__dlpack_device__()
+    try:
+        kind, index = points.__dlpack_device__()
+    except Exception as error:  # libraries raise of all kinds
+        raise _unreadable(points, "points", error) from error
     return resolve_device("cpu" if int(kind) == DLPACK_CPU else f"cuda:{int(index)}")
 
 
 def as_host_points(points: PointsLike, *, name: str = "points") -> np.ndarray:
     """Points (n, 3) of finite real numbers as NumPy: (n, 3) float64, a copy."""
     require_no_gradient(points, name)
+    host = as_host_array(points, name)
     try:
-        host = np.asarray(as_host_array(points, name))
+        host = np.asarray(host)
         host = host.astype(np.float64, casting="unsafe" if host.dtype == object else "same_kind")
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name} must be (n, 3) real numbers, got {type(points).__name__}") from None
@@ -255,10 +259,14 @@ def _from_foreign(array: Any, name: str) -> wp.array:
             found = wp.array(array, copy=False)
             wp.synchronize_device(found.device)
     except Exception as error:
-        kind = type(array).__name__
-        raise InputError(f"{name} of type {kind} could not be read through DLPack: {error_line(error)}") from error
+        raise _unreadable(array, name, error) from error
     assert isinstance(found, wp.array)
     return found
+
+
+def _unreadable(array: Any, name: str, error: Exception) -> InputError:
+    """The refusal of an array whose library does not hand its memory out."""
+    return InputError(f"{name} of type {type(array).__name__} could not be read through DLPack: {error_line(error)}")
 
 
 def array_view(
