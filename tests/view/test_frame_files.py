@@ -12,6 +12,7 @@ from splat_scenes import splats_in_box
 from warpcage import Deformer, Frame
 from warpcage.field import LayeredBackground
 from warpcage.view import read_exr, read_image
+from warpcage.view.frame import parse_background
 
 CAMERA = view(size=24)
 
@@ -46,6 +47,13 @@ def test_straight_color_times_opacity_is_premultiplied_color():
     np.testing.assert_allclose(frame.rgba, [[[0.4, 0.2, 0, 0.5], [0, 0, 0, 0], [1, 0, 0.5, 1]]], atol=1e-6)
     np.testing.assert_allclose(frame.rgba_premultiplied[0, :, :3], rgb, atol=1e-6)  # as rendered, not clipped
     np.testing.assert_array_equal(frame.mask, [[True, False, True]])
+
+
+def test_a_background_that_is_misspelt_is_told_with_all_names(renderer):
+    with pytest.raises(ValueError, match="'transparant' is not known: white, .*, transparent or 3 numbers"):
+        renderer.render(CAMERA, background="transparant")
+    with pytest.raises(ValueError, match="'transparent' is not known: white, black, grey, gray or 3 numbers"):
+        parse_background("transparent")  # where a colour is asked for
 
 
 def test_a_background_that_cannot_be_taken_away_is_told(device):

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import numbers
 import os
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -417,11 +418,12 @@ def is_transparent(background: Any) -> bool:
 
 def view_background(background: str | ArrayLike) -> np.ndarray:
     """The colour (3,) float32 that a view is composited over: black, which adds no light, for "transparent"."""
-    return parse_background("black" if is_transparent(background) else background)
+    return parse_background("black" if is_transparent(background) else background, (*BACKGROUNDS, TRANSPARENT))
 
 
-def parse_background(background: str | ArrayLike) -> np.ndarray:
-    """The colour (3,) float32 in [0, 1] of a background: the name of one (see BACKGROUNDS), or three numbers."""
+def parse_background(background: str | ArrayLike, names: Iterable[str] = BACKGROUNDS) -> np.ndarray:
+    """The colour (3,) float32 in [0, 1] of a background: the name of one (see BACKGROUNDS), or three numbers.
+    names: those that its refusal tells."""
     if isinstance(background, str):
         if background == "random":
             raise InputError(
@@ -429,9 +431,7 @@ def parse_background(background: str | ArrayLike) -> np.ndarray:
                 "load with a colour and fit with background='random'"
             )
         if background not in BACKGROUNDS:
-            raise InputError(
-                f"background {shown(background)} is not known: {', '.join(BACKGROUNDS)} or 3 numbers in [0, 1]"
-            )
+            raise InputError(f"background {shown(background)} is not known: {', '.join(names)} or 3 numbers in [0, 1]")
         background = BACKGROUNDS[background]
     color = real_array(background, "a background that is no colour name", np.float32)
     if color.shape != (3,) or not np.isfinite(color).all() or color.min() < 0 or color.max() > 1:
