@@ -50,8 +50,8 @@ def test_straight_color_times_opacity_is_premultiplied_color():
 
 
 def test_a_background_that_is_misspelt_is_told_with_all_names(renderer):
-    with pytest.raises(ValueError, match="'transparant' is not known: white, .*, transparent or 3 numbers"):
-        renderer.render(CAMERA, background="transparant")
+    with pytest.raises(ValueError, match="'transparen' is not known: white, .*, transparent or 3 numbers"):
+        renderer.render(CAMERA, background="transparen")
     with pytest.raises(ValueError, match="'transparent' is not known: white, black, grey, gray or 3 numbers"):
         parse_background("transparent")  # where a colour is asked for
 
