@@ -11,6 +11,9 @@ eight_rows = wp.types.vector(length=8, dtype=wp.int32)
 
 eight_weights = wp.types.vector(length=8, dtype=wp.float32)
 
+#: Samples of a ray that float32 tells apart; rays that meet nothing begin beyond them.
+MOST_SAMPLES = wp.constant(8388608.0)
+
 #: C++ of several functions: numbers of eight rows, each in its weight, added up. Both widths are known while compiling.
 BLENDED_ROW = """
     const int width = sh.shape[1];
@@ -203,8 +206,8 @@ def exit_of_cell(offset: wp.vec3, inverse_rate: wp.vec3, reach: int):
 
 @wp.func
 def sample_index_after(t: float, step: float):
-    """Index of the first sample at or beyond distance t."""
-    return int(wp.ceil(t / step - 0.5))
+    """Index of the first sample at or beyond distance t, at most MOST_SAMPLES."""
+    return int(wp.min(wp.ceil(t / step - 0.5), MOST_SAMPLES))
 
 
 @wp.struct

@@ -56,7 +56,7 @@ def strided_pixel(n: int, width: int, height: int, stride: int):
 
 @wp.func
 def box_span(origin: wp.vec3, direction: wp.vec3, lower: wp.vec3, upper: wp.vec3):
-    """Distances (near, far) at which a ray from `origin` is inside a box, near >= 0; near >= far where it misses."""
+    """Distances (near, far) at which a ray from `origin` is inside a box, near >= 0; (0, -1) where it misses."""
     near = float(0.0)
     far = float(1.0e30)
     for axis in range(3):
@@ -67,4 +67,6 @@ def box_span(origin: wp.vec3, direction: wp.vec3, lower: wp.vec3, upper: wp.vec3
             far = wp.min(far, wp.max(a, b))
         elif origin[axis] < lower[axis] or origin[axis] > upper[axis]:
             far = float(-1.0)
+    if near >= far:  # almost along the box's sides both are too large to count steps by
+        return wp.vec2(0.0, -1.0)
     return wp.vec2(near, far)
