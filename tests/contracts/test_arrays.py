@@ -273,5 +273,5 @@ UNREADABLE = {
 @pytest.mark.parametrize("call", UNREADABLE.values(), ids=UNREADABLE)
 def test_an_array_without_memory_is_told(call):
     """By the same line everywhere, with what its library says."""
-    with pytest.raises(InputError, match="of type Unreadable could not be read through DLPack: it has no memory"):
+    with pytest.raises(InputError, match="Unreadable .*: it has no memory"):
         call(Unreadable())

@@ -98,43 +98,40 @@ class FoundBox:
 def find_box(
     cameras: Sequence[Camera], points: np.ndarray | None = None, silhouettes: Hull | None = None, *, room: float = ROOM
 ) -> FoundBox:
-    """The box around what cameras look at, among points (n, 3) or within silhouettes if given; `room` is a factor.
+    """The box around what cameras look at, within silhouettes if given, or else among points (n, 3); `room`: a factor.
     Not around the cameras, unless they look at nothing in common. ValueError where nothing tells its size."""
     # Where: a robust mean of where the axes meet, as cameras that look away, or are near what they show, must not move
     # it. What: points in the middle of most of the pictures that look there; that others hide some only lowers a share.
     looks = find_looks(cameras)
-    matter = [_matter(cameras, look, points) for look in looks]
-    counts = [count for _, count in matter]
-    if silhouettes is not None and not (looks and all(counts)):
+    if silhouettes is not None:  # points may all lie around what they cut out
         return FoundBox(silhouettes.bound(_carved_cube(cameras)), looks, OUTLINED)
     if not looks:
         return _place(cameras)
+    matter = [_matter(cameras, look, points) for look in looks]
+    counts = [count for _, count in matter]
     boxes = np.stack([_scaled(_require_size(box), room) for box, _ in matter])
     box = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
     reason = _reason(cameras, looks, counts)
     if len(looks) > 1 and not _is_clear(box, cameras):  # they walk between the places
         box, reason = boxes[0], f"{reason}; the box is around the first"
-    found = FoundBox(_without_cameras(box, cameras), looks, reason)
-    return found if silhouettes is None else _outlined(found, silhouettes)
+    return FoundBox(_without_cameras(box, cameras), looks, reason)
 
 
 def scene_box(scene: Scene, silhouettes: Hull | None = None) -> FoundBox:
     """The box of a scene's object: its bounds, or else what its cameras look at; within the silhouettes if given."""
-    if scene.bounds is None:
+    if scene.bounds is None or (silhouettes is not None and are_found(scene)):
         return find_box(scene.cameras, scene.points, silhouettes)
     found = scene.found
     if found is None or not are_found(scene):
         found = FoundBox(scene.bounds, find_looks(scene.cameras), "as the scene's files give it")
-    return found if silhouettes is None else _outlined(found, silhouettes)
+    if silhouettes is None:
+        return found
+    return FoundBox(silhouettes.bound(found.bounds), found.looks, f"{found.reason}, {OUTLINED}")
 
 
 def are_found(scene: Scene) -> bool:
     """Whether the bounds of a scene were found, not given."""
     return scene.found is not None and scene.bounds is not None and np.array_equal(scene.found.bounds, scene.bounds)
-
-
-def _outlined(found: FoundBox, silhouettes: Hull) -> FoundBox:
-    return FoundBox(silhouettes.bound(found.bounds), found.looks, f"{found.reason}, {OUTLINED}")
 
 
 def find_looks(cameras: Sequence[Camera]) -> tuple[Look, ...]:
