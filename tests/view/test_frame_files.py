@@ -50,7 +50,7 @@ def test_straight_color_times_opacity_is_premultiplied_color():
 
 
 def test_a_background_that_is_misspelt_is_told_with_all_names(renderer):
-    with pytest.raises(ValueError, match="'transparen' is not .*, transparent or 3"):
+    with pytest.raises(ValueError, match="white, .*, transparent or 3"):
         renderer.render(CAMERA, background="transparen")
     with pytest.raises(ValueError, match="'transparent' is not .* gray or 3"):
         parse_background("transparent")  # where a colour is asked for
