@@ -129,7 +129,7 @@ def scene_pictures(folder: pathlib.Path, side: int) -> dict[str, np.ndarray]:
         from warpcage.scene.box import scene_box
         from warpcage.view.overlay import draw_cage
 
-        over = draw_cage(over, camera, Cage.box(*scene_box(scene.cameras, scene.bounds)))
+        over = draw_cage(over, camera, Cage.box(*scene_box(scene).bounds))
         what = "box"
     return {f"{scene.names[0]} of {len(scene)}": picture, what: over}
 
