@@ -142,8 +142,6 @@ def fits(device) -> None:
         (split, {"background_layers": 3, "background_side": 4}),
         (whole, {"background": "outer", "outer_resolution": 16}),
         (counted, {"background": "outer", "outer_resolution": 16}),
-        (whole, {"background": "shells", "outer_resolution": 16, "shell_divisions": 1}),
-        (counted, {"background": "shells", "outer_resolution": 16}),
         (train, {"max_memory": "6MB"}),
         (train, {"refine_cameras": True}),
         (whole, {"refine_cameras": True, "background": "layers", "background_layers": 3, "background_side": 4}),

@@ -8,7 +8,6 @@ import shutil
 
 import numpy as np
 import pytest
-import warp as wp
 
 pytest.importorskip("hypothesis")
 
@@ -19,7 +18,7 @@ from program_writers import write_bundler, write_llff, write_metashape, write_op
 from scene_writers import brick_pictures, write_blender, write_colmap, write_dtu, write_nsvf, write_transforms
 
 from warpcage import Cage, FieldOptimizer, PoseFile, VoxelField, load_scene
-from warpcage.field import BrickLayout, LayeredBackground, OuterField, ShellField
+from warpcage.field import LayeredBackground, OuterField
 from warpcage.fitting import load_progress, save_progress
 from warpcage.view import read_image
 
@@ -259,7 +258,7 @@ ARRAYS = st.sampled_from([
 ])  # fmt: skip
 
 
-@pytest.mark.parametrize("format", ["warpcage", "svox2", "layers", "outer", "shells"])
+@pytest.mark.parametrize("format", ["warpcage", "svox2", "layers", "outer"])
 def test_field_files(tmp_path_factory, format):
     density = np.zeros((6, 6, 6))
     density[2:4, 2:4, 2:4] = 3.0
@@ -271,12 +270,6 @@ def test_field_files(tmp_path_factory, format):
     if format == "outer":
         links = np.arange(8**3, dtype=np.int32).reshape(8, 8, 8)
         field.background_model = OuterField((0.5,) * 3, (0.5,) * 3, links, np.full((8**3, 4), 0.5))
-    if format == "shells":
-        nodes = wp.ones((2, 729), dtype=wp.uint8, device=field.device)
-        layout = BrickLayout(2, 2, np.array([[0, 0, 0, 2], [3, 1, 0, 1]]), nodes)
-        field.background_model = ShellField(
-            (0.5,) * 3, (0.5,) * 3, layout, np.full((layout.rows, 4), 0.5), np.full((layout.rows, 3), 0.1)
-        )
     path = tmp_path_factory.mktemp("field") / "field.npz"
     field.save(path, format="svox2" if format == "svox2" else "warpcage")
     whole = path.read_bytes()

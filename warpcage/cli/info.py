@@ -18,8 +18,7 @@ from ..core.modules import start_warp
 from ..core.names import counted
 from ..core.threads import cpu_threads
 from ..errors import InputError, MissingFileError
-from ..field.shells import ShellField, Surroundings
-from ..field.surroundings import OuterField
+from ..field.surroundings import LayeredBackground, OuterField
 from ..fitting.silhouettes import Silhouettes
 from ..mesh.io import object_names
 from ..mesh.io.formats import mesh_endings, mesh_formats
@@ -147,14 +146,11 @@ def _turn(straightening: np.ndarray | None) -> str:
     return f"by {np.degrees(np.arccos(cosine)):.1f} degrees"
 
 
-def _around(background: Surroundings | None) -> str:
+def _around(background: LayeredBackground | OuterField | None) -> str:
     if background is None:
         return "nothing"
     if isinstance(background, OuterField):
         return f"{background.voxel_count} voxels in {background.side}^3 of contracted space, to infinity"
-    if isinstance(background, ShellField):
-        cubes = f"{background.layout.cubes} nested cubes of up to {background.side}^3"
-        return f"{background.voxel_count} voxels in {cubes}, and a sky"
     return (
         f"{background.layer_count} layers of 6x{background.side}x{background.side} cells, from "
         f"{background.half:.4g} to infinity around {background.center.round(4).tolist()}"

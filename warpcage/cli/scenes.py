@@ -100,7 +100,7 @@ def run_fit(args: argparse.Namespace) -> None:
     device = shared.chosen_device(args)
 
     names_behind = args.background in FIT_BACKGROUNDS
-    if kind == "splats" and args.background in ("outer", "shells", "layers"):
+    if kind == "splats" and args.background in ("outer", "layers"):
         raise InputError(f"--background {args.background} is for voxels: splats reach as far as the pictures do")
     behind = args.background if names_behind else "auto"
     color = "white" if names_behind or args.background is None else args.background

@@ -48,10 +48,9 @@ BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "grey": (0.5,
 #: The word for no background: pictures with opacity.
 TRANSPARENT = "transparent"
 
-#: What may stand behind a field while it is fitted: a new random colour for every ray, an outer field,
-#: nested cubes or background layers that are fitted too, the scene's one colour, or whichever of these the pictures
-#: suggest.
-FIT_BACKGROUNDS = ("auto", "outer", "shells", "layers", "random", "constant")
+#: What may stand behind a field while it is fitted: a new random colour for every ray, an outer field or
+#: background layers that are fitted too, the scene's one colour, or whichever of these the pictures suggest.
+FIT_BACKGROUNDS = ("auto", "outer", "layers", "random", "constant")
 
 #: How the way from a key of a film to the next one goes.
 EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out")

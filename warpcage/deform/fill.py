@@ -9,7 +9,7 @@ import warp as wp
 
 from ..core.checks import require_type
 from ..errors import InputError
-from ..field.shells import Surroundings
+from ..field.surroundings import LayeredBackground, OuterField
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera
 from ..view.frame import Frame
@@ -74,7 +74,7 @@ def fill_unseen(frame: Frame, field: VoxelField, camera: Camera) -> Frame:
     return filled.like(frame)
 
 
-def background_picture(layers: Surroundings, camera: Camera) -> np.ndarray:
+def background_picture(layers: LayeredBackground | OuterField, camera: Camera) -> np.ndarray:
     """(h, w, 3) float32, what a camera sees of the background alone."""
     count, device = camera.width * camera.height, layers.device
     rgb = wp.zeros(count, dtype=wp.vec3, device=device)

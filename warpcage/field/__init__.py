@@ -14,7 +14,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "selection": "some_visible_nodes visible_nodes",
         "sparse": "DensityWatch harmonics_on_device harmonics_on_host spread_along",
         "surface": "extract_mesh surface_density",
-        "shells": "BrickLayout ShellField",
         "surroundings": "LayeredBackground OuterField",
         "tables": "ColumnTable PACKED_WORDS row_table shaded_grid",
     },

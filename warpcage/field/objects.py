@@ -18,7 +18,6 @@ from ..view.camera import Camera
 from .closer import choose_closer, is_splats, region_box
 from .planes import Plane, find_planes, plane_below, plane_through
 from .selection import SEED_VOXELS, NodeSelection, _centers, root_field, select_nodes
-from .shells import ShellField
 from .surface import DensityField, node_grid, surface_density
 from .surroundings import OuterField
 
@@ -288,7 +287,7 @@ class _Matter:
 
 def _cut_off(field: DensityField, mask: np.ndarray) -> list[str]:
     """Notes of the sides of the box at which an object goes on into what is around the field, where there is some."""
-    if not isinstance(getattr(root_field(field), "background_model", None), (OuterField, ShellField)):
+    if not isinstance(getattr(root_field(field), "background_model", None), OuterField):
         return []
     ends = [(sign + name, axis, end) for axis, name in enumerate("xyz") for sign, end in (("-", 0), ("+", -1))]
     sides = [

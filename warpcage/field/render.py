@@ -13,7 +13,7 @@ from ..core.arrays import array_view, empty_array
 from ..core.devices import SpareMemory
 from ..view.camera import Camera, camera_struct, tile_threads
 from ..view.frame import PART_NAMES, Frame, average_frame, finer_camera
-from .shells import Surroundings
+from .surroundings import LayeredBackground, OuterField
 
 #: A march ends where less than this share of the light is left.
 STOP_TRANSMITTANCE = 1e-3
@@ -36,7 +36,7 @@ def render_frame(
     *,
     origin: ArrayLike,
     color: np.ndarray,
-    layers: Surroundings | None,
+    layers: LayeredBackground | OuterField | None,
     supersampling: int,
     device: wp.Device,
     spare: SpareMemory,

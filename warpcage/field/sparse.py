@@ -84,7 +84,7 @@ def measure_skip(links: wp.array) -> wp.array:
     """Chebyshev distance (nx-1, ny-1, nz-1) uint8 of each cell from the nearest cell with a linked node, in cells."""
     distance, spread = (empty_array(tuple(n - 1 for n in links.shape), wp.uint8, links.device) for _ in range(2))
     launch(grid_skip.mark_cells, distance.size, [links], [distance], device=links.device)
-    return spread_distances(distance, spread)
+    return _spread(distance, spread)
 
 
 class MatterSkip:
@@ -136,7 +136,7 @@ class MatterSkip:
             held = (empty_array(math.prod(shape) + PADDING, wp.uint8, device) for _ in range(2))
             distance, spread = (array_view(each, wp.uint8, shape) for each in held)
             launch(grid_skip.mark_matter, distance.size, [self._links, density], [distance], device=device)
-            self._distance = spread_distances(distance, spread)
+            self._distance = _spread(distance, spread)
         return self._distance
 
     def _settle(self) -> None:
@@ -146,9 +146,8 @@ class MatterSkip:
         self._is_compared = False
 
 
-def spread_distances(distance: wp.array, spread: wp.array | None = None) -> wp.array:
-    """Distances from the cells that hold 0, in one of two arrays (nx, ny, nz) uint8; both are used."""
-    spread = empty_array(distance.shape, wp.uint8, distance.device) if spread is None else spread
+def _spread(distance: wp.array, spread: wp.array) -> wp.array:
+    """Distances from the cells that hold 0, in one of two arrays; both are used."""
     for axis in range(3):
         spread_along(axis, distance, spread)
         distance, spread = spread, distance

@@ -30,9 +30,7 @@ from ..view.camera_path import RefinedCameras
 from ..view.frame import Frame, checked_supersampling, parse_background, view_background
 from .io import load_field, save_field
 from .io.field_file import BASIS_COUNT, FieldContents
-from .io.shell_file import ShellContents
 from .render import BeginMarch, March, render_frame
-from .shells import ShellField, Surroundings
 from .sparse import checked_resolution, harmonics_on_device, harmonics_on_host, measure_skip, values_on_device
 from .surface import DensityField, extract_mesh, surface_colors
 from .surroundings import LayeredBackground, OuterField
@@ -77,7 +75,7 @@ class VoxelField:
         device: Warp device of the arrays.
         bounds: (2, 3) float64, read-only, world units.
         background: (3,) float32 colour behind everything.
-        background_model: LayeredBackground, OuterField, ShellField or None.
+        background_model: LayeredBackground, OuterField or None.
         up: (3,) float64 unit vector.
         straightening: (4, 4) float64 from the coordinates of the scene's files, or None; its inverse leads back.
         supersampling: Rays along each side of a pixel in renders.
@@ -100,7 +98,7 @@ class VoxelField:
         sh: np.ndarray | wp.array,
         *,
         background: str | ArrayLike = "white",
-        background_model: Surroundings | None = None,
+        background_model: LayeredBackground | OuterField | None = None,
         weights: np.ndarray | wp.array | None = None,
         up: ArrayLike = (0.0, 0.0, 1.0),
         straightening: ArrayLike | None = None,
@@ -338,7 +336,9 @@ class VoxelField:
         )
         return frame.seen_by(camera, None if layers else color, background)
 
-    def chosen_background(self, background: str | ArrayLike | None = None) -> tuple[np.ndarray, Surroundings | None]:
+    def chosen_background(
+        self, background: str | ArrayLike | None = None
+    ) -> tuple[np.ndarray, LayeredBackground | OuterField | None]:
         """What goes behind a view.
 
         Args:
@@ -467,12 +467,8 @@ class VoxelField:
         Raises:
             ValueError: For parts that do not fit.
         """
-        model: Surroundings | None = None
-        if contents.layers is not None:
-            model = LayeredBackground.from_contents(contents.layers, device)
-        if isinstance(contents.outer, ShellContents):
-            model = ShellField.from_contents(contents.outer, device)
-        elif contents.outer is not None:
+        model = None if contents.layers is None else LayeredBackground.from_contents(contents.layers, device)
+        if contents.outer is not None:
             model = OuterField.from_contents(contents.outer, device)
         options = contents.options() | {"background_model": model, "device": device}
         return cls(contents.bounds, contents.links, contents.density, contents.sh, **options)
@@ -492,7 +488,7 @@ class VoxelField:
             straightening=self.straightening,
             supersampling=self.supersampling,
             layers=model.contents() if isinstance(model, LayeredBackground) else None,
-            outer=model.contents() if isinstance(model, (OuterField, ShellField)) else None,
+            outer=model.contents() if isinstance(model, OuterField) else None,
         )
 
     def to(self, device: wp.DeviceLike) -> VoxelField:

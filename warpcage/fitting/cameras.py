@@ -17,14 +17,12 @@ from ..core.files import require_numbers
 from ..core.locks import device_turn
 from ..errors import InputError
 from ..field.render import STOP_TRANSMITTANCE
-from ..field.shells import ShellField
 from ..field.surroundings import OuterField
 from ..field.voxel_field import VoxelField
 from ..kernels.fitting import cameras as kernels
 from ..kernels.fitting.background_loss import gather_background
 from ..kernels.fitting.loss import TrainingRays
 from ..kernels.fitting.outer_loss import gather_outer
-from ..kernels.fitting.shells_loss import gather_shells
 from ..kernels.view.rays import PinholeCamera
 from ..scene.scene import Scene
 from ..view.alignment import picture_shifts, picture_similarity
@@ -399,13 +397,11 @@ def tuned_scene(field: VoxelField, scene: Scene) -> Scene:
         batches.take(batches.counted_tiles)
         refinement = CameraRefinement(compared.cameras, field.bounds, device, held=False)
         around = field.background_model if behind is None else None
-        has_front = isinstance(around, (OuterField, ShellField))
+        has_front = isinstance(around, OuterField)
 
         def gather(rays: Any, colors: wp.array, front: wp.array | None) -> None:
             if isinstance(around, OuterField):
                 launch(gather_outer, colors.size, [around.grid, rays], [front, colors], device=device)
-            elif isinstance(around, ShellField):
-                launch(gather_shells, colors.size, [around.grid, rays], [front, colors], device=device)
             elif around is not None:
                 launch(gather_background, colors.size, [around.layers, rays], [colors], device=device)
 

@@ -24,7 +24,6 @@ from .batches import ORDERS, PRECISIONS, Batches
 from .cameras import STATE, CameraRefinement
 from .level import COEFFICIENTS, ROW_NUMBERS, Level
 from .schedule import Schedule
-from .shells import ShellOptimizer
 from .surroundings import BackgroundOptimizer, OuterOptimizer
 
 #: Version 5: rows of luminance and differences of colour. 6: refined cameras.
@@ -38,7 +37,6 @@ NAMES = frozenset(
     (
         *("format", "version", "fingerprint", "state", "resolution", "occupancy", "density", "sh", "tiles", "moments"),
         *("layers_met", "layers_values", "layers_moments"),
-        *("shells_side", "shells_places", "shells_nodes", "shells_values", "shells_moments", "shells_earned"),
         *("outer_sides", "outer_occupancy", "outer_values", "outer_moments", "outer_sky", "outer_sky_moments"),
         *(f"camera_{name}" for name in STATE),
     )
@@ -59,7 +57,7 @@ class Fit(Protocol):
     current: Level
     batches: Batches
     schedule: Schedule
-    background: BackgroundOptimizer | OuterOptimizer | ShellOptimizer | None
+    background: BackgroundOptimizer | OuterOptimizer | None
     refinement: CameraRefinement | None
 
     def restore(self, mask: wp.array, bits: int) -> None: ...
@@ -201,11 +199,8 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
 def fingerprint(optimizer: Fit) -> str:
     """Hash, in hexadecimal digits, of all that a fit depends on: seed, options and scene."""
     if optimizer not in _fingerprints:  # once, as a fit reads pictures only when it begins
-        given = optimizer.given
-        if given["background"] != "shells":  # checkpoints of versions before these options stay readable
-            given = {name: value for name, value in given.items() if not name.startswith("shell_")}
-        words = json.dumps(given, sort_keys=True).encode()
-        _fingerprints[optimizer] = hashlib.blake2b(words + scene_digest(optimizer.scene), digest_size=32).hexdigest()
+        given = json.dumps(optimizer.given, sort_keys=True).encode()
+        _fingerprints[optimizer] = hashlib.blake2b(given + scene_digest(optimizer.scene), digest_size=32).hexdigest()
     return _fingerprints[optimizer]
 
 

@@ -30,7 +30,6 @@ from .level import Level, level_memory
 from .memory import FitMemory, finest, memory_limit, memory_text
 from .options import checked_options, checked_seed
 from .schedule import Schedule, plan_batches, plan_grid
-from .shells import ShellOptimizer
 from .silhouettes import Silhouettes, possible_voxels
 from .surroundings import (
     MEMORY_SHARE,
@@ -111,7 +110,7 @@ class FieldOptimizer:
         layer_side, around_bytes = 0, 0
         if around == "layers":
             layer_side, around_bytes = layers_that_fit(scene, self.options, self.shards, self.memory_limit)
-        elif around is not None:
+        elif around == "outer":
             around_bytes = int(MEMORY_SHARE * self.memory_limit)
         self.memory_limit -= around_bytes
         grid = plan_grid(scene, self.options, box, around is not None)
@@ -134,19 +133,18 @@ class FieldOptimizer:
         self.current = Level(mask, self.bounds, scene.background, self.shards)
         del mask
         self.has_around = around is not None
-        if around in ("outer", "shells"):  # which begins so too, and would explain all if the field did not
+        if around == "outer":  # which begins with this colour too, and would explain all if the field did not
             self.current.paint(mean_color(scene))
         self._activate_tiles()
         batch_tiles, level_steps = plan_batches(self.options, pixels, self.batches.active_tiles)
         self.batches.size(batch_tiles)
         self.schedule = Schedule(self.options, level_steps, grid.scarcity)
-        self.background: BackgroundOptimizer | OuterOptimizer | ShellOptimizer | None = None
-        if around in ("outer", "shells"):
+        self.background: BackgroundOptimizer | OuterOptimizer | None = None
+        if around == "outer":
             side = self.options.outer_resolution
             if side is None:
                 side = min(max(self.planned[-1]), self.options.max_outer_resolution)
-            kind = OuterOptimizer if around == "outer" else ShellOptimizer
-            self.background = kind(
+            self.background = OuterOptimizer(
                 mean_color(scene),
                 self.bounds,
                 scene.cameras,
@@ -279,9 +277,8 @@ class FieldOptimizer:
 
     def memory(self) -> FitMemory:
         """What levels of the fit take, as their owners state it."""
-        own_limit = isinstance(self.background, (OuterOptimizer, ShellOptimizer))
-        fixed = self.batches.held_bytes if own_limit else self._fixed_bytes()
-        return self.current.memory(fixed, self.batches.mark_bytes)
+        fixed = self.batches.held_bytes if isinstance(self.background, OuterOptimizer) else self._fixed_bytes()
+        return self.current.memory(fixed, self.batches.mark_bytes)  # outer fields have a limit of their own
 
     @property
     def coarser(self) -> str | None:
@@ -364,8 +361,6 @@ class FieldOptimizer:
             self._refine()
         if self.schedule.thins_out:
             self._thin_out()
-        if self.schedule.divides and isinstance(self.background, ShellOptimizer):
-            self.background.divide(self.batches.picture_rays, self.field)
         self.batches.advance(self.schedule.rays_per_side)
         self.accumulate_gradients()
         self._apply_gradients()

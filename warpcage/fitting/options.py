@@ -16,7 +16,6 @@ from ..core.names import QUALITIES, Quality
 from ..core.reports import Progress
 from ..errors import InputError
 from ..field.io.field_file import MAX_LAYER_SIDE, MAX_LAYERS, MAX_OUTER_SIDE
-from ..field.io.shell_file import MAX_SHELLS
 from .memory import memory_size
 
 MAX_LEVELS = 6
@@ -176,8 +175,7 @@ class FitOptions:
     background: str = option(
         "auto",
         'What is behind the field. "random": random colours that supervise opacity, for images with alpha. '
-        '"outer": an OuterField around the box, for whole images. "shells": a ShellField, voxels of a place in nested '
-        'cubes around the box, for the same. "layers": a LayeredBackground behind it, for whole '
+        '"outer": an OuterField around the box, for whole images. "layers": a LayeredBackground behind it, for whole '
         'or split images. "constant": the colour of the scene. '
         '"auto": "random" for images with alpha, with layers where masks split them; "outer" for whole images, but '
         '"constant" where their border shows the colour of the scene alone.',
@@ -205,8 +203,8 @@ class FitOptions:
         None,
         8,
         MAX_OUTER_SIDE,
-        "Voxels along each side of the contracted space around the box; of nested cubes about as many, a multiple of "
-        "8 * 2^(levels - 1). None is the field's resolution, at most `max_outer_resolution`.",
+        "Voxels along each side of the contracted space around the box. None is the field's resolution, at most "
+        "`max_outer_resolution`.",
     )
     max_outer_resolution: int = whole(
         512, 8, MAX_OUTER_SIDE, "Most voxels along each side of contracted space where `outer_resolution` is None."
@@ -226,22 +224,6 @@ class FitOptions:
         0.1,
         "Weight of a loss by which the sky of an outer field follows what is seen behind the box, relative to the "
         "photometric one. Views that look where no training view did see the sky.",
-    )
-    shell_count: int = whole(
-        6, 1, MAX_SHELLS, "Nested cubes around the box, each twice as large as the one within; beyond is the sky."
-    )
-    shell_divisions: int = whole(
-        3, 0, 16, "How often in the last level bricks of nested cubes are divided into eight, those that earn most."
-    )
-    shell_divided: float = number(0.15, 0.0, 1.0, "Share of the bricks that are divided each time.")
-    shell_footprint: float = positive(
-        1.0, "Bricks are divided as long as their voxels are wider than so many pixels of the nearest view."
-    )
-    shell_slope_rate: float = number(
-        0.2,
-        0.0,
-        LARGEST_FACTOR,
-        "Learning rate of how the colours of nested cubes change with the direction, relative to `rate_outer`.",
     )
     refine_cameras: bool = option(
         False, "Whether poses, focal lengths and the exposure of each picture are refined with the field."
@@ -383,10 +365,5 @@ class FitNames(FitCall, total=False):
     variation_outer_density: float
     front_opacity: float
     sky_follows: float
-    shell_count: int
-    shell_divisions: int
-    shell_divided: float
-    shell_footprint: float
-    shell_slope_rate: float
     refine_cameras: bool
     max_memory: int | str | None

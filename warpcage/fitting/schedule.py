@@ -160,10 +160,6 @@ LENS_START, EXPOSURE_START = 0.05, 0.15
 DOUBT_START, DOUBT_END = 0.15, 0.3
 
 
-#: Bricks are divided until this share of the last level's steps, as what is new has to be learnt.
-DIVIDED_UNTIL = 0.6
-
-
 @dataclasses.dataclass(frozen=True)
 class CameraRates:
     """Shares of a whole step that cameras take."""
@@ -231,13 +227,6 @@ class Schedule:
         """Whether voxels that no view shows are removed before the next step, late in the last level."""
         left = round((1.0 - self.options.keep_at) * self.level_steps[-1])
         return self.step_count == self.total_steps - left
-
-    @property
-    def divides(self) -> bool:
-        """Whether bricks of nested cubes that earn most are divided before the next step, early in the last level."""
-        count, steps = self.options.shell_divisions, self.level_steps[-1]
-        since = self.step_count - (self.total_steps - steps)
-        return since in [round(DIVIDED_UNTIL * steps * (n + 1) / count) for n in range(count)]
 
     @property
     def rays_per_side(self) -> int:

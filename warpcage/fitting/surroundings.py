@@ -51,8 +51,7 @@ COLOR_STRIDE = 8
 
 
 def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
-    """Whether random colours are behind a field in a fit; and what is fitted beside it: "layers", "outer", "shells" or
-    None."""
+    """Whether random colours are behind a field in a fit; and "layers", "outer" or None, what is fitted beside it."""
     if kind not in FIT_BACKGROUNDS:
         raise InputError(f"background {kind!r} is not known: {', '.join(FIT_BACKGROUNDS)}")
     if kind == "auto":
@@ -64,13 +63,12 @@ def chosen_background(scene: Scene, kind: str) -> tuple[bool, str | None]:
             "the pictures' own background is cut away by their opacity: background layers need whole "
             "pictures (masks=False) or split ones (masks='split')"
         )
-    if kind in ("outer", "shells") and scene.alphas is not None:
-        words = "an outer field needs" if kind == "outer" else "nested cubes need"
-        raise InputError(f"{words} whole pictures: load them with masks=False, or fit background='layers'")
+    if kind == "outer" and scene.alphas is not None:
+        raise InputError("an outer field needs whole pictures: load them with masks=False, or fit background='layers'")
     if kind == "random" and scene.alphas is None:
         raise InputError("the pictures have no opacity: random backgrounds need it, fit with background='layers'")
     is_random = kind == "random" or (kind == "layers" and scene.alphas is not None)
-    return is_random, kind if kind in ("layers", "outer", "shells") else None
+    return is_random, kind if kind in ("layers", "outer") else None
 
 
 def _is_plain(scene: Scene) -> bool:
@@ -533,13 +531,16 @@ class OuterOptimizer:
         )
         if not (np.isfinite(values).all() and np.isfinite(moments).all()) or moments.min(initial=0.0) < 0:
             raise InputError("the outer field holds values that cannot be")
-        sky, sky_moments = checked_sky(contents, level, path)
+        nodes = surface_node_count(min(SKY_SIDE * 2**level, MOST_SKY))
+        sky, sky_moments = (require_numbers(contents, name, (nodes, 4), path) for name in SKY_NAMES)
+        if not (np.isfinite(sky).all() and np.isfinite(sky_moments).all()) or sky_moments.min() < 0:
+            raise InputError("the sky holds values that cannot be")
         self.sides = sides
         self._release()
-        colors = wp.array(sky, dtype=wp.vec4, device=self.device)
+        colors = wp.array(np.ascontiguousarray(sky[None], np.float32), dtype=wp.vec4, device=self.device)
         self.outer = self._started(wp.array(occupied, dtype=wp.uint8, device=self.device), colors)
         self._allocate()
-        self.sky_moments.assign(sky_moments)
+        self.sky_moments.assign(np.ascontiguousarray(sky_moments[None], np.float32))
         self.outer.grid.values.assign(values.astype(np.float32))
         self.moments.assign(moments.astype(np.float32))
 
@@ -554,15 +555,6 @@ class OuterOptimizer:
         self.outer.grid.values.assign(values)
         sky.assign(np.clip(sky.numpy(), 0.0, 1.0))
         return self.outer
-
-
-def checked_sky(contents: dict[str, np.ndarray], level: int, path: pathlib.Path) -> list[np.ndarray]:
-    """(1, nodes, 4) float32 colours and second moments of a level's sky, of a checkpoint's arrays; path: for errors."""
-    nodes = surface_node_count(min(SKY_SIDE * 2**level, MOST_SKY))
-    sky, moments = (require_numbers(contents, name, (nodes, 4), path) for name in SKY_NAMES)
-    if not (np.isfinite(sky).all() and np.isfinite(moments).all()) or moments.min() < 0:
-        raise InputError("the sky holds values that cannot be")
-    return [np.ascontiguousarray(each[None], np.float32) for each in (sky, moments)]
 
 
 def row_bytes(shards: int) -> int:

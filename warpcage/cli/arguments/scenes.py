@@ -78,9 +78,8 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "white, behind pictures with opacity",
         "; or what is behind the object during the fit: random (random colours, for pictures with opacity), outer "
-        "(voxels before and behind the object's box, to infinity), shells (the same in nested cubes), layers (of "
-        "pictures behind it), constant, or auto: random for pictures with opacity, outer for whole ones "
-        "(default: auto)",
+        "(voxels before and behind the object's box, to infinity), layers (of pictures behind it), constant, or auto: "
+        "random for pictures with opacity, outer for whole ones (default: auto)",
     )
     parser.add_argument(
         "--straighten",

@@ -13,11 +13,10 @@ from ...core.files import atomic_path, npz_names, read_npz
 from ...errors import InputError
 from . import field_file
 from .field_file import LAYER_NAMES, OUTER_NAMES, OWN_NAMES, FieldContents, are_finite, own_arrays, read_own, voxel_side
-from .shell_file import SHELL_NAMES
 from .svox2 import SVOX2_KEYS, SVOX2_LAYERS, read_svox2, svox2_arrays
 
 #: The arrays that are read of a file; others may be there.
-KNOWN_NAMES = frozenset((*OWN_NAMES, *field_file.COMPACT_NAMES, *LAYER_NAMES, *OUTER_NAMES, *SHELL_NAMES, *SVOX2_KEYS))
+KNOWN_NAMES = frozenset((*OWN_NAMES, *field_file.COMPACT_NAMES, *LAYER_NAMES, *OUTER_NAMES, *SVOX2_KEYS))
 
 #: Bytes of memory that a byte of these arrays takes: float16 becomes float32, which is turned and handed to a device.
 ROOM = 6

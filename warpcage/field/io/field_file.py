@@ -16,7 +16,6 @@ from ...core.files import require_numbers
 from ...core.memory import free_host_bytes
 from ...core.threads import run_parallel
 from ...errors import InputError
-from .shell_file import ShellContents, read_shells, shell_arrays
 
 #: Voxels that a grid may have, empty ones included: kernels count them in int32.
 MAX_VOXELS = 2**31 - 1
@@ -82,7 +81,7 @@ class FieldContents:
     straightening: np.ndarray | None = None  # (4, 4) motion from the coordinates of the scene's files; None: the same
     supersampling: int | None = None  # rays along each side of a pixel
     layers: LayerContents | None = None
-    outer: OuterContents | ShellContents | None = None
+    outer: OuterContents | None = None
 
     def options(self) -> dict[str, Any]:
         """What is known beside the voxels and layers, by the names of VoxelField's arguments."""
@@ -369,9 +368,9 @@ def read_outer(contents: dict[str, np.ndarray], path: pathlib.Path) -> OuterCont
     return OuterContents(read("center", (3,)), read("half", (3,)), links, values, sky)
 
 
-#: Files with nested cubes are of version 5, with an outer field of version 4, of luminous rows of version 3, with
-#: background layers of version 2; the rest stays readable by older releases.
-FORMAT_VERSION, OUTER_VERSION, LUMINOUS_VERSION, LAYERS_VERSION = 5, 4, 3, 2
+#: Files with an outer field are of version 4, of luminous rows of version 3, others with background layers of version
+#: 2; the rest stays readable by older releases.
+FORMAT_VERSION, LUMINOUS_VERSION, LAYERS_VERSION = 4, 3, 2
 
 #: The arrays of a plain file, without its layers.
 OWN_NAMES = (
@@ -402,19 +401,15 @@ def own_arrays(field: FieldContents) -> dict[str, Any]:
         contents["weights"] = as_half(field.weights[order])
     if field.layers is not None:
         contents |= layer_arrays(field.layers)
-    if isinstance(field.outer, ShellContents):
-        contents |= shell_arrays(field.outer)
-    elif field.outer is not None:
+    if field.outer is not None:
         contents |= outer_arrays(field.outer)
     return contents
 
 
 def _least_version(field: FieldContents) -> int:
     """The oldest version of the format that can hold a field."""
-    if isinstance(field.outer, ShellContents):
-        return FORMAT_VERSION
     if field.outer is not None:
-        return OUTER_VERSION
+        return FORMAT_VERSION
     if field.sh.ndim == 2:
         return LUMINOUS_VERSION
     return 1 if field.layers is None else LAYERS_VERSION
@@ -480,5 +475,5 @@ def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldConten
         straightening=straightening,
         supersampling=supersampling,
         layers=read_layers(contents, path),
-        outer=read_outer(contents, path) or read_shells(contents, path),
+        outer=read_outer(contents, path),
     )
