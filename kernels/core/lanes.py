@@ -130,6 +130,29 @@ def union_of_lanes(bits: wp.int32) -> wp.int32:
 
 
 @wp.func
+def sum_before(value: float, lane: int):
+    """Sum of the values of the lanes before this one. All lanes."""
+    total = float(value)
+    for i in range(5):
+        other = from_lane(total, wp.max(lane - (1 << i), 0))
+        if lane >= (1 << i):
+            total += other
+    return total - value
+
+
+@wp.func
+def product_before(value: float, lane: int):
+    """Product of the values of the lanes before this one. All lanes."""
+    total = float(value)
+    for i in range(5):
+        other = from_lane(total, wp.max(lane - (1 << i), 0))
+        if lane >= (1 << i):
+            total *= other
+    before = from_lane(total, wp.max(lane - 1, 0))
+    return wp.where(lane > 0, before, 1.0)
+
+
+@wp.func
 def largest_of_lanes(value: float):
     """The largest of the lanes' values, in each of them. All lanes."""
     return -least_of_lanes(-value)

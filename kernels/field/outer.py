@@ -10,13 +10,13 @@
 
 import warp as wp
 
+from ..core.lanes import ballot, from_lane, index_from_lane, product_before, sum_of_lanes
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .background import BackgroundLayers, layer_value, surface_sample
 from .grid import eight_rows, eight_weights, exit_distance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 vec6 = wp.types.vector(length=6, dtype=wp.float32)
-six_regions = wp.types.vector(length=6, dtype=wp.int32)
 
 #: A ray ends where this share of the light is left.
 OUTER_STOP = wp.constant(1.0e-3)
@@ -41,12 +41,19 @@ class OuterGrid:
 
 @wp.struct
 class OuterPath:
-    """A ray's way around the box, in the order in which it goes from region to region."""
+    """A ray's way around the box."""
 
-    count: int
-    region: six_regions  # 2 * axis, and 1 more on the upper side
-    begin: vec6  # distances along the ray
-    end: vec6
+    begin: vec6  # distances along the ray between which it is in each region: 2 * axis, and 1 more on the upper side;
+    end: vec6  # not beyond the first where it is not in it
+
+
+@wp.struct
+class OuterTurn:
+    """A part of a path in one region."""
+
+    region: int  # or -1, none
+    begin: float
+    end: float
 
 
 @wp.struct
@@ -68,14 +75,33 @@ class OuterSample:
     value: wp.vec4
 
 
+@wp.struct
+class OuterStep:
+    """What one of the lanes that march a piece together finds of their next samples, one a lane."""
+
+    sample: OuterSample
+    has_matter: int
+    before: float  # light that comes to the sample
+    kept: float  # share of it that passes
+    light: float  # that is left behind the samples of all lanes
+    following: int  # the sample with which the next step begins
+
+
+@wp.func
+def along(v: wp.vec3, axis: int):
+    """v[axis]: an index that is known late would put v into memory."""
+    return wp.where(axis == 0, v[0], wp.where(axis == 1, v[1], v[2]))
+
+
 @wp.func
 def contracted_in(u: wp.vec3, region: int):
     """Contracted place of a point, box units, in or at the border of a region."""
-    axis = region // 2
     sign = 2.0 * float(region % 2) - 1.0
-    largest = sign * u[axis]
+    largest = sign * along(u, region // 2)
     p = u / largest
-    p[axis] = sign * (2.0 - 1.0 / largest)
+    for axis in range(3):
+        if axis == region // 2:
+            p[axis] = sign * (2.0 - 1.0 / largest)
     return p
 
 
@@ -102,15 +128,15 @@ def region_span(o: wp.vec3, d: wp.vec3, region: int, begin: float, end: float):
     near = begin
     far = end
     for side in range(5):
-        a = sign * o[axis]
-        b = sign * d[axis]
+        a = sign * along(o, axis)
+        b = sign * along(d, axis)
         if side == 4:
             a -= 1.0
         else:
             other = (axis + 1 + side // 2) % 3
             turned = 2.0 * float(side % 2) - 1.0
-            a += turned * o[other]
-            b += turned * d[other]
+            a += turned * along(o, other)
+            b += turned * along(d, other)
         if b > 0.0:
             near = wp.max(near, -a / b)
         elif b < 0.0:
@@ -128,30 +154,45 @@ def outer_path(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: flo
     d = wp.cw_div(direction, outer.half)
     for region in range(6):
         span = region_span(o, d, region, begin, end)
-        if span[1] > span[0]:
-            place = path.count
-            while place > 0 and path.begin[wp.max(place - 1, 0)] > span[0]:
-                path.region[place] = path.region[place - 1]
-                path.begin[place] = path.begin[place - 1]
-                path.end[place] = path.end[place - 1]
-                place -= 1
-            path.region[place] = region
-            path.begin[place] = span[0]
-            path.end[place] = span[1]
-            path.count += 1
+        path.begin[region] = span[0]
+        path.end[region] = span[1]
     return path
 
 
 @wp.func
-def outer_piece(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, path: OuterPath, n: int):
-    """The n-th piece of a path."""
+def turn_before_all():
+    """What comes before the first turn of any path."""
+    turn = OuterTurn()
+    turn.region = -1
+    turn.begin = -1.0
+    return turn
+
+
+@wp.func
+def turn_after(path: OuterPath, last: OuterTurn):
+    """The turn that follows in the order in which the ray goes from region to region."""
+    turn = OuterTurn()
+    turn.region = -1
+    for region in range(6):
+        begin = path.begin[region]
+        follows = begin > last.begin or (begin == last.begin and region > last.region)
+        if follows and path.end[region] > begin and (turn.region < 0 or begin < turn.begin):
+            turn.region = region
+            turn.begin = begin
+            turn.end = path.end[region]
+    return turn
+
+
+@wp.func
+def outer_piece(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, turn: OuterTurn):
+    """The piece of a turn."""
     o = wp.cw_div(origin, outer.half)
     d = wp.cw_div(direction, outer.half)
     per_unit = 0.25 * float(outer.links.shape[0])
     corner = wp.vec3(2.0, 2.0, 2.0)
     shift = wp.vec3(0.5, 0.5, 0.5)
-    begin = per_unit * (contracted_in(o + path.begin[n] * d, path.region[n]) + corner) - shift
-    end = per_unit * (contracted_in(o + path.end[n] * d, path.region[n]) + corner) - shift
+    begin = per_unit * (contracted_in(o + turn.begin * d, turn.region) + corner) - shift
+    end = per_unit * (contracted_in(o + turn.end * d, turn.region) + corner) - shift
     length = wp.length(end - begin)
     piece = OuterPiece()
     piece.count = int(wp.ceil(length / OUTER_STEP))
@@ -181,6 +222,35 @@ def sample_after(piece: OuterPiece, k: int, g: wp.vec3, empty: int):
     return wp.max(k + 1, int(wp.min(wp.ceil(float(k) + exit_distance(g, piece.slope, empty)), 1.0e6)))
 
 
+@wp.func_native("""
+    wp::vec_t<4, wp::float32> sum;
+#if defined(__CUDA_ARCH__)
+    const float4* numbers = reinterpret_cast<const float4*>(values.data);
+    float4 read[8];
+    #pragma unroll
+    for (int c = 0; c < 8; ++c)
+        read[c] = rows.c[c] >= 0 ? __ldg(numbers + rows.c[c]) : make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+    #pragma unroll
+    for (int c = 0; c < 8; ++c)
+    {
+        sum.c[0] += weights.c[c] * read[c].x;
+        sum.c[1] += weights.c[c] * read[c].y;
+        sum.c[2] += weights.c[c] * read[c].z;
+        sum.c[3] += weights.c[c] * read[c].w;
+    }
+#else
+    for (int c = 0; c < 8; ++c)
+        if (rows.c[c] >= 0)
+            for (int channel = 0; channel < 4; ++channel)
+                sum.c[channel] += weights.c[c] * values.data[rows.c[c]].c[channel];
+#endif
+    return sum;
+""")
+def blended_rows(values: wp.array(dtype=wp.vec4), rows: eight_rows, weights: eight_weights) -> wp.vec4:
+    """Rows in their weights, added up; -1 is none. On CUDA eight reads of 16 bytes, all under way at once."""
+    ...
+
+
 @wp.func
 def outer_sample(outer: OuterGrid, g: wp.vec3):
     """Rows, weights and value at node coordinates within the grid."""
@@ -193,16 +263,13 @@ def outer_sample(outer: OuterGrid, g: wp.vec3):
         di = c >> 2
         dj = (c >> 1) & 1
         dk = c & 1
-        row = outer.links[i + di, j + dj, k + dk]
-        weight = (
+        result.rows[c] = outer.links[i + di, j + dj, k + dk]
+        result.weights[c] = (
             wp.where(di == 1, f[0], 1.0 - f[0])
             * wp.where(dj == 1, f[1], 1.0 - f[1])
             * wp.where(dk == 1, f[2], 1.0 - f[2])
         )
-        result.rows[c] = row
-        result.weights[c] = weight
-        if row >= 0:
-            result.value += weight * outer.values[row]
+    result.value = blended_rows(outer.values, result.rows, result.weights)
     return result
 
 
@@ -213,26 +280,59 @@ def shown_color(value: wp.vec4):
 
 
 @wp.func
-def march_outer(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: float, end: float):
-    """Colour before what is behind, and the light that is left, of a ray between two distances, outside the box."""
+def outer_step(outer: OuterGrid, piece: OuterPiece, k: int, light: float, lane: int, lanes: int):
+    """The samples from k on of a march to which some light comes. lanes: 1, or all of core/lanes, at one piece."""
+    step = OuterStep()
+    own = k + lane
+    g = outer_place(outer, piece, own)
+    empty = int(1)
+    if own < piece.count:
+        empty = outer_empty(outer, g)
+    step.kept = 1.0
+    step.following = k + lanes
+    after = own + 1
+    if empty > 0:
+        after = sample_after(piece, own, g, empty)
+    else:
+        step.sample = outer_sample(outer, g)
+        if step.sample.value[3] > 0.0:
+            step.has_matter = 1
+            step.kept = wp.exp(-step.sample.value[3] * piece.length)
+    step.before = light
+    if lanes > 1:
+        if ballot(1 - wp.min(empty, 1)) == 0:
+            step.following = index_from_lane(after, lanes - 1)
+        step.before = light * product_before(step.kept, lane)
+        if step.before <= OUTER_STOP:
+            step.has_matter = 0
+        step.light = from_lane(step.before * step.kept, lanes - 1)
+    else:
+        step.following = after
+        step.light = light * step.kept
+    return step
+
+
+@wp.func
+def march_outer(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: float, end: float, lane: int, lanes: int):
+    """Colour before what is behind, and the light that is left, of a ray between two distances, outside the box.
+    lanes: 1, or all of core/lanes, at one ray."""
     color = wp.vec3()
     light = float(1.0)
     path = outer_path(outer, origin, direction, begin, end)
-    for n in range(path.count):
-        piece = outer_piece(outer, origin, direction, path, n)
+    turn = turn_after(path, turn_before_all())
+    while turn.region >= 0:
+        piece = outer_piece(outer, origin, direction, turn)
         k = int(0)
         while k < piece.count and light > OUTER_STOP:
-            g = outer_place(outer, piece, k)
-            empty = outer_empty(outer, g)
-            if empty > 0:
-                k = sample_after(piece, k, g, empty)
-            else:
-                value = outer_sample(outer, g).value
-                if value[3] > 0.0:
-                    kept = wp.exp(-value[3] * piece.length)
-                    color += light * (1.0 - kept) * shown_color(value)
-                    light *= kept
-                k += 1
+            step = outer_step(outer, piece, k, light, lane, lanes)
+            if step.has_matter > 0:
+                color += step.before * (1.0 - step.kept) * shown_color(step.sample.value)
+            light = step.light
+            k = step.following
+        turn = turn_after(path, turn)
+    if lanes > 1:
+        for channel in range(3):
+            color[channel] = sum_of_lanes(color[channel])
     return wp.vec4(color[0], color[1], color[2], light)
 
 
@@ -253,9 +353,9 @@ def sky_color(outer: OuterGrid, direction: wp.vec3):
 
 
 @wp.func
-def outer_color(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: float):
-    """What a ray sees from a distance on, the sky included."""
-    seen = march_outer(outer, origin, direction, begin, FAR_AWAY)
+def outer_color(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: float, lane: int, lanes: int):
+    """What a ray sees from a distance on, the sky included. lanes: as of march_outer."""
+    seen = march_outer(outer, origin, direction, begin, FAR_AWAY, lane, lanes)
     color = wp.vec3(seen[0], seen[1], seen[2])
     if seen[3] > OUTER_STOP:
         color += seen[3] * sky_color(outer, direction)
@@ -272,7 +372,7 @@ def sample_outer(
 ):
     """Colours (n,) along rays from origins (n,) in unit directions (n,), with nothing in the box."""
     n = first + wp.tid()
-    rgb[n] = outer_color(outer, origins[n], directions[n], 0.0)
+    rgb[n] = outer_color(outer, origins[n], directions[n], 0.0, 0, 1)
 
 
 @wp.kernel
@@ -295,7 +395,7 @@ def compose_outer(
         color = wp.vec3()
         left = float(1.0)
         if between < FAR_AWAY:
-            front = march_outer(outer, camera.center, direction, 0.0, between)
+            front = march_outer(outer, camera.center, direction, 0.0, between, 0, 1)
             color = wp.vec3(front[0], front[1], front[2])
             left = front[3]
         else:
@@ -303,7 +403,7 @@ def compose_outer(
         color += left * rgb[n]
         passed = left * (1.0 - alpha[n])
         if passed > OUTER_STOP:
-            color += passed * outer_color(outer, camera.center, direction, between)
+            color += passed * outer_color(outer, camera.center, direction, between, 0, 1)
         rgb[n] = color
         alpha[n] = left * alpha[n]
         light[n] = left

@@ -7,7 +7,7 @@
 
 import warp as wp
 
-from ..core.lanes import ballot, from_lane, lowest_bit, without_lowest_bit
+from ..core.lanes import ballot, from_lane, lowest_bit, sum_before, without_lowest_bit
 from ..core.shared import WARP_NUMBERS, bits_as_float, bits_as_int, four_kept, keep_four, keep_one, one_kept, warp_meets
 from ..field.grid import (
     CellSample,
@@ -43,17 +43,6 @@ HEAD = wp.constant(8)
 SAMPLES = wp.constant(32 * 4 * 5 + 4 * 8)
 SAMPLE = wp.constant(7)  # odd, so that lanes read from different banks
 MOST_SAMPLES = wp.constant((WARP_NUMBERS - 32 * 4 * 5 - 4 * 8) // 7)
-
-
-@wp.func
-def sum_before(value: float, lane: int):
-    """Sum of the values of the lanes before this one."""
-    total = float(value)
-    for i in range(5):
-        other = from_lane(total, wp.max(lane - (1 << i), 0))
-        if lane >= (1 << i):
-            total += other
-    return total - value
 
 
 @wp.func

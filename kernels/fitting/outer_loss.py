@@ -8,6 +8,7 @@
 
 import warp as wp
 
+from ..core.lanes import from_lane, lane_count, sum_before
 from ..field.background import layer_value, surface_sample
 from ..field.grid import (
     VoxelGrid,
@@ -26,13 +27,12 @@ from ..field.outer import (
     front_end,
     march_outer,
     outer_color,
-    outer_empty,
     outer_path,
     outer_piece,
-    outer_place,
-    outer_sample,
-    sample_after,
+    outer_step,
     shown_color,
+    turn_after,
+    turn_before_all,
 )
 from ..view.rays import PinholeCamera, pixel_direction, strided_pixel
 from .loss import TrainingRays, batch_pixel, in_picture
@@ -46,8 +46,11 @@ def gather_outer(
     first: int, outer: OuterGrid, rays: TrainingRays, front: wp.array(dtype=wp.vec4), behind: wp.array(dtype=wp.vec3)
 ):
     """What is before the box, (rays,) colour and the light that passes, and behind it, (rays,) colour with the sky.
-    One item per ray."""
-    n = first + wp.tid()
+    A group of lanes (core/lanes) per ray."""
+    item = first + wp.tid()
+    lanes = lane_count()
+    n = item // lanes
+    lane = item % lanes
     pixel = batch_pixel(rays, n)
     if in_picture(rays, pixel):
         camera = rays.cameras[pixel[0]]
@@ -55,11 +58,31 @@ def gather_outer(
         between = front_end(outer, camera.center, direction)
         seen = wp.vec4(0.0, 0.0, 0.0, 1.0)
         if between > 0.0:
-            seen = march_outer(outer, camera.center, direction, 0.0, between)
-        front[n] = seen
-        behind[n] = wp.vec3()
+            seen = march_outer(outer, camera.center, direction, 0.0, between, lane, lanes)
+        color = wp.vec3()
         if seen[3] > OUTER_STOP:
-            behind[n] = outer_color(outer, camera.center, direction, between)
+            color = outer_color(outer, camera.center, direction, between, lane, lanes)
+        if lane == 0:
+            front[n] = seen
+            behind[n] = color
+
+
+@wp.func_native("""
+    float* numbers = reinterpret_cast<float*>(values.data + row);
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
+    atomicAdd(reinterpret_cast<float4*>(numbers), make_float4(value.c[0], value.c[1], value.c[2], value.c[3]));
+#else
+    for (int channel = 0; channel < 4; ++channel)
+#if defined(__CUDA_ARCH__)
+        atomicAdd(numbers + channel, value.c[channel]);
+#else
+        numbers[channel] += value.c[channel];
+#endif
+#endif
+""")
+def add_to_row(values: wp.array(dtype=wp.vec4), row: wp.int32, value: wp.vec4):
+    """Atomic on CUDA, there in one piece where it can be; plain on a CPU, as wp.atomic_add is."""
+    ...
 
 
 @wp.func
@@ -71,6 +94,8 @@ def add_outer_gradient(
     end: float,
     grad_color: wp.vec3,
     total: float,
+    lane: int,
+    lanes: int,
     grad_values: wp.array(dtype=wp.vec4),
 ):
     """Adjoint of march_outer; returns the light that is left.
@@ -78,30 +103,31 @@ def add_outer_gradient(
     later = float(total)
     light = float(1.0)
     path = outer_path(outer, origin, direction, begin, end)
-    for n in range(path.count):
-        piece = outer_piece(outer, origin, direction, path, n)
+    turn = turn_after(path, turn_before_all())
+    while turn.region >= 0:
+        piece = outer_piece(outer, origin, direction, turn)
         k = int(0)
         while k < piece.count and light > OUTER_STOP:
-            g = outer_place(outer, piece, k)
-            empty = outer_empty(outer, g)
-            if empty > 0:
-                k = sample_after(piece, k, g, empty)
-            else:
-                sample = outer_sample(outer, g)
-                if sample.value[3] > 0.0:
-                    kept = wp.exp(-sample.value[3] * piece.length)
-                    weight = light * (1.0 - kept)
-                    light *= kept
-                    change = wp.dot(shown_color(sample.value), grad_color)
-                    later -= weight * change
-                    gradient = wp.vec4(0.0, 0.0, 0.0, piece.length * (light * change - later))
-                    for channel in range(3):
-                        if sample.value[channel] >= 0.0:
-                            gradient[channel] = weight * grad_color[channel]
-                    for corner in range(8):
-                        if sample.rows[corner] >= 0:
-                            wp.atomic_add(grad_values, sample.rows[corner], sample.weights[corner] * gradient)
-                k += 1
+            step = outer_step(outer, piece, k, light, lane, lanes)
+            weight = step.before * (1.0 - step.kept)
+            change = wp.dot(shown_color(step.sample.value), grad_color)
+            share = float(0.0)
+            if step.has_matter > 0:
+                share = weight * change
+            later_own = later - sum_before(share, lane) - share
+            if step.has_matter > 0:
+                by_density = piece.length * (step.before * step.kept * change - later_own)
+                gradient = wp.vec4(0.0, 0.0, 0.0, by_density)
+                for channel in range(3):
+                    if step.sample.value[channel] >= 0.0:
+                        gradient[channel] = weight * grad_color[channel]
+                for corner in range(8):
+                    if step.sample.rows[corner] >= 0:
+                        add_to_row(grad_values, step.sample.rows[corner], step.sample.weights[corner] * gradient)
+            later = from_lane(later_own, lanes - 1)
+            light = step.light
+            k = step.following
+        turn = turn_after(path, turn)
     return light
 
 
@@ -125,10 +151,13 @@ def accumulate_outer_gradient(
     grad_values: wp.array(dtype=wp.vec4),
     grad_sky: wp.array2d(dtype=wp.vec4),
 ):
-    """Adds the gradient by the values of the grid (rows,) and of the sky (1, nodes). One item per ray. front, behind:
-    (rays,) of gather_outer. What it adds to is shared: on the CPU each thread needs its own."""
+    """Adds the gradient by the values of the grid (rows,) and of the sky (1, nodes). A group of lanes per ray. front,
+    behind: (rays,) of gather_outer. What it adds to is shared: on the CPU each thread needs its own."""
     # Of the loss, of by_front * opacity of the front, and of the loss of the sky alone by by_sky (above).
-    n = first + wp.tid()
+    item = first + wp.tid()
+    lanes = lane_count()
+    n = item // lanes
+    lane = item % lanes
     pixel = batch_pixel(rays, n)
     if not in_picture(rays, pixel):
         return
@@ -140,11 +169,14 @@ def accumulate_outer_gradient(
     if between > 0.0 and seen[3] < 1.0:
         change = grad_front[n] - wp.vec4(0.0, 0.0, 0.0, by_front)
         by_color = wp.vec3(change[0], change[1], change[2])
-        add_outer_gradient(outer, origin, direction, 0.0, between, by_color, wp.dot(seen, change), grad_values)
+        total = wp.dot(seen, change)
+        add_outer_gradient(outer, origin, direction, 0.0, between, by_color, total, lane, lanes, grad_values)
     grad_color = grad_behind[n]
     if seen[3] > OUTER_STOP and wp.length_sq(grad_color) > 0.0:
-        total = wp.dot(behind[n], grad_color)
-        light = add_outer_gradient(outer, origin, direction, between, FAR_AWAY, grad_color, total, grad_values)
+        by_behind = wp.dot(behind[n], grad_color)
+        light = add_outer_gradient(
+            outer, origin, direction, between, FAR_AWAY, grad_color, by_behind, lane, lanes, grad_values
+        )
         place = surface_sample(outer.sky.side, direction)
         value = layer_value(outer.sky, 0, place)
         to_pixel = wp.vec3(grad_front[n][0], grad_front[n][1], grad_front[n][2])
@@ -154,8 +186,9 @@ def accumulate_outer_gradient(
             gradient[channel] = follows * (value[channel] - behind[n][channel])
             if light > OUTER_STOP and value[channel] >= 0.0:
                 gradient[channel] += light * grad_color[channel]
-        for corner in range(4):
-            wp.atomic_add(grad_sky, 0, place.nodes[corner], place.weights[corner] * gradient)
+        if lane == 0:
+            for corner in range(4):
+                wp.atomic_add(grad_sky, 0, place.nodes[corner], place.weights[corner] * gradient)
 
 
 @wp.func
@@ -188,25 +221,22 @@ def record_outer_ray(
     """Largest rendering weights along a ray. Returns the light that is left."""
     light = float(first_light)
     path = outer_path(outer, origin, direction, begin, end)
-    for n in range(path.count):
-        piece = outer_piece(outer, origin, direction, path, n)
+    turn = turn_after(path, turn_before_all())
+    while turn.region >= 0:
+        piece = outer_piece(outer, origin, direction, turn)
         k = int(0)
         while k < piece.count and light > OUTER_STOP:
-            g = outer_place(outer, piece, k)
-            empty = outer_empty(outer, g)
-            if empty > 0:
-                k = sample_after(piece, k, g, empty)
-            else:
-                sample = outer_sample(outer, g)
-                if sample.value[3] > 0.0:
-                    kept = wp.exp(-sample.value[3] * piece.length)
-                    weight = light * (1.0 - kept)
-                    for corner in range(8):
-                        if sample.rows[corner] >= 0:
-                            if weights[sample.rows[corner]] < weight:
-                                wp.atomic_max(weights, sample.rows[corner], weight)
-                    light *= kept
-                k += 1
+            step = outer_step(outer, piece, k, light, 0, 1)
+            if step.has_matter > 0:
+                weight = step.before * (1.0 - step.kept)
+                for corner in range(8):
+                    row = step.sample.rows[corner]
+                    if row >= 0:
+                        if weights[row] < weight:
+                            wp.atomic_max(weights, row, weight)
+            light = step.light
+            k = step.following
+        turn = turn_after(path, turn)
     return light
 
 
@@ -298,8 +328,8 @@ def accumulate_outer_variation(
         if rows[axis] >= 0:
             step = wp.cw_mul(slope, outer.values[rows[axis]] - value)
             total -= step
-            wp.atomic_add(grad_values, rows[axis], step)
-    wp.atomic_add(grad_values, row, total)
+            add_to_row(grad_values, rows[axis], step)
+    add_to_row(grad_values, row, total)
 
 
 @wp.kernel

@@ -10,6 +10,7 @@ from fit_oracles import photometric_gradient, training_rays
 from scenes import room_cameras
 
 import warpcage
+from warpcage.core.devices import lane_count
 from warpcage.field import OuterField
 from warpcage.kernels.field.outer import mark_outer_nodes
 from warpcage.kernels.fitting import outer_loss
@@ -111,7 +112,8 @@ def whole_loss(device, by_sky, sky=None):
     count = 144
     front, grad_front = (wp.zeros(count, dtype=wp.vec4, device=device) for _ in range(2))
     behind, grad_behind = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
-    wp.launch(outer_loss.gather_outer, dim=count, inputs=[0, outer.grid, rays], outputs=[front, behind], device=device)
+    items = lane_count(device) * count
+    wp.launch(outer_loss.gather_outer, dim=items, inputs=[0, outer.grid, rays], outputs=[front, behind], device=device)
     scale = 1 / (3 * count)
     gradients, _ = photometric_gradient(
         field,
@@ -128,7 +130,7 @@ def whole_loss(device, by_sky, sky=None):
     grad_sky = wp.zeros_like(outer.grid.sky.values)
     wp.launch(
         outer_loss.accumulate_outer_gradient,
-        dim=count,
+        dim=items,
         device=device,
         inputs=[0, outer.grid, rays, front, behind, grad_front, grad_behind, BY_FRONT, by_sky],
         outputs=[grad, grad_sky],

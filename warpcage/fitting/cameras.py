@@ -12,7 +12,7 @@ import warp as wp
 
 from ..core.arrays import empty_array
 from ..core.checks import require_type
-from ..core.devices import launch
+from ..core.devices import lane_count, launch
 from ..core.files import require_numbers
 from ..core.locks import device_turn
 from ..errors import InputError
@@ -401,7 +401,8 @@ def tuned_scene(field: VoxelField, scene: Scene) -> Scene:
 
         def gather(rays: Any, colors: wp.array, front: wp.array | None) -> None:
             if isinstance(around, OuterField):
-                launch(gather_outer, colors.size, [around.grid, rays], [front, colors], device=device)
+                items = lane_count(device) * colors.size
+                launch(gather_outer, items, [around.grid, rays], [front, colors], device=device)
             elif around is not None:
                 launch(gather_background, colors.size, [around.layers, rays], [colors], device=device)
 
