@@ -153,7 +153,7 @@ def light_behind(grad_behind: wp.vec3, grad_pixel: wp.vec3):
     return wp.clamp(wp.length(grad_behind) / wp.max(wp.length(grad_pixel), 1.0e-20), 0.0, 1.0)
 
 
-@wp.kernel
+@wp.kernel(launch_bounds=(256, 2))  # at most 128 registers: two blocks at a time
 def accumulate_outer_gradient(
     first: int,
     outer: OuterGrid,
