@@ -321,11 +321,14 @@ def accumulate_outer_variation(
     first_row: int,
     scale_color: float,
     scale_density: float,
+    views: wp.array(dtype=wp.uint8),
+    by_views: wp.array(dtype=wp.vec2),
     grad_values: wp.array(dtype=wp.vec4),
 ):
     """Adds the gradient of scale_colour * TV(colours) + scale_density * TV(densities). One item per row, from first_row
     on. nodes: (rows,) grid indices. Neighbours share rows: on the CPU each thread needs grad_values of its own."""
-    # As in fitting/rmsprop: sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences, zero to nodes without a row.
+    # As in fitting/rmsprop: sqrt(dx^2 + dy^2 + dz^2 + eps) of forward differences, zero to nodes without a row; views,
+    # by_views too.
     row = (first_row + first + wp.tid()) % nodes.shape[0]
     node = nodes[row]
     value = outer.values[row]
@@ -340,6 +343,9 @@ def accumulate_outer_variation(
                 difference = outer.values[rows[axis]] - value
                 squares += wp.cw_mul(difference, difference)
     slope = wp.vec4(scale_color, scale_color, scale_color, scale_density)
+    if views.shape[0] > 0:
+        factors = by_views[int(views[row])]
+        slope = wp.cw_mul(slope, wp.vec4(factors[1], factors[1], factors[1], factors[0]))
     for channel in range(4):
         slope[channel] = slope[channel] / wp.sqrt(squares[channel])
     total = wp.vec4()

@@ -117,6 +117,14 @@ def join_maximum(first: int, other: wp.array(dtype=wp.float32), values: wp.array
 
 
 @wp.kernel
+def count_reached(first: int, weights: wp.array(dtype=wp.float32), least: float, counts: wp.array(dtype=wp.uint8)):
+    """Adds 1, up to 255, where a weight reaches a least one. One item per row."""
+    n = first + wp.tid()
+    if weights[n] >= least and counts[n] < wp.uint8(255):
+        counts[n] = wp.uint8(int(counts[n]) + 1)
+
+
+@wp.kernel
 def gather_moments(
     first: int,
     links: wp.array3d(dtype=wp.int32),
@@ -173,13 +181,16 @@ def accumulate_variation_gradient(
     scale_density: float,
     scale_sh: float,
     scale_high_degree: float,
+    views: wp.array(dtype=wp.uint8),
+    by_views: wp.array(dtype=wp.vec2),
     gradients: wp.array(dtype=wp.float32),
     touched: wp.array(dtype=wp.uint8),
 ):
     """Adds the gradient of a sum of total variations over a run of rows. GRADIENT_ROW items per row, one per number.
     nodes: (rows,) grid indices. Rows are shared with neighbours: on the CPU each thread needs gradients of its own."""
     # scale_density * TV(density / density_unit), scale_sh * TV(sh) of degrees 0 and 1, scale_high_degree * TV(sh) of 2
-    # and 3. Rows from first_row on, then from 0. gradients: (25 rows,) as above. touched: (rows,) set to 1.
+    # and 3. Rows from first_row on, then from 0. gradients: (25 rows,) as above. touched: (rows,) set to 1. by_views:
+    # (256,) factors on the terms of density and of sh by the number of views (rows,) of a row; empty: 1.
     n = first + wp.tid()
     number = n % GRADIENT_ROW
     row = (first_row + n // GRADIENT_ROW) % nodes.shape[0]
@@ -194,6 +205,8 @@ def accumulate_variation_gradient(
         unit = density_unit
         scale = scale_density
         value = grid.density[row]
+    if views.shape[0] > 0:
+        scale *= by_views[int(views[row])][wp.where(number < COEFFICIENTS, 1, 0)]
     rows = wp.vec3i()
     difference = wp.vec3()
     for axis in range(3):

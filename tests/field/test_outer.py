@@ -6,7 +6,7 @@ import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
-from fit_oracles import photometric_gradient, training_rays
+from fit_oracles import counted_views, photometric_gradient, training_rays
 from scenes import room_cameras
 
 import warpcage
@@ -256,13 +256,19 @@ def test_colors_stay_where_files_keep_them(device):
         np.testing.assert_allclose(values.numpy()[0], expected, atol=1e-6)
 
 
-def test_variation_gradient_matches_finite_differences(device):
+@pytest.mark.parametrize("counted", [False, True])
+def test_variation_gradient_matches_finite_differences(device, counted):
     outer, values = oracle.random_outer(device, side=6)
     links = outer.grid.links.numpy()
     nodes = np.empty((len(values), 3), np.int32)
     nodes[links[links >= 0]] = np.argwhere(links >= 0)
     grad = wp.zeros(len(values), dtype=wp.vec4, device=device)
+    views, factors, arrays = counted_views(len(values), device)
+    scales = np.array([0.2, 0.2, 0.2, 0.7]) * (
+        factors[views][:, [1, 1, 1, 0]] if counted else np.ones((len(values), 4))
+    )
     inputs = [0, outer.grid, wp.array(nodes, dtype=wp.vec3i, device=device), 7, 0.2, 0.7]
+    inputs += arrays if counted else [None, None]
     wp.launch(outer_loss.accumulate_outer_variation, dim=len(values), device=device, inputs=inputs, outputs=[grad])
 
     def variation(values):
@@ -273,7 +279,7 @@ def test_variation_gradient_matches_finite_differences(device):
                 other = node + np.eye(3, dtype=int)[axis]
                 if other.max() < 6 and links[tuple(other)] >= 0:
                     squares += (values[links[tuple(other)]] - values[row]) ** 2
-            total += np.array([0.2, 0.2, 0.2, 0.7]) @ np.sqrt(squares)
+            total += scales[row] @ np.sqrt(squares)
         return total
 
     found = grad.numpy()

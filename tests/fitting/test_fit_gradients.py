@@ -4,7 +4,7 @@ import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
-from fit_oracles import gradient_rows, photometric_gradient, training_rays
+from fit_oracles import counted_views, gradient_rows, photometric_gradient, training_rays
 
 import warpcage
 from warpcage.kernels.fitting import background_loss
@@ -138,7 +138,8 @@ def test_random_backgrounds_reward_the_right_alpha(device):
         assert (error.mean() < 1e-5) == right
 
 
-def test_variation_gradient_matches_finite_differences(device):
+@pytest.mark.parametrize("counted", [False, True])
+def test_variation_gradient_matches_finite_differences(device, counted):
     field, density, sh = oracle.random_field(device, resolution=(5, 4, 6), keep=0.6, numbers=(24,))
     links = field.grid.links.numpy()
     nodes = np.argwhere(links >= 0).astype(np.int32)
@@ -146,6 +147,8 @@ def test_variation_gradient_matches_finite_differences(device):
     gradients = wp.zeros(25 * rows, dtype=wp.float32, device=device)
     touched = wp.zeros(rows, dtype=wp.uint8, device=device)
     unit, scale_density, scale_sh, scale_high_degree = 0.7, 0.3, 0.2, 0.9
+    views, factors, arrays = counted_views(rows, device)
+    by_row = factors[views] if counted else np.ones((rows, 2))
     wp.launch(
         field_step.accumulate_variation_gradient,
         dim=25 * rows,
@@ -159,22 +162,23 @@ def test_variation_gradient_matches_finite_differences(device):
             scale_density,
             scale_sh,
             scale_high_degree,
+            *(arrays if counted else (None, None)),
         ],
         outputs=[gradients, touched],
     )
     gradients = gradient_rows(gradients)
     assert touched.numpy().all()
 
-    def variation(values):  # values (nx, ny, nz, c): differences to nodes without a row count as zero
+    def variation(values, kind):  # values (nx, ny, nz, c): differences to nodes without a row count as zero
         total = 0.0
-        for node in nodes:
+        for node, factor in zip(nodes, by_row[:, kind], strict=True):
             squares = 0.0
             for axis in range(3):
                 other = node.copy()
                 other[axis] += 1
                 if other[axis] < links.shape[axis] and links[tuple(other)] >= 0:
                     squares = squares + (values[tuple(other)] - values[tuple(node)]) ** 2
-            total += np.sqrt(squares + 1e-9).sum() if np.ndim(squares) else np.sqrt(1e-9) * values.shape[-1]
+            total += factor * (np.sqrt(squares + 1e-9).sum() if np.ndim(squares) else np.sqrt(1e-9) * values.shape[-1])
         return total
 
     for row in (0, rows // 2, rows - 1):
@@ -191,7 +195,7 @@ def test_variation_gradient_matches_finite_differences(device):
             for sign in (1, -1):
                 changed = values.copy()
                 changed[(*node, index)] += sign * 1e-5
-                difference.append(variation(changed))
+                difference.append(variation(changed, 1 if values is sh else 0))
             np.testing.assert_allclose(gradient, scale * (difference[0] - difference[1]) / 2e-5, rtol=2e-3, atol=1e-4)
 
 

@@ -121,8 +121,8 @@ def measured(allocations, make):
 
 
 @pytest.mark.usefixtures("young_heap")
-@pytest.mark.parametrize("masks", [True, False, "split"])
-def test_owners_declare_what_they_allocate(device, monkeypatch, masks):
+@pytest.mark.parametrize("masks, views", [(True, 0.0), (False, 0.0), ("split", 0.0), (False, 4.0)])
+def test_owners_declare_what_they_allocate(device, monkeypatch, masks, views):
     """Pictures, silhouettes, a level, batches and layers: to the byte, before the first step and at the last level."""
     scene = room_scene(6, 16, masks=masks)
     allocations = Allocations(monkeypatch, device)
@@ -140,6 +140,7 @@ def test_owners_declare_what_they_allocate(device, monkeypatch, masks):
         _, freed = measured(allocations, level.release)
         assert -freed == (25 * 4 * shards + 25 * 2) * mask.sum()
     options = {"resolution": 16, "levels": 2, "epochs": 1.0, "background_layers": 3, "background_side": 4}
+    options |= {"variation_views": views, "variation_outer_views": views}
     optimizer, held = measured(allocations, lambda: FieldOptimizer(scene, device=device, **options))
     assert optimizer.held_bytes == held
     if optimizer.background is not None:

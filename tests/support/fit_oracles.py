@@ -56,6 +56,15 @@ def gradient_rows(gradients):
     return np.concatenate([coefficients, density[:, None]], axis=1)
 
 
+def counted_views(rows, device):
+    """Numbers of views (rows,) of voxels from 0 to 4, and factors on terms of density and of colour by these numbers
+    (256, 2); both and the two arrays that kernels take."""
+    random = np.random.default_rng(2)
+    views, factors = random.integers(0, 5, rows), random.uniform(0.5, 2.0, (256, 2))
+    arrays = [wp.array(views, dtype=wp.uint8, device=device), wp.array(factors, dtype=wp.vec2, device=device)]
+    return views, factors, arrays
+
+
 def photometric_gradient(
     field,
     rays,

@@ -5,7 +5,7 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "batches": "PRECISIONS PictureRays TrainingPictures picture_bytes sum_shards",
+        "batches": "PRECISIONS PictureRays TrainingPictures ViewCounts picture_bytes sum_shards",
         "cameras": "CameraRefinement CameraSums tuned_scene",
         "checkpoint": "NAMES load_progress save_progress scene_digest",
         "evaluation": "error_image ssim",

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import pathlib
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from ..core.devices import launch, module_block_dim
+from ..core.files import require_numbers
 from ..core.locks import device_turn
 from ..core.modules import Kernel, require_loaded
 from ..core.threads import cpu_threads, run_parallel
@@ -19,11 +21,12 @@ from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..kernels.fitting.batches import Pictures, mark_active_tiles
 from ..kernels.fitting.loss import TrainingRays
-from ..kernels.fitting.rmsprop import add_gradients, join_maximum
+from ..kernels.fitting.rmsprop import add_gradients, count_reached, join_maximum
 from ..scene.scene import Scene
 from ..view.camera import camera_array
 from ..view.pictures import to_uint8
 from .memory import require_image_memory
+from .schedule import view_factors
 
 #: Bits per channel that pictures may be kept at, the better first. Files have 8; opacity and averaging need more.
 PRECISIONS = (16, 8)
@@ -343,6 +346,12 @@ class PictureRays:
     height: int
     counted: wp.array | None = None  # (views, h, w) uint8, 0 for pixels that do not count; None counts all
 
+    def of(self, view: int) -> PictureRays:
+        """The pixels of one of the pictures."""
+        only = slice(view, view + 1)
+        counted = None if self.counted is None else self.counted[only]
+        return dataclasses.replace(self, cameras=self.cameras[only], counted=counted)
+
     def record(self, kernels: tuple[Kernel, Kernel], inputs: list, stride: int, rows: int, shards: int) -> wp.array:
         """(rows,) float32, the largest number that any ray gives to each row; rays: of every stride-th row and column.
         kernels: for pictures that count as a whole, and for others, which take `counted` after the inputs."""
@@ -355,6 +364,53 @@ class PictureRays:
         for other in found[1:]:
             launch(join_maximum, rows, [other], [found[0]], device=device)
         return found[0]
+
+
+#: A view shows what has this rendering weight in one of its pixels; and how many views a row's count ends at.
+SHOWN_WEIGHT, MOST_VIEWS = 0.01, 255
+
+
+class ViewCounts:
+    """How many pictures show each row of a grid, and how much more total variation those get that few show."""
+
+    def __init__(self, views: float, device: wp.Device):
+        self.device, self.is_used = device, views > 0  # views: from so many on no more; 0 counts none
+        factors = view_factors(views) if self.is_used else np.zeros((0, 2))
+        self.factors = wp.array(factors, dtype=wp.vec2, device=device)  # on density and colors, by the number of views
+        self.counts = wp.zeros(0, dtype=wp.uint8, device=device)  # (rows,), 255 at most; empty: not counted yet
+
+    @property
+    def held_bytes(self) -> int:
+        """Device memory of the counts and factors."""
+        return self.counts.size + 8 * self.factors.size
+
+    def forget(self) -> None:
+        """Without counts, as the rows change."""
+        self.counts = wp.zeros(0, dtype=wp.uint8, device=self.device)
+
+    def state(self, name: str) -> dict[str, np.ndarray]:
+        """The counts under a name, for a checkpoint; nothing where none are used."""
+        return {name: self.counts.numpy()} if self.is_used else {}
+
+    def restore(self, contents: dict[str, np.ndarray], name: str, rows: int, path: pathlib.Path) -> None:
+        """Take over the counts of so many rows, or that there are none yet, of a checkpoint's arrays."""
+        self.forget()
+        if self.is_used:
+            counts = require_numbers(contents, name, (None,), path)
+            if len(counts) not in (0, rows) or counts.min(initial=0) < 0 or counts.max(initial=0) > MOST_VIEWS:
+                raise InputError(f"{len(counts)} numbers of views for {rows} voxels, or some that cannot be")
+            self.counts = wp.array(counts.astype(np.uint8), dtype=wp.uint8, device=self.device)
+
+    def count(self, pictures: PictureRays, measure: Callable[[PictureRays], wp.array]) -> None:
+        """Count the pictures that show each row, if that is used; measure: largest weights (rows,) that rays give."""
+        if not self.is_used:
+            return
+        self.forget()
+        for view in range(pictures.cameras.shape[0]):
+            weights = measure(pictures.of(view))
+            if view == 0:
+                self.counts = wp.zeros(weights.size, dtype=wp.uint8, device=self.device)
+            launch(count_reached, weights.size, [weights, SHOWN_WEIGHT], [self.counts], device=self.device)
 
 
 def sum_shards(gradients: Sequence[wp.array]) -> wp.array:

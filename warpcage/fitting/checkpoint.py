@@ -33,12 +33,13 @@ KIND, VERSION = "warpcage fit", 6
 EXPONENT_BITS = 0x7F80
 
 #: Options that checkpoints of earlier versions have nothing of, and which change nothing where they are 0.
-LATER_OPTIONS = frozenset({"near_gradient"})
+LATER_OPTIONS = frozenset({"near_gradient", "variation_views", "variation_outer_views"})
 
 #: The arrays of a checkpoint; others in the file are not read.
 NAMES = frozenset(
     (
         *("format", "version", "fingerprint", "state", "resolution", "occupancy", "density", "sh", "tiles", "moments"),
+        *("views", "outer_views"),
         *("layers_met", "layers_values", "layers_moments"),
         *("outer_sides", "outer_occupancy", "outer_values", "outer_moments", "outer_sky", "outer_sky_moments"),
         *(f"camera_{name}" for name in STATE),
@@ -108,6 +109,7 @@ def save_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
         "tiles": batches.rays.tiles.numpy(),
         "moments": moment_bits(optimizer.current.moments).numpy(),
     }
+    contents |= optimizer.current.views.state("views")
     if optimizer.background is not None:
         contents |= optimizer.background.state()
     if optimizer.refinement is not None:
@@ -187,6 +189,7 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
         (moment_bits(optimizer.current.moments), moments, wp.uint16),
     ):
         target.assign(wp.array(values, dtype=dtype, device=optimizer.device))
+    optimizer.current.views.restore(contents, "views", rows, path)
     if optimizer.background is not None:
         optimizer.background.restore(contents, level, path)
     if optimizer.refinement is not None:

@@ -20,7 +20,7 @@ from ..kernels.field.march import record_counted_weights, record_weights
 from ..kernels.fitting import rmsprop
 from ..kernels.fitting.loss import accumulate_photometric_gradient
 from ..kernels.fitting.loss_warps import accumulate_photometric_gradient_by_warps
-from .batches import Batch, PictureRays, ShardedWork, launch_shards, sum_shards
+from .batches import Batch, PictureRays, ShardedWork, ViewCounts, launch_shards, sum_shards
 from .memory import FitMemory
 from .schedule import Rates
 from .silhouettes import dilated
@@ -54,6 +54,9 @@ FIELD_ROW_BYTES = 4 + 4 * COEFFICIENTS + 12
 #: Bytes per row of one shard's gradients, of the second moments, and of the mark of rows that a gradient touched.
 GRADIENT_BYTES, MOMENT_BYTES, MARK_BYTES = 4 * ROW_NUMBERS, 2 * ROW_NUMBERS, 1
 
+#: Bytes per row of the number of views that show it.
+COUNT_BYTES = 1
+
 #: Bytes of the field per node of the box (its row), and per cell (how far a march may skip).
 LINK_BYTES, SKIP_BYTES = 4, 1
 
@@ -74,9 +77,10 @@ class Level:
     """The rows of the level that a fit has reached: their values, gradients and second moments.
     25 numbers of each row: the 24 coefficients of all rows, then their densities."""
 
-    def __init__(self, mask: wp.array, bounds: np.ndarray, background: np.ndarray, shards: int):
+    def __init__(self, mask: wp.array, bounds: np.ndarray, background: np.ndarray, shards: int, views: float = 0.0):
         self.shards = shards  # arrays of gradients, one for each CPU thread
         self.field, self.nodes = _started(mask, bounds, background)  # nodes: (rows,) vec3i, grid indices
+        self.views = ViewCounts(views, self.field.device)  # of the rows
         self.gradients: list[wp.array] = []  # (25 rows,) float32 for each shard; none while pruning
         # touched: (rows,), 1 where there is a gradient; moments: (25 rows,) bfloat16, none while the level changes
         self.touched, self.moments = _marks(0, self.field.device), _moments(0, self.field.device)
@@ -107,11 +111,12 @@ class Level:
     @property
     def held_bytes(self) -> int:
         """Device memory of the level while it is optimised."""
-        return row_bytes(self.shards) * self.field.voxel_count + node_bytes(self.field.resolution)
+        rows = row_bytes(self.shards) * self.field.voxel_count
+        return rows + node_bytes(self.field.resolution) + self.views.held_bytes
 
     def memory(self, fixed: int, tiles: int) -> FitMemory:
         """What this level and others take. See `level_memory`."""
-        return level_memory(self.field.resolution, self.shards, fixed, tiles)
+        return level_memory(self.field.resolution, self.shards, fixed, tiles, counted=self.views.is_used)
 
     # Rows
 
@@ -119,6 +124,7 @@ class Level:
         """Rows for a mask (nx, ny, nz) uint8 with fresh state, whatever was there before."""
         self.release()
         self.field, self.nodes = _started(mask, self.field.bounds, self.field.background)
+        self.views.forget()
         self.allocate()
 
     def paint(self, color: np.ndarray) -> None:
@@ -148,9 +154,21 @@ class Level:
             device=mask.device,
         )
         self.field = fine
+        self.views.forget()
+
+    def count_views(self, picture_rays: PictureRays) -> None:
+        """Count the pictures that show each row, if the total variation follows that."""
+        stride = self._stride(picture_rays)
+        self.views.count(picture_rays, lambda rays: self.measure_weights(rays, stride))
+
+    def _stride(self, picture_rays: PictureRays) -> int:
+        """Every how many pixels there is a ray for each half voxel where the longest side of the box fills the shorter
+        one of a picture."""
+        return max(1, int(0.5 * min(picture_rays.width, picture_rays.height) / max(self.field.resolution)))
 
     def keep(self, mask: wp.array) -> None:
-        """Only the rows of a mask (nx, ny, nz) uint8 over the grid, with their second moments."""
+        """Only the rows of a mask (nx, ny, nz) uint8 over the grid, with their second moments; gradients stay
+        released."""
         links, moments = self.field.grid.links, self.moments
         self.resample(mask)
         self.moments = empty_array(self.field.voxel_count * ROW_NUMBERS, wp.bfloat16, mask.device)
@@ -158,7 +176,6 @@ class Level:
         items = ROW_PARTS * self.field.voxel_count
         launch(rmsprop.gather_moments, items, inputs, _quads(self.moments), device=mask.device)
         del links, moments, inputs
-        self.allocate_gradients()
 
     def finish(self, picture_rays: PictureRays, threshold: float) -> VoxelField:
         """The field of the voxels that matter to pictures, with its rendering weights.
@@ -180,9 +197,7 @@ class Level:
         """(nx, ny, nz) uint8 mask of the voxels with a rendering weight from a threshold on, and their neighbours.
         Of those that have a row."""
         field = self.field
-        # a ray for each half voxel where the longest side of the box fills the shorter one of a picture
-        stride = max(1, int(0.5 * min(picture_rays.width, picture_rays.height) / max(field.resolution)))
-        weights = self.measure_weights(picture_rays, stride)
+        weights = self.measure_weights(picture_rays, self._stride(picture_rays))
         mask = wp.zeros(field.resolution, dtype=wp.uint8, device=field.device)
         inputs = [self.nodes, weights, threshold]
         launch(grid_refine.mark_weighty_nodes, field.voxel_count, inputs, [mask], device=field.device)
@@ -221,6 +236,8 @@ class Level:
                 int(random.integers(field.voxel_count)),
                 1.0 / (0.5 * float((field.bounds[1] - field.bounds[0]).max())),
                 *(weight * boost for weight in weights),
+                self.views.counts,
+                self.views.factors,
             ],
             [[gradients, self.touched] for gradients in self.gradients],
             items=ROW_NUMBERS,
@@ -279,13 +296,14 @@ def node_bytes(shape: tuple[int, ...]) -> int:
     return LINK_BYTES * math.prod(shape) + SKIP_BYTES * math.prod(n - 1 for n in shape)
 
 
-def level_memory(shape: tuple[int, ...], shards: int, fixed: int, tiles: int) -> FitMemory:
+def level_memory(shape: tuple[int, ...], shards: int, fixed: int, tiles: int, *, counted: bool = False) -> FitMemory:
     """What levels of any resolution take; shape (nx, ny, nz) is for the cells per node, shards are arrays of gradients.
-    fixed: bytes of all that does not depend on the grid; tiles: bytes of one number for each tile of the pictures."""
+    fixed: bytes of all that does not depend on the grid; tiles: bytes of one number for each tile of the pictures;
+    counted: whether the views of each row are."""
     return FitMemory(
         fixed=fixed,
         node=node_bytes(shape) / math.prod(shape),
-        row=row_bytes(shards),
+        row=row_bytes(shards) + (COUNT_BYTES if counted else 0),
         field_row=FIELD_ROW_BYTES,
         moment_row=MOMENT_BYTES,
         shards=shards,

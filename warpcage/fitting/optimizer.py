@@ -117,6 +117,7 @@ class FieldOptimizer:
         tile_size = counted_tile_size(scene.weights, self.options.tile_size)
         self.options = dataclasses.replace(self.options, levels=grid.levels, tile_size=tile_size)
         self.bounds, self.shapes, self.variation = grid.bounds, grid.shapes, grid.variation
+        self.counted_variation = grid.counted_variation
         self.planned = list(grid.shapes)
 
         self.batches = Batches(
@@ -131,7 +132,7 @@ class FieldOptimizer:
         self.batches.rays.near = self.options.near_gradient * self.found.distance(scene.cameras)
         mask = self._first_mask(silhouettes)
         del silhouettes  # its tables are as large as the images
-        self.current = Level(mask, self.bounds, scene.background, self.shards)
+        self.current = Level(mask, self.bounds, scene.background, self.shards, self.options.variation_views)
         del mask
         self.has_around = around is not None
         if around == "outer":  # which begins with this colour too, and would explain all if the field did not
@@ -182,7 +183,8 @@ class FieldOptimizer:
                 silhouettes, self.scene.cameras, self.bounds, shape, self.options.view_share, self.device
             )
             rows = mask_count(mask)
-            memory = level_memory(SMALLEST_GRID, self.shards, self.batches.held_bytes, self.batches.mark_bytes)
+            fixed, counted = self.batches.held_bytes, self.options.variation_views > 0
+            memory = level_memory(SMALLEST_GRID, self.shards, fixed, self.batches.mark_bytes, counted=counted)
             shapes = self._finest(
                 memory, lambda held, rows=rows: held.first_shapes(self.shapes, rows, self.memory_limit)
             )
@@ -317,6 +319,7 @@ class FieldOptimizer:
         self.shapes[self.level] = coarse if shape is None else shape
         if shape is not None:
             level.refine(shape, kept)
+        level.count_views(self.batches.picture_rays)
         if self.background is not None:
             self.background.start_level(self.level, self.batches.picture_rays, self.field)
         level.allocate()
@@ -329,11 +332,13 @@ class FieldOptimizer:
         if self.background is not None:
             self.background.thin_out(self.batches.picture_rays, self.field)
         mask = level.weighty_mask(self.batches.picture_rays, self.options.keep_weight)
-        if memory.thinning_bytes(rows, mask_count(mask), self.field.resolution) > self.memory_limit:
-            level.allocate_gradients()
-            return
-        level.keep(mask)
-        self._activate_tiles()
+        fits = memory.thinning_bytes(rows, mask_count(mask), self.field.resolution) <= self.memory_limit
+        if fits:
+            level.keep(mask)
+            level.count_views(self.batches.picture_rays)
+        level.allocate_gradients()
+        if fits:
+            self._activate_tiles()
 
     @in_turn
     def restore(self, mask: wp.array, bits: int) -> None:
@@ -385,7 +390,8 @@ class FieldOptimizer:
             front=front,
             grad_front=grad_front,
         )
-        self.current.accumulate(batch, self.variation, self.options.variation_share, self.random)
+        variation = self.counted_variation if self.current.views.counts.size else self.variation
+        self.current.accumulate(batch, variation, self.options.variation_share, self.random)
         if self.background is not None:
             self.background.accumulate(self.rays, self.random)
 

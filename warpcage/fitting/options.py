@@ -150,6 +150,13 @@ class FitOptions:
         "Factor on both total variations. None follows the scarcity, and is at least 30 "
         "(density) and 15 (SH) with layers behind the field or with opacity from mask files.",
     )
+    variation_views: float = number(
+        0.0,
+        0.0,
+        LARGEST_FACTOR,
+        "From the second level on the total variation of a voxel that fewer than so many pictures show grows by powers "
+        "of how many times fewer they are, 32 at most; `variation` then has no least values. 0 treats voxels alike.",
+    )
     shrink_sh: float = weight(
         0.06,
         "Decay of the coefficients that depend on direction, relative to a step of `rate_sh`, where views are scarce.",
@@ -217,6 +224,9 @@ class FitOptions:
     rate_outer_density_end: float = positive(0.0042, "Last learning rate of the outer field's density.")
     variation_outer: float = weight(0.03, "Weight of the total variation of the outer field's colours.")
     variation_outer_density: float = weight(1e-4, "Weight of the total variation of the outer field's density.")
+    variation_outer_views: float = number(
+        0.0, 0.0, LARGEST_FACTOR, "As `variation_views`, for what is around the box: an outer field, or nested cubes."
+    )
     front_opacity: float = weight(
         0.01, "Weight of the opacity of what an outer field holds between the cameras and the box, mean over the rays."
     )

@@ -58,6 +58,7 @@ class GridPlan:
     shapes: list[tuple[int, ...]]  # (nx, ny, nz) voxels of each level
     scarcity: float  # how few rays see a voxel, see `scarcity`
     variation: tuple[float, float, float]  # of total variation: density, SH coefficients of degree 0 and 1, of 2 and 3
+    counted_variation: tuple[float, float, float]  # the same where it follows the views of each voxel
 
 
 def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool) -> GridPlan:
@@ -85,6 +86,7 @@ def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool)
         shapes=[tuple(int(n) for n in shape // 2 ** (levels - 1 - i)) for i in range(levels)],
         scarcity=scarce,
         variation=_variation(options, scarce, layered or scene.captured),
+        counted_variation=_variation(options, scarce, False),
     )
 
 
@@ -97,6 +99,13 @@ def _variation(options: FitOptions, scarce: float, captured: bool) -> tuple[floa
         factors = max(least[0], scarce**DENSITY_POWER), max(least[1], scarce**SH_POWER)
     sh = options.variation_sh * factors[1]
     return options.variation_density * factors[0], sh, sh * options.variation_high_degree
+
+
+def view_factors(views: float) -> np.ndarray:
+    """(256, 2) factors on the total variations of density and of colors by the number of views that show a voxel.
+    views: the number from which on they are 1."""
+    fewer = np.clip(views / np.maximum(np.arange(256), 1), 1.0, MOST_SCARCE)
+    return np.stack([fewer**DENSITY_POWER, fewer**SH_POWER], axis=1)
 
 
 def plan_batches(options: FitOptions, pixels: int, active_tiles: int) -> tuple[int, list[int]]:

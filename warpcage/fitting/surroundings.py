@@ -25,7 +25,7 @@ from ..kernels.fitting import background_loss, outer_loss
 from ..kernels.fitting.background_loss import accumulate_layer_variation, apply_layer_rmsprop
 from ..scene.scene import Scene
 from ..view.camera import Camera, camera_array
-from .batches import PictureRays, ShardedWork, launch_shards, sum_shards
+from .batches import PictureRays, ShardedWork, ViewCounts, launch_shards, sum_shards
 from .memory import FitMemory
 from .options import FitOptions
 from .schedule import Rates
@@ -317,6 +317,7 @@ class OuterOptimizer:
         self.center, self.half = bounds.mean(axis=0), 0.5 * (bounds[1] - bounds[0])
         self.color = np.asarray(color, np.float32)  # of all voxels at the start, and of the sky
         self.cameras = cameras
+        self.views = ViewCounts(options.variation_outer_views, device)
         unit = 2 ** (options.levels - 1)
         self.sides = [max(1, side // unit) * 2**level for level in range(options.levels)]  # coarser if memory is short
         self.sides = [max(4, each) for each in self.sides]
@@ -377,14 +378,14 @@ class OuterOptimizer:
         rows, side = self.nodes.shape[0], self.outer.side
         grid = row_bytes(self.shards) * rows + 4 * side**3 + (side - 1) ** 3
         sky = VALUE_BYTES * (3 + self.shards) * self.sky_moments.size
-        return grid + sky + 2 * (FRONT_BYTES + COLOR_BYTES) * self.batch_rays
+        return grid + sky + 2 * (FRONT_BYTES + COLOR_BYTES) * self.batch_rays + self.views.held_bytes
 
     def _memory(self) -> FitMemory:
         """What other levels take."""
         return FitMemory(
             fixed=0,
             node=NODE_BYTES,
-            row=row_bytes(self.shards),
+            row=row_bytes(self.shards) + (1 if self.views.is_used else 0),
             field_row=VALUE_BYTES + PLACE_BYTES,
             moment_row=VALUE_BYTES,
             shards=self.shards,
@@ -411,6 +412,7 @@ class OuterOptimizer:
             launch(grid_refine.refine_mask, finer.size, [ratio, kept], [finer], device=self.device)
             kept = finer
         self._resample(coarse, kept, min(2 * coarse.grid.sky.side, MOST_SKY))
+        self.views.count(picture_rays, lambda rays: self._weights(rays, field))
         self._allocate()
 
     def _resample(self, coarse: OuterField, mask: wp.array, sky_side: int) -> None:
@@ -433,20 +435,25 @@ class OuterOptimizer:
         self.moments = empty_array(self.nodes.shape[0], wp.vec4, self.device)
         inputs = [before.grid.links, self.nodes, moments]
         launch(outer_loss.gather_rows, self.nodes.shape[0], inputs, [self.moments], device=self.device)
+        self.views.count(picture_rays, lambda rays: self._weights(rays, field))
         self._allocate_gradients()
 
     def _weighty_mask(self, picture_rays: PictureRays, field: VoxelField, threshold: float) -> wp.array:
         """The voxels whose rendering weight reaches a threshold in some view, and their neighbours."""
         outer, rows = self.outer, self.nodes.shape[0]
-        stride = max(1, int(0.5 * min(picture_rays.width, picture_rays.height) / outer.side))
-        inputs = [outer.grid, field.grid, picture_rays.cameras, stride, field.step]
-        kernels = outer_loss.record_outer_weights, outer_loss.record_counted_outer_weights
-        weights = picture_rays.record(kernels, inputs, stride, rows, self.shards)
+        weights = self._weights(picture_rays, field)
         mask = wp.zeros(outer.grid.links.shape, dtype=wp.uint8, device=self.device)
         launch(grid_refine.mark_weighty_nodes, rows, [self.nodes, weights, threshold], [mask], device=self.device)
         mask = dilated(mask)
         launch(grid_refine.keep_linked, mask.size, [outer.grid.links], [mask], device=self.device)
         return mask
+
+    def _weights(self, picture_rays: PictureRays, field: VoxelField) -> wp.array:
+        """(rows,) float32, the largest rendering weight that pictures give to each voxel."""
+        stride = max(1, int(0.5 * min(picture_rays.width, picture_rays.height) / self.outer.side))
+        inputs = [self.outer.grid, field.grid, picture_rays.cameras, stride, field.step]
+        kernels = outer_loss.record_outer_weights, outer_loss.record_counted_outer_weights
+        return picture_rays.record(kernels, inputs, stride, self.nodes.shape[0], self.shards)
 
     # Steps
 
@@ -477,6 +484,8 @@ class OuterOptimizer:
             int(random.integers(max(1, rows))),
             options.variation_outer * boost,
             options.variation_outer_density * boost,
+            self.views.counts,
+            self.views.factors,
         ]
         nodes = sky.values.size
         weight = SKY_VARIATION * options.variation_outer / nodes
@@ -510,7 +519,7 @@ class OuterOptimizer:
 
     def state(self) -> dict[str, np.ndarray]:
         """Values and second moments, for a checkpoint."""
-        return {
+        return self.views.state("outer_views") | {
             "outer_sides": np.array(self.sides, np.int32),
             "outer_occupancy": np.packbits((self.outer.grid.links.numpy() >= 0).ravel()),
             "outer_values": self.outer.values,
@@ -541,6 +550,7 @@ class OuterOptimizer:
         self._release()
         colors = wp.array(np.ascontiguousarray(sky[None], np.float32), dtype=wp.vec4, device=self.device)
         self.outer = self._started(wp.array(occupied, dtype=wp.uint8, device=self.device), colors)
+        self.views.restore(contents, "outer_views", rows, path)
         self._allocate()
         self.sky_moments.assign(np.ascontiguousarray(sky_moments[None], np.float32))
         self.outer.grid.values.assign(values.astype(np.float32))

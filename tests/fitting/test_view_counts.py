@@ -1,0 +1,81 @@
+"""Total variation by the number of views that show a voxel: counts against single views, fits, checkpoints."""
+
+import numpy as np
+import pytest
+import warp as wp
+from scenes import room_scene
+
+import warpcage
+from warpcage import FieldOptimizer
+from warpcage.fitting import Level, PictureRays, ViewCounts, load_progress, save_progress
+from warpcage.view import camera_array
+
+SMALL = {"resolution": 24, "levels": 2, "epochs": 4, "batch_rays": 1024}
+
+
+def test_counts_are_of_the_views_that_show_a_voxel(device):
+    """As many as views that give it the weight when their pixels alone count; few of what is behind others."""
+    cameras = warpcage.turntable((0, 0, 0), 3.0, 20, 5, fov_degrees=40, width=12, height=10)
+    box = np.array([[-1.0] * 3, [1.0] * 3])
+    level = Level(wp.full((12, 12, 12), 1, dtype=wp.uint8, device=device), box, np.ones(3, np.float32), 1, 4.0)
+    random = np.random.default_rng(0)
+    level.field.grid.density.assign(random.uniform(0.0, 8.0, level.field.voxel_count).astype(np.float32))
+    placed = camera_array(cameras, level.field.center, device)
+    expected = np.zeros(level.field.voxel_count, int)
+    for view in range(5):
+        counted = np.zeros((5, 10, 12), np.uint8)
+        counted[view] = 1
+        alone = PictureRays(placed, 12, 10, wp.array(counted, dtype=wp.uint8, device=device))
+        expected += level.measure_weights(alone).numpy() >= 0.01
+    for counted in (None, wp.ones((5, 10, 12), dtype=wp.uint8, device=device)):
+        level.count_views(PictureRays(placed, 12, 10, counted))
+        np.testing.assert_array_equal(level.views.counts.numpy(), expected)
+    assert set(range(4)) <= set(expected)
+
+
+def test_factors_grow_with_how_few_views_there_are(device):
+    """By the powers that the fits' own regularisers follow (benchmarks/NOTES-fit-scenes.md); 32 times fewer at most."""
+    factors = ViewCounts(48.0, wp.get_device(device)).factors.numpy()
+    fewer = np.array([32.0, 32.0, 24.0, 2.0, 1.0, 1.0])
+    np.testing.assert_allclose(factors[[0, 1, 2, 24, 48, 255]], np.stack([fewer**1.8, fewer], axis=1), rtol=1e-5)
+
+
+@pytest.mark.parametrize("background", ["outer", "shells"])
+def test_voxels_that_few_views_show_are_smoother(device, background):
+    """Differences of luminance from voxel to voxel, by whether a few views are few."""
+    scene = room_scene(8, 24, masks=False)
+    rough = []
+    for views in (0.5, 1000.0):
+        options = SMALL | {"background": background, "scarcity": 1.0, "epochs": 20}
+        options |= {"variation_views": views, "variation_outer_views": views}
+        optimizer = FieldOptimizer(scene, device=device, **options)
+        while optimizer.step_count < optimizer.total_steps:
+            optimizer.step()
+        field = optimizer.field
+        links, values = field.grid.links.numpy(), field.grid.sh.numpy()[:, 0]
+        pairs = (links[:-1] >= 0) & (links[1:] >= 0)
+        rough.append(np.abs(values[links[1:][pairs]] - values[links[:-1][pairs]]).mean())
+        counts = [optimizer.current.views.counts, optimizer.background.views.counts]
+        rows = [field.voxel_count, optimizer.background.outer.voxel_count]
+        assert [len(each) for each in counts] == rows and all(2 < each.numpy().max() <= 8 for each in counts)
+    assert rough[1] < 0.85 * rough[0]
+
+
+@pytest.mark.parametrize("background", ["outer", "shells"])
+def test_counts_go_on_from_a_checkpoint(tmp_path, background):
+    scene = room_scene(6, 16, masks=False)
+    options = SMALL | {"resolution": 16, "background": background, "variation_views": 9, "variation_outer_views": 9}
+    stopped, resumed = (FieldOptimizer(scene, **options) for _ in range(2))
+    while stopped.step_count < stopped.total_steps * 2 // 3:
+        stopped.step()
+    save_progress(stopped, tmp_path / "c.npz")
+    load_progress(resumed, tmp_path / "c.npz")
+    for kind in (lambda fit: fit.current, lambda fit: fit.background):
+        counts = kind(stopped).views.counts.numpy()
+        assert counts.any()
+        np.testing.assert_array_equal(kind(resumed).views.counts.numpy(), counts)
+    contents = dict(np.load(tmp_path / "c.npz"))
+    for name in ("views", "outer_views"):
+        np.savez(tmp_path / "d.npz", **(contents | {name: contents[name][1:]}))
+        with pytest.raises(ValueError, match="damaged fit checkpoint"):
+            load_progress(FieldOptimizer(scene, **options), tmp_path / "d.npz")
