@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import warp as wp
@@ -14,7 +14,7 @@ from ..view.camera import Camera
 from ..view.film import write_video
 from .bricks import brick_model
 from .raycast import CarriedMesh
-from .solids import Model, Part, ball, box, joined
+from .solids import Model, Part, ball, box, joined, merged
 
 #: Half side of the table, height of its top, and half side of the room around it, world units.
 TABLE, TOP, ROOM = 3.0, -1.0, 7.0
@@ -35,24 +35,56 @@ class PhonePath:
     rise: tuple[float, float] = (18.0, 42.0)  # lowest and highest elevation, degrees
     shake: tuple[float, float] = (0.02, 0.006)  # trembling of the hand, world units, and of the view, radians
     seed: int = 0  # of the trembling
+    start: float = -90.0  # where it begins, degrees from +x to +y
+    waves: float = 1.5  # how often it goes up and down
+    nearer: float = 0.0  # share of the distance by which it comes nearer as it goes up
+    target: tuple[float, float, float] = (0.0, 0.0, -0.2)  # what it looks at
 
     def pose(self, time: float) -> np.ndarray:
         """Where the phone is at a time from 0 at the beginning to 1 at the end: (4, 4) camera to world, OpenCV axes."""
-        turn = np.radians(self.degrees * time - 90.0)
+        turn = np.radians(self.degrees * time + self.start)
         low, high = self.rise
-        rise = np.radians(low + (high - low) * (0.5 - 0.5 * np.cos(3 * np.pi * time)))
-        eye = self.distance * np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
+        wave = 0.5 - 0.5 * np.cos(2 * self.waves * np.pi * time)
+        rise = np.radians(low + (high - low) * wave)
+        away = self.distance * (1.0 - self.nearer * wave)
+        eye = away * np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
         rng = np.random.default_rng(self.seed)
         rates, phases = rng.uniform(4.0, 11.0, (6, 3)), rng.uniform(0, 2 * np.pi, (6, 3))
         tremble = np.sin(2 * np.pi * rates * time + phases).mean(axis=1)
         eye = eye + self.shake[0] * tremble[:3]
-        view = Camera.look_at(eye, [0.0, 0.0, -0.2]).camera_to_world
+        view = Camera.look_at(eye, self.target).camera_to_world
         x, y, z = self.shake[1] * tremble[3:]
         small = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         q, r = np.linalg.qr(np.eye(3) + small)  # a small turn about the camera's own axes
         pose = view.copy()
         pose[:3, :3] = view[:3, :3] @ (q * np.sign(np.diag(r)))
         return pose
+
+
+def take_picture(
+    render: Callable[[list[Camera]], np.ndarray],  # pictures (n, h, w, 3) of cameras of one size
+    route: PhonePath,
+    time: float,  # of the middle of the picture, 0 to 1
+    camera: Camera,  # its size and intrinsics
+    *,
+    exposure: float = 0.0,  # time that a row is exposed
+    readout: float = 0.0,  # time from the first row to the last one
+    strips: int = 1,  # parts of the picture whose rows are taken at one time
+    moments: int = 1,  # moments of which an exposure is the mean
+) -> tuple[np.ndarray, np.ndarray]:
+    """A picture (h, w, 3) of a phone that moves on while its rows are taken one after another, and the poses
+    (strips * moments, 4, 4) of which it is made."""
+    edges = np.linspace(0, camera.height, strips + 1).round().astype(int)
+    rows, poses = [], []
+    for strip, (first, last) in enumerate(zip(edges, edges[1:], strict=False)):
+        late = readout * ((strip + 0.5) / strips - 0.5)
+        times = time + late + exposure * ((np.arange(moments) + 0.5) / moments - 0.5)
+        of_strip = [route.pose(moment) for moment in times]
+        shape = {"height": int(last - first), "cy": camera.cy - first}
+        cameras = [dataclasses.replace(camera, camera_to_world=pose, **shape) for pose in of_strip]
+        rows.append(render(cameras).mean(axis=0))
+        poses += of_strip
+    return np.concatenate(rows), np.array(poses)
 
 
 def write_phone_video(
@@ -80,25 +112,28 @@ def write_phone_video(
     route = PhonePath() if route is None else route
     focal = 0.5 * width / np.tan(np.radians(fov_degrees) / 2)
     mesh = CarriedMesh(*table_scene(), texture=TEXTURE, device=device)
-    step, rows = 1.0 / max(frames - 1, 1), height // strips
+    step = 1.0 / max(frames - 1, 1)
+    true = [Camera(focal, focal, width / 2, height / 2, width, height, route.pose(k * step)) for k in range(frames)]
+
+    def render(cameras: list[Camera]) -> np.ndarray:
+        return mesh.render(cameras, samples=samples)[0][..., :3]
 
     def pictures() -> Iterator[np.ndarray]:
-        for frame in range(frames):
-            long = LONG if blurred and frame % blurred == blurred - 1 else 1
-            moments = exposures if long == 1 else max(exposures, LONG_EXPOSURES)
-            cameras = []
-            for strip in range(strips):
-                late = readout * ((strip + 0.5) / strips - 0.5)
-                for part in range(moments):
-                    moment = long * exposure * ((part + 0.5) / moments - 0.5)
-                    pose = route.pose((frame + late + moment) * step)
-                    cameras.append(Camera(focal, focal, width / 2, height / 2 - strip * rows, width, rows, pose))
-            rgba, _ = mesh.render(cameras, samples=samples)
-            shown = rgba[..., :3].reshape(strips, moments, rows, width, 3).mean(axis=1)
-            yield shown.reshape(height, width, 3)
+        for frame, camera in enumerate(true):
+            long = blurred and frame % blurred == blurred - 1
+            yield take_picture(
+                render,
+                route,
+                frame * step,
+                camera,
+                exposure=(LONG if long else 1) * exposure * step,
+                readout=readout * step,
+                strips=strips,
+                moments=max(exposures, LONG_EXPOSURES) if long else exposures,
+            )[0]
 
     write_video(path, pictures(), rate)
-    return [Camera(focal, focal, width / 2, height / 2, width, height, route.pose(k * step)) for k in range(frames)]
+    return true
 
 
 def table_scene() -> Model:
@@ -107,7 +142,7 @@ def table_scene() -> Model:
     rng = np.random.default_rng(5)
     vertices, faces, colors = brick_model()
     vertices = vertices * np.array([1.0, 1.0, 1.0]) + [0.0, 0.0, TOP - vertices[:, 2].min()]
-    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = [(vertices, faces, colors)]
+    parts: list[Model] = [(vertices, faces, colors)]
     parts.append(_patchwork([-TABLE, -TABLE, TOP], [2 * TABLE, 0, 0], [0, 2 * TABLE, 0], 30, rng))
     for k in range(4):  # walls, seen from inside
         turn = 0.5 * np.pi * k
@@ -116,12 +151,7 @@ def table_scene() -> Model:
     parts.append(_patchwork([-ROOM, -ROOM, -3.5], [2 * ROOM, 0, 0], [0, 2 * ROOM, 0], 14, rng))
     parts.append(_patchwork([-ROOM, -ROOM, 4.5], [2 * ROOM, 0, 0], [0, 2 * ROOM, 0], 10, rng))
     parts.append(joined(_things(rng)))
-    first = np.cumsum([0] + [len(each[0]) for each in parts])
-    return (
-        np.concatenate([each[0] for each in parts]),
-        np.concatenate([each[1] + start for each, start in zip(parts, first[:-1], strict=True)]).astype(np.int32),
-        np.concatenate([each[2] for each in parts]).astype(np.float32),
-    )
+    return merged(parts)
 
 
 def _patchwork(corner, side, other, count: int, rng: np.random.Generator) -> Model:

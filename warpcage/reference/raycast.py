@@ -147,7 +147,7 @@ class CarriedMesh:
         require_samples(samples)
         width, height = common_size(cameras)
         origin = posed.mean(axis=0)
-        mesh = device_mesh(posed, self.faces, origin, self.device)
+        mesh = self._rest if posed is self.vertices else device_mesh(posed, self.faces, origin, self.device)
         directions = wp.array(np.ascontiguousarray(matrices, np.float32), dtype=wp.mat33, device=self.device)
         rgba = wp.empty(height * width, dtype=wp.vec4, device=self.device)  # pyright: ignore[reportArgumentType]
         depth = wp.empty(height * width, dtype=wp.float32, device=self.device)  # pyright: ignore[reportArgumentType]

@@ -12,7 +12,7 @@ from ..scene.scene import Scene
 from ..view.camera import Camera
 from .models import MODELS
 from .raycast import render_mesh_views
-from .solids import Model
+from .solids import Model, merged
 from .viewpoints import orbit_eyes, reference_cameras, require_counts, spread_eyes
 
 Vector = tuple[float, float, float]
@@ -159,31 +159,31 @@ def object_model() -> Model:
     vertices, faces, colors = MODELS["bricks"]()
     vertices = OBJECT_SCALE * (vertices - [0.0, 0.0, vertices[:, 2].min()]) + [0.0, 0.0, TABLE_TOP]
     low, high = [-TABLE_HALF] * 2 + [TABLE_BOTTOM], [TABLE_HALF] * 2 + [TABLE_TOP]
-    return _joined([(vertices, faces, colors), _box(low, high, _wood)])
+    return merged([(vertices, faces, colors), painted_box(low, high, wood)])
 
 
 def room_model() -> Model:
     """Floor, walls and the legs of the table, painted by small squares."""
     x, y = ROOM_HALF
     parts = [
-        _plane([-x, -y, FLOOR], [2 * x, 0, 0], [0, 2 * y, 0], _floor),
-        _plane([-x, -y, FLOOR], [2 * x, 0, 0], [0, 0, TOP - FLOOR], _paper),
-        _plane([-x, y, FLOOR], [2 * x, 0, 0], [0, 0, TOP - FLOOR], _paper),
-        _plane([-x, -y, FLOOR], [0, 2 * y, 0], [0, 0, TOP - FLOOR], _bricks),
-        _plane([x, -y, FLOOR], [0, 2 * y, 0], [0, 0, TOP - FLOOR], _bricks),
+        painted_plane([-x, -y, FLOOR], [2 * x, 0, 0], [0, 2 * y, 0], planks),
+        painted_plane([-x, -y, FLOOR], [2 * x, 0, 0], [0, 0, TOP - FLOOR], _paper),
+        painted_plane([-x, y, FLOOR], [2 * x, 0, 0], [0, 0, TOP - FLOOR], _paper),
+        painted_plane([-x, -y, FLOOR], [0, 2 * y, 0], [0, 0, TOP - FLOOR], _bricks),
+        painted_plane([x, -y, FLOOR], [0, 2 * y, 0], [0, 0, TOP - FLOOR], _bricks),
     ]
     leg = TABLE_HALF - 0.2
     for sign in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         middle = leg * np.array([*sign, 0.0])
         low, high = middle + [-0.1, -0.1, FLOOR], middle + [0.1, 0.1, OBJECT_BOX[0, 2] - 0.02]
-        parts.append(_box(low, high, _wood))
-    return _joined(parts)
+        parts.append(painted_box(low, high, wood))
+    return merged(parts)
 
 
-def _plane(corner, along, up, paint) -> Model:
-    """A rectangle in small squares, each of the colour that `paint` gives its middle (n, 3)."""
+def painted_plane(corner, along, up, paint, tile: float = TILE) -> Model:
+    """A rectangle in squares of about `tile`, each of the colour that `paint` gives its middle (n, 3)."""
     corner, along, up = (np.asarray(each, np.float64) for each in (corner, along, up))
-    columns, rows = (max(1, round(float(np.linalg.norm(each)) / TILE)) for each in (along, up))
+    columns, rows = (max(1, round(float(np.linalg.norm(each)) / tile)) for each in (along, up))
     i, j = np.meshgrid(np.arange(columns + 1), np.arange(rows + 1), indexing="ij")
     vertices = corner + (i / columns)[..., None] * along + (j / rows)[..., None] * up
     first = (np.arange(columns)[:, None] * (rows + 1) + np.arange(rows)).ravel()
@@ -192,55 +192,48 @@ def _plane(corner, along, up, paint) -> Model:
     return vertices.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int32), np.repeat(paint(middles), 2, axis=0)
 
 
-def _box(low, high, paint) -> Model:
+def painted_box(low, high, paint) -> Model:
     """The six sides of a box."""
     low, size = np.asarray(low, np.float64), np.asarray(high, np.float64) - low
     sides = []
     for axis in range(3):
         along, up = (size * (np.arange(3) == (axis + turn) % 3) for turn in (1, 2))
-        sides += [_plane(low + offset * size * (np.arange(3) == axis), along, up, paint) for offset in (0, 1)]
-    return _joined(sides)
+        sides += [painted_plane(low + offset * size * (np.arange(3) == axis), along, up, paint) for offset in (0, 1)]
+    return merged(sides)
 
 
-def _joined(parts: list[Model]) -> Model:
-    counts = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
-    faces = [part[1] + count for part, count in zip(parts, counts, strict=False)]
-    vertices, colors = (np.concatenate([part[n] for part in parts]) for n in (0, 2))
-    return vertices, np.concatenate(faces).astype(np.int32), colors.astype(np.float32)
-
-
-def _noise(places: np.ndarray, waves: int, seed: int) -> np.ndarray:
+def smooth_noise(places: np.ndarray, waves: int, seed: int) -> np.ndarray:
     """(n,) smooth unrest in about [-1, 1]."""
     random = np.random.default_rng(seed)
     across = random.normal(size=(waves, 3)) * random.uniform(0.5, 4.0, (waves, 1))
     return np.sin(places @ across.T + random.uniform(0, 2 * np.pi, waves)).sum(axis=1) / np.sqrt(waves)
 
 
-def _mixed(share: np.ndarray, one, other) -> np.ndarray:
+def mixed_colors(share: np.ndarray, one, other) -> np.ndarray:
     share = np.clip(share, 0.0, 1.0)[:, None]
     return (1.0 - share) * np.asarray(one) + share * np.asarray(other)
 
 
-def _wood(places: np.ndarray) -> np.ndarray:
-    return _mixed(
-        0.5 + 0.4 * np.sin(9 * places[:, 0] + 2 * _noise(places, 6, 0)), (0.45, 0.28, 0.15), (0.62, 0.42, 0.25)
+def wood(places: np.ndarray) -> np.ndarray:
+    return mixed_colors(
+        0.5 + 0.4 * np.sin(9 * places[:, 0] + 2 * smooth_noise(places, 6, 0)), (0.45, 0.28, 0.15), (0.62, 0.42, 0.25)
     )
 
 
-def _floor(places: np.ndarray) -> np.ndarray:
+def planks(places: np.ndarray) -> np.ndarray:
     plank = np.floor(places[:, 1] / 0.45)
-    shade = 0.5 + 0.35 * np.sin(12.9 * plank) + 0.2 * _noise(places * [0.6, 3.0, 1.0], 8, 1)
-    return _mixed(shade, (0.32, 0.24, 0.18), (0.66, 0.52, 0.38))
+    shade = 0.5 + 0.35 * np.sin(12.9 * plank) + 0.2 * smooth_noise(places * [0.6, 3.0, 1.0], 8, 1)
+    return mixed_colors(shade, (0.32, 0.24, 0.18), (0.66, 0.52, 0.38))
 
 
 def _paper(places: np.ndarray) -> np.ndarray:
     """Wallpaper with flowers, and a picture with a frame."""
     u, v = places[:, 0], places[:, 2]
     flower = np.hypot((u % 1.1) - 0.55, (v % 0.9) - 0.45)
-    color = _mixed(0.5 + 0.3 * _noise(places, 5, 2), (0.75, 0.78, 0.66), (0.85, 0.84, 0.76))
-    color = np.where((flower < 0.24)[:, None], _mixed(flower / 0.24, (0.75, 0.2, 0.25), (0.9, 0.6, 0.55)), color)
+    color = mixed_colors(0.5 + 0.3 * smooth_noise(places, 5, 2), (0.75, 0.78, 0.66), (0.85, 0.84, 0.76))
+    color = np.where((flower < 0.24)[:, None], mixed_colors(flower / 0.24, (0.75, 0.2, 0.25), (0.9, 0.6, 0.55)), color)
     frame = np.maximum(np.abs(u - 1.2) / 1.5, np.abs(v - 1.0) / 1.0)
-    painting = _mixed(0.5 + 0.5 * _noise(2 * places, 8, 3), (0.1, 0.3, 0.5), (0.9, 0.8, 0.4))
+    painting = mixed_colors(0.5 + 0.5 * smooth_noise(2 * places, 8, 3), (0.1, 0.3, 0.5), (0.9, 0.8, 0.4))
     color = np.where((frame < 1)[:, None], (0.2, 0.14, 0.1), color)
     return np.where((frame < 0.88)[:, None], painting, color)
 
@@ -251,6 +244,8 @@ def _bricks(places: np.ndarray) -> np.ndarray:
     course = np.floor(v / 0.36)
     joint = (np.abs(v / 0.36 - course - 0.5) > 0.4) | (np.abs((u / 0.8 + 0.5 * (course % 2)) % 1 - 0.5) > 0.44)
     shade = 0.5 + 0.4 * np.sin(7.3 * np.floor(u / 0.8 + 0.5 * (course % 2)) + 3.1 * course)
-    color = np.where(joint[:, None], (0.72, 0.7, 0.66), _mixed(shade, (0.5, 0.22, 0.16), (0.7, 0.38, 0.28)))
+    color = np.where(joint[:, None], (0.72, 0.7, 0.66), mixed_colors(shade, (0.5, 0.22, 0.16), (0.7, 0.38, 0.28)))
     door = (np.abs(u + 1.5) < 0.9) & (v < 1.4)
-    return np.where(door[:, None], _mixed(0.5 + 0.4 * _noise(places, 5, 4), (0.15, 0.25, 0.3), (0.3, 0.45, 0.5)), color)
+    return np.where(
+        door[:, None], mixed_colors(0.5 + 0.4 * smooth_noise(places, 5, 4), (0.15, 0.25, 0.3), (0.3, 0.45, 0.5)), color
+    )

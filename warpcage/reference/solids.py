@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,12 +57,15 @@ def turned(part: Part, degrees: float, offset: ArrayLike) -> Part:
 
 def joined(parts: Iterable[Part]) -> Model:
     """One model of all parts, which stay separate surfaces."""
-    parts = list(parts)
-    first = np.cumsum([0] + [len(vertices) for vertices, _, _ in parts])
-    vertices = np.concatenate([vertices for vertices, _, _ in parts])
-    faces = np.concatenate([faces + begin for (_, faces, _), begin in zip(parts, first[:-1], strict=True)])
-    colors = np.concatenate([np.broadcast_to(color, faces.shape) for _, faces, color in parts])
-    return vertices, faces.astype(np.int32), colors.astype(np.float32)
+    return merged([(points, faces, np.broadcast_to(color, faces.shape)) for points, faces, color in parts])
+
+
+def merged(models: Sequence[Model]) -> Model:
+    """One model of several, which stay separate surfaces."""
+    first = np.cumsum([0] + [len(vertices) for vertices, _, _ in models])
+    faces = [model[1] + begin for model, begin in zip(models, first, strict=False)]
+    vertices, colors = (np.concatenate([model[n] for model in models]) for n in (0, 2))
+    return vertices, np.concatenate(faces).astype(np.int32), colors.astype(np.float32)
 
 
 def centered(vertices: np.ndarray) -> np.ndarray:
