@@ -8,6 +8,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "brick_scene": "write_brick_scene",
         "bricks": "brick_model",
         "cage_scenes": "CAGE_SCENES scene_field",
+        "casual": "CASUAL casual_scene casual_views",
         "inverse_map": "InverseMap",
         "models": "MODELS chair_model subdivided_model",
         "phone_video": "PhonePath TEXTURE table_scene write_phone_video",
