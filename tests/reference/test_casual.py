@@ -147,3 +147,7 @@ def test_what_no_capture_can_be():
         casual_views("garden", [])
     with pytest.raises(ValueError, match="2 views"):
         casual_scene("table", views=1)
+    with pytest.raises(ValueError, match="16 pixels or more"):
+        casual_scene("table", size=8)
+    with pytest.raises(ValueError, match="needs views"):
+        casual_scene("table", aside=0)

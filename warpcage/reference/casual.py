@@ -32,6 +32,9 @@ FAR, HILLS = 120.0, 22.0
 #: Points of a reconstruction that a picture adds to the scene.
 POINTS = 40
 
+#: Pixels along the longer side of the smallest pictures.
+SMALLEST = 16
+
 #: A view off the path, by turns: share of the path's distance, and how many degrees higher it stands.
 ASIDE = ((0.8, 12.0), (1.1, -8.0))
 
@@ -65,8 +68,8 @@ def casual_scene(
     where nobody was, sharp and of an exposure of 1 ("aside_00"). Cameras are true, points on surfaces."""
     capture = _known(name)
     require_counts(views, aside, size)
-    if views < 2:
-        raise InputError(f"a walk needs at least 2 views, got {views}")
+    if views < 2 or size < SMALLEST:
+        raise InputError(f"a walk needs 2 views of {SMALLEST} pixels or more, got {views} of {size}")
     route = dataclasses.replace(capture.route, seed=seed)
     width, height = (max(1, round(size * side / max(capture.shape))) for side in capture.shape)
     focal = 0.5 * max(width, height) / np.tan(np.radians(capture.fov_degrees) / 2)
