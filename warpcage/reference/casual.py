@@ -75,9 +75,9 @@ def casual_scene(
     focal = 0.5 * max(width, height) / np.tan(np.radians(capture.fov_degrees) / 2)
     lens = Camera(focal, focal, width / 2, height / 2, width, height, np.eye(4))
     mesh = _mesh(capture, device)
-    step, held_out = 1.0 / (views - 1), np.arange(views) % HOLD_OUT == 0
+    step, train = 1.0 / (views - 1), [k for k in range(views) if k % HOLD_OUT]
     images, cameras = [], []
-    for frame in range(views):
+    for frame, gain in enumerate(_exposures(views, capture.rolls, seed, train)):
         long = bool(capture.blurred) and frame % capture.blurred == capture.blurred - 1
         picture, poses = take_picture(
             lambda moments: _pictures(mesh, moments, samples),
@@ -89,26 +89,21 @@ def casual_scene(
             strips=8 if capture.readout else 1,
             moments=2 * LONG_EXPOSURES if long else 1,
         )
-        images.append(picture)
+        images.append(_in_8_bits(gain * picture))
         # of a blurred picture: the mean of its poses
         cameras.append(dataclasses.replace(lens, camera_to_world=_mean_pose(poses)))
-    gains = _exposures(views, capture.rolls, seed, ~held_out)
-    images = _in_8_bits(gains[:, None, None, None] * np.array(images))
     off = [dataclasses.replace(lens, camera_to_world=_aside_pose(route, k, aside)) for k in range(aside)]
-    names = [f"path_{frame:04d}" for frame in range(views)]
-    train, test = np.flatnonzero(~held_out), np.flatnonzero(held_out)
     points, colors = _points(mesh, [cameras[k] for k in train], seed)
-    shared: dict[str, Any] = {"points": points, "point_colors": colors}
-    return (
-        Scene(images[train], None, [cameras[k] for k in train], names=[names[k] for k in train], **shared),
-        Scene(
-            np.concatenate([images[test], _in_8_bits(_pictures(mesh, off, samples))]),
-            None,
-            [*(cameras[k] for k in test), *off],
-            names=[*(names[k] for k in test), *(f"aside_{k:02d}" for k in range(aside))],
-            **shared,
-        ),
-    )
+    images += list(_in_8_bits(_pictures(mesh, off, samples)))
+    cameras += off
+    names = [f"path_{k:04d}" for k in range(views)] + [f"aside_{k:02d}" for k in range(aside)]
+
+    def part(chosen: list[int]) -> Scene:
+        own, called = [cameras[k] for k in chosen], [names[k] for k in chosen]
+        pictures = np.stack([images[k] for k in chosen])
+        return Scene(pictures, None, own, names=called, points=points, point_colors=colors)
+
+    return part(train), part([*range(0, views, HOLD_OUT), *range(views, views + aside)])
 
 
 def casual_views(name: str, cameras: Sequence[Camera], *, samples: int = 2, device: wp.DeviceLike = None) -> np.ndarray:
@@ -152,7 +147,7 @@ def _mean_pose(poses: np.ndarray) -> np.ndarray:
     return mean
 
 
-def _exposures(views: int, rolls: float, seed: int, train: np.ndarray) -> np.ndarray:
+def _exposures(views: int, rolls: float, seed: int, train: list[int]) -> np.ndarray:
     """Factors (n,) whose geometric mean over the training views is 1."""
     random, time = np.random.default_rng(seed + 1), np.linspace(0.0, 1.0, views)
     waves = random.uniform(0.7, 2.0, 2)[:, None] * time + random.uniform(0.0, 1.0, (2, 1))
@@ -173,9 +168,9 @@ def _aside_pose(route: PhonePath, k: int, count: int) -> np.ndarray:
 def _points(mesh: CarriedMesh, cameras: list[Camera], seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Points (m, 3) on surfaces and their colours, in pixels of much contrast among some of each picture."""
     random = np.random.default_rng(seed)
-    rgba, depth = mesh.render(cameras, samples=1)
     points, colors = [], []
-    for camera, picture, distance in zip(cameras, rgba, depth, strict=True):
+    for camera in cameras:
+        (picture,), (distance,) = mesh.render([camera], samples=1)
         contrast = np.hypot(*np.gradient(picture[..., :3].mean(axis=-1))) * np.isfinite(distance)
         drawn = random.permutation(contrast.size)[: 4 * POINTS]
         best = drawn[np.argsort(-contrast.ravel()[drawn], kind="stable")[:POINTS]]
