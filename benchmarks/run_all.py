@@ -47,6 +47,8 @@ QUICK = {
     "every_kernel": "every_kernel.py --device cpu",
     "fits_scenes": "fits scenes --kind thin --views 8 --size 24 --option least_steps=9 --worst {out}/worst"
     " --json {out}/fits.json",
+    "fits_made": "fits scenes --kind --made corner --views 7 --size 24 --option least_steps=9 --sheet {out}/made.jpg"
+    " --json {out}/scenes.json",
     "files": "files {out} --device cpu --side 80 --out {out}/files.png",
     "splat_fits": "splat-fits ours {scene} --device cpu --quality fast --option steps=30 most_splats=400 --out {out}/s",
     "splat_fits_profile": "splat-fits profile {scene} --device cpu --steps 40 --window 20 --out {out}/s",
@@ -56,6 +58,7 @@ QUICK = {
     "splats_truth": "splats-truth --quick --json {out}/splats_truth.json --figures {out}",
     "page_splats_views": "pages splats-views --results {out} --page {out}/splats_views.md",
     "page_fits": "pages fits --results {out} --page {out}/fits.md",
+    "page_fits_of_captures": "pages fits-of-captures --results {out} --page {out}/fits_of_captures.md",
     "page_frames": "pages frames --results {out} --page {out}/frames.md",
     "page_captures": "pages captures --results {out} --page {out}/captures.md",
     "soak": "memory soak --poses 20 --fits 4 --refused 200 --json {out}/soak.json",

@@ -12,7 +12,18 @@ import imageio.v3 as iio
 import numpy as np
 import trimesh
 import warp as wp
-from common import DEVICE, FIT_OPTIONS, JSON, command, fit_options, launch_times, option, seconds_of, write_results
+from common import (
+    DEVICE,
+    FIT_OPTIONS,
+    JSON,
+    command,
+    fit_options,
+    launch_times,
+    option,
+    seconds_of,
+    write_jpeg,
+    write_results,
+)
 from library.split_fit import SplitFit
 
 import warpcage
@@ -21,8 +32,8 @@ from warpcage.core import launch, resolve_device
 from warpcage.field import STOP_TRANSMITTANCE
 from warpcage.fitting import tuned_scene
 from warpcage.kernels.reference.sample_count import count_samples
-from warpcage.reference import KINDS, room_views, synthetic_scene
-from warpcage.view import picture_similarity, pose_errors, side_by_side, write_png
+from warpcage.reference import CASUAL, KINDS, casual_scene, room_views, synthetic_scene
+from warpcage.view import contact_sheet, picture_similarity, pose_errors, side_by_side, write_png
 
 #: Training views that are rendered to see how far a fit goes beyond what it generalizes, and views named as the worst.
 TRAINING_VIEWS, WORST = 16, 3
@@ -38,6 +49,7 @@ DOWNSCALE = option("--downscale", type=int, default=1, help="factor on the scene
 @command(
     option("--kind", nargs="*", choices=list(KINDS), default=list(KINDS), help="which of our own scenes"),
     option("--room", action="store_true", help="a room, and its object with known surroundings"),
+    option("--made", nargs="*", choices=list(CASUAL), help="casual captures of our own; without names all of them"),
     option("--whole", action="store_true", help="whole pictures of each --folder, whatever its masks"),
     option("--views", type=int, default=60, help="training views, for kinds that do not fix their number"),
     option("--size", type=int, default=100, help="pixels along each side"),
@@ -52,6 +64,7 @@ DOWNSCALE = option("--downscale", type=int, default=1, help="factor on the scene
     option("--warm", action="store_true", help="compile kernels before the first fit"),
     FIT_OPTIONS,
     option("--worst", help="folder for the worst views"),
+    option("--sheet", help="JPEG of the worst view of each fit of a --made capture"),
     JSON,
 )
 def scenes(args) -> None:
@@ -65,6 +78,8 @@ def scenes(args) -> None:
         python benchmarks fits scenes --kind --room --size 400 --whole --folder data/fox:2 data/dtu_scan24_half \\
             --option "background='outer'" --warm
         python benchmarks fits scenes --kind --folder data/lego_800:8 --pose-noise 1 --refine-cameras
+        python benchmarks fits scenes --kind --whole --folder data/fox:2 data/tumbler data/can data/bonsai --made \\
+            --size 800 --warm --json docs/results/scenes_1.json --sheet docs/pictures/fits_of_captures.jpg
 
     Seconds run from images in host memory to the finished field. Those of the first scene include the compilation of
     kernels that are not in Warp's cache yet; with --warm a small fit compiles them before. The error of opacity is the
@@ -75,6 +90,9 @@ def scenes(args) -> None:
     object were known: the object alone, with opacity, before a white background. Beside the PSNR of whole pictures
     stands that of the object's pixels ("psnr_inside"), by which the two compare. --whole takes whole pictures of each
     --folder whatever masks it has. An option `background` is for whole pictures, and left out for those with opacity.
+
+    --made adds casual captures that the project makes itself. Every eighth view of the walk is held out, as it was
+    taken, and so are views from where nobody was, named "aside": their PSNR stands apart ("psnr_aside").
 
     --pose-noise turns each training camera about a random axis by a normal angle of so many degrees; --jpeg packs the
     training pictures as JPEG of that quality first. Held-out views stay as they are. With --refine-cameras there are
@@ -94,7 +112,7 @@ def scenes(args) -> None:
             warpcage.fit(train, device=device, progress=False, quality=quality).render(train.cameras[0])
         whole = dataclasses.replace(train, alphas=None)
         warpcage.fit(whole, device=device, progress=False, background="outer", resolution=32).render(train.cameras[0])
-    results = []
+    results, sheet = [], []
     print(f"{'scene':32} quality   views  PSNR dB  training  opacity  seconds    voxels  resolution")
     if args.refine_cameras:
         options["refine_cameras"] = True
@@ -113,10 +131,17 @@ def scenes(args) -> None:
             )
             if field.refined_cameras is not None:
                 print(f"{'':32} aligned {row['psnr_aligned']:.2f}, tuned {row['psnr_tuned']:.2f} dB", flush=True)
+            if row["psnr_aside"] is not None:
+                print(f"{'':32} off the path {row['psnr_aside']:.2f} dB", flush=True)
             if args.worst:
                 write_worst(pathlib.Path(args.worst), row, field, test)
+            if args.sheet and name in CASUAL:
+                sheet.append((f"{name} {quality}", padded_pair(worst_pair(row, field, test, 0))))
+                write_jpeg(args.sheet, contact_sheet([pair for _, pair in sheet], columns=2, gap=8))
             if args.json:
                 content = {"pose_noise": args.pose_noise, "jpeg": args.jpeg, "runs": results}
+                if sheet:
+                    content["sheet"] = {"file": pathlib.Path(args.sheet).name, "fits": [label for label, _ in sheet]}
                 write_results(args.json, device, **content)
 
 
@@ -127,6 +152,10 @@ def scenes_of(args, device):
             kind, train_views=args.views, size=args.size, alpha=not args.opaque, device=device
         )
         yield kind, train, test, train.cameras
+    made = [] if args.made is None else args.made or list(CASUAL)
+    for name in made:  # every eighth is held out
+        train, test = casual_scene(name, views=args.views + args.views // 7 + 1, size=args.size, device=device)
+        yield name, train, test, train.cameras
     if args.room:
         train, test = room_views(args.views, size=args.size, device=device)
         yield "room", train.whole, test.split, train.whole.cameras
@@ -154,12 +183,14 @@ def scene_row(name, scene, test, exact, device, options: dict) -> tuple[dict, wa
     wp.synchronize_device(device)
     seconds, memory = time.perf_counter() - begin, memory_peak(device)
     views = evaluate(field, test)
+    aside = [row for row in views if row["view"].startswith("aside_")]
     row = {
         "scene": name,
         "views": len(scene),
         "size": scene.images.shape[1],
         "options": options,
-        "psnr": mean_psnr(views),
+        "psnr": mean_psnr([row for row in views if row not in aside]),
+        "psnr_aside": mean_psnr(aside) if aside else None,
         "psnr_training": mean_psnr(evaluate(field, every_nth(scene, max(1, len(scene) // TRAINING_VIEWS)))),
         "psnr_inside": inside(views),
         "alpha_error": None if test.surroundings is not None else alpha_error(field, test),
@@ -218,12 +249,25 @@ def alpha_error(field, scene) -> float | None:
 def write_worst(folder: pathlib.Path, row: dict, field, test) -> None:
     """The worst views of a fit as PNG files, what it renders on the left."""
     folder.mkdir(parents=True, exist_ok=True)
-    pictures = test.images if field.background_model is None else test.whole
     stem = "_".join([row["scene"], row["options"].get("quality", "standard")])
-    for place, (_, view) in enumerate(row["worst"]):
-        index = list(test.names).index(view)
-        pair = side_by_side([np.clip(field.render(test.cameras[index]).rgb, 0, 1), pictures[index]])
+    for place in range(len(row["worst"])):
+        pair = side_by_side(worst_pair(row, field, test, place))
         write_png(folder / f"{stem}_{place}.png".replace(" ", "_").replace(",", "").replace("/", "_"), pair)
+
+
+def worst_pair(row: dict, field, test, place: int) -> list[np.ndarray]:
+    """What a fit renders of one of its worst views, and the picture."""
+    index = list(test.names).index(row["worst"][place][1])
+    pictures = test.images if field.background_model is None else test.whole
+    return [np.clip(field.render(test.cameras[index]).rgb, 0, 1), pictures[index]]
+
+
+def padded_pair(pair: list[np.ndarray]) -> np.ndarray:
+    """Two pictures side by side, in a square each, so that portrait ones and others fit on one sheet."""
+    height, width = pair[0].shape[:2]
+    down, across = (max(height, width) - side for side in (height, width))
+    room = ((down // 2, down - down // 2), (across // 2, across - across // 2), (0, 0))
+    return side_by_side([np.pad(image, room, constant_values=1.0) for image in pair])
 
 
 def shaken(scene, degrees: float):

@@ -137,6 +137,35 @@ def fits(args) -> None:
     write_page(args, [texts("fits")["introduction"]], {"fits*.json": fit_parts}, "fits scenes")
 
 
+@command(*page_options("fits_of_captures"))
+def fits_of_captures(args) -> None:
+    """Write docs/fits_of_captures.md from the results of `fits scenes` of captures, given and made.
+
+        python benchmarks pages fits-of-captures --results docs/results --page docs/fits_of_captures.md
+
+    Files are those of the folder whose names begin with "scenes", in the order of their names, each with its "note".
+    """
+    introduction = [texts("fits_of_captures")["introduction"]]
+    write_page(args, introduction, {"scenes*.json": capture_fit_parts}, "fits scenes --made")
+
+
+def capture_fit_parts(files: list[dict], pictures: pathlib.Path) -> list[str]:
+    head = ["scene", "views", "size", "quality", "PSNR, dB", "off the path", "worst views", "seconds", "million voxels",
+            "GB"]  # fmt: skip
+    parts = []
+    for found in files:
+        rows = [fit_row(run) for run in found["runs"]]
+        parts += [table(head, [[row[name] for name in head] for row in rows]), source(found)]
+        if "note" in found:
+            parts.append(found["note"] + "\n")
+        if "sheet" in found:
+            shown, sheet = ", ".join(found["sheet"]["fits"]), found["sheet"]["file"]
+            parts.append(
+                f"Row by row, rendered on the left: the worst view of {shown}.\n\n![{shown}](pictures/{sheet})\n"
+            )
+    return parts
+
+
 def fit_parts(files: list[dict], pictures: pathlib.Path) -> list[str]:
     head = ["scene", "views", "quality", "PSNR, dB", "seconds", "GB", "own views", "opacity", "million voxels",
             "worst views"]  # fmt: skip
@@ -147,7 +176,8 @@ def fit_parts(files: list[dict], pictures: pathlib.Path) -> list[str]:
             parts.append(f"## {heading}\n")
         with_inside = any(run.get("psnr_inside") is not None for run in found["runs"])
         shown = [*head[:4], "object, dB", *head[4:]] if with_inside else head
-        parts += [table(shown, [fit_row(run, with_inside) for run in found["runs"]]), source(found)]
+        rows = [fit_row(run) for run in found["runs"]]
+        parts += [table(shown, [[row[name] for name in shown] for row in rows]), source(found)]
         if "note" in found:
             parts.append(found["note"] + "\n")
     return parts
@@ -162,34 +192,36 @@ def fits_title(results: dict) -> str:
     return " and ".join(parts).capitalize() if parts else "As they are"
 
 
-def fit_row(run: dict, with_inside: bool) -> list[str]:
+def fit_row(run: dict) -> dict[str, str]:
+    """What a fit reached by the heads of columns."""
     from warpcage.fitting import checked_options
 
     opacity = "–" if run["alpha_error"] is None else f"{run['alpha_error']:.4f}"
     worst = ", ".join(f"{view} {psnr:.1f}" for psnr, view in run["worst"])
-    resolution = by_pixels(run["resolution"])
+    resolution, million = by_pixels(run["resolution"]), run["voxels"] / 1e6
     quality = run["options"].get("quality", "standard")
     usual = checked_options({"quality": quality})
     changed = {name: value for name, value in run["options"].items() if name != "quality"}
     given = [f"{name}={value}" for name, value in changed.items() if value != getattr(usual, name)]
-    inside = run.get("psnr_inside")
+    inside, aside = run.get("psnr_inside"), run.get("psnr_aside")
     psnr = f"**{run['psnr']:.2f}**"
     if "psnr_tuned" in run:
         psnr += f"; aligned {run['psnr_aligned']:.2f}, tuned {run['psnr_tuned']:.2f}"
-    of_object = ["–" if inside is None else f"{inside:.2f}"] if with_inside else []
-    return [
-        run["scene"],
-        str(run["views"]),
-        " ".join([quality, *given]),
-        psnr,
-        *of_object,
-        f"{run['seconds']:.1f}",
-        memory(run),
-        f"{run['psnr_training']:.2f}",
-        opacity,
-        f"{run['voxels'] / 1e6:.1f} of {resolution}",
-        worst,
-    ]
+    return {
+        "scene": run["scene"],
+        "views": str(run["views"]),
+        "size": str(run["size"]),
+        "quality": " ".join([quality, *given]),
+        "PSNR, dB": psnr,
+        "off the path": "–" if aside is None else f"**{aside:.2f}**",
+        "object, dB": "–" if inside is None else f"{inside:.2f}",
+        "seconds": f"{run['seconds']:.1f}",
+        "GB": memory(run),
+        "own views": f"{run['psnr_training']:.2f}",
+        "opacity": opacity,
+        "million voxels": f"{million:.{1 if million >= 0.1 else 3}f} of {resolution}",
+        "worst views": worst,
+    }
 
 
 def memory(run: dict) -> str:
