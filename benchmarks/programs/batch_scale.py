@@ -19,9 +19,9 @@ from warpcage.batch import (
     LARGEST,
     ChunkQueue,
     Dispatcher,
+    Driver,
     JobFile,
     OutputFolder,
-    drive,
     merge_notes,
     planned,
     scheduler,
@@ -247,7 +247,7 @@ def simulated(count: int, workers: int, mean: float, sample: np.ndarray, costs: 
     for number in range(workers):
         dispatcher.add_worker(str(number))
     begin = time.perf_counter()
-    drive(dispatcher, engine)
+    Driver(dispatcher, engine, engine).run()
     good = np.ones(count, bool)
     good[list(dispatcher.failures)] = False
     ideal = seconds[good].sum() / (1.0 / speeds).sum()

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from batch_simulation import Conditions, SimulatedEngine
 
-from warpcage.batch import ChunkQueue, ChunkReport, Dispatcher, drive
+from warpcage.batch import ChunkQueue, ChunkReport, Dispatcher, Driver
 
 
 def simulated(count=2000, workers=8, group_count=5, retries=2, aim=10.0, progress=None, **words):
-    """A run; returns dispatcher, engine and the seconds that it took. `progress` is called with the first two."""
+    """A run; returns dispatcher, engine and the seconds that it took. `progress` is called with driver and engine."""
     groups = np.sort(np.random.default_rng(3).integers(0, group_count, count))
     words.setdefault("item_seconds", np.full(count, 0.5))
     words.setdefault("speeds", np.ones(workers))
@@ -19,18 +19,18 @@ def simulated(count=2000, workers=8, group_count=5, retries=2, aim=10.0, progres
     for number in range(workers):
         dispatcher.add_worker(str(number))
 
-    drive(dispatcher, engine, progress=lambda: progress and progress(dispatcher, engine))
+    driver = Driver(dispatcher, engine, engine, progress=lambda: progress and progress(driver, engine))
+    driver.run()
     return dispatcher, engine, engine.now()
 
 
 def test_a_run_that_is_stopped_ends_what_is_begun_and_no_more():
     stopped = []
 
-    def look(dispatcher, engine):
+    def look(driver, engine):
         if engine.now() >= 40 and not stopped:
             stopped.append(engine.now())
-            dispatcher.stop()
-            engine.stop()
+            driver.stop()
 
     dispatcher, engine, seconds = simulated(progress=look)
     assert seconds < stopped[0] + 0.6  # an item takes half a second
@@ -140,8 +140,8 @@ def test_a_chunk_of_which_nothing_is_known_ends_with_its_time():
         dispatcher.add_worker("0")
         chunk = dispatcher.next_chunk("0", 0.0)
         assert len(chunk.items) == 250 and chunk.seconds == 9.5
-        engine.give("0", chunk)
-        report = engine.wait(1e6)[0].report
+        engine.submit("0", "run", chunk)
+        report = engine.wait(1e6)[0].found
         assert report.loading and report.done == list(range(made)) and report.left == list(range(made, 250))
         dispatcher.reported("0", report, 1e6)
         following = dispatcher.next_chunk("0", 1e6)

@@ -11,7 +11,7 @@ from messages import MESSAGES
 from runs import Making, write_frames
 
 import warpcage
-from warpcage.batch import ChunkOrder, ChunkRunner, JobFile, LateItems, OutputFolder, Place
+from warpcage.batch import ChunkOrder, ChunkRunner, JobFile, OutputFolder, Place
 from warpcage.batch.job_file import Begun
 
 
@@ -65,21 +65,6 @@ def test_the_item_that_is_under_way_for_longest_is_known(files, tmp_path):
         maker.written[1].set_result({"b": 1})
         working.join(60)
         assert runner.oldest(1) is None and runner.report.done == [3, 7]
-
-
-def test_workers_are_asked_when_an_item_can_be_late():
-    late = LateItems(10.0, 60.0)
-    late.given("0", 0.0)
-    late.given("1", 5.0)
-    assert late.due(9.9) == [] and late.due(10.0) == ["0"] and late.due(12.0) == []  # it is asked once
-    assert not late.answered("0", 4.0, 12.0)  # so that it may be late at 18
-    assert late.due(15.0) == ["1"] and late.due(17.9) == [] and late.due(18.0) == ["0"]
-    assert late.answered("0", 10.5, 18.1) and not late.answered("1", None, 18.1)
-    late.ended("0")
-    assert not late.answered("0", 99.0, 20.0) and late.due(28.0) == [] and late.due(28.1) == ["1"]
-    assert late.silent(88.0) == [] and late.silent(88.2) == ["1"]
-    late.given("1", 90.0)  # another process has its place
-    assert late.silent(200.0) == [] and late.due(100.0) == ["1"]
 
 
 class Timed(Making):

@@ -15,26 +15,25 @@ from runs import Making, number_of, records, run_with, write_frames
 
 from warpcage import VoxelField
 from warpcage.batch import (
-    Chunk,
     ChunkOrder,
     ChunkQueue,
     ChunkReport,
     ChunkRunner,
     Dispatcher,
+    Driver,
     Fingerprints,
-    Finished,
     JobFile,
     OutputFolder,
     Place,
     PrefetchedField,
     ProcessEngine,
+    RunJournal,
     RunnerSettings,
     Share,
     chunk_runner,
     job_file,
     references,
 )
-from warpcage.batch.engines import Begun as ChunkBegun
 from warpcage.batch.job_file import Begun
 from warpcage.core import file_stamp
 
@@ -153,17 +152,20 @@ def test_a_worker_dies_with_two_chunks(begun_of_second):
     assert sorted(made) == list(range(40)) and dispatcher.done == 40 and dispatcher.finished
 
 
-class Answers:
-    """A process that answers when a test says so."""
+class Scripted:
+    """A process that is asked, and answers, as a test says."""
 
-    def __init__(self, settings, asked):
-        self.settings, self.asked = settings, asked
+    def __init__(self, settings, play):
+        self.settings, self.play, self.futures = settings, play, {}
 
     def ask(self, name, *given):
-        future = self.asked[name, given[0].number if name == "run" else given[0] if given else None] = (
-            concurrent.futures.Future()
-        )
+        number = given[0].number if name == "run" else given[0] if given else None
+        future = self.futures[name, number] = concurrent.futures.Future()
+        self.play(self, name, *given)
         return future
+
+    def answer(self, name, found, number=None):
+        self.futures[name, number].set_result(found)
 
     def kill(self):
         pass
@@ -173,75 +175,125 @@ class Answers:
 
 
 @pytest.fixture
-def engine(files, tmp_path):
-    """An engine; processes that were started, and what the last one was asked."""
-    folder, asked, processes = OutputFolder(tmp_path / "out"), {}, []
+def driven(files, tmp_path, monkeypatch):
+    """Runs a job of twelve frames by one worker, whose first process does what a script says: what was seen so far,
+    the process, what it is asked, and what it is given. It returns whether that is all; else the process does well."""
+    monkeypatch.setattr("warpcage.batch.engines.TICK", 0.01)
+    folder = OutputFolder(tmp_path / "out")
     folder.prepare()
+    seen = types.SimpleNamespace(folder=folder, processes=[], orders=[], lines=[], now=0.0)
 
-    def start(settings):
-        processes.append(Answers(settings, asked))
-        return processes[-1]
+    def play_of(script, settings):
+        first = settings.notes == "run-0-1"
 
-    host = types.SimpleNamespace(start=start, share=Share(2, 0, 0, 1, "cpu"), waited=lambda seconds: None)
-    with JobFile(files / "jobs.jsonl") as job:
-        prefetch = tuple((job.data(index), job.line(index)) for index in (4, 5))
-        settings = RunnerSettings(str(files), job.reader, str(folder.path), "run", prefetch=prefetch)
+        def play(process, name, *given):
+            if name == "run":
+                seen.orders.append((first, given[0]))
+            if first and script(seen, process, name, *given):
+                return
+            if name == "run":
+                order = given[0]
+                process.answer(name, ChunkReport(done=order.indices, seconds=[1.0] * len(order.indices)), order.number)
+            elif name in ("facts", "begun"):
+                process.answer(name, {}, *given)
 
-        def order(chunk):
-            lines = [(job.data(index), job.line(index)) for index in chunk.items]
-            return ChunkOrder(chunk.number, list(chunk.items), lines, list(chunk.attempts))
+        return play
 
-        yield ProcessEngine(host, settings, folder, order, 100.0), processes, asked, folder
+    def now():
+        seen.now += 0.5  # a look at the clock takes time
+        return seen.now
+
+    def run(script, **options):
+        def start(settings):
+            seen.processes.append(Scripted(settings, play_of(script, settings)))
+            return seen.processes[-1]
+
+        host = types.SimpleNamespace(start=start, share=Share(2, 0, 0, 1, "cpu"), waited=lambda seconds: None)
+        with JobFile(files / "jobs.jsonl") as job, RunJournal(job, folder, "run", lambda: None) as journal:
+            prefetch = tuple((job.data(index), job.line(index)) for index in (4, 5))
+            engine = ProcessEngine(host, RunnerSettings("", job.reader, "", "run", prefetch=prefetch))
+            engine.now = now
+            seen.dispatcher = Dispatcher(ChunkQueue(np.arange(12), np.zeros(12)))
+            seen.dispatcher.add_worker("0")
+            assert Driver(seen.dispatcher, engine, journal, warn=seen.lines.append, **options).run() is None
+            assert seen.dispatcher.done == 12 and not seen.dispatcher.failures
+        return seen
+
+    return run
 
 
-def test_one_that_takes_the_place_of_a_worker_that_died_reads_nothing_beforehand(engine):
+def note(folder, *lines):
+    """Notes of the first process: number of an item, of its chunk, and what became of it."""
+    with contextlib.closing(folder.new_notes("run-0-1")) as notes:
+        for number, chunk, state in lines:
+            more = {"lot": chunk} if state == "started" else {"seconds": 1.0}
+            notes.append({"id": f"shot/f{number:04d}", "state": state} | more)
+
+
+def test_chunks_beside_one_whose_device_is_lost_are_as_they_were_noted(driven):
+    def script(seen, process, name, *given):
+        if name == "run" and given[0].number == 2:
+            lines = [(0, 1, "started"), (3, 2, "started"), (4, 2, "started"), (3, 2, "done")]
+            note(seen.folder, *lines)
+            process.answer("run", ChunkReport(errors=[(0, "x")], left=[1, 2], broken="no device"), 1)
+        return name == "run"
+
+    seen = driven(script)
+    assert [order.indices for first, order in seen.orders if first] == [[0, 1, 2], [3, 4, 5]]
+    again = dict(
+        pair for first, order in seen.orders if not first for pair in zip(order.indices, order.attempts, strict=True)
+    )
+    assert again == {0: 1} | {index: 0 for index in range(1, 12) if index != 3}
+    assert seen.lines == ["worker 0: no device: it is started again"]
+
+
+def test_one_that_takes_the_place_of_a_worker_that_died_reads_nothing_beforehand(driven):
     """What the first one read may have killed it, with no item to blame."""
-    engine, processes, _, _ = engine
-    for worker in ("0", "1", "0"):
-        engine.launch(worker)
-    prefetch = engine.settings.prefetch
-    assert [process.settings.prefetch for process in processes] == [prefetch[:1], prefetch[1:], ()]
+
+    def script(seen, process, name, *given):
+        if name == "run":
+            process.answer(name, ChunkReport(left=given[0].indices, broken="no device"), given[0].number)
+        return name == "run"
+
+    seen = driven(script)
+    assert [len(process.settings.prefetch) for process in seen.processes] == [1, 0]
 
 
-def test_chunks_beside_one_whose_device_is_lost_are_as_they_were_noted(engine):
-    engine, _, asked, folder = engine
-    engine.launch("0")
-    engine.give("0", Chunk(1, [0, 1], [0, 0], 0))
-    asked["begun", 1].set_result(None)
-    assert engine.wait(1.0) == [ChunkBegun("0", 1)]
-    engine.give("0", Chunk(2, [2, 3, 4], [0, 0, 0], 0))
-    notes = folder.new_notes("run-0-1")
-    for number, chunk, state in [(0, 1, "started"), (2, 2, "started"), (3, 2, "started"), (2, 2, "done")]:
-        note = {"id": f"shot/f{number:04d}", "state": state} | (
-            {"lot": chunk} if state == "started" else {"seconds": 1.0}
-        )
-        notes.append(note)
-    notes.close()
-    asked["run", 1].set_result(ChunkReport(errors=[(0, "x")], left=[1], broken="no device"))
-    other, broken = engine.wait(1.0)
-    assert isinstance(other, Finished) and (other.number, broken.number) == (2, 1) and broken.report.broken
-    assert (other.report.done, other.report.left) == ([2], [3, 4]) and not engine.places
+def test_a_worker_whose_item_is_late_is_ended_and_that_item_is_blamed(driven):
+    """It is asked once an item can be late, of that chunk alone; what it had of the other is made again."""
+    asked = []
+
+    def script(seen, process, name, *given):
+        if name == "run" and given[0].number == 2:
+            note(seen.folder, (0, 1, "started"), (1, 1, "started"), (3, 2, "started"))
+            seen.now = 95.0
+        if name == "oldest":
+            asked.append((seen.now, *given))
+            process.answer(name, (1, 100.5 if len(asked) > 1 else 59.0), 1)
+        return name in ("run", "oldest")
+
+    seen = driven(script, item_timeout=100.0)
+    (first, number), (second, again) = asked  # it began 59 s before
+    assert number == again == 1 and 100.0 < first < 110.0 and 41.0 <= second - first < 50.0
+    assert "the item took longer than 100 s" in seen.lines[0]
+    again = [
+        pair for first, order in seen.orders if not first for pair in zip(order.indices, order.attempts, strict=True)
+    ]
+    assert sorted(again) == sorted((index, int(index == 1)) for index in range(12)) and len(seen.lines) == 1
+    alone = [order.indices for first, order in seen.orders if not first and len(order.indices) == 1]
+    assert all([index] in alone for index in (0, 1, 3))
 
 
-def test_a_worker_that_is_ended_tells_of_both_chunks_and_whose_item_was_late(engine, monkeypatch):
-    engine, _, asked, folder = engine
-    now = [0.0]
-    monkeypatch.setattr(engine, "now", lambda: now[0])
-    engine.launch("0")
-    engine.give("0", Chunk(1, [0, 1], [0, 0], 0))
-    now[0] = 60.0
-    engine.give("0", Chunk(2, [2, 3], [0, 0], 0))
-    notes = folder.new_notes("run-0-1")
-    for number, chunk in [(0, 1), (1, 1), (2, 2)]:
-        notes.append({"id": f"shot/f{number:04d}", "state": "started", "lot": chunk})
-    notes.close()
-    now[0] = 101.0
-    assert engine.wait(0.0) == [] and ("oldest", 1) in asked and ("oldest", 2) not in asked
-    asked["oldest", 1].set_result((1, 100.5))
-    (died,) = engine.wait(1.0)
-    assert died.begun == [0, 2, 1] and "took longer than 100 s" in died.reason
-    asked["begun", 1].set_result(None)  # of a process that is gone
-    assert engine.wait(0.0) == []
+def test_a_worker_that_is_asked_and_answers_nothing_is_ended(driven):
+    def script(seen, process, name, *given):
+        if name == "run" and given[0].number == 2:
+            seen.now = 101.0
+        if name == "oldest":
+            seen.now += 61.0
+        return name in ("run", "oldest")
+
+    seen = driven(script, item_timeout=100.0)
+    assert seen.lines == ["worker 0: its worker was ended: it did not answer for 60 s: it is started again"]
 
 
 class Late(Making):

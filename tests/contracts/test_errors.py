@@ -24,7 +24,6 @@ CLASSES = [each for each in vars(errors).values() if isinstance(each, type) and 
 #: what a package says that is not whole.
 MADE = {
     "package.py": {"AttributeError", "ImportError"},
-    "batch/engines.py": {"AssertionError"},
     "captures/colmap.py": {"InterruptedError"},
     "cli/films.py": {"InterruptedError"},
     "batch/manifest.py": {"OSError"},  # for `file_error`

@@ -7,8 +7,7 @@ import heapq
 
 import numpy as np
 
-from warpcage.batch import Chunk, ChunkReport, Died, Event, Finished, Ready, Returned
-from warpcage.batch.engines import Begun
+from warpcage.batch import Answer, Chunk, ChunkReport
 
 
 @dataclasses.dataclass
@@ -63,10 +62,11 @@ class _Work:
 
 
 class SimulatedEngine:
-    """What `ProcessEngine` does, under a virtual clock. The driver is one more worker, which messages keep busy."""
+    """What `ProcessEngine` does, under a virtual clock. The driver is one more worker, which messages keep busy.
+    It is the journal of its chunks too, which are sent as they are."""
 
     def __init__(self, conditions: Conditions):
-        self.conditions = conditions
+        self.conditions, self.overlapping = conditions, conditions.overlapping
         # (n,) how often each item was made
         self.made = np.zeros(len(conditions.item_seconds), np.int16)
         # seconds that the driver worked, and that workers made items and loaded what those need
@@ -78,23 +78,37 @@ class SimulatedEngine:
         self.queue: list[tuple[float, int, str, str, int]] = []  # when, order, what, worker, version
         self.count = 0
         self.works: dict[str, list[_Work]] = {}  # of each worker, the oldest first
+        self.dead: dict[str, tuple[float, list[_Work]]] = {}  # when each died that was not started since, with what
         self.loaded: dict[str, int] = {}
-        self.replies: dict[int, Event] = {}
+        self.replies: dict[int, Answer] = {}
 
     def now(self) -> float:
         """The virtual time of the driver, seconds."""
         return self.time
 
-    def launch(self, worker: str) -> None:
+    def start(self, worker: str, start: int) -> None:
         """A process starts."""
         self.loaded.pop(worker, None)
         self.later(self.time + self.conditions.start_seconds, "ready", worker, 0)
 
-    def give(self, worker: str, chunk: Chunk) -> None:
-        """A worker gets a chunk."""
-        self.spend(self.conditions.send_cost, len(chunk.items))
-        self.chunks += 1
-        self.set_out(worker, chunk)
+    def order(self, chunk: Chunk) -> Chunk:
+        return chunk
+
+    def submit(self, worker: str, method: str, *given) -> None:
+        """A worker gets a chunk, is asked for items, or hears that it is to begin no more."""
+        if method == "run":
+            (chunk,) = given
+            self.spend(self.conditions.send_cost, len(chunk.items))
+            self.chunks += 1
+            self.set_out(worker, chunk)
+        elif method == "recall":
+            self.recall(worker, *given)
+        elif method == "stop":
+            there = self.time + self.conditions.latency
+            self.spend(self.conditions.send_cost, 0)
+            work = self.making(worker)
+            if work is not None and there < work.death:
+                self.shorten(worker, work, int(np.count_nonzero(work.starts <= there)))
 
     def recall(self, worker: str, number: int, share: float) -> None:
         """A worker is asked for items."""
@@ -105,44 +119,39 @@ class SimulatedEngine:
             waiting = int(np.count_nonzero(work.starts > there))
             back = self.shorten(worker, work, len(work.items) - int(share * waiting))
         self.count += 1
-        self.replies[self.count] = Returned(worker, number, back)
+        self.replies[self.count] = Answer(worker, "recall", number, back)
         heapq.heappush(self.queue, (there + self.conditions.latency, self.count, "reply", worker, self.count))
+
+    def cancel(self, worker: str) -> None:
+        """The process of a worker is gone."""
+        self.works.pop(worker, None)
 
     def lost(self, item: int, error: str, attempts: int) -> None:
         """Nothing is noted."""
 
-    def stop(self) -> None:
-        """Workers hear that they are to begin no more items."""
-        there = self.time + self.conditions.latency
-        for worker in list(self.works):
-            self.spend(self.conditions.send_cost, 0)
-            work = self.making(worker)
-            if work is not None and there < work.death:
-                self.shorten(worker, work, int(np.count_nonzero(work.starts <= there)))
-
-    def wait(self, timeout: float) -> list[Event]:
+    def wait(self, timeout: float) -> list[Answer]:
         """What happens next; the clock goes on to it, or by the time that passes."""
         end = self.time + timeout
-        events: list[Event] = []
-        while self.queue and not events:
+        answers: list[Answer] = []
+        while self.queue and not answers:
             when, _, what, worker, version = heapq.heappop(self.queue)
             if when > end:
                 heapq.heappush(self.queue, (when, self.count + 1, what, worker, version))
                 self.count += 1
                 break
-            event = self.event(what, worker, version)
-            if event is not None:
+            answer = self.answer(what, worker, version)
+            if answer is not None:
                 self.time = max(self.time, when)
-                if isinstance(event, Finished | Died):
-                    self.spend(self.conditions.receive_cost, len(event.report.done))
-                events.append(event)
-        if not events:
+                if answer.method == "run" and answer.error is None:
+                    self.spend(self.conditions.receive_cost, len(answer.found.done))
+                answers.append(answer)
+        if not answers:
             self.time = end
-        return events
+        return answers
 
-    def event(self, what: str, worker: str, version: int) -> Event | None:
+    def answer(self, what: str, worker: str, version: int) -> Answer | None:
         if what == "ready":
-            return Ready(worker)
+            return Answer(worker, "facts", 0, None)
         if what == "reply":
             return self.replies.pop(version)
         works = self.works.get(worker, [])
@@ -150,12 +159,14 @@ class SimulatedEngine:
         if work is None:
             return None
         if what == "death":
-            return self.died(worker, work.death, self.works.pop(worker))
+            self.deaths += 1
+            self.dead[worker] = work.death, self.works.pop(worker)
+            return Answer(worker, "run", work.number, None, "killed")
         if what == "begun":
             work.begun = True
-            return Begun(worker, work.number) if self.conditions.overlapping else None
+            return Answer(worker, "begun", work.number, None) if self.conditions.overlapping else None
         works.remove(work)
-        return Finished(worker, self.report(work, len(work.items)), work.number)
+        return Answer(worker, "run", work.number, self.report(work, len(work.items)))
 
     def making(self, worker: str) -> _Work | None:
         """The chunk of which a worker makes items."""
@@ -204,17 +215,15 @@ class SimulatedEngine:
         if given.write_seconds and end < work.death:
             self.later(end + given.latency, "begun", worker, work.version)
 
-    def died(self, worker: str, death: float, works: list[_Work]) -> Died:
-        self.deaths += 1
-        report, begun = ChunkReport(), []
-        for work in works:
-            settled = int(np.count_nonzero(work.ends + self.conditions.write_seconds <= death))
-            of_chunk = self.report(work, settled)
-            for name in ("done", "seconds", "failed", "errors"):
-                getattr(report, name).extend(getattr(of_chunk, name))
-            begun += work.items[settled : int(np.count_nonzero(work.starts < death))]
-            self.worked += float(np.maximum(np.minimum(work.ends, death) - work.starts, 0.0)[settled:].sum())
-        return Died(worker, report, begun, "killed")
+    def noted(self, worker: str, start: int, chunk: Chunk) -> tuple[ChunkReport, list[int]]:
+        """What a worker that died had settled of a chunk, and what it had begun besides."""
+        death, works = self.dead[worker]
+        work = next(each for each in works if each.number == chunk.number)
+        settled = int(np.count_nonzero(work.ends + self.conditions.write_seconds <= death))
+        report = self.report(work, settled)
+        self.spend((0.0, self.conditions.receive_cost[1]), len(report.done))
+        self.worked += float(np.maximum(np.minimum(work.ends, death) - work.starts, 0.0)[settled:].sum())
+        return report, work.items[settled : int(np.count_nonzero(work.starts < death))]
 
     def report(self, work: _Work, settled: int) -> ChunkReport:
         """What becomes of the first items of a chunk."""

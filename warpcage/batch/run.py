@@ -22,11 +22,11 @@ from ..core.memory import LRUCache
 from ..core.names import counted, error_line
 from ..core.threads import cpu_threads, limit_threads
 from ..errors import InputError
-from .chunk_runner import Chunk, ChunkOrder, Maker, RunnerSettings, leaves_no_room, make_runner, run_name
-from .engines import GRACE, Engine, Host, LocalEngine, ProcessEngine, drive
+from .chunk_runner import Chunk, ChunkOrder, ChunkReport, Maker, RunnerSettings, leaves_no_room, make_runner, run_name
+from .engines import GRACE, Driver, Engine, Host, LocalEngine, ProcessEngine, notes_name
 from .items import FOLDER, Item
 from .job_file import Fingerprints, JobFile, references_of
-from .manifest import Manifest, OutputFolder, Part, merge_notes, newest_seconds
+from .manifest import DONE, ERROR, FAILED, Manifest, OutputFolder, Part, merge_notes, newest_seconds, notes_of_chunk
 from .processes import LocalHost, RayHost, ray_session
 from .scheduler import AIM, KIND_NUMBERS, Dispatcher, Plan, make_plan, open_shards
 from .webdataset import finish_folder, shard_path, shard_size, span_of
@@ -198,12 +198,12 @@ def _run(
         state = RunProgress("make", plan.total, plan.total, plan.kept)
         if not len(plan.items) and not shards:
             return _ended(job, folder, plan, None, begin)
-        orders = _Orders(job, unchanged, shard_size(job))
+        run = run_name()
         settings = RunnerSettings(
             str(job.folder),
             job.reader,
             str(folder.path),
-            run_name(),
+            run,
             options.device,
             retries=options.retries,
             maker=maker,
@@ -212,9 +212,13 @@ def _run(
         if not len(plan.items):
             # there is nothing but shards to be packed
             options = dataclasses.replace(options, workers=1, cluster=None, item_timeout=None)
-        with _merged(folder) as merging, _engine(options, settings, folder, orders) as (engine, count):
+        with (
+            _merged(folder) as merging,
+            RunJournal(job, folder, run, unchanged) as journal,
+            _engine(options, settings) as (engine, count),
+        ):
             chunks = plan.chunks(aim=_aim(options, count), whole=shards is not None)
-            dispatcher = orders.dispatcher = Dispatcher(chunks, retries=options.retries, shards=shards)
+            dispatcher = journal.dispatcher = Dispatcher(chunks, retries=options.retries, shards=shards)
             for number in range(max(1, min(count, len(plan.items)))):
                 dispatcher.add_worker(str(number))
 
@@ -240,7 +244,13 @@ def _run(
                 warn(line)
 
             begun = len(ready)
-            merging.halt = drive(dispatcher, engine, progress=tell, warn=note)
+            driver = Driver(dispatcher, engine, journal, item_timeout=options.item_timeout, progress=tell, warn=note)
+            try:
+                merging.halt = driver.run()
+            except BaseException:
+                with contextlib.suppress(Exception):
+                    driver.drain(0.0 if options.local else GRACE)
+                raise
             if count > 1 and options.cluster is None and merging.halt is None and len(ready) > begun and not warned:
                 line = unpaid(count, dispatcher.done, ready[begun], time.monotonic() - begin - ready[begun])
                 if line is not None:
@@ -248,16 +258,23 @@ def _run(
         return _ended(job, folder, plan, dispatcher, begin, merging.halt)
 
 
-class _Orders:
-    """What workers are sent for chunks; unchanged: raises where the job file is no more what it was.
-    shard_size: items of a shard; 0 where there are none."""
+class RunJournal:
+    """What workers are sent for chunks, and note of them; unchanged: raises where the job file has changed."""
 
     dispatcher: Dispatcher  # knows which items failed
 
-    def __init__(self, job: JobFile, unchanged: Callable[[], None], shard_size: int):
-        self._job, self._unchanged, self._shard_size = job, unchanged, shard_size
+    def __init__(self, job: JobFile, folder: OutputFolder, run: str, unchanged: Callable[[], None]):
+        self._job, self._folder, self._run, self._unchanged = job, folder, run, unchanged
+        self._shard_size, self._notes = shard_size(job), None
 
-    def __call__(self, chunk: Chunk) -> ChunkOrder:
+    def __enter__(self) -> RunJournal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._notes is not None:
+            self._notes.close()
+
+    def order(self, chunk: Chunk) -> ChunkOrder:
         """The order of a chunk."""
         self._unchanged()
         if chunk.shard is not None:
@@ -265,6 +282,31 @@ class _Orders:
         lines = [(self._job.data(index), self._job.line(index)) for index in chunk.items]
         shard = chunk.items[0] // self._shard_size if self._shard_size else None
         return ChunkOrder(chunk.number, list(chunk.items), lines, list(chunk.attempts), shard, seconds=chunk.seconds)
+
+    def noted(self, worker: str, start: int, order: ChunkOrder) -> tuple[ChunkReport, list[int]]:
+        """What a worker noted of a chunk: what it settled and what it left, and what it had begun, the newest last."""
+        report = ChunkReport()
+        read = self._job.reader.item
+        indices = {read(*line).id: index for line, index in zip(order.lines, order.indices, strict=True)}
+        path = self._folder.notes / f"{notes_name(self._run, worker, start)}.jsonl"
+        settled, begun = notes_of_chunk(path, order.number)
+        for record in settled:
+            index = indices.pop(record["id"])
+            if record["state"] == DONE:
+                report.done.append(index)
+                report.seconds.append(float(record["seconds"]))
+            else:
+                (report.errors if record["state"] == ERROR else report.failed).append((index, record["error"]))
+        report.left = list(indices.values())
+        return report, [indices[each] for each in begun]
+
+    def lost(self, item: int, error: str, attempts: int) -> None:
+        """Note an item that failed with its workers."""
+        self._unchanged()
+        self._notes = self._notes or self._folder.new_notes(f"{self._run}-driver")
+        found = self._job.item(item)
+        record = {"id": found.id, "state": FAILED, "kind": found.kind, "attempts": attempts, "error": error}
+        self._notes.append(record)
 
     def _packed(self, shard: int) -> list[dict[str, str]]:
         """The outputs of all items of a shard that are there: what was to be made of it is settled."""
@@ -356,28 +398,18 @@ def _merged(folder: OutputFolder) -> Iterator[_Merging]:
 
 
 @contextlib.contextmanager
-def _engine(
-    options: Options, settings: RunnerSettings, folder: OutputFolder, order: Callable[[Chunk], ChunkOrder]
-) -> Iterator[tuple[Engine, int]]:
+def _engine(options: Options, settings: RunnerSettings) -> Iterator[tuple[Engine, int]]:
     """Where the work is done, and by how many. Whatever ends it, nothing works afterwards."""
     with contextlib.ExitStack() as held:
         if options.local:
-            local = LocalEngine(make_runner(settings), order)
-            held.callback(local.close)
-            yield local, 1
+            yield held.enter_context(contextlib.closing(LocalEngine(make_runner(settings)))), 1
             return
         host: Host
         if options.cluster is None:
             host = LocalHost(options.workers or 1, options.device)
         else:
             host = RayHost(held.enter_context(ray_session(options.cluster)), options.workers, options.device)
-        engine = ProcessEngine(host, settings, folder, order, options.item_timeout)
-        try:
-            yield engine, host.share.workers
-        except BaseException:
-            engine.close(GRACE)
-            raise
-        engine.close()
+        yield held.enter_context(contextlib.closing(ProcessEngine(host, settings))), host.share.workers
 
 
 #: Files that are remembered: each is looked at once, however many items name it.
