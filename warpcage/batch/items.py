@@ -7,7 +7,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, get_type_hints
 
 from ..core.checks import checked_bounds, shown
 from ..core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, edit_fields
@@ -27,17 +27,23 @@ ID = "{id}"
 class Item(abc.ABC):
     """One thing to make."""
 
-    id: str  # a relative name, unique in its job
-    outputs: dict[str, str]  # the files that it writes by what they hold, relative to the folder of the run
-    extra: Any = None  # any JSON that is kept with its record
+    id: Annotated[str, safe_name]  # a relative name, unique in its job
+    outputs: Annotated[dict[str, str], words.anything]  # files by what they hold, relative to the folder of the run
+    extra: Annotated[Any, words.anything] = None  # any JSON that is kept with its record
 
-    #: The word of its kind, the words that it takes, and all kinds by their words.
+    #: The word of its kind, words of JSON besides its fields, all that it takes with their checks, and all kinds.
     kind: ClassVar[str]
+    short: ClassVar[dict[str, Checker]]
     known: ClassVar[dict[str, Checker]]
     kinds: ClassVar[dict[str, type[Item]]] = {}
 
     def __init_subclass__(cls) -> None:
-        Item.kinds[cls.kind] = cls
+        if hasattr(cls, "kind"):
+            hints = get_type_hints(cls, include_extras=True).items()
+            checks = {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
+            last = {name: checks.pop(name) for name in ("outputs", "extra")}
+            cls.known = {"id": checks["id"], "kind": words.anything} | checks | cls.short | last
+            Item.kinds[cls.kind] = cls
 
     @property
     @abc.abstractmethod
@@ -239,56 +245,30 @@ def _frame_outputs(value: Any, word: str) -> dict[str, str]:
     return dict(value)
 
 
-#: Words of the short form of one edit.
-SHORT_EDIT = tuple(EDIT_WORDS)
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrameItem(Item):
     """A picture of a field, as it is or deformed. Parts of outputs: see PART_ENDINGS; film: colours for films of
     16 bits; pose: vertices of its posed cages; record: what `batch.worker.frame_record` says of it."""
 
-    field: str = ""  # a file, voxels or splats
-    camera: Any = None  # an object, or a reference
-    edits: tuple[EditWords, ...] = ()  # in the order in which they act; none shows the field as it is
-    size: tuple[int, ...] = ()  # width, or width and height, at which the camera is taken; its own where it is empty
-    coordinates: str = FIELD_COORDINATES
-    resolution: int | str | None = None  # cells of the lattice, "precise", or None: by the size of the picture
-    density: str = "opacity"
-    map: str | None = None
-    background: Any = None  # a colour, "transparent", or None: the field's own
-    fill: bool = False  # whether what was uncovered is filled
-    overlay: bool = False  # whether the cages are drawn into the picture
-    supersampling: int | None = None  # rays along each side of a pixel; None is the field's
-    antialias: bool | None = (
-        None  # of splats: whether those smaller than a pixel are weakened; None is as their file says
-    )
-    disparity_scale: tuple[float, float] | None = None  # low and high of such pictures; None is the frame's range
-    scene_scale: float = 1.0  # as `VoxelField.load` has it
+    outputs: Annotated[dict[str, str], _frame_outputs]
+    field: Annotated[str, text] = ""  # a file, voxels or splats
+    camera: Annotated[Any, _camera] = None  # an object, or a reference
+    edits: Annotated[tuple[EditWords, ...], _edits] = ()  # in the order in which they act; none: the field as it is
+    size: Annotated[tuple[int, ...], _size] = ()  # width, or width and height, of the camera; its own where it is empty
+    coordinates: Annotated[str, one_of(*COORDINATES)] = FIELD_COORDINATES
+    resolution: Annotated[int | str | None, _resolution] = None  # lattice cells, "precise"; None: by the picture's size
+    density: Annotated[str, one_of(*DENSITIES)] = "opacity"
+    map: Annotated[str | None, one_of(*SPLAT_MAPS)] = None
+    background: Annotated[Any, words.background] = None  # a colour, "transparent", or None: the field's own
+    fill: Annotated[bool, words.truth] = False  # whether what was uncovered is filled
+    overlay: Annotated[bool, words.truth] = False  # whether the cages are drawn into the picture
+    supersampling: Annotated[int | None, words.whole(1, 8)] = None  # rays along a pixel's side; None is the field's
+    antialias: Annotated[bool | None, words.truth] = None  # whether small splats are weakened; None: as their file says
+    disparity_scale: Annotated[tuple[float, float] | None, _scale] = None  # low and high; None is the frame's range
+    scene_scale: Annotated[float, words.positive] = 1.0  # as `VoxelField.load` has it
 
     kind: ClassVar[str] = "frame"
-    known: ClassVar[dict[str, Checker]] = {
-        "id": safe_name,
-        "kind": words.anything,
-        "field": text,
-        "camera": _camera,
-        "size": _size,
-        "edits": _edits,
-        **EDIT_WORDS,
-        "coordinates": one_of(*COORDINATES),
-        "resolution": _resolution,
-        "density": one_of(*DENSITIES),
-        "map": one_of(*SPLAT_MAPS),
-        "background": words.background,
-        "fill": words.truth,
-        "overlay": words.truth,
-        "supersampling": words.whole(1, 8),
-        "antialias": words.truth,
-        "disparity_scale": _scale,
-        "scene_scale": words.positive,
-        "outputs": _frame_outputs,
-        "extra": words.anything,
-    }
+    short: ClassVar[dict[str, Checker]] = EDIT_WORDS  # of one edit
 
     @property
     def group(self) -> str:
@@ -307,7 +287,7 @@ class FrameItem(Item):
     @classmethod
     def _made(cls, entry: Mapping[str, Any], usual: dict[str, Any]) -> Item:
         if entry.get("edits") is not None:  # which stands in place of the one edit that defaults may have
-            usual = {word: value for word, value in usual.items() if word not in SHORT_EDIT}
+            usual = {word: value for word, value in usual.items() if word not in cls.short}
         elif entry.get("cage") is not None:
             usual = {word: value for word, value in usual.items() if word != "edits"}
         return super()._made(entry, usual)
@@ -317,7 +297,7 @@ class FrameItem(Item):
         for word in ("field", "camera"):
             if word not in given:
                 raise InputError(f"a frame needs a {word!r}")
-        short = {word: given.pop(word) for word in SHORT_EDIT if word in given}
+        short = {word: given.pop(word) for word in cls.short if word in given}
         if short and "edits" in given:
             raise InputError(f"{next(iter(short))!r} and 'edits' do not go together: put it into one of the edits")
         if short:
@@ -386,42 +366,28 @@ def _masks(value: Any, word: str) -> bool | str:
     raise InputError(f'{word} must be true, false, "split" or "weights", got {shown(value)}')
 
 
-_SCENE_WORDS: dict[str, Checker] = {
-    "scene": text,
-    "split": text,
-    "downscale": words.whole(1),
-    "format": text,
-    "masks": _masks,
-    "cameras": text,
-}
+@dataclasses.dataclass(frozen=True, eq=False)
+class SceneItem(Item, abc.ABC):
+    """What reads the pictures of a scene: words as `load_scene` has them."""
+
+    scene: Annotated[str, text] = ""  # folder
+    split: Annotated[str, text] = "train"
+    downscale: Annotated[int, words.whole(1)] = 1  # factor by which pictures shrink
+    format: Annotated[str | None, text] = None  # None finds it
+    masks: Annotated[bool | str, _masks] = True  # what mask files are
+    cameras: Annotated[str | None, text] = None  # camera file of the scene; None takes those of its files
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class FitItem(Item):
+class FitItem(SceneItem):
     """A fit of a field to the pictures of a scene; outputs: {"field": file}, and {"cameras": file} where refined."""
 
-    scene: str = ""  # folder
-    options: dict[str, Any] = dataclasses.field(default_factory=dict)  # of `warpcage.fit`, such as {"quality": "fast"}
-    split: str = "train"  # as `load_scene` has it, and so the rest
-    downscale: int = 1  # factor by which pictures shrink
-    format: str | None = None  # None finds it
-    masks: bool | str = True  # what mask files are
-    cameras: str | None = None  # camera file of the scene; None takes those of its files
-    background: Any = "white"  # colour behind transparent pixels
-    straighten: bool = False  # whether the scene is turned so that its up is +z
+    options: Annotated[dict[str, Any], _options] = dataclasses.field(default_factory=dict)  # of `warpcage.fit`
+    background: Annotated[Any, words.color] = "white"  # colour behind transparent pixels
+    straighten: Annotated[bool, words.truth] = False  # whether the scene is turned so that its up is +z
 
     kind: ClassVar[str] = "fit"
-    known: ClassVar[dict[str, Checker]] = {
-        "id": safe_name,
-        "kind": words.anything,
-        **_SCENE_WORDS,
-        "options": _options,
-        "background": words.color,
-        "straighten": words.truth,
-        "output": _output(".npz", *SPLAT_ENDINGS),
-        "outputs": words.anything,
-        "extra": words.anything,
-    }
+    short: ClassVar[dict[str, Checker]] = {"output": _output(".npz", *SPLAT_ENDINGS)}
 
     @property
     def group(self) -> str:
@@ -445,33 +411,17 @@ class FitItem(Item):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class EvaluateItem(Item):
+class EvaluateItem(SceneItem):
     """A comparison of a field with pictures of a scene, as `warpcage evaluate` makes it; outputs: {"report": file}."""
 
-    field: str = ""  # a file, voxels
-    scene: str = ""  # folder
-    split: str = "test"  # as `load_scene` has it, and so the rest
-    downscale: int = 1  # factor by which pictures shrink
-    format: str | None = None  # None finds it
-    masks: bool | str = True  # what mask files are
-    cameras: str | None = None  # camera file of the scene; None takes those of its files
-    background: Any = None  # colour behind the field; None is the field's own
-    tune_cameras: bool = False  # whether each view's camera is turned and shifted first, to match the field best
-    scene_scale: float = 1.0  # as `VoxelField.load` has it
+    field: Annotated[str, text] = ""  # a file, voxels
+    split: Annotated[str, text] = "test"
+    background: Annotated[Any, words.color] = None  # colour behind the field; None is the field's own
+    tune_cameras: Annotated[bool, words.truth] = False  # whether each view's camera is moved first, to match the field
+    scene_scale: Annotated[float, words.positive] = 1.0  # as `VoxelField.load` has it
 
     kind: ClassVar[str] = "evaluate"
-    known: ClassVar[dict[str, Checker]] = {
-        "id": safe_name,
-        "kind": words.anything,
-        "field": text,
-        **_SCENE_WORDS,
-        "background": words.color,
-        "tune_cameras": words.truth,
-        "scene_scale": words.positive,
-        "output": _output(".json"),
-        "outputs": words.anything,
-        "extra": words.anything,
-    }
+    short: ClassVar[dict[str, Checker]] = {"output": _output(".json")}
 
     @property
     def group(self) -> str:
