@@ -199,6 +199,10 @@ def test_steps_solve_for_cameras_and_their_lenses_together(monkeypatch):
     found = steps.camera_steps(normal, slope, lenses)
     np.testing.assert_allclose(found[:, :6].ravel(), expected[:18], rtol=1e-9)
     np.testing.assert_allclose(found[:, 6], expected[18 + lenses], rtol=1e-9)
+    still = steps.camera_steps(normal, slope, lenses, lenses_move=False)  # each for itself: no lens makes up for it
+    for n in range(3):
+        np.testing.assert_allclose(still[n, :6], np.linalg.lstsq(jacobians[n, :, :6], -errors[n], rcond=None)[0])
+    assert not still[:, 6].any()
     firm = steps.camera_steps(normal, slope, lenses, np.full((3, 7), 0.1), 1e6)
     np.testing.assert_allclose(firm, -0.1, rtol=1e-4)  # back to the given cameras
 

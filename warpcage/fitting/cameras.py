@@ -79,6 +79,8 @@ def camera_steps(
     lenses: np.ndarray,
     changes: np.ndarray | None = None,
     firmness: np.ndarray | float = 0.0,
+    *,
+    lenses_move: bool = True,
 ) -> np.ndarray:
     """A damped step of Gauss-Newton (n, 7) for cameras of which some share a lens; J^T J (n, 7, 7) and J^T e (n, 7).
     changes: (n, 7) from the given cameras, None holds nothing; firmness: (n, 7) how firmly those hold beyond HOLD."""
@@ -96,7 +98,7 @@ def camera_steps(
     complement = raised[:, 6, 6] - (crossing[..., 0] * solved[..., 1]).sum(axis=1)
     remainder = slope[:, 6] - (crossing[..., 0] * solved[..., 0]).sum(axis=1)
     lens_steps = -np.bincount(lenses, remainder) / np.maximum(np.bincount(lenses, complement), TINY)
-    along = lens_steps[lenses][:, None]
+    along = lenses_move * lens_steps[lenses][:, None]  # poses do not make up for a zoom that does not come
     return np.concatenate([-solved[..., 0] - solved[..., 1] * along, along], axis=1)
 
 
@@ -282,7 +284,8 @@ class CameraRefinement:
         met = self.normal.any(axis=(1, 2), keepdims=True)
         self.normal = np.where(met, KEPT * self.normal + (1.0 - KEPT) * sums.normal, sums.normal)
         changes, firmness = (self.changes(), self._firmness(rates)) if self.held else (None, 0.0)
-        steps = camera_steps(self.normal, sums.slope, self.lenses, changes, firmness)
+        moving = rates.lenses > 0.0
+        steps = camera_steps(self.normal, sums.slope, self.lenses, changes, firmness, lenses_move=moving)
         most = MOST_VOXELS * voxel / self.reach
         farthest = np.abs(steps[:, :6]).max(axis=1, keepdims=True)
         moves = steps[:, :6] * np.minimum(rates.poses, most / np.maximum(farthest, 1e-30))
