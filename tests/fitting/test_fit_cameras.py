@@ -15,6 +15,7 @@ from warpcage.view import (
     Similarity,
     aligning_similarity,
     framing_orbit,
+    moved_along,
     picture_shifts,
     picture_similarity,
     pose_errors,
@@ -259,3 +260,65 @@ def test_pictures_align_cameras_that_turns_and_shifts_made_inexact():
         for found in (aligning_similarity(inexact, poses), picture_similarity(inexact, poses, points))
     )
     assert (by_pictures**2).sum() < 0.999 * (by_poses**2).sum()
+
+
+def bent(cameras, zoom=0.0):
+    """Cameras of a ring after what bends it smoothly: those on one side go ahead and turn right."""
+    found = []
+    for camera in cameras:
+        pose = camera.camera_to_world.copy()
+        side = pose[0, 3] / np.linalg.norm(pose[:3, 3])
+        pose[:3, 3] += 0.02 * side * pose[:3, 2]
+        pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec([0, 0.01 * side, 0]).as_matrix()
+        factor = np.exp(zoom)
+        found.append(dataclasses.replace(camera, fx=factor * camera.fx, fy=factor * camera.fy, camera_to_world=pose))
+    return found
+
+
+def ring(count, width=40):
+    angles = 2 * np.pi * np.arange(count) / count
+    eyes = [[3 * np.cos(angle), 3 * np.sin(angle), 1] for angle in angles]
+    return [warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=40, width=width, height=30) for eye in eyes]
+
+
+def test_held_out_cameras_move_along_with_those_near_them():
+    """A bend of a ring and a zoom, seen at every camera but every fourth, against where those truly go."""
+    every = ring(40)
+    true = bent(every, zoom=0.01)
+    kept, held = [n for n in range(40) if n % 4], range(0, 40, 4)
+    given, refined = ([each[n] for n in kept] for each in (every, true))
+    found = moved_along([every[n] for n in held], given, refined)
+    points = np.random.default_rng(1).uniform(-0.5, 0.5, (30, 3))
+    poses, ends, starts = (
+        np.array([camera.camera_to_world for camera in each])
+        for each in (found, [true[n] for n in held], [every[n] for n in held])
+    )
+    left, before = picture_shifts(poses, ends, points), picture_shifts(starts, ends, points)
+    assert left.max() < 0.15 * before.max() and before.max() > 5e-3
+    np.testing.assert_allclose([camera.fx for camera in found], [true[n].fx for n in held])
+    # those of the fit go where they went, and stay there; another size of the picture has the same lens
+    for camera, end in zip(moved_along(given, given, refined), refined, strict=True):
+        np.testing.assert_allclose(camera.camera_to_world, end.camera_to_world, atol=1e-12)
+    assert moved_along(refined, given, refined) == refined
+    halved = moved_along([every[0].resized(20, 15)], given, refined)[0]
+    assert halved.fx / every[0].resized(20, 15).fx == pytest.approx(np.exp(0.01))
+
+
+def test_cameras_do_not_go_along_with_what_is_no_ones_neighbors():
+    """Cameras that were off each by itself predict nothing: held-out ones stay, nearly."""
+    every, random = ring(40), np.random.default_rng(0)
+    kept, held = [n for n in range(40) if n % 4], [every[n] for n in range(0, 40, 4)]
+    given = [every[n] for n in kept]
+    refined = []
+    for camera in given:
+        pose = camera.camera_to_world.copy()
+        pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(0.01 * random.normal(size=3)).as_matrix()
+        refined.append(dataclasses.replace(camera, camera_to_world=pose))
+    points = random.uniform(-0.5, 0.5, (30, 3))
+    starts, ends, poses = (
+        np.array([camera.camera_to_world for camera in each])
+        for each in (given, refined, moved_along(held, given, refined))
+    )
+    stayed = np.array([camera.camera_to_world for camera in held])
+    moved = np.median(picture_shifts(poses, stayed, points))
+    assert moved < 0.15 * np.median(picture_shifts(starts, ends, points))

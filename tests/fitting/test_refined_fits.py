@@ -80,6 +80,40 @@ def test_noisy_poses_are_refined_and_exact_ones_stay(bricks, device):
     assert mean_psnr(evaluate(field, tuned_scene(field, test))) > exact - 0.5
 
 
+def test_held_out_views_move_along(bricks, device, tmp_path):
+    """Cameras that are all off as their neighbors are: a path whose poses bend, held-out ones too."""
+    train, test = bricks
+    off = [dataclasses.replace(scene, cameras=[bent(camera) for camera in scene.cameras]) for scene in bricks]
+    _, field = optimized(off[0], device, refine_cameras=True)
+    given, along = (mean_psnr(evaluate(field, off[1], moved_along=moved)) for moved in (False, True))
+    assert along > given + 0.5
+    # which a file keeps, but for those of others; and the fit's own views go to where it found them
+    for kind in ("warpcage", "compact"):
+        field.save(tmp_path / "field.npz", format=kind)
+        loaded = warpcage.VoxelField.load(tmp_path / "field.npz", device=device).refined_cameras
+        for camera, kept in zip(loaded.moved_along(off[0].cameras), field.refined_cameras.cameras, strict=True):
+            np.testing.assert_allclose(camera.camera_to_world, kept.camera_to_world, atol=1e-12)
+        np.testing.assert_array_equal(loaded.gains, field.refined_cameras.gains)
+    scaled = warpcage.VoxelField.load(tmp_path / "field.npz", scene_scale=0.5, device=device).refined_cameras
+    np.testing.assert_allclose(scaled.given[0].center, 2 * off[0].cameras[0].center)
+    contents = dict(np.load(tmp_path / "field.npz"))
+    contents["refined_cameras"] = contents["refined_cameras"][:-9]
+    np.savez(tmp_path / "field.npz", **contents)
+    with pytest.raises(ValueError, match="field.npz: its refined cameras are damaged"):
+        warpcage.VoxelField.load(tmp_path / "field.npz", device=device)
+    field.refined_cameras = None
+    with pytest.raises(ValueError, match=MESSAGES["fitting.no_refined_cameras"]):
+        evaluate(field, test, moved_along=True)
+
+
+def bent(camera):
+    """A camera that turned aside, the more the farther it is along x."""
+    pose = camera.camera_to_world.copy()
+    turn = [0, np.radians(pose[0, 3]), 0]  # 4 units away at most
+    pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
+    return dataclasses.replace(camera, camera_to_world=pose)
+
+
 def test_exposures_are_undone(bricks, device):
     train, test = bricks
     random = np.random.default_rng(0)
@@ -215,7 +249,14 @@ def test_commands_write_read_and_tune_cameras(tmp_path, capsys):
     with pytest.raises(ValueError, match=MESSAGES["fitting.whole_factor"]):
         scene.with_cameras([dataclasses.replace(camera, width=40, height=20) for camera in scene.cameras])
 
-    words = ["evaluate", tmp_path / "bricks.npz", tmp_path / "scene", "--tune-cameras", "--quiet"]
+    words = ["evaluate", tmp_path / "bricks.npz", tmp_path / "scene", "--quiet"]
+    for more, moved in ([], True), (["--given-cameras"], False):
+        assert main([str(word) for word in [*words, *more, "--json", tmp_path / "report.json"]]) == 0
+        said, report = capsys.readouterr().out, json.loads((tmp_path / "report.json").read_text())
+        assert ("moved along with those near them" in said) == report["moved_cameras"] == moved
+        assert (report["mean_psnr_given"] is not None) == ("as they were given the mean is" in said) == moved
+
+    words.append("--tune-cameras")
     assert main([str(word) for word in [*words, "--json", tmp_path / "tuned.json"]]) == 0
     assert "were fitted to the field" in capsys.readouterr().out
     assert json.loads((tmp_path / "tuned.json").read_text())["tuned_cameras"] is True

@@ -417,6 +417,7 @@ class EvaluateItem(SceneItem):
     field: Annotated[str, text] = ""  # a file, voxels
     split: Annotated[str, text] = "test"
     background: Annotated[Any, words.color] = None  # colour behind the field; None is the field's own
+    given_cameras: Annotated[bool, words.truth] = False  # whether cameras stay where those of the fit were refined
     tune_cameras: Annotated[bool, words.truth] = False  # whether each view's camera is moved first, to match the field
     scene_scale: Annotated[float, words.positive] = 1.0  # as `VoxelField.load` has it
 

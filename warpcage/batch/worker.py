@@ -28,7 +28,7 @@ from ..edits.edits import CageEdit, picture_cells
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..fitting.cameras import tuned_scene
-from ..fitting.evaluation import evaluation_report, in_world_of
+from ..fitting.evaluation import evaluation_report, in_world_of, moved_scene, refined_cameras_of
 from ..fitting.fit import fit
 from ..render.modules import load_usual_modules
 from ..scene.formats.parsing import TO_OPENCV
@@ -363,12 +363,14 @@ def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFi
         masks=item.masks,
         cameras=None if item.cameras is None else references.path(item.cameras),
     )
-    scene = in_world_of(field, scene)
+    scene, given = in_world_of(field, scene), None
     if item.tune_cameras:
         if not isinstance(field, VoxelField):
             raise InputError(f"'tune_cameras' is for fields of voxels (.npz), {item.field!r} is of splats")
         scene = tuned_scene(field, scene)
-    found = evaluation_report(field, scene)
+    elif refined_cameras_of(field) is not None and not item.given_cameras:
+        scene, given = moved_scene(field, scene), scene
+    found = evaluation_report(field, scene, given=given)
     fields.settle(key)
     content = {
         "field": item.field,

@@ -11,7 +11,14 @@ from ..core.names import FIT_BACKGROUNDS, counted
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..fitting.cameras import tuned_scene
-from ..fitting.evaluation import comparison, error_image, evaluation_report, in_world_of
+from ..fitting.evaluation import (
+    comparison,
+    error_image,
+    evaluation_report,
+    in_world_of,
+    moved_scene,
+    refined_cameras_of,
+)
 from ..fitting.fit import fit
 from ..fitting.memory import memory_size
 from ..splats.splat_field import SplatField
@@ -44,11 +51,14 @@ def run_evaluate(args: argparse.Namespace) -> None:
 
     background = field.background if args.background is None else args.background
     scene = shared.read_scene(args, background)
-    scene = in_world_of(field, scene)
+    scene, given = in_world_of(field, scene), None
     if args.tune_cameras:
         scene = tuned_scene(shared.require_voxels(field, "--tune-cameras"), scene)
         print("the poses of these views were fitted to the field: the figures say how good it is, not where they are")
-    found = evaluation_report(field, scene, progress=not args.quiet)
+    elif refined_cameras_of(field) is not None and not args.given_cameras:
+        scene, given = moved_scene(field, scene), scene
+        print("the cameras of these views moved along with those near them that the fit refined; no view was looked at")
+    found = evaluation_report(field, scene, given=given, progress=not args.quiet)
     rows, index = found.rows, scene.names.index(found.rows[found.worst]["view"])
     width = max(len("view"), *(len(row["view"]) for row in rows))
     similarities, masked = found.mean_ssim is not None, found.mean_masked_psnr is not None
@@ -60,6 +70,8 @@ def run_evaluate(args: argparse.Namespace) -> None:
             + (f"  {row['ssim']:6.4f}" if row.get("ssim") is not None else " " * 8 * similarities)
             + (f"  {row['masked_psnr']:10.2f}" if row.get("masked_psnr") is not None else "")
         )
+    if found.given_psnr is not None:
+        print(f"with the cameras as they were given the mean is {found.given_psnr:.2f} dB")
     if worst is not None:
         behind, images = comparison(field, scene)
         rgb = field.render(scene.cameras[index], background=behind).rgb

@@ -82,8 +82,8 @@ class VoxelField:
         resolution: (nx, ny, nz) number of voxels along each axis.
         voxel_size: (3,) float64, world units.
         weights: (rows,) float32 Warp array or None.
-        refined_cameras: RefinedCameras of the fit's pictures, where it refined them; None otherwise. Files of fields do
-            not hold them: save them beside.
+        refined_cameras: RefinedCameras of the fit's pictures, where it refined them; None otherwise. Files of fields
+            hold them, but for those of svox2.
         grid: The VoxelGrid that kernels take; positions in it are relative to `center`. Its arrays may be written to at
             any time, but for the links. Its `skip` (nx-1, ny-1, nz-1) says of each cell how many cells it is to the
             nearest whose nodes have rows, 0 there: rays step over so many.
@@ -471,7 +471,9 @@ class VoxelField:
         if contents.outer is not None:
             model = OuterField.from_contents(contents.outer, device)
         options = contents.options() | {"background_model": model, "device": device}
-        return cls(contents.bounds, contents.links, contents.density, contents.sh, **options)
+        field = cls(contents.bounds, contents.links, contents.density, contents.sh, **options)
+        field.refined_cameras = contents.refined
+        return field
 
     @in_turn
     def _contents(self) -> FieldContents:
@@ -489,6 +491,7 @@ class VoxelField:
             supersampling=self.supersampling,
             layers=model.contents() if isinstance(model, LayeredBackground) else None,
             outer=model.contents() if isinstance(model, OuterField) else None,
+            refined=self.refined_cameras,
         )
 
     def to(self, device: wp.DeviceLike) -> VoxelField:
@@ -504,9 +507,11 @@ class VoxelField:
         if device == self.device:
             return self
         grid = self.grid
-        return VoxelField(
+        moved = VoxelField(
             self.bounds, grid.links, grid.density, grid.sh, weights=self.weights, device=device, **self.view_options()
         )
+        moved.refined_cameras = self.refined_cameras
+        return moved
 
     def view_options(self) -> dict[str, Any]:
         """What views of the field depend on besides its voxels, by the constructor's names.

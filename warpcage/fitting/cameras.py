@@ -25,7 +25,7 @@ from ..kernels.fitting.loss import TrainingRays
 from ..kernels.fitting.outer_loss import gather_outer
 from ..kernels.view.rays import PinholeCamera
 from ..scene.scene import Scene
-from ..view.alignment import picture_shifts, picture_similarity
+from ..view.alignment import picture_shifts, picture_similarity, pose_changes
 from ..view.camera import Camera
 from .batches import Batches
 from .evaluation import comparison, in_world_of
@@ -322,13 +322,8 @@ class CameraRefinement:
 
     def changes(self) -> np.ndarray:
         """(n, 7) the numbers of each camera relative to the given one."""
-        from scipy.spatial.transform import Rotation
-
-        given = self.given_poses[:, :3, :3]
-        turns = Rotation.from_matrix(np.swapaxes(given, 1, 2) @ self.poses[:, :3, :3]).as_rotvec()
-        moved = self.poses[:, :3, 3] - self.given_poses[:, :3, 3]
-        shifts = np.einsum("nji,nj->ni", self.poses[:, :3, :3], moved) / self.reach
-        return np.concatenate([turns, shifts, self.zooms[self.lenses][:, None]], axis=1)
+        changes = pose_changes(self.given_poses, self.poses)
+        return np.concatenate([changes[:, :3], changes[:, 3:] / self.reach, self.zooms[self.lenses][:, None]], axis=1)
 
     # State
 

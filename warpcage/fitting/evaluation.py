@@ -15,6 +15,7 @@ from ..errors import InputError
 from ..scene.scene import Scene
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
+from ..view.camera_path import RefinedCameras
 from ..view.frame import Frame
 
 #: Side in pixels of the window of the structural similarity.
@@ -130,7 +131,12 @@ def masked_psnr(image: ArrayLike, reference: ArrayLike, mask: ArrayLike, *, weig
 
 @hears
 def evaluate(
-    renderer: Renderer, scene: Scene, *, similarity: bool = False, progress: bool | Progress = False
+    renderer: Renderer,
+    scene: Scene,
+    *,
+    similarity: bool = False,
+    moved_along: bool = False,
+    progress: bool | Progress = False,
 ) -> list[dict[str, Any]]:
     """Render every view of a scene and compare, at the scene's image size and not quantised.
 
@@ -142,6 +148,9 @@ def evaluate(
         renderer: A VoxelField, a SplatField, a Deformer, or anything with .render(camera, background=...) -> Frame.
         scene: The views. Those of a field that was straightened may be in the world of their files.
         similarity: Whether the structural similarity is measured too.
+        moved_along: Whether each view's camera goes along with the cameras near it that the field's fit refined (see
+            `RefinedCameras.moved_along`); its picture is not looked at. Fields of refined cameras lie where those see
+            them, and cameras as they were given do not go with them.
         progress: True shows a bar on stderr. A function is told (done, total, words) and ends the work by False.
 
     Returns:
@@ -149,13 +158,14 @@ def evaluate(
         object alone, where the scene has opacity.
 
     Raises:
-        ValueError: For anything but a Scene, or one of which nothing counts.
+        ValueError: For anything but a Scene, one of which nothing counts, or `moved_along` and a field whose cameras
+            were not refined.
         Cancelled: Where `progress` returned False.
     """
     require_type(scene, Scene, "evaluate compares with")
     if not hasattr(renderer, "render"):
         raise InputError(f"evaluate needs a field or a Deformer, got {type(renderer).__name__}")
-    scene = in_world_of(renderer, scene)
+    scene = moved_scene(renderer, scene) if moved_along else in_world_of(renderer, scene)
     rows = []
     background, images = comparison(renderer, scene)
     for index in range(len(scene)):
@@ -183,6 +193,20 @@ def in_world_of(renderer: Renderer, scene: Scene) -> Scene:
     """A scene in the world of a field that was straightened, where it was read in that of its files."""
     motion = getattr(getattr(renderer, "field", renderer), "straightening", None)
     return scene if motion is None or scene.straightening is not None else scene.moved(motion)
+
+
+def moved_scene(renderer: Renderer, scene: Scene) -> Scene:
+    """A scene in the world of a field of refined cameras whose own cameras moved along with those."""
+    refined = refined_cameras_of(renderer)
+    if refined is None:
+        raise InputError("cameras move along with a fit's refined ones, this field has none: fit with refine_cameras")
+    scene = in_world_of(renderer, scene)
+    return dataclasses.replace(scene, cameras=refined.moved_along(scene.cameras))
+
+
+def refined_cameras_of(renderer: Renderer) -> RefinedCameras | None:
+    """The cameras that the fit of a field refined, if it did."""
+    return getattr(getattr(renderer, "field", renderer), "refined_cameras", None)
 
 
 def comparison(renderer: Renderer, scene: Scene) -> tuple[np.ndarray | None, np.ndarray]:
@@ -220,6 +244,7 @@ class Report:
     """The figures of every view, and their means."""
 
     rows: list[dict[str, Any]]  # as `evaluate` returns them, at least one
+    given_psnr: float | None = None  # mean PSNR, dB, of cameras as given, where those of the rows moved along
 
     @property
     def mean_psnr(self) -> float:
@@ -247,6 +272,8 @@ class Report:
             "mean_psnr": finite(self.mean_psnr),
             "mean_ssim": self.mean_ssim,
             "mean_masked_psnr": finite(self.mean_masked_psnr),
+            "moved_cameras": self.given_psnr is not None,
+            "mean_psnr_given": finite(self.given_psnr),
             "worst_view": self.rows[self.worst]["view"],
             "views": [
                 {name: finite(value) if name.endswith("psnr") else value for name, value in row.items()}
@@ -259,10 +286,14 @@ class Report:
         return sum(values) / len(values) if values else None
 
 
-def evaluation_report(field: Renderer, scene: Scene, *, progress: bool = False) -> Report:
-    """Compare a field with the pictures of a scene; the structural similarity too where they are large enough."""
+def evaluation_report(
+    field: Renderer, scene: Scene, *, given: Scene | None = None, progress: bool | Progress = False
+) -> Report:
+    """Compare a field with the pictures of a scene; the structural similarity too where they are large enough.
+    given: the scene before its cameras moved along with refined ones, of which the mean is told too."""
     sides = [min(camera.width, camera.height) for camera in scene.cameras]
-    return Report(evaluate(field, scene, similarity=min(sides) >= SSIM_WINDOW, progress=progress))
+    rows = evaluate(field, scene, similarity=min(sides) >= SSIM_WINDOW, progress=progress)
+    return Report(rows, None if given is None else mean_psnr(evaluate(field, given)))
 
 
 def finite(decibels: float | None) -> float | None:

@@ -245,7 +245,8 @@ class FieldOptimizer:
         held = self.refinement
         if held is None:
             return None
-        return RefinedCameras(list(self.scene.names), held.cameras, held.gains.copy(), held.offsets.copy())
+        exposures = held.gains.copy(), held.offsets.copy()
+        return RefinedCameras(list(self.scene.names), held.cameras, *exposures, list(held.given))
 
     @property
     def level(self) -> int:

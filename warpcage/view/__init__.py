@@ -5,7 +5,7 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "alignment": "Similarity aligning_similarity picture_shifts picture_similarity pose_errors",
+        "alignment": "Similarity aligning_similarity moved_along picture_shifts picture_similarity pose_errors",
         "camera": "camera_array camera_struct framing_orbit",
         "camera_path": "path_cameras timed_keys",
         "exr": "linear_light read_exr write_exr write_picture",

@@ -1,4 +1,4 @@
-"""Similarities between two sets of cameras of the same pictures."""
+"""Two sets of cameras of the same pictures: similarities between them, and where others go along with them."""
 
 from __future__ import annotations
 
@@ -122,3 +122,84 @@ def pose_errors(poses: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.
     )
     angles = np.arctan2(np.linalg.norm(skew, axis=1), np.trace(turns, axis1=1, axis2=2) - 1.0)
     return np.degrees(angles), np.linalg.norm(moved[:, :3, 3] - targets[:, :3, 3], axis=1)
+
+
+def pose_changes(poses: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """(n, 6) turns about a camera's own axes, then shifts along those it has then, from poses (n, 4, 4) to others."""
+    from scipy.spatial.transform import Rotation
+
+    turns = Rotation.from_matrix(np.swapaxes(poses[:, :3, :3], 1, 2) @ targets[:, :3, :3]).as_rotvec()
+    shifts = np.einsum("nji,nj->ni", targets[:, :3, :3], targets[:, :3, 3] - poses[:, :3, 3])
+    return np.concatenate([turns, shifts], axis=1)
+
+
+#: Cameras near another one that tell where it goes.
+NEIGHBORS = 6
+
+#: Two poses are one where their axes differ by no more, and their places by no more of the cameras' spread.
+SAME_POSE = 1e-6
+
+
+def moved_along(cameras: Sequence[Camera], given: Sequence[Camera], refined: Sequence[Camera]) -> list[Camera]:
+    """Cameras that go along with those near them, given and refined ones of the same pictures: by medians of their
+    turns and shifts, and their lens's zoom. A given one goes where that went, a refined one stays."""
+    # No picture is looked at: what a held-out view then shows is predicted. Turns and shifts are about a camera's own
+    # axes: an error of a lens moves every camera of an arc along its axis.
+    starts, ends = (np.array([camera.camera_to_world for camera in each]) for each in (given, refined))
+    changes, lenses = pose_changes(starts, ends), np.array([_lens(camera) for camera in given])
+    zooms = np.log([one.fx / other.fx for one, other in zip(refined, given, strict=True)])
+    places = starts[:, :3, 3]
+    spread = max(float(np.median(np.linalg.norm(places - places.mean(axis=0), axis=1))), 1e-12)
+    apart = np.array([_apart(pose, starts, spread) for pose in starts])
+    share = 1.0
+    if len(given) > 1:
+        np.fill_diagonal(apart, np.inf)
+        share = _predicted_share(changes, np.array([_near(changes, row) for row in apart]), spread)
+    found = []
+    for camera in cameras:
+        pose = camera.camera_to_world.copy()
+        if _apart(pose, ends, spread).min() < SAME_POSE:
+            found.append(camera)
+            continue
+        distances = _apart(pose, starts, spread)
+        known = distances.min() < SAME_POSE
+        change = changes[distances.argmin()] if known else share * _near(changes, distances)
+        alike = np.isclose(lenses, _lens(camera), rtol=1e-4).all(axis=1)
+        factor = float(np.exp(np.median(zooms[alike]))) if alike.any() else 1.0
+        pose[:3, :3] = pose[:3, :3] @ _rotation(change[:3])
+        pose[:3, 3] += pose[:3, :3] @ change[3:]
+        found.append(dataclasses.replace(camera, fx=factor * camera.fx, fy=factor * camera.fy, camera_to_world=pose))
+    return found
+
+
+def _near(changes: np.ndarray, distances: np.ndarray) -> np.ndarray:
+    """(6,) the median of the changes (n, 6) of the cameras that are nearest, none of them infinitely far."""
+    nearest = np.argsort(distances, kind="stable")[: min(NEIGHBORS, int(np.isfinite(distances).sum()))]
+    return np.median(changes[nearest], axis=0)
+
+
+def _predicted_share(changes: np.ndarray, predicted: np.ndarray, spread: float) -> float:
+    """How much of what cameras' neighbors predict (n, 6) their own changes (n, 6) bear out: 1 all, 0 where each camera
+    was off by itself, as its neighbors' changes are noise then."""
+    # Least squares for changes = share * predicted, of where the middle of a picture goes, of rolls and of ways ahead.
+    moves = []
+    for each in (changes, predicted):
+        turns, shifts = each[:, :3], each[:, 3:] / spread
+        moves.append(
+            np.column_stack([turns[:, 0] - shifts[:, 1], turns[:, 1] + shifts[:, 0], turns[:, 2], shifts[:, 2]])
+        )
+    own, near = moves
+    weights = 1.0 / np.maximum(np.linalg.norm(own, axis=1) + np.linalg.norm(near, axis=1), 1e-12)[:, None]
+    return float(np.clip((weights * own * near).sum() / max((weights * near * near).sum(), 1e-30), 0.0, 1.0))
+
+
+def _apart(pose: np.ndarray, poses: np.ndarray, spread: float) -> np.ndarray:
+    """(n,) how far poses (n, 4, 4) are from one: distances over the cameras' spread and, about, angles."""
+    turns = np.sqrt(0.5 * ((poses[:, :3, :3] - pose[:3, :3]) ** 2).sum(axis=(1, 2)))
+    return np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) / spread + turns
+
+
+def _lens(camera: Camera) -> list[float]:
+    """Focal lengths and principal point over the picture's sides, which are those of any size of it."""
+    sides = [camera.width, camera.height] * 2
+    return [number / side for number, side in zip((camera.fx, camera.fy, camera.cx, camera.cy), sides, strict=True)]

@@ -6,6 +6,7 @@ import dataclasses
 import math
 import pathlib
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,8 @@ from ..core.checks import checked_number, require_type
 from ..core.files import PathLike
 from ..core.names import agreed
 from ..errors import InputError
-from .camera import Camera, CameraFile, CameraKey, common_up
+from .alignment import Similarity, moved_along
+from .camera import Camera, CameraFile, CameraKey, camera_from_json, camera_json, common_up
 from .motion import value_at
 
 #: Directions in which the axes of cameras say this little, of what they say in others, are taken to say nothing.
@@ -166,6 +168,7 @@ class RefinedCameras:
     cameras: list[Camera]  # in the field's world
     gains: np.ndarray  # (n, 3) float64, what the field's red, green and blue are multiplied by in each picture
     offsets: np.ndarray  # (n, 3) float64, what is added to them then
+    given: list[Camera]  # the cameras as they were before, in the field's world
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -174,8 +177,55 @@ class RefinedCameras:
         """Write them as a camera file, whole or not at all, which `load_scene(path, cameras=...)` takes for its
         pictures."""
         keys = [CameraKey(camera, name=name) for name, camera in zip(self.names, self.cameras, strict=True)]
-        pairs = zip(self.gains, self.offsets, strict=True)
         # an `exposure` with gain and offset for each, which readers of cameras pass over
-        extras = [{"exposure": {"gain": gain.tolist(), "offset": offset.tolist()}} for gain, offset in pairs]
-        CameraFile(keys).save(path, extras=extras)
+        CameraFile(keys).save(path, extras=[{"exposure": exposure} for exposure in self._exposures()])
         return pathlib.Path(path)
+
+    def moved_along(self, cameras: Sequence[Camera]) -> list[Camera]:
+        """Other cameras of the same capture, such as held-out ones, moved as those near them were.
+
+        Turns and shifts are the medians of those of the six nearest cameras, by place and direction, and the focal
+        length changes as that of the same lens. No picture is looked at, so figures of views that moved along are
+        those of a prediction. A camera that is one of the fit's goes where that went; refined ones stay.
+
+        Args:
+            cameras: In the world of the field.
+
+        Returns:
+            The moved cameras, in their order.
+        """
+        return moved_along(cameras, self.given, self.cameras)
+
+    def shrunk(self, divisor: float) -> RefinedCameras:
+        """Those of a smaller world; divisor: old lengths over new ones."""
+        moved = Similarity(1.0 / divisor, np.eye(3), np.zeros(3)).moved
+        return dataclasses.replace(self, cameras=moved(self.cameras), given=moved(self.given))
+
+    def entries(self) -> list[dict[str, Any]]:
+        """All of it as JSON takes it, a picture an entry, as files of fields hold it."""
+        rows = zip(self.names, self.cameras, self.given, self._exposures(), strict=True)
+        return [
+            camera_json(CameraKey(camera, name=name)) | {"given": camera_json(CameraKey(given)), "exposure": exposure}
+            for name, camera, given, exposure in rows
+        ]
+
+    @classmethod
+    def from_entries(cls, entries: Sequence[dict[str, Any]]) -> RefinedCameras:
+        """What `entries` says. ValueError, KeyError or TypeError where they do not hold it."""
+        keys, given = (
+            [camera_from_json(entry, index) for index, entry in enumerate(rows)]
+            for rows in (entries, [entry["given"] for entry in entries])
+        )
+        gains, offsets = (
+            np.array([entry["exposure"][name] for entry in entries], np.float64) for name in ("gain", "offset")
+        )
+        for values in (gains, offsets):
+            if values.shape != (len(keys), 3) or not np.isfinite(values).all():
+                raise InputError("refined cameras have exposures that are not three finite numbers each")
+        return cls(
+            [key.name for key in keys], [key.camera for key in keys], gains, offsets, [key.camera for key in given]
+        )
+
+    def _exposures(self) -> list[dict[str, list[float]]]:
+        pairs = zip(self.gains.tolist(), self.offsets.tolist(), strict=True)
+        return [{"gain": gain, "offset": offset} for gain, offset in pairs]

@@ -167,7 +167,14 @@ def add_evaluate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--worst", metavar="FILE", help="write the worst view (.png): picture, render, and their difference"
     )
-    parser.add_argument(
+    cameras = parser.add_mutually_exclusive_group()
+    cameras.add_argument(
+        "--given-cameras",
+        action="store_true",
+        help="keep the cameras of the views as they are given. Otherwise those of fields of refined cameras go along "
+        "with the refined ones near them, no view being looked at, and the mean of the given ones is told too",
+    )
+    cameras.add_argument(
         "--tune-cameras",
         action="store_true",
         help="turn and shift the camera of each view first so that it matches the field best, as is usual for fields "

@@ -63,6 +63,7 @@ def load_field(path: str | os.PathLike[str], *, scene_scale: float = 1.0) -> Fie
         density=field.density * np.float32(scene_scale),
         layers=None if field.layers is None else field.layers.shrunk(scene_scale),
         outer=None if field.outer is None else field.outer.shrunk(scene_scale),
+        refined=None if field.refined is None else field.refined.shrunk(scene_scale),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 import math
 import pathlib
 import zipfile
@@ -16,6 +17,7 @@ from ...core.files import require_numbers
 from ...core.memory import free_host_bytes
 from ...core.threads import run_parallel
 from ...errors import InputError
+from ...view.camera_path import RefinedCameras
 
 #: Voxels that a grid may have, empty ones included: kernels count them in int32.
 MAX_VOXELS = 2**31 - 1
@@ -82,6 +84,7 @@ class FieldContents:
     supersampling: int | None = None  # rays along each side of a pixel
     layers: LayerContents | None = None
     outer: OuterContents | None = None
+    refined: RefinedCameras | None = None  # of the pictures that it was fitted to
 
     def options(self) -> dict[str, Any]:
         """What is known beside the voxels and layers, by the names of VoxelField's arguments."""
@@ -375,7 +378,7 @@ FORMAT_VERSION, LUMINOUS_VERSION, LAYERS_VERSION = 4, 3, 2
 #: The arrays of a plain file, without its layers.
 OWN_NAMES = (
     *("format", "version", "bounds", "background", "up", "straightening", "supersampling"),
-    *("resolution", "occupancy", "density", "sh", "weights"),
+    *("resolution", "occupancy", "density", "sh", "weights", "refined_cameras"),
 )
 
 
@@ -399,6 +402,8 @@ def own_arrays(field: FieldContents) -> dict[str, Any]:
         contents["straightening"] = field.straightening
     if field.weights is not None:
         contents["weights"] = as_half(field.weights[order])
+    if field.refined is not None:
+        contents["refined_cameras"] = np.frombuffer(json.dumps(field.refined.entries()).encode(), np.uint8)
     if field.layers is not None:
         contents |= layer_arrays(field.layers)
     if field.outer is not None:
@@ -476,4 +481,16 @@ def read_own(contents: dict[str, np.ndarray], path: pathlib.Path) -> FieldConten
         supersampling=supersampling,
         layers=read_layers(contents, path),
         outer=read_outer(contents, path),
+        refined=_read_refined(contents, path),
     )
+
+
+def _read_refined(contents: dict[str, np.ndarray], path: pathlib.Path) -> RefinedCameras | None:
+    """The refined cameras of a file, which it holds as the UTF-8 of a list in JSON."""
+    if "refined_cameras" not in contents:
+        return None
+    words = require_numbers(contents, "refined_cameras", (None,), path)
+    try:
+        return RefinedCameras.from_entries(json.loads(words.tobytes()))
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: its refined cameras are damaged: {' '.join(str(error).split())}") from error
