@@ -221,6 +221,8 @@ def test_exposures_are_found_and_even(monkeypatch):
     found = steps.fitted_exposures(sums)
     np.testing.assert_allclose(found[0], gains, rtol=1e-9)
     np.testing.assert_allclose(found[1], offsets, atol=1e-9)
+    dark = steps.fitted_exposures(np.zeros((1, 3, 5)))  # a view of which nothing counts
+    np.testing.assert_array_equal(dark, [np.ones((1, 3)), np.zeros((1, 3))])
     even, moved = steps.even_exposures(*found)
     np.testing.assert_allclose(np.log(even).mean(axis=0), 0, atol=1e-12)
     np.testing.assert_allclose((moved / even).mean(axis=0), 0, atol=1e-12)

@@ -104,11 +104,11 @@ def camera_steps(
 
 def fitted_exposures(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gains and offsets (n, 3) that make a field's colours those of its pictures, by exposure sums (n, 3, 5)."""
-    xx, xa, aa, xy, ay = np.moveaxis(sums, -1, 0)  # y = gain x + offset a, by least squares
-    prior = EXPOSURE_PRIOR * aa + TINY
-    xx, xy, aa = xx + prior, xy + prior, (1.0 + OFFSET_PRIOR) * aa + TINY
+    xx, xa, aa, xy, ay = np.moveaxis(sums, -1, 0)  # y = gain x + offset a, by least squares, for gain - 1 and offset
+    xy, ay = xy - xx, ay - xa  # so that a view of which nothing counts has a gain of 1
+    xx, aa = xx + EXPOSURE_PRIOR * aa + TINY, (1.0 + OFFSET_PRIOR) * aa + TINY
     determinant = np.maximum(xx * aa - xa * xa, TINY)
-    gains = np.clip((aa * xy - xa * ay) / determinant, *GAINS)
+    gains = np.clip(1.0 + (aa * xy - xa * ay) / determinant, *GAINS)
     return gains, (xx * ay - xa * xy) / determinant
 
 
