@@ -140,7 +140,7 @@ def fits(device) -> None:
         (train, {"supersampling": 2}),
         (whole, {"background": "layers", "background_layers": 3, "background_side": 4}),
         (split, {"background_layers": 3, "background_side": 4}),
-        (whole, {"background": "outer", "outer_resolution": 16, "tile_depth": 0.02}),
+        (whole, {"background": "outer", "outer_resolution": 16}),
         (counted, {"background": "outer", "outer_resolution": 16, "variation_views": 4, "variation_outer_views": 4}),
         (train, {"max_memory": "6MB"}),
         (train, {"refine_cameras": True}),

@@ -47,7 +47,6 @@ class TrainingRays:
     first_tile: int  # where this batch begins in that order
     rays_per_side: int  # 1: through the middle of a pixel, 2: four rays, each somewhere in its quarter
     near: float  # distance from the camera within which gradients are scaled down, world units; 0: none are
-    middle: float  # distance of what cameras look at, which is half of infinity in contracted distances, world units
 
 
 @wp.func
@@ -115,12 +114,6 @@ def passed_share(rays: TrainingRays, distance: float):
 
 
 @wp.func
-def contracted_distance(rays: TrainingRays, distance: float):
-    """A distance from the camera as from 0 to 1, which is infinity."""
-    return distance / (distance + rays.middle)
-
-
-@wp.func
 def background_behind(background: wp.vec3, random_background: int, seed: int, n: int):
     """The given background, or a colour drawn for each pixel."""
     if random_background == 1:
@@ -177,8 +170,6 @@ def accumulate_photometric_gradient(
     scale: float,
     own_background: wp.array(dtype=wp.vec3),
     front: wp.array(dtype=wp.vec4),
-    depths: wp.array(dtype=wp.vec4),
-    depth_slopes: wp.array(dtype=wp.float32),
     grad_density: wp.array(dtype=wp.float32),
     grad_sh: wp.array2d(dtype=wp.float32),
     squared_error: wp.array(dtype=wp.float32),
@@ -189,8 +180,7 @@ def accumulate_photometric_gradient(
     One item per pixel. Rows are shared: for CPU threads that have gradients (rows,), (rows, 24) of their own."""
     # random_background: 1 puts a random colour behind image and render alike: opacity is supervised too.
     # own_background: (pixels,) instead of `background`; front: (pixels,) colour before the grid and light that passes
-    # it; each with its gradient, empty where there is none. stop: transmittance at which a march ends. depths,
-    # depth_slopes: (pixels,) of fitting/tile_depth, empty without a loss of depths.
+    # it; each with its gradient, empty where there is none. stop: transmittance at which a march ends.
     n = first + wp.tid()
     squared_error[n] = 0.0
     has_background = own_background.shape[0] > 0
@@ -212,16 +202,8 @@ def accumulate_photometric_gradient(
         target -= wp.vec3(front[n][0], front[n][1], front[n][2])
         passed_front = front[n][3]
 
-    depth_slope = float(0.0)
-    depth_behind = float(0.0)
-    if depth_slopes.shape[0] > 0:
-        depth_slope = depth_slopes[n]
-        depth_behind = depths[n][2]
-
     subray_count = rays.rays_per_side * rays.rays_per_side
     colors = mat43()
-    sub_depths = wp.vec4()
-    by_depth = float(0.0)
     left = float(0.0)  # transmittance, summed over the sub-rays
     grad_color = wp.vec3()
     march = int(0)
@@ -230,10 +212,8 @@ def accumulate_photometric_gradient(
         direction = subray_direction(rays, camera, pixel, subray, seed, n)
         basis = sh_basis(direction)
         ray = grid_ray(grid, camera.center, direction, step)
-        # the part of C . dL/dC, and of depths, that comes from behind the current sample
-        later = wp.dot(colors[subray], grad_color) + sub_depths[subray] * by_depth
+        later = wp.dot(colors[subray], grad_color)  # the part of C . dL/dC that comes from behind the current sample
         color = wp.vec3()
-        depth = float(0.0)
         transmittance = float(1.0)
         k = ray.first
         while sample_distance(ray, k) < ray.far and transmittance > stop:
@@ -249,12 +229,10 @@ def accumulate_photometric_gradient(
                     transmittance *= wp.exp(-sigma * step)
                     raw = cell_color(grid, cell, basis)
                     radiance = wp.max(raw, wp.vec3(0.0, 0.0, 0.0))
-                    reach = contracted_distance(rays, sample_distance(ray, k))
                     if march < subray_count:
                         color += weight * radiance
-                        depth += weight * reach
                     else:
-                        change = wp.dot(radiance, grad_color) + reach * by_depth
+                        change = wp.dot(radiance, grad_color)
                         later -= weight * change
                         share = passed_share(rays, sample_distance(ray, k))
                         grad_sigma = share * (step * (transmittance * change - later))
@@ -269,7 +247,6 @@ def accumulate_photometric_gradient(
                 k += 1
         if march < subray_count:
             colors[subray] = color + transmittance * behind
-            sub_depths[subray] = depth + transmittance * depth_behind
             left += transmittance
         if march == subray_count - 1:
             seen = (colors[0] + colors[1] + colors[2] + colors[3]) / float(subray_count)
@@ -277,11 +254,8 @@ def accumulate_photometric_gradient(
             squared_error[n] = wp.dot(error, error)
             grad_seen = 2.0 * scale * error
             grad_color = passed_front / float(subray_count) * grad_seen
-            by_depth = passed_front / float(subray_count) * depth_slope
             if has_front:
-                inner_depth = (sub_depths[0] + sub_depths[1] + sub_depths[2] + sub_depths[3]) / float(subray_count)
-                by_light = wp.dot(grad_seen, seen) + depth_slope * inner_depth
-                grad_front[n] = wp.vec4(grad_seen[0], grad_seen[1], grad_seen[2], by_light)
+                grad_front[n] = wp.vec4(grad_seen[0], grad_seen[1], grad_seen[2], wp.dot(grad_seen, seen))
             if has_background:
                 grad_background[n] = left * grad_color
         march += 1

@@ -25,7 +25,6 @@ from .loss import (
     TrainingRays,
     background_behind,
     batch_pixel,
-    contracted_distance,
     in_picture,
     passed_share,
     subray_direction,
@@ -44,8 +43,8 @@ BEYOND = wp.constant(1 << 28)
 
 #: What a warp keeps (core/shared). For each lane CELL_FOURS times four numbers: weights and rows of the eight
 #: corners of its sample's cell, and four more. From HEADS on, eight numbers for each sub-ray: its colour, where its
-#: samples begin, their number or -1, where it first comes near to anything, its depth. From SAMPLES on, seven for each
-#: sample that holds matter: its index, transmittance before it, weight, colour, (none).
+#: samples begin, their number or -1, where it first comes near to anything. From SAMPLES on, seven for each sample that
+#: holds matter: its index, transmittance before it, weight, colour, (none).
 CELL_FOURS = wp.constant(5)
 HEADS = wp.constant(32 * 4 * 5)
 HEAD = wp.constant(8)
@@ -136,8 +135,6 @@ def accumulate_photometric_gradient_by_warps(
     scale: float,
     own_background: wp.array(dtype=wp.vec3),
     front: wp.array(dtype=wp.vec4),
-    depths: wp.array(dtype=wp.vec4),
-    depth_slopes: wp.array(dtype=wp.float32),
     gradients: wp.array(dtype=wp.float32),
     touched: wp.array(dtype=wp.uint8),
     squared_error: wp.array(dtype=wp.float32),
@@ -174,9 +171,7 @@ def accumulate_photometric_gradient_by_warps(
 
     subray_count = rays.rays_per_side * rays.rays_per_side
     mean_color = float(0.0)  # of this lane's channel
-    mean_depth = float(0.0)
     left_over = float(0.0)  # transmittance, summed over the sub-rays
-    by_depth = float(0.0)
     grad_color = float(0.0)
     kept = int(0)  # samples of all sub-rays
     march = int(0)
@@ -197,7 +192,7 @@ def accumulate_photometric_gradient_by_warps(
         first_kept = kept
         later = float(0.0)  # the part of C . dL/dC that comes from behind the current sample
         if march >= subray_count:
-            later = over_channels(one_kept(head + channel) * grad_color) + one_kept(head + 6) * by_depth
+            later = over_channels(one_kept(head + channel) * grad_color)
             first_kept = bits_as_int(one_kept(head + 3))
             count = bits_as_int(one_kept(head + 4))
             k = bits_as_int(one_kept(head + 5))
@@ -214,8 +209,7 @@ def accumulate_photometric_gradient_by_warps(
                 index = bits_as_int(one_kept(place))
                 own = cell_sample(grid, sample_place(ray, index))
                 goes_on = passed_share(rays, sample_distance(ray, index))
-                reach = contracted_distance(rays, sample_distance(ray, index))
-                change = wp.dot(radiance, all_gradients) + reach * by_depth
+                change = wp.dot(radiance, all_gradients)
                 share = wp.where(present, weight * change, 0.0)
                 later_own = later - sum_before(share, lane) - share
                 passed = wp.vec3()
@@ -236,7 +230,6 @@ def accumulate_photometric_gradient_by_warps(
                     add_corner_gradients(gradients, j, lane, stride, first_place, gradient)
                 done += LANES
         color = float(0.0)
-        depth_seen = float(0.0)
         transmittance = float(1.0)
         while sample_distance(ray, k) < ray.far and transmittance > stop:
             g = sample_place(ray, k)
@@ -273,10 +266,8 @@ def accumulate_photometric_gradient_by_warps(
                     sums = part_sums(basis * value, lane)
                     raw = 0.5 + pick(luminance_color(sums), channel)
                     radiance_own = wp.max(raw, 0.0)
-                    reach_own = contracted_distance(rays, sample_distance(ray, k + j))
                     if march < subray_count:
                         color += weight * radiance_own
-                        depth_seen += weight * reach_own
                         if kept < MOST_SAMPLES:
                             keeping = radiance_own
                             slot = 3 + lane
@@ -293,7 +284,7 @@ def accumulate_photometric_gradient_by_warps(
                                 keep_one(SAMPLES + SAMPLE * kept + slot, keeping)
                         kept += 1
                     else:
-                        change_all = over_channels(radiance_own * grad_color) + reach_own * by_depth
+                        change_all = over_channels(radiance_own * grad_color)
                         later -= weight * change_all
                         passed_all = part_gradients(channels(wp.where(raw > 0.0, weight * grad_color, 0.0)))
                         gradient_own = basis * pick(wp.vec3(passed_all[0], passed_all[1], passed_all[2]), part)
@@ -308,9 +299,6 @@ def accumulate_photometric_gradient_by_warps(
                 k += LANES
         if march < subray_count:
             color += transmittance * behind
-            if depth_slopes.shape[0] > 0:
-                depth_seen += transmittance * depths[n][2]
-            mean_depth += depth_seen / float(subray_count)
             mean_color += color / float(subray_count)
             left_over += transmittance
             count_kept = kept - first_kept
@@ -325,8 +313,6 @@ def accumulate_photometric_gradient_by_warps(
                 keep_one(head + 4, bits_as_float(count_kept))
             if lane == 5:
                 keep_one(head + 5, bits_as_float(start))
-            if lane == 6:
-                keep_one(head + 6, depth_seen)
             warp_meets()
         if march == subray_count - 1:
             passed_front = float(1.0)
@@ -336,9 +322,6 @@ def accumulate_photometric_gradient_by_warps(
             grad_color = 2.0 * scale * error
             total = over_channels(error * error)
             change_of_light = over_channels(grad_color * mean_color)
-            if depth_slopes.shape[0] > 0:
-                change_of_light += depth_slopes[n] * mean_depth
-                by_depth = depth_slopes[n] * passed_front / float(subray_count)
             all_errors = channels(grad_color)
             grad_color *= passed_front / float(subray_count)
             if lane == 0:

@@ -37,7 +37,7 @@ from ..field.outer import (
     turn_before_all,
 )
 from ..view.rays import PinholeCamera, pixel_direction, strided_pixel
-from .loss import TrainingRays, batch_pixel, contracted_distance, in_picture, passed_share
+from .loss import TrainingRays, batch_pixel, in_picture, passed_share
 from .rmsprop import rmsprop_update
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -105,13 +105,12 @@ def add_outer_gradient(
     grad_color: wp.vec3,
     total: float,
     by_opacity: float,
-    by_depth: float,
     lane: int,
     lanes: int,
     grad_values: wp.array(dtype=wp.vec4),
 ):
-    """Adjoint of march_outer; returns the light that is left. total: color, depth and light that is left times the
-    gradients by each; by_opacity: the part of that by light of a prior that is as strong near the camera."""
+    """Adjoint of march_outer; returns the light that is left. total: color . its gradient, and light that is left times
+    its own gradient; by_opacity: the part of that light's that is a prior's, which is as strong near the camera."""
     later = float(total)
     light = float(1.0)
     path = outer_path(outer, origin, direction, begin, end)
@@ -123,16 +122,15 @@ def add_outer_gradient(
             step = outer_step(outer, piece, k, light, lane, lanes)
             weight = step.before * (1.0 - step.kept)
             change = wp.dot(shown_color(step.sample.value), grad_color)
-            goes_on = float(1.0)
-            if step.has_matter > 0 and (turn.begin < rays.near or by_depth != 0.0):
-                distance = outer_distance(outer, origin, direction, outer_place(outer, piece, k + lane))
-                goes_on = passed_share(rays, distance)
-                change += contracted_distance(rays, distance) * by_depth
             share = float(0.0)
             if step.has_matter > 0:
                 share = weight * change
             later_own = later - sum_before(share, lane) - share
             if step.has_matter > 0:
+                goes_on = float(1.0)
+                if turn.begin < rays.near:
+                    place = outer_place(outer, piece, k + lane)
+                    goes_on = passed_share(rays, outer_distance(outer, origin, direction, place))
                 by_density = goes_on * (piece.length * (step.before * step.kept * change - later_own))
                 by_density += (1.0 - goes_on) * piece.length * by_opacity
                 gradient = wp.vec4(0.0, 0.0, 0.0, by_density)
@@ -164,8 +162,6 @@ def accumulate_outer_gradient(
     behind: wp.array(dtype=wp.vec3),
     grad_front: wp.array(dtype=wp.vec4),
     grad_behind: wp.array(dtype=wp.vec3),
-    depths: wp.array(dtype=wp.vec4),
-    depth_slopes: wp.array(dtype=wp.float32),
     by_front: float,
     by_sky: float,
     grad_values: wp.array(dtype=wp.vec4),
@@ -173,8 +169,7 @@ def accumulate_outer_gradient(
 ):
     """Adds the gradient by the values of the grid (rows,) and of the sky (1, nodes). A group of lanes per ray. front,
     behind: (rays,) of gather_outer. What it adds to is shared: on the CPU each thread needs its own."""
-    # Of the loss, of by_front * opacity of the front, and of the loss of the sky alone by by_sky (above). depths,
-    # depth_slopes: (rays,) of fitting/tile_depth, empty without a loss of depths.
+    # Of the loss, of by_front * opacity of the front, and of the loss of the sky alone by by_sky (above).
     item = first + wp.tid()
     lanes = lane_count()
     n = item // lanes
@@ -187,39 +182,19 @@ def accumulate_outer_gradient(
     direction = pixel_direction(camera, pixel[2], pixel[1])
     between = front_end(outer, origin, direction)
     seen = front[n]
-    by_depth = float(0.0)
-    if depth_slopes.shape[0] > 0:
-        by_depth = depth_slopes[n]
     if between > 0.0 and seen[3] < 1.0:
         change = grad_front[n] - wp.vec4(0.0, 0.0, 0.0, by_front)
         by_color = wp.vec3(change[0], change[1], change[2])
         total = wp.dot(seen, change)
-        if by_depth != 0.0:
-            total += depths[n][0] * by_depth
         prior = by_front * seen[3]
         add_outer_gradient(
-            outer, rays, origin, direction, 0.0, between, by_color, total, prior, by_depth, lane, lanes, grad_values
+            outer, rays, origin, direction, 0.0, between, by_color, total, prior, lane, lanes, grad_values
         )
     grad_color = grad_behind[n]
     if seen[3] > OUTER_STOP and wp.length_sq(grad_color) > 0.0:
         by_behind = wp.dot(behind[n], grad_color)
-        if by_depth != 0.0:
-            by_depth *= depths[n][3]
-            by_behind += depths[n][2] * by_depth
         light = add_outer_gradient(
-            outer,
-            rays,
-            origin,
-            direction,
-            between,
-            FAR_AWAY,
-            grad_color,
-            by_behind,
-            0.0,
-            by_depth,
-            lane,
-            lanes,
-            grad_values,
+            outer, rays, origin, direction, between, FAR_AWAY, grad_color, by_behind, 0.0, lane, lanes, grad_values
         )
         place = surface_sample(outer.sky.side, direction)
         value = layer_value(outer.sky, 0, place)

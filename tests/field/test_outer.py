@@ -13,14 +13,14 @@ import warpcage
 from warpcage.core.devices import lane_count
 from warpcage.field import OuterField
 from warpcage.kernels.field.outer import mark_outer_nodes
-from warpcage.kernels.fitting import outer_loss, tile_depth
+from warpcage.kernels.fitting import outer_loss
 from warpcage.reference import FLOOR, OBJECT_BOX, ROOM_HALF, object_model, room_views
 from warpcage.view import camera_array
 
 HALF = np.array([1.0, 0.7, 1.3])
 
-#: Weight of the front's opacity, and distance at the middle of contracted distances.
-BY_FRONT, MIDDLE = 0.002, 2.2
+#: Weight of the front's opacity.
+BY_FRONT = 0.002
 
 
 def rays_of(count, seed=0, reach=4.0):
@@ -91,11 +91,10 @@ def test_views_are_put_between_what_is_before_and_behind(device):
     assert np.quantile(errors, 0.95) < 1e-4 and max(errors) < 2e-2
 
 
-def whole_loss(device, by_sky, sky=None, near=0.0, by_depth=0.0):
+def whole_loss(device, by_sky, sky=None, near=0.0):
     """A field, an outer field and pictures, and the gradients of the whole loss by them: (SimpleNamespace).
 
     sky: Grey of all the sky; None is the outer field's own. near: distance within which gradients are scaled.
-    by_depth: weight of the loss of depths.
     """
     field, density, sh = oracle.random_field(
         device, resolution=(4, 4, 4), keep=0.5, density_scale=0.5, bounds=(-HALF, HALF), numbers=(24,)
@@ -110,21 +109,13 @@ def whole_loss(device, by_sky, sky=None, near=0.0, by_depth=0.0):
     random = np.random.default_rng(0)
     images = random.random((3, 6, 8, 3)).astype(np.float16).astype(np.float64)
     rays = training_rays(cameras, images, np.ones((3, 6, 8)), field, device)
-    rays.near, rays.middle = near, MIDDLE
+    rays.near = near
     count = 144
     front, grad_front = (wp.zeros(count, dtype=wp.vec4, device=device) for _ in range(2))
     behind, grad_behind = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
     items = lane_count(device) * count
     wp.launch(outer_loss.gather_outer, dim=items, inputs=[0, outer.grid, rays], outputs=[front, behind], device=device)
     scale = 1 / (3 * count)
-    around = dict(depths=None, depth_slopes=None)
-    if by_depth:
-        depths, slopes = wp.zeros(count, dtype=wp.vec4, device=device), wp.zeros(count, dtype=float, device=device)
-        inputs = [0, outer.grid, field.grid, rays, field.step, 0.0]
-        wp.launch(tile_depth.gather_depths, dim=count, inputs=inputs, outputs=[depths], device=device)
-        inputs = [0, rays, depths, by_depth]
-        wp.launch(tile_depth.slope_depths, dim=count, inputs=inputs, outputs=[slopes], device=device)
-        around = dict(depths=depths, depth_slopes=slopes)
     gradients, _ = photometric_gradient(
         field,
         rays,
@@ -135,7 +126,6 @@ def whole_loss(device, by_sky, sky=None, near=0.0, by_depth=0.0):
         grad_background=grad_behind,
         front=front,
         grad_front=grad_front,
-        **around,
     )
     grad = wp.zeros(outer.voxel_count, dtype=wp.vec4, device=device)
     grad_sky = wp.zeros_like(outer.grid.sky.values)
@@ -143,7 +133,7 @@ def whole_loss(device, by_sky, sky=None, near=0.0, by_depth=0.0):
         outer_loss.accumulate_outer_gradient,
         dim=items,
         device=device,
-        inputs=[0, outer.grid, rays, front, behind, grad_front, grad_behind, *around.values(), BY_FRONT, by_sky],
+        inputs=[0, outer.grid, rays, front, behind, grad_front, grad_behind, BY_FRONT, by_sky],
         outputs=[grad, grad_sky],
     )
     parts = dict(field=field, density=density, sh=sh, outer=outer, values=values, cameras=cameras, images=images)
@@ -151,27 +141,11 @@ def whole_loss(device, by_sky, sky=None, near=0.0, by_depth=0.0):
     return SimpleNamespace(**parts, **found, scale=scale, random=random)
 
 
-def tile_loss(whole, density, values, weight):
-    """The loss of depths that differ in tiles of 2x2 pixels, where the pictures hardly do."""
-    total = 0.0
-    for camera, image in zip(whole.cameras, whole.images, strict=True):
-        rays = zip(*(each.reshape(-1, 3) for each in camera.rays()), strict=True)
-        parts = whole.outer, values, whole.field, density, whole.sh
-        depths = np.reshape([oracle.contracted_depth(*parts, *ray, MIDDLE) for ray in rays], (6, 8))
-        for axis in (0, 1):
-            pairs = [
-                np.take(each, range(first, each.shape[axis], 2), axis) for each in (depths, image) for first in (0, 1)
-            ]
-            alike = np.exp(-np.linalg.norm(pairs[2] - pairs[3], axis=-1) / 0.1)
-            total += weight * (alike * (pairs[0] - pairs[1]) ** 2).sum()
-    return total
-
-
-@pytest.mark.parametrize("near, by_depth", [(0.0, 0.0), (2.5, 0.0), (0.0, 0.05)])
-def test_gradients_match_finite_differences(device, near, by_depth):
+@pytest.mark.parametrize("near", [0.0, 2.5])
+def test_gradients_match_finite_differences(device, near):
     """Of the whole loss: by what is before and behind the box, and by the field in it. Samples nearer to a camera than
     `near` take up less of a change, but for the front's opacity."""
-    whole = whole_loss(device, by_sky=0.0, near=near, by_depth=by_depth)
+    whole = whole_loss(device, by_sky=0.0, near=near)
     field, density, sh, outer, values = whole.field, whole.density, whole.sh, whole.outer, whole.values
     cameras, images, scale, random = whole.cameras, whole.images, whole.scale, whole.random
     found, in_box = whole.grad, whole.in_box
@@ -179,7 +153,7 @@ def test_gradients_match_finite_differences(device, near, by_depth):
     still = (density, sh) if near else None
 
     def loss(density, values):
-        total = tile_loss(whole, density, values, by_depth) if by_depth else 0.0
+        total = 0.0
         for camera, image in zip(cameras, images, strict=True):
             origins, directions = camera.rays()
             for row, column in np.ndindex(6, 8):

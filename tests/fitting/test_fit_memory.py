@@ -140,7 +140,7 @@ def test_owners_declare_what_they_allocate(device, monkeypatch, masks, views):
         _, freed = measured(allocations, level.release)
         assert -freed == (25 * 4 * shards + 25 * 2) * mask.sum()
     options = {"resolution": 16, "levels": 2, "epochs": 1.0, "background_layers": 3, "background_side": 4}
-    options |= {"variation_views": views, "variation_outer_views": views, "tile_depth": views}
+    options |= {"variation_views": views, "variation_outer_views": views}
     optimizer, held = measured(allocations, lambda: FieldOptimizer(scene, device=device, **options))
     assert optimizer.held_bytes == held
     if optimizer.background is not None:

@@ -44,30 +44,10 @@ def test_near_gradient_is_a_share_of_how_far_cameras_look(room):
     assert FieldOptimizer(scene, **SMALL).rays.near == 0
 
 
-def test_depths_of_tiles_weigh_less_and_less(room):
-    """Neighbours that are alike differ less with the loss than without; nothing but an outer field has it."""
-    scene, _ = room
-    differences = []
-    for weight in (1e-9, 20.0):
-        optimizer, weights = FieldOptimizer(scene, tile_depth=weight, **SMALL), []
-        while optimizer.step_count < optimizer.total_steps:
-            weights.append(optimizer.schedule.tile_depth)
-            optimizer.step()
-        np.testing.assert_allclose([weights[0], weights[-1]], [weight, 0.1 * weight])
-        assert (np.diff(weights) < 0).all()
-        depths = optimizer.background.depths.numpy()[:, 1]
-        assert ((depths > 0) & (depths <= 1)).all()
-        differences.append((optimizer.background.depth_slopes.numpy() ** 2).mean() / weights[-1] ** 2)
-    assert differences[1] < 0.7 * differences[0]
-    with pytest.raises(ValueError, match="tile_depth"):
-        FieldOptimizer(scene, **(SMALL | {"tile_depth": 0.1, "background": "layers"}))
-
-
 def test_checkpoints_of_before_an_option_stay_readable(room, tmp_path):
     scene, _ = room
     older, newer = (FieldOptimizer(scene, **SMALL) for _ in range(2))
-    for name in ("near_gradient", "tile_depth", "variation_views", "variation_outer_views"):
-        del older.given[name]
+    del older.given["near_gradient"]
     save_progress(older, tmp_path / "c.npz")
     load_progress(newer, tmp_path / "c.npz")
     with pytest.raises(ValueError, match="another fit"):

@@ -297,27 +297,6 @@ def march_outer(outer, values, origin, direction, begin=0.0, end=1e30, samples_p
     return color, light
 
 
-def contracted_depth(outer, values, field, density, sh, origin, direction, middle, length=6.0):
-    """Mean over a ray, before, in and behind the box, of t / (t + middle), which is 1 at infinity."""
-    t = (np.arange(int(length / field.step)) + 0.5) * field.step
-    points = origin + t[:, None] * direction
-    _, sigma = sample(field, density, sh, points, np.broadcast_to(direction, points.shape))
-    between, links = front_end(outer, origin, direction), outer.grid.links.numpy()
-    spans = [[], [], []]  # (distance, optical depth) of samples
-    spans[1] = list(zip(t, sigma * field.step, strict=True))
-    for place, ends in ((0, (0.0, between)), (2, (between, 1e30))):
-        for start, stop in pieces(outer, origin, direction, *ends) if ends[1] > 0 else ():
-            extent = np.linalg.norm(stop - start)
-            count = int(np.ceil(extent * outer.side / 4 * 2))
-            places = start + (np.arange(count) + 0.5)[:, None] / max(count, 1) * (stop - start)
-            ways = (expand(places) * outer.half + outer.center - origin) @ direction
-            thick = np.maximum(interpolate_outer(links, values, places)[:, 3], 0.0) * extent / max(count, 1)
-            spans[place] += list(zip(ways, thick, strict=True))
-    distances, thick = np.array(spans[0] + spans[1] + spans[2]).T
-    light = np.concatenate([[1.0], np.exp(-np.cumsum(thick))])
-    return (light[:-1] - light[1:]) @ (distances / (distances + middle)) + light[-1]
-
-
 def sky_color(outer, direction):
     """(3,) of the sky's cube in a direction."""
     sky = outer.sky.astype(float)

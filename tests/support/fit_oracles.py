@@ -80,19 +80,16 @@ def photometric_gradient(
     grad_background=None,
     front=None,
     grad_front=None,
-    depths=None,
-    depth_slopes=None,
 ):
     """Gradient rows (rows, 25), coefficients, then density, and squared errors (count,) of a batch.
 
-    own_background, grad_background, front, grad_front, depths, depth_slopes: Warp arrays.
+    own_background, grad_background, front, grad_front: Warp arrays.
     """
     device = field.device
     gradients = wp.zeros(25 * field.voxel_count, dtype=wp.float32, device=device)
     touched = wp.zeros(field.voxel_count, dtype=wp.uint8, device=device)
     error = wp.zeros(count, dtype=wp.float32, device=device)
     inputs = [rays, wp.vec3(*background), random_background, seed, field.step, stop, scale, own_background, front]
-    inputs += [depths, depth_slopes]
     if by_warps:
         wp.launch(
             field_loss_warps.accumulate_photometric_gradient_by_warps,

@@ -148,8 +148,6 @@ class Batch:
     grad_behind: wp.array | None
     front: wp.array | None  # (rays,) vec4 before it with the light that passes, None is nothing; then the gradient
     grad_front: wp.array | None
-    depths: wp.array | None = None  # (rays,) vec4 of kernels.fitting.tile_depth, and the gradient by depth, (rays,)
-    depth_slopes: wp.array | None = None
 
     @property
     def size(self) -> int:

@@ -33,7 +33,7 @@ KIND, VERSION = "warpcage fit", 6
 EXPONENT_BITS = 0x7F80
 
 #: Options that checkpoints of earlier versions have nothing of, and which change nothing where they are 0.
-LATER_OPTIONS = frozenset({"near_gradient", "tile_depth", "variation_views", "variation_outer_views"})
+LATER_OPTIONS = frozenset({"near_gradient", "variation_views", "variation_outer_views"})
 
 #: The arrays of a checkpoint; others in the file are not read.
 NAMES = frozenset(

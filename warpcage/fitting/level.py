@@ -223,8 +223,6 @@ class Level:
             1.0 / (3.0 * batch.size),
             batch.behind,
             batch.front,
-            batch.depths,
-            batch.depth_slopes,
         ]
         varied = max(1, int(share * field.voxel_count))
         # a share of the rows stands for all of them

@@ -97,8 +97,6 @@ class FieldOptimizer:
         self.psnr = float("nan")
         self.shards = shard_count(self.device)
         self.random_background, around = chosen_background(scene, self.options.background)
-        if self.options.tile_depth > 0 and around != "outer":
-            raise InputError(f"tile_depth needs background='outer', this fit has {around or 'nothing'} around the box")
         self.memory_limit = memory_limit(self.options.max_memory, self.device)
         gradients = loss if self.device.is_cpu else loss_warps
         load_modules([visual_hull, refine, occupancy, batches, gradients, rmsprop], self.device)
@@ -131,8 +129,7 @@ class FieldOptimizer:
             held=0 if silhouettes is None else silhouettes.held_bytes,
             limit=self.memory_limit,
         )
-        self.rays.middle = self.found.distance(scene.cameras)
-        self.rays.near = self.options.near_gradient * self.rays.middle
+        self.batches.rays.near = self.options.near_gradient * self.found.distance(scene.cameras)
         mask = self._first_mask(silhouettes)
         del silhouettes  # its tables are as large as the images
         self.current = Level(mask, self.bounds, scene.background, self.shards, self.options.variation_views)
@@ -379,14 +376,11 @@ class FieldOptimizer:
 
     def accumulate_gradients(self) -> None:
         """Add the gradients of the batch at hand to those of the field and its surroundings, and note its errors."""
-        behind = grad_behind = front = grad_front = depths = depth_slopes = None
+        behind = grad_behind = front = grad_front = None
         if self.background is not None:
             self.background.prepare(self.rays, self.pictures.surroundings)
             behind, grad_behind = self.background.behind, self.background.grad_behind
             front, grad_front = self.background.front, self.background.grad_front
-            depths, depth_slopes = self.background.depths, self.background.depth_slopes
-        if isinstance(self.background, OuterOptimizer):
-            self.background.slope_depths(self.rays, self.field, self.schedule.tile_depth)
         batch = Batch(
             rays=self.rays,
             squared_error=self.batches.squared_error,
@@ -396,8 +390,6 @@ class FieldOptimizer:
             grad_behind=grad_behind,
             front=front,
             grad_front=grad_front,
-            depths=depths,
-            depth_slopes=depth_slopes,
         )
         variation = self.counted_variation if self.current.views.counts.size else self.variation
         self.current.accumulate(batch, variation, self.options.variation_share, self.random)

@@ -243,11 +243,6 @@ class FitOptions:
         "at are scaled by the square of its distance over that (Philip and Deschaintre 2023): floaters before cameras. "
         "0 scales none.",
     )
-    tile_depth: float = weight(
-        0.0,
-        "Weight, at the start, of the difference of the depths, from 0 to 1, of neighbouring pixels of a tile that are "
-        'alike, relative to the photometric one; a tenth at the end. With background="outer" alone. 0 is none.',
-    )
     refine_cameras: bool = option(
         False, "Whether poses, focal lengths and the exposure of each picture are refined with the field."
     )

@@ -169,10 +169,6 @@ LENS_START, EXPOSURE_START = 0.05, 0.15
 DOUBT_START, DOUBT_END = 0.15, 0.3
 
 
-#: Weight of the loss of depths of tiles at the end, over that at the start.
-LATE_DEPTH = 0.1
-
-
 @dataclasses.dataclass(frozen=True)
 class CameraRates:
     """Shares of a whole step that cameras take."""
@@ -251,12 +247,6 @@ class Schedule:
         """Whether random colours are behind the rays of the next step, where the pictures have alpha."""
         early = self.step_count < self.options.opacity_share * self.total_steps
         return early or self.step_count % OPACITY_EVERY == 0
-
-    @property
-    def tile_depth(self) -> float:
-        """Weight of the loss of depths of tiles in the next step."""
-        weight, share = self.options.tile_depth, self.step_count / max(1, self.total_steps - 1)
-        return _log_interpolate(weight, LATE_DEPTH * weight, share) if weight > 0 else 0.0
 
     @property
     def camera_every(self) -> int:

@@ -15,14 +15,13 @@ from ..core.files import require_numbers
 from ..core.names import FIT_BACKGROUNDS
 from ..errors import InputError
 from ..field.io.field_file import surface_node_count
-from ..field.render import STOP_TRANSMITTANCE
 from ..field.sparse import link_mask, mask_count
 from ..field.surroundings import LayeredBackground, OuterField, sky_layers
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
 from ..kernels.field.background import BackgroundLayers, refine_layers
 from ..kernels.field.outer import mark_outer_nodes, resample_outer
-from ..kernels.fitting import background_loss, outer_loss, tile_depth
+from ..kernels.fitting import background_loss, outer_loss
 from ..kernels.fitting.background_loss import accumulate_layer_variation, apply_layer_rmsprop
 from ..scene.scene import Scene
 from ..view.camera import Camera, camera_array
@@ -101,7 +100,7 @@ class BackgroundOptimizer:
     `prepare`, `accumulate` and `apply` make a step, in this order."""
 
     #: Nothing is before the field.
-    front = grad_front = depths = depth_slopes = None
+    front = grad_front = None
 
     def __init__(
         self,
@@ -293,9 +292,8 @@ SKY_NAMES = ("outer_sky", "outer_sky_moments")
 #: Keeps a step finite where the second moment is almost zero.
 EPSILON = 1e-12
 
-#: Bytes of a value, a gradient or a moment; of a row's place; of a node's row and skip; of a ray's front; of a colour;
-#: of a ray's depths.
-VALUE_BYTES, PLACE_BYTES, NODE_BYTES, FRONT_BYTES, COLOR_BYTES, DEPTH_BYTES = 16, 12, 5, 16, 12, 20
+#: Bytes of a value, a gradient or a moment; of a row's place; of a node's row and skip; of a ray's front; of a colour.
+VALUE_BYTES, PLACE_BYTES, NODE_BYTES, FRONT_BYTES, COLOR_BYTES = 16, 12, 5, 16, 12
 
 
 class OuterOptimizer:
@@ -320,10 +318,6 @@ class OuterOptimizer:
         self.color = np.asarray(color, np.float32)  # of all voxels at the start, and of the sky
         self.cameras = cameras
         self.views = ViewCounts(options.variation_outer_views, device)
-        self.depths = self.depth_slopes = None  # of the rays of a batch, where a loss of depths is asked for
-        if options.tile_depth > 0:
-            self.depths = wp.zeros(batch_rays, dtype=wp.vec4, device=device)
-            self.depth_slopes = wp.zeros(batch_rays, dtype=wp.float32, device=device)
         unit = 2 ** (options.levels - 1)
         self.sides = [max(1, side // unit) * 2**level for level in range(options.levels)]  # coarser if memory is short
         self.sides = [max(4, each) for each in self.sides]
@@ -384,8 +378,7 @@ class OuterOptimizer:
         rows, side = self.nodes.shape[0], self.outer.side
         grid = row_bytes(self.shards) * rows + 4 * side**3 + (side - 1) ** 3
         sky = VALUE_BYTES * (3 + self.shards) * self.sky_moments.size
-        depths = 0 if self.depths is None else DEPTH_BYTES * self.batch_rays
-        return grid + sky + 2 * (FRONT_BYTES + COLOR_BYTES) * self.batch_rays + self.views.held_bytes + depths
+        return grid + sky + 2 * (FRONT_BYTES + COLOR_BYTES) * self.batch_rays + self.views.held_bytes
 
     def _memory(self) -> FitMemory:
         """What other levels take."""
@@ -474,15 +467,6 @@ class OuterOptimizer:
         inputs, outputs = [self.outer.grid, rays], [front, behind]
         launch(outer_loss.gather_outer, lane_count(self.device) * behind.size, inputs, outputs, device=self.device)
 
-    def slope_depths(self, rays: Any, field: VoxelField, weight: float) -> None:
-        """Fill `depths` and `depth_slopes` of a batch before its march of the field, if they are asked for; weight: of
-        the loss of depths, mean over the rays."""
-        if self.depths is not None:
-            inputs = [self.outer.grid, field.grid, rays, field.step, STOP_TRANSMITTANCE]
-            launch(tile_depth.gather_depths, self.batch_rays, inputs, [self.depths], device=self.device)
-            inputs = [rays, self.depths, weight / self.batch_rays]
-            launch(tile_depth.slope_depths, self.batch_rays, inputs, [self.depth_slopes], device=self.device)
-
     def accumulate(self, rays: Any, random: np.random.Generator) -> None:
         """Add the gradients of the batch, after the field's march, and of the total variation.
         random: chooses the first row that gets one of the total variation."""
@@ -490,7 +474,7 @@ class OuterOptimizer:
         sky = self.outer.grid.sky
         by_front = options.front_opacity / self.batch_rays
         by_sky = options.sky_follows * 2.0 / (3.0 * self.batch_rays)  # the photometric loss is a mean over channels
-        around = [self.front, self.behind, self.grad_front, self.grad_behind, self.depths, self.depth_slopes]
+        around = [self.front, self.behind, self.grad_front, self.grad_behind]
         photometric = [self.outer.grid, rays, *around, by_front, by_sky]
         varied = max(1, int(options.variation_share * rows))
         boost = max(1, rows) / varied / side**3 * (side / VARIATION_SIDE)
