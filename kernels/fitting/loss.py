@@ -46,7 +46,6 @@ class TrainingRays:
     order: int  # key of the order in which `tiles` are taken (fitting/batches); below 0: as they are
     first_tile: int  # where this batch begins in that order
     rays_per_side: int  # 1: through the middle of a pixel, 2: four rays, each somewhere in its quarter
-    near: float  # distance from the camera within which gradients are scaled down, world units; 0: none are
 
 
 @wp.func
@@ -99,18 +98,6 @@ def subray_direction(rays: TrainingRays, camera: PinholeCamera, pixel: wp.vec3i,
         right = (float(subray % side) + wp.randf(random)) / float(side)
         down = (float(subray // side) + wp.randf(random)) / float(side)
     return image_direction(camera, float(pixel[2]) + right, float(pixel[1]) + down)
-
-
-# What is near a camera gets 1 / t^2 as many rays, all of one view, and turns to haze. Scaled so, matter gets gradients
-# as of a constant density of rays (Philip and Deschaintre, "Floaters No More", EGSR 2023, Eq. 8).
-
-
-@wp.func
-def passed_share(rays: TrainingRays, distance: float):
-    """Share of the gradients by a sample's density and colour that goes on to the voxels; distance: from the camera."""
-    if distance < rays.near:
-        return (distance / rays.near) * (distance / rays.near)
-    return float(1.0)
 
 
 @wp.func
@@ -234,15 +221,14 @@ def accumulate_photometric_gradient(
                     else:
                         change = wp.dot(radiance, grad_color)
                         later -= weight * change
-                        share = passed_share(rays, sample_distance(ray, k))
-                        grad_sigma = share * (step * (transmittance * change - later))
+                        grad_sigma = step * (transmittance * change - later)
                         for c in range(8):
                             if cell.rows[c] >= 0:
                                 wp.atomic_add(grad_density, cell.rows[c], cell.weights[c] * grad_sigma)
                         passed = wp.vec3()
                         for channel in range(3):
                             if raw[channel] > 0.0:  # the clamp max(0, .) passes no gradient
-                                passed[channel] = share * weight * grad_color[channel]
+                                passed[channel] = weight * grad_color[channel]
                         add_color_gradient(grad_sh, cell.rows, cell.weights, basis, passed)
                 k += 1
         if march < subray_count:

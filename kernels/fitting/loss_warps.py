@@ -21,15 +21,7 @@ from ..field.grid import (
     sample_place,
 )
 from ..field.harmonics import DIFFERENCE_BASIS, LUMINANCE_BASIS, luminance_color, sh_basis
-from .loss import (
-    TrainingRays,
-    background_behind,
-    batch_pixel,
-    in_picture,
-    passed_share,
-    subray_direction,
-    training_color,
-)
+from .loss import TrainingRays, background_behind, batch_pixel, in_picture, subray_direction, training_color
 from .rmsprop import COEFFICIENTS, GRADIENT_ROW, gradient_place
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
@@ -206,20 +198,18 @@ def accumulate_photometric_gradient_by_warps(
                 left = one_kept(place + 1)
                 weight = one_kept(place + 2)
                 radiance = wp.vec3(one_kept(place + 3), one_kept(place + 4), one_kept(place + 5))
-                index = bits_as_int(one_kept(place))
-                own = cell_sample(grid, sample_place(ray, index))
-                goes_on = passed_share(rays, sample_distance(ray, index))
+                own = cell_sample(grid, sample_place(ray, bits_as_int(one_kept(place))))
                 change = wp.dot(radiance, all_gradients)
                 share = wp.where(present, weight * change, 0.0)
                 later_own = later - sum_before(share, lane) - share
                 passed = wp.vec3()
                 for c in range(3):
                     if radiance[c] > 0.0:  # the clamp max(0, .) passes no gradient
-                        passed[c] = goes_on * weight * all_gradients[c]
+                        passed[c] = weight * all_gradients[c]
                 luminance, orange, green = part_gradients(passed)
                 warp_meets()
                 keep_cell(own, lane)
-                slope = goes_on * (step * ((left - weight) * change - later_own))
+                slope = step * ((left - weight) * change - later_own)
                 keep_four(CELL_FOURS * lane + 4, wp.vec4(luminance, orange, green, slope))
                 later = from_lane(later_own, LANES - 1)
                 if present:
@@ -290,7 +280,6 @@ def accumulate_photometric_gradient_by_warps(
                         gradient_own = basis * pick(wp.vec3(passed_all[0], passed_all[1], passed_all[2]), part)
                         if lane == COEFFICIENTS:
                             gradient_own = step * ((left - weight) * change_all - later)
-                        gradient_own *= passed_share(rays, sample_distance(ray, k + j))
                         add_corner_gradients(gradients, j, lane, stride, first_place, gradient_own)
                         if lane < 8:
                             marked = bits_as_int(one_kept(4 * (CELL_FOURS * j + 2) + lane))

@@ -24,20 +24,18 @@ from ..field.outer import (
     FAR_AWAY,
     OUTER_STOP,
     OuterGrid,
-    expanded,
     front_end,
     march_outer,
     outer_color,
     outer_path,
     outer_piece,
-    outer_place,
     outer_step,
     shown_color,
     turn_after,
     turn_before_all,
 )
 from ..view.rays import PinholeCamera, pixel_direction, strided_pixel
-from .loss import TrainingRays, batch_pixel, in_picture, passed_share
+from .loss import TrainingRays, batch_pixel, in_picture
 from .rmsprop import rmsprop_update
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -88,29 +86,20 @@ def add_to_row(values: wp.array(dtype=wp.vec4), row: wp.int32, value: wp.vec4):
 
 
 @wp.func
-def outer_distance(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, g: wp.vec3):
-    """Distance along a ray of its place at node coordinates, world units."""
-    p = 4.0 / float(outer.links.shape[0]) * (g + wp.vec3(0.5, 0.5, 0.5)) - wp.vec3(2.0, 2.0, 2.0)
-    return wp.dot(wp.cw_mul(expanded(p), outer.half) - origin, direction)
-
-
-@wp.func
 def add_outer_gradient(
     outer: OuterGrid,
-    rays: TrainingRays,
     origin: wp.vec3,
     direction: wp.vec3,
     begin: float,
     end: float,
     grad_color: wp.vec3,
     total: float,
-    by_opacity: float,
     lane: int,
     lanes: int,
     grad_values: wp.array(dtype=wp.vec4),
 ):
-    """Adjoint of march_outer; returns the light that is left. total: color . its gradient, and light that is left times
-    its own gradient; by_opacity: the part of that light's that is a prior's, which is as strong near the camera."""
+    """Adjoint of march_outer; returns the light that is left.
+    total: color . its gradient, and light that is left times its own gradient."""
     later = float(total)
     light = float(1.0)
     path = outer_path(outer, origin, direction, begin, end)
@@ -127,16 +116,11 @@ def add_outer_gradient(
                 share = weight * change
             later_own = later - sum_before(share, lane) - share
             if step.has_matter > 0:
-                goes_on = float(1.0)
-                if turn.begin < rays.near:
-                    place = outer_place(outer, piece, k + lane)
-                    goes_on = passed_share(rays, outer_distance(outer, origin, direction, place))
-                by_density = goes_on * (piece.length * (step.before * step.kept * change - later_own))
-                by_density += (1.0 - goes_on) * piece.length * by_opacity
+                by_density = piece.length * (step.before * step.kept * change - later_own)
                 gradient = wp.vec4(0.0, 0.0, 0.0, by_density)
                 for channel in range(3):
                     if step.sample.value[channel] >= 0.0:
-                        gradient[channel] = goes_on * weight * grad_color[channel]
+                        gradient[channel] = weight * grad_color[channel]
                 for corner in range(8):
                     if step.sample.rows[corner] >= 0:
                         add_to_row(grad_values, step.sample.rows[corner], step.sample.weights[corner] * gradient)
@@ -186,15 +170,12 @@ def accumulate_outer_gradient(
         change = grad_front[n] - wp.vec4(0.0, 0.0, 0.0, by_front)
         by_color = wp.vec3(change[0], change[1], change[2])
         total = wp.dot(seen, change)
-        prior = by_front * seen[3]
-        add_outer_gradient(
-            outer, rays, origin, direction, 0.0, between, by_color, total, prior, lane, lanes, grad_values
-        )
+        add_outer_gradient(outer, origin, direction, 0.0, between, by_color, total, lane, lanes, grad_values)
     grad_color = grad_behind[n]
     if seen[3] > OUTER_STOP and wp.length_sq(grad_color) > 0.0:
         by_behind = wp.dot(behind[n], grad_color)
         light = add_outer_gradient(
-            outer, rays, origin, direction, between, FAR_AWAY, grad_color, by_behind, 0.0, lane, lanes, grad_values
+            outer, origin, direction, between, FAR_AWAY, grad_color, by_behind, lane, lanes, grad_values
         )
         place = surface_sample(outer.sky.side, direction)
         value = layer_value(outer.sky, 0, place)

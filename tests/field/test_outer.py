@@ -91,10 +91,10 @@ def test_views_are_put_between_what_is_before_and_behind(device):
     assert np.quantile(errors, 0.95) < 1e-4 and max(errors) < 2e-2
 
 
-def whole_loss(device, by_sky, sky=None, near=0.0):
+def whole_loss(device, by_sky, sky=None):
     """A field, an outer field and pictures, and the gradients of the whole loss by them: (SimpleNamespace).
 
-    sky: Grey of all the sky; None is the outer field's own. near: distance within which gradients are scaled.
+    sky: Grey of all the sky; None is the outer field's own.
     """
     field, density, sh = oracle.random_field(
         device, resolution=(4, 4, 4), keep=0.5, density_scale=0.5, bounds=(-HALF, HALF), numbers=(24,)
@@ -109,7 +109,6 @@ def whole_loss(device, by_sky, sky=None, near=0.0):
     random = np.random.default_rng(0)
     images = random.random((3, 6, 8, 3)).astype(np.float16).astype(np.float64)
     rays = training_rays(cameras, images, np.ones((3, 6, 8)), field, device)
-    rays.near = near
     count = 144
     front, grad_front = (wp.zeros(count, dtype=wp.vec4, device=device) for _ in range(2))
     behind, grad_behind = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
@@ -141,16 +140,12 @@ def whole_loss(device, by_sky, sky=None, near=0.0):
     return SimpleNamespace(**parts, **found, scale=scale, random=random)
 
 
-@pytest.mark.parametrize("near", [0.0, 2.5])
-def test_gradients_match_finite_differences(device, near):
-    """Of the whole loss: by what is before and behind the box, and by the field in it. Samples nearer to a camera than
-    `near` take up less of a change, but for the front's opacity."""
-    whole = whole_loss(device, by_sky=0.0, near=near)
+def test_gradients_match_finite_differences(device):
+    """Of the whole loss: by what is before and behind the box, and by the field in it."""
+    whole = whole_loss(device, by_sky=0.0)
     field, density, sh, outer, values = whole.field, whole.density, whole.sh, whole.outer, whole.values
     cameras, images, scale, random = whole.cameras, whole.images, whole.scale, whole.random
     found, in_box = whole.grad, whole.in_box
-
-    still = (density, sh) if near else None
 
     def loss(density, values):
         total = 0.0
@@ -162,11 +157,7 @@ def test_gradients_match_finite_differences(device, near):
                     outer,
                     values,
                     *ray,
-                    lambda far, ray=ray: oracle.render_ray(
-                        field, density, sh, *ray, field.step, far, 6.0, still=still, near=near
-                    )[0],
-                    still=whole.values if near else None,
-                    near=near,
+                    lambda far, ray=ray: oracle.render_ray(field, density, sh, *ray, field.step, far, 6.0)[0],
                 )
                 total += scale * ((rgb - image[row, column]) ** 2).sum() + BY_FRONT * before
         return total

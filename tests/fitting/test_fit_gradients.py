@@ -89,8 +89,8 @@ def test_gradient_of_subrays_matches_finite_differences(device):
 
 
 @pytest.mark.parametrize("density_scale", [0.05, 1.5, 30.0])  # more samples of a ray than are kept, and fewer
-@pytest.mark.parametrize("side, near", [(1, 0.0), (1, 2.5), (2, 2.5)])
-def test_gradient_by_warps_is_the_same(device, side, near, density_scale):
+@pytest.mark.parametrize("side", [1, 2])
+def test_gradient_by_warps_is_the_same(device, side, density_scale):
     if device == "cpu":
         pytest.skip("warp shuffles: CUDA only")
     resolution = (40, 36, 44)
@@ -103,7 +103,6 @@ def test_gradient_by_warps_is_the_same(device, side, near, density_scale):
     ]
     random = np.random.default_rng(0)
     rays = training_rays(cameras, random.random((3, 5, 7, 3)), random.random((3, 5, 7)), field, device, side)
-    rays.near = near
     how = {"random_background": 1, "seed": 5, "stop": 1e-4}
     expected, expected_error = photometric_gradient(field, rays, 144, **how)
     found, found_error = photometric_gradient(field, rays, 144, by_warps=True, **how)

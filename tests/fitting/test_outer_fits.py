@@ -35,25 +35,6 @@ def test_a_room_is_seen_from_new_places(room):
     np.testing.assert_array_equal(frame.depth, alone.depth)
 
 
-def test_near_gradient_is_a_share_of_how_far_cameras_look(room):
-    scene, _ = room
-    optimizer = FieldOptimizer(scene, near_gradient=0.5, **SMALL)
-    looked_at = optimizer.found.looks[0].point
-    distances = [np.linalg.norm(camera.center - looked_at) for camera in scene.cameras]
-    assert optimizer.rays.near == pytest.approx(0.5 * np.median(distances), rel=1e-5)
-    assert FieldOptimizer(scene, **SMALL).rays.near == 0
-
-
-def test_checkpoints_of_before_an_option_stay_readable(room, tmp_path):
-    scene, _ = room
-    older, newer = (FieldOptimizer(scene, **SMALL) for _ in range(2))
-    del older.given["near_gradient"]
-    save_progress(older, tmp_path / "c.npz")
-    load_progress(newer, tmp_path / "c.npz")
-    with pytest.raises(ValueError, match="another fit"):
-        load_progress(FieldOptimizer(scene, near_gradient=0.5, **SMALL), tmp_path / "c.npz")
-
-
 @pytest.mark.parametrize("format", ["warpcage", "compact"])
 def test_outer_fields_are_saved_and_loaded(room, tmp_path, format):
     scene, field = room

@@ -90,23 +90,11 @@ def sample(field, density, sh, points, directions):
     return np.maximum(color, 0), np.maximum(interpolate(density, g), 0)
 
 
-def near_share(distances, near):
-    """How much of a small change of the values a sample takes up: the square of its distance over `near`, or all."""
-    return np.minimum(np.asarray(distances) / near, 1.0) ** 2 if near else np.ones(np.shape(distances))
-
-
-def render_ray(field, density, sh, origin, direction, step, background, length=20.0, still=None, near=0.0):
-    """(rgb, alpha, depth) of one ray by brute force: every sample t_k = (k + 1/2) step up to `length`.
-    still: density and sh that samples nearer than `near` see more of."""
+def render_ray(field, density, sh, origin, direction, step, background, length=20.0):
+    """(rgb, alpha, depth) of one ray by brute force: every sample t_k = (k + 1/2) step up to `length`."""
     t = (np.arange(int(length / step)) + 0.5) * step
     points = origin + t[:, None] * direction
-    directions = np.broadcast_to(direction, points.shape)
-    color, sigma = sample(field, density, sh, points, directions)
-    if still is not None:
-        color_before, sigma_before = sample(field, *still, points, directions)
-        share = near_share(t, near)
-        color = color_before + share[:, None] * (color - color_before)
-        sigma = sigma_before + share * (sigma - sigma_before)
+    color, sigma = sample(field, density, sh, points, np.broadcast_to(direction, points.shape))
     alpha = 1 - np.exp(-sigma * step)
     transmittance = np.concatenate([[1], np.cumprod(1 - alpha)])
     weight = transmittance[:-1] * alpha
@@ -274,9 +262,8 @@ def pieces(outer, origin, direction, begin, end):
     return joined
 
 
-def march_outer(outer, values, origin, direction, begin=0.0, end=1e30, samples_per_voxel=2, still=None, near=0.0):
-    """(colour (3,), light that is left) of a ray's way outside the box; still: values that samples nearer than `near`
-    see more of."""
+def march_outer(outer, values, origin, direction, begin=0.0, end=1e30, samples_per_voxel=2):
+    """(colour (3,), light that is left) of a ray's way outside the box."""
     links, side = outer.grid.links.numpy(), outer.side
     color, light = np.zeros(3), 1.0
     for start, stop in pieces(outer, origin, direction, begin, end):
@@ -285,12 +272,7 @@ def march_outer(outer, values, origin, direction, begin=0.0, end=1e30, samples_p
         if not count:
             continue
         places = start + (np.arange(count) + 0.5)[:, None] / count * (stop - start)
-        seen = interpolate_outer(links, values, places)
-        if still is not None:
-            before = interpolate_outer(links, still, places)
-            ways = expand(places) * outer.half + outer.center - origin
-            seen = before + near_share(ways @ direction, near)[:, None] * (seen - before)
-        for value in seen:
+        for value in interpolate_outer(links, values, places):
             kept = np.exp(-max(value[3], 0.0) * length / count)
             color += light * (1 - kept) * np.maximum(value[:3], 0.0)
             light *= kept
@@ -315,13 +297,9 @@ def front_end(outer, origin, direction):
     return near if near < far else max(0.0, 0.5 * direction @ (outer.center - origin))
 
 
-def surrounded(outer, values, origin, direction, inner, still=None, near=0.0):
-    """(3,) what a ray sees: `inner(behind)` is the box's colour before a colour behind it; and the front's opacity,
-    which takes up all of a change. still, near: as of march_outer."""
+def surrounded(outer, values, origin, direction, inner):
+    """(3,) what a ray sees: `inner(behind)` is the box's colour before a colour behind it; and the front's opacity."""
     between = front_end(outer, origin, direction)
-    front, light, opacity = np.zeros(3), 1.0, 0.0
-    if between > 0:
-        front, light = march_outer(outer, values, origin, direction, 0.0, between, still=still, near=near)
-        opacity = 1.0 - (light if still is None else march_outer(outer, values, origin, direction, 0.0, between)[1])
-    back, left = march_outer(outer, values, origin, direction, between, still=still, near=near)
-    return front + light * inner(back + left * sky_color(outer, direction)), opacity
+    front, light = march_outer(outer, values, origin, direction, 0.0, between) if between > 0 else (np.zeros(3), 1.0)
+    back, left = march_outer(outer, values, origin, direction, between)
+    return front + light * inner(back + left * sky_color(outer, direction)), 1 - light

@@ -129,7 +129,6 @@ class FieldOptimizer:
             held=0 if silhouettes is None else silhouettes.held_bytes,
             limit=self.memory_limit,
         )
-        self.batches.rays.near = self.options.near_gradient * self.found.distance(scene.cameras)
         mask = self._first_mask(silhouettes)
         del silhouettes  # its tables are as large as the images
         self.current = Level(mask, self.bounds, scene.background, self.shards, self.options.variation_views)

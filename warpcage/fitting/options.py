@@ -235,14 +235,6 @@ class FitOptions:
         "Weight of a loss by which the sky of an outer field follows what is seen behind the box, relative to the "
         "photometric one. Views that look where no training view did see the sky.",
     )
-    near_gradient: float = number(
-        0.0,
-        0.0,
-        LARGEST_FACTOR,
-        "Gradients of what is nearer to its camera than this share of the median distance of cameras to what they look "
-        "at are scaled by the square of its distance over that (Philip and Deschaintre 2023): floaters before cameras. "
-        "0 scales none.",
-    )
     refine_cameras: bool = option(
         False, "Whether poses, focal lengths and the exposure of each picture are refined with the field."
     )

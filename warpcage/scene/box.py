@@ -94,12 +94,6 @@ class FoundBox:
     looks: tuple[Look, ...]  # what cameras look at, the place with most of them first
     reason: str  # why the box is this one, a line for people
 
-    def distance(self, cameras: Sequence[Camera]) -> float:
-        """Median distance of the cameras that look at something from it; of all from the box's middle if none do."""
-        pairs = [(cameras[index], look.point) for look in self.looks for index in look.cameras]
-        pairs = pairs or [(camera, self.bounds.mean(axis=0)) for camera in cameras]
-        return float(np.median([np.linalg.norm(camera.center - point) for camera, point in pairs]))
-
 
 def find_box(
     cameras: Sequence[Camera], points: np.ndarray | None = None, silhouettes: Hull | None = None, *, room: float = ROOM
