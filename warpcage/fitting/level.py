@@ -298,8 +298,7 @@ def node_bytes(shape: tuple[int, ...]) -> int:
 
 def level_memory(shape: tuple[int, ...], shards: int, fixed: int, tiles: int, *, counted: bool = False) -> FitMemory:
     """What levels of any resolution take; shape (nx, ny, nz) is for the cells per node, shards are arrays of gradients.
-    fixed: bytes of all that does not depend on the grid; tiles: bytes of one number for each tile of the pictures;
-    counted: whether the views of each row are."""
+    fixed: bytes beside the grid; tiles: bytes of a number for each tile of the pictures; counted: whether views are."""
     return FitMemory(
         fixed=fixed,
         node=node_bytes(shape) / math.prod(shape),

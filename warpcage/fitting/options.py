@@ -348,6 +348,7 @@ class FitNames(FitCall, total=False):
     variation_sh: float
     variation_high_degree: float
     variation: float | None
+    variation_views: float
     shrink_sh: float
     variation_share: float
     prune_weight: float
@@ -373,6 +374,7 @@ class FitNames(FitCall, total=False):
     rate_outer_density_end: float
     variation_outer: float
     variation_outer_density: float
+    variation_outer_views: float
     front_opacity: float
     sky_follows: float
     refine_cameras: bool
