@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -78,6 +79,25 @@ def test_noisy_poses_are_refined_and_exact_ones_stay(bricks, device):
     assert refined > exact - 1
     # which held-out views show too, each with its own pose fitted to the field
     assert mean_psnr(evaluate(field, tuned_scene(field, test))) > exact - 0.5
+
+
+def test_cameras_are_refined_where_they_are_off_alone(bricks, device, capsys):
+    """Exact ones stay as they are given, and so does the field to the bit; shaken ones are found and pay."""
+    train, test = bricks
+    plain, exact = optimized(train, device)
+    looked, same = optimized(train, device, refine_cameras="auto")
+    assert looked.camera_errors is not None and not looked.camera_errors and same.refined_cameras is None
+    if device == "cpu":  # where fits are deterministic
+        for name in ("links", "density", "sh"):
+            np.testing.assert_array_equal(*(getattr(field.grid, name).numpy() for field in (exact, same)))
+
+    noisy = turned_in_place(train, 1.0)
+    _, blurred = optimized(noisy, device)
+    field = warpcage.fit(noisy, device=device, seed=0, refine_cameras="auto", **QUICK)
+    assert re.search(r"cameras were off by 0\.\d pixels in the median: refined", capsys.readouterr().err)
+    refined = aligned_psnr(field.refined_cameras, field, train.cameras, test)
+    assert refined > mean_psnr(evaluate(blurred, test)) + 3
+    assert plain.camera_errors is None
 
 
 def test_held_out_views_move_along(bricks, device, tmp_path):
@@ -184,10 +204,19 @@ def test_pictures_of_one_camera_share_their_lens(bricks):
     assert CameraRefinement(cameras, bounds, "cpu").lenses.tolist() == [0, 0, 0, 1] + [0] * (len(cameras) - 4)
 
 
-def test_checkpoints_hold_refined_cameras(tmp_path):
+@pytest.mark.parametrize("chosen", [True, "auto"])
+def test_checkpoints_hold_refined_cameras(tmp_path, monkeypatch, chosen):
     """A fit that goes on from its checkpoint ends where the whole one does, to the bit."""
+    monkeypatch.setattr(cameras_module, "OFF_COSINE", 0.0)  # few and small pictures tell little
     scene = turned_in_place(blob_scene(12, 24), 1.0)
-    options = {"device": "cpu", "refine_cameras": True, "resolution": 24, "levels": 2, "epochs": 10, "batch_rays": 512}
+    options = {
+        "device": "cpu",
+        "refine_cameras": chosen,
+        "resolution": 24,
+        "levels": 2,
+        "epochs": 10,
+        "batch_rays": 512,
+    }
     whole, stopped = (FieldOptimizer(scene, **options) for _ in range(2))
     while whole.step_count < whole.total_steps:
         whole.step()
@@ -227,6 +256,8 @@ def test_commands_write_read_and_tune_cameras(tmp_path, capsys):
         "--resolution",
         24,
     ]
+    assert main([*(str(word).replace("refine-cam", "check-cam") for word in words), "--epochs", "2"]) == 0
+    assert "refined camera" not in capsys.readouterr().out  # these are exact
     assert main([str(word) for word in [*words, "--epochs", 2]]) == 0
     assert "bricks.cameras.json: 6 refined cameras" in capsys.readouterr().out
     held = CameraFile.load(tmp_path / "bricks.cameras.json")

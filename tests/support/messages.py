@@ -93,7 +93,7 @@ MESSAGES = {
     "fitting.images_of_bytes": r"from 127 to 127: .*\[0, 1\].* divided by 255",
     "fitting.images_one_size": r"one size: image 0 is \(16, 16\), image 1 \(8, 16\)",
     "fitting.no_refined_cameras": "this field has none: fit with refine_cameras",
-    "fitting.refine_cameras": "refine_cameras must be True or False, got 'yes'",
+    "fitting.refine_cameras": "refine_cameras must be True, False or 'auto', got 'yes'",
     "fitting.whole_factor": "sizes must be the same but for a whole factor",
     "lattice.longest_side": "the cage of a lattice has a longest side of",
     "lattice.lower_or_map": 'resolution 40 needs .* GiB free: take a lower resolution or store="map"',

@@ -397,7 +397,7 @@ class FitItem(SceneItem):
     def _completed(cls, given: dict[str, Any]) -> dict[str, Any]:
         if "scene" not in given:
             raise InputError("a fit needs a 'scene', the folder of its pictures")
-        refined = bool(given.get("options", {}).get("refine_cameras"))
+        refined = given.get("options", {}).get("refine_cameras") is True  # of "auto" it is not known
         of_splats = given.get("options", {}).get("representation") == "splats"
         if "output" in given:
             _output(*SPLAT_ENDINGS if of_splats else (".npz",))(given["output"], "'output'")

@@ -327,7 +327,7 @@ class FitMaker:
         field = fit(scene, device=self.device, progress=False, checkpoint=checkpoint, **item.options)
         writers: dict[str, Writer] = {item.outputs["field"]: field.save}
         refined = field.refined_cameras if isinstance(field, VoxelField) else None
-        if refined is not None:
+        if refined is not None and "cameras" in item.outputs:
             writers[item.outputs["cameras"]] = refined.save
         return MadeItem(writers)
 

@@ -92,7 +92,7 @@ def run_evaluate(args: argparse.Namespace) -> None:
 
 
 #: Options of `warpcage fit` that only one kind of field has.
-VOXEL_OPTIONS = ("resolution", "epochs", "variation", "bounds", "refine_cameras")
+VOXEL_OPTIONS = ("resolution", "epochs", "variation", "bounds", "refine_cameras", "check_cameras")
 SPLAT_OPTIONS = ("steps", "most_splats")
 
 
@@ -119,6 +119,8 @@ def run_fit(args: argparse.Namespace) -> None:
     scene = shared.read_scene(args, color, orient="up" if args.straighten else None)
     names = ("resolution", "epochs", "variation", "max_memory", "steps", "most_splats", "refine_cameras")
     given = {name: getattr(args, name) for name in names if getattr(args, name)}
+    if args.check_cameras:
+        given["refine_cameras"] = "auto"
     if args.bounds is not None:
         given["bounds"] = [args.bounds[:3], args.bounds[3:]]
     field = fit(

@@ -25,7 +25,7 @@ from ..kernels.fitting.loss import TrainingRays
 from ..kernels.fitting.outer_loss import gather_outer
 from ..kernels.view.rays import PinholeCamera
 from ..scene.scene import Scene
-from ..view.alignment import picture_shifts, picture_similarity, pose_changes
+from ..view.alignment import picture_moves, picture_shifts, picture_similarity, pose_changes, spread_of
 from ..view.camera import Camera
 from .batches import Batches
 from .evaluation import comparison, in_world_of
@@ -71,6 +71,26 @@ class CameraSums:
         normal[:, rows, columns] = normal[:, columns, rows] = sums[:, :_NORMAL]
         slope, exposure, error = np.split(sums[:, _NORMAL:], [NUMBERS, NUMBERS + _EXPOSURE], axis=1)
         return cls(normal, slope, exposure.reshape(-1, 3, 5), error[:, 0])
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraErrors:
+    """How far off a fit's cameras are."""
+
+    pixels: float  # in the median over the cameras, as both halves of their rays say together
+    cosine: float  # in the median, between what each half says: 1 where they agree
+
+    def __bool__(self) -> bool:
+        """Whether to refine them."""
+        return self.pixels > OFF_PIXELS and self.cosine > OFF_COSINE
+
+    def __str__(self) -> str:
+        if self:
+            return f"cameras were off by {self.pixels:.1f} pixels in the median: refined"
+        return (
+            f"cameras are kept as given: halves of the rays see them off by {self.pixels:.2f} pixels in the median "
+            f"and agree to {self.cosine:.2f}, too little to refine them"
+        )
 
 
 def camera_steps(
@@ -142,6 +162,14 @@ MOST_VOXELS = 0.5
 #: pictures or half of a picture's own, below which exposures are not: some of what depends on the view looks like them.
 DOUBT, EXPOSURE_DOUBT = 0.1, 0.07
 
+#: Cameras are off where two disjoint halves of their rays say so: by more pixels than this in the median, together, and
+#: alike, by a larger cosine between what each says. What rays miss by chance is not alike. A look at a field that the
+#: cameras blurred sees about two thirds of what they are off by (benchmarks/NOTES-cameras.md).
+OFF_PIXELS, OFF_COSINE = 0.2, 0.6
+
+#: Rays of each half, over those of a look before a step.
+HALF_LOOKS = 4
+
 #: Points by which the cameras as a whole are held fill this share of the box's sides.
 POINTS_SHARE = 0.6
 
@@ -150,6 +178,9 @@ RAY_BYTES, AROUND_BYTES = 12 * RECORD, (12 + 16) * (1 + NUMBERS)
 
 #: Fills what is behind each of a batch's TrainingRays, and what is before it, where there is such a thing.
 Gather = Callable[[Any, wp.array, "wp.array | None"], None]
+
+#: Looks at every camera with tiles of TrainingRays, of which (n + 1,) say where each view's begin.
+Look = Callable[[Any, np.ndarray], CameraSums]
 
 
 class CameraRefinement:
@@ -230,9 +261,7 @@ class CameraRefinement:
         device, size = self.device, rays.tile_size**2
         run_tiles = max(1, RUN // size)  # a few more tiles of each camera are taken where that fills runs
         runs = -(-tiles // run_tiles)
-        drawn: Any = TrainingRays()
-        for name in TrainingRays.vars:
-            setattr(drawn, name, getattr(rays, name))
+        drawn = _copied(rays)
         drawn.tiles = empty_array(len(self) * runs * run_tiles, wp.int32, device)
         drawn.order, drawn.first_tile = -1, 0
         starts = wp.array(view_tiles, dtype=wp.int32, device=device)
@@ -276,6 +305,36 @@ class CameraRefinement:
                 gather(drawn, behind[place], front[place] if has_front else None)
             drawn.cameras = cameras
         return behind, front
+
+    # Whether they are off
+
+    def errors(
+        self, rays: Any, view_tiles: np.ndarray, measure: Callable[[Any, np.ndarray], CameraSums]
+    ) -> CameraErrors:
+        """How far off the cameras are by disjoint halves of their tiles; `measure` looks at tiles of TrainingRays."""
+        tiles, moves = rays.tiles.numpy(), []
+        for half in (0, 1):
+            part = _copied(rays)
+            part.tiles = wp.array(tiles[half::2], dtype=wp.int32, device=self.device)
+            sums = measure(part, (view_tiles + 1 - half) // 2)
+            moves.append(self._moves(camera_steps(sums.normal, sums.slope, self.lenses)))
+        first, second = moves
+        told = np.array([spread_of(each) for each in moves]).min(axis=0) > 0.0
+        if not told.any():
+            return CameraErrors(0.0, 0.0)
+        focal = np.array([camera.fx for camera in self.given])
+        pixels = focal * spread_of(0.5 * (first + second))
+        cosines = np.nansum(first * second, axis=(1, 2)) / np.sqrt(
+            np.maximum(np.nansum(first**2, axis=(1, 2)) * np.nansum(second**2, axis=(1, 2)), TINY)
+        )
+        return CameraErrors(float(np.median(pixels[told])), float(np.median(cosines[told])))
+
+    def _moves(self, steps: np.ndarray) -> np.ndarray:
+        """(n, points, 2) where steps (n, 7) move what the cameras see, in focal lengths."""
+        moved = self.poses.copy()
+        moved[:, :3, 3] += self.reach * np.einsum("nij,nj->ni", self.poses[:, :3, :3], steps[:, 3:6])
+        moved[:, :3, :3] = turned(self.poses[:, :3, :3], steps[:, :3])
+        return picture_moves(self.poses, moved, self.points, steps[:, 6])
 
     # Steps
 
@@ -354,6 +413,14 @@ MOST_ZOOM = 3.0
 def doubted(change: np.ndarray, doubt: float) -> np.ndarray:
     """How strongly changes are held back that may be none: (doubt / change)^4, at most a million."""
     return np.minimum((doubt / np.maximum(change, 1e-9)) ** 4, 1e6)
+
+
+def _copied(rays: Any) -> Any:
+    """TrainingRays of the same arrays."""
+    copied: Any = TrainingRays()
+    for name in TrainingRays.vars:
+        setattr(copied, name, getattr(rays, name))
+    return copied
 
 
 def turned(rotations: np.ndarray, turns: np.ndarray) -> np.ndarray:

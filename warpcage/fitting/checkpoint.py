@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import hashlib
 import json
@@ -21,7 +22,7 @@ from ..core.threads import run_parallel
 from ..errors import InputError
 from ..scene.scene import Scene
 from .batches import ORDERS, PRECISIONS, Batches
-from .cameras import STATE, CameraRefinement
+from .cameras import STATE, CameraErrors, CameraRefinement
 from .level import COEFFICIENTS, ROW_NUMBERS, Level
 from .schedule import Schedule
 from .surroundings import BackgroundOptimizer, OuterOptimizer
@@ -63,8 +64,11 @@ class Fit(Protocol):
     schedule: Schedule
     background: BackgroundOptimizer | OuterOptimizer | None
     refinement: CameraRefinement | None
+    camera_errors: CameraErrors | None
 
     def restore(self, mask: wp.array, bits: int) -> None: ...
+
+    def start_refinement(self) -> None: ...
 
 
 #: What `fingerprint` found. Fits are compared by identity.
@@ -83,6 +87,7 @@ def save_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
     """Write voxels, second moments and the order of the pixels to a file (.npz), whole or not at all."""
     field, grid = optimizer.current.field, optimizer.current.field.grid
     schedule, batches = optimizer.schedule, optimizer.batches
+    errors = optimizer.camera_errors
     occupied = grid.links.numpy() >= 0
     contents = {
         "format": np.array(KIND),
@@ -99,6 +104,7 @@ def save_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
                     "cursor": batches.cursor,
                     "order": batches.rays.order,
                     "random": optimizer.random.bit_generator.state,
+                    "camera_errors": None if errors is None else dataclasses.astuple(errors),
                 }
             )
         ),
@@ -174,6 +180,10 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
     if picture_bits not in PRECISIONS:
         raise InputError(f"pictures of {picture_bits!r} bits per channel, {PRECISIONS} are known")
 
+    if state.get("camera_errors") is not None:
+        optimizer.camera_errors = CameraErrors(*(float(number) for number in state["camera_errors"]))
+        if optimizer.camera_errors and optimizer.refinement is None:
+            optimizer.start_refinement()
     optimizer.restore(wp.array(occupied.astype(np.uint8), device=optimizer.device), picture_bits)
     # which tiles count was found with the cameras that were then
     counted = 0 < len(tiles) <= batches.tile_total if optimizer.refinement else len(tiles) == batches.active_tiles

@@ -122,10 +122,13 @@ def fit(
         if picture is not None:
             write_png(picture, draw_box(scene.cameras, scene.points, optimizer.found))
     shown = saved = pictured = time.monotonic()
-    words = "fit"
+    words, looked = "fit", isinstance(optimizer, SplatFit) or optimizer.camera_errors is not None
     while optimizer.step_count < optimizer.total_steps:
         tell(optimizer.step_count, optimizer.total_steps, words)
         optimizer.step()
+        if not looked and isinstance(optimizer, FieldOptimizer) and optimizer.camera_errors is not None:
+            looked = True
+            _say(str(optimizer.camera_errors), progress)
         if is_heard() and time.monotonic() - shown > SHOWN_EVERY:
             shown = time.monotonic()
             words = f"fit: {optimizer.measure_psnr():.2f} dB, {optimizer.size_text}"

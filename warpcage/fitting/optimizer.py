@@ -25,7 +25,7 @@ from ..scene.scene import Scene
 from ..view.camera import Camera
 from ..view.camera_path import RefinedCameras
 from .batches import PRECISIONS, Batch, Batches, TrainingPictures, counted_pixels, counted_tile_size, shard_count
-from .cameras import CAMERA_RAYS, CameraRefinement, ray_bytes
+from .cameras import CAMERA_RAYS, HALF_LOOKS, CameraErrors, CameraRefinement, CameraSums, ray_bytes
 from .level import Level, level_memory
 from .memory import FitMemory, finest, memory_limit, memory_text
 from .options import checked_options, checked_seed
@@ -71,6 +71,7 @@ class FieldOptimizer:
         planned: (nx, ny, nz) voxels of each level if memory were not short.
         memory_limit: Bytes that the fit may take, beside the layers or the outer field.
         psnr: Of the last measured batch, in dB.
+        camera_errors: How far off cameras were, once a fit of `refine_cameras="auto"` has looked; None otherwise.
     """
 
     def __init__(
@@ -169,10 +170,17 @@ class FieldOptimizer:
             )
 
         self.refinement: CameraRefinement | None = None
+        self.camera_errors: CameraErrors | None = None
+        if self.options.refine_cameras is True:
+            self.start_refinement()
         if self.options.refine_cameras:
-            self.refinement = CameraRefinement(scene.cameras, self.bounds, self.device)
-            self.refinement.attach(self.rays)
-            self.memory_limit -= ray_bytes(self.camera_tiles * len(scene) * self.options.tile_size**2)
+            looks = HALF_LOOKS if self.options.refine_cameras == "auto" else 1
+            self.memory_limit -= ray_bytes(looks * self.camera_tiles * len(scene) * self.options.tile_size**2)
+
+    def start_refinement(self) -> None:
+        """Refine cameras from now on."""
+        self.refinement = CameraRefinement(self.scene.cameras, self.bounds, self.device)
+        self.refinement.attach(self.rays)
 
     def _first_mask(self, silhouettes: Silhouettes | None) -> wp.array:
         """Voxels of the first level; pictures at 8 bits per channel, then coarser voxels, where memory is short."""
@@ -403,22 +411,38 @@ class FieldOptimizer:
 
     def _refine_cameras(self) -> None:
         """Move the cameras, where a step of theirs is due."""
+        if self.schedule.checks_cameras:
+            self._check_cameras()
         if self.refinement is None or not (rates := self.schedule.camera_rates()):
             return
+        sums = self._look(self.refinement, self.rays, self.batches.view_tiles, self.camera_tiles)
+        self.refinement.step(sums, rates, float(self.field.voxel_size.max()))
+        self.refinement.attach(self.rays)
+
+    def _check_cameras(self) -> None:
+        """Find out if cameras are off, and refine them from now on if so."""
+        held = CameraRefinement(self.scene.cameras, self.bounds, self.device)
+        tiles = HALF_LOOKS * self.camera_tiles
+        self.camera_errors = held.errors(
+            self.rays, self.batches.view_tiles, lambda rays, starts: self._look(held, rays, starts, tiles)
+        )
+        if self.camera_errors:
+            self.start_refinement()
+
+    def _look(self, refinement: CameraRefinement, rays: Any, view_tiles: np.ndarray, tiles: int) -> CameraSums:
+        """What a sample of so many tiles says of every camera."""
         around = self.background
-        sums = self.refinement.measure(
+        return refinement.measure(
             self.field,
-            self.rays,
-            self.batches.view_tiles,
-            self.camera_tiles,
+            rays,
+            view_tiles,
+            tiles,
             seed=self._step_seed(),
             random_background=self.random_background,
             gather=None if around is None or around.behind is None else around.gather,
             has_front=around is not None and around.front is not None,
             ignored=self.batches.ignored_views,
         )
-        self.refinement.step(sums, rates, float(self.field.voxel_size.max()))
-        self.refinement.attach(self.rays)
 
     @property
     def camera_tiles(self) -> int:

@@ -6,7 +6,7 @@ import dataclasses
 import inspect
 import os
 import textwrap
-from typing import Any, TypedDict, TypeVar
+from typing import Any, Literal, TypedDict, TypeVar
 
 import numpy as np
 import warp as wp
@@ -235,8 +235,10 @@ class FitOptions:
         "Weight of a loss by which the sky of an outer field follows what is seen behind the box, relative to the "
         "photometric one. Views that look where no training view did see the sky.",
     )
-    refine_cameras: bool = option(
-        False, "Whether poses, focal lengths and the exposure of each picture are refined with the field."
+    refine_cameras: bool | Literal["auto"] = option(
+        False,
+        'Whether poses, focal lengths and the exposure of each picture are refined with the field. "auto" refines them '
+        "two halves of the rays say alike that cameras are off, by enough pixels in the median that it pays.",
     )
     max_memory: int | str | None = option(
         None,
@@ -278,8 +280,9 @@ def checked_options(options: dict) -> FitOptions:
     """The options of a caller, `quality` and fields of FitOptions by name, checked; `max_memory` in bytes."""
     if "epochs" in options:
         options = {"least_steps": 0, **options}
-    if not isinstance(options.get("refine_cameras", False), bool):
-        raise InputError(f"refine_cameras must be True or False, got {options['refine_cameras']!r}")
+    refined = options.get("refine_cameras", False)
+    if not isinstance(refined, bool) and refined != "auto":
+        raise InputError(f"refine_cameras must be True, False or 'auto', got {refined!r}")
     return checked_fields(FitOptions, _SET_BY_QUALITY, options)
 
 
@@ -377,5 +380,5 @@ class FitNames(FitCall, total=False):
     variation_outer_views: float
     front_opacity: float
     sky_follows: float
-    refine_cameras: bool
+    refine_cameras: bool | Literal["auto"]
     max_memory: int | str | None

@@ -157,6 +157,9 @@ CAMERA_STEPS, CAMERA_EVERY = 200, (4, 16)
 #: too little. They move last after another share.
 CAMERA_START, CAMERA_END = 0.08, 0.95
 
+#: Cameras are not looked at after fewer steps of the field than this.
+LEAST_LOOKED = 16
+
 #: Share of a whole step that poses and focal lengths, and exposures, take at first. It falls with this power of the
 #: progress to none.
 CAMERA_SHARE, EXPOSURE_SHARE, CAMERA_POWER = 0.7, 0.3, 4.0
@@ -254,10 +257,21 @@ class Schedule:
         least, most = CAMERA_EVERY
         return min(max(self.total_steps // CAMERA_STEPS, least), most)
 
+    @property
+    def camera_start(self) -> int:
+        """Steps before cameras may move: of the first level, or of all but the last where they are looked at first."""
+        levels = self.level_steps[:-1] if self.options.refine_cameras == "auto" else self.level_steps[:-1][:1]
+        return max(sum(levels), math.ceil(CAMERA_START * self.total_steps))
+
+    @property
+    def checks_cameras(self) -> bool:
+        """Whether to look after the next step if cameras are off; a field of a few steps would blame them for all."""
+        looks = self.options.refine_cameras == "auto" and self.camera_start >= LEAST_LOOKED
+        return looks and self.step_count + 1 == self.camera_start
+
     def camera_rates(self) -> CameraRates:
         """How far the cameras go after the next step: nowhere, where none of their steps is due."""
-        total, first = self.total_steps, 0 if len(self.level_steps) == 1 else self.level_steps[0]
-        first = max(first, math.ceil(CAMERA_START * total))
+        total, first = self.total_steps, self.camera_start
         progress, since = self.step_count / total, (self.step_count - first) / max(1, total - first)
         if since < 0 or progress > CAMERA_END or self.step_count % self.camera_every:
             return CameraRates(0.0, 0.0, 0.0)

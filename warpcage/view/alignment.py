@@ -92,7 +92,22 @@ def picture_similarity(poses: np.ndarray, targets: np.ndarray, points: np.ndarra
 def picture_shifts(poses: np.ndarray, targets: np.ndarray, points: np.ndarray) -> np.ndarray:
     """How far from where others see points (m, 3) cameras (n, 4, 4) see them, in focal lengths.
     Root mean squares (n,) over the points; 0 where a camera sees none."""
-    squares = ((_seen(poses, points)[0] - _seen(targets, points)[0]) ** 2).sum(axis=2)
+    return spread_of(picture_moves(poses, targets, points))
+
+
+def picture_moves(
+    poses: np.ndarray, targets: np.ndarray, points: np.ndarray, zooms: np.ndarray | None = None
+) -> np.ndarray:
+    """(n, m, 2) where others (n, 4, 4) see points (m, 3) from where cameras do, in focal lengths; NaN behind either.
+    zooms: (n,) logarithms of the others' focal lengths over the cameras'; None is none."""
+    others = _seen(targets, points)[0]
+    others = others if zooms is None else np.exp(zooms)[:, None, None] * others
+    return others - _seen(poses, points)[0]
+
+
+def spread_of(moves: np.ndarray) -> np.ndarray:
+    """(n,) root mean squares of moves (n, m, 2) over the points, those that are NaN left out; 0 where all are."""
+    squares = (moves**2).sum(axis=2)
     there = np.isfinite(squares)
     return np.sqrt(np.where(there, squares, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1))
 

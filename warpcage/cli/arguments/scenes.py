@@ -140,11 +140,17 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
         help="box around the object, world units (default: found from the pictures)",
     )
-    parser.add_argument(
+    cameras = parser.add_mutually_exclusive_group()
+    cameras.add_argument(
         "--refine-cameras",
         action="store_true",
         help="refine poses, focal lengths and the exposure of each picture with the field, for cameras that are not "
         "exact; the refined ones are written beside it (.cameras.json)",
+    )
+    cameras.add_argument(
+        "--check-cameras",
+        action="store_true",
+        help="find out while fitting whether cameras are off, and refine them so where they are; one line says which",
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the order of the pixels (default: %(default)s)")
     options.add_device(parser)
