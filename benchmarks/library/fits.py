@@ -96,8 +96,9 @@ def scenes(args) -> None:
 
     --pose-noise turns each training camera about a random axis by a normal angle of so many degrees; --jpeg packs the
     training pictures as JPEG of that quality first. Held-out views stay as they are. With --refine-cameras there are
-    two more PSNRs: of held-out cameras moved by the similarity between the exact training cameras and the refined ones
-    ("aligned"), and of held-out cameras fitted to the field one by one ("tuned").
+    three more PSNRs: of held-out cameras that moved along with the refined ones near them ("moved"), of those moved by
+    the similarity between the exact training cameras and the refined ones ("aligned"), and of those fitted to the field
+    one by one ("tuned").
 
     "memory" is the most that Warp's arrays have held on the GPU from the start of the process to the end of the fit,
     before it is evaluated; "memory_before" is the same up to its begin, evaluations of earlier fits included. Where the
@@ -130,7 +131,8 @@ def scenes(args) -> None:
                 flush=True,
             )
             if field.refined_cameras is not None:
-                print(f"{'':32} aligned {row['psnr_aligned']:.2f}, tuned {row['psnr_tuned']:.2f} dB", flush=True)
+                figures = ", ".join(f"{what} {row[f'psnr_{what}']:.2f}" for what in ("moved", "aligned", "tuned"))
+                print(f"{'':32} {figures} dB", flush=True)
             if row["psnr_aside"] is not None:
                 print(f"{'':32} off the path {row['psnr_aside']:.2f} dB", flush=True)
             if args.worst:
@@ -202,6 +204,7 @@ def scene_row(name, scene, test, exact, device, options: dict) -> tuple[dict, wa
         "resolution": field.resolution,
     }
     if field.refined_cameras is not None:
+        row["psnr_moved"] = mean_psnr(evaluate(field, test, moved_along=True))
         row["psnr_aligned"] = mean_psnr(evaluate(field, aligned(field, test, exact)))
         row["psnr_tuned"] = mean_psnr(evaluate(field, tuned_scene(field, test)))
         errors = zip(
