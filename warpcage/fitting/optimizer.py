@@ -173,14 +173,12 @@ class FieldOptimizer:
         self.camera_errors: CameraErrors | None = None
         if self.options.refine_cameras is True:
             self.start_refinement()
-        if self.options.refine_cameras:
-            looks = HALF_LOOKS if self.options.refine_cameras == "auto" else 1
-            self.memory_limit -= ray_bytes(looks * self.camera_tiles * len(scene) * self.options.tile_size**2)
 
     def start_refinement(self) -> None:
-        """Refine cameras from now on."""
+        """Refine cameras from now on, in memory that levels to come leave."""
         self.refinement = CameraRefinement(self.scene.cameras, self.bounds, self.device)
         self.refinement.attach(self.rays)
+        self.memory_limit -= ray_bytes(self.camera_tiles * len(self.scene) * self.options.tile_size**2)
 
     def _first_mask(self, silhouettes: Silhouettes | None) -> wp.array:
         """Voxels of the first level; pictures at 8 bits per channel, then coarser voxels, where memory is short."""
@@ -421,6 +419,7 @@ class FieldOptimizer:
 
     def _check_cameras(self) -> None:
         """Find out if cameras are off, and refine them from now on if so."""
+        # the last level is to come, so that there is memory for this
         held = CameraRefinement(self.scene.cameras, self.bounds, self.device)
         tiles = HALF_LOOKS * self.camera_tiles
         self.camera_errors = held.errors(
