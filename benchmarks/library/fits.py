@@ -33,10 +33,13 @@ from warpcage.field import STOP_TRANSMITTANCE
 from warpcage.fitting import tuned_scene
 from warpcage.kernels.reference.sample_count import count_samples
 from warpcage.reference import CASUAL, KINDS, casual_scene, room_views, synthetic_scene
-from warpcage.view import contact_sheet, picture_similarity, pose_errors, side_by_side, write_png
+from warpcage.view import contact_sheet, picture_similarity, pose_errors, shrink, side_by_side, write_png
 
 #: Training views that are rendered to see how far a fit goes beyond what it generalizes, and views named as the worst.
 TRAINING_VIEWS, WORST = 16, 3
+
+#: Pixels along each side of a picture on a sheet, or a little more.
+SHEET_PIXELS = 240
 
 QUALITIES = ("fast", "standard", "high")
 DATA = option("--data", required=True, help="scene folder with train and test splits")
@@ -270,7 +273,8 @@ def padded_pair(pair: list[np.ndarray]) -> np.ndarray:
     height, width = pair[0].shape[:2]
     down, across = (max(height, width) - side for side in (height, width))
     room = ((down // 2, down - down // 2), (across // 2, across - across // 2), (0, 0))
-    return side_by_side([np.pad(image, room, constant_values=1.0) for image in pair])
+    factor = max(1, max(height, width) // SHEET_PIXELS)
+    return side_by_side([shrink(np.pad(image, room, constant_values=1.0), factor) for image in pair])
 
 
 def shaken(scene, degrees: float):
