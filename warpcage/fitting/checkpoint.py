@@ -33,9 +33,6 @@ KIND, VERSION = "warpcage fit", 6
 #: Exponent bits of a bfloat16: all of them are set in numbers that are not finite.
 EXPONENT_BITS = 0x7F80
 
-#: Options that checkpoints of earlier versions have nothing of, and which change nothing where they are 0.
-LATER_OPTIONS = frozenset({"near_gradient", "variation_views", "variation_outer_views"})
-
 #: The arrays of a checkpoint; others in the file are not read.
 NAMES = frozenset(
     (
@@ -215,8 +212,7 @@ def _restore(optimizer: Fit, contents: dict[str, np.ndarray], path: pathlib.Path
 def fingerprint(optimizer: Fit) -> str:
     """Hash, in hexadecimal digits, of all that a fit depends on: seed, options and scene."""
     if optimizer not in _fingerprints:  # once, as a fit reads pictures only when it begins
-        given = {name: value for name, value in optimizer.given.items() if value != 0 or name not in LATER_OPTIONS}
-        words = json.dumps(given, sort_keys=True).encode()
+        words = json.dumps(optimizer.given, sort_keys=True).encode()
         _fingerprints[optimizer] = hashlib.blake2b(words + scene_digest(optimizer.scene), digest_size=32).hexdigest()
     return _fingerprints[optimizer]
 

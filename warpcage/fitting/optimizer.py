@@ -28,8 +28,8 @@ from .batches import PRECISIONS, Batch, Batches, TrainingPictures, counted_pixel
 from .cameras import CAMERA_RAYS, HALF_LOOKS, CameraErrors, CameraRefinement, CameraSums, ray_bytes
 from .level import Level, level_memory
 from .memory import FitMemory, finest, memory_limit, memory_text
-from .options import checked_options, checked_seed
-from .schedule import Schedule, plan_batches, plan_grid
+from .options import VIEW_OPTIONS, checked_options, checked_seed
+from .schedule import Schedule, outer_side, plan_batches, plan_grid
 from .silhouettes import Silhouettes, possible_voxels
 from .surroundings import (
     MEMORY_SHARE,
@@ -117,6 +117,8 @@ class FieldOptimizer:
         grid = plan_grid(scene, self.options, box, around is not None)
         tile_size = counted_tile_size(scene.weights, self.options.tile_size)
         self.options = dataclasses.replace(self.options, levels=grid.levels, tile_size=tile_size)
+        if around != "outer":
+            self.options = dataclasses.replace(self.options, **dict.fromkeys(VIEW_OPTIONS, 0.0))
         self.bounds, self.shapes, self.variation = grid.bounds, grid.shapes, grid.variation
         self.counted_variation = grid.counted_variation
         self.planned = list(grid.shapes)
@@ -143,15 +145,12 @@ class FieldOptimizer:
         self.schedule = Schedule(self.options, level_steps, grid.scarcity)
         self.background: BackgroundOptimizer | OuterOptimizer | None = None
         if around == "outer":
-            side = self.options.outer_resolution
-            if side is None:
-                side = min(max(self.planned[-1]), self.options.max_outer_resolution)
             self.background = OuterOptimizer(
                 mean_color(scene),
                 self.bounds,
                 scene.cameras,
                 self.options,
-                side,
+                outer_side(scene, self.options, grid),
                 around_bytes,
                 self.batches.batch_rays,
                 self.shards,
@@ -325,6 +324,8 @@ class FieldOptimizer:
         self.shapes[self.level] = coarse if shape is None else shape
         if shape is not None:
             level.refine(shape, kept)
+            # finer voxels tell better what is behind others, and memory is largest in a level's first half
+            level.resample(level.weighty_mask(self.batches.picture_rays, self.options.prune_weight / max(shape)))
         level.count_views(self.batches.picture_rays)
         if self.background is not None:
             self.background.start_level(self.level, self.batches.picture_rays, self.field)

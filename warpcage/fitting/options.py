@@ -22,7 +22,7 @@ MAX_LEVELS = 6
 
 #: Ends of the range of numbers that must be positive, and of factors that may be zero.
 SMALLEST, LARGEST = 1e-9, 1e9
-LARGEST_FACTOR, LARGEST_WEIGHT = 1e6, 1e3
+LARGEST_FACTOR, LARGEST_WEIGHT, LARGEST_RAYS = 1e6, 1e3, 1e12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,6 +89,13 @@ class FitOptions:
     )
     level_growth: float = positive(2.6, "Rays of a level over the rays of the level before.")
     epochs: float = positive(11.0, "Passes over the pixels that see the object.")
+    most_rays: float = number(
+        5e8,
+        1.0,
+        LARGEST_RAYS,
+        "Most rays of a fit: where there are many pixels there are fewer `epochs`. There is no such limit where "
+        "`epochs` is given.",
+    )
     least_steps: int = whole(
         600,
         0,
@@ -151,11 +158,12 @@ class FitOptions:
         "(density) and 15 (SH) with layers behind the field or with opacity from mask files.",
     )
     variation_views: float = number(
-        0.0,
+        48.0,
         0.0,
         LARGEST_FACTOR,
-        "From the second level on the total variation of a voxel that fewer than so many pictures show grows by powers "
-        "of how many times fewer they are, 32 at most; `variation` then has no least values. 0 treats voxels alike.",
+        "With an outer field: from the second level on the total variation of a voxel that fewer than so many pictures "
+        "show grows by powers of how many times fewer they are, 32 at most; `variation` then has no least values. 0 "
+        "treats voxels alike.",
     )
     shrink_sh: float = weight(
         0.06,
@@ -210,11 +218,11 @@ class FitOptions:
         None,
         8,
         MAX_OUTER_SIDE,
-        "Voxels along each side of the contracted space around the box. None is the field's resolution, at most "
-        "`max_outer_resolution`.",
+        "Voxels along each side of the contracted space around the box. None is the field's resolution, or up to half "
+        "as many again where many rays see a voxel, at most `max_outer_resolution`.",
     )
     max_outer_resolution: int = whole(
-        512, 8, MAX_OUTER_SIDE, "Most voxels along each side of contracted space where `outer_resolution` is None."
+        768, 8, MAX_OUTER_SIDE, "Most voxels along each side of contracted space where `outer_resolution` is None."
     )
     rate_outer: float = positive(0.06, "First learning rate of the outer field's colours.")
     rate_outer_end: float = positive(0.003, "Last learning rate of the outer field's colours.")
@@ -225,7 +233,7 @@ class FitOptions:
     variation_outer: float = weight(0.03, "Weight of the total variation of the outer field's colours.")
     variation_outer_density: float = weight(1e-4, "Weight of the total variation of the outer field's density.")
     variation_outer_views: float = number(
-        0.0, 0.0, LARGEST_FACTOR, "As `variation_views`, for what is around the box: an outer field, or nested cubes."
+        12.0, 0.0, LARGEST_FACTOR, "As `variation_views`, for the voxels of the outer field."
     )
     front_opacity: float = weight(
         0.01, "Weight of the opacity of what an outer field holds between the cameras and the box, mean over the rays."
@@ -237,8 +245,8 @@ class FitOptions:
     )
     refine_cameras: bool | Literal["auto"] = option(
         False,
-        'Whether poses, focal lengths and the exposure of each picture are refined with the field. "auto" refines them '
-        "two halves of the rays say alike that cameras are off, by enough pixels in the median that it pays.",
+        "Whether poses, focal lengths and the exposure of each picture are refined with the field. 'auto' refines them "
+        "where two halves of the rays say alike that cameras are off, by enough pixels in the median that it pays.",
     )
     max_memory: int | str | None = option(
         None,
@@ -262,8 +270,18 @@ def with_arguments(kind: type) -> type:
 
 with_arguments(FitOptions)
 
+#: What outer fields alone have.
+VIEW_OPTIONS = ("variation_views", "variation_outer_views")
+
 _FAST = {"epochs": 3.1}
-_HIGH = {"epochs": 22.0, "max_resolution": 720, "supersampling": 2, "variation_sh": 1.8e-3, "decay_power": 3.0}
+_HIGH = {
+    "epochs": 22.0,
+    "most_rays": 2e9,
+    "max_resolution": 720,
+    "supersampling": 2,
+    "variation_sh": 1.8e-3,
+    "decay_power": 3.0,
+}
 
 #: What each quality sets in place of the defaults.
 _SET_BY_QUALITY: dict[str, dict[str, Any]] = dict(zip(QUALITIES, (_FAST, {}, _HIGH), strict=True))
@@ -279,7 +297,7 @@ def checked_seed(seed: object) -> int:
 def checked_options(options: dict) -> FitOptions:
     """The options of a caller, `quality` and fields of FitOptions by name, checked; `max_memory` in bytes."""
     if "epochs" in options:
-        options = {"least_steps": 0, **options}
+        options = {"least_steps": 0, "most_rays": LARGEST_RAYS, **options}
     refined = options.get("refine_cameras", False)
     if not isinstance(refined, bool) and refined != "auto":
         raise InputError(f"refine_cameras must be True, False or 'auto', got {refined!r}")
@@ -334,6 +352,7 @@ class FitNames(FitCall, total=False):
     levels: int
     level_growth: float
     epochs: float
+    most_rays: float
     least_steps: int
     batch_rays: int | None
     tile_size: int

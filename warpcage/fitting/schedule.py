@@ -35,6 +35,10 @@ COARSE_SIDE = 24
 #: the longest side, or at 720 with four rays per pixel.
 RAYS_PER_VOXEL = 160.0
 
+#: Rays of all pictures through a voxel around the box, as far behind the middle as cameras are before it, from which on
+#: contracted space has more voxels along a side than the box; and by how much at most.
+OUTER_RAYS, MOST_FINER = 1200.0, 1.5
+
 #: How the weights of the total variations follow the scarcity; measured (benchmarks/NOTES-fit-scenes.md).
 DENSITY_POWER, SH_POWER = 1.8, 1.0
 
@@ -111,16 +115,17 @@ def view_factors(views: float) -> np.ndarray:
 def plan_batches(options: FitOptions, pixels: int, active_tiles: int) -> tuple[int, list[int]]:
     """Tiles per batch, and the steps of each level; pixels: of all pictures, active_tiles: those that see the grid."""
     batch, active_pixels = options.batch_rays, active_tiles * options.tile_size**2
+    epochs = min(options.epochs, options.most_rays / max(active_pixels, 1))
     if batch is None:
         batch = np.clip(pixels // BATCH_SHARE, *BATCH_RAYS)
         if batch > LARGE_BATCH:
-            batch = min(batch, max(LARGE_BATCH, options.epochs * active_pixels / ENOUGH_STEPS))
+            batch = min(batch, max(LARGE_BATCH, epochs * active_pixels / ENOUGH_STEPS))
         if options.least_steps:
-            batch = min(batch, max(SMALLEST_BATCH, options.epochs * active_pixels / options.least_steps))
+            batch = min(batch, max(SMALLEST_BATCH, epochs * active_pixels / options.least_steps))
     batch_tiles = min(max(1, int(batch) // options.tile_size**2), active_tiles)
     shares = options.level_growth ** np.arange(options.levels)
     shares = shares / shares.sum()
-    steps = max(options.epochs * active_tiles / batch_tiles, options.least_steps)
+    steps = max(epochs * active_tiles / batch_tiles, options.least_steps)
     return batch_tiles, [max(1, round(float(share) * steps)) for share in shares]
 
 
@@ -135,6 +140,17 @@ def scarcity(cameras: list[Camera], center: np.ndarray, voxel: float, supersampl
     # The loss is a mean: where fewer pixels show a voxel the prior must weigh more, or it fits these views alone.
     seen = len(cameras) * (supersampling * voxel / pixel_size(cameras, center)) ** 2
     return float(np.clip(RAYS_PER_VOXEL / max(seen, 1e-9), 1.0, MOST_SCARCE))
+
+
+def outer_side(scene: Scene, options: FitOptions, grid: GridPlan) -> int:
+    """Voxels along each side of contracted space: as fine as the box at its faces, finer where rays suffice."""
+    if options.outer_resolution is not None:
+        return options.outer_resolution
+    side = max(grid.shapes[-1])
+    # at a distance d behind the middle a voxel is 4 d / side wide, a pixel of a camera as far before it 2 d / fx
+    width = 2.0 * float(np.median([camera.fx for camera in scene.cameras])) / side
+    finer = np.clip(math.sqrt(len(scene.cameras) * width**2 / OUTER_RAYS), 1.0, MOST_FINER)
+    return min(round(finer * side), options.max_outer_resolution)
 
 
 def directional_rate(steps: int) -> float:

@@ -412,6 +412,10 @@ class OuterOptimizer:
             launch(grid_refine.refine_mask, finer.size, [ratio, kept], [finer], device=self.device)
             kept = finer
         self._resample(coarse, kept, min(2 * coarse.grid.sky.side, MOST_SKY))
+        del coarse
+        if shape is not None:  # finer voxels tell better what is behind others
+            kept = self._weighty_mask(picture_rays, field, self.options.prune_weight / self.outer.side)
+            self._resample(self.outer, kept, self.outer.grid.sky.side)
         self.views.count(picture_rays, lambda rays: self._weights(rays, field))
         self._allocate()
 
