@@ -125,6 +125,20 @@ def count_reached(first: int, weights: wp.array(dtype=wp.float32), least: float,
 
 
 @wp.kernel
+def gather_counts(
+    first: int,
+    links: wp.array3d(dtype=wp.int32),
+    nodes: wp.array(dtype=wp.vec3i),
+    before: wp.array(dtype=wp.uint8),
+    kept: wp.array(dtype=wp.uint8),
+):
+    """Counts of the nodes (rows,) that stay, from the rows that `links` gave them before. One item per row."""
+    row = first + wp.tid()
+    node = nodes[row]
+    kept[row] = before[links[node[0], node[1], node[2]]]
+
+
+@wp.kernel
 def gather_moments(
     first: int,
     links: wp.array3d(dtype=wp.int32),

@@ -28,7 +28,7 @@ def test_counts_are_of_the_views_that_show_a_voxel(device):
         alone = PictureRays(placed, 12, 10, wp.array(counted, dtype=wp.uint8, device=device))
         expected += level.measure_weights(alone).numpy() >= 0.01
     for counted in (None, wp.ones((5, 10, 12), dtype=wp.uint8, device=device)):
-        level.count_views(PictureRays(placed, 12, 10, counted))
+        level.weighty_mask(PictureRays(placed, 12, 10, counted), 0.01, counts=True)
         np.testing.assert_array_equal(level.views.counts.numpy(), expected)
     assert set(range(4)) <= set(expected)
 

@@ -21,7 +21,7 @@ from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..kernels.fitting.batches import Pictures, mark_active_tiles
 from ..kernels.fitting.loss import TrainingRays
-from ..kernels.fitting.rmsprop import add_gradients, count_reached, join_maximum
+from ..kernels.fitting.rmsprop import add_gradients, count_reached, gather_counts, join_maximum
 from ..scene.scene import Scene
 from ..view.camera import camera_array
 from ..view.pictures import to_uint8
@@ -401,16 +401,26 @@ class ViewCounts:
                 raise InputError(f"{len(counts)} numbers of views for {rows} voxels, or some that cannot be")
             self.counts = wp.array(counts.astype(np.uint8), dtype=wp.uint8, device=self.device)
 
-    def count(self, pictures: PictureRays, measure: Callable[[PictureRays], wp.array]) -> None:
-        """Count the pictures that show each row, if that is used; measure: largest weights (rows,) that rays give."""
+    def measured(self, pictures: PictureRays, measure: Callable[[PictureRays], wp.array]) -> wp.array:
+        """(rows,) float32, what `measure` finds: the largest weights that rays of pictures give. Counts the pictures
+        that show each row on the way, if that is used."""
         if not self.is_used:
-            return
-        self.forget()
-        for view in range(pictures.cameras.shape[0]):
+            return measure(pictures)
+        largest = measure(pictures.of(0))
+        self.counts = wp.zeros(largest.size, dtype=wp.uint8, device=self.device)
+        launch(count_reached, largest.size, [largest, SHOWN_WEIGHT], [self.counts], device=self.device)
+        for view in range(1, pictures.cameras.shape[0]):
             weights = measure(pictures.of(view))
-            if view == 0:
-                self.counts = wp.zeros(weights.size, dtype=wp.uint8, device=self.device)
-            launch(count_reached, weights.size, [weights, SHOWN_WEIGHT], [self.counts], device=self.device)
+            launch(count_reached, largest.size, [weights, SHOWN_WEIGHT], [self.counts], device=self.device)
+            launch(join_maximum, largest.size, [weights], [largest], device=self.device)
+        return largest
+
+    def follow(self, links: wp.array, nodes: wp.array) -> None:
+        """Go on to rows at `nodes` (rows,) vec3i, of the grid whose rows were those of `links`, if there are counts."""
+        if self.counts.size:
+            counts = wp.zeros(nodes.shape[0], dtype=wp.uint8, device=self.device)
+            launch(gather_counts, counts.size, [links, nodes, self.counts], [counts], device=self.device)
+            self.counts = counts
 
 
 def sum_shards(gradients: Sequence[wp.array]) -> wp.array:

@@ -154,17 +154,10 @@ class Level:
             device=mask.device,
         )
         self.field = fine
-        self.views.forget()
-
-    def count_views(self, picture_rays: PictureRays) -> None:
-        """Count the pictures that show each row, if the total variation follows that."""
-        stride = self._stride(picture_rays)
-        self.views.count(picture_rays, lambda rays: self.measure_weights(rays, stride))
-
-    def _stride(self, picture_rays: PictureRays) -> int:
-        """Every how many pixels there is a ray for each half voxel where the longest side of the box fills the shorter
-        one of a picture."""
-        return max(1, int(0.5 * min(picture_rays.width, picture_rays.height) / max(self.field.resolution)))
+        if fine.resolution == coarse.resolution:
+            self.views.follow(coarse.grid.links, self.nodes)
+        else:
+            self.views.forget()
 
     def keep(self, mask: wp.array) -> None:
         """Only the rows of a mask (nx, ny, nz) uint8 over the grid, with their second moments; gradients stay
@@ -193,11 +186,16 @@ class Level:
         kernels = record_weights, record_counted_weights
         return picture_rays.record(kernels, inputs, pixel_stride, rows, self.shards)
 
-    def weighty_mask(self, picture_rays: PictureRays, threshold: float) -> wp.array:
+    def weighty_mask(self, picture_rays: PictureRays, threshold: float, *, counts: bool = False) -> wp.array:
         """(nx, ny, nz) uint8 mask of the voxels with a rendering weight from a threshold on, and their neighbours.
-        Of those that have a row."""
+        Of those that have a row. counts: whether the pictures that show each row are counted on the way."""
         field = self.field
-        weights = self.measure_weights(picture_rays, self._stride(picture_rays))
+        # a ray for each half voxel where the longest side of the box fills the shorter one of a picture
+        stride = max(1, int(0.5 * min(picture_rays.width, picture_rays.height) / max(field.resolution)))
+        if counts:
+            weights = self.views.measured(picture_rays, lambda rays: self.measure_weights(rays, stride))
+        else:
+            weights = self.measure_weights(picture_rays, stride)
         mask = wp.zeros(field.resolution, dtype=wp.uint8, device=field.device)
         inputs = [self.nodes, weights, threshold]
         launch(grid_refine.mark_weighty_nodes, field.voxel_count, inputs, [mask], device=field.device)

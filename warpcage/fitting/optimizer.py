@@ -324,9 +324,9 @@ class FieldOptimizer:
         self.shapes[self.level] = coarse if shape is None else shape
         if shape is not None:
             level.refine(shape, kept)
-            # finer voxels tell better what is behind others, and memory is largest in a level's first half
-            level.resample(level.weighty_mask(self.batches.picture_rays, self.options.prune_weight / max(shape)))
-        level.count_views(self.batches.picture_rays)
+        # finer voxels tell better what is behind others, and memory is largest in a level's first half
+        least = self.options.prune_weight / max(self.field.resolution)
+        level.resample(level.weighty_mask(self.batches.picture_rays, least, counts=True))
         if self.background is not None:
             self.background.start_level(self.level, self.batches.picture_rays, self.field)
         level.allocate()
@@ -338,11 +338,10 @@ class FieldOptimizer:
         level.release_gradients()
         if self.background is not None:
             self.background.thin_out(self.batches.picture_rays, self.field)
-        mask = level.weighty_mask(self.batches.picture_rays, self.options.keep_weight)
+        mask = level.weighty_mask(self.batches.picture_rays, self.options.keep_weight, counts=True)
         fits = memory.thinning_bytes(rows, mask_count(mask), self.field.resolution) <= self.memory_limit
         if fits:
             level.keep(mask)
-            level.count_views(self.batches.picture_rays)
         level.allocate_gradients()
         if fits:
             self._activate_tiles()

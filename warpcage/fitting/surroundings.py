@@ -413,10 +413,9 @@ class OuterOptimizer:
             kept = finer
         self._resample(coarse, kept, min(2 * coarse.grid.sky.side, MOST_SKY))
         del coarse
-        if shape is not None:  # finer voxels tell better what is behind others
-            kept = self._weighty_mask(picture_rays, field, self.options.prune_weight / self.outer.side)
-            self._resample(self.outer, kept, self.outer.grid.sky.side)
-        self.views.count(picture_rays, lambda rays: self._weights(rays, field))
+        # finer voxels tell better what is behind others
+        kept = self._weighty_mask(picture_rays, field, self.options.prune_weight / self.outer.side, counts=True)
+        self._resample(self.outer, kept, self.outer.grid.sky.side)
         self._allocate()
 
     def _resample(self, coarse: OuterField, mask: wp.array, sky_side: int) -> None:
@@ -429,23 +428,32 @@ class OuterOptimizer:
         grid = self.outer.grid
         inputs = [coarse.grid, self.nodes, self.outer.side]
         launch(resample_outer, self.nodes.shape[0], inputs, [grid.values], device=self.device)
+        if self.outer.side == coarse.side:
+            self.views.follow(coarse.grid.links, self.nodes)
+        else:
+            self.views.forget()
 
     def thin_out(self, picture_rays: PictureRays, field: VoxelField) -> None:
         """Remove what no picture shows, and keep the second moments of the rest."""
         self.gradients = []
         before, moments = self.outer, self.moments
-        mask = self._weighty_mask(picture_rays, field, self.options.keep_weight)
+        mask = self._weighty_mask(picture_rays, field, self.options.keep_weight, counts=True)
         self._resample(before, mask, before.grid.sky.side)
         self.moments = empty_array(self.nodes.shape[0], wp.vec4, self.device)
         inputs = [before.grid.links, self.nodes, moments]
         launch(outer_loss.gather_rows, self.nodes.shape[0], inputs, [self.moments], device=self.device)
-        self.views.count(picture_rays, lambda rays: self._weights(rays, field))
         self._allocate_gradients()
 
-    def _weighty_mask(self, picture_rays: PictureRays, field: VoxelField, threshold: float) -> wp.array:
-        """The voxels whose rendering weight reaches a threshold in some view, and their neighbours."""
+    def _weighty_mask(
+        self, picture_rays: PictureRays, field: VoxelField, threshold: float, *, counts: bool = False
+    ) -> wp.array:
+        """The voxels whose rendering weight reaches a threshold in some view, and their neighbours. counts: as of
+        Level.weighty_mask."""
         outer, rows = self.outer, self.nodes.shape[0]
-        weights = self._weights(picture_rays, field)
+        if counts:
+            weights = self.views.measured(picture_rays, lambda rays: self._weights(rays, field))
+        else:
+            weights = self._weights(picture_rays, field)
         mask = wp.zeros(outer.grid.links.shape, dtype=wp.uint8, device=self.device)
         launch(grid_refine.mark_weighty_nodes, rows, [self.nodes, weights, threshold], [mask], device=self.device)
         mask = dilated(mask)
