@@ -367,22 +367,16 @@ def _masks(value: Any, word: str) -> bool | str:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class SceneItem(Item, abc.ABC):
-    """What reads the pictures of a scene: words as `load_scene` has them."""
+class FitItem(Item):
+    """A fit of a field to the pictures of a scene; outputs: {"field": file}, and {"cameras": file} where refined."""
 
     scene: Annotated[str, text] = ""  # folder
-    split: Annotated[str, text] = "train"
+    options: Annotated[dict[str, Any], _options] = dataclasses.field(default_factory=dict)  # of `warpcage.fit`
+    split: Annotated[str, text] = "train"  # as `load_scene` has it, and so the rest
     downscale: Annotated[int, words.whole(1)] = 1  # factor by which pictures shrink
     format: Annotated[str | None, text] = None  # None finds it
     masks: Annotated[bool | str, _masks] = True  # what mask files are
     cameras: Annotated[str | None, text] = None  # camera file of the scene; None takes those of its files
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class FitItem(SceneItem):
-    """A fit of a field to the pictures of a scene; outputs: {"field": file}, and {"cameras": file} where refined."""
-
-    options: Annotated[dict[str, Any], _options] = dataclasses.field(default_factory=dict)  # of `warpcage.fit`
     background: Annotated[Any, words.color] = "white"  # colour behind transparent pixels
     straighten: Annotated[bool, words.truth] = False  # whether the scene is turned so that its up is +z
 
@@ -411,11 +405,16 @@ class FitItem(SceneItem):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class EvaluateItem(SceneItem):
+class EvaluateItem(Item):
     """A comparison of a field with pictures of a scene, as `warpcage evaluate` makes it; outputs: {"report": file}."""
 
     field: Annotated[str, text] = ""  # a file, voxels
-    split: Annotated[str, text] = "test"
+    scene: Annotated[str, text] = ""  # folder
+    split: Annotated[str, text] = "test"  # as `load_scene` has it, and so the rest
+    downscale: Annotated[int, words.whole(1)] = 1  # factor by which pictures shrink
+    format: Annotated[str | None, text] = None  # None finds it
+    masks: Annotated[bool | str, _masks] = True  # what mask files are
+    cameras: Annotated[str | None, text] = None  # camera file of the scene; None takes those of its files
     background: Annotated[Any, words.color] = None  # colour behind the field; None is the field's own
     given_cameras: Annotated[bool, words.truth] = False  # whether cameras stay where those of the fit were refined
     tune_cameras: Annotated[bool, words.truth] = False  # whether each view's camera is moved first, to match the field
