@@ -84,7 +84,7 @@ def worker_steps(laps: Laps, args) -> None:
     from warpcage.batch.job_file import file_hash
     from warpcage.core import resolve_device
     from warpcage.field import load_field
-    from warpcage.render import load_usual_modules
+    from warpcage.render import load_pose_modules, render_modules
 
     device = resolve_device(args.device)
     wp.zeros(1, device=device).numpy()
@@ -96,7 +96,7 @@ def worker_steps(laps: Laps, args) -> None:
     field = warpcage.VoxelField(held.bounds, held.links, held.density, held.sh, device=device, **held.options())
     wp.synchronize_device(device)
     laps.note("field to the device")
-    load_usual_modules("harmonic", device)
+    load_pose_modules("harmonic", render_modules(device), device)
     laps.note("kernels")
     rest = warpcage.Cage.load(args.cage)
     laps.note("cage")

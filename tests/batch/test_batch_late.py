@@ -12,7 +12,6 @@ from runs import Making, write_frames
 
 import warpcage
 from warpcage.batch import ChunkOrder, ChunkRunner, JobFile, OutputFolder, Place
-from warpcage.batch.job_file import Begun
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +44,7 @@ def test_the_item_that_is_under_way_for_longest_is_known(files, tmp_path):
     maker, folder = Held(tmp_path), OutputFolder(tmp_path / "out")
     folder.prepare()
     with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
-        runner = ChunkRunner(maker, job.reader.item, lambda item: Begun("", []), notes, Place("0", "here", "cpu"))
+        runner = ChunkRunner(maker, job.reader.item, lambda item: "", notes, Place("0", "here", "cpu"))
         lines = [(job.data(index), job.line(index)) for index in (3, 7)]
         assert runner.oldest(1) is None
         working = threading.Thread(target=runner.run, args=[ChunkOrder(1, [3, 7], lines, [0, 0])])
@@ -82,24 +81,15 @@ class Timed(Making):
 
 
 def test_a_chunk_ends_with_its_time_and_loading_is_told_apart(files, tmp_path, monkeypatch):
-    """The first item loads, and its hash is there late: those behind it wait for nothing, and last what they took."""
+    """The first item loads: what it takes is not what others take."""
     clock = types.SimpleNamespace(passed=0.0, perf_counter=lambda: clock.passed)
     monkeypatch.setattr("warpcage.batch.chunk_runner.time", clock)
     folder = OutputFolder(tmp_path / "out")
     folder.prepare()
 
-    class Inputs:
-        """A hash that takes until 3."""
-
-        ready = property(lambda self: clock.passed >= 3.0)
-
-        def __call__(self):
-            clock.passed = max(clock.passed, 3.0)
-            return "0"
-
     with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
         maker = Timed(clock, [2.0, 0.25, 0.25, 0.25, 5.0, 0.25, 8.0, 0.25])
-        runner = ChunkRunner(maker, job.reader.item, lambda item: Inputs(), notes, Place("0", "here", "cpu"))
+        runner = ChunkRunner(maker, job.reader.item, lambda item: "", notes, Place("0", "here", "cpu"))
 
         def run(number, indices, seconds):
             lines = [(job.data(index), job.line(index)) for index in indices]

@@ -1,9 +1,8 @@
-"""Chunks that overlap: items of one are made while files of the one before are being written; and early reading."""
+"""Chunks that overlap: items of one are made while files of the one before are being written."""
 
 import concurrent.futures
 import contextlib
 import json
-import os
 import queue
 import threading
 import time
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 from runs import Making, number_of, records, run_with, write_frames
 
-from warpcage import VoxelField
 from warpcage.batch import (
     ChunkOrder,
     ChunkQueue,
@@ -21,21 +19,15 @@ from warpcage.batch import (
     ChunkRunner,
     Dispatcher,
     Driver,
-    Fingerprints,
     JobFile,
     OutputFolder,
     Place,
-    PrefetchedField,
     ProcessEngine,
     RunJournal,
     RunnerSettings,
     Share,
     chunk_runner,
-    job_file,
-    references,
 )
-from warpcage.batch.job_file import Begun
-from warpcage.core import file_stamp
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +60,7 @@ def runner_of(files, out, maker, **options):
     folder.prepare()
     with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
         place = Place("0", "here", "cpu")
-        runner = ChunkRunner(maker, job.reader.item, lambda item: Begun("", []), notes, place, **options)
+        runner = ChunkRunner(maker, job.reader.item, lambda item: "", notes, place, **options)
 
         def order(number, *indices):
             lines = [(job.data(index), job.line(index)) for index in indices]
@@ -210,8 +202,7 @@ def driven(files, tmp_path, monkeypatch):
 
         host = types.SimpleNamespace(start=start, share=Share(2, 0, 0, 1, "cpu"), waited=lambda seconds: None)
         with JobFile(files / "jobs.jsonl") as job, RunJournal(job, folder, "run", lambda: None) as journal:
-            prefetch = tuple((job.data(index), job.line(index)) for index in (4, 5))
-            engine = ProcessEngine(host, RunnerSettings("", job.reader, "", "run", prefetch=prefetch))
+            engine = ProcessEngine(host, RunnerSettings("", job.reader, "", "run"))
             engine.now = now
             seen.dispatcher = Dispatcher(ChunkQueue(np.arange(12), np.zeros(12)))
             seen.dispatcher.add_worker("0")
@@ -245,18 +236,6 @@ def test_chunks_beside_one_whose_device_is_lost_are_as_they_were_noted(driven):
     )
     assert again == {0: 1} | {index: 0 for index in range(1, 12) if index != 3}
     assert seen.lines == ["worker 0: no device: it is started again"]
-
-
-def test_one_that_takes_the_place_of_a_worker_that_died_reads_nothing_beforehand(driven):
-    """What the first one read may have killed it, with no item to blame."""
-
-    def script(seen, process, name, *given):
-        if name == "run":
-            process.answer(name, ChunkReport(left=given[0].indices, broken="no device"), given[0].number)
-        return name == "run"
-
-    seen = driven(script)
-    assert [len(process.settings.prefetch) for process in seen.processes] == [1, 0]
 
 
 def test_a_worker_whose_item_is_late_is_ended_and_that_item_is_blamed(driven):
@@ -326,86 +305,12 @@ def test_one_worker_alone_makes_the_next_chunk_meanwhile(tmp_path, monkeypatch, 
     assert (told.index(("made", 5)) < told.index(("there", 0))) == (slow > 0.0)
 
 
-# -- what a worker reads before its first item
-
-
-def test_a_worker_reads_its_first_field_once_and_early(files, tmp_path, monkeypatch):
-    read, real = [], references.read_field
-
-    def watched(path, **words):
-        read.append((path, threading.current_thread().name))
-        return real(path, **words)
-
-    monkeypatch.setattr(references, "read_field", watched)
-    hashed, hash_file = [], job_file.file_hash
-    monkeypatch.setattr(job_file, "file_hash", lambda path: hashed.append(path.name) or hash_file(path))
-    monkeypatch.setattr(job_file, "LARGE", 1000)
-    assert run_with(files / "jobs.jsonl", tmp_path / "out").complete
-    assert read == [(str(files / "ball.npz"), "warpcage-field_0")]  # by the thread that reads ahead, and not once more
-    assert hashed.count("ball.npz") == 1
-    found = records(tmp_path / "out")
-    with JobFile(files / "jobs.jsonl") as job:
-        assert {each["inputs"] for each in found.values()} == {Fingerprints(files).of(item) for item in job.items()}
-
-
-def test_a_field_that_was_replaced_since_is_read_anew(files, tmp_path):
-    path = tmp_path / "ball.npz"
-    path.write_bytes((files / "ball.npz").read_bytes())
-    expected = PrefetchedField(str(path), 1.0)
-    stamp = file_stamp(path)
-    assert expected.take(str(tmp_path / "other.npz"), stamp, 1.0) is None
-    assert expected.take(str(path), stamp, 2.0) is None
-    found = expected.take(str(path), stamp, 1.0)("cpu")
-    assert found.voxel_count == VoxelField.load(path, device="cpu").voxel_count
-    os.utime(path, ns=(1, 1))
-    assert expected.take(str(path), file_stamp(path), 1.0) is None
-    assert PrefetchedField(str(files / "broken.npz"), 1.0).take(str(files / "broken.npz"), stamp, 1.0) is None
-
-
-def test_a_field_that_changes_while_it_is_read_is_not_taken(files, tmp_path, monkeypatch):
-    path = tmp_path / "ball.npz"
-    path.write_bytes((files / "ball.npz").read_bytes())
-    before, real = file_stamp(path), references.read_field
-
-    def changing(*given, **words):
-        found = real(*given, **words)
-        os.utime(path, ns=(1, 1))
-        return found
-
-    monkeypatch.setattr(references, "read_field", changing)
-    expected = PrefetchedField(str(path), 1.0)
-    assert expected.take(str(path), before, 1.0) is None and expected.take(str(path), file_stamp(path), 1.0) is None
-
-
-def test_a_large_file_that_is_replaced_after_it_was_hashed_is_known(files, monkeypatch, tmp_path):
-    """Its hash was there before the item began, whose picture may be of either file."""
-    for path in files.iterdir():
-        if path.is_file():
-            (tmp_path / path.name).write_bytes(path.read_bytes())
-    monkeypatch.setattr(job_file, "LARGE", 1000)
-    with JobFile(tmp_path / "jobs.jsonl") as job:
-        item = job.item(0)
-    prints = Fingerprints(tmp_path)
-    prints.expect("ball.npz")
-    prints.expect("none.npz")
-    usual, begun = prints.begun(item)(), prints.begun(item)
-    assert begun.ready and begun() == usual == Fingerprints(tmp_path).of(item)
-    data = (tmp_path / "ball.npz").read_bytes()
-    (tmp_path / "new.npz").write_bytes(data + b"\n")
-    os.replace(tmp_path / "new.npz", tmp_path / "ball.npz")
-    changed = begun()
-    (tmp_path / "ball.npz").unlink()
-    assert begun() == changed and len({usual, changed, Fingerprints(tmp_path).of(item)}) == 3
-
-
-def test_a_worker_begins_with_what_is_likely_and_fails_with_the_item_alone(files, tmp_path):
+def test_a_field_that_cannot_be_read_fails_with_its_item_alone(files, tmp_path):
     """A field that cannot be read is the item's own fault, not that of the worker's start."""
     changes = {number: {"field": "broken.npz"} for number in range(4)}
     path = write_frames(tmp_path / "job", 5, changes=changes)
     with JobFile(path) as job:
-        settings = RunnerSettings(
-            str(path.parent), job.reader, str(tmp_path / "out"), "run", "cpu", prefetch=((job.data(0), job.line(0)),)
-        )
+        settings = RunnerSettings(str(path.parent), job.reader, str(tmp_path / "out"), "run", "cpu")
         OutputFolder(tmp_path / "out").prepare()
         runner = chunk_runner.make_runner(settings)
         order = ChunkOrder(1, [0, 4], [(job.data(index), job.line(index)) for index in (0, 4)], [0, 0])

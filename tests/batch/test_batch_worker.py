@@ -16,7 +16,7 @@ from runs import run, write_files
 from splat_scenes import splats_in_box
 
 from warpcage import Cage, CageEdit, Camera, CameraFile, Deformer, Frame, PoseFile, SplatField, VoxelField, load_scene
-from warpcage.batch import MOST_DEFORMERS, PARTS, Fingerprints, Item, JobFile, Missing, Worker, job_file, write_array
+from warpcage.batch import MOST_DEFORMERS, PARTS, Fingerprints, Item, JobFile, Missing, Worker, write_array
 from warpcage.core import SPARE
 from warpcage.view import read_image, write_picture
 
@@ -402,31 +402,6 @@ def test_a_fingerprint_changes_with_what_an_item_reads_and_with_nothing_else(fil
         assert found() not in (before, "") and kept.of(frame()) == found()
         (tmp_path / name).write_bytes(data)
         assert found() == before == kept.of(frame())
-
-
-def test_large_files_are_hashed_beside_and_one_that_changes_meanwhile_never_has_that_hash(files, tmp_path, monkeypatch):
-    for name in ("ball.npz", "cage.obj", "cameras.json", "poses.npy"):
-        (tmp_path / name).write_bytes((files / name).read_bytes())
-    usual = Fingerprints(tmp_path).of(frame())
-    monkeypatch.setattr(job_file, "LARGE", 0)
-    assert Fingerprints(tmp_path).of(frame()) == usual
-    hashed, written, real = threading.Event(), threading.Event(), job_file.file_hash
-
-    def slow(path):
-        hashed.set()
-        assert written.wait(60)
-        return real(path)
-
-    monkeypatch.setattr(job_file, "file_hash", slow)
-    begun = Fingerprints(tmp_path).begun(frame())  # does not wait
-    assert hashed.wait(60)
-    with (tmp_path / "ball.npz").open("ab") as file:
-        file.write(b"\n")
-    written.set()
-    new = Fingerprints(tmp_path).of(frame())
-    assert len({begun(), new, usual}) == 3 and len(begun()) == len(new)
-    (tmp_path / "ball.npz").unlink()
-    assert Fingerprints(tmp_path).of(frame()) not in (new, usual, begun())
 
 
 def test_what_is_missing_is_found_before_anything_is_made(files):

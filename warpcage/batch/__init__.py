@@ -11,7 +11,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "job_file": "Fingerprints is_job_file ItemReader JobFile write_jobs",
         "manifest": "Manifest Notes OutputFolder Part id_key merge_notes notes_of_chunk write_array",
         "processes": "load_ray LocalHost ray_session RayHost Share",
-        "references": "PrefetchedField",
         "run": "foresee Missing Options planned run_jobs RunJournal RunProgress RunReport unpaid",
         "scheduler": "AIM LARGEST ChunkQueue Dispatcher",
         "sweeps": "GivenSource RandomSource RandomViews write_sweep",

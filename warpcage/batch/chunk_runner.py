@@ -12,7 +12,7 @@ import platform
 import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from typing import Any, Protocol
 
 import warp as wp
@@ -22,7 +22,7 @@ from ..core.devices import resolve_device
 from ..core.locks import device_turn
 from ..core.names import error_line
 from ..errors import StateError
-from .items import EvaluateItem, FrameItem, Item
+from .items import Item
 from .job_file import Fingerprints, ItemReader
 from .manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes, OutputFolder
 from .webdataset import pack_shard, shard_stage
@@ -85,8 +85,7 @@ class ChunkReport:
     """What became of a chunk."""
 
     done: list[int] = dataclasses.field(default_factory=list)
-    # of each of those; where something was loaded, how long the worker was at each
-    seconds: list[float] = dataclasses.field(default_factory=list)
+    seconds: list[float] = dataclasses.field(default_factory=list)  # of each of those, what it added
     failed: list[tuple[int, str]] = dataclasses.field(default_factory=list)  # not tried again, with a line each
     errors: list[tuple[int, str]] = dataclasses.field(default_factory=list)  # may be tried again, with one line each
     left: list[int] = dataclasses.field(default_factory=list)  # were not begun, or their making ended without blame
@@ -112,19 +111,6 @@ def leaves_no_room(error: BaseException) -> bool:
     return any(os.strerror(number) in str(error) for number in NO_ROOM)  # libraries in C++ tell it in words
 
 
-class Inputs(Protocol):
-    """The hash of an item's inputs, which may be under way."""
-
-    @property
-    def ready(self) -> bool:
-        """Whether a call waits for nothing."""
-        ...
-
-    def __call__(self) -> str:
-        """Wait for it."""
-        ...
-
-
 @dataclasses.dataclass
 class _UnderWay:
     """An item that was begun and is not settled."""
@@ -133,14 +119,8 @@ class _UnderWay:
     index: int
     attempts: int
     begun: float
-    seconds: float = 0.0  # of the thread that makes items
-    inputs: Inputs | None = None
+    inputs: str = ""
     future: Future[dict[str, int]] = dataclasses.field(default_factory=Future)
-
-    @property
-    def ready(self) -> bool:
-        """Whether it can be settled without waiting."""
-        return self.future.done() and (self.inputs is None or self.inputs.ready)
 
 
 class ChunkUnderWay:
@@ -161,7 +141,7 @@ class ChunkRunner:
         self,
         maker: Maker,
         read: Callable[[bytes, int], Item],
-        fingerprint: Callable[[Item], Inputs],  # begins the hash of an item's inputs, as they are before it is made
+        fingerprint: Callable[[Item], str],  # the hash of an item's inputs, as they are before it is made
         notes: Notes,
         place: Place,
         *,
@@ -262,7 +242,7 @@ class ChunkRunner:
             if place and order.seconds is not None and time.perf_counter() - begin > order.seconds:
                 return
             self._begin(chunk, place)
-            while chunk.line and chunk.line[0].ready:
+            while chunk.line and chunk.line[0].future.done():
                 self._settle(chunk, chunk.line[0])
 
     def _next(self, chunk: ChunkUnderWay) -> int | None:
@@ -288,7 +268,6 @@ class ChunkRunner:
             made.future = self._maker.submit(item, self._stage(order))
         except Exception as error:
             made.future.set_exception(error)
-        made.seconds = time.perf_counter() - made.begun
         self._group = item.group
         with self._lock:
             chunk.line.append(made)
@@ -296,9 +275,8 @@ class ChunkRunner:
 
     def _settle(self, chunk: ChunkUnderWay, made: _UnderWay) -> None:
         """Note what became of the first item in the line of a chunk."""
-        report, error, sizes, inputs = chunk.report, None, {}, ""
+        report, error, sizes = chunk.report, None, {}
         try:
-            inputs = "" if made.inputs is None else made.inputs()
             sizes = made.future.result()
         except Exception as failure:
             error = failure
@@ -310,7 +288,7 @@ class ChunkRunner:
         if error is not None and leaves_no_room(error):
             self._halt(report, error)
             return
-        record: dict[str, Any] = {"id": made.item.id, "state": DONE, "inputs": inputs, "outputs": sizes}
+        record: dict[str, Any] = {"id": made.item.id, "state": DONE, "inputs": made.inputs, "outputs": sizes}
         record |= self._facts(made.item, seconds, made.attempts + 1)
         final = isinstance(error, BAD_INPUT) or made.attempts >= self._retries
         if error is not None:
@@ -324,8 +302,7 @@ class ChunkRunner:
             return
         if error is None:
             report.done.append(made.index)
-            # behind what waits for hashes of what was loaded, others seem to take nothing
-            report.seconds.append(made.seconds if report.loading else seconds)
+            report.seconds.append(seconds)
             return
         (report.failed if final else report.errors).append((made.index, error_line(error, named=True)))
         if not isinstance(error, BAD_INPUT) and report.broken is None:
@@ -393,7 +370,6 @@ class RunnerSettings:
     retries: int = 2
     threads: int = 0  # for kernels on the CPU; 0 is what there is
     maker: Callable[[str, str, Any], Maker] | None = None  # of base, out and device; None is `Worker`
-    prefetch: tuple[tuple[bytes, int], ...] = ()  # lines for `reader`: likely first items, whose needs are read early
 
 
 def make_runner(settings: RunnerSettings) -> ChunkRunner:
@@ -406,19 +382,17 @@ def make_runner(settings: RunnerSettings) -> ChunkRunner:
                 f"{platform.node()} does not see {str(path)!r}: all machines need the folders under the same path"
             )
     held = folder.worked_in()
-    fingerprints = Fingerprints(settings.base, settings.out)
-    first = settings.reader.item(*settings.prefetch[0]) if settings.prefetch else None
-    if isinstance(first, FrameItem | EvaluateItem):
-        fingerprints.expect(first.field)
-    if settings.maker is None:
-        maker, device = _worker(settings, first)
-    else:
-        device = resolve_device(settings.device)
-        maker = settings.maker(settings.base, settings.out, device)
+    device = resolve_device(settings.device)
+    make = settings.maker
+    if make is None:
+        from .worker import Worker as make  # here, as the driver of a cluster needs nothing of it
+
+    check_device(device)
+    maker = make(settings.base, settings.out, device)
     runner = ChunkRunner(
         maker,
         settings.reader.item,
-        fingerprints.begun,
+        Fingerprints(settings.base, settings.out).of,
         folder.new_notes(settings.notes or f"{settings.run}-{settings.worker}"),
         Place(settings.worker, platform.node(), device.name),
         retries=settings.retries,
@@ -427,22 +401,6 @@ def make_runner(settings: RunnerSettings) -> ChunkRunner:
     )
     runner.keep(held)
     return runner
-
-
-def _worker(settings: RunnerSettings, first: Item | None) -> tuple[Maker, wp.Device]:
-    """What makes items, and its device; the first field is read meanwhile, and the device prepared."""
-    from .references import PrefetchedField  # here, as the driver of a cluster needs nothing of it
-
-    expected = None
-    if isinstance(first, FrameItem | EvaluateItem):
-        expected = PrefetchedField(os.path.join(settings.base, first.field), first.scene_scale)
-    device = resolve_device(settings.device)
-    with ThreadPoolExecutor(1, "warpcage-device") as beside:
-        prepared = beside.submit(check_device, device)  # which makes its context
-        from .worker import Worker
-
-        prepared.result()
-    return Worker(settings.base, settings.out, device, first=first, expected=expected), device
 
 
 def check_device(device: wp.Device) -> None:

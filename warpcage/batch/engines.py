@@ -341,11 +341,8 @@ class ProcessEngine:
 
     def start(self, worker: str, start: int) -> None:
         """Start the process of a worker."""
-        prefetch = self.settings.prefetch
-        if prefetch:  # whoever takes the place of one that died knows nothing: what it read may have been to blame
-            prefetch = (prefetch[int(worker) % len(prefetch)],) if start == 1 else ()
         notes = notes_name(self.settings.run, worker, start)
-        settings = dataclasses.replace(self.settings, worker=worker, notes=notes, prefetch=prefetch)
+        settings = dataclasses.replace(self.settings, worker=worker, notes=notes)
         self._processes[worker] = self._host.start(settings)
         self.submit(worker, "facts")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import array
-import contextlib
 import dataclasses
 import functools
 import hashlib
@@ -12,7 +11,6 @@ import os
 import pathlib
 import threading
 from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -359,51 +357,10 @@ def is_job_file(path: PathLike) -> bool:
 
 
 #: Bytes that are hashed at once, and files whose hashes are kept.
-SMALL_CHUNK, MOST_FILES = 1 << 20, 200_000
-
-#: Bytes from which on a file is hashed by a thread, beside whoever reads it too, and bytes of such a file that are
-#: hashed at once: between two pieces the thread may wait for the interpreter, which others hold for up to 5 ms.
-LARGE, LARGE_CHUNK = 1 << 22, 1 << 24
+HASHED_AT_ONCE, MOST_FILES = 1 << 20, 200_000
 
 #: Bytes of a hash.
 HASH_BYTES = 16
-
-
-@dataclasses.dataclass(frozen=True)
-class LargeHash:
-    """The hash of a large file, which a thread makes."""
-
-    path: pathlib.Path
-    stamp: tuple[int, int]  # as it was when the hash was begun
-    future: Future[str]
-
-    def settled(self) -> str:
-        """Wait for the hash: that of a file that is still as it was, so that who read it since read the same bytes."""
-        try:
-            found = self.future.result()
-        except OSError as error:
-            return _unreadable(error)
-        with contextlib.suppress(OSError):
-            if file_stamp(self.path) == self.stamp:
-                return found
-        return _changed(self.stamp, found)
-
-
-class Begun:
-    """A fingerprint of which some hashes may be under way; words: what the item says; inputs: of what it reads."""
-
-    def __init__(self, words: str, inputs: list[str | LargeHash]):
-        self._words, self._inputs = words, inputs
-
-    @property
-    def ready(self) -> bool:
-        """Whether a call waits for nothing."""
-        return all(isinstance(each, str) or each.future.done() for each in self._inputs)
-
-    def __call__(self) -> str:
-        """Wait for the hashes; returns the fingerprint."""
-        parts = [self._words, *map(_settled, self._inputs)]
-        return hashlib.blake2b("\n".join(parts).encode(), digest_size=HASH_BYTES).hexdigest()
 
 
 class Fingerprints:
@@ -416,32 +373,19 @@ class Fingerprints:
     def __init__(self, base: PathLike, out: PathLike | None = None):
         self.base = pathlib.Path(base)
         self._out = None if out is None else os.path.realpath(out)
-        self._hashes: LRUCache[str | LargeHash] = LRUCache(MOST_FILES)
-        self._thread: ThreadPoolExecutor | None = None
+        self._hashes: LRUCache[str] = LRUCache(MOST_FILES)
         self._arrays: LRUCache[NpyFile] = LRUCache(32)
 
     def of(self, item: Item) -> str:
-        """The fingerprint of an item, hexadecimal digits."""
-        return self.begun(item)()  # a file that cannot be read counts as such: the item itself will say so
-
-    def begun(self, item: Item) -> Begun:
-        """The fingerprint of an item as its files are now, while large ones are hashed beside what the caller does.
-        A call of it waits for the hashes, and returns what `of` does."""
-        # A large file that changes before this is asked for gets a hash that it never has again.
-        return Begun(canonical(item.to_json()), [self._of_reference(each) for each in references_of(item)])
-
-    def expect(self, name: str) -> None:
-        """Begin to hash a large file that items will name; does nothing where it is small or not there."""
-        path = self.base / name
-        with contextlib.suppress(OSError):
-            if path.is_file() and file_stamp(path)[0] >= LARGE:
-                self._hash(path)
+        """The fingerprint of an item, hexadecimal digits. A file that cannot be read counts as such."""
+        parts = [canonical(item.to_json()), *self.of_inputs(item)]
+        return hashlib.blake2b("\n".join(parts).encode(), digest_size=HASH_BYTES).hexdigest()
 
     def of_inputs(self, item: Item) -> tuple[str, ...]:
         """The fingerprints of what an item reads, whatever it says beside: one for each of `references_of`."""
-        return tuple(_settled(self._of_reference(each)) for each in references_of(item))
+        return tuple(self._of_reference(each) for each in references_of(item))
 
-    def _of_reference(self, reference: str) -> str | LargeHash:
+    def _of_reference(self, reference: str) -> str:
         name, place = split_reference(reference)
         try:
             path = self.base / name
@@ -449,28 +393,16 @@ class Fingerprints:
                 return self._of_folder(path)
             if place.isdigit() and name.lower().endswith(".npy"):
                 return self._of_row(path, int(place))
-            return self._of_file(path) if path.suffix.lower() == ".gltf" else self._hash(path)
+            return self._of_file(path)
         except (OSError, ValueError) as error:
-            return _unreadable(error)
+            return f"cannot be read: {type(error).__name__}"
 
     def _of_file(self, path: pathlib.Path) -> str:
         """The hash of a file, and of the files beside it that a .gltf keeps its numbers in."""
-        found = _settled(self._hash(path))
+        found = self._hashes.get((os.fspath(path), file_stamp(path)), lambda: file_hash(path))
         if path.suffix.lower() == ".gltf":
             return " ".join([found, *(self._of_file(each) for each in _gltf_files(path))])
         return found
-
-    def _hash(self, path: pathlib.Path) -> str | LargeHash:
-        """The hash of a file alone; of a large one it may be under way."""
-        stamp = file_stamp(path)
-
-        def begin() -> str | LargeHash:
-            if stamp[0] < LARGE:
-                return file_hash(path)
-            self._thread = self._thread or ThreadPoolExecutor(1, "warpcage-hashes")
-            return LargeHash(path, stamp, self._thread.submit(_stamped_hash, path, stamp))
-
-        return self._hashes.get((os.fspath(path), stamp), begin)
 
     def _of_row(self, path: pathlib.Path, index: int) -> str:
         array = self._arrays.get((os.fspath(path), file_stamp(path)), lambda: NpyFile(path))
@@ -521,28 +453,9 @@ def file_hash(path: pathlib.Path) -> str:
     """The hash of a file's bytes, hexadecimal digits."""
     found = hashlib.blake2b(digest_size=HASH_BYTES)
     with path.open("rb") as file:
-        size = os.fstat(file.fileno()).st_size
-        while chunk := file.read(SMALL_CHUNK if size < LARGE else LARGE_CHUNK):
+        while chunk := file.read(HASHED_AT_ONCE):
             found.update(chunk)
     return found.hexdigest()
-
-
-def _stamped_hash(path: pathlib.Path, stamp: tuple[int, int]) -> str:
-    """The hash of a file that is still as it was when another thread began to read it."""
-    found = file_hash(path)
-    return found if file_stamp(path) == stamp else _changed(stamp, found)
-
-
-def _changed(stamp: tuple[int, int], found: str) -> str:
-    return f"changed while it was read: {stamp}, {found}"
-
-
-def _settled(found: str | LargeHash) -> str:
-    return found if isinstance(found, str) else found.settled()
-
-
-def _unreadable(error: Exception) -> str:
-    return f"cannot be read: {type(error).__name__}"
 
 
 def _gltf_files(path: pathlib.Path) -> list[pathlib.Path]:

@@ -84,9 +84,6 @@ WORKERS_PER_SECOND = 100  # for which a chunk takes a second more
 #: Items between two calls of `progress` while they are checked.
 CHECKED_AT_ONCE = 100
 
-#: Items that are told to workers which start, so that they read what those need.
-MOST_PREFETCHED = 64
-
 Progress = Callable[[RunProgress], None]
 
 MakeMaker = Callable[[str, str, Any], Maker]  # of the folder of the job file, the output folder and the device
@@ -200,14 +197,7 @@ def _run(
             return _ended(job, folder, plan, None, begin)
         run = run_name()
         settings = RunnerSettings(
-            str(job.folder),
-            job.reader,
-            str(folder.path),
-            run,
-            options.device,
-            retries=options.retries,
-            maker=maker,
-            prefetch=tuple((job.data(index), job.line(index)) for index in plan.first_items(MOST_PREFETCHED)),
+            str(job.folder), job.reader, str(folder.path), run, options.device, retries=options.retries, maker=maker
         )
         if not len(plan.items):
             # there is nothing but shards to be packed

@@ -489,13 +489,6 @@ class Plan:
     failed_before: int  # of the items to be made, those that failed in an earlier run
     group_count: int  # of those to be made: fields with the cages at rest on them, scenes
 
-    def first_items(self, most: int) -> list[int]:
-        """Numbers of the items with which workers will probably begin: the first of each group, the largest groups
-        before others."""
-        starts = np.flatnonzero(np.diff(self.groups, prepend=self.groups[:1] - 1))
-        sizes = np.diff(starts, append=len(self.groups))
-        return self.items[starts[np.argsort(-sizes, kind="stable")[:most]]].tolist()
-
     def chunks(self, *, aim: float, whole: bool) -> ChunkQueue:
         """What is to be made, as workers take it."""
         return ChunkQueue(self.items, self.groups, self.kinds, aim=aim, whole=whole)

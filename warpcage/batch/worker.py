@@ -30,11 +30,9 @@ from ..field.voxel_field import VoxelField
 from ..fitting.cameras import tuned_scene
 from ..fitting.evaluation import evaluation_report, in_world_of, moved_scene, refined_cameras_of
 from ..fitting.fit import fit
-from ..render.modules import load_usual_modules
 from ..scene.formats.parsing import TO_OPENCV
 from ..scene.load import load_scene
 from ..scene.scene import Scene
-from ..splats.io import is_splat_file
 from ..splats.splat_field import AnyField
 from ..view.camera import Camera, CameraKey, camera_json
 from ..view.exr import write_picture
@@ -45,7 +43,7 @@ from ..view.opacity import rgba_picture
 from .items import EvaluateItem, FitItem, FrameItem, Item, canonical, digest
 from .job_file import Fingerprints
 from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, array_data, write_array, write_outputs
-from .references import MEMORY_SHARE, LoadedFields, PrefetchedField, References, RestCage
+from .references import MEMORY_SHARE, LoadedFields, References, RestCage
 
 #: Most deformers that stay bound to a field.
 MOST_DEFORMERS = 4
@@ -94,7 +92,6 @@ class FrameMaker:
     def __init__(self, references: References, fields: LoadedFields, memory: int | None = None):
         self.references, self.fields, self.counts = references, fields, Counts()
         limit = int(MEMORY_SHARE * free_bytes(fields.device)) // 2 if memory is None else memory
-        self._kernels: dict[str, Future[None] | None] = {}  # by coordinates; None once they were waited for
         self.kept: LRUCache[Bound] = LRUCache(MOST_DEFORMERS, limit, _bound_bytes)
         fields.dropped = self._drop_bound_to
 
@@ -115,7 +112,6 @@ class FrameMaker:
 
     def make(self, item: FrameItem) -> MadeItem:
         """Render a frame; what is made writes its outputs."""
-        self.begin_kernels(item)
         field_key, field = self.fields.get(item.field, item.scene_scale)
         camera = self.references.camera(item, field)
         posed: list[Cage | None] = []
@@ -136,21 +132,6 @@ class FrameMaker:
         self.kept.settle(bound_key)
         return MadeItem(writers, sum(_host_bytes(frame, name) for name in needed_arrays(item, frame)))
 
-    def begin_kernels(self, item: FrameItem) -> None:
-        """Let a thread load the kernels that a frame needs, once for each kind of coordinates."""
-        looked_up = item.edits and item.resolution != "precise" and not is_splat_file(item.field)
-        if looked_up and item.coordinates not in self._kernels:
-            thread = ThreadPoolExecutor(1, "warpcage-kernels")
-            self._kernels[item.coordinates] = thread.submit(load_usual_modules, item.coordinates, self.fields.device)
-            thread.shutdown(wait=False)  # it ends with its task
-
-    def _require_kernels(self, coordinates: str) -> None:
-        """Wait for kernels that are being loaded. Raises what went wrong."""
-        loading = self._kernels.get(coordinates)
-        if loading is not None:
-            self._kernels[coordinates] = None
-            loading.result()
-
     def _deformer(
         self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera
     ) -> tuple[Hashable, Bound]:
@@ -165,7 +146,6 @@ class FrameMaker:
                 CageEdit(cage.cage, edit.keep, edit.remove, edit.falloff, edit.held, edit.fragments)
                 for cage, edit in zip(rests, item.edits, strict=True)
             ]
-            self._require_kernels(item.coordinates)
             self.counts.deformers += 1
             resolution = None if cells == "precise" else int(cells)
             options: dict[str, Any] = {"coordinates": item.coordinates, "density": item.density, "map": item.map}
@@ -396,16 +376,12 @@ class Worker:
         *,
         memory: int | None = None,
         encoders: int | None = None,  # threads that encode beside rendering; None is one a CPU thread, 16 at most
-        first: Item | None = None,  # that it will probably make first: a thread loads its kernels
-        expected: PrefetchedField | None = None,  # the field of that, which is being read
     ):
         self.out, self.device = pathlib.Path(out), resolve_device(device)
         self.references = References(base)
         half = None if memory is None else memory // 2
-        self.fields = LoadedFields(self.references, self.device, half, expected)
+        self.fields = LoadedFields(self.references, self.device, half)
         self.frames = FrameMaker(self.references, self.fields, half)
-        if isinstance(first, FrameItem):
-            self.frames.begin_kernels(first)
         self._fingerprints = Fingerprints(self.references.base, self.out)
         self.fits = FitMaker(self.references, self._fingerprints, self.device)
         threads = min(TASK_THREADS, cpu_threads()) if encoders is None else encoders

@@ -5,7 +5,7 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "modules": "load_usual_modules",
+        "modules": "load_pose_modules render_modules",
         "scene": "LARGE_PICTURE",
         "shading": "CarriedShades",
         "tables": "FineCells TileStarts",

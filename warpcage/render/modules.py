@@ -47,11 +47,6 @@ def load_pose_modules(coordinates: str, others: Sequence[ModuleType | Kernel], d
     load_modules([*POSE_MODULES, *SOLVER_MODULES[coordinates], *others], device)
 
 
-def load_usual_modules(coordinates: str, device: wp.Device) -> None:
-    """Compile and load the kernels of views of one edit, before there is a field or a cage."""
-    load_pose_modules(coordinates, render_modules(device), device)
-
-
 def render_modules(device: wp.Device, edit_count: int = 1, has_fragments: bool = False) -> list[ModuleType | Kernel]:
     """What renders views, kernel files and variants; has_fragments: fragments go with one of the edits."""
     if has_fragments:
