@@ -35,26 +35,6 @@ from .words import RANDOM, EditWords, split_reference
 MOST_PROBES, MOST_POSES = 8, 16
 
 
-class SampledPoses:
-    """Draws poses, and keeps the last ones: several cameras show each."""
-
-    def __init__(self) -> None:
-        self._probes: LRUCache[PoseProbe] = LRUCache(MOST_PROBES)
-        self._poses: LRUCache[np.ndarray] = LRUCache(MOST_POSES)
-
-    def vertices(self, posed: dict[str, Any], rest: Cage, rest_hash: str) -> np.ndarray:
-        """The vertices (v, 3) float64, world units, of a pose: those of `RandomPoses`, to the bit.
-        posed: its words, as `words.drawn_pose` returns them; rest_hash: the `cage_hash` of `rest`."""
-        probe = self._probes.get(rest_hash, lambda: PoseProbe(rest))
-        words = dict(posed[RANDOM])
-        number = words.pop("number")
-
-        def draw() -> np.ndarray:
-            return RandomPoses(probe.rest, **words, probe=probe).vertices(number)
-
-        return self._poses.get((rest_hash, canonical(posed)), draw)
-
-
 Thing = TypeVar("Thing")
 
 #: Files that are kept open to view: their headers, keyframes and cameras.
@@ -78,7 +58,8 @@ class References:
     def __init__(self, base: str | os.PathLike[str]):
         self.base = pathlib.Path(base)
         self._files: LRUCache[Any] = LRUCache(MOST_FILES)
-        self._drawn = SampledPoses()
+        self._probes: LRUCache[PoseProbe] = LRUCache(MOST_PROBES)
+        self._drawn: LRUCache[np.ndarray] = LRUCache(MOST_POSES)
 
     def path(self, name: str) -> pathlib.Path:
         """The path of a file."""
@@ -135,7 +116,7 @@ class References:
             return None
         value, rest = edit.posed, rest_cage.cage
         if edit.is_drawn:
-            return rest.with_vertices(self._drawn.vertices(value, rest, rest_cage.hash))
+            return rest.with_vertices(self._drawn_pose(value, rest_cage))
         if not isinstance(value, str) or split_reference(value)[0].lower().endswith(".npy"):
             vertices = self.array(value, "'posed'")
             if vertices.shape != rest.vertices.shape:
@@ -155,6 +136,17 @@ class References:
             if (moving := self._moving(name, place, edit, rest_cage)) is not None:
                 return moving
         return self._kept(name, "cage file", lambda path: _posed_file(path, edit, rest_cage), (rest_cage.hash, edit.up))
+
+    def _drawn_pose(self, posed: dict[str, Any], rest_cage: RestCage) -> np.ndarray:
+        """The vertices (v, 3) float64, world units, of a pose that is drawn: those of `RandomPoses`, to the bit."""
+        words = dict(posed[RANDOM])
+        number = words.pop("number")
+
+        def draw() -> np.ndarray:
+            probe = self._probes.get(rest_cage.hash, lambda: PoseProbe(rest_cage.cage))
+            return RandomPoses(probe.rest, **words, probe=probe).vertices(number)
+
+        return self._drawn.get((rest_cage.hash, canonical(posed)), draw)
 
     def _moving(self, name: str, place: str, edit: EditWords, rest_cage: RestCage) -> Cage | None:
         """The keyframe or shape that is named of a file that moves, or what its shapes show. None for a still one."""

@@ -12,7 +12,7 @@ import re
 import shutil
 import tarfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ..core.files import PathLike, atomic_path
 from ..errors import MissingFileError
 from .items import ITEMS_PER_SHARD, TRANSFORMS, WEBDATASET, FrameItem
 from .job_file import JobFile
-from .manifest import DONE, OutputFolder
+from .manifest import DONE, Manifest, OutputFolder
 
 #: Folder of a run in which shards are made.
 STAGES = ".warpcage/shards"
@@ -76,11 +76,12 @@ def pack_shard(out: PathLike, shard: int, records: Sequence[Mapping[str, Any]]) 
     names = [name for record in records for name in _ordered(record["outputs"])]
     if names:
         with contextlib.ExitStack() as held:
-            before = held.enter_context(_Members(target))
+            before = held.enter_context(tarfile.open(target)) if target.exists() else None
+            packed = {} if before is None else {member.name: member for member in before}
             temporary = held.enter_context(atomic_path(target))
             with temporary.open("wb") as file, tarfile.open(fileobj=file, mode="w", format=tarfile.PAX_FORMAT) as tar:
                 for name in names:
-                    add_files(tar, name, stage, before)
+                    add_files(tar, name, stage, before, packed)
     else:
         target.unlink(missing_ok=True)
     _sizes_of.cache_clear()
@@ -133,46 +134,27 @@ def _ordered(outputs: Mapping[str, Any]) -> list[str]:
     return sorted(outputs, key=lambda name: (not name.endswith((".png", ".jpg")) or ".alpha." in name, name))
 
 
-def add_files(tar: tarfile.TarFile, name: str, stage: pathlib.Path, before: _Members) -> None:
-    """Add a loose file, or a packed one."""
+def add_files(
+    tar: tarfile.TarFile,
+    name: str,
+    stage: pathlib.Path,
+    before: tarfile.TarFile | None,
+    packed: Mapping[str, tarfile.TarInfo],
+) -> None:
+    """Add a loose file, or one that was packed before."""
     info = tarfile.TarInfo(name)
     info.mode = 0o644
     try:
         file = (stage / name).open("rb")
     except FileNotFoundError:
-        packed = before.find(name)
-        if packed is None:
+        if before is None or name not in packed:
             raise MissingFileError(f"{name!r} is not there, neither in {str(stage)!r} nor packed") from None
-        info.size, opened = packed.size, before.open(packed)
-        tar.addfile(info, opened)
+        info.size = packed[name].size
+        tar.addfile(info, before.extractfile(packed[name]))
         return
     with file:
         info.size = os.fstat(file.fileno()).st_size
         tar.addfile(info, file)
-
-
-class _Members:
-    """What a tar file holds; nothing where there is none."""
-
-    def __init__(self, path: pathlib.Path):
-        self._tar = tarfile.open(path) if path.exists() else None
-        self._members = {} if self._tar is None else {member.name: member for member in self._tar}
-
-    def __enter__(self) -> _Members:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._tar is not None:
-            self._tar.close()
-
-    def find(self, name: str) -> tarfile.TarInfo | None:
-        """A file in it."""
-        return self._members.get(name)
-
-    def open(self, member: tarfile.TarInfo) -> Any:
-        """Its bytes."""
-        assert self._tar is not None
-        return self._tar.extractfile(member)
 
 
 def _sizes(path: pathlib.Path) -> Mapping[str, int]:
@@ -193,33 +175,17 @@ def _sizes_of(path: str, size: int, time: int) -> Mapping[str, int]:
         return {}
 
 
-def camera_words(camera: Mapping[str, Any]) -> dict[str, Any]:
-    """The intrinsics of a record's camera as transforms.json has them; pixels, and radians for the angle of view."""
-    width, height, fx, fy = camera["width"], camera["height"], camera["fx"], camera["fy"]
-    angle = 2.0 * np.arctan(0.5 * width / fx)
-    return {"camera_angle_x": float(angle), "w": width, "h": height, "fl_x": fx, "fl_y": fy} | {
-        name: camera[name] for name in ("cx", "cy")
-    }
-
-
 def beside(path: str, folder: str) -> str:
     """A path below the folder of a run as one below a folder in it."""
     return pathlib.PurePosixPath(path).relative_to(folder).as_posix()
 
 
-#: What frames call the parts of a record.
+#: What transforms.json calls the words of a camera, and frames the parts of a record.
+_INTRINSICS = {"w": "width", "h": "height", "fl_x": "fx", "fl_y": "fy", "cx": "cx", "cy": "cy"}
 _WORDS = {"depth": "depth_path", "alpha": "alpha_path", "pose": "pose_path", "record": "record_path"}
 
 
-class Manifested(Protocol):
-    """What knows which items of a run are done: `batch.manifest.Manifest`."""
-
-    def find(self, item_id: str) -> Mapping[str, Any] | None:
-        """The record of an item; None where there is none."""
-        ...
-
-
-def finish_folder(out: PathLike, job: JobFile, manifest: Manifested) -> list[pathlib.Path]:
+def finish_folder(out: PathLike, job: JobFile, manifest: Manifest) -> list[pathlib.Path]:
     """Write transforms.json for the pictures of a run: one for all, and one in each folder of pictures for those in it.
     manifest: which items are done, others are left out. Returns the files; none where no item is done."""
     # Ids as of `warpcage sweep`, pose_000012/camera_003, put the pictures of one pose into a folder, a scene of its
@@ -231,16 +197,13 @@ def finish_folder(out: PathLike, job: JobFile, manifest: Manifested) -> list[pat
         found = manifest.find(item.id) if isinstance(item, FrameItem) and "record" in item.outputs else None
         if found is not None and found["state"] == DONE:
             everything.append(index)
-            folders.setdefault(_folder(item.outputs["rgb"]), array.array("q")).append(index)
+            place = pathlib.PurePosixPath(item.outputs["rgb"]).parent.as_posix()
+            folders.setdefault(place, array.array("q")).append(index)
     if not everything:
         return []
     parts = {folder: indices for folder, indices in folders.items() if folder != "."}
     written = [_write(out, ".", _frames(out, ".", job, everything))]
     return written + [_write(out, folder, _frames(out, folder, job, indices)) for folder, indices in parts.items()]
-
-
-def _folder(path: str) -> str:
-    return pathlib.PurePosixPath(path).parent.as_posix()
 
 
 def _frames(
@@ -257,7 +220,10 @@ def _frames(
         frame |= {_WORDS[part]: f"./{beside(item.outputs[part], folder)}" for part in _WORDS if part in item.outputs}
         posed = [edit["posed"] for edit in record.get("edits", ()) if "posed" in edit]
         frame |= {"id": item.id, "posed": posed}
-        yield camera_words(record["camera"]), frame if item.extra is None else frame | {"extra": item.extra}
+        camera = record["camera"]
+        intrinsics = {"camera_angle_x": float(2.0 * np.arctan(0.5 * camera["width"] / camera["fx"]))}  # radians
+        intrinsics |= {name: camera[word] for name, word in _INTRINSICS.items()}
+        yield intrinsics, frame if item.extra is None else frame | {"extra": item.extra}
 
 
 def _write(out: pathlib.Path, folder: str, frames: Iterator[tuple[dict[str, Any], dict[str, Any]]]) -> pathlib.Path:
