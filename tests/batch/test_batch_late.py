@@ -11,7 +11,7 @@ from messages import MESSAGES
 from runs import Making, write_frames
 
 import warpcage
-from warpcage.batch import ChunkOrder, ChunkRunner, JobFile, OutputFolder, Place
+from warpcage.batch import Chunk, ChunkRunner, JobFile, OutputFolder
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +44,10 @@ def test_the_item_that_is_under_way_for_longest_is_known(files, tmp_path):
     maker, folder = Held(tmp_path), OutputFolder(tmp_path / "out")
     folder.prepare()
     with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
-        runner = ChunkRunner(maker, job.reader.item, lambda item: "", notes, Place("0", "here", "cpu"))
+        runner = ChunkRunner(maker, job.reader.item, lambda item: "", notes, {})
         lines = [(job.data(index), job.line(index)) for index in (3, 7)]
         assert runner.oldest(1) is None
-        working = threading.Thread(target=runner.run, args=[ChunkOrder(1, [3, 7], lines, [0, 0])])
+        working = threading.Thread(target=runner.run, args=[Chunk(1, [3, 7], [0, 0], 0, lines=lines)])
         working.start()
         assert maker.begun.acquire(timeout=60)
         index, first = runner.oldest(1)
@@ -89,11 +89,11 @@ def test_a_chunk_ends_with_its_time_and_loading_is_told_apart(files, tmp_path, m
 
     with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
         maker = Timed(clock, [2.0, 0.25, 0.25, 0.25, 5.0, 0.25, 8.0, 0.25])
-        runner = ChunkRunner(maker, job.reader.item, lambda item: "", notes, Place("0", "here", "cpu"))
+        runner = ChunkRunner(maker, job.reader.item, lambda item: "", notes, {})
 
         def run(number, indices, seconds):
             lines = [(job.data(index), job.line(index)) for index in indices]
-            return runner.run(ChunkOrder(number, indices, lines, [0] * len(indices), seconds=seconds))
+            return runner.run(Chunk(number, indices, [0] * len(indices), 0, seconds=seconds, lines=lines))
 
         first = run(1, [0, 1, 2, 3, 4, 5, 6], 7.9)
         assert first.loading and first.done == [0, 1, 2, 3, 4, 5] and first.left == [6]

@@ -13,7 +13,7 @@ import pytest
 from runs import Making, number_of, records, run_with, write_frames
 
 from warpcage.batch import (
-    ChunkOrder,
+    Chunk,
     ChunkQueue,
     ChunkReport,
     ChunkRunner,
@@ -21,7 +21,6 @@ from warpcage.batch import (
     Driver,
     JobFile,
     OutputFolder,
-    Place,
     ProcessEngine,
     RunJournal,
     RunnerSettings,
@@ -59,12 +58,11 @@ def runner_of(files, out, maker, **options):
     folder = OutputFolder(out)
     folder.prepare()
     with JobFile(files / "jobs.jsonl") as job, contextlib.closing(folder.new_notes("a")) as notes:
-        place = Place("0", "here", "cpu")
-        runner = ChunkRunner(maker, job.reader.item, lambda item: "", notes, place, **options)
+        runner = ChunkRunner(maker, job.reader.item, lambda item: "", notes, {}, **options)
 
         def order(number, *indices):
             lines = [(job.data(index), job.line(index)) for index in indices]
-            return ChunkOrder(number, list(indices), lines, [0] * len(indices))
+            return Chunk(number, list(indices), [0] * len(indices), 0, lines=lines)
 
         yield runner, order
 
@@ -72,7 +70,7 @@ def runner_of(files, out, maker, **options):
 def test_items_of_a_chunk_are_made_while_files_of_the_one_before_are_written(files, tmp_path):
     maker = Writing()
     with runner_of(files, tmp_path / "out", maker) as (runner, order):
-        told = threading.Thread(target=runner.wait_until_begun, args=[1])
+        told = threading.Thread(target=runner.begun, args=[1])
         told.start()
         assert told.is_alive()
         first = runner.begin(order(1, 0, 1))
@@ -171,6 +169,7 @@ def driven(files, tmp_path, monkeypatch):
     """Runs a job of twelve frames by one worker, whose first process does what a script says: what was seen so far,
     the process, what it is asked, and what it is given. It returns whether that is all; else the process does well."""
     monkeypatch.setattr("warpcage.batch.engines.TICK", 0.01)
+    monkeypatch.setattr("warpcage.batch.run.run_name", lambda: "run")
     folder = OutputFolder(tmp_path / "out")
     folder.prepare()
     seen = types.SimpleNamespace(folder=folder, processes=[], orders=[], lines=[], now=0.0)
@@ -185,7 +184,7 @@ def driven(files, tmp_path, monkeypatch):
                 return
             if name == "run":
                 order = given[0]
-                process.answer(name, ChunkReport(done=order.indices, seconds=[1.0] * len(order.indices)), order.number)
+                process.answer(name, ChunkReport(done=order.items, seconds=[1.0] * len(order.items)), order.number)
             elif name in ("facts", "begun"):
                 process.answer(name, {}, *given)
 
@@ -201,7 +200,7 @@ def driven(files, tmp_path, monkeypatch):
             return seen.processes[-1]
 
         host = types.SimpleNamespace(start=start, share=Share(2, 0, 0, 1, "cpu"), waited=lambda seconds: None)
-        with JobFile(files / "jobs.jsonl") as job, RunJournal(job, folder, "run", lambda: None) as journal:
+        with JobFile(files / "jobs.jsonl") as job, RunJournal(job, folder) as journal:
             engine = ProcessEngine(host, RunnerSettings("", job.reader, "", "run"))
             engine.now = now
             seen.dispatcher = Dispatcher(ChunkQueue(np.arange(12), np.zeros(12)))
@@ -230,9 +229,9 @@ def test_chunks_beside_one_whose_device_is_lost_are_as_they_were_noted(driven):
         return name == "run"
 
     seen = driven(script)
-    assert [order.indices for first, order in seen.orders if first] == [[0, 1, 2], [3, 4, 5]]
+    assert [order.items for first, order in seen.orders if first] == [[0, 1, 2], [3, 4, 5]]
     again = dict(
-        pair for first, order in seen.orders if not first for pair in zip(order.indices, order.attempts, strict=True)
+        pair for first, order in seen.orders if not first for pair in zip(order.items, order.attempts, strict=True)
     )
     assert again == {0: 1} | {index: 0 for index in range(1, 12) if index != 3}
     assert seen.lines == ["worker 0: no device: it is started again"]
@@ -256,10 +255,10 @@ def test_a_worker_whose_item_is_late_is_ended_and_that_item_is_blamed(driven):
     assert number == again == 1 and 100.0 < first < 110.0 and 41.0 <= second - first < 50.0
     assert "the item took longer than 100 s" in seen.lines[0]
     again = [
-        pair for first, order in seen.orders if not first for pair in zip(order.indices, order.attempts, strict=True)
+        pair for first, order in seen.orders if not first for pair in zip(order.items, order.attempts, strict=True)
     ]
     assert sorted(again) == sorted((index, int(index == 1)) for index in range(12)) and len(seen.lines) == 1
-    alone = [order.indices for first, order in seen.orders if not first and len(order.indices) == 1]
+    alone = [order.items for first, order in seen.orders if not first and len(order.items) == 1]
     assert all([index] in alone for index in (0, 1, 3))
 
 
@@ -313,7 +312,7 @@ def test_a_field_that_cannot_be_read_fails_with_its_item_alone(files, tmp_path):
         settings = RunnerSettings(str(path.parent), job.reader, str(tmp_path / "out"), "run", "cpu")
         OutputFolder(tmp_path / "out").prepare()
         runner = chunk_runner.make_runner(settings)
-        order = ChunkOrder(1, [0, 4], [(job.data(index), job.line(index)) for index in (0, 4)], [0, 0])
+        order = Chunk(1, [0, 4], [0, 0], 0, lines=[(job.data(index), job.line(index)) for index in (0, 4)])
         report = runner.run(order)
         runner.close()
     assert report.done == [4] and "broken.npz is not an .npz field file" in report.failed[0][1]

@@ -5,7 +5,7 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "chunk_runner": "Chunk ChunkOrder ChunkReport ChunkRunner Place RunnerSettings",
+        "chunk_runner": "Chunk ChunkReport ChunkRunner RunnerSettings",
         "engines": "Answer Driver notes_name ProcessEngine",
         "items": "EvaluateItem FitItem FrameItem Item record_outputs",
         "job_file": "Fingerprints is_job_file ItemReader JobFile write_jobs",

@@ -11,7 +11,7 @@ import pathlib
 import platform
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from typing import Any, Protocol
 
@@ -21,6 +21,7 @@ from .. import __version__
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
 from ..core.names import error_line
+from ..core.threads import limit_threads
 from ..errors import StateError
 from .items import Item
 from .job_file import Fingerprints, ItemReader
@@ -63,21 +64,12 @@ class Chunk:
     items: Sequence[int]  # numbers of the items in the job file, in the order in which they are made
     attempts: Sequence[int]  # how often each was begun before and failed
     group: int  # what the worker has loaded afterwards
-    shard: int | None = None  # to be packed, in a chunk without items; None else
+    shard: int | None = None  # to be packed, in a chunk without items; of one that is sent, that its items belong to
     seconds: float | None = None  # after so many no more of its items are begun; None where it is known what they take
-
-
-@dataclasses.dataclass(frozen=True)
-class ChunkOrder:
-    """A chunk as it is sent to a worker."""
-
-    number: int
-    indices: list[int]  # numbers of its items in the job file
-    lines: list[tuple[bytes, int]]  # their lines, as they stand, and the numbers of these: workers read them
-    attempts: list[int]  # how often each was begun before and failed
-    shard: int | None = None  # that its items belong to; None where there are no shards
-    packed: list[dict[str, str]] | None = None  # outputs of all items that the shard is packed of; None: items are made
-    seconds: float | None = None  # after so many no more items are begun, but for the first; None is no limit
+    # of a chunk that is sent: lines of its items, as they stand, with their numbers; outputs of all items of its shard,
+    # where that is packed
+    lines: Sequence[tuple[bytes, int]] = ()
+    packed: Sequence[dict[str, str]] | None = None
 
 
 @dataclasses.dataclass
@@ -93,15 +85,6 @@ class ChunkReport:
     halt: str | None = None  # one line: why nothing can be written any more
     broken: str | None = None  # why the worker can make no more
     pack_error: str | None = None  # why the shard was not packed
-
-
-@dataclasses.dataclass(frozen=True)
-class Place:
-    """Where a worker works, for the records."""
-
-    worker: str
-    host: str
-    device: str  # name of the processor or the GPU
 
 
 def leaves_no_room(error: BaseException) -> bool:
@@ -126,7 +109,7 @@ class _UnderWay:
 class ChunkUnderWay:
     """A chunk of which items are made, or whose files are being written."""
 
-    def __init__(self, order: ChunkOrder):
+    def __init__(self, order: Chunk):
         self.order, self.report = order, ChunkReport()
         self.waiting: collections.deque[int] = collections.deque(range(len(order.lines)))  # places that were not begun
         self.line: collections.deque[_UnderWay] = collections.deque()  # made and not settled, in that order
@@ -143,7 +126,7 @@ class ChunkRunner:
         read: Callable[[bytes, int], Item],
         fingerprint: Callable[[Item], str],  # the hash of an item's inputs, as they are before it is made
         notes: Notes,
-        place: Place,
+        place: Mapping[str, str],  # device, worker and host, for the records
         *,
         retries: int = 2,
         check_device: Callable[[], None] = lambda: None,  # raises if the device is lost, after errors not of the input
@@ -158,13 +141,13 @@ class ChunkRunner:
         self._stopped = False
         self.report, self._settled_at = ChunkReport(), 0.0  # of the newest chunk so far
         self._group: str | None = None
-        self._held = contextlib.ExitStack()
+        self.held = contextlib.ExitStack()  # open as long as this may write; `close` closes it
 
-    def run(self, order: ChunkOrder) -> ChunkReport:
+    def run(self, order: Chunk) -> ChunkReport:
         """Make a chunk; returns what became of its items."""
         return self.settle(self.begin(order))
 
-    def begin(self, order: ChunkOrder) -> ChunkUnderWay:
+    def begin(self, order: Chunk) -> ChunkUnderWay:
         """Make the items of a chunk, or pack its shard; files may be written until `settle` has it."""
         chunk = ChunkUnderWay(order)
         with self._making:
@@ -194,10 +177,14 @@ class ChunkRunner:
         with self._lock:
             self._chunks.pop(chunk.order.number, None)
         settled = {*report.done, *(index for index, _ in [*report.failed, *report.errors])}
-        report.left = [index for index in chunk.order.indices if index not in settled]
+        report.left = [index for index in chunk.order.items if index not in settled]
         return report
 
-    def wait_until_begun(self, number: int) -> None:
+    def facts(self) -> dict[str, Any]:
+        """Which process it is."""
+        return {"pid": os.getpid(), "host": platform.node()}
+
+    def begun(self, number: int) -> None:
         """Wait until all items of a chunk, which may not be here yet, are begun or will not be. Any thread may call."""
         with self._made:
             self._made.wait_for(lambda: self._newest_made >= number)
@@ -210,22 +197,16 @@ class ChunkRunner:
             if chunk is None:
                 return []
             back = [chunk.waiting.pop() for _ in range(int(share * len(chunk.waiting)))]
-            return [chunk.order.indices[place] for place in reversed(back)]
+            return [chunk.order.items[place] for place in reversed(back)]
 
     def oldest(self, number: int) -> tuple[int, float] | None:
         """The item of a chunk that has been under way longest, by its number in the job file, and its seconds so far.
         None where none is under way, or for a chunk that is not. Any thread may call it while a chunk runs."""
         with self._lock:
             chunk = self._chunks.get(number)
-            begun = (
-                []
-                if chunk is None
-                else [made for made in (*chunk.line, chunk.making) if made and not made.future.done()]
-            )
-        if not begun:
-            return None
-        first = begun[0]
-        return first.index, time.perf_counter() - first.begun
+            made = () if chunk is None else (*chunk.line, chunk.making)
+            first = next((each for each in made if each is not None and not each.future.done()), None)
+        return None if first is None else (first.index, time.perf_counter() - first.begun)
 
     def stop(self) -> None:
         """Begin no more items."""
@@ -253,15 +234,10 @@ class ChunkRunner:
         """Make an item as far as this thread does it."""
         order, report = chunk.order, chunk.report
         item = self._read(*order.lines[place])
-        try:
-            self._notes.append({"id": item.id, "state": STARTED, "lot": order.number})
-        except OSError as error:
-            if not leaves_no_room(error):
-                raise
-            self._halt(report, error)
+        if not self._noted({"id": item.id, "state": STARTED, "lot": order.number}, report):
             return
         report.loading |= not place and item.group != self._group
-        made = _UnderWay(item, order.indices[place], order.attempts[place], time.perf_counter())
+        made = _UnderWay(item, order.items[place], order.attempts[place], time.perf_counter())
         chunk.making = made
         try:
             made.inputs = self._fingerprint(item)
@@ -288,17 +264,22 @@ class ChunkRunner:
         if error is not None and leaves_no_room(error):
             self._halt(report, error)
             return
-        record: dict[str, Any] = {"id": made.item.id, "state": DONE, "inputs": made.inputs, "outputs": sizes}
-        record |= self._facts(made.item, seconds, made.attempts + 1)
+        record: dict[str, Any] = {
+            "id": made.item.id,
+            "state": DONE,
+            "inputs": made.inputs,
+            "outputs": sizes,
+            "kind": made.item.kind,
+            "seconds": round(seconds, 4),
+            **self._place,
+            "attempts": made.attempts + 1,
+            "version": __version__,
+            "finished": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="milliseconds"),
+        }
         final = isinstance(error, BAD_INPUT) or made.attempts >= self._retries
         if error is not None:
             record |= {"state": FAILED if final else ERROR, "error": error_line(error, named=True)}
-        try:
-            self._notes.append(record)
-        except OSError as failure:
-            if not leaves_no_room(failure):
-                raise
-            self._halt(report, failure)
+        if not self._noted(record, report):
             return
         if error is None:
             report.done.append(made.index)
@@ -317,24 +298,22 @@ class ChunkRunner:
         report.halt = report.halt or error_line(error, named=True)
         self.stop()
 
-    def _facts(self, item: Item, seconds: float, attempts: int) -> dict[str, Any]:
-        """What a record says of how an item was made."""
-        return {
-            "kind": item.kind,
-            "seconds": round(seconds, 4),
-            "device": self._place.device,
-            "worker": self._place.worker,
-            "host": self._place.host,
-            "attempts": attempts,
-            "version": __version__,
-            "finished": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="milliseconds"),
-        }
+    def _noted(self, record: dict[str, Any], report: ChunkReport) -> bool:
+        """Append to the notes; False where there is no room for that, which ends the chunk."""
+        try:
+            self._notes.append(record)
+        except OSError as error:
+            if not leaves_no_room(error):
+                raise
+            self._halt(report, error)
+            return False
+        return True
 
-    def _stage(self, order: ChunkOrder) -> pathlib.Path | None:
+    def _stage(self, order: Chunk) -> pathlib.Path | None:
         """Where the items of a shard stand until it is packed; None: in the folder of the run."""
         return None if order.shard is None or self._out is None else shard_stage(self._out, order.shard)
 
-    def _pack(self, order: ChunkOrder, report: ChunkReport) -> None:
+    def _pack(self, order: Chunk, report: ChunkReport) -> None:
         """Pack a shard."""
         assert self._out is not None and order.shard is not None and order.packed is not None
         try:
@@ -345,15 +324,11 @@ class ChunkRunner:
             else:
                 report.pack_error = error_line(error, named=True)
 
-    def keep(self, held: contextlib.AbstractContextManager[Any]) -> None:
-        """Keep something open as long as this may write; `close` closes it."""
-        self._held.enter_context(held)
-
     def close(self) -> None:
         """End the maker's threads, and close the notes."""
         self._maker.close()
         self._notes.close()
-        self._held.close()
+        self.held.close()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -381,7 +356,10 @@ def make_runner(settings: RunnerSettings) -> ChunkRunner:
             raise StateError(
                 f"{platform.node()} does not see {str(path)!r}: all machines need the folders under the same path"
             )
-    held = folder.worked_in()
+    held = contextlib.ExitStack()
+    held.enter_context(folder.worked_in())
+    if settings.threads:
+        held.enter_context(limit_threads(settings.threads))
     device = resolve_device(settings.device)
     make = settings.maker
     if make is None:
@@ -394,12 +372,12 @@ def make_runner(settings: RunnerSettings) -> ChunkRunner:
         settings.reader.item,
         Fingerprints(settings.base, settings.out).of,
         folder.new_notes(settings.notes or f"{settings.run}-{settings.worker}"),
-        Place(settings.worker, platform.node(), device.name),
+        {"device": device.name, "worker": settings.worker, "host": platform.node()},
         retries=settings.retries,
         check_device=lambda: check_device(device),
         out=folder.path,
     )
-    runner.keep(held)
+    runner.held = held
     return runner
 
 

@@ -12,8 +12,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple, Protocol
 
 from ..errors import StateError
-from .chunk_runner import Chunk, ChunkOrder, ChunkReport, ChunkRunner, RunnerSettings
-from .processes import Process, Share
+from .chunk_runner import Chunk, ChunkReport, ChunkRunner, RunnerSettings
+from .processes import LocalHost, LocalProcess, RayHost, RayProcess
 from .scheduler import MOST_CHUNKS, Dispatcher
 
 TICK = 1.0  # seconds after which the driver looks for stragglers even where nothing happened
@@ -30,7 +30,7 @@ class Answer(NamedTuple):
     """What a worker answers to what was submitted."""
 
     worker: str
-    method: str  # of `ChunkActor`
+    method: str  # of `ChunkRunner`
     number: int  # of the chunk that it is about; 0 for none
     found: Any
     error: str | None = None  # one line: why the worker will answer nothing any more
@@ -49,7 +49,7 @@ class Engine(Protocol):
         """Start the process of a worker, for the time `start` from 1; the answer of "facts" says that it has."""
 
     def submit(self, worker: str, method: str, *given: Any) -> None:
-        """Call a method of a worker's `ChunkActor`, which `wait` has the answer of."""
+        """Call a method of a worker's `ChunkRunner`, which `wait` has the answer of."""
 
     def cancel(self, worker: str) -> None:
         """End the process of a worker, wherever it is at; what it has not answered is not heard any more."""
@@ -63,10 +63,11 @@ class Engine(Protocol):
 class Journal(Protocol):
     """What chunks are made of, and what workers have noted of them."""
 
-    def order(self, chunk: Chunk) -> Any:
-        """A chunk as it is sent, with its `number`."""
+    def order(self, chunk: Chunk) -> Chunk:
+        """A chunk as it is sent."""
+        ...
 
-    def noted(self, worker: str, start: int, order: Any) -> tuple[ChunkReport, list[int]]:
+    def noted(self, worker: str, start: int, chunk: Chunk) -> tuple[ChunkReport, list[int]]:
         """What a worker that was started so often noted of a chunk, and what it had begun besides, the newest last."""
         ...
 
@@ -92,7 +93,7 @@ class Driver:
         self._limit, self._progress, self._warn = item_timeout, progress, warn
         self._idle: dict[str, None] = {}
         self._starts: collections.Counter[str] = collections.Counter()  # how often each was started
-        self._orders: dict[str, dict[int, Any]] = {}  # of the chunks of each worker, by number, the oldest first
+        self._orders: dict[str, dict[int, Chunk]] = {}  # of the chunks of each worker, by number, the oldest first
         self._looks: dict[tuple[str, int], float] = {}  # when a chunk of a worker is to be looked at
         self._asked: dict[tuple[str, int], float] = {}  # since when a worker owes an answer about a chunk
         self.halt: str | None = None  # why it ended before its end, one line
@@ -176,7 +177,7 @@ class Driver:
             self._journal.lost(item, error, self._dispatcher.retries + 1)
         self._replace(name, reason)
 
-    def _end(self, name: str) -> list[Any]:
+    def _end(self, name: str) -> list[Chunk]:
         """Make sure that a worker is gone which may merely not answer; returns what it had, the oldest first."""
         self._idle.pop(name, None)
         orders = list(self._orders.pop(name).values())
@@ -241,7 +242,7 @@ class LocalEngine:
 
     def __init__(self, runner: ChunkRunner):
         self._runner = runner
-        self._given: tuple[str, ChunkOrder] | None = None
+        self._given: tuple[str, Chunk] | None = None
         self._settling = ThreadPoolExecutor(MOST_CHUNKS, "warpcage-settling")
         self._told: queue.SimpleQueue[tuple[str, str, int, Future[Any]]] = queue.SimpleQueue()
         self._ending = 0
@@ -274,7 +275,7 @@ class LocalEngine:
             (worker, order), self._given = self._given, None
             start = self.now()
             begun = self._runner.begin(order)
-            if self.now() - start > SLOW * len(order.indices):
+            if self.now() - start > SLOW * len(order.items):
                 self._tell(worker, "run", order.number, self._runner.settle(begun))
             else:
                 self._ending += 1
@@ -305,27 +306,13 @@ class LocalEngine:
         self._runner.close()
 
 
-class Host(Protocol):
-    """Starts processes of workers: on this machine, or on a cluster."""
-
-    share: Share
-
-    def start(self, settings: RunnerSettings) -> Process:
-        """Start the process of a worker, whose first answer may take a while."""
-        ...
-
-    def waited(self, seconds: float) -> None:
-        """Raise RuntimeError where no worker can start any more, after so long without one."""
-
-    def death_line(self, error: BaseException) -> str:
-        """Why a worker gives no answer but an error: one line, without its name."""
-        ...
+Process = LocalProcess | RayProcess
 
 
 class ProcessEngine:
     """Runs chunks in processes that a host starts; settings: of every worker, its name and notes are filled in."""
 
-    def __init__(self, host: Host, settings: RunnerSettings):
+    def __init__(self, host: LocalHost | RayHost, settings: RunnerSettings):
         self._host = host
         self.settings = dataclasses.replace(settings, device=host.share.device, threads=host.share.threads)
         self.overlapping = host.share.workers <= MOST_OVERLAPPING
@@ -347,7 +334,7 @@ class ProcessEngine:
         self.submit(worker, "facts")
 
     def submit(self, worker: str, method: str, *given: Any) -> None:
-        """Call a method of the actor; the answer comes into the queue from another thread."""
+        """Call a method of its runner; the answer comes into the queue from another thread."""
         process, answers = self._processes[worker], self._answers
         number = given[0].number if method == "run" else given[0] if given else 0
         process.ask(method, *given).add_done_callback(

@@ -9,7 +9,6 @@ import itertools
 import logging
 import os
 import pickle
-import platform
 import queue
 import signal
 import socket
@@ -20,15 +19,15 @@ import threading
 import types
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Protocol
+from typing import Any
 
 import warp as wp
 
 from ..core.devices import start_warp
 from ..core.names import error_line
-from ..core.threads import cpu_threads, limit_threads
+from ..core.threads import cpu_threads
 from ..errors import InputError, MissingPackageError, StateError
-from .chunk_runner import ChunkOrder, ChunkReport, ChunkRunner, RunnerSettings, make_runner
+from .chunk_runner import RunnerSettings, make_runner
 from .scheduler import MOST_CHUNKS
 
 #: Calls that a worker answers at once: one a chunk, one that tells when all items are begun, and one that shortens a
@@ -43,54 +42,14 @@ GONE = 10.0
 
 
 class ChunkActor:
-    """What runs in the process of a worker."""
+    """What runs in the process of a worker on a cluster."""
 
     def __init__(self, settings: RunnerSettings):
-        self._settings = settings
-        self._limits = contextlib.ExitStack()
-        if settings.threads:
-            self._limits.enter_context(limit_threads(settings.threads))
-        self._runner: ChunkRunner = make_runner(settings)
+        self._runner = make_runner(settings)
 
-    def facts(self) -> dict[str, Any]:
-        """Where it works, once it can."""
-        return {"pid": os.getpid(), "host": platform.node()}
-
-    def run(self, order: ChunkOrder) -> ChunkReport:
-        """Make a chunk."""
-        return self._runner.run(order)
-
-    def begun(self, number: int) -> None:
-        """Wait until all items of a chunk are begun."""
-        self._runner.wait_until_begun(number)
-
-    def recall(self, number: int, share: float) -> list[int]:
-        """Give items back."""
-        return self._runner.recall(number, share)
-
-    def oldest(self, number: int) -> tuple[int, float] | None:
-        """The item that has been under way for longest, and for how long."""
-        return self._runner.oldest(number)
-
-    def stop(self) -> None:
-        """Begin no more items."""
-        self._runner.stop()
-
-
-class Process(Protocol):
-    """A process with a `ChunkActor`, here or on another machine."""
-
-    def ask(self, method: str, *given: Any) -> Future[Any]:
-        """Call a method of the actor; the answer comes later."""
-        ...
-
-    def kill(self) -> None:
-        """End the process, wherever it is at."""
-        ...
-
-    def wait(self) -> None:
-        """Wait until a process that was killed is gone, where that can be known."""
-        ...
+    def call(self, method: str, *given: Any) -> Any:
+        """Call a method of the runner."""
+        return getattr(self._runner, method)(*given)
 
 
 class WorkerDied(RuntimeError):
@@ -119,7 +78,7 @@ class LocalProcess:
             threading.Thread(target=work, name="warpcage-process", daemon=True).start()
 
     def ask(self, method: str, *given: Any) -> Future[Any]:
-        """Call a method of the actor; the answer comes later."""
+        """Call a method of the worker's runner; the answer comes later."""
         future: Future[Any] = Future()
         with self._lock:
             number, ended = next(self._numbers), self._ended
@@ -193,13 +152,13 @@ def serve() -> None:
     if settings is None:
         return
     pool = ThreadPoolExecutor(MOST_CALLS + 1, "warpcage-calls")
-    actor = pool.submit(lambda: ChunkActor(pickle.loads(settings)))
+    runner = pool.submit(lambda: make_runner(pickle.loads(settings)))
 
     def answer(number: int, method: str, given: tuple[Any, ...]) -> None:
         error = found = None
         begun = False
         try:
-            call = getattr(actor.result(), method)
+            call = getattr(runner.result(), method)
             begun = True
             found = call(*given)
         except BaseException as failure:
@@ -351,8 +310,8 @@ class RayProcess:
         self._ray, self._actor = ray, actor
 
     def ask(self, method: str, *given: Any) -> Future[Any]:
-        """Call a method of the actor; the answer comes later."""
-        return getattr(self._actor, method).remote(*given).future()
+        """Call a method of the worker's runner; the answer comes later."""
+        return self._actor.call.remote(method, *given).future()
 
     def kill(self) -> None:
         """End the process, whose node may merely not answer."""

@@ -22,8 +22,8 @@ from ..core.memory import LRUCache
 from ..core.names import counted, error_line
 from ..core.threads import cpu_threads, limit_threads
 from ..errors import InputError
-from .chunk_runner import Chunk, ChunkOrder, ChunkReport, Maker, RunnerSettings, leaves_no_room, make_runner, run_name
-from .engines import GRACE, Driver, Engine, Host, LocalEngine, ProcessEngine, notes_name
+from .chunk_runner import Chunk, ChunkReport, Maker, RunnerSettings, leaves_no_room, make_runner, run_name
+from .engines import GRACE, Driver, Engine, LocalEngine, ProcessEngine, notes_name
 from .items import FOLDER, Item
 from .job_file import Fingerprints, JobFile, references_of
 from .manifest import DONE, ERROR, FAILED, Manifest, OutputFolder, Part, merge_notes, newest_seconds, notes_of_chunk
@@ -145,7 +145,87 @@ def run_jobs(
         RuntimeError: Where no worker can start.
     """
     options = Options(workers, cluster, device, retries, part, item_timeout)
-    return _run(path, out, options, progress or (lambda state: None), warn or (lambda line: None), make)
+    tell, say = progress or (lambda state: None), warn or (lambda line: None)
+    folder, halt = OutputFolder(out, options.part), None
+    with contextlib.ExitStack() as held:
+        job = held.enter_context(JobFile(path))
+        journal = RunJournal(job, folder)
+        folder.prepare()
+        held.enter_context(folder.driven())
+        held.enter_context(folder.nothing_left())
+        folder.merge()
+        plan = planned(job, folder, tell)
+        shards = open_shards(plan, folder, job) if shard_size(job) else None
+        begin = time.monotonic()
+        if not len(plan.items) and not shards:
+            return _ended(job, folder, plan, None, begin)
+        settings = RunnerSettings(
+            str(job.folder), job.reader, str(folder.path), journal.run, device, retries=retries, maker=make
+        )
+        if not len(plan.items):  # there is nothing but shards to be packed
+            options = Options()
+        dispatcher = None
+        try:
+            with journal, _engine(options, settings) as (engine, count):
+                chunks = plan.chunks(aim=_aim(options, count), whole=shards is not None)
+                dispatcher = journal.dispatcher = Dispatcher(chunks, retries=retries, shards=shards)
+                for number in range(max(1, min(count, len(plan.items)))):
+                    dispatcher.add_worker(str(number))
+                halt = _drive(plan, dispatcher, engine, journal, options, count, begin, tell, say)
+        finally:
+            full = _merge(folder)
+        return _ended(job, folder, plan, dispatcher, begin, halt or full)
+
+
+def _drive(
+    plan: Plan,
+    dispatcher: Dispatcher,
+    engine: Engine,
+    journal: RunJournal,
+    options: Options,
+    count: int,
+    begin: float,
+    progress: Progress,
+    warn: Callable[[str], None],
+) -> str | None:
+    """Make what a plan has, by `count` workers at most; returns why it ended before its end, one line."""
+    state = RunProgress("make", plan.total, plan.total, plan.kept)
+    told: list[float] = []  # seconds of each time; the second is that a worker is ready
+    warned: list[str] = []
+
+    def tell() -> None:
+        told.append(time.monotonic() - begin)
+        counts = {"done": dispatcher.done, "failed": dispatcher.failed, "workers": dispatcher.workers}
+        progress(dataclasses.replace(state, **counts, seconds=told[-1]))
+
+    def note(line: str) -> None:
+        warned.append(line)
+        warn(line)
+
+    tell()
+    driver = Driver(dispatcher, engine, journal, item_timeout=options.item_timeout, progress=tell, warn=note)
+    try:
+        halt = driver.run()
+    except BaseException:
+        with contextlib.suppress(Exception):
+            driver.drain(0.0 if options.local else GRACE)
+        raise
+    if count > 1 and options.cluster is None and halt is None and len(told) > 1 and not warned:
+        line = unpaid(count, dispatcher.done, told[1], time.monotonic() - begin - told[1])
+        if line is not None:
+            warn(line)
+    return halt
+
+
+def _merge(folder: OutputFolder) -> str | None:
+    """Merge the notes of a run; a line where there is no room for that: they stay, and the next run merges them."""
+    try:
+        folder.merge()
+    except OSError as error:
+        if not leaves_no_room(error):
+            raise
+        return error_line(error, named=True)
+    return None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,89 +252,13 @@ class Options:
         return self.cluster is None and self.workers in (None, 1) and self.item_timeout is None
 
 
-def _run(
-    path: PathLike,
-    out: PathLike,
-    options: Options,
-    progress: Progress,
-    warn: Callable[[str], None],
-    maker: MakeMaker | None,
-) -> RunReport:
-    """See `run_jobs`; maker: its `make`."""
-    folder = OutputFolder(out, options.part)
-    with contextlib.ExitStack() as held:
-        job = held.enter_context(JobFile(path))
-        unchanged = _watched(job.path)
-        folder.prepare()
-        held.enter_context(folder.driven())
-        held.enter_context(folder.nothing_left())
-        folder.merge()
-        plan = planned(job, folder, progress)
-        shards = open_shards(plan, folder, job) if shard_size(job) else None
-        begin = time.monotonic()
-        state = RunProgress("make", plan.total, plan.total, plan.kept)
-        if not len(plan.items) and not shards:
-            return _ended(job, folder, plan, None, begin)
-        run = run_name()
-        settings = RunnerSettings(
-            str(job.folder), job.reader, str(folder.path), run, options.device, retries=options.retries, maker=maker
-        )
-        if not len(plan.items):
-            # there is nothing but shards to be packed
-            options = dataclasses.replace(options, workers=1, cluster=None, item_timeout=None)
-        with (
-            _merged(folder) as merging,
-            RunJournal(job, folder, run, unchanged) as journal,
-            _engine(options, settings) as (engine, count),
-        ):
-            chunks = plan.chunks(aim=_aim(options, count), whole=shards is not None)
-            dispatcher = journal.dispatcher = Dispatcher(chunks, retries=options.retries, shards=shards)
-            for number in range(max(1, min(count, len(plan.items)))):
-                dispatcher.add_worker(str(number))
-
-            ready: list[float] = []  # seconds until the drive tells for the first time: a worker is ready
-
-            def tell() -> None:
-                ready.append(time.monotonic() - begin)
-                progress(
-                    dataclasses.replace(
-                        state,
-                        done=dispatcher.done,
-                        failed=dispatcher.failed,
-                        workers=dispatcher.workers,
-                        seconds=time.monotonic() - begin,
-                    )
-                )
-
-            tell()
-            warned: list[str] = []
-
-            def note(line: str) -> None:
-                warned.append(line)
-                warn(line)
-
-            begun = len(ready)
-            driver = Driver(dispatcher, engine, journal, item_timeout=options.item_timeout, progress=tell, warn=note)
-            try:
-                merging.halt = driver.run()
-            except BaseException:
-                with contextlib.suppress(Exception):
-                    driver.drain(0.0 if options.local else GRACE)
-                raise
-            if count > 1 and options.cluster is None and merging.halt is None and len(ready) > begun and not warned:
-                line = unpaid(count, dispatcher.done, ready[begun], time.monotonic() - begin - ready[begun])
-                if line is not None:
-                    warn(line)
-        return _ended(job, folder, plan, dispatcher, begin, merging.halt)
-
-
 class RunJournal:
-    """What workers are sent for chunks, and note of them; unchanged: raises where the job file has changed."""
+    """What workers are sent for chunks, and what they note of them."""
 
     dispatcher: Dispatcher  # knows which items failed
 
-    def __init__(self, job: JobFile, folder: OutputFolder, run: str, unchanged: Callable[[], None]):
-        self._job, self._folder, self._run, self._unchanged = job, folder, run, unchanged
+    def __init__(self, job: JobFile, folder: OutputFolder):
+        self._job, self._folder, self.run, self._before = job, folder, run_name(), os.stat(job.path)
         self._shard_size, self._notes = shard_size(job), None
 
     def __enter__(self) -> RunJournal:
@@ -264,22 +268,27 @@ class RunJournal:
         if self._notes is not None:
             self._notes.close()
 
-    def order(self, chunk: Chunk) -> ChunkOrder:
-        """The order of a chunk."""
-        self._unchanged()
+    def order(self, chunk: Chunk) -> Chunk:
+        """A chunk as it is sent. A ValueError once the job file has changed; one that is replaced is open as it was."""
+        with contextlib.suppress(FileNotFoundError):
+            now, before = os.stat(self._job.path), self._before
+            if now.st_ino == before.st_ino and (now.st_size, now.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
+                raise InputError(
+                    f"{self._job.path} was changed while it ran: run again, what is made and unchanged is kept"
+                )
         if chunk.shard is not None:
-            return ChunkOrder(chunk.number, [], [], [], chunk.shard, self._packed(chunk.shard))
+            return dataclasses.replace(chunk, packed=self._packed(chunk.shard))
         lines = [(self._job.data(index), self._job.line(index)) for index in chunk.items]
         shard = chunk.items[0] // self._shard_size if self._shard_size else None
-        return ChunkOrder(chunk.number, list(chunk.items), lines, list(chunk.attempts), shard, seconds=chunk.seconds)
+        return dataclasses.replace(chunk, lines=lines, shard=shard)
 
-    def noted(self, worker: str, start: int, order: ChunkOrder) -> tuple[ChunkReport, list[int]]:
+    def noted(self, worker: str, start: int, chunk: Chunk) -> tuple[ChunkReport, list[int]]:
         """What a worker noted of a chunk: what it settled and what it left, and what it had begun, the newest last."""
         report = ChunkReport()
         read = self._job.reader.item
-        indices = {read(*line).id: index for line, index in zip(order.lines, order.indices, strict=True)}
-        path = self._folder.notes / f"{notes_name(self._run, worker, start)}.jsonl"
-        settled, begun = notes_of_chunk(path, order.number)
+        indices = {read(*line).id: index for line, index in zip(chunk.lines, chunk.items, strict=True)}
+        path = self._folder.notes / f"{notes_name(self.run, worker, start)}.jsonl"
+        settled, begun = notes_of_chunk(path, chunk.number)
         for record in settled:
             index = indices.pop(record["id"])
             if record["state"] == DONE:
@@ -292,8 +301,7 @@ class RunJournal:
 
     def lost(self, item: int, error: str, attempts: int) -> None:
         """Note an item that failed with its workers."""
-        self._unchanged()
-        self._notes = self._notes or self._folder.new_notes(f"{self._run}-driver")
+        self._notes = self._notes or self._folder.new_notes(f"{self.run}-driver")
         found = self._job.item(item)
         record = {"id": found.id, "state": FAILED, "kind": found.kind, "attempts": attempts, "error": error}
         self._notes.append(record)
@@ -350,43 +358,6 @@ def _aim(options: Options, count: int) -> float:
     return LEAST_AIM if options.local else min(AIM, LEAST_AIM + count / WORKERS_PER_SECOND)
 
 
-def _watched(path: pathlib.Path) -> Callable[[], None]:
-    """What raises ValueError once a file is no more as it is now. One that is replaced is still open as it was."""
-    before = os.stat(path)
-
-    def check() -> None:
-        try:
-            now = os.stat(path)
-        except FileNotFoundError:
-            return
-        if now.st_ino == before.st_ino and (now.st_size, now.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
-            raise InputError(f"{path} was changed while it ran: run again, what is made and unchanged is kept")
-
-    return check
-
-
-@dataclasses.dataclass
-class _Merging:
-    """Why a run ended before its end, or left its notes for the next one to merge: one line; None where it did not."""
-
-    halt: str | None = None
-
-
-@contextlib.contextmanager
-def _merged(folder: OutputFolder) -> Iterator[_Merging]:
-    """Merge the notes of a run, however it ends. Where there is no room they stay, and the next run merges them."""
-    merging = _Merging()
-    try:
-        yield merging
-    finally:
-        try:
-            folder.merge()
-        except OSError as error:
-            if not leaves_no_room(error):
-                raise
-            merging.halt = merging.halt or error_line(error, named=True)
-
-
 @contextlib.contextmanager
 def _engine(options: Options, settings: RunnerSettings) -> Iterator[tuple[Engine, int]]:
     """Where the work is done, and by how many. Whatever ends it, nothing works afterwards."""
@@ -394,7 +365,6 @@ def _engine(options: Options, settings: RunnerSettings) -> Iterator[tuple[Engine
         if options.local:
             yield held.enter_context(contextlib.closing(LocalEngine(make_runner(settings)))), 1
             return
-        host: Host
         if options.cluster is None:
             host = LocalHost(options.workers or 1, options.device)
         else:
