@@ -176,7 +176,7 @@ class sized_chunks:
     def __enter__(self):
         self._before = ChunkQueue._size
         size = self._size
-        ChunkQueue._size = lambda self, group, workers, speed: min(size, max(1, self.left_in(group)))
+        ChunkQueue._size = lambda self, group, workers: min(size, max(1, self.left_in(group)))
 
     def __exit__(self, *_):
         ChunkQueue._size = self._before

@@ -8,7 +8,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "chunk_runner": "Chunk ChunkReport ChunkRunner RunnerSettings",
         "engines": "Answer Driver notes_name ProcessEngine",
         "items": "EvaluateItem FitItem FrameItem Item record_outputs",
-        "job_file": "Fingerprints is_job_file ItemReader JobFile write_jobs",
+        "job_file": "Fingerprints ItemReader JobFile write_jobs",
         "manifest": "Manifest Notes OutputFolder Part id_key merge_notes notes_of_chunk write_array",
         "processes": "load_ray LocalHost ray_session RayHost Share",
         "run": "foresee Missing Options planned run_jobs RunJournal RunProgress RunReport unpaid",

@@ -94,9 +94,6 @@ MAX_LINE = 1 << 26
 #: Bytes that are looked through at once for the ends of lines.
 CHUNK = 1 << 22
 
-#: Words of the header's "records": how the outputs of all items are kept together.
-RECORD_WORDS = ("kind", "items_per_shard", "image", "depth", "alpha")
-
 
 class JobFile:
     """The items of a job file. Lines are read and checked when they are asked for; 8 bytes a line are held.
@@ -157,32 +154,25 @@ class JobFile:
 
     def check(self) -> None:
         """Check all lines, and that no two items have one id or write one file, also where capitals are not told apart.
-        8 bytes are held for each item and each output."""
-        names = array.array("Q")
-        for item in self.items():
-            names.extend(_marks(item))
-        values = np.sort(np.frombuffer(names, np.uint64)) if names else np.zeros(0, np.uint64)
-        twice = set(values[1:][values[1:] == values[:-1]].tolist())
-        met: dict[int, int] = {}
-        for index in range(len(self)) if twice else ():
-            for mark in twice.intersection(_marks(self.item(index))):
-                self._require_apart(met.setdefault(mark, index), index)
-
-    def _require_apart(self, one: int, two: int) -> None:
-        """Raise ValueError where two items have an id or an output in common."""
-        if one == two:
-            return
-        first, second = self.item(one), self.item(two)
-        where = f"{self.path}, line {self.line(two)}"
-        if first.id.lower() == second.id.lower():
-            raise InputError(f"{where}: the id {second.id!r} is that of line {self.line(one)}: ids must differ")
-        paths = {path.lower() for path in first.outputs.values()}
-        for path in second.outputs.values():
-            if path.lower() in paths:
-                raise InputError(
-                    f"{where} ({second.id!r}): it writes {path!r}, as line {self.line(one)} does ({first.id!r}): "
-                    "outputs must differ"
-                )
+        16 bytes are held for each item and each output."""
+        keys, owners = array.array("Q"), array.array("q")
+        for index, item in enumerate(self.items()):
+            marks = _marks(item)
+            keys.extend(marks)
+            owners.extend([index] * len(marks))
+        pairs = twins(np.array(keys, np.uint64), np.array(owners, np.int64))
+        for one, two in sorted((pair for pair in pairs if pair[0] != pair[1]), key=lambda pair: pair[1]):
+            first, second = self.item(one), self.item(two)
+            where = f"{self.path}, line {self.line(two)}"
+            if first.id.lower() == second.id.lower():
+                raise InputError(f"{where}: the id {second.id!r} is that of line {self.line(one)}: ids must differ")
+            paths = {path.lower() for path in first.outputs.values()}
+            for path in second.outputs.values():
+                if path.lower() in paths:
+                    raise InputError(
+                        f"{where} ({second.id!r}): it writes {path!r}, as line {self.line(one)} does ({first.id!r}): "
+                        "outputs must differ"
+                    )
 
     def _found_lines(self) -> tuple[np.ndarray, np.ndarray]:
         """Where lines start (and the end of the file), and the numbers of those that hold something."""
@@ -251,6 +241,14 @@ def _marks(item: Item) -> list[int]:
     names = [f"id {item.id}", *(f"file {path}" for path in item.outputs.values())]
     hashes = (hashlib.blake2b(name.lower().encode(), digest_size=8).digest() for name in names)
     return [int.from_bytes(each, "little") for each in hashes]
+
+
+def twins(keys: np.ndarray, owners: np.ndarray) -> Iterator[tuple[int, int]]:
+    """Pairs of owners (n,) that share a key (n,), the lower one first."""
+    order = np.argsort(keys, kind="stable")
+    for place in np.flatnonzero(keys[order][1:] == keys[order][:-1]):
+        one, two = sorted((int(owners[order[place]]), int(owners[order[place + 1]])))
+        yield one, two
 
 
 def _check_defaults(defaults: Any) -> None:
@@ -344,16 +342,6 @@ def _version_of(defaults: Mapping[str, Any]) -> int:
 
 def _line(entry: Mapping[str, Any]) -> str:
     return json.dumps(entry, separators=(", ", ": "), allow_nan=False, ensure_ascii=False) + "\n"
-
-
-def is_job_file(path: PathLike) -> bool:
-    """Whether the first line of a file is the header of a job file, of any version."""
-    try:
-        with pathlib.Path(path).open("rb") as file:
-            header = json.loads(file.readline(CHUNK))
-    except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(header, dict) and header.get("format") == FORMAT
 
 
 #: Bytes that are hashed at once, and files whose hashes are kept.

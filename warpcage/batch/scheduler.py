@@ -12,7 +12,7 @@ from ..core.names import counted
 from ..errors import InputError
 from .chunk_runner import Chunk, ChunkReport
 from .items import KINDS, Item
-from .job_file import JobFile
+from .job_file import JobFile, twins
 from .manifest import DONE, FAILED, Manifest, OutputFolder, id_key
 from .webdataset import shard_holds, shard_size, span_of, staged_shards
 
@@ -71,11 +71,6 @@ class ChunkQueue:
         self.aim, self._largest, self.whole = aim, largest, whole
         self.left = len(self._items)  # items that nobody has
 
-    @property
-    def group_count(self) -> int:
-        """Groups in all."""
-        return len(self._names)
-
     def name(self, group: int) -> int:
         """What callers call a group."""
         return int(self._names[group])
@@ -86,13 +81,8 @@ class ChunkQueue:
 
     def seconds(self, group: int) -> float | None:
         """Seconds that an item of a group takes; None where nobody knows."""
-        found = self._found(group)
+        found = self._seconds.get(group, self._kind_seconds.get(int(self._kinds[group])))
         return None if found is None else found.mean
-
-    def items_behind(self, group: int) -> float:
-        """How many items of a chunk `seconds` is known by; 0 where nobody knows."""
-        found = self._found(group)
-        return 0.0 if found is None else found.items
 
     def note(self, group: int, seconds: float, items: int = 1) -> None:
         """Keep how long an item of a group took; seconds: mean over the items of a chunk; items: how many."""
@@ -101,9 +91,6 @@ class ChunkQueue:
         tables = [(self._kind_seconds, kind), *([(self._seconds, group)] if self.left_in(group) else [])]
         for table, key in tables:
             table.setdefault(key, _Seconds()).note(seconds, items)
-
-    def _found(self, group: int) -> _Seconds | None:
-        return self._seconds.get(group, self._kind_seconds.get(int(self._kinds[group])))
 
     def choose(self, loaded: int | None, sharers: dict[int, int]) -> int | None:
         """The group of which a worker should take its next chunk; loaded: that it has; sharers: workers at each."""
@@ -118,10 +105,9 @@ class ChunkQueue:
                 return group
         return max(self._open, key=lambda group: self.left_in(group) / (1 + sharers.get(group, 0)), default=None)
 
-    def take(self, group: int, workers: int, speed: float = 1.0) -> tuple[list[int], int]:
-        """Cut a chunk of a group; returns the items, and the group of the last of them.
-        speed: seconds that the worker takes for what takes others one."""
-        size = self._size(group, workers, speed)
+    def take(self, group: int, workers: int) -> tuple[list[int], int]:
+        """Cut a chunk of a group; returns the items, and the group of the last of them."""
+        size = self._size(group, workers)
         taken = self._cut(group, size)
         # too few: the next groups that nobody has begun go with it, where they are of its kind and fit whole
         while not self.whole and len(taken) < size and self._unclaimed < len(self._by_size):
@@ -142,14 +128,14 @@ class ChunkQueue:
             self._open.add(group)
             self.left += len(items)
 
-    def _size(self, group: int, workers: int, speed: float) -> int:
+    def _size(self, group: int, workers: int) -> int:
         if self.whole:
             return self.left_in(group)
         fair, equal = (-(-self.left // (chunks * max(workers, 1))) for chunks in (CHUNKS_PER_WORKER, 1))
         seconds = self.seconds(group)
         if seconds is None:  # the chunk ends with its time; its first item may wait long for the hash of what it loads
             return min(fair, self._largest)
-        each = max(seconds * speed, 1e-9)
+        each = max(seconds, 1e-9)
         aimed, least = int(self.aim / each), int(min(self.aim, LEAST_CHUNK) / each)
         return max(1, min(aimed, max(fair, min(least, equal)), self._largest))
 
@@ -176,7 +162,6 @@ class ChunkQueue:
 #: Deaths of a worker in a row, none of which made an item, after which its place is given up.
 MOST_BARREN = 3
 
-NEWEST, MOST_RATIO = 0.5, 100.0  # weight of the newest chunk in a worker's speed, and how far that may be from others'
 MOST_CHUNKS = 2  # of a worker: one of which it makes items, the others while their last files are being written
 LEAST_SHARED = 2.0  # a chunk is shortened for a worker with nothing to do where it would take so many more seconds
 STRAGGLING = 3.0  # a worker that takes so many times what its chunk should have taken gives back what is not begun
@@ -190,7 +175,6 @@ class _Worker:
     ending: dict[int, Chunk] = dataclasses.field(default_factory=dict)  # whose files are being written, by number
     began: float = 0.0
     group: int | None = None
-    speed: float = 1.0
     consecutive_failures: int = 0  # deaths in a row without an item
     recalled: bool = False  # whether its chunk was asked back
 
@@ -253,11 +237,6 @@ class Dispatcher:
         """Places where work is done."""
         return len(self._workers)
 
-    @property
-    def speeds(self) -> dict[str, float]:
-        """What an item takes each worker, as a multiple of what it takes all of them on average."""
-        return {name: worker.speed for name, worker in self._workers.items()}
-
     def attempts(self, item: int) -> int:
         """How often an item was begun and failed."""
         return self._attempts.get(item, 0)
@@ -307,12 +286,6 @@ class Dispatcher:
             worker.consecutive_failures = 0
             usual = report.seconds[1:] if report.loading else report.seconds
             mean = sum(usual) / len(usual) if usual else report.seconds[0]
-            expected, behind = self.chunks.seconds(chunk.group), self.chunks.items_behind(chunk.group)
-            if expected and behind and usual:
-                ratio = min(max(mean / expected, 1.0 / MOST_RATIO), MOST_RATIO)
-                share = min(1.0, len(usual) / behind)  # few say little: those at a chunk's end wait for files
-                worker.speed += NEWEST * share * (ratio - worker.speed)
-            # of all workers together, as they are: two unknowns that explain each other would drift away together
             self.chunks.note(chunk.group, mean, len(usual))
         elif report.broken is not None:
             worker.consecutive_failures += 1
@@ -367,7 +340,7 @@ class Dispatcher:
                 continue
             seconds = self.chunks.seconds(chunk.group)
             passed = now - worker.began
-            expected = (seconds or 0.0) * worker.speed * len(chunk.items)
+            expected = (seconds or 0.0) * len(chunk.items)
             if passed > STRAGGLING * max(expected, LEAST_SHARED):
                 late.append((passed, name, chunk.number, 1.0))
             elif expected - passed > LEAST_SHARED:
@@ -424,7 +397,7 @@ class Dispatcher:
         group = self.chunks.choose(worker.group, self._sharers)
         if group is None:
             return None
-        items, taken = self.chunks.take(group, len(self._workers), worker.speed)
+        items, taken = self.chunks.take(group, len(self._workers))
         self._move(worker, taken)
         known = self.chunks.whole or self.chunks.seconds(group) is not None
         return self._chunk(items, taken, None if known else self.chunks.aim)
@@ -581,10 +554,7 @@ def _refuse_twins(
     job: JobFile, keys: np.ndarray, owners: np.ndarray, names: Callable[[Item], list[str]], what: str
 ) -> None:
     """Raise ValueError for the first name that two items have."""
-    order = np.argsort(keys, kind="stable")
-    same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
-    for place in same:
-        one, two = sorted((int(owners[order[place]]), int(owners[order[place + 1]])))
+    for one, two in twins(keys, owners):
         shared = set(names(job.item(one))) & set(names(job.item(two))) if one != two else set(names(job.item(one)))
         if shared and (one != two or len(names(job.item(one))) > len(shared)):
             raise InputError(
