@@ -164,7 +164,7 @@ MOST_BARREN = 3
 
 MOST_CHUNKS = 2  # of a worker: one of which it makes items, the others while their last files are being written
 LEAST_SHARED = 2.0  # a chunk is shortened for a worker with nothing to do where it would take so many more seconds
-STRAGGLING = 3.0  # a worker that takes so many times what its chunk should have taken gives back what is not begun
+STRAGGLING = 2.0  # a worker that takes so many times what its chunk should have taken gives back what is not begun
 
 
 @dataclasses.dataclass
