@@ -7,7 +7,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, get_type_hints
+from typing import Annotated, Any, ClassVar
 
 from ..core.checks import checked_bounds, shown
 from ..core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, edit_fields
@@ -39,8 +39,7 @@ class Item(abc.ABC):
 
     def __init_subclass__(cls) -> None:
         if hasattr(cls, "kind"):
-            hints = get_type_hints(cls, include_extras=True).items()
-            checks = {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
+            checks = words.checkers(cls)
             last = {name: checks.pop(name) for name in ("outputs", "extra")}
             cls.known = {"id": checks["id"], "kind": words.anything} | checks | cls.short | last
             Item.kinds[cls.kind] = cls
@@ -453,21 +452,6 @@ def _outputs(given: dict[str, Any], endings: dict[str, str]) -> dict[str, str]:
         _output(endings[part])(path, f"{part!r} of 'outputs'")
     return {part: output_path(path, given["id"], f"{part!r} of 'outputs'") for part, path in several.items()}
 
-
-__all__ = [
-    "ID",
-    "KINDS",
-    "PART_ENDINGS",
-    "TRANSPARENT",
-    "Defaults",
-    "EditWords",
-    "EvaluateItem",
-    "FitItem",
-    "FrameItem",
-    "Item",
-    "canonical",
-    "digest",
-]
 
 #: Items by the word of their kind.
 KINDS: dict[str, type[Item]] = Item.kinds

@@ -6,11 +6,11 @@ import dataclasses
 import functools
 import re
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Annotated, Any, get_type_hints
 
 from ..cage.random_poses import POSE_MODES, RandomPoseOptions
 from ..core.checks import checked_number, checked_positive, checked_whole, listed, shown
-from ..core.names import BACKGROUNDS, FRAGMENTS_WORD, TRANSPARENT, edit_fields, edit_words
+from ..core.names import BACKGROUNDS, TRANSPARENT, edit_fields, edit_words
 from ..errors import InputError
 
 #: Takes a value of JSON and the word that it stands at, and returns it as items have it.
@@ -224,32 +224,19 @@ def _held(value: Any, word: str) -> Any:
     raise InputError(f'{word} must be "cut", "still", or numbers of faces such as [4, 5, 17], got {shown(value)}')
 
 
-EDIT_WORDS: dict[str, Checker] = {
-    "cage": _cage,
-    "posed": _posed,
-    "keep": truth,
-    "remove": truth,
-    "falloff": not_negative,
-    "held": _held,
-    FRAGMENTS_WORD: not_negative,
-    "up": one_of("y", "z"),
-    "object": text,
-}
-
-
 @dataclasses.dataclass(frozen=True)
 class EditWords:
     """One edit of a frame, with the words of `warpcage.CageEdit`."""
 
-    cage: Any  # at rest: a file, or "vertices" and "faces"
-    posed: Any = None  # file, keyframe ("poses.json#wave"), array, or what a random pose is drawn by; None removes
-    keep: bool = False  # keep: leave a copy where it was; remove: draw nothing in its place
-    remove: bool = False
-    falloff: float = 0.0  # width of the band in which the edit fades to rest, world units
-    held: str | tuple[int, ...] = "cut"  # the walls that it fades towards: "cut", "still", or numbers of faces
-    fragments: float = 0.0  # size of the fragments that go with the part, world units
-    up: str | None = None  # axis that points up in its cage files; None finds it
-    object: str | None = None  # the object of its file that is the cage; None is the only one
+    cage: Annotated[Any, _cage]  # at rest: a file, or "vertices" and "faces"
+    posed: Annotated[Any, _posed] = None  # file, keyframe ("poses.json#wave"), array, or what draws it; None removes
+    keep: Annotated[bool, truth] = False  # keep: leave a copy where it was; remove: draw nothing in its place
+    remove: Annotated[bool, truth] = False
+    falloff: Annotated[float, not_negative] = 0.0  # width of the band in which the edit fades to rest, world units
+    held: Annotated[str | tuple[int, ...], _held] = "cut"  # walls that it fades towards: "cut", "still", or faces
+    fragments: Annotated[float, not_negative] = 0.0  # size of the fragments that go with the part, world units
+    up: Annotated[str | None, one_of("y", "z")] = None  # axis that points up in its cage files; None finds it
+    object: Annotated[str | None, text] = None  # the object of its file that is the cage; None is the only one
 
     def __post_init__(self) -> None:
         if self.keep and self.remove:
@@ -287,3 +274,12 @@ class EditWords:
     def rest(self) -> dict[str, Any]:
         """The edit without its pose."""
         return {name: value for name, value in self.to_json().items() if name != "posed"}
+
+
+def checkers(fields: type) -> dict[str, Checker]:
+    """What checks each field of a class, where its annotation says so."""
+    hints = get_type_hints(fields, include_extras=True).items()
+    return {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
+
+
+EDIT_WORDS = edit_words(checkers(EditWords))
