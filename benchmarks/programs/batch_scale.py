@@ -260,7 +260,7 @@ def simulated(count: int, workers: int, mean: float, sample: np.ndarray, costs: 
         "lots": engine.chunks,
         "messages": engine.messages,
         "deaths": engine.deaths,
-        "failed": dispatcher.failed,
+        "failed": len(dispatcher.failures),
         "lost": int(np.count_nonzero(engine.made[good] == 0)),
         "twice": int(np.count_nonzero(engine.made > 1)),
         "simulated_in_seconds": time.perf_counter() - begin,

@@ -199,7 +199,7 @@ def driven(files, tmp_path, monkeypatch):
             seen.processes.append(Scripted(settings, play_of(script, settings)))
             return seen.processes[-1]
 
-        host = types.SimpleNamespace(start=start, share=Share(2, 0, 0, 1, "cpu"), waited=lambda seconds: None)
+        host = types.SimpleNamespace(start=start, share=Share(2, 0, 0, 1, "cpu"), patience=1e9)
         with JobFile(files / "jobs.jsonl") as job, RunJournal(job, folder) as journal:
             engine = ProcessEngine(host, RunnerSettings("", job.reader, "", "run"))
             engine.now = now

@@ -70,7 +70,7 @@ def test_fields_cages_and_maps_are_kept(files, tmp_path):
             worker.run(frame(f"f{number}", posed=f"poses.npy#{pose}", camera=f"cameras.json#{camera}"))
         counts = worker.frames.counts
         assert (worker.fields.read_count, counts.deformers, counts.poses, counts.frames) == (1, 1, 3, 5)
-        assert worker.frames.held_bytes > 0 and worker.fields.held_bytes > 0
+        assert worker.frames.kept.held_bytes > 0 and worker.fields.kept.held_bytes > 0
     assert worker.held_bytes == 0
     np.testing.assert_array_equal(read_image(tmp_path / "f0.png"), read_image(tmp_path / "f4.png"))
 

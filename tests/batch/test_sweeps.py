@@ -180,7 +180,7 @@ def test_a_run_makes_those_drawn_poses_again_whose_words_or_cage_changed(files, 
     assert run_jobs(path, path.parent / "made", device="cpu").kept == 8
     text = text.replace('"number": 2}}, "camera"', '"number": 2, "stretch": [0.8, 1.3]}}, "camera"')
     path.write_text(text.replace('"seed": 1, "number": 3}}, "camera"', '"seed": 2, "number": 3}}, "camera"'))
-    assert foresee(path, path.parent / "made", device="cpu").changed == 4
+    assert foresee(path, path.parent / "made", device="cpu").plan.changed == 4
     report = run_jobs(path, path.parent / "made", device="cpu")
     assert (report.kept, report.made) == (4, 4) and report.complete
     rest = Cage.load(tmp_path / "cage.obj")

@@ -6,7 +6,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "chunk_runner": "Chunk ChunkReport ChunkRunner RunnerSettings",
-        "engines": "Answer Driver notes_name ProcessEngine",
+        "engines": "Answer Driver ProcessEngine",
         "items": "EvaluateItem FitItem FrameItem Item record_outputs",
         "job_file": "Fingerprints ItemReader JobFile write_jobs",
         "manifest": "Manifest Notes OutputFolder Part id_key merge_notes notes_of_chunk write_array",

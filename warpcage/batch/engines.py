@@ -328,7 +328,7 @@ class ProcessEngine:
 
     def start(self, worker: str, start: int) -> None:
         """Start the process of a worker."""
-        notes = notes_name(self.settings.run, worker, start)
+        notes = f"{self.settings.run}-{worker}-{start}"
         settings = dataclasses.replace(self.settings, worker=worker, notes=notes)
         self._processes[worker] = self._host.start(settings)
         self.submit(worker, "facts")
@@ -367,8 +367,8 @@ class ProcessEngine:
                             self.places[worker] = answer.result()
                         yield Answer(worker, method, number, answer.result())
                 told = self._answers.get_nowait()
-        if not self._ready:
-            self._host.waited(self.now() - self._alone_since)
+        if not self._ready and self.now() - self._alone_since > self._host.patience:
+            raise StateError(f"no worker started within {self._host.patience:.0f} s{self._host.no_place}")
 
     def close(self) -> None:
         """End all workers."""
@@ -377,8 +377,3 @@ class ProcessEngine:
         for process in self._processes.values():
             process.wait()
         self._processes.clear()
-
-
-def notes_name(run: str, worker: str, start: int) -> str:
-    """What the notes of a worker's process are called: `start` says how often it was started."""
-    return f"{run}-{worker}-{start}"

@@ -19,8 +19,19 @@ from ..core.checks import listed, shown
 from ..core.files import JSON_ROOM, NpyFile, PathLike, atomic_path, file_stamp, require_file
 from ..core.memory import LRUCache, require_host_memory
 from ..errors import InputError
-from .items import KINDS, Defaults, EvaluateItem, FitItem, FrameItem, Item, canonical, record_outputs
-from .words import checked_words, one_of, split_reference
+from .items import (
+    KINDS,
+    Defaults,
+    EvaluateItem,
+    FitItem,
+    FrameItem,
+    Item,
+    canonical,
+    record_outputs,
+    require_frame,
+    require_recordable,
+)
+from .words import checked_words, one_of, split_reference, truth, whole
 
 
 def _no_constant(name: str) -> Any:
@@ -76,8 +87,6 @@ def parsed_line(data: bytes, where: str, *, first: bool = False) -> dict[str, An
 def checked_item(entry: Mapping[str, Any], defaults: Defaults, records: Mapping[str, Any]) -> Item:
     """An item of a job of the object of its line; records: "records" of the header."""
     if records:
-        from .items import require_frame, require_recordable  # which needs cages: workers do without it at first
-
         require_frame(entry, defaults.words)
     item = Item.from_json(entry, defaults)
     if records:
@@ -193,10 +202,6 @@ class JobFile:
             raise InputError(f"{self.path} is empty: a job file begins with a header, {_HEADER_SHAPE}")
         return starts, lines
 
-    def _object(self, line: int) -> dict[str, Any]:
-        """The JSON object of a line, counted from 0."""
-        return parsed_line(self._data(line), f"{self.path}, line {line + 1}", first=line == 0)
-
     def _data(self, line: int) -> bytes:
         """The bytes of a line, counted from 0."""
         start, end = int(self._starts[line]), int(self._starts[line + 1])
@@ -214,7 +219,8 @@ class JobFile:
     def _checked_header(self) -> dict[str, Any]:
         """The header."""
         line = int(self._lines[0])
-        header, where = self._object(line), f"{self.path}, line {line + 1}"
+        where = f"{self.path}, line {line + 1}"
+        header = parsed_line(self._data(line), where, first=not line)
         if header.get("format") != FORMAT:
             raise InputError(
                 f"{where}: it is no header of a job file: its format is {shown(header.get('format'))}, not {FORMAT!r}; "
@@ -264,37 +270,30 @@ def _check_defaults(defaults: Any) -> None:
             raise InputError(f"'defaults' has no {shown(word)}, only {listed(known, most=60)}")
         if value is None:
             continue
-        makers = [KINDS[kind]] if kind is not None and word in KINDS[kind].known else list(KINDS.values())
-        _check_for_some(word, value, [maker for maker in makers if word in maker.known])
-
-
-def _check_for_some(word: str, value: Any, makers: list[type[Item]]) -> None:
-    """Raise the last ValueError where no kind of item takes a value."""
-    wrong: ValueError | None = None
-    for maker in makers:
-        try:
-            maker.known[word](value, f"{word!r} of 'defaults'")
-            return
-        except ValueError as error:
-            wrong = error
-    if wrong is not None:
-        raise wrong
+        makers = [KINDS[kind]] if kind is not None and word in KINDS[kind].known else KINDS.values()
+        wrong: list[ValueError] = []  # of each kind that takes the word; one that takes the value is enough
+        takers = [maker for maker in makers if word in maker.known]
+        for maker in takers:
+            try:
+                maker.known[word](value, f"{word!r} of 'defaults'")
+            except ValueError as error:
+                wrong.append(error)
+        if len(wrong) == len(takers):
+            raise wrong[-1]
 
 
 def check_records(records: Any, defaults: Mapping[str, Any]) -> None:
     """Check "records" of a header: how a job keeps its outputs together; defaults: "defaults" of the header."""
-    from . import words
-
     if not isinstance(records, dict):
         raise InputError(f"'records' must be an object with a kind, got {shown(records)}")
     if not records:
         return
     known = {
         "kind": one_of("folder", "webdataset"),
-        "items_per_shard": words.whole(1, 1_000_000),
+        "items_per_shard": whole(1, 1_000_000),
         "image": one_of("png", "jpg"),
-        "depth": words.truth,
-        "alpha": words.truth,
+        "depth": truth,
+        "alpha": truth,
     }
     if "kind" not in checked_words(records, known, "'records'"):
         raise InputError("'records' needs a 'kind': folder or webdataset")

@@ -243,7 +243,12 @@ def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathl
     parts: folder for files that are not whole yet, on the same file system."""
     sizes: dict[str, int] = {}
     placed: list[pathlib.Path] = []
-    with _part_names(writers, parts) as names:
+    parts.mkdir(parents=True, exist_ok=True)
+    stem = uuid.uuid4().hex
+    names = {
+        path: parts / f"{stem}-{number}{pathlib.PurePosixPath(path).suffix}" for number, path in enumerate(writers)
+    }
+    try:
         for path, write in writers.items():
             write(names[path])
             sizes[path] = names[path].stat().st_size
@@ -256,6 +261,10 @@ def write_outputs(writers: Mapping[str, Writer], out: pathlib.Path, parts: pathl
             for each in placed:
                 each.unlink(missing_ok=True)
             raise
+    finally:
+        for name in names.values():
+            with contextlib.suppress(OSError):
+                name.unlink()
     return sizes
 
 
@@ -275,38 +284,14 @@ def _put(part: pathlib.Path, path: pathlib.Path) -> None:
         part.unlink()
 
 
-@contextlib.contextmanager
-def _part_names(paths: Mapping[str, Writer], parts: pathlib.Path) -> Iterator[dict[str, pathlib.Path]]:
-    """A file's name in `parts` for each path, with its ending; those that nobody took out are removed at the end."""
-    parts.mkdir(parents=True, exist_ok=True)
-    stem = uuid.uuid4().hex
-    names = {path: parts / f"{stem}-{number}{pathlib.PurePosixPath(path).suffix}" for number, path in enumerate(paths)}
-    try:
-        yield names
-    finally:
-        for name in names.values():
-            with contextlib.suppress(OSError):
-                name.unlink()
-
-
 def write_array(path: pathlib.Path, array: np.ndarray) -> None:
     """Write a .npy file that is not yet in its place."""
     numbers = np.ascontiguousarray(array)
-    if not numbers.size:
-        path.write_bytes(array_data(numbers))
-        return
     head = io.BytesIO()
     np.lib.format.write_array_header_1_0(head, np.lib.format.header_data_from_array_1_0(numbers))
     with path.open("wb") as file:  # np.save's own way tells of a full disk without its error number
         file.write(head.getbuffer())
-        file.write(numbers.data.cast("B"))
-
-
-def array_data(array: np.ndarray) -> memoryview:
-    """The bytes of a .npy file."""
-    data = io.BytesIO()
-    np.save(data, np.ascontiguousarray(array), allow_pickle=False)
-    return data.getbuffer()
+        file.write(numbers.data.cast("B") if numbers.size else b"")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -360,13 +345,8 @@ class OutputFolder:
     def __init__(self, path: PathLike, part: Part | None = None):
         self.path, self.part = pathlib.Path(path).absolute(), part
         self.own = self.path / OWN_FOLDER
-        self.notes = self.own / "notes"
+        self.notes, self.manifest = self.own / "notes", self.path / MANIFEST
         self._made: list[pathlib.Path] = []  # folders that were not there, the innermost first
-
-    @property
-    def manifest(self) -> pathlib.Path:
-        """The manifest."""
-        return self.path / MANIFEST
 
     def prepare(self) -> None:
         """Make the folder."""

@@ -26,16 +26,13 @@ import warp as wp
 from ..core.devices import start_warp
 from ..core.names import error_line
 from ..core.threads import cpu_threads
-from ..errors import InputError, MissingPackageError, StateError
+from ..errors import InputError, MissingPackageError
 from .chunk_runner import RunnerSettings, make_runner
 from .scheduler import MOST_CHUNKS
 
 #: Calls that a worker answers at once: one a chunk, one that tells when all items are begun, and one that shortens a
 #: chunk or tells of items.
 MOST_CALLS = MOST_CHUNKS + 2
-
-#: Seconds within which the first worker must have started here.
-START_HERE = 120.0
 
 #: Seconds that a process gets to be gone after it was killed: one that waits for a disk may take longer.
 GONE = 10.0
@@ -187,6 +184,8 @@ class Share:
 class LocalHost:
     """Starts workers on this machine: one a GPU, else with equal parts of the cores; one alone has what there is."""
 
+    patience, no_place = 120.0, ""  # seconds within which the first worker must have started, and why it has not
+
     def __init__(self, workers: int, device: str | None, gpus: Callable[[], int] | None = None):
         self._gpus = ""
         if workers == 1:
@@ -207,11 +206,6 @@ class LocalHost:
         gpu = {"CUDA_VISIBLE_DEVICES": self._gpus.split(",")[int(settings.worker)]} if self.share.gpus else {}
         return LocalProcess(settings, gpu)
 
-    def waited(self, seconds: float) -> None:
-        """Raise RuntimeError where no worker started for a long time."""
-        if seconds > START_HERE:
-            raise StateError(f"no worker started within {START_HERE:.0f} s")
-
     def death_line(self, error: BaseException) -> str:
         """Why a worker gives no answer but an error: the line of its process."""
         return str(error)
@@ -230,9 +224,6 @@ def _count_gpus() -> int:
 
 #: Seconds within which a cluster must answer.
 CONNECT = 10.0
-
-#: Seconds within which the first worker must have started on a cluster, which may have to wait for machines.
-START_THERE = 900.0
 
 
 def load_ray() -> types.ModuleType:
@@ -261,7 +252,10 @@ def ray_session(cluster: str) -> Iterator[types.ModuleType]:
                 f"no Ray cluster answers at {cluster!r}: {error_line(error, named=True)}. One that asks for a token "
                 "wants RAY_AUTH_MODE=token and its own token in ~/.ray/auth_token"
             ) from error
-    _silence()
+    with contextlib.suppress(Exception):  # its own paragraphs about workers that died, where this version lets us
+        from ray._private import ray_logging
+
+        ray_logging.global_worker_stdstream_dispatcher.handlers.clear()
     try:
         yield ray
     finally:
@@ -295,14 +289,6 @@ def _signals_kept() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _silence() -> None:
-    """Keep Ray's own paragraphs about workers that died off the output, where this version lets us: we say it too."""
-    with contextlib.suppress(Exception):
-        from ray._private import ray_logging
-
-        ray_logging.global_worker_stdstream_dispatcher.handlers.clear()
-
-
 class RayProcess:
     """A process that Ray has started somewhere."""
 
@@ -326,6 +312,8 @@ class RayHost:
     """Starts workers on a cluster: one a GPU, else with the cores in equal parts.
     workers: None is all GPUs, or one a machine where there are none; there may be more machines later."""
 
+    patience = 900.0  # it may have to wait for machines
+
     def __init__(self, ray: types.ModuleType, workers: int | None, device: str | None):
         require_shared(device)
         nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
@@ -340,6 +328,8 @@ class RayHost:
             while each > 1 and sum(count // each for count in cores) < workers:  # so that none waits for a place
                 each -= 1
             self.share = Share(workers, 0, each, each, "cpu")
+        need = f"{self.share.gpus} GPUs and {self.share.cpus:g} CPUs"
+        self.no_place = f": Ray has no place for one with {need}"
         self._ray = ray
         self._actor = ray.remote(ChunkActor).options(
             num_gpus=self.share.gpus,
@@ -352,14 +342,6 @@ class RayHost:
     def start(self, settings: RunnerSettings) -> RayProcess:
         """Start an actor."""
         return RayProcess(self._ray, self._actor.remote(settings))
-
-    def waited(self, seconds: float) -> None:
-        """Raise RuntimeError where no worker started for a long time."""
-        if seconds > START_THERE:
-            raise StateError(
-                f"no worker started within {START_THERE:.0f} s: Ray has no place for one with "
-                f"{self.share.gpus} GPUs and {self.share.cpus:g} CPUs"
-            )
 
     def death_line(self, error: BaseException) -> str:
         """Why a worker gives no answer but an error: one line instead of Ray's paragraphs."""

@@ -271,11 +271,6 @@ class LoadedFields:
         limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
         self.kept: LRUCache[AnyField] = LRUCache(MOST_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
 
-    @property
-    def held_bytes(self) -> int:
-        """Bytes that the fields take."""
-        return self.kept.held_bytes
-
     def get(self, name: str, scene_scale: float) -> tuple[Hashable, AnyField]:
         """A key that is another where the file has changed, and the field; scene_scale: as `VoxelField.load` has it."""
         path, stamp = self.references.stamped(name, "field file")

@@ -23,7 +23,7 @@ from ..core.names import counted, error_line
 from ..core.threads import cpu_threads, limit_threads
 from ..errors import InputError
 from .chunk_runner import Chunk, ChunkReport, Maker, RunnerSettings, leaves_no_room, make_runner, run_name
-from .engines import GRACE, Driver, Engine, LocalEngine, ProcessEngine, notes_name
+from .engines import GRACE, Driver, Engine, LocalEngine, ProcessEngine
 from .items import FOLDER, Item
 from .job_file import Fingerprints, JobFile, references_of
 from .manifest import DONE, ERROR, FAILED, Manifest, OutputFolder, Part, merge_notes, newest_seconds, notes_of_chunk
@@ -195,7 +195,7 @@ def _drive(
 
     def tell() -> None:
         told.append(time.monotonic() - begin)
-        counts = {"done": dispatcher.done, "failed": dispatcher.failed, "workers": dispatcher.workers}
+        counts = {"done": dispatcher.done, "failed": len(dispatcher.failures), "workers": dispatcher.workers}
         progress(dataclasses.replace(state, **counts, seconds=told[-1]))
 
     def note(line: str) -> None:
@@ -287,7 +287,7 @@ class RunJournal:
         report = ChunkReport()
         read = self._job.reader.item
         indices = {read(*line).id: index for line, index in zip(chunk.lines, chunk.items, strict=True)}
-        path = self._folder.notes / f"{notes_name(self.run, worker, start)}.jsonl"
+        path = self._folder.notes / f"{self.run}-{worker}-{start}.jsonl"
         settled, begun = notes_of_chunk(path, chunk.number)
         for record in settled:
             index = indices.pop(record["id"])
@@ -427,12 +427,8 @@ class Measured:
 class Forecast:
     """What a run would do."""
 
-    total: int
-    kept: int  # items that are there and whose inputs did not change
-    changed: int  # of the items to be made: whose inputs or files changed; that failed in an earlier run
-    failed_before: int
+    plan: Plan
     counts: dict[str, int]  # items to be made, by their kind
-    group_count: int  # how often something is loaded for them at least
     measured: dict[str, Measured]  # by kind
     errors: dict[str, str]  # why an item of a kind could not be made, by its id
     missing: dict[str, str]  # what items name and is not there, by id, of MOST_MISSING of them; the count is of all
@@ -447,10 +443,10 @@ def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | No
     from .worker import Worker  # here, as a driver of processes needs nothing of it
 
     with JobFile(path) as job, tempfile.TemporaryDirectory() as temporary:
-        plan, seconds = _planned(job, OutputFolder(out), pathlib.Path(temporary))
+        plan, known = _planned(job, OutputFolder(out), pathlib.Path(temporary))
         numbers = collections.Counter(plan.kinds.tolist())
         counts = {kind: numbers[number] for kind, number in KIND_NUMBERS.items() if numbers[number]}
-        measured = {kind: Measured(seconds[kind], 0.0, "earlier runs") for kind in counts if kind in seconds}
+        measured = {kind: Measured(known[kind], 0.0, "earlier runs") for kind in counts if kind in known}
         errors: dict[str, str] = {}
         missing, missing_count = _missing(job, plan)
         found = resolve_device(device)
@@ -462,20 +458,8 @@ def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | No
     work = sum(counts[kind] * each.seconds + _poses(plan, kind) * each.pose_seconds for kind, each in measured.items())
     loads = max((each.load_seconds for each in measured.values()), default=0.0) * max(plan.group_count, 1)
     workers = max(1, min(workers, len(plan.items)))
-    return Forecast(
-        plan.total,
-        plan.kept,
-        plan.changed,
-        plan.failed_before,
-        counts,
-        plan.group_count,
-        measured,
-        errors,
-        missing,
-        missing_count,
-        workers,
-        (work + loads) / workers,
-    )
+    seconds = (work + loads) / workers
+    return Forecast(plan, counts, measured, errors, missing, missing_count, workers, seconds)
 
 
 def _missing(job: JobFile, plan: Plan) -> tuple[dict[str, str], int]:

@@ -228,11 +228,6 @@ class Dispatcher:
         return self.chunks.left + len(self._retries) + held
 
     @property
-    def failed(self) -> int:
-        """How many items will not be tried again."""
-        return len(self.failures)
-
-    @property
     def workers(self) -> int:
         """Places where work is done."""
         return len(self._workers)

@@ -99,18 +99,15 @@ class RandomSource:
         return self.count
 
     def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
-        """The vertices of each; most: of the first ones alone."""
         count = self.count if most is None else min(most, self.count)
         if self.processes == 1 or count < WORTH_PROCESSES:
             return map(self.poses.vertices, range(count))
         return rows_by_processes(self.poses, count, self.processes)
 
     def drawn(self, number: int) -> dict[str, Any] | None:
-        """Seed, number and bounds; None where its vertices are written."""
         return None if self.written else drawn_words(self.poses.chance, number)
 
     def origin(self, number: int) -> dict[str, Any]:
-        """Seed and number."""
         return {"seed": self.poses.seed, "number": number}
 
 
@@ -125,14 +122,12 @@ class GivenSource:
         return len(self.vertices)
 
     def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
-        """The vertices of each; most: of the first ones alone."""
         return iter(self.vertices[:most])
 
     def drawn(self, number: int) -> None:
         """Their vertices are written."""
 
     def origin(self, number: int) -> dict[str, Any]:
-        """Name, and number where there are several."""
         return {"source": self.name} | ({"number": number} if len(self) > 1 else {})
 
 

@@ -7,7 +7,7 @@ import gc
 import json
 import os
 import pathlib
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -42,7 +42,7 @@ from ..view.frame_parts import picture
 from ..view.opacity import rgba_picture
 from .items import EvaluateItem, FitItem, FrameItem, Item, canonical, digest
 from .job_file import Fingerprints
-from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, array_data, write_array, write_outputs
+from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, write_array, write_outputs
 from .references import MEMORY_SHARE, LoadedFields, References, RestCage
 
 #: Most deformers that stay bound to a field.
@@ -94,11 +94,6 @@ class FrameMaker:
         limit = int(MEMORY_SHARE * free_bytes(fields.device)) // 2 if memory is None else memory
         self.kept: LRUCache[Bound] = LRUCache(MOST_DEFORMERS, limit, _bound_bytes)
         fields.dropped = self._drop_bound_to
-
-    @property
-    def held_bytes(self) -> int:
-        """Bytes that deformers take, beside their fields."""
-        return self.kept.held_bytes
 
     def forget(self) -> None:
         """Let go of all that is bound to fields."""
@@ -251,15 +246,13 @@ def frame_record(item: FrameItem, camera: Camera, posed: Sequence[Cage | None]) 
 
 def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -> dict[str, Writer]:
     """What writes the parts of a record that are no pictures."""
-    contents: dict[str, Callable[[], bytes | memoryview]] = {
-        "pose": lambda: array_data(pose_array(posed)),
-        "record": lambda: (json.dumps(frame_record(item, camera, posed), ensure_ascii=False) + "\n").encode(),
+    writers: dict[str, Writer] = {
+        "pose": lambda path: write_array(path, pose_array(posed)),
+        "record": lambda path: path.write_bytes(
+            (json.dumps(frame_record(item, camera, posed), ensure_ascii=False) + "\n").encode()
+        ),
     }
-
-    def writer(part: str) -> Writer:
-        return lambda temporary: temporary.write_bytes(contents[part]())
-
-    return {item.outputs[part]: writer(part) for part in OF_RECORDS if part in item.outputs}
+    return {item.outputs[part]: write for part, write in writers.items() if part in item.outputs}
 
 
 def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> Writer:
@@ -286,6 +279,19 @@ def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera,
     return lambda temporary: write(temporary, image())
 
 
+def _scene(item: FitItem | EvaluateItem, references: References, background: Any, **options: Any) -> Scene:
+    return load_scene(
+        references.path(item.scene),
+        split=item.split,
+        downscale=item.downscale,
+        format=item.format,
+        background=background,
+        masks=item.masks,
+        cameras=None if item.cameras is None else references.path(item.cameras),
+        **options,
+    )
+
+
 class FitMaker:
     """Fits fields, and keeps the pictures of the last scene: to read them takes as long as a short fit.
     fingerprints: of what items read, by which a changed scene is known."""
@@ -301,7 +307,7 @@ class FitMaker:
     def make(self, item: FitItem, checkpoint: pathlib.Path | None = None) -> MadeItem:
         """Fit a field to the pictures of a scene, as `warpcage fit` does; what is made writes its outputs.
         checkpoint: file (.npz) that holds the progress, from which a fit goes on whose worker died; None keeps none."""
-        scene = self._scene(item)
+        scene = self._read(item)
         if checkpoint is not None:
             checkpoint.parent.mkdir(parents=True, exist_ok=True)
         field = fit(scene, device=self.device, progress=False, checkpoint=checkpoint, **item.options)
@@ -311,22 +317,14 @@ class FitMaker:
             writers[item.outputs["cameras"]] = refined.save
         return MadeItem(writers)
 
-    def _scene(self, item: FitItem) -> Scene:
+    def _read(self, item: FitItem) -> Scene:
         words = item.split, item.downscale, item.format, item.background, item.masks, item.straighten
         key = item.scene, item.cameras, repr(words), self.fingerprints.of_inputs(item)
 
         def load() -> Scene:
             self.read_count += 1
-            return load_scene(
-                self.references.path(item.scene),
-                split=item.split,
-                downscale=item.downscale,
-                format=item.format,
-                background=item.background,
-                masks=item.masks,
-                orient="up" if item.straighten else None,
-                cameras=None if item.cameras is None else self.references.path(item.cameras),
-            )
+            orient = "up" if item.straighten else None
+            return _scene(item, self.references, item.background, orient=orient)
 
         return self._scenes.get(key, load)
 
@@ -334,16 +332,8 @@ class FitMaker:
 def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFields) -> MadeItem:
     """Compare a field with pictures of a scene, as `warpcage evaluate` does; what is made writes the report."""
     key, field = fields.get(item.field, item.scene_scale)
-    scene = load_scene(
-        references.path(item.scene),
-        split=item.split,
-        downscale=item.downscale,
-        format=item.format,
-        background=field.background if item.background is None else item.background,
-        masks=item.masks,
-        cameras=None if item.cameras is None else references.path(item.cameras),
-    )
-    scene, given = in_world_of(field, scene), None
+    background = field.background if item.background is None else item.background
+    scene, given = in_world_of(field, _scene(item, references, background)), None
     if item.tune_cameras:
         if not isinstance(field, VoxelField):
             raise InputError(f"'tune_cameras' is for fields of voxels (.npz), {item.field!r} is of splats")
@@ -402,7 +392,7 @@ class Worker:
     @property
     def held_bytes(self) -> int:
         """Bytes that all takes that is loaded."""
-        return self.fields.held_bytes + self.frames.held_bytes
+        return self.fields.kept.held_bytes + self.frames.kept.held_bytes
 
     def forget(self) -> None:
         """Let go of all that is loaded."""

@@ -108,20 +108,21 @@ def _conclude(report: RunReport, output: str) -> int:
 
 def _say(forecast: Forecast) -> int:
     """Print what a run would do."""
-    print(f"{counted(forecast.total, 'item')}: {forecast.kept} are there already and unchanged")
-    made = forecast.total - forecast.kept
+    plan = forecast.plan
+    print(f"{counted(plan.total, 'item')}: {plan.kept} are there already and unchanged")
+    made = plan.total - plan.kept
     kinds = ", ".join(counted(count, kind) for kind, count in forecast.counts.items())
     notes = [
         f"{count} {what}"
         for count, what in (
-            (forecast.changed, "of them changed since they were made"),
-            (forecast.failed_before, "of them failed before"),
+            (plan.changed, "of them changed since they were made"),
+            (plan.failed_before, "of them failed before"),
         )
         if count
     ]
     if made:
         print(
-            f"{made} would be made: {kinds}, in {counted(forecast.group_count, 'group')}"
+            f"{made} would be made: {kinds}, in {counted(plan.group_count, 'group')}"
             + "".join(f", {n}" for n in notes)
         )
     for kind, each in forecast.measured.items():
