@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import heapq
+import math
 
 import numpy as np
 
@@ -117,7 +118,7 @@ class SimulatedEngine:
         there = self.time + self.conditions.latency
         if work is not None and work.number == number and there < work.death:
             waiting = int(np.count_nonzero(work.starts > there))
-            back = self.shorten(worker, work, len(work.items) - int(share * waiting))
+            back = self.shorten(worker, work, len(work.items) - math.ceil(share * waiting))
         self.count += 1
         self.replies[self.count] = Answer(worker, "recall", number, back)
         heapq.heappush(self.queue, (there + self.conditions.latency, self.count, "reply", worker, self.count))

@@ -6,6 +6,7 @@ import collections
 import contextlib
 import dataclasses
 import datetime
+import math
 import os
 import pathlib
 import platform
@@ -196,7 +197,7 @@ class ChunkRunner:
             chunk = self._chunks.get(number)
             if chunk is None:
                 return []
-            back = [chunk.waiting.pop() for _ in range(int(share * len(chunk.waiting)))]
+            back = [chunk.waiting.pop() for _ in range(math.ceil(share * len(chunk.waiting)))]
             return [chunk.order.items[place] for place in reversed(back)]
 
     def oldest(self, number: int) -> tuple[int, float] | None:
