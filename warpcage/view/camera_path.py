@@ -168,7 +168,11 @@ class RefinedCameras:
     cameras: list[Camera]  # in the field's world
     gains: np.ndarray  # (n, 3) float64, what the field's red, green and blue are multiplied by in each picture
     offsets: np.ndarray  # (n, 3) float64, what is added to them then
-    given: list[Camera]  # the cameras as they were before, in the field's world
+    given: list[Camera] = dataclasses.field(default_factory=list)  # as they were before; left out, the same
+
+    def __post_init__(self) -> None:
+        if not self.given:
+            object.__setattr__(self, "given", list(self.cameras))
 
     def __len__(self) -> int:
         return len(self.cameras)
