@@ -101,8 +101,8 @@ def save_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
                     "cursor": batches.cursor,
                     "order": batches.rays.order,
                     "random": optimizer.random.bit_generator.state,
-                    "camera_errors": None if errors is None else dataclasses.astuple(errors),
                 }
+                | ({} if errors is None else {"camera_errors": dataclasses.astuple(errors)})
             )
         ),
         "resolution": np.array(field.resolution, np.int32),
