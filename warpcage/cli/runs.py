@@ -122,8 +122,7 @@ def _say(forecast: Forecast) -> int:
     ]
     if made:
         print(
-            f"{made} would be made: {kinds}, in {counted(plan.group_count, 'group')}"
-            + "".join(f", {n}" for n in notes)
+            f"{made} would be made: {kinds}, in {counted(plan.group_count, 'group')}" + "".join(f", {n}" for n in notes)
         )
     for kind, each in forecast.measured.items():
         first = "".join(
