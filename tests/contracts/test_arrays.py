@@ -9,7 +9,15 @@ import warp as wp
 from fields import BOX, shiny_field
 from messages import MESSAGES
 
-from warpcage import Cage, Deformer, deform_points, green_coordinates, harmonic_coordinates, mean_value_coordinates
+from warpcage import (
+    Cage,
+    Deformer,
+    SplatField,
+    deform_points,
+    green_coordinates,
+    harmonic_coordinates,
+    mean_value_coordinates,
+)
 from warpcage.errors import InputError
 
 POSED = BOX.bend(40, axis="x", towards="z")
@@ -252,6 +260,17 @@ def test_cages_of_tensors(device):
     assert np.array_equal(Cage(vertices, faces).vertices, BOX.vertices)
     with pytest.raises(ValueError, match=MESSAGES["arrays.no_gradient"]):
         Cage(vertices.requires_grad_(True), faces)
+
+
+@pytest.mark.parametrize("name", ["centers", "scales", "rotations", "opacities", "harmonics"])
+def test_parameters_of_splats_are_told(name):
+    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+    shapes = {"centers": (3, 3), "scales": (3, 3), "rotations": (3, 4), "opacities": (3, 1), "harmonics": (3, 1, 3)}
+    values = {each: torch.full(shape, 0.5) for each, shape in shapes.items()}
+    assert SplatField.from_arrays(**values).splat_count == 3
+    with pytest.raises(ValueError, match=MESSAGES["arrays.no_gradient"]) as caught:
+        SplatField.from_arrays(**(values | {name: torch.nn.Parameter(values[name])}))
+    assert f"{name}.detach()" in str(caught.value)
 
 
 class Unreadable:

@@ -220,7 +220,6 @@ def _foreign_device(points: Any) -> wp.Device | None:
 
 def as_host_points(points: PointsLike, *, name: str = "points") -> np.ndarray:
     """Points (n, 3) of finite real numbers as NumPy: (n, 3) float64, a copy."""
-    require_no_gradient(points, name)
     host = as_host_array(points, name)
     try:
         host = np.asarray(host)
@@ -242,9 +241,11 @@ def _require_finite_rows(host: np.ndarray, name: str) -> None:
 
 
 def as_host_array(array: Any, name: str) -> Any:
-    """An array of any library and device as NumPy; what is no array stays as it is."""
+    """An array of any library and device as NumPy; what is no array stays as it is. Refused where a gradient is asked
+    of it."""
     if not is_device_array(array):
         return array
+    require_no_gradient(array, name)
     return (array if isinstance(array, wp.array) else _from_foreign(array, name)).numpy()
 
 
