@@ -6,7 +6,7 @@ from messages import MESSAGES
 from scenes import room_cameras, room_scene, write_room
 
 import warpcage
-from warpcage import FieldOptimizer, mean_psnr
+from warpcage import FieldOptimizer, Scene, mean_psnr
 from warpcage.cli import main
 from warpcage.field import OuterField
 from warpcage.fitting import load_progress, save_progress
@@ -174,3 +174,52 @@ def test_the_way_on_the_command_line(tmp_path, capsys):
     assert (dark[0] == 0).all() and seen[0].min() > 0.02  # the walls are there
     assert main(["fit", str(folder), "-o", str(tmp_path / "cut.npz"), "--background", "outer", *words]) == 2
     assert "whole pictures" in capsys.readouterr().err
+
+
+def repeated(scene, times):
+    """The scene with each of its views so many times."""
+    return Scene(np.repeat(scene.images, times, axis=0), None, [each for each in scene.cameras for _ in range(times)])
+
+
+def test_what_is_around_is_finer_where_many_rays_go():
+    """By the root of the rays, as far as half as fine again, and never where a side is given."""
+    scene = room_scene(6, 16, masks=False)
+    options = {"resolution": 24, "levels": 2, "background": "outer"}
+    sides = [FieldOptimizer(repeated(scene, n), **options).background.sides[-1] for n in (1, 100, 250, 1000)]
+    assert sides[0] == 24 and sides[-1] == 36
+    rays = [6 * n * (2 * scene.cameras[0].fx / 24) ** 2 for n in (100, 250)]
+    for side, seen in zip(sides[1:3], rays, strict=True):
+        assert abs(side - 24 * np.clip(np.sqrt(seen / 1200), 1, 1.5)) <= 2
+    assert FieldOptimizer(repeated(scene, 1000), outer_resolution=20, **options).background.sides[-1] == 20
+
+
+def test_rays_of_a_fit_are_limited_unless_passes_are_asked_for():
+    scene = room_scene(6, 16, masks=False)
+    options = {"resolution": 16, "batch_rays": 64, "least_steps": 0, "background": "outer"}
+    pixels = 6 * 16 * 16
+
+    def rays(**given):
+        optimizer = FieldOptimizer(scene, **(options | given))
+        return optimizer.total_steps * optimizer.batches.batch_rays
+
+    assert rays(quality="standard") == pytest.approx(11 * pixels, rel=0.05)
+    assert rays(most_rays=2000) == pytest.approx(2000, rel=0.05)
+    assert rays(most_rays=2e6) == pytest.approx(11 * pixels, rel=0.05)
+    assert rays(epochs=20) == pytest.approx(20 * pixels, rel=0.05)
+
+
+def test_a_new_level_begins_with_what_can_be_seen(device):
+    """Voxels of it have the weight by which a level is pruned, or are beside one that has; by the coarser ones half
+    would."""
+    scene = room_scene(8, 24, masks=False)
+    optimizer = FieldOptimizer(scene, device=device, **SMALL)
+    while optimizer.level == 0:
+        optimizer.step()
+    weights = optimizer.current.measure_weights(optimizer.batches.picture_rays).numpy()
+    kept = np.zeros(optimizer.field.resolution)
+    kept[tuple(optimizer.current.nodes.numpy().T)] = weights
+    near = np.max([np.roll(np.pad(kept, 1), shift, axis=(0, 1, 2)) for shift in np.ndindex(3, 3, 3)], axis=0)
+    near = near[2:, 2:, 2:]  # the largest of the 27 nodes around each, shifted by one
+    least = 0.13 / max(optimizer.field.resolution)
+    beside = near[tuple(optimizer.current.nodes.numpy().T)]
+    assert (beside > 0.2 * least).mean() > 0.85  # one step has changed the weights since
