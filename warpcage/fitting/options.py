@@ -218,11 +218,14 @@ class FitOptions:
         None,
         8,
         MAX_OUTER_SIDE,
-        "Voxels along each side of the contracted space around the box. None is the field's resolution, or up to half "
-        "as many again where many rays see a voxel, at most `max_outer_resolution`.",
+        "Voxels along each side of the contracted space around the box. None is the field's resolution, at most "
+        "`max_outer_resolution`, and up to half as many again where many rays see a voxel.",
     )
     max_outer_resolution: int = whole(
-        768, 8, MAX_OUTER_SIDE, "Most voxels along each side of contracted space where `outer_resolution` is None."
+        512,
+        8,
+        MAX_OUTER_SIDE,
+        "Most voxels along each side of contracted space where `outer_resolution` is None and rays are not many.",
     )
     rate_outer: float = positive(0.06, "First learning rate of the outer field's colours.")
     rate_outer_end: float = positive(0.003, "Last learning rate of the outer field's colours.")

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from ..field.io.field_file import MAX_OUTER_SIDE
 from ..scene.scene import Scene
 from ..view.camera import Camera
 from .options import MAX_LEVELS, FitOptions
@@ -146,11 +147,11 @@ def outer_side(scene: Scene, options: FitOptions, grid: GridPlan) -> int:
     """Voxels along each side of contracted space: as fine as the box at its faces, finer where rays suffice."""
     if options.outer_resolution is not None:
         return options.outer_resolution
-    side = max(grid.shapes[-1])
+    side = min(max(grid.shapes[-1]), options.max_outer_resolution)
     # at a distance d behind the middle a voxel is 4 d / side wide, a pixel of a camera as far before it 2 d / fx
     width = 2.0 * float(np.median([camera.fx for camera in scene.cameras])) / side
     finer = np.clip(math.sqrt(len(scene.cameras) * width**2 / OUTER_RAYS), 1.0, MOST_FINER)
-    return min(round(finer * side), options.max_outer_resolution)
+    return min(round(finer * side), MAX_OUTER_SIDE)
 
 
 def directional_rate(steps: int) -> float:
