@@ -186,18 +186,8 @@ class RefinedCameras:
         return pathlib.Path(path)
 
     def moved_along(self, cameras: Sequence[Camera]) -> list[Camera]:
-        """Other cameras of the same capture, such as held-out ones, moved as those near them were.
-
-        Turns and shifts are the medians of those of the six nearest cameras, by place and direction, and the focal
-        length changes as that of the same lens. No picture is looked at, so figures of views that moved along are
-        those of a prediction. A camera that is one of the fit's goes where that went; refined ones stay.
-
-        Args:
-            cameras: In the world of the field.
-
-        Returns:
-            The moved cameras, in their order.
-        """
+        """Other cameras of the same capture, moved as those near them: by the medians of the six nearest ones' turns
+        and shifts, focal lengths with those of their lens."""
         return moved_along(cameras, self.given, self.cameras)
 
     def shrunk(self, divisor: float) -> RefinedCameras:
