@@ -17,7 +17,7 @@ from messages import MESSAGES
 from runs import SUPPORT, Deadly, Making, Moody, left_over, pictures, records, run_with, write_frames
 
 import warpcage
-from warpcage.batch import LocalHost, ProcessEngine, RayHost
+from warpcage.batch import LocalHost, ProcessEngine, RayHost, scheduler
 from warpcage.cli import main
 from warpcage.core import cpu_threads
 
@@ -104,8 +104,9 @@ def test_two_workers_make_what_one_does(address, job, whole, tmp_path):
     assert run_by(address, job, out, workers=2).kept == FRAMES
 
 
-def test_twenty_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engines):
-    """kill -9 of one of two workers, in the middle of an item, at random moments."""
+def test_twenty_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engines, monkeypatch):
+    """kill -9 of one of two workers, in the middle of an item or before its first, at random moments."""
+    monkeypatch.setattr(scheduler, "MOST_BARREN", 25)  # workers that die by themselves before any item are given up
     out, chance, kills, done = tmp_path / "out", random.Random(5), [], threading.Event()
 
     def kill():
