@@ -76,7 +76,7 @@ def test_each_edit_takes_its_own_kind(deformer, tmp_path):
 @pytest.mark.parametrize(
     ("pose", "message"),
     [
-        (BENT.vertices[:-1], "vertices as the cage has"),
+        (BENT.vertices[:-1], "of these faces needs"),
         (np.full_like(BENT.vertices, np.nan), "finite"),
         (BENT.vertices.tolist(), "one cage per edit"),
         (5, "the pose of edit 0 must be a Cage"),

@@ -121,7 +121,8 @@ class FieldOptimizer:
             self.options = dataclasses.replace(self.options, **dict.fromkeys(VIEW_OPTIONS, 0.0))
         # what changes nothing is no part of a checkpoint's fingerprint: those of before these options stay readable
         limited = self.options.epochs * pixels > self.options.most_rays
-        idle = () if around == "outer" else VIEW_OPTIONS
+        has_outer = scene.alphas is None and self.options.background in ("auto", "outer")
+        idle = () if has_outer else VIEW_OPTIONS
         for name in idle if limited else (*idle, "most_rays"):
             del self.given[name]
         self.bounds, self.shapes, self.variation = grid.bounds, grid.shapes, grid.variation

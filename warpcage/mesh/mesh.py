@@ -315,7 +315,7 @@ class ClosedMesh:
         """
         checked = _checked_vertices(vertices)
         if len(checked) != len(self.vertices):
-            raise InputError(f"as many vertices as the cage has are needed, {len(self.vertices)}, got {len(checked)}")
+            raise InputError(f"a cage of these faces needs {len(self.vertices)} vertices, got {len(checked)}")
         self._topology = self.topology  # worked out before it is shared
         posed = copy.copy(self)
         posed._vertices, posed._bounds = checked, None
