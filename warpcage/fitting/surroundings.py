@@ -396,8 +396,8 @@ class OuterOptimizer:
     # Levels
 
     def start_level(self, level: int, picture_rays: PictureRays, field: VoxelField) -> None:
-        """Prune by what pictures see, and go on to the voxels of a level, interpolated from the ones before.
-        field: of the level before."""
+        """Prune by what pictures see, and go on to the voxels of a level, interpolated from those before; prune again.
+        field: of that level."""
         self._release()
         coarse, side = self.outer, self.outer.side
         kept = self._weighty_mask(picture_rays, field, self.options.prune_weight / side)
