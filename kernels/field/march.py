@@ -149,18 +149,51 @@ def variants() -> list[Any]:
     return [image_kernel(shaded) for shaded in (False, True)]
 
 
+#: A picture shows what has this rendering weight in one of its pixels.
+SHOWN_WEIGHT = wp.constant(0.01)
+
+
 @wp.func
-def record_ray(
+def picture_mark(picture: int):
+    """The bit that stands for one of 32 pictures."""
+    return wp.uint32(1) << wp.uint32(picture % 32)
+
+
+@wp.func
+def record_row(
+    weights: wp.array(dtype=wp.float32), shown: wp.array(dtype=wp.uint32), row: int, weight: float, mark: wp.uint32
+):
+    """Raise the weight of a row to one that a ray gives it; note that the ray's picture shows it, where `shown` has
+    rows."""
+    if weights[row] < weight:
+        wp.atomic_max(weights, row, weight)
+    if weight >= SHOWN_WEIGHT and shown.shape[0] > 0:
+        if (shown[row] & mark) == wp.uint32(0):
+            wp.atomic_or(shown, row, mark)
+
+
+@wp.kernel
+def record_weights(
+    first: int,
+    cameras: wp.array(dtype=PinholeCamera),
+    pixel_stride: int,
+    counted: wp.array3d(dtype=wp.uint8),
     grid: VoxelGrid,
-    camera: PinholeCamera,
-    column: int,
-    row: int,
     step: float,
     stop: float,
     weights: wp.array(dtype=wp.float32),
+    shown: wp.array(dtype=wp.uint32),
 ):
-    """Raise the weights of the rows that a pixel's ray meets to the rendering weights that it gives them."""
-    ray = grid_ray(grid, camera.center, pixel_direction(camera, column, row), step)
+    """Largest rendering weight T_k alpha_k that any ray gives to each node's row, and marks of the pictures that show
+    it. Every pixel_stride-th row and column of every camera; counted (views, h, w) is 0 where none goes, or empty."""
+    # Rays share rows: on the CPU each thread needs outputs of its own, which are joined.
+    pixel = strided_pixel(first + wp.tid(), cameras[0].width, cameras[0].height, pixel_stride)
+    if counted.shape[0] > 0:
+        if counted[pixel[0], pixel[1], pixel[2]] == wp.uint8(0):
+            return
+    camera = cameras[pixel[0]]
+    mark = picture_mark(pixel[0])
+    ray = grid_ray(grid, camera.center, pixel_direction(camera, pixel[2], pixel[1]), step)
     transmittance = float(1.0)
     k = ray.first
     while sample_distance(ray, k) < ray.far and transmittance > stop:
@@ -175,40 +208,6 @@ def record_ray(
                 weight = transmittance * (1.0 - wp.exp(-sigma * step))
                 for c in range(8):
                     if cell.rows[c] >= 0:
-                        if weights[cell.rows[c]] < weight:
-                            wp.atomic_max(weights, cell.rows[c], weight)
+                        record_row(weights, shown, cell.rows[c], weight, mark)
                 transmittance *= wp.exp(-sigma * step)
             k += 1
-
-
-@wp.kernel
-def record_weights(
-    first: int,
-    grid: VoxelGrid,
-    cameras: wp.array(dtype=PinholeCamera),
-    pixel_stride: int,
-    step: float,
-    stop: float,
-    weights: wp.array(dtype=wp.float32),
-):
-    """Largest rendering weight T_k alpha_k that any ray gives to each node's row. Every pixel_stride-th row and column
-    of every camera. Rays share rows: on the CPU each thread needs its own `weights`, which are joined by maximum."""
-    pixel = strided_pixel(first + wp.tid(), cameras[0].width, cameras[0].height, pixel_stride)
-    record_ray(grid, cameras[pixel[0]], pixel[2], pixel[1], step, stop, weights)
-
-
-@wp.kernel
-def record_counted_weights(
-    first: int,
-    grid: VoxelGrid,
-    cameras: wp.array(dtype=PinholeCamera),
-    pixel_stride: int,
-    step: float,
-    stop: float,
-    counted: wp.array3d(dtype=wp.uint8),
-    weights: wp.array(dtype=wp.float32),
-):
-    """As record_weights, of the pixels that count: counted (views, h, w) is not 0 there."""
-    pixel = strided_pixel(first + wp.tid(), cameras[0].width, cameras[0].height, pixel_stride)
-    if counted[pixel[0], pixel[1], pixel[2]] > wp.uint8(0):
-        record_ray(grid, cameras[pixel[0]], pixel[2], pixel[1], step, stop, weights)

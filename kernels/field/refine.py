@@ -1,5 +1,7 @@
 """Prune, dilate and refine the nodes of a sparse voxel grid."""
 
+from typing import Any
+
 import warp as wp
 
 from .grid import VoxelGrid, eight_rows, eight_weights
@@ -144,6 +146,24 @@ def resample_rows(
             if rows[c] >= 0:
                 blended += weights[c] * coarse.sh[rows[c], number]
         sh[row, number] = scale * blended
+
+
+@wp.kernel
+def gather_rows(
+    first: int,
+    links: wp.array3d(dtype=wp.int32),
+    nodes: wp.array(dtype=wp.vec3i),
+    before: wp.array(dtype=Any),
+    kept: wp.array(dtype=Any),
+):
+    """Values of the nodes (rows,) that stay, from the rows that `links` gave them before. One item per row."""
+    row = first + wp.tid()
+    node = nodes[row]
+    kept[row] = before[links[node[0], node[1], node[2]]]
+
+
+for number in (wp.uint8, wp.float32, wp.vec4):
+    wp.overload(gather_rows, {"before": wp.array(dtype=number), "kept": wp.array(dtype=number)})
 
 
 #: Numbers of a thread: rows of harmonics are multiples of it, and those of large fields have more than 2^31 numbers.

@@ -20,6 +20,7 @@ from ..field.grid import (
     sample_distance,
     sample_place,
 )
+from ..field.march import picture_mark, record_row
 from ..field.outer import (
     FAR_AWAY,
     OUTER_STOP,
@@ -216,7 +217,9 @@ def record_outer_ray(
     begin: float,
     end: float,
     first_light: float,
+    mark: wp.uint32,
     weights: wp.array(dtype=wp.float32),
+    shown: wp.array(dtype=wp.uint32),
 ):
     """Largest rendering weights along a ray. Returns the light that is left."""
     light = float(first_light)
@@ -232,66 +235,40 @@ def record_outer_ray(
                 for corner in range(8):
                     row = step.sample.rows[corner]
                     if row >= 0:
-                        if weights[row] < weight:
-                            wp.atomic_max(weights, row, weight)
+                        record_row(weights, shown, row, weight, mark)
             light = step.light
             k = step.following
         turn = turn_after(path, turn)
     return light
 
 
-@wp.func
-def record_around(
-    outer: OuterGrid,
-    inner: VoxelGrid,
-    camera: PinholeCamera,
-    column: int,
-    row: int,
-    step: float,
-    weights: wp.array(dtype=wp.float32),
-):
-    """Raise the weights of the rows that a pixel's ray meets to the rendering weights that it gives them."""
-    direction = pixel_direction(camera, column, row)
-    between = front_end(outer, camera.center, direction)
-    light = float(1.0)
-    if between > 0.0:
-        light = record_outer_ray(outer, camera.center, direction, 0.0, between, 1.0, weights)
-    light *= light_through(inner, camera.center, direction, step)
-    if light > OUTER_STOP:
-        record_outer_ray(outer, camera.center, direction, between, FAR_AWAY, light, weights)
-
-
 @wp.kernel
 def record_outer_weights(
     first: int,
-    outer: OuterGrid,
-    inner: VoxelGrid,
     cameras: wp.array(dtype=PinholeCamera),
     pixel_stride: int,
-    step: float,
-    weights: wp.array(dtype=wp.float32),
-):
-    """Largest rendering weight that any ray gives to each node's row (rows,), behind what the inner grid holds.
-    One item per ray of every pixel_stride-th row and column. Rays share rows: on the CPU each thread needs its own."""
-    pixel = strided_pixel(first + wp.tid(), cameras[0].width, cameras[0].height, pixel_stride)
-    record_around(outer, inner, cameras[pixel[0]], pixel[2], pixel[1], step, weights)
-
-
-@wp.kernel
-def record_counted_outer_weights(
-    first: int,
-    outer: OuterGrid,
-    inner: VoxelGrid,
-    cameras: wp.array(dtype=PinholeCamera),
-    pixel_stride: int,
-    step: float,
     counted: wp.array3d(dtype=wp.uint8),
+    outer: OuterGrid,
+    inner: VoxelGrid,
+    step: float,
     weights: wp.array(dtype=wp.float32),
+    shown: wp.array(dtype=wp.uint32),
 ):
-    """As record_outer_weights, of the pixels that count: counted (views, h, w) is not 0 there."""
+    """As record_weights, of an outer grid's rows, behind what the inner grid holds."""
     pixel = strided_pixel(first + wp.tid(), cameras[0].width, cameras[0].height, pixel_stride)
-    if counted[pixel[0], pixel[1], pixel[2]] > wp.uint8(0):
-        record_around(outer, inner, cameras[pixel[0]], pixel[2], pixel[1], step, weights)
+    if counted.shape[0] > 0:
+        if counted[pixel[0], pixel[1], pixel[2]] == wp.uint8(0):
+            return
+    camera = cameras[pixel[0]]
+    mark = picture_mark(pixel[0])
+    direction = pixel_direction(camera, pixel[2], pixel[1])
+    between = front_end(outer, camera.center, direction)
+    light = float(1.0)
+    if between > 0.0:
+        light = record_outer_ray(outer, camera.center, direction, 0.0, between, 1.0, mark, weights, shown)
+    light *= light_through(inner, camera.center, direction, step)
+    if light > OUTER_STOP:
+        record_outer_ray(outer, camera.center, direction, between, FAR_AWAY, light, mark, weights, shown)
 
 
 @wp.kernel
@@ -365,17 +342,3 @@ def apply_outer_rmsprop(
     values[row] = value
     moments[row] = moment
     gradients[row] = wp.vec4()
-
-
-@wp.kernel
-def gather_rows(
-    first: int,
-    links: wp.array3d(dtype=wp.int32),
-    nodes: wp.array(dtype=wp.vec3i),
-    before: wp.array(dtype=wp.vec4),
-    kept: wp.array(dtype=wp.vec4),
-):
-    """Values of the nodes (rows,) that stay, from the rows that `links` gave them before."""
-    row = first + wp.tid()
-    node = nodes[row]
-    kept[row] = before[links[node[0], node[1], node[2]]]

@@ -117,25 +117,14 @@ def join_maximum(first: int, other: wp.array(dtype=wp.float32), values: wp.array
 
 
 @wp.kernel
-def count_reached(first: int, weights: wp.array(dtype=wp.float32), least: float, counts: wp.array(dtype=wp.uint8)):
-    """Adds 1, up to 255, where a weight reaches a least one. One item per row."""
+def count_marks(first: int, shown: wp.array2d(dtype=wp.uint32), counts: wp.array(dtype=wp.uint8)):
+    """Adds the pictures that show a row, up to 255, and clears their marks (shards, rows). One item per row."""
     n = first + wp.tid()
-    if weights[n] >= least and counts[n] < wp.uint8(255):
-        counts[n] = wp.uint8(int(counts[n]) + 1)
-
-
-@wp.kernel
-def gather_counts(
-    first: int,
-    links: wp.array3d(dtype=wp.int32),
-    nodes: wp.array(dtype=wp.vec3i),
-    before: wp.array(dtype=wp.uint8),
-    kept: wp.array(dtype=wp.uint8),
-):
-    """Counts of the nodes (rows,) that stay, from the rows that `links` gave them before. One item per row."""
-    row = first + wp.tid()
-    node = nodes[row]
-    kept[row] = before[links[node[0], node[1], node[2]]]
+    marks = wp.uint32(0)
+    for shard in range(shown.shape[0]):
+        marks = marks | shown[shard, n]
+        shown[shard, n] = wp.uint32(0)
+    counts[n] = wp.uint8(wp.min(int(counts[n]) + int(wp.bit_count(marks)), 255))
 
 
 @wp.kernel

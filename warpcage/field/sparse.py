@@ -68,6 +68,13 @@ def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
     return links, nodes
 
 
+def gathered(values: wp.array, links: wp.array, nodes: wp.array) -> wp.array:
+    """Values (rows,) of the nodes (rows,) vec3i that stay, of a grid whose rows were those of links (nx, ny, nz)."""
+    kept = empty_array(nodes.shape[0], values.dtype, nodes.device)
+    launch(grid_refine.gather_rows, nodes.shape[0], [links, nodes, values], [kept], device=nodes.device)
+    return kept
+
+
 def mask_count(mask: wp.array) -> int:
     """Number of set nodes of a mask (nx, ny, nz) uint8."""
     return int(_line_counts(mask).numpy().sum(dtype="int64"))

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import pathlib
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,10 +18,11 @@ from ..core.locks import device_turn
 from ..core.modules import Kernel, require_loaded
 from ..core.threads import cpu_threads, run_parallel
 from ..errors import InputError
+from ..field.sparse import gathered
 from ..field.voxel_field import VoxelField
 from ..kernels.fitting.batches import Pictures, mark_active_tiles
 from ..kernels.fitting.loss import TrainingRays
-from ..kernels.fitting.rmsprop import add_gradients, count_reached, gather_counts, join_maximum
+from ..kernels.fitting.rmsprop import add_gradients, count_marks, join_maximum
 from ..scene.scene import Scene
 from ..view.camera import camera_array
 from ..view.pictures import to_uint8
@@ -337,6 +338,10 @@ def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) 
         run_parallel([lambda shard=shard: run(shard) for shard in range(shards)], shards, stopped.set)
 
 
+#: Rays of a look at all pictures, at most: hundreds of pictures show what some of their pixels do.
+MOST_LOOKS = 8e7
+
+
 @dataclasses.dataclass(frozen=True)
 class PictureRays:
     """The pixels of pictures of one size, through which a fit looks for what they show."""
@@ -346,28 +351,37 @@ class PictureRays:
     height: int
     counted: wp.array | None = None  # (views, h, w) uint8, 0 for pixels that do not count; None counts all
 
-    def of(self, view: int) -> PictureRays:
-        """The pixels of one of the pictures."""
-        only = slice(view, view + 1)
-        counted = None if self.counted is None else self.counted[only]
-        return dataclasses.replace(self, cameras=self.cameras[only], counted=counted)
+    def stride(self, side: int) -> int:
+        """Every how many rows and columns a look at all pictures has a ray. side: voxels along the longest side."""
+        # a ray for each half voxel where the longest side of a box fills the shorter one of a picture
+        shortest, rays = min(self.width, self.height), self.cameras.shape[0] * self.width * self.height
+        return max(1, shortest // (2 * side), math.ceil(math.sqrt(rays / MOST_LOOKS)))
 
-    def record(self, kernels: tuple[Kernel, Kernel], inputs: list, stride: int, rows: int, shards: int) -> wp.array:
+    def record(
+        self, kernel: Kernel, inputs: list, stride: int, rows: int, shards: int, counts: wp.array | None = None
+    ) -> wp.array:
         """(rows,) float32, the largest number that any ray gives to each row; rays: of every stride-th row and column.
-        kernels: for pictures that count as a whole, and for others, which take `counted` after the inputs."""
-        device = wp.get_device(self.cameras.device)
-        count = self.cameras.shape[0] * -(-self.width // stride) * -(-self.height // stride)
-        kernel = kernels[0] if self.counted is None else kernels[1]
-        inputs = inputs if self.counted is None else [*inputs, self.counted]
+        counts: (rows,) uint8, the number of pictures that show each row is added, up to 255."""
+        device, views = wp.get_device(self.cameras.device), self.cameras.shape[0]
         found = [wp.zeros(rows, dtype=wp.float32, device=device) for _ in range(shards)]
-        launch_shards([ShardedWork(kernel, count, inputs, [[each] for each in found])], shards, device)
+        shown = wp.zeros((shards, 1 if counts is None else max(1, rows)), dtype=wp.uint32, device=device)
+        outputs = [[found[shard], None if counts is None else shown[shard]] for shard in range(shards)]
+        together = views if counts is None else MARKED_VIEWS
+        for first in range(0, views, together):
+            part = slice(first, min(first + together, views))
+            counted = None if self.counted is None else self.counted[part]
+            count = (part.stop - first) * -(-self.width // stride) * -(-self.height // stride)
+            work = ShardedWork(kernel, count, [self.cameras[part], stride, counted, *inputs], outputs)
+            launch_shards([work], shards, device)
+            if counts is not None:
+                launch(count_marks, rows, [shown], [counts], device=device)
         for other in found[1:]:
             launch(join_maximum, rows, [other], [found[0]], device=device)
         return found[0]
 
 
-#: A view shows what has this rendering weight in one of its pixels; and how many views a row's count ends at.
-SHOWN_WEIGHT, MOST_VIEWS = 0.01, 255
+#: Pictures that a row has marks of at a time; and how many a row's count ends at.
+MARKED_VIEWS, MOST_VIEWS = 32, 255
 
 
 class ViewCounts:
@@ -401,26 +415,18 @@ class ViewCounts:
                 raise InputError(f"{len(counts)} numbers of views for {rows} voxels, or some that cannot be")
             self.counts = wp.array(counts.astype(np.uint8), dtype=wp.uint8, device=self.device)
 
-    def measured(self, pictures: PictureRays, measure: Callable[[PictureRays], wp.array]) -> wp.array:
-        """(rows,) float32, what `measure` finds: the largest weights that rays of pictures give. Counts the pictures
-        that show each row on the way, if that is used."""
+    def begin(self, rows: int) -> wp.array | None:
+        """Counts (rows,) uint8 of no picture so far, to be added to; None where none are used."""
+        self.forget()
         if not self.is_used:
-            return measure(pictures)
-        largest = measure(pictures.of(0))
-        self.counts = wp.zeros(largest.size, dtype=wp.uint8, device=self.device)
-        launch(count_reached, largest.size, [largest, SHOWN_WEIGHT], [self.counts], device=self.device)
-        for view in range(1, pictures.cameras.shape[0]):
-            weights = measure(pictures.of(view))
-            launch(count_reached, largest.size, [weights, SHOWN_WEIGHT], [self.counts], device=self.device)
-            launch(join_maximum, largest.size, [weights], [largest], device=self.device)
-        return largest
+            return None
+        self.counts = wp.zeros(rows, dtype=wp.uint8, device=self.device)
+        return self.counts
 
     def follow(self, links: wp.array, nodes: wp.array) -> None:
         """Go on to rows at `nodes` (rows,) vec3i, of the grid whose rows were those of `links`, if there are counts."""
         if self.counts.size:
-            counts = wp.zeros(nodes.shape[0], dtype=wp.uint8, device=self.device)
-            launch(gather_counts, counts.size, [links, nodes, self.counts], [counts], device=self.device)
-            self.counts = counts
+            self.counts = gathered(self.counts, links, nodes)
 
 
 def sum_shards(gradients: Sequence[wp.array]) -> wp.array:

@@ -13,10 +13,10 @@ from ..core.devices import lane_count, launch
 from ..errors import InputError
 from ..field.io.field_file import LUMINANCE_NUMBERS
 from ..field.render import STOP_TRANSMITTANCE
-from ..field.sparse import link_mask
+from ..field.sparse import gathered, link_mask
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
-from ..kernels.field.march import record_counted_weights, record_weights
+from ..kernels.field.march import record_weights
 from ..kernels.fitting import rmsprop
 from ..kernels.fitting.loss import accumulate_photometric_gradient
 from ..kernels.fitting.loss_warps import accumulate_photometric_gradient_by_warps
@@ -174,28 +174,30 @@ class Level:
         """The field of the voxels that matter to pictures, with its rendering weights.
         threshold: rendering weight from which a voxel matters."""
         self.release()
-        self.resample(self.weighty_mask(picture_rays, threshold))
-        self.field.weights = self.measure_weights(picture_rays)
+        links, weights = self.field.grid.links, self.measure_weights(picture_rays)
+        self.resample(self._mask_of(weights, threshold))
+        self.field.weights = gathered(weights, links, self.nodes)
         return self.field
 
-    def measure_weights(self, picture_rays: PictureRays, pixel_stride: int = 1) -> wp.array:
+    def measure_weights(
+        self, picture_rays: PictureRays, pixel_stride: int = 1, counts: wp.array | None = None
+    ) -> wp.array:
         """(rows,) float32, the largest rendering weight that pictures' pixels give to each voxel.
-        pixel_stride: every how many pixels there is a ray, along both sides of a picture."""
-        field, rows = self.field, self.field.voxel_count
-        inputs = [field.grid, picture_rays.cameras, pixel_stride, field.step, STOP_TRANSMITTANCE]
-        kernels = record_weights, record_counted_weights
-        return picture_rays.record(kernels, inputs, pixel_stride, rows, self.shards)
+        pixel_stride: every how many pixels there is a ray, along both sides; counts: as of PictureRays.record."""
+        inputs = [self.field.grid, self.field.step, STOP_TRANSMITTANCE]
+        rows = self.field.voxel_count
+        return picture_rays.record(record_weights, inputs, pixel_stride, rows, self.shards, counts)
 
     def weighty_mask(self, picture_rays: PictureRays, threshold: float, *, counts: bool = False) -> wp.array:
         """(nx, ny, nz) uint8 mask of the voxels with a rendering weight from a threshold on, and their neighbours.
         Of those that have a row. counts: whether the pictures that show each row are counted on the way."""
+        stride = picture_rays.stride(max(self.field.resolution))
+        added = self.views.begin(self.field.voxel_count) if counts else None
+        return self._mask_of(self.measure_weights(picture_rays, stride, added), threshold)
+
+    def _mask_of(self, weights: wp.array, threshold: float) -> wp.array:
+        """The voxels with a weight (rows,) from a threshold on, and their neighbours that have a row."""
         field = self.field
-        # a ray for each half voxel where the longest side of the box fills the shorter one of a picture
-        stride = max(1, int(0.5 * min(picture_rays.width, picture_rays.height) / max(field.resolution)))
-        if counts:
-            weights = self.views.measured(picture_rays, lambda rays: self.measure_weights(rays, stride))
-        else:
-            weights = self.measure_weights(picture_rays, stride)
         mask = wp.zeros(field.resolution, dtype=wp.uint8, device=field.device)
         inputs = [self.nodes, weights, threshold]
         launch(grid_refine.mark_weighty_nodes, field.voxel_count, inputs, [mask], device=field.device)

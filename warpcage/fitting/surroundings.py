@@ -15,7 +15,7 @@ from ..core.files import require_numbers
 from ..core.names import FIT_BACKGROUNDS
 from ..errors import InputError
 from ..field.io.field_file import surface_node_count
-from ..field.sparse import link_mask, mask_count
+from ..field.sparse import gathered, link_mask, mask_count
 from ..field.surroundings import LayeredBackground, OuterField, sky_layers
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
@@ -439,9 +439,7 @@ class OuterOptimizer:
         before, moments = self.outer, self.moments
         mask = self._weighty_mask(picture_rays, field, self.options.keep_weight, counts=True)
         self._resample(before, mask, before.grid.sky.side)
-        self.moments = empty_array(self.nodes.shape[0], wp.vec4, self.device)
-        inputs = [before.grid.links, self.nodes, moments]
-        launch(outer_loss.gather_rows, self.nodes.shape[0], inputs, [self.moments], device=self.device)
+        self.moments = gathered(moments, before.grid.links, self.nodes)
         self._allocate_gradients()
 
     def _weighty_mask(
@@ -450,22 +448,14 @@ class OuterOptimizer:
         """The voxels whose rendering weight reaches a threshold in some view, and their neighbours. counts: as of
         Level.weighty_mask."""
         outer, rows = self.outer, self.nodes.shape[0]
-        if counts:
-            weights = self.views.measured(picture_rays, lambda rays: self._weights(rays, field))
-        else:
-            weights = self._weights(picture_rays, field)
+        inputs, added = [outer.grid, field.grid, field.step], self.views.begin(rows) if counts else None
+        stride = picture_rays.stride(outer.side)
+        weights = picture_rays.record(outer_loss.record_outer_weights, inputs, stride, rows, self.shards, added)
         mask = wp.zeros(outer.grid.links.shape, dtype=wp.uint8, device=self.device)
         launch(grid_refine.mark_weighty_nodes, rows, [self.nodes, weights, threshold], [mask], device=self.device)
         mask = dilated(mask)
         launch(grid_refine.keep_linked, mask.size, [outer.grid.links], [mask], device=self.device)
         return mask
-
-    def _weights(self, picture_rays: PictureRays, field: VoxelField) -> wp.array:
-        """(rows,) float32, the largest rendering weight that pictures give to each voxel."""
-        stride = max(1, int(0.5 * min(picture_rays.width, picture_rays.height) / self.outer.side))
-        inputs = [self.outer.grid, field.grid, picture_rays.cameras, stride, field.step]
-        kernels = outer_loss.record_outer_weights, outer_loss.record_counted_outer_weights
-        return picture_rays.record(kernels, inputs, stride, self.nodes.shape[0], self.shards)
 
     # Steps
 
