@@ -106,6 +106,7 @@ def scenes(args) -> None:
     "memory" is the most that Warp's arrays have held on the GPU from the start of the process to the end of the fit,
     before it is evaluated; "memory_before" is the same up to its begin, evaluations of earlier fits included. Where the
     first is larger, it is the peak of this fit alone: so the quality whose memory matters goes first.
+    "frame_milliseconds" is the median over the held-out views, on a GPU.
     """
     wp.config.log_level = wp.LOG_WARNING
     device = resolve_device(args.device)
@@ -203,6 +204,7 @@ def scene_row(name, scene, test, exact, device, options: dict) -> tuple[dict, wa
         "seconds": seconds,
         "memory": memory,
         "memory_before": before,
+        "frame_milliseconds": None if device.is_cpu else frame_milliseconds(field, test.cameras, device),
         "voxels": field.voxel_count,
         "resolution": field.resolution,
     }
@@ -215,6 +217,14 @@ def scene_row(name, scene, test, exact, device, options: dict) -> tuple[dict, wa
         )
         row |= {f"{what}_median": float(np.median(values)) for what, values in errors}
     return row, field
+
+
+def frame_milliseconds(field, cameras, device) -> float:
+    """Median over views of what a frame takes."""
+    field.render(cameras[0])
+    return 1e3 * float(
+        np.median([seconds_of(lambda camera=camera: field.render(camera), device) for camera in cameras])
+    )
 
 
 def inside(rows: list[dict]) -> float | None:

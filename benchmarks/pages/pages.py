@@ -151,7 +151,7 @@ def fits_of_captures(args) -> None:
 
 def capture_fit_parts(files: list[dict], pictures: pathlib.Path) -> list[str]:
     head = ["scene", "views", "size", "quality", "PSNR, dB", "off the path", "worst views", "seconds", "million voxels",
-            "GB"]  # fmt: skip
+            "GB", "frame, ms"]  # fmt: skip
     parts = []
     for found in files:
         rows = [fit_row(run) for run in found["runs"]]
@@ -217,6 +217,7 @@ def fit_row(run: dict) -> dict[str, str]:
         "object, dB": "–" if inside is None else f"{inside:.2f}",
         "seconds": f"{run['seconds']:.1f}",
         "GB": memory(run),
+        "frame, ms": "–" if run.get("frame_milliseconds") is None else f"{run['frame_milliseconds']:.1f}",
         "own views": f"{run['psnr_training']:.2f}",
         "opacity": opacity,
         "million voxels": f"{million:.{1 if million >= 0.1 else 3}f} of {resolution}",

@@ -68,6 +68,16 @@ def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
     return links, nodes
 
 
+def place_grid(grid: Any, bounds: np.ndarray) -> None:
+    """Where the nodes of a VoxelGrid with `links` lie in bounds (2, 3), relative to their middle, and its skips."""
+    extent = bounds[1] - bounds[0]
+    voxel = extent / grid.links.shape
+    grid.lower = wp.vec3(*(0.5 * voxel - 0.5 * extent))
+    grid.voxel_size = wp.vec3(*voxel)
+    grid.inverse_voxel_size = wp.vec3(*(1.0 / voxel))
+    grid.skip = measure_skip(grid.links)
+
+
 def gathered(values: wp.array, links: wp.array, nodes: wp.array) -> wp.array:
     """Values (rows,) of the nodes (rows,) vec3i that stay, of a grid whose rows were those of links (nx, ny, nz)."""
     kept = empty_array(nodes.shape[0], values.dtype, nodes.device)

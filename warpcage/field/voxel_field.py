@@ -31,7 +31,7 @@ from ..view.frame import Frame, checked_supersampling, parse_background, view_ba
 from .io import load_field, save_field
 from .io.field_file import BASIS_COUNT, FieldContents
 from .render import BeginMarch, March, render_frame
-from .sparse import checked_resolution, harmonics_on_device, harmonics_on_host, measure_skip, values_on_device
+from .sparse import checked_resolution, harmonics_on_device, harmonics_on_host, place_grid, values_on_device
 from .surface import DensityField, extract_mesh, surface_colors
 from .surroundings import LayeredBackground, OuterField
 from .tables import MarchTables
@@ -137,11 +137,7 @@ class VoxelField:
         if self.weights is not None and self.weights.shape != grid.density.shape:
             raise InputError(f"weights must be one per row ({grid.density.shape[0]}), got {self.weights.shape}")
 
-        half = 0.5 * (self.bounds[1] - self.bounds[0])
-        grid.lower = wp.vec3(*(0.5 * self.voxel_size - half))
-        grid.voxel_size = wp.vec3(*self.voxel_size)
-        grid.inverse_voxel_size = wp.vec3(*(1.0 / self.voxel_size))
-        grid.skip = measure_skip(grid.links)
+        place_grid(grid, self.bounds)
         return grid
 
     @classmethod

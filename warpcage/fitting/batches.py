@@ -423,10 +423,14 @@ class ViewCounts:
         self.counts = wp.zeros(rows, dtype=wp.uint8, device=self.device)
         return self.counts
 
+    def take(self, counts: wp.array | None, links: wp.array, nodes: wp.array) -> None:
+        """Counts of rows at `nodes` (rows,) vec3i, from those of a grid with `links`, if there are any."""
+        if counts is not None and counts.size:
+            self.counts = gathered(counts, links, nodes)
+
     def follow(self, links: wp.array, nodes: wp.array) -> None:
         """Go on to rows at `nodes` (rows,) vec3i, of the grid whose rows were those of `links`, if there are counts."""
-        if self.counts.size:
-            self.counts = gathered(self.counts, links, nodes)
+        self.take(self.counts, links, nodes)
 
 
 def sum_shards(gradients: Sequence[wp.array]) -> wp.array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -13,9 +14,10 @@ from ..core.devices import lane_count, launch
 from ..errors import InputError
 from ..field.io.field_file import LUMINANCE_NUMBERS
 from ..field.render import STOP_TRANSMITTANCE
-from ..field.sparse import gathered, link_mask
+from ..field.sparse import gathered, link_mask, place_grid
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
+from ..kernels.field.grid import VoxelGrid
 from ..kernels.field.march import record_weights
 from ..kernels.fitting import rmsprop
 from ..kernels.fitting.loss import accumulate_photometric_gradient
@@ -71,6 +73,30 @@ CONSTANT_HARMONIC = 0.28209479177387814
 
 #: Keeps a step finite where the second moment is almost zero.
 EPSILON = 1e-12
+
+
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """Which voxels of a finer grid (nx, ny, nz) pictures show."""
+
+    mask: wp.array  # (nx, ny, nz) uint8, those voxels
+    links: wp.array  # (nx, ny, nz) int32, rows of all that were looked at
+    counts: wp.array | None  # (rows,) uint8, how many pictures show each, 255 at most; None counts none
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(nx, ny, nz)."""
+        return tuple(self.mask.shape)
+
+
+def weighty_mask(links: wp.array, nodes: wp.array, weights: wp.array, threshold: float) -> wp.array:
+    """(nx, ny, nz) uint8 mask of the nodes (rows,) with a weight (rows,) from a threshold on, and of their neighbours
+    that have a row by links (nx, ny, nz)."""
+    mask = wp.zeros(links.shape, dtype=wp.uint8, device=links.device)
+    launch(grid_refine.mark_weighty_nodes, nodes.shape[0], [nodes, weights, threshold], [mask], device=links.device)
+    mask = dilated(mask)
+    launch(grid_refine.keep_linked, mask.size, [links], [mask], device=links.device)
+    return mask
 
 
 class Level:
@@ -135,12 +161,29 @@ class Level:
         row[[0, 16, 20]] = green - difference, orange, difference
         self.field.grid.sh.assign(np.tile(row, (self.field.voxel_count, 1)))
 
-    def refine(self, shape: tuple[int, ...], kept: wp.array) -> None:
-        """Values on a finer grid (nx, ny, nz), interpolated; gradients and second moments stay released.
-        kept: uint8 mask over the nodes of this grid, voxels with children."""
-        mask = empty_array(shape, wp.uint8, kept.device)
-        launch(grid_refine.refine_mask, mask.size, [_ratio(shape, kept.shape), kept], [mask], device=mask.device)
-        self.resample(mask)
+    def look(self, shape: tuple[int, ...], kept: wp.array, picture_rays: PictureRays, least: float) -> Look:
+        """Which voxels of a finer grid (nx, ny, nz) pictures show, by densities interpolated from this one.
+        kept: uint8 mask over the nodes of this grid, voxels with children; least: rendering weight that shows one."""
+        device, ratio = kept.device, _ratio(shape, kept.shape)
+        mask = empty_array(shape, wp.uint8, device)
+        launch(grid_refine.refine_mask, mask.size, [ratio, kept], [mask], device=device)
+        grid = VoxelGrid()
+        grid.links, nodes = link_mask(mask)
+        rows = nodes.shape[0]
+        grid.density = empty_array(rows, wp.float32, device)
+        launch(grid_refine.resample_rows, rows, [self.field.grid, ratio, nodes], [grid.density, None], device=device)
+        place_grid(grid, self.field.bounds)
+        counts = wp.zeros(rows, dtype=wp.uint8, device=device) if self.views.is_used else None
+        # as fields of this resolution march
+        inputs = [grid, 0.5 * min(grid.voxel_size), STOP_TRANSMITTANCE]
+        stride = picture_rays.stride(max(shape))
+        weights = picture_rays.record(record_weights, inputs, stride, rows, self.shards, counts)
+        return Look(weighty_mask(grid.links, nodes, weights, least), grid.links, counts)
+
+    def refine(self, look: Look) -> None:
+        """Values at the voxels of a look, interpolated; gradients and second moments stay released."""
+        self.resample(look.mask)
+        self.views.take(look.counts, look.links, self.nodes)
 
     def resample(self, mask: wp.array) -> None:
         """The field at the voxels of a mask (nx, ny, nz) uint8 of any resolution, interpolated from what it was."""
@@ -175,7 +218,7 @@ class Level:
         threshold: rendering weight from which a voxel matters."""
         self.release()
         links, weights = self.field.grid.links, self.measure_weights(picture_rays)
-        self.resample(self._mask_of(weights, threshold))
+        self.resample(weighty_mask(links, self.nodes, weights, threshold))
         self.field.weights = gathered(weights, links, self.nodes)
         return self.field
 
@@ -193,17 +236,8 @@ class Level:
         Of those that have a row. counts: whether the pictures that show each row are counted on the way."""
         stride = picture_rays.stride(max(self.field.resolution))
         added = self.views.begin(self.field.voxel_count) if counts else None
-        return self._mask_of(self.measure_weights(picture_rays, stride, added), threshold)
-
-    def _mask_of(self, weights: wp.array, threshold: float) -> wp.array:
-        """The voxels with a weight (rows,) from a threshold on, and their neighbours that have a row."""
-        field = self.field
-        mask = wp.zeros(field.resolution, dtype=wp.uint8, device=field.device)
-        inputs = [self.nodes, weights, threshold]
-        launch(grid_refine.mark_weighty_nodes, field.voxel_count, inputs, [mask], device=field.device)
-        mask = dilated(mask)
-        launch(grid_refine.keep_linked, mask.size, [field.grid.links], [mask], device=field.device)
-        return mask
+        weights = self.measure_weights(picture_rays, stride, added)
+        return weighty_mask(self.field.grid.links, self.nodes, weights, threshold)
 
     # Steps
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -35,8 +35,8 @@ IMAGE_SHARE = 0.5
 #: Items that a launch, and numbers that an array's axis may have: both are counted in 32 bits with a sign.
 MOST_ITEMS = 2**31 - 1
 
-#: Bytes per node of a mask, and per row of a weight while a level is pruned.
-_MASK, _WEIGHT = 1, 4
+#: Bytes per node of a mask, per row of a weight or a density, and of a place.
+_MASK, _WEIGHT, _PLACE = 1, 4, 12
 
 _Shape = TypeVar("_Shape")
 _UNITS = {
@@ -123,19 +123,36 @@ class FitMemory:
         both = (self.field_row + self.moment_row) * (rows + new_rows)
         return math.ceil(self.fixed + both + (2 * self.node + 2 * _MASK) * math.prod(shape))
 
+    def look_bytes(self, rows: int, shape: tuple[int, ...], children: int, new_shape: tuple[int, ...]) -> int:
+        """Most that is held while a level's children are looked at: its field, their places, densities, weights, marks
+        of pictures and counts."""
+        old = self.field_row * rows + (self.node + _MASK) * math.prod(shape)
+        new = (_PLACE + (1 + 2 * self.shards) * _WEIGHT + 1) * children + (self.node + 3 * _MASK) * math.prod(new_shape)
+        return math.ceil(self.fixed + old + new)
+
     def refinement(
         self, rows: int, kept: int, shape: tuple[int, ...], new_shape: tuple[int, ...], limit: int
     ) -> tuple[int, ...] | None:
-        """The resolution, at most `new_shape`, to which a level of `rows` voxels, `kept` with children, can be refined.
-        None where the refinement would not be worth its time."""
-        whole = new_shape[0] / shape[0]
-        for factor in np.arange(whole, SMALLEST_FACTOR - 1e-9, -FACTOR_STEP):
-            finer = new_shape if factor == whole else scaled_shape(shape, factor)
-            grown = math.ceil(kept * math.prod(finer) / math.prod(shape) * ROUNDING)
+        """The resolution, at most `new_shape`, to which a level of `rows` voxels, `kept` with children, can be refined
+        if all of these stay. None where the refinement would not be worth its time."""
+        for finer in finer_shapes(shape, new_shape):
+            grown = children_count(kept, shape, finer)
             needed = max(self.level_bytes(grown, finer), self.change_bytes(rows, shape, grown, finer))
             if needed <= limit and self.countable(grown, finer):
-                return tuple(finer)
+                return finer
         return None
+
+
+def finer_shapes(shape: tuple[int, ...], planned: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+    """Resolutions to which (nx, ny, nz) can be refined, from the planned one down to what is worth its time."""
+    whole = planned[0] / shape[0]
+    for factor in np.arange(whole, SMALLEST_FACTOR - 1e-9, -FACTOR_STEP):
+        yield tuple(planned) if factor == whole else scaled_shape(shape, factor)
+
+
+def children_count(kept: int, shape: tuple[int, ...], finer: tuple[int, ...]) -> int:
+    """Voxels of a finer grid within `kept` ones of (nx, ny, nz), at most."""
+    return math.ceil(kept * math.prod(finer) / math.prod(shape) * ROUNDING)
 
 
 def finest(memory: FitMemory, spare: int, choice: Callable[[FitMemory], _Shape | None]) -> tuple[_Shape | None, bool]:

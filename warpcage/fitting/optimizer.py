@@ -26,10 +26,10 @@ from ..view.camera import Camera
 from ..view.camera_path import RefinedCameras
 from .batches import PRECISIONS, Batch, Batches, TrainingPictures, counted_pixels, counted_tile_size, shard_count
 from .cameras import CAMERA_RAYS, HALF_LOOKS, CameraErrors, CameraRefinement, CameraSums, ray_bytes
-from .level import Level, level_memory
-from .memory import FitMemory, finest, memory_limit, memory_text
+from .level import Level, Look, level_memory
+from .memory import FitMemory, children_count, finer_shapes, finest, memory_limit, memory_text
 from .options import VIEW_OPTIONS, checked_options, checked_seed
-from .schedule import Schedule, outer_side, plan_batches, plan_grid
+from .schedule import Schedule, least_weight, outer_haste, outer_side, plan_batches, plan_grid
 from .silhouettes import Silhouettes, possible_voxels
 from .surroundings import (
     MEMORY_SHARE,
@@ -156,7 +156,8 @@ class FieldOptimizer:
                 self.bounds,
                 scene.cameras,
                 self.options,
-                outer_side(scene, self.options, grid),
+                side := outer_side(scene, self.options, grid),
+                outer_haste(side, grid),
                 around_bytes,
                 self.batches.batch_rays,
                 self.shards,
@@ -320,23 +321,62 @@ class FieldOptimizer:
     def _refine(self) -> None:
         """On to the next level: prune, halve the voxels, interpolate; pictures at 8 bits per channel, then larger
         voxels, where memory is short."""
-        level, coarse, memory = self.current, self.field.resolution, self.memory()
-        level.release()  # one level's state at a time: this is where memory peaks
+        level, coarse = self.current, self.field.resolution
+        level.release()  # one level's state at a time
         kept = level.weighty_mask(self.batches.picture_rays, self.options.prune_weight / max(coarse))
-        rows, kept_rows = self.field.voxel_count, mask_count(kept)
         self.schedule.level += 1
-        planned = self.shapes[self.level]
-        shape = self._finest(memory, lambda held: held.refinement(rows, kept_rows, coarse, planned, self.memory_limit))
-        self.shapes[self.level] = coarse if shape is None else shape
-        if shape is not None:
-            level.refine(shape, kept)
-        # finer voxels tell better what is behind others, and memory is largest in a level's first half
-        least = self.options.prune_weight / max(self.field.resolution)
-        level.resample(level.weighty_mask(self.batches.picture_rays, least, counts=True))
+        look = self._finest_look(kept)
+        self.shapes[self.level] = look.shape
+        level.refine(look)
+        del look
         if self.background is not None:
             self.background.start_level(self.level, self.batches.picture_rays, self.field)
         level.allocate()
         self._activate_tiles()
+
+    def _finest_look(self, kept: wp.array) -> Look:
+        """A look at the next level at the finest resolution whose voxels fit into memory, if need be with pictures of
+        the lowest precision; at this level's where none is worth its time. kept: voxels with children."""
+        level, coarse, rays = self.current, self.field.resolution, self.batches.picture_rays
+        rows, kept_rows, share = self.field.voxel_count, mask_count(kept), 0.0  # of children that the last look left
+
+        def fits(memory: FitMemory, shape: tuple[int, ...], count: int | None = None) -> bool:
+            """Whether a look does, and a level of so many voxels after it; None is as many as the last look tells."""
+            children = children_count(kept_rows, coarse, shape)
+            left = math.ceil(share * children) if count is None else count
+            needed = max(
+                memory.look_bytes(rows, coarse, children, shape),
+                memory.level_bytes(left, shape),
+                memory.change_bytes(rows, coarse, left, shape),
+            )
+            return needed <= self.memory_limit and memory.countable(left, shape)
+
+        def finest_within(memory: FitMemory, shapes: list[tuple[int, ...]]) -> Look | None:
+            nonlocal share
+            for shape in shapes:
+                if fits(memory, shape):
+                    look = level.look(shape, kept, rays, least_weight(self.options, max(shape)))
+                    count = mask_count(look.mask)
+                    if fits(memory, shape, count):
+                        return look
+                    share = count / max(1, children_count(kept_rows, coarse, shape))
+            return None
+
+        memory, shapes = self.memory(), list(finer_shapes(coarse, self.shapes[self.level]))
+        look = finest_within(memory, shapes)
+        sparing = memory.without(self.pictures.spare_bytes)
+        finer = shapes if look is None else shapes[: shapes.index(look.shape)]
+        if self.pictures.spare_bytes and any(fits(sparing, shape) for shape in finer):
+            del look
+            bits = self.pictures.bits
+            self.batches.keep_pictures(PRECISIONS[-1])
+            look = finest_within(sparing, finer)
+            if look is None:  # they buy nothing
+                self.batches.keep_pictures(bits)
+                look = finest_within(memory, shapes[len(finer) :])
+        if look is None:
+            look = level.look(coarse, kept, rays, least_weight(self.options, max(coarse)))
+        return look
 
     def _thin_out(self) -> None:
         """Remove what no view shows, and keep the optimiser's state of the rest."""

@@ -29,6 +29,9 @@ LARGE_BATCH, ENOUGH_STEPS = 65536, 1200
 #: Least voxels along the longest side that the pixels ask for.
 SMALLEST_RESOLUTION = 32
 
+#: Share of `keep_weight` that a voxel of a new level needs: memory is largest until `keep_at`.
+LEAST_SHARE = 0.6
+
 #: Without silhouettes, fine voxels turn to fog before the cameras unless a coarse fit has told them where matter is.
 COARSE_SIDE = 24
 
@@ -106,6 +109,11 @@ def _variation(options: FitOptions, scarce: float, captured: bool) -> tuple[floa
     return options.variation_density * factors[0], sh, sh * options.variation_high_degree
 
 
+def least_weight(options: FitOptions, side: int) -> float:
+    """Rendering weight from which on a voxel of a new level with so many along its longest side is optimised."""
+    return max(options.prune_weight / side, LEAST_SHARE * options.keep_weight)
+
+
 def view_factors(views: float) -> np.ndarray:
     """(256, 2) factors on the total variations of density and of colors by the number of views that show a voxel.
     views: the number from which on they are 1."""
@@ -152,6 +160,11 @@ def outer_side(scene: Scene, options: FitOptions, grid: GridPlan) -> int:
     width = 2.0 * float(np.median([camera.fx for camera in scene.cameras])) / side
     finer = np.clip(math.sqrt(len(scene.cameras) * width**2 / OUTER_RAYS), 1.0, MOST_FINER)
     return min(round(finer * side), MAX_OUTER_SIDE)
+
+
+def outer_haste(side: int, grid: GridPlan) -> float:
+    """Factor on the rates of an outer field of so many voxels a side: a step has fewer rays for each finer one."""
+    return float(np.clip(side / max(grid.shapes[-1]), 1.0, MOST_FINER)) ** 2
 
 
 def directional_rate(steps: int) -> float:

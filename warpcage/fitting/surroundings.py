@@ -26,10 +26,10 @@ from ..kernels.fitting.background_loss import accumulate_layer_variation, apply_
 from ..scene.scene import Scene
 from ..view.camera import Camera, camera_array
 from .batches import PictureRays, ShardedWork, ViewCounts, launch_shards, sum_shards
+from .level import weighty_mask
 from .memory import FitMemory
 from .options import FitOptions
-from .schedule import Rates
-from .silhouettes import dilated
+from .schedule import Rates, least_weight
 
 #: Opacity of all layers in front of the last one together, at the start.
 START_OPACITY = 0.5
@@ -307,13 +307,14 @@ class OuterOptimizer:
         cameras: list[Camera],
         options: FitOptions,
         side: int,  # voxels along a side of contracted space in the last level
+        haste: float,  # factor on the rates
         limit: int,  # bytes that the outer field may take
         batch_rays: int,
         shards: int,  # arrays of gradients, one for each CPU thread
         device: wp.Device,
     ):
         self.options, self.shards, self.device, self.limit = options, shards, device, limit
-        self.batch_rays = batch_rays
+        self.batch_rays, self.haste = batch_rays, haste
         self.center, self.half = bounds.mean(axis=0), 0.5 * (bounds[1] - bounds[0])
         self.color = np.asarray(color, np.float32)  # of all voxels at the start, and of the sky
         self.cameras = cameras
@@ -414,7 +415,7 @@ class OuterOptimizer:
         self._resample(coarse, kept, min(2 * coarse.grid.sky.side, MOST_SKY))
         del coarse
         # finer voxels tell better what is behind others
-        kept = self._weighty_mask(picture_rays, field, self.options.prune_weight / self.outer.side, counts=True)
+        kept = self._weighty_mask(picture_rays, field, least_weight(self.options, self.outer.side), counts=True)
         self._resample(self.outer, kept, self.outer.grid.sky.side)
         self._allocate()
 
@@ -451,11 +452,7 @@ class OuterOptimizer:
         inputs, added = [outer.grid, field.grid, field.step], self.views.begin(rows) if counts else None
         stride = picture_rays.stride(outer.side)
         weights = picture_rays.record(outer_loss.record_outer_weights, inputs, stride, rows, self.shards, added)
-        mask = wp.zeros(outer.grid.links.shape, dtype=wp.uint8, device=self.device)
-        launch(grid_refine.mark_weighty_nodes, rows, [self.nodes, weights, threshold], [mask], device=self.device)
-        mask = dilated(mask)
-        launch(grid_refine.keep_linked, mask.size, [outer.grid.links], [mask], device=self.device)
-        return mask
+        return weighty_mask(outer.grid.links, self.nodes, weights, threshold)
 
     # Steps
 
@@ -513,7 +510,8 @@ class OuterOptimizer:
         launch(apply_layer_rmsprop, total.size, inputs, outputs, device=self.device)
         total = self.gradients[0]
         sum_shards([_numbers(gradients) for gradients in self.gradients])
-        inputs = [rates.outer, rates.outer_density * 0.25 * self.outer.side, self.options.beta, EPSILON]
+        density = rates.outer_density * 0.25 * self.outer.side
+        inputs = [self.haste * rates.outer, self.haste * density, self.options.beta, EPSILON]
         outputs = [total, self.moments, self.outer.grid.values]
         launch(outer_loss.apply_outer_rmsprop, rows, inputs, outputs, device=self.device)
 
