@@ -1,5 +1,7 @@
 """Canonical position map of a cage on a lattice, and its look-up at arbitrary points."""
 
+from typing import Any
+
 import warp as wp
 
 from .nodes import NodeLevels, centered_place
@@ -95,6 +97,59 @@ def map_position(cage_map: CageMap, x: wp.vec3):
     p10 = wp.lerp(cage_map.positions[i + 1, j, k], cage_map.positions[i + 1, j, k + 1], fz)
     p11 = wp.lerp(cage_map.positions[i + 1, j + 1, k], cage_map.positions[i + 1, j + 1, k + 1], fz)
     return wp.lerp(wp.lerp(p00, p01, fy), wp.lerp(p10, p11, fy), fx)
+
+
+@wp.func
+def map_slope(cage_map: CageMap, x: wp.vec3):
+    """Jacobian of a map on a lattice, by central differences over half a cell to each side."""
+    h = 0.5 * cage_map.spacing
+    inverse = cage_map.inverse_spacing
+    dx = map_position(cage_map, x + wp.vec3(h, 0.0, 0.0)) - map_position(cage_map, x - wp.vec3(h, 0.0, 0.0))
+    dy = map_position(cage_map, x + wp.vec3(0.0, h, 0.0)) - map_position(cage_map, x - wp.vec3(0.0, h, 0.0))
+    dz = map_position(cage_map, x + wp.vec3(0.0, 0.0, h)) - map_position(cage_map, x - wp.vec3(0.0, 0.0, h))
+    return inverse * wp.matrix_from_cols(dx, dy, dz)
+
+
+#: Of Newton's method: steps at most, and the longest step, in cells.
+STEPS = wp.constant(24)
+
+LONGEST = wp.constant(2.0)
+
+
+def make_inverse(map_type: Any, position: Any, slope: Any) -> Any:
+    """The function that inverts maps of a type; position, slope: functions of a map and a point."""
+
+    @wp.func
+    def inverse_position(backward: map_type, start: wp.vec3, target: wp.vec3, cell: float, close: float):
+        """The place near `start` that a map takes to `target`, by Newton's method, up to `close`; or how far it came.
+        cell: length in which the map hardly turns."""
+        x = start
+        off = wp.length(position(backward, x) - target)
+        step = int(0)
+        while step < STEPS and off > close:
+            jacobian = slope(backward, x)
+            if wp.abs(wp.determinant(jacobian)) < 1.0e-9:
+                break
+            move = wp.inverse(jacobian) * (target - position(backward, x))
+            length = wp.length(move)
+            if length > LONGEST * cell:
+                move = move * (LONGEST * cell / length)
+            share = float(1.0)  # a shorter step where the whole one does not come nearer
+            better = float(0.0)
+            for _ in range(6):
+                trial = wp.length(position(backward, x + share * move) - target)
+                if trial < off:
+                    better = share
+                    off = trial
+                    break
+                share *= 0.5
+            if better == 0.0:
+                break
+            x += better * move
+            step += 1
+        return x
+
+    return inverse_position
 
 
 @wp.kernel

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from ..lattice.cage_map import CageMap, map_distance, map_position
+from ..lattice.cage_map import CageMap, make_inverse, map_distance, map_position, map_slope
 from ..mesh.containment import winding_number
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -184,17 +184,6 @@ STAYS = wp.constant(2)
 
 
 @wp.func
-def map_slope(cage_map: CageMap, x: wp.vec3):
-    """Jacobian of a map on a lattice, by central differences over half a cell to each side."""
-    h = 0.5 * cage_map.spacing
-    inverse = cage_map.inverse_spacing
-    dx = map_position(cage_map, x + wp.vec3(h, 0.0, 0.0)) - map_position(cage_map, x - wp.vec3(h, 0.0, 0.0))
-    dy = map_position(cage_map, x + wp.vec3(0.0, h, 0.0)) - map_position(cage_map, x - wp.vec3(0.0, h, 0.0))
-    dz = map_position(cage_map, x + wp.vec3(0.0, 0.0, h)) - map_position(cage_map, x - wp.vec3(0.0, 0.0, h))
-    return inverse * wp.matrix_from_cols(dx, dy, dz)
-
-
-@wp.func
 def lies_in_cage(
     x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), lower: wp.vec3, upper: wp.vec3
 ):
@@ -248,10 +237,8 @@ def clear_inside(
         carried.shares[n] = 0.0
 
 
-#: Steps at most, and the longest step, in cells.
-STEPS = wp.constant(24)
-
-LONGEST = wp.constant(2.0)
+#: The place that a map on a lattice takes to a target.
+inverse_position = make_inverse(CageMap, map_position, map_slope)
 
 
 @wp.kernel
@@ -271,33 +258,9 @@ def invert_map(
     m = first + wp.tid()
     n = members[m]
     target = targets[m]
-    x = carried.positions[n]
-    reach = backward.spacing
+    x = inverse_position(backward, carried.positions[n], target, backward.spacing, 0.01 * close)
     found = int(0)
     off = wp.length(map_position(backward, x) - target)
-    step = int(0)
-    while step < STEPS and off > 0.01 * close:
-        slope = map_slope(backward, x)
-        det = wp.determinant(slope)
-        if wp.abs(det) < 1.0e-9:
-            break
-        move = wp.inverse(slope) * (target - map_position(backward, x))
-        length = wp.length(move)
-        if length > LONGEST * reach:
-            move = move * (LONGEST * reach / length)
-        share = float(1.0)  # a shorter step where the whole one does not come nearer
-        better = float(0.0)
-        for _ in range(6):
-            trial = wp.length(map_position(backward, x + share * move) - target)
-            if trial < off:
-                better = share
-                off = trial
-                break
-            share *= 0.5
-        if better == 0.0:
-            break
-        x += better * move
-        step += 1
     if off <= close and map_distance(backward, x) <= tolerance:
         slope = map_slope(backward, x)
         if wp.abs(wp.determinant(slope)) > 1.0e-9:
