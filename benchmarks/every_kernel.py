@@ -213,7 +213,7 @@ def edits(device) -> None:
     field = ball_field(device)
     cages = [warpcage.CageEdit(CAGE, keep_source=True), warpcage.CageEdit(CAGE)]
     deformer = warpcage.Deformer(field, cages, resolution=12, device=device).pose([CAGE.translate((0, 0, 3)), POSE])
-    deformer.render(camera())
+    deformer.render([camera(), camera()], outputs=["canonical", "flow"], flow_pose=[CAGE, POSE])
     deformer.to_canonical(POINTS, np.ones((64, 3)))
     warpcage.bake(deformer, resolution=16)
     beside = warpcage.Cage.box((-1, -1, 1.2), (1, 1, 2))  # a part each
@@ -226,7 +226,7 @@ def edits(device) -> None:
         part = warpcage.Deformer(field, warpcage.CageEdit(low, fragments=2.0), device=device, **options)
         part.pose(low.bend(20)).render(camera())
     precise = warpcage.Deformer(field, cages, coordinates="mean_value", resolution=None, device=device)
-    precise.pose([CAGE.translate((0, 0, 3)), POSE]).render(camera())
+    precise.pose([CAGE.translate((0, 0, 3)), POSE]).render(camera(), outputs="flow", flow_pose=[CAGE, POSE])
 
 
 def near_frames(device) -> None:

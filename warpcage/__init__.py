@@ -47,7 +47,7 @@ _HOMES = {
     "splats.splat_field": ["SplatField"],
     "view.camera": ["Camera", "CameraFile", "CameraKey", "turntable"],
     "view.camera_path": ["camera_at"],
-    "view.frame": ["Frame"],
+    "view.frame": ["Frame", "Frames"],
 }
 
 _ROOMS = (

@@ -45,6 +45,7 @@ from .view.camera import CameraKey as CameraKey
 from .view.camera import turntable as turntable
 from .view.camera_path import camera_at as camera_at
 from .view.frame import Frame as Frame
+from .view.frame import Frames as Frames
 
 __version__: str
 __all__ = [
@@ -61,6 +62,7 @@ __all__ = [
     "FieldOptimizer",
     "FitOptions",
     "Frame",
+    "Frames",
     "NodeSelection",
     "PoseFile",
     "PositionMap",

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fields import BOX, KINDS, rotation, shiny_field
+from fields import BOX, KINDS, rotation, shiny_field, view
 
 from warpcage import Deformer
 from warpcage.core import as_points
@@ -60,3 +60,38 @@ def test_a_torch_renderer_sees_the_turned_field(device):
     assert inside.sum() > 200 and (seen > 0.01).sum() > 50
     error = (along - directions @ matrix)[inside].norm(dim=1)
     assert error.mean() < 1e-3
+
+
+def test_frames_are_tensors_over_the_memory_that_kernels_wrote(device):
+    """Of all views at once, from poses that are tensors too; `torch.from_dlpack` does as well."""
+    points, _ = tensors(device, count=1)
+    deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=16)
+    poses = torch.stack([torch.from_numpy(BOX.bend(angle).vertices) for angle in (0, 20, 40)]).to(device)
+    options = {"outputs": ["canonical", "flow", "instance"], "flow_poses": poses.flip(0)}
+    frames = deformer.render_poses(poses, view(size=16), **options)
+    found = frames.arrays_like(points)
+    assert [tuple(found[name].shape) for name in ("rgb", "alpha", "flow")] == [
+        (3, 16, 16, 3),
+        (3, 16, 16),
+        (3, 16, 16, 2),
+    ]
+    assert found["instance"].dtype == torch.int32 and str(found["rgb"].device) == device
+    for name, tensor in found.items():
+        assert tensor.data_ptr() == frames.arrays[name].ptr == frames[0].arrays[name].ptr
+        assert torch.from_dlpack(frames.arrays[name]).data_ptr() == tensor.data_ptr()
+        np.testing.assert_array_equal(tensor.cpu().numpy(), getattr(frames, name))
+    tiny = frames.arrays_like(np.zeros(1))
+    assert isinstance(tiny["depth"], np.ndarray) and tiny["depth"].shape == (3, 16, 16)
+
+
+def test_frames_wait_for_the_stream_that_asks():
+    """Kernels run on Warp's stream, and what torch does next on its own waits for them."""
+    if not torch.cuda.is_available():
+        pytest.skip("this torch has no CUDA")
+    deformer = Deformer(shiny_field("cuda:0"), BOX, coordinates="mean_value", resolution=16).pose(BOX.bend(20))
+    expected = deformer.render(view(size=64)).rgb.mean()
+    stream = torch.cuda.Stream()
+    with torch.cuda.stream(stream):
+        mean = torch.from_dlpack(deformer.render([view(size=64)] * 8).arrays["rgb"]).mean(dim=(1, 2, 3))
+    stream.synchronize()
+    np.testing.assert_allclose(mean.cpu().numpy(), expected, rtol=1e-5)

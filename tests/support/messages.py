@@ -136,4 +136,12 @@ MESSAGES = {
     "view.look_at_width": "width of look_at must be a whole number of at least 1, got '4'",
     "view.path_same_time": r"two cameras of a path \('a' and 'b'\) are at 1 s",
     "view.picture_width": "width of a picture must be a whole number of at least 1",
+    "views.aim": "needs where it goes: flow_pose, flow_camera or both",
+    "views.asked": "say where flow goes: ask for it, outputs=",
+    "views.counts": "a camera for each view, 2, got 3",
+    "views.flow_counts": "as many flow_poses as poses, 2, got 1",
+    "views.none": "a camera for each view, 1 or more, got 0",
+    "views.output": "outputs must be one of rgb, .* got 'canonicl', did you mean canonical",
+    "views.poses": r"poses must be a list of poses or \(n, v, 3\) vertices, got 'walk.npz'",
+    "views.sizes": "must have one size: the first has 32x32, number 1 has 24x24",
 }

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from typing_extensions import assert_type
 
 import warpcage
-from warpcage import Cage, Deformer, Frame, PoseFile, SplatDeformer, SplatField, VoxelField
+from warpcage import Cage, Deformer, Frame, Frames, PoseFile, SplatDeformer, SplatField, VoxelField
 
 Kind = Literal["harmonic", "mean_value", "green"]
 
@@ -45,6 +45,10 @@ def seen(deformer: Deformer, camera: warpcage.Camera) -> NDArray[np.float32]:
     frame = deformer.render(camera, background="transparent", supersampling=2)
     assert_type(frame, Frame)
     frame.save("bent.exr")
+    frames = deformer.render([camera, camera], outputs=["flow", "instance"], flow_camera=camera)
+    assert_type(frames, Frames)
+    assert_type(frames[0], Frame)
+    assert_type(deformer.render_poses([np.zeros((8, 3))], camera, flow_poses=[np.zeros((8, 3))]), Frames)
     return frame.rgba
 
 

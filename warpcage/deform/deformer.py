@@ -14,7 +14,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.arrays import as_given, as_host_points, as_points, empty_array, is_device_array, require_finite
+from ..core.arrays import PointsLike, as_given, as_host_points, as_points, empty_array, is_device_array, require_finite
 from ..core.checks import checked_flag, checked_path, checked_step, checked_whole, require_type
 from ..core.devices import launch, resolve_device
 from ..core.locks import owner_lock
@@ -50,12 +50,13 @@ from ..splats.matter import SplatDensity
 from ..splats.render import render_field
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
-from ..view.frame import MASK_NAMES, Frame
+from ..view.frame import MASK_NAMES, Frame, Frames
 from .exact import ExactEdits
 from .posed import DeformerOptions, PosedDeformer, PoseLike, RestLike
 from .poses import checked_pose, inverse_error
 from .splat_baking import baked_field, numbered_files, warn_of_others
 from .splat_edits import SplatEdits
+from .views import ViewOptions, render_pose, render_poses
 
 if TYPE_CHECKING:
     from typing_extensions import Self, Unpack  # of the type checker
@@ -312,36 +313,86 @@ class Deformer:
         with self.lock:
             return self._to_canonical(self.posed_edits(), points, directions, step, return_outside)
 
+    @overload
+    def render(self, camera: Camera, **options: Unpack[ViewOptions]) -> Frame: ...
+    @overload
+    def render(self, camera: Sequence[Camera], **options: Unpack[ViewOptions]) -> Frames: ...
     def render(
         self,
-        camera: Camera,
+        camera: Camera | Sequence[Camera],
         *,
         background: str | ArrayLike | None = None,
         step: float | None = None,
         supersampling: int | None = None,
         antialias: bool | None = None,
-    ) -> Frame:
-        """The view of a camera of the deformed scene, with the masks reveal, fold and outside.
+        outputs: str | Sequence[str] = (),
+        flow_pose: PoseLike | Sequence[PoseLike | None] | None = None,
+        flow_camera: Camera | Sequence[Camera] | None = None,
+    ) -> Frame | Frames:
+        """The view of a camera of the deformed scene, with the masks reveal, fold and outside; or those of several.
 
         Args:
-            camera: The camera.
+            camera: The camera; or cameras of one size, whose views follow each other without a word to the host.
             background: Colour behind the scene, a name or (3,) in [0, 1]. None is the field's own; its background model
                 stays where it is however the cages move, and shows where they clear.
             step: March step, world units, at least 1e-5 of the field's diagonal. None is the field's.
             supersampling: Rays along each side of a pixel. None is the field's.
             antialias: Of splats only: weaken those that the blur of the picture makes larger; see `SplatField.render`.
                 None is the field's own.
+            outputs: Of voxels: what is wanted beside colour, opacity, depth and masks, by names of Frame's properties:
+                "canonical", "flow", "instance".
+            flow_pose: Pose to which "flow" goes, as `pose` takes them. None is the pose of the view.
+            flow_camera: Camera to which "flow" goes, one for all views or one each. None is the camera of the view.
 
         Returns:
-            The frame, its arrays on the device.
+            The frame, its arrays on the device; the Frames of several cameras, in one allocation there.
 
         Raises:
             ValueError: For a background that is not known, a step that is not positive and finite or is too short,
                 a camera so far away that float32 cannot tell steps there, a posed cage so large that a march through it
-                would not end, supersampling out of range, or antialias with voxels.
+                would not end, supersampling out of range, or antialias with voxels. For cameras of several sizes or
+                none, outputs that are not known, and flow without its aim.
         """
         with self.lock:
-            return self._render(self.posed_edits, camera, background, step, supersampling, antialias)
+            how = background, step, supersampling, antialias
+            return render_pose(self, self.posed_edits, camera, how, outputs, flow_pose, flow_camera)
+
+    def render_poses(
+        self,
+        poses: Sequence[PoseLike | Sequence[PoseLike | None]] | PointsLike,
+        camera: Camera | Sequence[Camera],
+        *,
+        background: str | ArrayLike | None = None,
+        step: float | None = None,
+        supersampling: int | None = None,
+        antialias: bool | None = None,
+        outputs: str | Sequence[str] = (),
+        flow_poses: Sequence[PoseLike | Sequence[PoseLike | None]] | PointsLike | None = None,
+        flow_camera: Camera | Sequence[Camera] | None = None,
+    ) -> Frames:
+        """The view of a camera of each of several poses; this Deformer's own pose stays what it is.
+
+        Args:
+            poses: What `pose` takes for each view; for one edit also vertices (n, v, 3), world units, as an array of
+                any library.
+            camera: The camera, or one for each pose, of one size.
+            background: As for `render`.
+            step: As for `render`.
+            supersampling: As for `render`.
+            antialias: As for `render`.
+            outputs: As for `render`.
+            flow_poses: As many poses, to which "flow" goes. None is each view's own.
+            flow_camera: As for `render`.
+
+        Returns:
+            The Frames, in one allocation on the device.
+
+        Raises:
+            ValueError: As `pose` and `render`, and for other numbers of poses and cameras.
+        """
+        with self.lock:
+            how = background, step, supersampling, antialias
+            return render_poses(self, poses, camera, how, outputs, flow_poses, flow_camera)
 
     def _to_canonical(
         self, edits: PosedEdits, points: Any, directions: Any, step: float | None, return_outside: bool
@@ -387,8 +438,11 @@ class Deformer:
         step: float | None,
         supersampling: int | None,
         antialias: bool | None,
+        into: dict[str, wp.array] | None = None,
+        again: bool = False,
     ) -> Frame:
-        """`render` of a pose, which is worked out once the rest is checked."""
+        """`render` of a pose, which is worked out once the rest is checked. into: arrays (h * w,) to fill, None makes
+        new ones; again: a view of the same call came before, and densities are as it found them."""
         if antialias is not None and checked_flag(antialias, "antialias"):
             raise InputError("antialias is for splats: voxels take more rays a pixel (supersampling)")
         march_step, work = self.field.march_step(step, camera)
@@ -398,7 +452,8 @@ class Deformer:
             edits = posed_edits()
             require_short_march(self._spans, march_step)
             edits.begin_view(field, center, march_step)
-            field.marching.begin()
+            if not again:
+                field.marching.begin()
             tables = edits.row_tables(field, center, march_step)
 
             def march(threads: int, pinhole: Any, color: wp.vec3, make_arrays: MakeArrays) -> None:
@@ -406,13 +461,14 @@ class Deformer:
                 picture = Picture()
                 for name, array in make_arrays().items():
                     setattr(picture, name, array)
-                grid = field.marching.grid()
+                grid = field.marching.marched if again else field.marching.grid()
                 edits.prepare(grid, march_step)
                 edits.render(ViewRequest(field, grid, tables, pinhole, color, options, picture, threads, work))
 
             return march
 
-        return field.render_by(begin, camera, background=background, supersampling=supersampling, masks=MASK_NAMES)
+        how: dict[str, Any] = {"background": background, "supersampling": supersampling}
+        return field.render_by(begin, camera, **how, masks=MASK_NAMES, into=into)
 
     def _march_options(self, step: float) -> Any:
         """The MarchOptions of a view."""
@@ -607,11 +663,13 @@ class SplatDeformer(Deformer):
         step: float | None,
         supersampling: int | None,
         antialias: bool | None,
+        into: dict[str, wp.array] | None = None,
+        again: bool = False,
     ) -> Frame:
         """`render` of a pose."""
         if step is not None:
             raise InputError("splats are not marched through: leave step out")
-        return render_field(self.field, posed_edits().posed, camera, background, supersampling, antialias)
+        return render_field(self.field, posed_edits().posed, camera, background, supersampling, antialias, into)
 
 
 # `__new__`, which chooses the class, would hide it

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, overload
 
 import warp as wp
 from numpy.typing import ArrayLike
@@ -15,9 +16,12 @@ from ..core.names import Coordinates, Density, SplatMap, Store
 from ..core.reports import Progress
 from ..edits.edits import CageEdit
 from ..view.camera import Camera
-from ..view.frame import Frame
+from ..view.frame import Frame, Frames
+from .views import ViewOptions, render_pose
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack  # of the type checker
+
     from .deformer import Deformer
 
 
@@ -55,16 +59,24 @@ class PosedDeformer:
         with shared.lock:
             return shared._to_canonical(shared._hold(self.deformed), points, directions, step, return_outside)
 
+    @overload
+    def render(self, camera: Camera, **options: Unpack[ViewOptions]) -> Frame: ...
+    @overload
+    def render(self, camera: Sequence[Camera], **options: Unpack[ViewOptions]) -> Frames: ...
     def render(
         self,
-        camera: Camera,
+        camera: Camera | Sequence[Camera],
         *,
         background: str | ArrayLike | None = None,
         step: float | None = None,
         supersampling: int | None = None,
         antialias: bool | None = None,
-    ) -> Frame:
-        """The view of a camera of the scene in this pose; see `Deformer.render`."""
-        shared, options = self.deformer, (background, step, supersampling, antialias)
+        outputs: str | Sequence[str] = (),
+        flow_pose: PoseLike | Sequence[PoseLike | None] | None = None,
+        flow_camera: Camera | Sequence[Camera] | None = None,
+    ) -> Frame | Frames:
+        """The view of a camera, or those of several, of the scene in this pose; see `Deformer.render`."""
+        shared, how = self.deformer, (background, step, supersampling, antialias)
         with shared.lock:
-            return shared._render(lambda: shared._hold(self.deformed), camera, *options)
+            hold = functools.partial(shared._hold, self.deformed)
+            return render_pose(shared, hold, camera, how, outputs, flow_pose, flow_camera)

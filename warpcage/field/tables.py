@@ -235,6 +235,11 @@ class MarchTables:
         with self._lock:
             self._matter.compare(self._grid.density)
 
+    @property
+    def marched(self) -> Any:
+        """The VoxelGrid as `grid` returned it last: for views that follow it with the same densities."""
+        return self._marched
+
     def grid(self) -> Any:
         """The VoxelGrid, with a `skip` that leaves out what holds no matter now."""
         own = self._grid

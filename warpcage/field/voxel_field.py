@@ -299,6 +299,7 @@ class VoxelField:
         background: str | ArrayLike | None = None,
         supersampling: int | None = None,
         masks: tuple[str, ...] = (),
+        into: dict[str, wp.array] | None = None,
     ) -> Frame:
         """The view of a camera by another march through this field, before the field's own background.
 
@@ -309,6 +310,7 @@ class VoxelField:
             background: As for `render`.
             supersampling: As for `render`.
             masks: Names of the masks that the march fills beside colour, opacity and depth.
+            into: Arrays (h * w,) to fill, by the names of the frame's parts and masks. None makes new ones.
 
         Returns:
             The frame, its arrays on the field's device.
@@ -329,6 +331,7 @@ class VoxelField:
             device=self.device,
             spare=self._spare,
             masks=masks,
+            into=into,
         )
         return frame.seen_by(camera, None if layers else color, background)
 

@@ -65,18 +65,21 @@ class SplatRenderer:
         near: float = 0.0,  # splats whose centre is less than this before the camera are left out, world units
         supersampling: int = 1,  # rays along each side of a pixel
         antialias: bool = False,  # the blur adds no matter (Mip-Splatting), for fields that were fitted in that way
+        into: dict[str, wp.array] | None = None,  # arrays of the frame to fill; None makes new ones
     ) -> Frame:
         """The view of a camera, its arrays on the device; splats: a Splats of kernels/splats/splats.py."""
         side = checked_supersampling(supersampling)
         fine = finer_camera(camera, side)
         lens = splat_lens(fine, origin, near, IMAGE_BLUR * side**2, antialias)  # blurred as with one ray a pixel
         with self._lock:
-            arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device, self._spare)
+            arrays = into if side == 1 else None
+            if arrays is None:
+                arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device, self._spare)
             seen = self._project(splats, lens)
             self.entry_count = 0
             inputs = [wp.vec3(*map(float, color)), STOP_TRANSMITTANCE]
             self._draw(tile_grid(fine), seen, inputs, [arrays[name] for name in PART_NAMES])
-            return average_frame(Frame(fine.width, fine.height, **arrays), side)
+            return average_frame(Frame(fine.width, fine.height, **arrays), side, into)
 
     def _project(self, splats: WarpStruct, lens: Any) -> tuple[int, wp.array, wp.array, wp.array]:
         """Number of splats, their view, their sorted depths, and their order."""
@@ -149,6 +152,7 @@ def render_field(
     background: str | ArrayLike | None,
     supersampling: int | None,
     antialias: bool | None,
+    into: dict[str, wp.array] | None = None,
 ) -> Frame:
     """The view of a camera as `SplatField.render` has it."""
     require_type(camera, Camera, "render needs")
@@ -161,6 +165,7 @@ def render_field(
         near=field.near,
         supersampling=1 if supersampling is None else supersampling,
         antialias=field.antialias if antialias is None else checked_flag(antialias, "antialias"),
+        into=into,
     )
     return frame.seen_by(camera, color, background)
 

@@ -6,14 +6,14 @@ import dataclasses
 import math
 import numbers
 import os
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, overload
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import HostCopy, empty_array
+from ..core.arrays import HostCopy, array_view, as_given, empty_array
 from ..core.checks import checked_path, checked_whole, real_array, shown
 from ..core.devices import launch
 from ..core.files import atomic_path
@@ -37,6 +37,12 @@ RGB_BYTES = "rgb_bytes"
 #: Masks of frames that were worked on after they were rendered.
 LATER_MASKS = ("filled",)
 
+#: What frames have where it is asked for; see the properties.
+OUTPUT_NAMES = ("canonical", "flow", "instance")
+
+#: Types of a pixel's value that are not float32.
+_TYPES: dict[str, Any] = {"rgb": wp.vec3, "canonical": wp.vec3, "flow": wp.vec2, "instance": wp.int32}
+
 #: How files end that a frame is written to.
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npz")
 
@@ -55,7 +61,8 @@ class Frame:
         rgb: (h * w,) wp.vec3, or anything that reshapes to (h, w, 3), composited over the background.
         alpha: (h * w,) opacity in [0, 1].
         depth: (h * w,) expected distance along the ray, world units, inf where nothing is seen.
-        masks: Masks of a deformed frame by name, (h * w,) each: reveal, fold, outside, filled (see the properties).
+        masks: Masks of a deformed frame by name, (h * w,) each: reveal, fold, outside, filled; and what was asked for
+            beside them, canonical, flow and instance (see the properties).
 
     Raises:
         ValueError: For sizes that do not fit, or a mask that does not exist.
@@ -63,7 +70,7 @@ class Frame:
     Attributes:
         width: Width of the picture, pixels.
         height: Height of the picture, pixels.
-        arrays: The arrays by name, as they were given: rgb, alpha, depth and the masks there are.
+        arrays: The arrays by name, as they were given: rgb, alpha, depth, and what else there is.
         camera: The camera that the frame was rendered from, None where that is not known.
         background: (3,) colour that the frame was composited over, None where that is not known or a model of a scene.
         transparent: Whether the frame was rendered with `background="transparent"`: files of it have opacity.
@@ -77,7 +84,7 @@ class Frame:
 
     def __init__(self, width: int, height: int, rgb: Any, alpha: Any, depth: Any, **masks: Any):
         width, height = checked_whole(width, "width of a frame", 1), checked_whole(height, "height of a frame", 1)
-        unknown = sorted(set(masks) - {*MASK_NAMES, *LATER_MASKS})
+        unknown = sorted(set(masks) - {*MASK_NAMES, *LATER_MASKS, *OUTPUT_NAMES})
         if unknown:
             raise InputError(f"a frame has no mask {unknown[0]!r}, it has {', '.join(MASK_NAMES)}")
         self.width, self.height = int(width), int(height)
@@ -87,9 +94,9 @@ class Frame:
             if not hasattr(array, "shape"):
                 raise InputError(f"{name} of a frame must be an array, got {type(array).__name__}")
             shape = tuple(array.shape)
-            if isinstance(array, wp.array) and array.dtype == wp.vec3:
-                shape += (3,)
-            expected = width * height * (3 if name == "rgb" else 1)
+            if isinstance(array, wp.array) and array.dtype in (wp.vec2, wp.vec3):
+                shape += (wp.types.type_size(array.dtype),)
+            expected = math.prod((width, height, *_channels(name)))
             if math.prod(shape) != expected:
                 raise InputError(f"{name} of a {width}x{height} frame holds {expected} numbers, got shape {shape}")
         self._host: dict[str, np.ndarray] = {}
@@ -144,7 +151,7 @@ class Frame:
 
         Harmonics of a field may leave [0, 1] a little; `rgb_bytes`, `rgba` and files of 8 bits clip.
         """
-        return self._on_host("rgb", 3)
+        return self._on_host("rgb")
 
     @property
     def rgb_bytes(self) -> np.ndarray:
@@ -265,6 +272,32 @@ class Frame:
         """
         return self._mask("outside")
 
+    @property
+    def canonical(self) -> np.ndarray | None:
+        """(h, w, 3) float32 where what is at `depth` in each pixel is in the scene at rest, world units.
+
+        It is `to_canonical` of the middle of the pixel's ray at that distance; NaN where nothing is seen, or where
+        nothing is at that distance, as between two surfaces. None where it was not asked for.
+        """
+        return self._mask("canonical")
+
+    @property
+    def flow(self) -> np.ndarray | None:
+        """(h, w, 2) float32 how far it is, in columns and rows, to where another view shows what is at `depth`.
+
+        Pixels, from the middle of each. NaN where nothing is seen, or where the other pose shows that matter nowhere,
+        or behind the camera. What hides it there is not asked. None where it was not asked for.
+        """
+        return self._mask("flow")
+
+    @property
+    def instance(self) -> np.ndarray | None:
+        """(h, w) int32 number of the edit in whose posed cage lies what is at `depth` in each pixel.
+
+        Of several it is the last; -1 for what no edit holds, and where nothing is. None where it was not asked for.
+        """
+        return self._mask("instance")
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the frame to a file, whole or not at all.
 
@@ -323,20 +356,133 @@ class Frame:
     def _mask(self, name: str) -> np.ndarray | None:
         return self._on_host(name) if name in self.arrays else None
 
-    def _on_host(self, name: str, *channels: int) -> np.ndarray:
+    def _on_host(self, name: str) -> np.ndarray:
         if name not in self._host:
             array = self.arrays[name]
             coming = self._coming.get(name)
             if coming is not None:
                 host = coming.wait()[0].view(np.float32)
-            elif isinstance(array, wp.array) and array.device is not None:
-                with device_turn(array.device):
-                    host = array.numpy()
             else:
-                host = np.asarray(array)
-            self._host[name] = np.ascontiguousarray(host, np.float32).reshape(self.height, self.width, *channels)
+                host = _host_array(array)
+            self._host[name] = _shaped(host, name, self.height, self.width)
             self._coming.pop(name, None)
         return self._host[name]
+
+
+def _stacked(name: str, text: str) -> Any:
+    """A property of Frames: the arrays of all views on the host."""
+
+    def on_host(frames: Frames) -> np.ndarray | None:
+        return frames._on_host(name)
+
+    return property(on_host, doc=text)
+
+
+class Frames(Sequence[Frame]):
+    """Views of one size that were rendered by one call; `frames[i]` is the Frame of view i.
+
+    Their arrays lie in one allocation on the device, which the frames share. Properties copy one of them to the host,
+    once, for all views together; what was not rendered is None.
+
+    Example::
+
+        frames = deformer.render(cameras, outputs=["canonical"])
+        rgb = torch.from_dlpack(frames.arrays["rgb"])  # (n, h, w, 3), not copied
+        frames[3].save("third.png")
+
+    Args:
+        frames: The frames of the views.
+        arrays: What they share, by name: (n * h * w,) Warp arrays, or anything that reshapes to (n, h, w, ...).
+
+    Attributes:
+        arrays: The arrays by name, contiguous: rgb and canonical (n, h, w, 3), flow (n, h, w, 2), others (n, h, w);
+            float32, instance int32.
+    """
+
+    def __init__(self, frames: Sequence[Frame], arrays: dict[str, Any]):
+        self._frames, self.arrays = list(frames), dict(arrays)
+        self._host: dict[str, np.ndarray] = {}
+        shape = len(self._frames), self._frames[0].height, self._frames[0].width
+        for name, array in arrays.items():
+            if isinstance(array, wp.array) and array.ndim == 1:
+                self.arrays[name] = array_view(array, _number_type(name), (*shape, *_channels(name)))
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Frame]: ...
+    def __getitem__(self, index: int | slice) -> Frame | list[Frame]:
+        return self._frames[index]
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self._frames)
+
+    def __reduce__(self):
+        """Copies and pickles hold NumPy arrays, as those of a Frame."""
+        return Frames, (self._frames, {name: self._on_host(name) for name in self.arrays})
+
+    def __repr__(self) -> str:
+        first = self._frames[0]
+        return f"Frames({len(self)} of {first.width}x{first.height}: {', '.join(self.arrays)})"
+
+    def arrays_like(self, given: Any) -> dict[str, Any]:
+        """The arrays as those of another library.
+
+        Args:
+            given: An array of that library on the same device, such as a torch tensor, or NumPy for copies on the host.
+
+        Returns:
+            The arrays by name, of the kind of `given`, not copied: what follows on the library's current stream waits
+            for the frames, the host does not.
+        """
+        return {name: as_given(array, given) for name, array in self.arrays.items()}
+
+    def _on_host(self, name: str) -> np.ndarray | None:
+        if name in self.arrays and name not in self._host:
+            self._host[name] = _shaped(_host_array(self.arrays[name]), name, *self.arrays[name].shape[:3])
+        return self._host.get(name)
+
+    rgb = _stacked("rgb", "(n, h, w, 3) float32, as `Frame.rgb`.")
+    alpha = _stacked("alpha", "(n, h, w) float32, as `Frame.alpha`.")
+    depth = _stacked("depth", "(n, h, w) float32, as `Frame.depth`.")
+    reveal = _stacked("reveal", "(n, h, w) float32, as `Frame.reveal`.")
+    fold = _stacked("fold", "(n, h, w) float32, as `Frame.fold`.")
+    outside = _stacked("outside", "(n, h, w) float32, as `Frame.outside`.")
+    canonical = _stacked("canonical", "(n, h, w, 3) float32, as `Frame.canonical`.")
+    flow = _stacked("flow", "(n, h, w, 2) float32, as `Frame.flow`.")
+    instance = _stacked("instance", "(n, h, w) int32, as `Frame.instance`.")
+
+
+def part_type(name: str) -> Any:
+    """The type of a pixel's value in an array of a frame, by its name."""
+    return _TYPES.get(name, wp.float32)
+
+
+def _number_type(name: str) -> Any:
+    """The type of the numbers of a pixel's value."""
+    return wp.int32 if part_type(name) == wp.int32 else wp.float32
+
+
+def _channels(name: str) -> tuple[int, ...]:
+    """How many numbers a pixel's value has, as the last side of its array; none for a plain number."""
+    count = wp.types.type_size(part_type(name))
+    return (count,) if count > 1 else ()
+
+
+def _host_array(array: Any) -> np.ndarray:
+    """An array of a frame as NumPy."""
+    if not isinstance(array, wp.array) or array.device is None:
+        return np.asarray(array)
+    with device_turn(array.device):
+        return array.numpy()
+
+
+def _shaped(host: np.ndarray, name: str, *shape: int) -> np.ndarray:
+    """Values of pixels as float32, numbers of edits as int32, in the shape of their pictures."""
+    return np.ascontiguousarray(host, wp.dtype_to_numpy(_number_type(name))).reshape(*shape, *_channels(name))
 
 
 def _comes_from_cuda(array: Any) -> bool:
@@ -392,8 +538,9 @@ def finer_camera(camera: Camera, side: int) -> Camera:
     return dataclasses.replace(camera, **{name: side * getattr(camera, name) for name in names})
 
 
-def average_frame(frame: Frame, side: int) -> Frame:
-    """A frame of Warp arrays whose pixels are joined in squares of `side`, which divides its width and height."""
+def average_frame(frame: Frame, side: int, into: dict[str, Any] | None = None) -> Frame:
+    """A frame of Warp arrays whose pixels are joined in squares of `side`, which divides its width and height.
+    into: arrays to fill, None makes new ones."""
     if side == 1:
         return frame
     width, height = frame.width // side, frame.height // side
@@ -406,7 +553,7 @@ def average_frame(frame: Frame, side: int) -> Frame:
         elif name == "depth":
             kernel = pictures.average_depths
             inputs.append(frame.arrays["alpha"])
-        joined[name] = wp.empty(width * height, dtype=parts.dtype, device=parts.device)
+        joined[name] = empty_array(width * height, parts.dtype, parts.device) if into is None else into[name]
         launch(kernel, width * height, inputs, [joined[name]], device=parts.device)
     return Frame(width, height, **joined)
 

@@ -1,0 +1,228 @@
+"""Views of posed scenes: one or many by one call, and what their pixels show beside colours."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypedDict
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from ..cage.cage import Cage
+from ..core.arrays import array_view, as_host_array, empty_array, is_device_array, struct_array
+from ..core.checks import require_type, shown
+from ..core.devices import launch
+from ..core.names import require_name
+from ..errors import InputError
+from ..field.render import picture_arrays
+from ..kernels.render.pixels import MovedCage, find_flow, follow_kernel, trace_kernel
+from ..mesh.mesh import prepared_fans
+from ..render.view import PosedEdits
+from ..splats.splat_field import SplatField
+from ..view.camera import Camera, camera_struct
+from ..view.frame import MASK_NAMES, OUTPUT_NAMES, PART_NAMES, Frame, Frames
+from .exact import ExactEdits
+
+if TYPE_CHECKING:
+    from .deformer import Deformer
+    from .posed import PoseLike
+
+#: How near to where it was a place of another pose must lead back, as a share of the largest rest cage's size.
+CLOSE = 1e-4
+
+#: Steps that a pixel takes to be followed to another pose, for launches on the CPU.
+FOLLOW_WORK = 200
+
+
+class ViewOptions(TypedDict, total=False):
+    """Options of `Deformer.render` by their names, for type checkers."""
+
+    background: str | ArrayLike | None
+    step: float | None
+    supersampling: int | None
+    antialias: bool | None
+    outputs: str | Sequence[str]
+    flow_pose: PoseLike | Sequence[PoseLike | None] | None
+    flow_camera: Camera | Sequence[Camera] | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Views:
+    """Views that were asked for by one call, each with its pose."""
+
+    cameras: Sequence[Camera]
+    holds: Sequence[Callable[[], PosedEdits]]  # each puts the pose of a view into the buffers
+    how: tuple[Any, ...]  # background, step, supersampling, antialias
+    names: Sequence[str]  # of OUTPUT_NAMES
+    flow_poses: Sequence[list[Cage | None]]  # to which flow goes; empty where it stays in each view's own
+    flow_cameras: Sequence[Camera]  # empty without flow
+
+
+def render_pose(
+    deformer: Deformer,
+    hold: Callable[[], PosedEdits],
+    camera: Camera | Sequence[Camera],
+    how: tuple[Any, ...],
+    outputs: str | Sequence[str],
+    flow_pose: Any,
+    flow_camera: Camera | Sequence[Camera] | None,
+) -> Frame | Frames:
+    """See `Deformer.render`; hold: puts the pose into the buffers. Needs the lock."""
+    names = checked_outputs(deformer, outputs, flow_pose is not None or flow_camera is not None)
+    if isinstance(camera, Camera) and not names:
+        return deformer._render(hold, camera, *how)
+    cameras = checked_cameras(camera)
+    count = len(cameras)
+    poses = [] if flow_pose is None else count * [deformer._checked(flow_pose)]
+    aims = checked_aims(cameras, flow_camera, names)
+    frames = render_views(deformer, Views(cameras, count * [hold], how, names, poses, aims))
+    return frames if is_several(camera) else frames[0]
+
+
+def render_poses(
+    deformer: Deformer,
+    poses: Any,
+    camera: Camera | Sequence[Camera],
+    how: tuple[Any, ...],
+    outputs: str | Sequence[str],
+    flow_poses: Any,
+    flow_camera: Camera | Sequence[Camera] | None,
+) -> Frames:
+    """See `Deformer.render_poses`. Needs the lock."""
+    names = checked_outputs(deformer, outputs, flow_poses is not None or flow_camera is not None)
+    cages = [deformer._checked(pose) for pose in listed_poses(poses)]
+    cameras = checked_cameras(camera, len(cages))
+    others = [] if flow_poses is None else [deformer._checked(pose) for pose in listed_poses(flow_poses)]
+    if flow_poses is not None and len(others) != len(cages):
+        raise InputError(f"there must be as many flow_poses as poses, {len(cages)}, got {len(others)}")
+    holds = [functools.partial(deformer._hold, each) for each in cages]
+    return render_views(deformer, Views(cameras, holds, how, names, others, checked_aims(cameras, flow_camera, names)))
+
+
+def listed_poses(poses: Any) -> list[Any]:
+    """Poses as callers give them, one by one: a sequence, or (n, v, 3) vertices of any library."""
+    found = list(as_host_array(poses, "poses")) if isinstance(poses, np.ndarray) or is_device_array(poses) else poses
+    if not isinstance(found, Sequence) or isinstance(found, str) or not found:
+        raise InputError(f"poses must be a list of poses or (n, v, 3) vertices, got {shown(poses)}")
+    return list(found)
+
+
+def is_several(camera: Any) -> bool:
+    """Whether a caller gave cameras, and not one."""
+    return isinstance(camera, Sequence) and not isinstance(camera, str)
+
+
+def checked_cameras(camera: Any, count: int | None = None) -> list[Camera]:
+    """The cameras of a call. count: of the views, for which one camera does too."""
+    cameras = list(camera) if is_several(camera) else (count or 1) * [camera]
+    for each in cameras:
+        require_type(each, Camera, "render needs")
+    if not cameras or count not in (None, len(cameras)):
+        raise InputError(f"there must be a camera for each view, {count or '1 or more'}, got {len(cameras)}")
+    return cameras
+
+
+def checked_aims(cameras: list[Camera], flow_camera: Any, names: Sequence[str]) -> list[Camera]:
+    """The cameras to which flow goes, where it is wanted."""
+    if "flow" not in names:
+        return []
+    return cameras if flow_camera is None else checked_cameras(flow_camera, len(cameras))
+
+
+def checked_outputs(deformer: Deformer, outputs: str | Sequence[str], flows: bool) -> list[str]:
+    """Those of OUTPUT_NAMES that a caller wants, once each. flows: another pose or camera was given."""
+    asked = [outputs] if isinstance(outputs, str) else list(outputs)
+    for name in asked:
+        require_name(name, (*PART_NAMES, *MASK_NAMES, *OUTPUT_NAMES), "outputs")
+    names = [name for name in OUTPUT_NAMES if name in asked]
+    if flows and "flow" not in names:
+        raise InputError('flow_pose and flow_camera say where flow goes: ask for it, outputs=["flow"]')
+    if "flow" in names and not flows:
+        raise InputError('outputs=["flow"] needs where it goes: flow_pose, flow_camera or both')
+    if names and isinstance(deformer.field, SplatField):
+        raise InputError(f"{', '.join(names)} look pixels up backward, as voxels are: splats move forward")
+    return names
+
+
+def render_views(deformer: Deformer, views: Views) -> Frames:
+    """The views, in one allocation; needs the lock. Between those of one pose the host waits for nothing."""
+    sizes = [(camera.width, camera.height) for camera in views.cameras]
+    other = next((number for number, size in enumerate(sizes) if size != sizes[0]), None)
+    if other is not None:
+        one, two = ("x".join(map(str, sizes[number])) for number in (0, other))
+        raise InputError(f"cameras of one call must have one size: the first has {one}, number {other} has {two}")
+    count, pixels = len(sizes), math.prod(sizes[0])
+    device = deformer.device
+    parts = PART_NAMES if isinstance(deformer.field, SplatField) else (*PART_NAMES, *MASK_NAMES)
+    arrays = picture_arrays(count * pixels, (*parts, *views.names), device)
+    tracks = count * pixels if views.flow_poses else 0  # pixels that are followed to another pose
+    scratch = {"places": empty_array(tracks, wp.vec3, device), "paths": empty_array(tracks, wp.int32, device)}
+    own = [_parts_of({**arrays, **scratch}, pixels, number) for number in range(count)]
+    frames = []
+    for number, (camera, hold) in enumerate(zip(views.cameras, views.holds, strict=True)):
+        into = {name: own[number][name] for name in parts}
+        frame = deformer._render(hold, camera, *views.how, into=into, again=number > 0)
+        if tracks or {"canonical", "instance"} & set(views.names):
+            _trace(deformer, hold(), camera, own[number])
+        frame.arrays.update({name: own[number][name] for name in views.names})
+        frames.append(frame)
+    last, moved = None, []
+    for cages, mine in zip(views.flow_poses, own, strict=False):
+        edits = deformer._hold(cages)
+        if cages is not last:
+            last, moved = cages, _moved_cages(deformer, cages)
+        _follow(deformer, edits, struct_array(moved, MovedCage, device), mine)
+    for camera, other, mine in zip(views.cameras, views.flow_cameras, own, strict=False):
+        seen, target = (camera_struct(each, deformer.field.center) for each in (camera, other))
+        inputs = [seen, mine["depth"], mine["places"], target]
+        launch(find_flow, pixels, inputs, [mine["flow"]], device=device)
+    return Frames(frames, arrays)
+
+
+def _parts_of(arrays: dict[str, wp.array], pixels: int, number: int) -> dict[str, wp.array]:
+    """What arrays of several views have of one, by its number; none of arrays without entries."""
+    return {
+        name: array_view(array, array.dtype, pixels, offset=number * pixels * wp.types.type_size_in_bytes(array.dtype))
+        if array.size
+        else array
+        for name, array in arrays.items()
+    }
+
+
+def _trace(deformer: Deformer, edits: PosedEdits, camera: Camera, own: dict[str, wp.array]) -> None:
+    """Find what the pixels of a view show, of the pose that the buffers hold."""
+    center, device = deformer.field.center, deformer.device
+    none = {"canonical": empty_array(0, wp.vec3, device), "instance": empty_array(0, wp.int32, device)}
+    outputs = [{**none, **own}[name] for name in ("canonical", "instance", "places", "paths")]
+    inputs = [edits.array, wp.vec3(*center), camera_struct(camera, center), own["depth"]]
+    kernel = trace_kernel(isinstance(edits, ExactEdits))
+    launch(kernel, own["depth"].size, inputs, outputs, device=device, work=edits.sample_work)
+
+
+def _follow(deformer: Deformer, edits: PosedEdits, cages: wp.array, own: dict[str, wp.array]) -> None:
+    """Take the places of a view to the pose that the buffers hold; cages: its MovedCages."""
+    close = CLOSE * max(edit.cage.size for edit in deformer.edits)
+    inputs, places = [edits.array, cages, close, own["paths"]], own["places"]
+    kernel, work = follow_kernel(isinstance(edits, ExactEdits)), FOLLOW_WORK * edits.sample_work
+    launch(kernel, places.size, inputs, [places], device=deformer.device, work=work)
+
+
+def _moved_cages(deformer: Deformer, cages: Sequence[Cage | None]) -> list[Any]:
+    """The MovedCage of each edit in a pose."""
+    center, device = deformer.field.center, deformer.device
+    structs = []
+    for edit, cage in zip(deformer.edits, cages, strict=True):
+        struct, rest = MovedCage(), edit.cage
+        if cage is not None:
+            struct.vertices, struct.targets = (
+                wp.array((each.vertices - center).astype(np.float32), dtype=wp.vec3, device=device)
+                for each in (rest, cage)
+            )
+            struct.faces = wp.array(rest.topology.fans.faces, dtype=wp.vec3i, device=device)
+            struct.fans, struct.size = prepared_fans(struct.vertices, struct.faces, rest.size), rest.size
+        structs.append(struct)
+    return structs
