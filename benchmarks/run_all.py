@@ -40,6 +40,8 @@ QUICK = {
     "fits_curve": "fits curve --data {scene} --device cpu --points 1 --option epochs=1.0 resolution=48"
     " --json {out}/fit_curve.json",
     "frames": "frames times {of} --device cpu --size 48 --resolution 24 --runs 1 --json {out}/frames.json",
+    "frames_many": "frames many --device cpu --cameras 4 --poses 2 --size 24 --resolution 16 --runs 1"
+    " --json {out}/many.json",
     "table1": "frames table1 --quick --json {out}/table1.json --figure {out}/table1.jpg",
     "truth": "truth fields --quick --poses bend --json {out}/ground_truth.json --figures {out}",
     "compile": "compile.py --device cpu --warm-runs 1 --json {out}/compile.json",

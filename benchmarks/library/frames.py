@@ -26,6 +26,7 @@ from common import (
     JSON,
     KINDS,
     QUICK,
+    ball_field,
     command,
     launch_times,
     median_seconds,
@@ -223,6 +224,88 @@ def profile(action) -> None:
         totals[name].append(milliseconds)
     for name, taken in sorted(totals.items(), key=lambda item: -sum(item[1])):
         print(f"  {sum(taken):8.3f} ms {len(taken):4d} {name}")
+
+
+# Many views by one call
+
+
+@command(
+    option("--field", help="field file (default: a ball)"),
+    option("--cage", help="cage file, at rest (default: a box around the ball)"),
+    DEVICE,
+    option("--cameras", type=int, default=64),
+    option("--poses", type=int, default=16),
+    option("--size", type=int, default=256, help="pixels along each side"),
+    option("--kind", choices=KINDS, default="mean_value"),
+    option("--resolution", type=int, default=128, help="cells of the lattice"),
+    option("--runs", type=int, default=10),
+    JSON,
+)
+def many(args) -> None:
+    """Views of many cameras and of many poses by one call, beside a loop of single ones, by turns; and what canonical
+    positions, instances and flow add.
+
+        python benchmarks frames many --field lego.npz --cage cage.obj --device cuda:0 --json many.json
+        python benchmarks frames many --device cpu --cameras 8 --poses 2 --size 64 --resolution 32 --runs 3
+
+    Loops end where the device is done with the last view, as calls do; those "to the host" copy colours, the loop
+    after each view. Arrays of both are compared: `equal` says whether all are the same to the bit.
+    """
+    device = quiet_device(args.device)
+    field = warpcage.VoxelField.load(args.field, device=device) if args.field else ball_field(device)
+    rest = warpcage.Cage.load(args.cage) if args.cage else warpcage.Cage.box([-0.9] * 3, [0.9] * 3, segments=2)
+    deformer = warpcage.Deformer(field, rest, coordinates=args.kind, resolution=args.resolution)
+    deformer.pose(rest.bend(45, axis="y", towards="z"))
+    target, radius = field.center, 1.4 * float(np.linalg.norm(np.ptp(field.bounds, axis=0)))
+    cameras = warpcage.turntable(target, radius, 25, args.cameras, width=args.size, height=args.size)
+    poses, other = random_poses(rest, args.poses, seed=0), rest.twist(30)
+    rows = []
+
+    def compare(what, views, loop, call):
+        seconds = [np.median(taken) for taken in seconds_by_turns([loop, call], device, runs=args.runs)]
+        equal = all(
+            np.array_equal(getattr(one, name), getattr(each, name))
+            for one, each in zip(call(), loop(), strict=True)
+            for name in each.arrays
+        )
+        report(what, views, seconds[1], loop=seconds[0], times=float(seconds[0] / seconds[1]), equal=equal)
+
+    def report(what, views, seconds, loop=None, **more):
+        times = {"milliseconds": seconds, "milliseconds_a_view": seconds / views}
+        times |= {} if loop is None else {"loop_milliseconds": loop, "loop_milliseconds_a_view": loop / views}
+        rows.append({"what": what, "views": views, **{key: 1e3 * float(each) for key, each in times.items()}, **more})
+        print({key: round(each, 4) if isinstance(each, float) else each for key, each in rows[-1].items()}, flush=True)
+
+    def copied(frames):
+        for frame in frames:
+            assert frame.rgb is not None  # which waits for the view
+        return frames
+
+    def all_copied(frames):
+        assert frames.rgb is not None
+        return frames
+
+    one_by_one = lambda: [deformer.render(camera) for camera in cameras]  # noqa: E731
+    compare("cameras", len(cameras), one_by_one, lambda: deformer.render(cameras))
+    to_host = lambda: [copied([deformer.render(camera)])[0] for camera in cameras]  # noqa: E731
+    compare("cameras, to the host", len(cameras), to_host, lambda: all_copied(deformer.render(cameras)))
+    held = lambda: [deformer.posed(pose).render(cameras[0]) for pose in poses]  # noqa: E731
+    compare("poses", len(poses), held, lambda: deformer.render_poses(poses, cameras[0]))
+    for outputs, aim in (
+        (["canonical", "instance"], {}),
+        (["flow"], {"flow_camera": cameras[1:] + cameras[:1]}),
+        (["canonical", "instance", "flow"], {"flow_pose": other}),
+    ):
+        call = lambda wanted=outputs, aim=aim: deformer.render(cameras, outputs=wanted, **aim)  # noqa: E731
+        words = f"cameras, with {', '.join(outputs)}{' to another pose' if 'flow_pose' in aim else ''}"
+        report(words, len(cameras), np.median(seconds_by_turns([call], device, runs=args.runs)[0]))
+        if "flow_pose" in aim:
+            frames = call()
+            seen = np.isfinite(frames.depth)
+            rows[-1]["share_with_flow"] = float(np.isfinite(frames.flow[seen]).all(axis=-1).mean())
+            print({"share_with_flow": round(rows[-1]["share_with_flow"], 4)})
+    if args.json:
+        write_results(args.json, device, voxels=field.voxel_count, size=args.size, kind=args.kind, rows=rows)
 
 
 # Two checkouts by turns

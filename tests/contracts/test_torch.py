@@ -66,7 +66,7 @@ def test_frames_are_tensors_over_the_memory_that_kernels_wrote(device):
     """Of all views at once, from poses that are tensors too; `torch.from_dlpack` does as well."""
     points, _ = tensors(device, count=1)
     deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=16)
-    poses = torch.stack([torch.from_numpy(BOX.bend(angle).vertices) for angle in (0, 20, 40)]).to(device)
+    poses = torch.stack([torch.from_numpy(BOX.bend(angle).vertices.copy()) for angle in (0, 20, 40)]).to(device)
     options = {"outputs": ["canonical", "flow", "instance"], "flow_poses": poses.flip(0)}
     frames = deformer.render_poses(poses, view(size=16), **options)
     found = frames.arrays_like(points)
