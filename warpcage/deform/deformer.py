@@ -14,9 +14,9 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.arrays import PointsLike, as_given, as_host_points, as_points, empty_array, is_device_array, require_finite
-from ..core.checks import checked_flag, checked_path, checked_step, checked_whole, require_type
-from ..core.devices import launch, resolve_device
+from ..core.arrays import PointsLike
+from ..core.checks import checked_flag, checked_path, checked_whole, require_type
+from ..core.devices import resolve_device
 from ..core.locks import owner_lock
 from ..core.names import (
     DENSITIES,
@@ -38,7 +38,6 @@ from ..edits.fragments import found_fragments
 from ..errors import InputError, UseError
 from ..field.render import STOP_TRANSMITTANCE, MakeArrays, March
 from ..field.voxel_field import VoxelField
-from ..kernels.edits.structs import MAPPED
 from ..kernels.render.rays import MarchOptions, Picture
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..lattice.buffers import StreamOrder
@@ -53,7 +52,7 @@ from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame, Frames
 from .exact import ExactEdits
 from .posed import DeformerOptions, PosedDeformer, PoseLike, RestLike
-from .poses import checked_pose, inverse_error
+from .poses import canonical_points, checked_pose, inverse_error
 from .splat_baking import baked_field, numbered_files, warn_of_others
 from .splat_edits import SplatEdits
 from .views import ViewOptions, render_pose, render_poses
@@ -398,37 +397,7 @@ class Deformer:
         self, edits: PosedEdits, points: Any, directions: Any, step: float | None, return_outside: bool
     ) -> tuple[Any, ...]:
         """`to_canonical` of the pose that the buffers hold."""
-        step = checked_step(step, self.field.step)
-        origin, kernel_origin = np.zeros(3), self.field.center
-        dtype = np.float64 if getattr(points, "dtype", None) == np.float64 else np.float32
-        if is_device_array(points):
-            x = as_points(points, self.device)
-        else:
-            origin, kernel_origin = self.field.center, np.zeros(3)
-            x = as_points(as_host_points(points) - origin, self.device)
-        d = as_points(directions, self.device, name="directions")
-        if x.shape != d.shape:
-            raise InputError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
-        outputs = [empty_array(x.shape[0], kind, self.device) for kind in (wp.vec3, wp.vec3, wp.int32, wp.uint8)]
-        launch(
-            edits.map_kernel,
-            x.shape[0],
-            [edits.array, wp.vec3(*kernel_origin), x, d, step],
-            outputs,
-            device=self.device,
-            work=edits.sample_work,
-        )
-        if not return_outside:
-            outputs = outputs[:3]
-        if is_device_array(points) or is_device_array(directions):
-            require_finite(("points", x), ("directions", d))
-        if is_device_array(points):
-            return tuple(as_given(array, points) for array in outputs)
-        canonical, *others = (array.numpy() for array in outputs)
-        canonical = (canonical.astype(np.float64) + origin).astype(dtype)
-        still = others[1] != MAPPED  # what did not move keeps its last bit
-        canonical[still] = np.asarray(points, dtype).reshape(-1, 3)[still]
-        return (canonical, *others)
+        return canonical_points(self.field, edits, points, directions, step, return_outside)
 
     def _render(
         self,

@@ -1,4 +1,4 @@
-"""Poses of a Deformer: what is checked of them, and how far apart the two maps that a pose has are."""
+"""Poses of a Deformer: what is checked of them, where they lead points, and how far apart their two maps are."""
 
 from __future__ import annotations
 
@@ -10,11 +10,17 @@ import warp as wp
 from ..cage.cage import Cage
 from ..cage.motion import posed_cage
 from ..coordinates.coordinates import deform_points
-from ..core.arrays import as_host_points
+from ..core.arrays import as_given, as_host_points, as_points, empty_array, is_device_array, require_finite
+from ..core.checks import checked_step
+from ..core.devices import launch
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand
+from ..errors import InputError
+from ..field.voxel_field import VoxelField
+from ..kernels.edits.structs import MAPPED
 from ..mesh.match import require_same_faces
 from ..mesh.validity import require_usable
+from ..render.view import PosedEdits
 
 #: Cells along the longest side of the posed cage's box, of the grid at whose nodes the maps are compared.
 CELLS = 24
@@ -54,3 +60,40 @@ def inverse_error(
     moved = deform_points(origins[held], rest, posed, **options)
     errors[held] = np.linalg.norm(moved - places[held], axis=1)
     return places, errors
+
+
+def canonical_points(
+    field: VoxelField, edits: PosedEdits, points: Any, directions: Any, step: float | None, return_outside: bool
+) -> tuple[Any, ...]:
+    """`Deformer.to_canonical` of posed edits of a field."""
+    step, device = checked_step(step, field.step), field.device
+    origin, kernel_origin = np.zeros(3), field.center
+    dtype = np.float64 if getattr(points, "dtype", None) == np.float64 else np.float32
+    if is_device_array(points):
+        x = as_points(points, device)
+    else:
+        origin, kernel_origin = field.center, np.zeros(3)
+        x = as_points(as_host_points(points) - origin, device)
+    d = as_points(directions, device, name="directions")
+    if x.shape != d.shape:
+        raise InputError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
+    outputs = [empty_array(x.shape[0], kind, device) for kind in (wp.vec3, wp.vec3, wp.int32, wp.uint8)]
+    launch(
+        edits.map_kernel,
+        x.shape[0],
+        [edits.array, wp.vec3(*kernel_origin), x, d, step],
+        outputs,
+        device=device,
+        work=edits.sample_work,
+    )
+    if not return_outside:
+        outputs = outputs[:3]
+    if is_device_array(points) or is_device_array(directions):
+        require_finite(("points", x), ("directions", d))
+    if is_device_array(points):
+        return tuple(as_given(array, points) for array in outputs)
+    canonical, *others = (array.numpy() for array in outputs)
+    canonical = (canonical.astype(np.float64) + origin).astype(dtype)
+    still = others[1] != MAPPED  # what did not move keeps its last bit
+    canonical[still] = np.asarray(points, dtype).reshape(-1, 3)[still]
+    return (canonical, *others)
