@@ -17,6 +17,7 @@ from warpcage import (
     green_coordinates,
     harmonic_coordinates,
     mean_value_coordinates,
+    turntable,
 )
 from warpcage.errors import InputError
 
@@ -207,6 +208,17 @@ def test_results_for_torch_are_the_memory_that_kernels_wrote():
     again = wp.from_dlpack(moved)
     moved[0, 0] = 17.0
     assert again.numpy()[0, 0] == 17.0 and not moved.requires_grad
+
+
+@pytest.mark.parametrize("kind", ["torch", "jax", "cupy", "warp rows"])
+def test_frames_are_handed_on_where_they_were_written(kind):
+    frames = posed("cpu").render(turntable((0, 0, 0), 3, 20, 2, width=8, height=8), outputs=["flow"], flow_pose=BOX)
+    found = frames.arrays_like(KINDS[kind][0](points_in_box()))
+    assert set(found) == set(frames.arrays)
+    for name, array in found.items():
+        assert isinstance(array, KINDS[kind][1] or object) and array.shape[0] == 2
+        pointer = array.values.ctypes.data if kind == "cupy" else wp.from_dlpack(array).ptr
+        assert pointer == frames.arrays[name].ptr
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
