@@ -149,6 +149,7 @@ def scenes(args) -> None:
                 if sheet:
                     content["sheet"] = {"file": pathlib.Path(args.sheet).name, "fits": [label for label, _ in sheet]}
                 write_results(args.json, device, **content)
+            del field  # or the next fit's memory holds it too
 
 
 def scenes_of(args, device):

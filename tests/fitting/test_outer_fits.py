@@ -193,6 +193,21 @@ def test_what_is_around_is_finer_where_many_rays_go():
     assert FieldOptimizer(repeated(scene, 1000), outer_resolution=20, **options).background.sides[-1] == 20
 
 
+def test_what_is_finer_around_begins_faster():
+    """A step has fewer rays for each voxel; by the square of the ratio of sides, twice as fast at most, and not at
+    the end."""
+    scene = room_scene(6, 16, masks=False)
+    for side, factor in ((20, 1.0), (24, 1.0), (30, 1.5625), (36, 2.0)):
+        fit = FieldOptimizer(scene, resolution=24, levels=2, background="outer", outer_resolution=side)
+        schedule, options = fit.schedule, fit.options
+        first = schedule.rates()
+        schedule.step_count = schedule.total_steps - 1
+        last = schedule.rates()
+        rates = [first.outer, first.outer_density, last.outer, last.outer_density, first.density]
+        expected = [factor * options.rate_outer, factor * options.rate_outer_density, options.rate_outer_end]
+        np.testing.assert_allclose(rates, [*expected, options.rate_outer_density_end, options.rate_density], rtol=1e-6)
+
+
 def test_rays_of_a_fit_are_limited_unless_passes_are_asked_for():
     scene = room_scene(6, 16, masks=False)
     options = {"resolution": 16, "batch_rays": 64, "least_steps": 0, "background": "outer"}

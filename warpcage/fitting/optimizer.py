@@ -29,7 +29,7 @@ from .cameras import CAMERA_RAYS, HALF_LOOKS, CameraErrors, CameraRefinement, Ca
 from .level import Level, Look, level_memory
 from .memory import FitMemory, children_count, finer_shapes, finest, memory_limit, memory_text
 from .options import VIEW_OPTIONS, checked_options, checked_seed
-from .schedule import Schedule, least_weight, outer_haste, outer_side, plan_batches, plan_grid
+from .schedule import Schedule, least_weight, outer_side, plan_batches, plan_grid
 from .silhouettes import Silhouettes, possible_voxels
 from .surroundings import (
     MEMORY_SHARE,
@@ -148,7 +148,8 @@ class FieldOptimizer:
         self._activate_tiles()
         batch_tiles, level_steps = plan_batches(self.options, pixels, self.batches.active_tiles)
         self.batches.size(batch_tiles)
-        self.schedule = Schedule(self.options, level_steps, grid.scarcity)
+        side = outer_side(scene, self.options, grid)  # of an outer field
+        self.schedule = Schedule(self.options, level_steps, grid.scarcity, side / max(grid.shapes[-1]))
         self.background: BackgroundOptimizer | OuterOptimizer | None = None
         if around == "outer":
             self.background = OuterOptimizer(
@@ -156,8 +157,7 @@ class FieldOptimizer:
                 self.bounds,
                 scene.cameras,
                 self.options,
-                side := outer_side(scene, self.options, grid),
-                outer_haste(side, grid),
+                side,
                 around_bytes,
                 self.batches.batch_rays,
                 self.shards,

@@ -173,7 +173,9 @@ class FitOptions:
         0.125, 1e-6, 1.0, "Share of the voxels that get a gradient of the total variation in one step."
     )
     prune_weight: float = weight(
-        0.13, "A voxel is removed after a level if its largest rendering weight is below this over the resolution."
+        0.13,
+        "A voxel is removed after a level if its largest rendering weight is below this over the resolution; one of the "
+        "next level also if it is below 0.6 of `keep_weight`.",
     )
     keep_weight: float = number(
         0.01,
@@ -227,11 +229,11 @@ class FitOptions:
         MAX_OUTER_SIDE,
         "Most voxels along each side of contracted space where `outer_resolution` is None and rays are not many.",
     )
-    rate_outer: float = positive(0.06, "First learning rate of the outer field's colours.")
-    rate_outer_end: float = positive(0.003, "Last learning rate of the outer field's colours.")
-    rate_outer_density: float = positive(
-        0.083, "First learning rate of the outer field's density, in optical depth per voxel of the level."
+    rate_outer: float = positive(
+        0.06, "First learning rate of the outer field's colours; up to twice that where it is finer than the box."
     )
+    rate_outer_end: float = positive(0.003, "Last learning rate of the outer field's colours.")
+    rate_outer_density: float = positive(0.083, "The same of its density, in optical depth per voxel of the level.")
     rate_outer_density_end: float = positive(0.0042, "Last learning rate of the outer field's density.")
     variation_outer: float = weight(0.03, "Weight of the total variation of the outer field's colours.")
     variation_outer_density: float = weight(1e-4, "Weight of the total variation of the outer field's density.")

@@ -43,6 +43,9 @@ RAYS_PER_VOXEL = 160.0
 #: contracted space has more voxels along a side than the box; and by how much at most.
 OUTER_RAYS, MOST_FINER = 1200.0, 1.5
 
+#: Factor on the first rates of an outer field that is finer than the box, at most.
+MOST_HASTE = 2.0
+
 #: How the weights of the total variations follow the scarcity; measured (benchmarks/NOTES-fit-scenes.md).
 DENSITY_POWER, SH_POWER = 1.8, 1.0
 
@@ -162,11 +165,6 @@ def outer_side(scene: Scene, options: FitOptions, grid: GridPlan) -> int:
     return min(round(finer * side), MAX_OUTER_SIDE)
 
 
-def outer_haste(side: int, grid: GridPlan) -> float:
-    """Factor on the rates of an outer field of so many voxels a side: a step has fewer rays for each finer one."""
-    return float(np.clip(side / max(grid.shapes[-1]), 1.0, MOST_FINER)) ** 2
-
-
 def directional_rate(steps: int) -> float:
     """Learning rate of the coefficients that depend on direction over that of the constant ones, at most 1."""
     # In a long fit fast ones learn what is particular to each view; in a short one slow ones do not get anywhere.
@@ -231,8 +229,10 @@ class Rates:
 class Schedule:
     """The steps of a fit and its place among them; level_steps: of each level."""
 
-    def __init__(self, options: FitOptions, level_steps: list[int], scarcity: float):
+    def __init__(self, options: FitOptions, level_steps: list[int], scarcity: float, finer: float = 1.0):
         self.options, self.scarcity, self.level_steps = options, scarcity, level_steps
+        # a step has fewer rays for each voxel of an outer field that is finer than the box, by so many times
+        self.outer_haste = float(np.clip(finer**2, 1.0, MOST_HASTE))
         total = self.total_steps
         first = directional_rate(total) if options.directional is None else options.directional
         last = max(first, LATE_DIRECTIONAL) if options.directional_end is None else options.directional_end
@@ -326,8 +326,10 @@ class Schedule:
             sh=(sh, directional, directional * options.degree_falloff, directional * options.degree_falloff**2),
             directional_kept=self._directional_kept(sh),
             background=_log_interpolate(options.rate_background, options.rate_background_end, progress),
-            outer=_log_interpolate(options.rate_outer, options.rate_outer_end, progress),
-            outer_density=_log_interpolate(options.rate_outer_density, options.rate_outer_density_end, progress),
+            outer=_log_interpolate(self.outer_haste * options.rate_outer, options.rate_outer_end, progress),
+            outer_density=_log_interpolate(
+                self.outer_haste * options.rate_outer_density, options.rate_outer_density_end, progress
+            ),
         )
 
     def _directional_kept(self, rate: float) -> float:

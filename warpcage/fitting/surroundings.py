@@ -307,14 +307,13 @@ class OuterOptimizer:
         cameras: list[Camera],
         options: FitOptions,
         side: int,  # voxels along a side of contracted space in the last level
-        haste: float,  # factor on the rates
         limit: int,  # bytes that the outer field may take
         batch_rays: int,
         shards: int,  # arrays of gradients, one for each CPU thread
         device: wp.Device,
     ):
         self.options, self.shards, self.device, self.limit = options, shards, device, limit
-        self.batch_rays, self.haste = batch_rays, haste
+        self.batch_rays = batch_rays
         self.center, self.half = bounds.mean(axis=0), 0.5 * (bounds[1] - bounds[0])
         self.color = np.asarray(color, np.float32)  # of all voxels at the start, and of the sky
         self.cameras = cameras
@@ -510,8 +509,7 @@ class OuterOptimizer:
         launch(apply_layer_rmsprop, total.size, inputs, outputs, device=self.device)
         total = self.gradients[0]
         sum_shards([_numbers(gradients) for gradients in self.gradients])
-        density = rates.outer_density * 0.25 * self.outer.side
-        inputs = [self.haste * rates.outer, self.haste * density, self.options.beta, EPSILON]
+        inputs = [rates.outer, rates.outer_density * 0.25 * self.outer.side, self.options.beta, EPSILON]
         outputs = [total, self.moments, self.outer.grid.values]
         launch(outer_loss.apply_outer_rmsprop, rows, inputs, outputs, device=self.device)
 
