@@ -292,12 +292,7 @@ Posed = TypeVar("Posed", bound="PosableMesh")
 
 
 class PosableMesh(ClosedMesh):
-    """A closed mesh with a method for each function of `warpcage.cage.poses`, where the formulas are.
-
-    Args:
-        vertices: (v, 3) finite floats, world units.
-        faces: (f, 3) indices of vertices, anticlockwise seen from outside.
-    """
+    """A closed mesh with a method for each function of this module, where the formulas are."""
 
     __slots__ = ()
 

@@ -1,4 +1,4 @@
-"""Edges, normals and stretch of all faces of a mesh, as columns (3, f). Every pose needs them: few array calls."""
+"""Edges, normals and stretch of all faces of a mesh, as columns (3, f): every pose needs them; rows made one."""
 
 from __future__ import annotations
 
@@ -65,3 +65,14 @@ def stretched_normals(source: ClosedMesh, target: StretchTarget) -> np.ndarray:
     # sqrt(|s|^2 |v|^2 - 2 (s.t)(u.v) + |t|^2 |u|^2) / (sqrt(8) A)
     energy = target.ss * column_dot(v, v) - 2.0 * target.st * column_dot(u, v) + target.tt * column_dot(u, u)
     return target.normals * np.sqrt(np.maximum(0.5 * energy, 0.0) / column_dot(cross, cross))
+
+
+def joined_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (v, n) that are exactly alike made one, in the order of the first of each.
+    Returns (u,) the rows that stay, and (v,) the new number of each row."""
+    # Programs split vertices where normals, places in a texture or materials change.
+    _, first, place = np.unique(rows + 0.0, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    number = np.empty(len(order), dtype=np.int64)
+    number[order] = np.arange(len(order))
+    return first[order], number[place.reshape(-1)]

@@ -205,22 +205,13 @@ class TriangleMesh(Protocol):
 
 
 class ClosedMesh:
-    """A triangle mesh that is meant to be closed and to look outward; immutable.
+    """A triangle mesh that is meant to be closed and to look outward, immutable, of vertices (v, 3), world units, and
+    faces (f, 3), anticlockwise seen from outside; ValueError for what cannot be held."""
 
-    The constructor refuses only what cannot be held. It holds an open, inverted or tangled mesh, so that the mesh can
-    be described and mended. What computes on it calls `warpcage.mesh.usable.require_usable` first.
+    # An open, inverted or tangled mesh is held, so that it can be described and mended; what computes on a mesh calls
+    # `mesh.validity.require_usable` first. Messages call it a cage: users make one as a `warpcage.Cage`.
 
-    Messages call it a cage: users make one as a `warpcage.Cage`.
-
-    Args:
-        vertices: (v, 3) finite floats, world units. They are kept as float64 in the order given.
-        faces: (f, 3) whole numbers, indices of vertices, anticlockwise seen from outside. They are kept as int32.
-
-    Raises:
-        ValueError: For other shapes, values that are not finite, or indices that point nowhere.
-    """
-
-    # __weakref__: mesh/usable.py remembers what it found for as long as the mesh lives
+    # __weakref__: mesh/validity.py remembers what it found for as long as the mesh lives
     __slots__ = ("_vertices", "_faces", "_topology", "_bounds", "_object_name", "__weakref__")
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike):
@@ -292,11 +283,7 @@ class ClosedMesh:
         return local[self.faces[:, 0]], local[self.faces[:, 1]], local[self.faces[:, 2]]
 
     def part_volumes(self) -> np.ndarray:
-        """The volume of each connected part.
-
-        Returns:
-            (part_count,) float64, world units cubed: negative where the faces of the part look inward.
-        """
+        """(part_count,) float64 volume of each connected part, world units cubed: negative where it looks inward."""
         a, b, c = self.corners
         cones = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
         return np.bincount(self.topology.parts, weights=cones, minlength=self.topology.part_count)

@@ -17,7 +17,7 @@ from ...core.checks import shown
 from ...core.files import JSON_ROOM, read_limited
 from ...core.memory import require_host_memory
 from ...errors import InputError
-from .joining import joined_rows
+from ..faces import joined_rows
 
 #: Kinds of the chunks of a .glb file.
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942

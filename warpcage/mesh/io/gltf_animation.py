@@ -11,8 +11,8 @@ import numpy as np
 from ...core.checks import listed
 from ...core.memory import require_host_memory
 from ...errors import InputError
+from ..faces import joined_rows
 from .gltf import errors_of_file, mesh_parts, node_matrices, object_name, opened, placed_nodes, read_buffers, values_of
-from .joining import joined_rows
 
 #: Rates at which programs write animations, in the order in which they are tried.
 RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 12.0, 15.0, 120.0, 30000 / 1001, 24000 / 1001)

@@ -12,7 +12,7 @@ from ...core.checks import listed, shown
 from ...core.files import TEXT_ROOM, read_limited
 from ...core.memory import require_host_memory
 from ...errors import InputError
-from .joining import joined_rows
+from ..faces import joined_rows
 from .obj_off import floats, text_lines, whole
 
 _PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",

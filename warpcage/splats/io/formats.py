@@ -14,11 +14,10 @@ from ...errors import InputError
 from .compressed import is_compressed, read_compressed_ply, write_compressed_ply
 from .contents import SplatContents
 from .gltf import has_splats, read_gltf_splats, write_glb_splats
-from .ksplat import read_ksplat
 from .ply import read_parts, read_splat_ply, write_splat_ply
 from .sog import META, has_sog_meta, read_sog, write_sog
-from .splat import read_splat, write_splat
 from .spz import read_spz, write_spz
+from .web_viewers import read_ksplat, read_splat, write_splat
 
 #: Where other packages register a SplatFormat, in the entry points of their setup.
 ENTRY_POINTS = "warpcage.splat_formats"
