@@ -218,7 +218,7 @@ def test_an_endless_item_is_failed_and_the_rest_is_made(address, tmp_path, worke
 
 
 def test_a_worker_that_answers_no_more_is_ended(address, tmp_path, monkeypatch):
-    monkeypatch.setattr("warpcage.batch.engines.ANSWER", 3.0)
+    monkeypatch.setattr("warpcage.batch.run.ANSWER", 3.0)
     path, out = write_frames(tmp_path / "job", 12), tmp_path / "out"
     report = run_by(address, path, out, Deaf, workers=2, retries=0, item_timeout=2)
     line = "its worker was ended: it did not answer for 3 s, 1 time while it was made"

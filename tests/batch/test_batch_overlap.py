@@ -168,8 +168,8 @@ class Scripted:
 def driven(files, tmp_path, monkeypatch):
     """Runs a job of twelve frames by one worker, whose first process does what a script says: what was seen so far,
     the process, what it is asked, and what it is given. It returns whether that is all; else the process does well."""
-    monkeypatch.setattr("warpcage.batch.engines.TICK", 0.01)
-    monkeypatch.setattr("warpcage.batch.run.run_name", lambda: "run")
+    monkeypatch.setattr("warpcage.batch.run.TICK", 0.01)
+    monkeypatch.setattr("warpcage.batch.chunk_runner.run_name", lambda: "run")
     folder = OutputFolder(tmp_path / "out")
     folder.prepare()
     seen = types.SimpleNamespace(folder=folder, processes=[], orders=[], lines=[], now=0.0)
@@ -285,7 +285,7 @@ class Late(Making):
 @pytest.mark.parametrize("slow", [0.5, 0.0])
 def test_one_worker_alone_makes_the_next_chunk_meanwhile(tmp_path, monkeypatch, slow):
     """Unless its items are slow: who watches wants to know of each chunk before the next one is made."""
-    monkeypatch.setattr("warpcage.batch.engines.SLOW", slow)
+    monkeypatch.setattr("warpcage.batch.chunk_runner.SLOW", slow)
     events: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
 
     class Told(Late):

@@ -311,7 +311,7 @@ def test_a_folder_that_is_read_only_is_refused(files, tmp_path):
 def test_notes_that_cannot_be_written_end_the_run(files, tmp_path, monkeypatch):
     out = tmp_path / "out"
     OutputFolder(out).prepare()
-    monkeypatch.setattr("warpcage.batch.run.run_name", lambda: "run")
+    monkeypatch.setattr("warpcage.batch.chunk_runner.run_name", lambda: "run")
     monkeypatch.setattr("warpcage.batch.run.OutputFolder.merge", lambda folder: None)
     (out / ".warpcage" / "notes" / "run-0.jsonl").symlink_to("/dev/full")
     report = run_with(files / "jobs.jsonl", out)

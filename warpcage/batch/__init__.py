@@ -5,13 +5,13 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "chunk_runner": "Chunk ChunkReport ChunkRunner RunnerSettings",
-        "engines": "Answer Driver ProcessEngine",
+        "chunk_runner": "Answer Chunk ChunkReport ChunkRunner RunJournal RunnerSettings",
         "items": "EvaluateItem FitItem FrameItem Item record_outputs",
         "job_file": "Fingerprints ItemReader JobFile write_jobs",
         "manifest": "Manifest Notes OutputFolder Part id_key merge_notes notes_of_chunk write_array",
-        "processes": "load_ray LocalHost ray_session RayHost Share",
-        "run": "foresee Missing Options planned run_jobs RunJournal RunProgress RunReport unpaid",
+        "processes": "load_ray LocalHost ProcessEngine ray_session RayHost Share",
+        "references": "Missing",
+        "run": "Driver foresee Options planned run_jobs RunProgress RunReport unpaid",
         "scheduler": "AIM LARGEST ChunkQueue Dispatcher",
         "sweeps": "GivenSource RandomSource RandomViews write_sweep",
         "webdataset": "finish_folder pack_shard read_shard shard_holds shard_path shard_stage split_key staged_shards",

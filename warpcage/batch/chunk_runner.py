@@ -1,4 +1,4 @@
-"""The items of a chunk, one after the other, in whichever process a worker lives, and what that begins with."""
+"""The items of a chunk, one after the other, in whichever process a worker lives; and workers in this process."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import math
 import os
 import pathlib
 import platform
+import queue
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
-from typing import Any, Protocol
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, NamedTuple, Protocol
 
 import warp as wp
 
@@ -23,11 +24,11 @@ from ..core.devices import resolve_device
 from ..core.locks import device_turn
 from ..core.names import error_line
 from ..core.threads import limit_threads
-from ..errors import StateError
+from ..errors import InputError, StateError
 from .items import Item
-from .job_file import Fingerprints, ItemReader
-from .manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes, OutputFolder
-from .webdataset import pack_shard, shard_stage
+from .job_file import Fingerprints, ItemReader, JobFile
+from .manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes, OutputFolder, notes_of_chunk
+from .webdataset import pack_shard, shard_size, shard_stage
 
 #: What the same input brings again: there is no use in trying it once more.
 BAD_INPUT = (
@@ -42,6 +43,10 @@ BAD_INPUT = (
     IsADirectoryError,
     NotADirectoryError,
 )
+
+
+#: Chunks of a worker: one of which it makes items, the others while their last files are being written.
+MOST_CHUNKS = 2
 
 
 class Maker(Protocol):
@@ -393,3 +398,173 @@ def check_device(device: wp.Device) -> None:
 def run_name() -> str:
     """A name for a run that no other has."""
     return os.urandom(6).hex()
+
+
+class RunJournal:
+    """What workers are sent for chunks, and what they note of them."""
+
+    failures: Mapping[int, str] = {}  # items of the run that failed for good
+
+    def __init__(self, job: JobFile, folder: OutputFolder):
+        self._job, self._folder, self.run, self._before = job, folder, run_name(), os.stat(job.path)
+        self._shard_size, self._notes = shard_size(job), None
+
+    def __enter__(self) -> RunJournal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._notes is not None:
+            self._notes.close()
+
+    def order(self, chunk: Chunk) -> Chunk:
+        """A chunk as it is sent. A ValueError once the job file has changed; one that is replaced is open as it was."""
+        with contextlib.suppress(FileNotFoundError):
+            now, before = os.stat(self._job.path), self._before
+            if now.st_ino == before.st_ino and (now.st_size, now.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
+                raise InputError(
+                    f"{self._job.path} was changed while it ran: run again, what is made and unchanged is kept"
+                )
+        if chunk.shard is not None:
+            return dataclasses.replace(chunk, packed=self._packed(chunk.shard))
+        lines = [(self._job.data(index), self._job.line(index)) for index in chunk.items]
+        shard = chunk.items[0] // self._shard_size if self._shard_size else None
+        return dataclasses.replace(chunk, lines=lines, shard=shard)
+
+    def noted(self, worker: str, start: int, chunk: Chunk) -> tuple[ChunkReport, list[int]]:
+        """What a worker noted of a chunk: what it settled and what it left, and what it had begun, the newest last."""
+        report = ChunkReport()
+        read = self._job.reader.item
+        indices = {read(*line).id: index for line, index in zip(chunk.lines, chunk.items, strict=True)}
+        path = self._folder.notes / f"{self.run}-{worker}-{start}.jsonl"
+        settled, begun = notes_of_chunk(path, chunk.number)
+        for record in settled:
+            index = indices.pop(record["id"])
+            if record["state"] == DONE:
+                report.done.append(index)
+                report.seconds.append(float(record["seconds"]))
+            else:
+                (report.errors if record["state"] == ERROR else report.failed).append((index, record["error"]))
+        report.left = list(indices.values())
+        return report, [indices[each] for each in begun]
+
+    def lost(self, item: int, error: str, attempts: int) -> None:
+        """Note an item that failed with its workers."""
+        self._notes = self._notes or self._folder.new_notes(f"{self.run}-driver")
+        found = self._job.item(item)
+        record = {"id": found.id, "state": FAILED, "kind": found.kind, "attempts": attempts, "error": error}
+        self._notes.append(record)
+
+    def _packed(self, shard: int) -> list[dict[str, str]]:
+        """The outputs of all items of a shard that are there: what was to be made of it is settled."""
+        begin = shard * self._shard_size
+        indices = range(begin, min(begin + self._shard_size, len(self._job)))
+        there = (self._job.item(index) for index in indices if index not in self.failures)
+        return [{path: part for part, path in item.outputs.items()} for item in there]
+
+
+class Answer(NamedTuple):
+    """What a worker answers to what was submitted."""
+
+    worker: str
+    method: str  # of `ChunkRunner`
+    number: int  # of the chunk that it is about; 0 for none
+    found: Any
+    error: str | None = None  # one line: why the worker will answer nothing any more
+
+
+class Engine(Protocol):
+    """Where workers live: in this process, in others, or under a virtual clock."""
+
+    overlapping: bool  # whether it is to be asked when all items of a chunk are begun
+
+    def now(self) -> float:
+        """Seconds of a clock that never goes back."""
+        ...
+
+    def start(self, worker: str, start: int) -> None:
+        """Start the process of a worker, for the time `start` from 1; the answer of "facts" says that it has."""
+
+    def submit(self, worker: str, method: str, *given: Any) -> None:
+        """Call a method of a worker's `ChunkRunner`, which `wait` has the answer of."""
+
+    def cancel(self, worker: str) -> None:
+        """End the process of a worker, wherever it is at; what it has not answered is not heard any more."""
+
+    def wait(self, timeout: float) -> Iterable[Answer]:
+        """What was answered since, at least one unless the time passes; RuntimeError where no worker can start.
+        Of a worker that is ended while this is looked through no more answers come."""
+        ...
+
+
+SLOW = 0.5  # seconds of an item; then a chunk is settled before the next, as this thread tells of it only after that
+
+
+class LocalEngine:
+    """Runs chunks in this process, one after the other: items in the thread that waits, while others wait for files."""
+
+    overlapping = False  # it says when items are begun without being asked
+
+    def __init__(self, runner: ChunkRunner):
+        self._runner = runner
+        self._given: tuple[str, Chunk] | None = None
+        self._settling = ThreadPoolExecutor(MOST_CHUNKS, "warpcage-settling")
+        self._told: queue.SimpleQueue[tuple[str, str, int, Future[Any]]] = queue.SimpleQueue()
+        self._ending = 0
+
+    def now(self) -> float:
+        """Seconds of a clock that never goes back."""
+        return time.monotonic()
+
+    def start(self, worker: str, start: int) -> None:
+        """The worker is here; a RuntimeError when it is started again."""
+        if start > 1:  # a device that is lost stays so in this process
+            raise StateError("the device works no more in this process: run again, what is made is kept")
+        self._tell(worker, "facts", 0)
+
+    def submit(self, worker: str, method: str, *given: Any) -> None:
+        """Take a chunk, which `wait` makes; nothing comes back of one, as nobody can ask while it is made."""
+        if method == "run":
+            self._given = worker, given[0]
+        elif method == "recall":
+            self._tell(worker, method, given[0], [])
+        else:
+            self._runner.stop()
+
+    def cancel(self, worker: str) -> None:
+        """The worker is this process."""
+
+    def wait(self, timeout: float) -> list[Answer]:
+        """Make the chunk that was given, or wait for one whose files are being written."""
+        if self._given is not None:
+            (worker, order), self._given = self._given, None
+            start = self.now()
+            begun = self._runner.begin(order)
+            if self.now() - start > SLOW * len(order.items):
+                self._tell(worker, "run", order.number, self._runner.settle(begun))
+            else:
+                self._ending += 1
+                self._tell(worker, "begun", order.number)
+                self._settling.submit(self._runner.settle, begun).add_done_callback(
+                    lambda done: self._told.put((worker, "run", order.number, done))
+                )
+        answers: list[Answer] = []
+        while not self._told.empty() or (self._ending and not answers):
+            try:
+                worker, method, number, found = self._told.get(timeout=timeout)
+            except queue.Empty:
+                break
+            answers.append(Answer(worker, method, number, found.result()))
+            self._ending -= method == "run"
+        return answers
+
+    def _tell(self, worker: str, method: str, number: int, found: Any = None) -> None:
+        """Let an answer come into the queue."""
+        done: Future[Any] = Future()
+        done.set_result(found)
+        self._ending += method == "run"
+        self._told.put((worker, method, number, done))
+
+    def close(self) -> None:
+        """Wait for files that are being written, and close the notes of the worker."""
+        self._settling.shutdown()
+        self._runner.close()

@@ -11,10 +11,10 @@ from typing import Annotated, Any, ClassVar
 
 from ..core.checks import checked_bounds, shown
 from ..core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, edit_fields
+from ..edits import words
+from ..edits.words import EDIT_WORDS, Checker, EditWords, checked_words, one_of, plain, safe_name, text
 from ..errors import InputError
 from ..splats.io import SPLAT_ENDINGS
-from . import words
-from .words import EDIT_WORDS, Checker, EditWords, checked_words, one_of, plain, safe_name, text
 
 #: Names in the folder of a run that no output may have, in any case of letters.
 RESERVED = ("manifest.jsonl",)

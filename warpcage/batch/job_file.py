@@ -18,6 +18,7 @@ import numpy as np
 from ..core.checks import listed, shown
 from ..core.files import JSON_ROOM, NpyFile, PathLike, atomic_path, file_stamp, require_file
 from ..core.memory import LRUCache, require_host_memory
+from ..edits.words import checked_words, one_of, split_reference, truth, whole
 from ..errors import InputError
 from .items import (
     KINDS,
@@ -31,7 +32,6 @@ from .items import (
     require_frame,
     require_recordable,
 )
-from .words import checked_words, one_of, split_reference, truth, whole
 
 
 def _no_constant(name: str) -> Any:

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import types
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -26,9 +27,8 @@ import warp as wp
 from ..core.devices import start_warp
 from ..core.names import error_line
 from ..core.threads import cpu_threads
-from ..errors import InputError, MissingPackageError
-from .chunk_runner import RunnerSettings, make_runner
-from .scheduler import MOST_CHUNKS
+from ..errors import InputError, MissingPackageError, StateError
+from .chunk_runner import MOST_CHUNKS, Answer, RunnerSettings, make_runner
 
 #: Calls that a worker answers at once: one a chunk, one that tells when all items are begun, and one that shortens a
 #: chunk or tells of items.
@@ -356,3 +356,81 @@ class RayHost:
         if "node has died" in text or "node died" in text:
             return "its worker died with its machine"
         return "its worker died: killed, or a crash of the process"
+
+
+#: Workers up to which a driver is told when the items of a chunk are begun, so that another one can be under way while
+#: files are written. Chunks of more workers take so long that this gains nothing, and costs the driver a message each.
+MOST_OVERLAPPING = 64
+
+
+Process = LocalProcess | RayProcess
+
+
+class ProcessEngine:
+    """Runs chunks in processes that a host starts; settings: of every worker, its name and notes are filled in."""
+
+    def __init__(self, host: LocalHost | RayHost, settings: RunnerSettings):
+        self._host = host
+        self.settings = dataclasses.replace(settings, device=host.share.device, threads=host.share.threads)
+        self.overlapping = host.share.workers <= MOST_OVERLAPPING
+        self._answers: queue.SimpleQueue[tuple[str, Process, str, int, Future[Any]]] = queue.SimpleQueue()
+        self._processes: dict[str, Process] = {}
+        self.places: dict[str, dict[str, Any]] = {}  # pid and host of each that has started
+        self._ready: set[str] = set()
+        self._alone_since = self.now()  # since when no worker is ready, where none is
+
+    def now(self) -> float:
+        """Seconds of a clock that never goes back."""
+        return time.monotonic()
+
+    def start(self, worker: str, start: int) -> None:
+        """Start the process of a worker."""
+        notes = f"{self.settings.run}-{worker}-{start}"
+        settings = dataclasses.replace(self.settings, worker=worker, notes=notes)
+        self._processes[worker] = self._host.start(settings)
+        self.submit(worker, "facts")
+
+    def submit(self, worker: str, method: str, *given: Any) -> None:
+        """Call a method of its runner; the answer comes into the queue from another thread."""
+        process, answers = self._processes[worker], self._answers
+        number = given[0].number if method == "run" else given[0] if given else 0
+        process.ask(method, *given).add_done_callback(
+            lambda answer: answers.put((worker, process, method, number, answer))
+        )
+
+    def cancel(self, worker: str) -> None:
+        """End a process."""
+        self._ready.discard(worker)
+        if not self._ready:
+            self._alone_since = self.now()
+        self.places.pop(worker, None)
+        process = self._processes.pop(worker)
+        process.kill()
+        process.wait()
+
+    def wait(self, timeout: float) -> Iterator[Answer]:
+        """What workers answered; a RuntimeError where none could start for a long time."""
+        with contextlib.suppress(queue.Empty):
+            told = self._answers.get(timeout=timeout)
+            while True:
+                worker, process, method, number, answer = told
+                if process is self._processes.get(worker):  # else one that is gone
+                    error = answer.exception()
+                    if error is not None:
+                        yield Answer(worker, method, number, None, self._host.death_line(error))
+                    else:
+                        if method == "facts":
+                            self._ready.add(worker)
+                            self.places[worker] = answer.result()
+                        yield Answer(worker, method, number, answer.result())
+                told = self._answers.get_nowait()
+        if not self._ready and self.now() - self._alone_since > self._host.patience:
+            raise StateError(f"no worker started within {self._host.patience:.0f} s{self._host.no_place}")
+
+    def close(self) -> None:
+        """End all workers."""
+        for process in self._processes.values():
+            process.kill()
+        for process in self._processes.values():
+            process.wait()
+        self._processes.clear()

@@ -22,14 +22,15 @@ from ..cage.random_poses import PoseProbe, RandomPoses
 from ..cage.up_axis import load_standing
 from ..core.arrays import array_bytes
 from ..core.checks import shown
-from ..core.files import DAMAGED, NpyFile, file_stamp, require_file
+from ..core.files import DAMAGED, NpyFile, PathLike, file_stamp, require_file
 from ..core.memory import LRUCache, free_bytes
+from ..edits.words import RANDOM, EditWords, split_reference
 from ..errors import InputError
 from ..scene.formats.transforms import TransformsCameras
 from ..splats.splat_field import AnyField, read_field
 from ..view.camera import Camera, CameraFile, camera_from_json, fitted
-from .items import FrameItem, canonical
-from .words import RANDOM, EditWords, split_reference
+from .items import FrameItem, Item, canonical
+from .job_file import references_of
 
 #: Cages whose poses can be measured at once, and poses, that are kept: items of one pose follow each other.
 MOST_PROBES, MOST_POSES = 8, 16
@@ -289,3 +290,40 @@ class LoadedFields:
     def forget(self) -> None:
         """Let go of all fields."""
         self.kept.clear()
+
+
+#: Files that are remembered: each is looked at once, however many items name it.
+MOST_KNOWN = 100_000
+
+
+class Missing:
+    """Looks for files and rows that items name; base: folder that their paths are relative to."""
+
+    def __init__(self, base: PathLike):
+        self.base = base
+        self._files: LRUCache[NpyFile | str | None] = LRUCache(MOST_KNOWN)
+
+    def of(self, item: Item) -> str | None:
+        """One line on the first that an item names and is not there; None where all is there."""
+        found = (self._wrong(reference) for reference in references_of(item))  # whether it can be used shows later
+        return next((line for line in found if line), None)
+
+    def _wrong(self, reference: str) -> str | None:
+        name, place = split_reference(reference)
+        file = self._files.get(name, lambda: self._looked_at(name))
+        if isinstance(file, str) or file is None or not place:
+            return file if isinstance(file, str) else None
+        rows = file.shape[0] if file.shape else 0
+        if place.isdigit() and int(place) >= rows:
+            return f"{file.path} has rows 0 to {rows - 1}, got {place}" if rows else f"{file.path} has no rows"
+        return None
+
+    def _looked_at(self, name: str) -> NpyFile | str | None:
+        """The array in a .npy file, None for another that is there, or a line on what is wrong."""
+        path = os.path.join(self.base, name)
+        try:
+            if os.path.isdir(path) or is_preset(name, self.base):
+                return None
+            return NpyFile(path) if name.lower().endswith(".npy") else require_file(path, "file") and None
+        except (OSError, ValueError) as error:
+            return str(error)

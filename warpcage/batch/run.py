@@ -5,7 +5,6 @@ from __future__ import annotations
 import collections
 import contextlib
 import dataclasses
-import os
 import pathlib
 import tempfile
 import time
@@ -14,23 +13,30 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..cage.pose_file import is_preset
 from ..core.checks import checked_positive, checked_whole
 from ..core.devices import resolve_device
-from ..core.files import NpyFile, PathLike, require_file
-from ..core.memory import LRUCache
+from ..core.files import PathLike
 from ..core.names import counted, error_line
 from ..core.threads import cpu_threads, limit_threads
-from ..errors import InputError
-from .chunk_runner import Chunk, ChunkReport, Maker, RunnerSettings, leaves_no_room, make_runner, run_name
-from .engines import GRACE, Driver, Engine, LocalEngine, ProcessEngine
-from .items import FOLDER, Item
-from .job_file import Fingerprints, JobFile, references_of
-from .manifest import DONE, ERROR, FAILED, Manifest, OutputFolder, Part, merge_notes, newest_seconds, notes_of_chunk
-from .processes import LocalHost, RayHost, ray_session
+from ..errors import StateError
+from .chunk_runner import (
+    Answer,
+    Chunk,
+    ChunkReport,
+    Engine,
+    LocalEngine,
+    Maker,
+    RunJournal,
+    RunnerSettings,
+    leaves_no_room,
+    make_runner,
+)
+from .items import FOLDER
+from .job_file import Fingerprints, JobFile
+from .manifest import Manifest, OutputFolder, Part, merge_notes, newest_seconds
+from .processes import LocalHost, ProcessEngine, RayHost, ray_session
 from .scheduler import AIM, KIND_NUMBERS, Dispatcher, Plan, make_plan, open_shards
 from .webdataset import finish_folder, shard_path, shard_size, span_of
-from .words import split_reference
 
 if TYPE_CHECKING:
     from .worker import Worker
@@ -168,7 +174,8 @@ def run_jobs(
         try:
             with journal, _engine(options, settings) as (engine, count):
                 chunks = plan.chunks(aim=_aim(options, count), whole=shards is not None)
-                dispatcher = journal.dispatcher = Dispatcher(chunks, retries=retries, shards=shards)
+                dispatcher = Dispatcher(chunks, retries=retries, shards=shards)
+                journal.failures = dispatcher.failures
                 for number in range(max(1, min(count, len(plan.items)))):
                     dispatcher.add_worker(str(number))
                 halt = _drive(plan, dispatcher, engine, journal, options, count, begin, tell, say)
@@ -252,66 +259,167 @@ class Options:
         return self.cluster is None and self.workers in (None, 1) and self.item_timeout is None
 
 
-class RunJournal:
-    """What workers are sent for chunks, and what they note of them."""
+TICK = 1.0  # seconds after which the driver looks for stragglers even where nothing happened
+ANSWER = 60.0  # seconds within which a worker that is asked must answer: one that does not is taken for hung
+LEAST_LOOK = 0.5  # seconds between two looks at a worker at least
+GRACE = 5.0  # seconds that workers get to end the items that they have begun, when a run is interrupted
 
-    dispatcher: Dispatcher  # knows which items failed
 
-    def __init__(self, job: JobFile, folder: OutputFolder):
-        self._job, self._folder, self.run, self._before = job, folder, run_name(), os.stat(job.path)
-        self._shard_size, self._notes = shard_size(job), None
+class Driver:
+    """Makes all that a dispatcher has; item_timeout: seconds after which the worker of an item is ended, None is never.
+    progress: called after each answer; warn: takes a line about a worker that died."""
 
-    def __enter__(self) -> RunJournal:
-        return self
+    def __init__(
+        self,
+        dispatcher: Dispatcher,
+        engine: Engine,
+        journal: RunJournal,
+        *,
+        item_timeout: float | None = None,
+        progress: Callable[[], None] = lambda: None,
+        warn: Callable[[str], None] = lambda line: None,
+    ):
+        self._dispatcher, self._engine, self._journal = dispatcher, engine, journal
+        self._limit, self._progress, self._warn = item_timeout, progress, warn
+        self._idle: dict[str, None] = {}
+        self._starts: collections.Counter[str] = collections.Counter()  # how often each was started
+        self._orders: dict[str, dict[int, Chunk]] = {}  # of the chunks of each worker, by number, the oldest first
+        self._looks: dict[tuple[str, int], float] = {}  # when a chunk of a worker is to be looked at
+        self._asked: dict[tuple[str, int], float] = {}  # since when a worker owes an answer about a chunk
+        self.halt: str | None = None  # why it ended before its end, one line
 
-    def __exit__(self, *_: object) -> None:
-        if self._notes is not None:
-            self._notes.close()
+    def run(self) -> str | None:
+        """Start the workers, and make all; returns why it ended before its end, one line; None where all is settled."""
+        for name in self._dispatcher.names:
+            self._start(name)
+        while not self._dispatcher.finished:
+            for answer in self._engine.wait(TICK):
+                self._hear(answer)
+                self._progress()
+            self._look()
+            self._hand_out()
+        return self.halt
 
-    def order(self, chunk: Chunk) -> Chunk:
-        """A chunk as it is sent. A ValueError once the job file has changed; one that is replaced is open as it was."""
-        with contextlib.suppress(FileNotFoundError):
-            now, before = os.stat(self._job.path), self._before
-            if now.st_ino == before.st_ino and (now.st_size, now.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
-                raise InputError(
-                    f"{self._job.path} was changed while it ran: run again, what is made and unchanged is kept"
-                )
-        if chunk.shard is not None:
-            return dataclasses.replace(chunk, packed=self._packed(chunk.shard))
-        lines = [(self._job.data(index), self._job.line(index)) for index in chunk.items]
-        shard = chunk.items[0] // self._shard_size if self._shard_size else None
-        return dataclasses.replace(chunk, lines=lines, shard=shard)
+    def drain(self, seconds: float) -> None:
+        """Let workers end, within seconds, what they have begun, and begin no more."""
+        self.stop()
+        end = self._engine.now() + seconds
+        while any(self._orders.values()) and self._engine.now() < end:
+            for answer in self._engine.wait(0.1):
+                self._hear(answer)
 
-    def noted(self, worker: str, start: int, chunk: Chunk) -> tuple[ChunkReport, list[int]]:
-        """What a worker noted of a chunk: what it settled and what it left, and what it had begun, the newest last."""
-        report = ChunkReport()
-        read = self._job.reader.item
-        indices = {read(*line).id: index for line, index in zip(chunk.lines, chunk.items, strict=True)}
-        path = self._folder.notes / f"{self.run}-{worker}-{start}.jsonl"
-        settled, begun = notes_of_chunk(path, chunk.number)
-        for record in settled:
-            index = indices.pop(record["id"])
-            if record["state"] == DONE:
-                report.done.append(index)
-                report.seconds.append(float(record["seconds"]))
-            else:
-                (report.errors if record["state"] == ERROR else report.failed).append((index, record["error"]))
-        report.left = list(indices.values())
-        return report, [indices[each] for each in begun]
+    def stop(self) -> None:
+        """Let all workers begin no more items."""
+        self._dispatcher.stop()
+        for name in self._orders:
+            self._engine.submit(name, "stop")
 
-    def lost(self, item: int, error: str, attempts: int) -> None:
-        """Note an item that failed with its workers."""
-        self._notes = self._notes or self._folder.new_notes(f"{self.run}-driver")
-        found = self._job.item(item)
-        record = {"id": found.id, "state": FAILED, "kind": found.kind, "attempts": attempts, "error": error}
-        self._notes.append(record)
+    def _start(self, name: str) -> None:
+        self._starts[name] += 1
+        self._engine.start(name, self._starts[name])
+        self._orders[name] = {}
 
-    def _packed(self, shard: int) -> list[dict[str, str]]:
-        """The outputs of all items of a shard that are there: what was to be made of it is settled."""
-        begin = shard * self._shard_size
-        indices = range(begin, min(begin + self._shard_size, len(self._job)))
-        there = (self._job.item(index) for index in indices if index not in self.dispatcher.failures)
-        return [{path: part for part, path in item.outputs.items()} for item in there]
+    def _hear(self, answer: Answer) -> None:
+        name, number = answer.worker, answer.number
+        if answer.error is not None:
+            self._died(name, answer.error)
+        elif answer.method == "facts":
+            self._idle[name] = None
+        elif answer.method == "begun" and self._dispatcher.begun(name, number):
+            self._idle[name] = None
+        elif answer.method == "recall":
+            self._dispatcher.returned(name, number, answer.found)
+        elif answer.method == "oldest" and self._asked.pop((name, number), None) is not None:
+            item, seconds = answer.found or (None, 0.0)
+            self._looks[name, number] = self._engine.now() + max((self._limit or 0.0) - seconds, LEAST_LOOK)
+            if self._limit is not None and seconds > self._limit:
+                self._died(name, f"its worker was ended: the item took longer than {self._limit:g} s", item)
+        elif answer.method == "run":
+            self._reported(name, number, answer.found)
+
+    def _reported(self, name: str, number: int, report: ChunkReport) -> None:
+        """A worker is done with a chunk. One that can make no more is ended; its other chunks are as its notes say."""
+        self._forget(name, number)
+        if report.broken is not None:
+            for order in self._end(name):
+                rest, _ = self._journal.noted(name, self._starts[name], order)
+                self._dispatcher.reported(name, rest, self._engine.now(), order.number)
+        self._dispatcher.reported(name, report, self._engine.now(), number)
+        if report.halt is not None and self.halt is None:
+            self.halt = report.halt
+            self.stop()
+        if report.broken is not None:
+            self._replace(name, report.broken)
+        elif self._dispatcher.takes(name):
+            self._idle[name] = None
+
+    def _died(self, name: str, reason: str, late: int | None = None) -> None:
+        """A worker answers no more, or is not to; late: the item that took too long, which is to blame then."""
+        report, begun = ChunkReport(), []
+        for order in self._end(name):
+            noted, begun_of_chunk = self._journal.noted(name, self._starts[name], order)
+            for part in ("done", "seconds", "failed", "errors"):
+                getattr(report, part).extend(getattr(noted, part))
+            begun += begun_of_chunk
+        if late is not None:  # none is to blame where it was settled at the last moment
+            begun = [item for item in begun if item != late] + [late] if late in begun else []
+        for item, error in self._dispatcher.died(name, report, begun, reason):
+            self._journal.lost(item, error, self._dispatcher.retries + 1)
+        self._replace(name, reason)
+
+    def _end(self, name: str) -> list[Chunk]:
+        """Make sure that a worker is gone which may merely not answer; returns what it had, the oldest first."""
+        self._idle.pop(name, None)
+        orders = list(self._orders.pop(name).values())
+        for order in orders:
+            self._looks.pop((name, order.number), None)
+            self._asked.pop((name, order.number), None)
+        self._engine.cancel(name)
+        return orders
+
+    def _replace(self, name: str, reason: str) -> None:
+        """Start another process in the place of one that died, unless that dies again and again."""
+        self._warn(f"worker {name}: {reason}: it is started again")
+        if not self._dispatcher.given_up(name):
+            if not self._dispatcher.stopped and not self._dispatcher.finished:
+                self._start(name)
+            return
+        self._warn(f"worker {name} is given up: it died before it made anything, again and again")
+        if not self._dispatcher.workers and not self._dispatcher.finished:
+            raise StateError(f"no worker is left: {reason}")
+
+    def _forget(self, name: str, number: int) -> None:
+        del self._orders[name][number]
+        self._looks.pop((name, number), None)
+        self._asked.pop((name, number), None)
+
+    def _look(self) -> None:
+        """Ask workers whose items may be late, each once; those that do not answer are ended."""
+        now = self._engine.now()
+        for key in [key for key, when in self._looks.items() if when <= now and key not in self._asked]:
+            self._asked[key] = now
+            self._engine.submit(key[0], "oldest", key[1])
+        for name in dict.fromkeys(name for (name, _), asked in self._asked.items() if asked < now - ANSWER):
+            self._died(name, f"its worker was ended: it did not answer for {ANSWER:g} s")
+
+    def _hand_out(self) -> None:
+        """Give work to workers that have none; where there is none, ask those that are late for some of theirs."""
+        dispatcher = self._dispatcher
+        for name in list(self._idle):
+            if dispatcher.stopped or not dispatcher.open:
+                break
+            chunk = dispatcher.next_chunk(name, self._engine.now())
+            if chunk is None:
+                continue
+            del self._idle[name]
+            order = self._orders[name][chunk.number] = self._journal.order(chunk)
+            self._engine.submit(name, "run", order)
+            if self._engine.overlapping:
+                self._engine.submit(name, "begun", chunk.number)
+            if self._limit is not None:  # none of its items can be late before
+                self._looks[name, chunk.number] = self._engine.now() + self._limit
+        for name, number, share in dispatcher.recalls(len(self._idle), self._engine.now()):
+            self._engine.submit(name, "recall", number, share)
 
 
 def unpaid(workers: int, items: int, start: float, work: float) -> str | None:
@@ -372,43 +480,6 @@ def _engine(options: Options, settings: RunnerSettings) -> Iterator[tuple[Engine
         yield held.enter_context(contextlib.closing(ProcessEngine(host, settings))), host.share.workers
 
 
-#: Files that are remembered: each is looked at once, however many items name it.
-MOST_FILES = 100_000
-
-
-class Missing:
-    """Looks for files and rows that items name; base: folder that their paths are relative to."""
-
-    def __init__(self, base: PathLike):
-        self.base = base
-        self._files: LRUCache[NpyFile | str | None] = LRUCache(MOST_FILES)
-
-    def of(self, item: Item) -> str | None:
-        """One line on the first that an item names and is not there; None where all is there."""
-        found = (self._wrong(reference) for reference in references_of(item))  # whether it can be used shows later
-        return next((line for line in found if line), None)
-
-    def _wrong(self, reference: str) -> str | None:
-        name, place = split_reference(reference)
-        file = self._files.get(name, lambda: self._looked_at(name))
-        if isinstance(file, str) or file is None or not place:
-            return file if isinstance(file, str) else None
-        rows = file.shape[0] if file.shape else 0
-        if place.isdigit() and int(place) >= rows:
-            return f"{file.path} has rows 0 to {rows - 1}, got {place}" if rows else f"{file.path} has no rows"
-        return None
-
-    def _looked_at(self, name: str) -> NpyFile | str | None:
-        """The array in a .npy file, None for another that is there, or a line on what is wrong."""
-        path = os.path.join(self.base, name)
-        try:
-            if os.path.isdir(path) or is_preset(name, self.base):
-                return None
-            return NpyFile(path) if name.lower().endswith(".npy") else require_file(path, "file") and None
-        except (OSError, ValueError) as error:
-            return str(error)
-
-
 #: Items that name what is not there, of which a forecast keeps a line.
 MOST_MISSING = 10
 
@@ -464,6 +535,8 @@ def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | No
 
 def _missing(job: JobFile, plan: Plan) -> tuple[dict[str, str], int]:
     """What items to be made name and is not there, of some of them, and how many they are."""
+    from .references import Missing
+
     missing, lines, count = Missing(job.folder), {}, 0
     for index in plan.items:
         item = job.item(int(index))

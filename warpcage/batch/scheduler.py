@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.names import counted
 from ..errors import InputError
-from .chunk_runner import Chunk, ChunkReport
+from .chunk_runner import MOST_CHUNKS, Chunk, ChunkReport
 from .items import KINDS, Item
 from .job_file import JobFile, twins
 from .manifest import DONE, FAILED, Manifest, OutputFolder, id_key
@@ -162,7 +162,6 @@ class ChunkQueue:
 #: Deaths of a worker in a row, none of which made an item, after which its place is given up.
 MOST_BARREN = 3
 
-MOST_CHUNKS = 2  # of a worker: one of which it makes items, the others while their last files are being written
 LEAST_SHARED = 2.0  # a chunk is shortened for a worker with nothing to do where it would take so many more seconds
 STRAGGLING = 2.0  # a worker that takes so many times what its chunk should have taken gives back what is not begun
 

@@ -21,10 +21,10 @@ from ..cage.random_poses import RandomNumbers, RandomPoses
 from ..core.checks import checked_whole
 from ..core.files import PathLike, atomic_path
 from ..core.names import FIELD_COORDINATES, require_coordinates
+from ..edits.words import drawn_words
 from ..errors import InputError
 from ..view.camera import Camera, CameraFile, CameraKey
 from .job_file import write_jobs
-from .words import drawn_words
 
 #: Poses that a process gets at once, and that each gets before the next ones are handed out.
 AT_ONCE, AHEAD = 4, 256

@@ -1,4 +1,4 @@
-"""Words of job files: their checks, those of edits, and what names a pose."""
+"""Words of files: checks of JSON, an edit in words, and what names a pose."""
 
 from __future__ import annotations
 
