@@ -89,7 +89,7 @@ def preview(args) -> None:
         return
     import warpcage
     from warpcage import deform_points, psnr
-    from warpcage.cli.pose_words import read_pose
+    from warpcage.cli.words import read_pose
     from warpcage.core import resolve_device
     from warpcage.editor import demo_files
     from warpcage.mesh import write_glb

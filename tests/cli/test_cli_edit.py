@@ -96,7 +96,7 @@ def test_a_port_that_is_taken_is_one_line(files, capsys):
 @pytest.mark.parametrize("missing", ["aiohttp", "simplejpeg"])
 def test_a_missing_extra_is_one_line_before_anything_is_made(files, capsys, monkeypatch, missing):
     monkeypatch.setitem(sys.modules, missing, None)
-    monkeypatch.setattr("warpcage.cli.edit.demo_files", lambda device: pytest.fail("the demo is made"))
+    monkeypatch.setattr("warpcage.editor.demo.demo_files", lambda device: pytest.fail("the demo is made"))
     for words in (("@ball.npz",), ("--demo",)):
         assert edit(files, *words) == 2
         said = MESSAGES["editor.extra_missing"].format(missing=missing)

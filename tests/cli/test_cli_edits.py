@@ -10,8 +10,8 @@ from messages import MESSAGES
 from runs import SMALL, run, succeed, write_files
 
 from warpcage import Cage, CageEdit, Camera, Deformer, PoseFile, VoxelField
-from warpcage.cli.edit_words import EditWords, parse_edit, read_edits_file, write_edits_file
 from warpcage.cli.program import build_parser
+from warpcage.cli.words import EditWords, parse_edit, read_edits_file, write_edits_file
 from warpcage.editor import Document, Selection, Settings, Timeline, View, new_edit, write_session
 from warpcage.view import read_image
 

@@ -13,7 +13,7 @@ from runs import DEFORMED, SMALL, run, succeed, write_files
 
 import warpcage.view.film as film
 from warpcage import Deformer
-from warpcage.cli import outputs
+from warpcage.cli import render as commands
 from warpcage.core import SPARE, BackgroundWriter, stream
 from warpcage.view import write_film
 
@@ -286,7 +286,7 @@ def test_a_film_that_cannot_be_encoded_ends_the_rendering(files, tmp_path, capsy
 
 def test_a_picture_is_written_while_the_next_are_rendered(files, tmp_path, monkeypatch):
     """The first picture's file waits until the third frame was rendered."""
-    render, write, count, third = Deformer.render, outputs.write_picture, [], threading.Event()
+    render, write, count, third = Deformer.render, commands.write_picture, [], threading.Event()
 
     def counted(self, *words, **options):
         count.append(1)
@@ -299,13 +299,13 @@ def test_a_picture_is_written_while_the_next_are_rendered(files, tmp_path, monke
         write(path, image, depth)
 
     monkeypatch.setattr(Deformer, "render", counted)
-    monkeypatch.setattr(outputs, "write_picture", waits)
+    monkeypatch.setattr(commands, "write_picture", waits)
     succeed(files, *ANIMATE, tmp_path / "frames")
     assert len(list((tmp_path / "frames").glob("*.png"))) == 8
 
 
 def test_a_picture_that_cannot_be_written_costs_itself_alone(files, tmp_path, capsys, monkeypatch):
-    write = outputs.write_picture
+    write = commands.write_picture
 
     def fails(path, image, depth):
         if path.name == "frame_0002.png":
@@ -313,7 +313,7 @@ def test_a_picture_that_cannot_be_written_costs_itself_alone(files, tmp_path, ca
         write(path, image, depth)
 
     with monkeypatch.context() as patch:
-        patch.setattr(outputs, "write_picture", fails)
+        patch.setattr(commands, "write_picture", fails)
         assert run(files, *ANIMATE, tmp_path / "frames") == 2
     assert "no space left on device" in capsys.readouterr().err
     there = sorted((tmp_path / "frames").glob("*"))

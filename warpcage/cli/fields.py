@@ -28,8 +28,8 @@ from ..view.camera import Camera, CameraFile
 from ..view.pictures import write_png
 from . import shared
 from .arguments import options
-from .pose_words import read_rest
 from .shared import Deformation, is_deformed, read_deformation
+from .words import read_rest
 
 
 def run_bake(args: argparse.Namespace) -> None:

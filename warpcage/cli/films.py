@@ -1,4 +1,4 @@
-"""Films as jobs: of a command, of a session, over several workers."""
+"""Films: as jobs of a command or a session, over several workers, and folders of frames that are continued."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import argparse
 import contextlib
 import dataclasses
 import hashlib
+import json
 import os
 import pathlib
+import re
 import shutil
 import sys
 import tempfile
@@ -24,6 +26,7 @@ from ..batch.job_file import write_jobs
 from ..batch.run import RunProgress, RunReport, run_jobs
 from ..core.files import PathLike, atomic_path
 from ..core.names import FRAGMENTS_WORD, TRANSPARENT, counted
+from ..core.overlap import BackgroundWriter
 from ..core.reports import bar, say_above_bar
 from ..editor.document import Document
 from ..editor.exports import Film
@@ -33,10 +36,11 @@ from ..edits.edits import CageEdit
 from ..errors import InputError, StateError
 from ..field.voxel_field import VoxelField
 from ..view.camera import Camera, CameraKey, camera_json
+from ..view.exr import read_exr
 from ..view.film import CLEAR_ENDINGS, read_film_frame, write_film
+from ..view.pictures import read_image
 from . import shared
 from .arguments import options
-from .frame_folder import frame_files, frame_path, make_folder
 
 #: Endings of job files.
 JOB_ENDINGS = (".jsonl", ".json")
@@ -405,3 +409,164 @@ def session_job(
     given = {name: value for name, value in words.items() if value is not None}
     extra = {"film": {"frames": len(times), "fps": str(rate)}}
     return FilmJob(path, given, [edit.cage_edit for edit in edits], extra), frames()
+
+
+#: The note beside the frames that says which film they are of.
+SETTINGS_NAME = "animation.json"
+
+#: The last chunk of every PNG file.
+PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
+
+#: What frames are called.
+FRAME_NAME = re.compile(r"frame_[0-9]{4,}\.(png|exr|npz)")
+
+
+def write_folder(
+    folder: pathlib.Path,
+    frames: Iterable[int],
+    cameras: list[Camera],
+    render: Callable[[int, pathlib.Path], tuple[Callable[[], None], int]],
+    settings: dict,  # all that decides how frames look, as JSON has it; "format" is their ending
+    *,
+    overwrite: bool = False,  # replace frames of another film, as soon as the first of this one is rendered
+) -> int:
+    """Write the frames of a film that are not there yet, each whole or not at all; returns how many were there.
+    render(index, file) returns what writes the picture, in another thread, and the bytes that it holds."""
+    # The note comes with the first picture, or goes where it cannot be written: without frames it binds nobody.
+    foreign = _allowed(_other_film(folder, settings), folder, overwrite)
+    kept, begun = 0, False
+    with _nothing_left_without_frames(folder), BackgroundWriter() as beside:
+        for index in frames:
+            path = frame_path(folder, index, settings["format"])
+            if not (foreign and not begun) and _holds_picture(path, cameras[index]):
+                kept += 1
+                continue
+            task = render(index, path)
+            if not begun:
+                for other in frame_files(folder) if foreign else ():
+                    other.unlink()
+                _write_note(folder / SETTINGS_NAME, settings)
+                begun = True
+            beside.run(*task)
+            del task  # what is rendered next may take its place
+    return kept
+
+
+def make_folder(
+    folder: pathlib.Path,
+    cameras: list[Camera],
+    make: Callable[[list[int]], None],
+    settings: dict,
+    *,
+    overwrite: bool = False,
+) -> int:
+    """As `write_folder`, but for frames that make(numbers) makes, called once, where any is missing.
+    Frames of another film are replaced before the first of this one is made."""
+    foreign = _allowed(_other_film(folder, settings), folder, overwrite)
+    with _nothing_left_without_frames(folder):
+        paths = [frame_path(folder, index, settings["format"]) for index in range(len(cameras))]
+        pairs = enumerate(zip(paths, cameras, strict=True))
+        missing = [index for index, pair in pairs if foreign or not _holds_picture(*pair)]
+        if missing:
+            for other in frame_files(folder) if foreign else [paths[index] for index in missing]:
+                other.unlink(missing_ok=True)
+            _write_note(folder / SETTINGS_NAME, settings)
+            make(missing)
+    return len(cameras) - len(missing)
+
+
+def frame_path(folder: pathlib.Path, index: int, kind: str) -> pathlib.Path:
+    """The file of a frame; kind: its ending."""
+    return folder / f"frame_{index:04d}.{kind}"
+
+
+def frame_files(folder: pathlib.Path) -> list[pathlib.Path]:
+    """The frames in a folder, in their order; none where there is no such folder."""
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    return [file for file in files if FRAME_NAME.fullmatch(file.name)]
+
+
+def _allowed(foreign: str, folder: pathlib.Path, overwrite: bool) -> str:
+    """Whose frames a folder holds. Raises ValueError for those of another film that nobody wants to be replaced."""
+    if foreign and not overwrite:
+        raise InputError(
+            f"folder {str(folder)!r} holds {foreign}: give another folder, or --overwrite to replace those frames; "
+            "with the options of that film it is continued"
+        )
+    return foreign
+
+
+def _other_film(folder: pathlib.Path, settings: dict) -> str:
+    """Whose frames a folder holds, empty where it holds none or those of this film."""
+    note = folder / SETTINGS_NAME
+    held = _read_note(note) if note.exists() else None
+    if not frame_files(folder) or held == settings:
+        return ""
+    if held is None:
+        return f"other frames (no {SETTINGS_NAME} says of which film)"
+    names = [name for name in settings if held.get(name) != settings[name]]
+    changed = [_difference(name, held.get(name), settings[name]) for name in names]
+    return f"frames of another film (other {', '.join(changed) or 'settings'})"
+
+
+def _read_note(note: pathlib.Path) -> dict:
+    """What a note says. Raises ValueError for a file of that name that is none: it is not ours to replace."""
+    try:
+        found = json.loads(note.read_text(encoding="utf-8"))
+    except ValueError:
+        found = None
+    if not isinstance(found, dict) or not {"frames", "field", "camera"} <= found.keys():
+        raise InputError(f"{str(note)!r} is no note of frames that warpcage wrote: give another folder")
+    return found
+
+
+def _difference(name: str, there: object, here: object) -> str:
+    """A setting that differs, with both values where they are short words or numbers."""
+    if all(isinstance(value, str | int | float | None) and len(str(value)) <= 12 for value in (there, here)):
+        return f"{name}: {_word(there)} there, {_word(here)} now"
+    return name
+
+
+def _word(value: object) -> str:
+    return "default" if value is None else str(value)
+
+
+def _write_note(note: pathlib.Path, settings: dict) -> None:
+    with atomic_path(note) as temporary:
+        temporary.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
+
+
+@contextlib.contextmanager
+def _nothing_left_without_frames(folder: pathlib.Path) -> Iterator[None]:
+    """Where the block fails before the folder has a frame, take the note and the folders away that it made."""
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        yield
+    except BaseException:
+        if not frame_files(folder):
+            with contextlib.suppress(OSError):  # what others put there stays
+                (folder / SETTINGS_NAME).unlink(missing_ok=True)
+                for each in made:
+                    each.rmdir()
+        raise
+
+
+def _holds_picture(path: pathlib.Path, camera: Camera) -> bool:
+    """Whether a file is a whole picture from a camera. What was cut, on a full disk or by hand, is rendered again."""
+    try:
+        return _picture_shape(path) == (camera.height, camera.width)
+    except (OSError, ValueError, KeyError):
+        return False
+
+
+def _picture_shape(path: pathlib.Path) -> tuple[int, ...]:
+    """Height and width of a frame, all of which is read."""
+    if path.suffix == ".exr":
+        return read_exr(path)["Z"].shape
+    if path.suffix == ".npz":
+        return read_film_frame(path).shape[:2]
+    with open(path, "rb") as file:
+        file.seek(-len(PNG_END), os.SEEK_END)
+        if file.read() != PNG_END:  # all pixels may be there before
+            raise InputError(f"{path} is cut off")
+    return read_image(path).shape[:2]

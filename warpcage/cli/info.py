@@ -35,7 +35,7 @@ from ..view.pictures import contact_sheet, shrink, write_png
 from . import shared
 from .arguments import options
 from .arguments.info import SHEET_PICTURES, SHEET_SIDE
-from .edit_words import read_edits_file
+from .words import read_edits_file
 
 #: Names and values, one per printed line.
 Rows = list[tuple[str, object]]

@@ -19,10 +19,10 @@ from typing import Any, NoReturn, TextIO
 from ..core import reports
 from ..core.names import error_line
 from ..errors import InputError, MissingPackageError
-from .arguments import cages, edit, fields, info, poses, render, runs, scenes
+from .arguments import cages, fields, info, render, runs, scenes
 from .arguments.options import package_version
 
-_GROUPS = (scenes, fields, cages, edit, poses, render, runs, info)
+_GROUPS = (scenes, fields, cages, render, runs, info)
 
 _ORDER = (  # of commands in their help
     "capture fit select clean mesh cage check edit pose edits render animate sweep run bake evaluate info "

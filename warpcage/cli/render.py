@@ -3,40 +3,191 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import hashlib
 import json
+import os
 import pathlib
 import shlex
-from collections.abc import Iterable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..core.files import require_file
 from ..core.names import TRANSPARENT, counted
 from ..core.overlap import BackgroundWriter
 from ..core.reports import bar
+from ..deform.deformer import Deformer
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
 from ..editor.renderer import view_camera
 from ..editor.session import read_session
 from ..editor.timeline import frame_times
 from ..errors import InputError
+from ..mesh.mesh import ClosedMesh
 from ..view import frame_parts
 from ..view.camera import Camera
 from ..view.camera_path import camera_at, path_cameras
-from ..view.film import FILM_ENDINGS, checked_rate, write_film
-from ..view.frame import Frame
-from ..view.motion import axis_rotation, cameras_along
+from ..view.exr import require_openexr, write_picture
+from ..view.film import FILM_ENDINGS, checked_rate, film_size, require_clear_film, write_film
+from ..view.frame import Frame, depth_along_view
+from ..view.frame_parts import MASKS, picture
+from ..view.motion import axis_rotation, cameras_along, frame_places
+from ..view.opacity import rgba_picture
 from ..view.pictures import write_png
-from . import outputs, shared
+from . import shared
 from .arguments import options
 from .arguments.render import OF_SESSIONS, STEPS, Default
-from .films import FilmJob, FilmWorkers, checked_jobs_path, film_words, frame_outputs, session_job
-from .frame_folder import write_folder
-from .outputs import Shot
-from .pose_words import set_frames
+from .films import (
+    FilmFrame,
+    FilmJob,
+    FilmWorkers,
+    checked_jobs_path,
+    film_words,
+    frame_outputs,
+    session_job,
+    write_folder,
+)
 from .shared import Deformation, read_deformation
+from .words import set_frames
+
+
+def colors(frame: Frame, camera: Camera, cages: Sequence[ClosedMesh], transparent: bool) -> np.ndarray:
+    """The colours of a frame, (h, w, 3), or with straight opacity (h, w, 4); the edges of cages are drawn into it."""
+    if transparent:
+        return rgba_picture(frame, camera, cages)
+    return picture(frame, "rgb", camera, cages)
+
+
+def finished(image: np.ndarray) -> np.ndarray:
+    """A picture that nobody changes any more: a film takes it without a copy."""
+    image.flags.writeable = False
+    return image
+
+
+def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
+    """Whether many pictures have opacity. Raises ValueError where their film or folder cannot hold what was asked."""
+    if output.suffix and args.format is not None:
+        raise InputError("--format is for folders of pictures: the ending of a film says what it is")
+    require_format(args.format or "")
+    transparent = shared.is_transparent(args)
+    if transparent:
+        require_clear_film(output)
+    return transparent
+
+
+def require_format(path: str | os.PathLike[str]) -> None:
+    """Raises ValueError for an OpenEXR file where its library is not installed, before any long work."""
+    if os.fspath(path).lower().endswith("exr"):
+        require_openexr()
+
+
+def picture_task(
+    path: str | os.PathLike[str], image: np.ndarray, frame: Frame, camera: Camera
+) -> tuple[Callable[[], None], int]:
+    """What writes a picture of a frame, .png, or .exr with its depth, in any thread, and the bytes that it holds."""
+    # It needs neither the frame any more, nor what that has on a device.
+    depth = depth_along_view(frame, camera) if os.fspath(path).lower().endswith(".exr") else None
+    return functools.partial(write_picture, path, image, depth), image.nbytes + (0 if depth is None else depth.nbytes)
+
+
+def size_text(width: int, height: int, output: pathlib.Path) -> str:
+    """The size of what is written, in words, and why it is not that of the pictures where it is not."""
+    written = film_size(width, height, output.suffix.lower())
+    cut = f" (cut from {width}x{height}: an MP4 has even sides)" if written != (width, height) else ""
+    return f"{written[0]}x{written[1]}{cut}"
+
+
+def warn_of_masks(shares: dict[str, float], where: str = "the picture") -> None:
+    """Print a line on stderr for each mask that marks anything; where: how the line calls the picture."""
+    for name, share in shares.items():
+        if share > 0:
+            print(f"warpcage: warning: {100 * share:.2f} % of {where} {MASKS[name][1]}", file=sys.stderr)
+
+
+class Shot:
+    """Renders frames by index, so that a folder can be continued anywhere."""
+
+    def __init__(
+        self,
+        field: shared.AnyField,
+        deformer: Deformer | None,  # None where the field is shown as it is, or where others render
+        deformation: Deformation | None,  # None where the field is shown as it is
+        cameras: list[Camera],  # one a frame
+        args: argparse.Namespace,
+        times: list[float] | None = None,  # seconds of each frame, where there are keys at times
+    ):
+        self.times = times
+        self.field, self.deformer, self.deformation = field, deformer, deformation
+        self.cameras, self.args = cameras, args
+        count = 1 if deformation is None else deformation.pose_count
+        places = frame_places(args.frames, count, args.motion, args.interpolation) if times is None else times
+        self.places = [float(place) for place in places]
+        self.held: float | None = None  # the place that the deformer is posed at
+        self.shares: dict[str, list[float]] = {}
+        self.scale = self._scale() if args.show in ("depth", "disparity") else None  # low and high disparity
+
+    def cages(self, index: int) -> list[Cage | None]:
+        """The posed cages of a frame, one an edit; None for what is removed."""
+        if self.deformation is None:
+            return []
+        place = self.places[index]
+        try:
+            return self.deformation.at(place) if self.times is None else self.deformation.at_time(place)
+        except ValueError as error:
+            raise InputError(f"frame {index}, between the poses: {error}") from error
+
+    def frame(self, index: int) -> tuple[Frame, list[Cage]]:
+        """The frame, and the cages that it shows."""
+        camera = self.cameras[index]
+        if self.deformer is None or self.deformation is None:
+            return shared.render_view(self.field, camera, self.args), []
+        place = self.places[index]
+        cages = self.cages(index)
+        try:
+            if place != self.held:
+                self.deformer.pose(cages)
+                self.held = place
+        except ValueError as error:
+            raise InputError(f"frame {index}, between the poses: {error}") from error
+        frame = shared.render_view(self.deformer, camera, self.args)
+        return frame, self.deformation.drawn(self.deformer.deformed or cages)
+
+    def picture(self, index: int) -> np.ndarray:
+        """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4); not to be written to."""
+        return finished(self._shown(*self.frame(index), self.cameras[index]))
+
+    def task(self, index: int, path: pathlib.Path) -> tuple[Callable[[], None], int]:
+        """Render a frame. Returns what writes its picture to a file, in any thread, and the bytes that it holds."""
+        (frame, cages), camera = self.frame(index), self.cameras[index]
+        return picture_task(path, self._shown(frame, cages, camera), frame, camera)
+
+    def _shown(self, frame: Frame, cages: Sequence[Cage], camera: Camera) -> np.ndarray:
+        if self.args.show == "masks":
+            for name, share in frame_parts.mask_shares(frame).items():
+                self.shares.setdefault(name, []).append(share)
+        drawn = cages if self.args.overlay else ()
+        if self.args.show == "rgb":
+            return colors(frame, camera, drawn, shared.is_transparent(self.args))
+        return frame_parts.picture(frame, self.args.show, camera, drawn, self.scale)
+
+    def _scale(self) -> tuple[float, float]:
+        """From a few frames, always the same ones, so that a folder that is continued keeps its colours."""
+        probes = sorted({round(share * (self.args.frames - 1)) for share in (0.0, 0.25, 0.5, 0.75)})
+        return frame_parts.disparity_scale([self.frame(index)[0] for index in probes])
+
+    def described(self) -> Iterator[FilmFrame]:
+        """The frames as items of a job describe them."""
+        for index, camera in enumerate(self.cameras):
+            yield FilmFrame(index, camera, [None if cage is None else cage.vertices for cage in self.cages(index)])
+
+    def warn(self) -> None:
+        """Print what the masks marked on average, if they were asked for."""
+        warn_of_masks({name: sum(shares) / len(shares) for name, shares in self.shares.items()}, "the film")
+
 
 #: Frames per second of films.
 VIDEO_RATE, GIF_RATE = 24, 15
@@ -48,7 +199,7 @@ SINGLE_CAMERA = ("disparity", "depth", "alpha", "masks", "camera", "view", "fram
 def run_flight(args: argparse.Namespace) -> None:
     """Render them all."""
     output = _checked_flight_output(args.output)
-    transparent = outputs.checked_opacity(args, output)
+    transparent = checked_opacity(args, output)
     if args.scene is None:
         raise InputError("--cameras needs --scene, the scene of the cameras")
     if any(getattr(args, name) is not None for name in SINGLE_CAMERA):
@@ -68,11 +219,11 @@ def run_flight(args: argparse.Namespace) -> None:
     def pictures() -> Iterator[tuple[np.ndarray, Frame, Camera]]:
         for camera in cameras:
             frame = shared.render_view(renderer, camera, args)
-            yield outputs.colors(frame, camera, drawn, transparent), frame, camera
+            yield colors(frame, camera, drawn, transparent), frame, camera
 
     shared.save_cameras(args, cameras)
     _write(output, pictures(), args.format or "png")
-    size = outputs.size_text(cameras[0].width, cameras[0].height, output)
+    size = size_text(cameras[0].width, cameras[0].height, output)
     print(f"wrote {output}: {counted(len(cameras), 'picture')} of {size}")
 
 
@@ -102,11 +253,11 @@ def _checked_flight_output(text: str) -> pathlib.Path:
 def _write(output: pathlib.Path, pictures: Iterable[tuple[np.ndarray, Frame, Camera]], kind: str) -> None:
     if output.suffix:
         rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
-        write_film(output, (outputs.finished(image) for image, _, _ in pictures), rate)
+        write_film(output, (finished(image) for image, _, _ in pictures), rate)
         return
     with BackgroundWriter() as beside:
         for index, (image, frame, camera) in enumerate(pictures):
-            beside.run(*outputs.picture_task(output / f"view_{index:04d}.{kind}", image, frame, camera))
+            beside.run(*picture_task(output / f"view_{index:04d}.{kind}", image, frame, camera))
 
 
 #: Options for one picture of one pose.
@@ -120,7 +271,7 @@ def run_many_poses(args: argparse.Namespace) -> None:
     if given:
         raise InputError(f"--{given[0]} is for one picture: give the name of a picture with -o")
     shared.require_deformation(args, f"the folder {args.output!r}")
-    transparent, kind = outputs.checked_opacity(args, folder), args.format or "png"
+    transparent, kind = checked_opacity(args, folder), args.format or "png"
     shared.check_saved(args)
     field = shared.read_field(args)
     shared.require_fillable(args, field)
@@ -140,9 +291,9 @@ def run_many_poses(args: argparse.Namespace) -> None:
                 raise InputError(f"pose {number} of {count}: {error}") from error
             frame = shared.render_view(deformer, camera, args)
             drawn = shared.drawn_cages(deformer, deformation) if args.overlay else ()
-            picture = outputs.colors(frame, camera, drawn, transparent)
+            picture = colors(frame, camera, drawn, transparent)
             path = folder / f"pose_{number:0{digits}d}.{kind}"
-            beside.run(*outputs.picture_task(path, picture, frame, camera))
+            beside.run(*picture_task(path, picture, frame, camera))
     shared.save_cameras(args, [camera])
     print(f"wrote {folder}: {counted(count, 'picture')} of {camera.width}x{camera.height}")
 
@@ -169,7 +320,7 @@ def run_render(args: argparse.Namespace) -> None:
     if args.format is not None:
         raise InputError("--format is for folders of pictures: the ending of a single one says what it is")
     output = options.check_output(args.output, (".png", ".exr"), "picture")
-    outputs.require_format(output)
+    require_format(output)
     shared.check_saved(args)
     transparent = shared.is_transparent(args)
     extra = {
@@ -191,7 +342,7 @@ def run_render(args: argparse.Namespace) -> None:
     renderer = shared.posed_renderer(field, deformation, args)
     frame = shared.render_view(renderer, camera, args)
     drawn = shared.drawn_cages(renderer, deformation) if args.overlay else ()
-    write, _ = outputs.picture_task(output, outputs.colors(frame, camera, drawn, transparent), frame, camera)
+    write, _ = picture_task(output, colors(frame, camera, drawn, transparent), frame, camera)
     write()
     for kind, path in extra.items():
         write_png(path, frame_parts.picture(frame, kind))
@@ -199,7 +350,7 @@ def run_render(args: argparse.Namespace) -> None:
     names = " and ".join(map(str, [output, *extra.values()]))
     print(f"wrote {names}: {frame.width}x{frame.height}, {100 * float(frame.alpha.mean()):.1f} % covered")
     if args.masks is not None:
-        outputs.warn_of_masks(frame_parts.mask_shares(frame))
+        warn_of_masks(frame_parts.mask_shares(frame))
 
 
 #: Stands for the folder of frames that a job file leaves to `warpcage run`.
@@ -281,7 +432,7 @@ def _check(args: argparse.Namespace, output: pathlib.Path) -> None:
     if args.jobs is not None and args.workers is not None:
         raise InputError("--workers does not go with --jobs: give it to warpcage run")
     shared.check_saved(args)
-    if outputs.checked_opacity(args, output) and args.show != "rgb":
+    if checked_opacity(args, output) and args.show != "rgb":
         raise InputError(f"--show {args.show} has no opacity: leave out --background transparent")
     if args.format == "exr" and args.show != "rgb":
         raise InputError("--format exr holds colours, opacity and depth together: leave out --show")
@@ -313,7 +464,7 @@ def _say(shot: Shot, output: pathlib.Path, kept: int) -> None:
     if not output.suffix:
         print(f"wrote {output}: {counted(args.frames - kept, 'frame')}, {kept} were there already")
         return
-    size = outputs.size_text(cameras[0].width, cameras[0].height, output)
+    size = size_text(cameras[0].width, cameras[0].height, output)
     print(f"wrote {output}: {counted(args.frames, 'frame')} of {size}, {output.stat().st_size / 1e6:.2f} MB")
 
 
@@ -335,7 +486,7 @@ def _run_session(args: argparse.Namespace) -> None:
     width, height = shared.image_size(args) or DEFAULT_SIZE
     if args.format is not None:
         raise InputError("--session writes PNG files into a folder: leave --format out")
-    transparent = outputs.checked_opacity(args, output)
+    transparent = checked_opacity(args, output)
     if args.background is not None and not transparent:
         raise InputError("--session cannot be combined with --background: the session decides that")
     film = Film(width, height, args.overlay, transparent)
@@ -354,7 +505,7 @@ def _run_session(args: argparse.Namespace) -> None:
             shown.update(round((share or 0.0) * shown.total) - shown.n)
 
         count = export_film(document, field, output, film, report)
-    print(f"wrote {output}: {counted(count, 'frame')} of {outputs.size_text(width, height, output)}")
+    print(f"wrote {output}: {counted(count, 'frame')} of {size_text(width, height, output)}")
 
 
 def _given_besides(args: argparse.Namespace) -> list[str]:

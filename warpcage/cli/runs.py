@@ -26,7 +26,7 @@ from ..view.camera import Camera, CameraFile, framing_orbit
 from . import shared
 from .arguments import options
 from .arguments.runs import OWN, USUAL_BACKGROUNDS
-from .pose_words import expected_ups, posed_up, read_poses, read_rest
+from .words import expected_ups, posed_up, read_poses, read_rest
 
 #: Lines about items that failed; the manifest has all.
 MOST_LINES = 10

@@ -38,8 +38,7 @@ from ..splats.splat_field import AnyField, SplatField, load_field
 from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
 from ..view.frame import Frame
 from .arguments import options
-from .edit_words import EditWords, parse_edit, read_edits_file, read_edits_json
-from .pose_words import Keyframes, only_pose, posed_up, read_rest
+from .words import EditWords, Keyframes, only_pose, parse_edit, posed_up, read_edits_file, read_edits_json, read_rest
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,9 +1,12 @@
-"""Arguments of `warpcage cage` and `check`."""
+"""Arguments of `warpcage cage`, `check`, `pose`, `edits` and `edit`."""
 
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
+from ...cage.axes import AXIS_WORDS, is_axis
+from ...core.names import EASINGS, LOOPS
 from . import options
 from .options import Command
 
@@ -127,7 +130,265 @@ def add_check_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_device(parser)
 
 
+POSE_HELP = "bend, twist, taper, stretch, scale, rotate or move a cage"
+
+POSE_EXAMPLE = """\
+  warpcage pose cage.obj -o posed.obj --bend 40 --axis x --towards z
+  warpcage pose cage.obj -o posed.obj --twist 30 --taper 0.6 --axis z --limits 0.3 1
+  warpcage pose cage.obj -o poses.json --key start --at 0
+  warpcage pose cage.obj -o poses.json --key bow --at 1.5 --easing hold --bend 40 --axis x
+  warpcage pose cage.obj -o poses.json --key up --at 2 --posed from_blender.obj --loop ping-pong
+  warpcage pose cage.obj -o poses.json --key "from above" --at 2 --camera above.json
+  warpcage pose cage.obj -o poses.json --posed walk.glb
+
+Steps are applied in the order given. --axis, --towards, --limits and --centre apply to all steps of one call: run the
+command again on the posed cage for another axis. A pose file (.json) gets a key for each call, and keeps those that it
+has; `warpcage animate --posed poses.json` makes the film. A direction with a minus needs the equals sign: --towards=-x.
+"""
+
+
+class _Step(argparse.Action):
+    """Collects steps in the order of the command line."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        assert option_string is not None
+        namespace.steps = [*(namespace.steps or []), (option_string.lstrip("-"), values)]
+
+
+def add_pose_arguments(parser: argparse.ArgumentParser) -> None:
+    number = options.finite_float
+    parser.add_argument("cage", help=f"cage to pose ({' '.join(options.CAGE_ENDINGS)})")
+    parser.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        metavar="POSED",
+        help=f"cage to write ({' '.join(options.CAGE_ENDINGS)}), or pose file that gets a key (.json)",
+    )
+    options.add_cage_up(parser)
+    _add_keys(parser)
+    steps = parser.add_argument_group("steps")
+    add = steps.add_argument
+    add(
+        "--bend",
+        dest="steps",
+        action=_Step,
+        type=number,
+        metavar="DEGREES",
+        help="bend what lies along --axis into an arc in the direction of --towards",
+    )
+    add(
+        "--twist",
+        dest="steps",
+        action=_Step,
+        type=number,
+        metavar="DEGREES",
+        help="turn about --axis, from nothing at the start to DEGREES at the end",
+    )
+    add(
+        "--taper",
+        dest="steps",
+        action=_Step,
+        type=options.positive_float,
+        metavar="FACTOR",
+        help="scale across --axis, by 1 at the start to FACTOR at the end",
+    )
+    add(
+        "--stretch",
+        dest="steps",
+        action=_Step,
+        type=options.positive_float,
+        metavar="FACTOR",
+        help="scale along --axis",
+    )
+    add(
+        "--scale",
+        dest="steps",
+        action=_Step,
+        type=options.positive_float,
+        nargs="+",
+        metavar="FACTOR",
+        help="scale by one factor, or by one per axis",
+    )
+    add("--rotate", dest="steps", action=_Step, type=number, metavar="DEGREES", help="turn about --axis")
+    add(
+        "--translate",
+        dest="steps",
+        action=_Step,
+        type=number,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="move, world units",
+    )
+    where = parser.add_argument_group("where")
+    where.add_argument(
+        "--axis",
+        type=axis_word,
+        default="z",
+        metavar="AXIS",
+        help=f"axis of the steps: {AXIS_WORDS}. up is that of --up or --object; long, middle and short are those of "
+        "the cage itself (default: %(default)s)",
+    )
+    where.add_argument(
+        "--towards",
+        type=axis_word,
+        default=None,
+        metavar="AXIS",
+        help="direction of a bend, in the same words; what is across --axis counts (default: x, or z if --axis is x)",
+    )
+    where.add_argument("--up", type=number, nargs=3, metavar=("X", "Y", "Z"), help="what is up in the scene")
+    where.add_argument(
+        "--object",
+        metavar="FIELD",
+        help="field of the cage (.npz): says what is up, and which axis points up in the file",
+    )
+    where.add_argument(
+        "--limits",
+        type=number,
+        nargs=2,
+        metavar=("FROM", "TO"),
+        default=(0.0, 1.0),
+        help="part of the extent along --axis that is bent, twisted, tapered or stretched, between 0 and 1 "
+        "(default: 0 1)",
+    )
+    where.add_argument(
+        "--centre",
+        dest="center",
+        type=number,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="point that stays fixed, world units (default: middle of the bounding box)",
+    )
+    parser.set_defaults(steps=None)
+
+
+def _add_keys(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("keys of a pose file (-o poses.json)")
+    group.add_argument("--key", metavar="NAME", help="name of the key; one of that name is replaced")
+    group.add_argument("--at", type=options.seconds, metavar="SECONDS", help="when the film reaches it")
+    group.add_argument(
+        "--easing", choices=EASINGS, help="how the way from it to the next key goes (default: smooth, or as it was)"
+    )
+    group.add_argument(
+        "--posed",
+        metavar="POSED",
+        help="begin with this pose instead of the cage at rest: a cage file, a key of a pose file, or a preset. "
+        "Without --key: all keys of an animated glTF file, of its shapes, or of numbered files (walk_####.obj)",
+    )
+    group.add_argument(
+        "--camera",
+        metavar="FILE[:NAME]|SCENE:[SPLIT:]INDEX",
+        help="the camera of the film at this key: of a camera file (render --save-camera writes one) or of a scene's "
+        "picture; without steps and --posed it is a key of the camera alone",
+    )
+    group.add_argument("--remove", action="store_true", help="take the key out of the file")
+    group.add_argument("--fps", type=options.positive_fraction, metavar="RATE", help="frames per second of the film")
+    group.add_argument("--loop", choices=LOOPS, help="what the film does at its end")
+
+
+EDITS_HELP = "write several edits of one scene to a file, or say what such a file holds"
+
+EDITS_EXAMPLE = """\
+  warpcage edits -o house.edits.json --edit wing.obj:wing_up.obj --edit tower.obj:tower_aside.obj:keep \\
+      --edit chimney.obj:remove
+  warpcage edits house.edits.json
+  warpcage edits house.edits.json --edit door.obj:bend:30:z:x -o more.edits.json
+  warpcage render house.npz --edits house.edits.json -o house.png --overlay
+  warpcage animate house.npz --edits house.edits.json -o house.mp4
+
+An edit is a cage and what becomes of what is in it: CAGE:POSED moves it to where the posed cage is, CAGE:POSED:keep
+leaves a copy where it was, CAGE:remove takes it away. CAGE:POSED:falloff=WIDTH holds the walls of the cage that cut
+through matter and fades to rest in a band of that width inside them, so that the part does not tear off (held=still:
+the walls that the pose leaves in place; held=3,4: these faces). fragments=SIZE takes pieces smaller than that along,
+which the cage cuts off. POSED is a cage file, a keyframe of a pose file (poses.json:NAME) or a preset (bend:40:x:z).
+Edits act in their order, each on what the ones before it left. A Windows drive (C:\\cage.obj:C:\\posed.obj) is no
+separator.
+
+The file is JSON, with paths relative to its own folder. Sessions of the editor (.session.json) are read too. Pictures
+of what edits do are in docs/edits.md.
+"""
+
+
+def add_edits_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", nargs="?", help="edits file, or session of the editor (.session.json)")
+    parser.add_argument(
+        "--edit",
+        action="append",
+        metavar="CAGE:POSED[:keep]",
+        help="an edit; give it again for the next. CAGE:remove takes away what is in the cage",
+    )
+    parser.add_argument("-o", "--output", metavar="FILE", help="edits file to write (.json)")
+    options.add_cage_up(parser)
+
+
+def axis_word(text: str) -> str:
+    """A word for a direction, as an argument. Raises argparse.ArgumentTypeError for others."""
+    if not is_axis(text):
+        raise argparse.ArgumentTypeError(f"must be {AXIS_WORDS}, got {text!r}")
+    return text
+
+
+EDIT_HELP = "pose cages by hand in the browser and see the scene follow"
+
+EDIT_EXAMPLE = """\
+  warpcage edit --demo
+  warpcage edit lego.npz --cage cage.obj
+  warpcage edit lego.npz --port 8700 --no-browser     (then, at home: ssh -L 8700:127.0.0.1:8700 HOST)
+
+What is edited is kept beside the field, as NAME.session.json, and the next call goes on with it.
+"""
+
+
+def add_edit_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("field", nargs="?", help="field file (.npz)")
+    parser.add_argument("--demo", action="store_true", help="edit a brick excavator, which is fitted once and kept")
+    parser.add_argument(
+        "--cage",
+        action="append",
+        metavar="CAGE",
+        help=f"cage at rest ({' '.join(options.CAGE_ENDINGS)}); repeat it for several edits "
+        "(default: the session's, or none; the page can make one)",
+    )
+    options.add_cage_up(parser, found=True)
+    options.add_selection(parser, "also an edit with a cage around what is chosen")
+    parser.add_argument("--session", metavar="FILE", help="the session's file (default: beside the field)")
+    parser.add_argument(
+        "--new", action="store_true", help="begin anew; a session that is there is kept under another name"
+    )
+    serving = parser.add_argument_group("serving")
+    serving.add_argument(
+        "--host", default="127.0.0.1", metavar="ADDRESS", help="address to listen on (default: this machine only)"
+    )
+    serving.add_argument("--port", type=port_number, default=0, help="port to listen on (default: a free one)")
+    serving.add_argument(
+        "--allow-host",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="host name under which the page may be opened too, such as that of a proxy",
+    )
+    serving.add_argument("--no-browser", action="store_true", help="print the address and open no browser")
+    options.add_scene_scale(parser)
+    options.add_device(parser)
+
+
+def port_number(text: str) -> int:
+    """A port, 0 for a free one."""
+    if not (text.isascii() and text.isdigit()) or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is no port: 0 to 65535")
+    return int(text)
+
+
 COMMANDS = (
     Command("cage", CAGE_HELP, CAGE_EXAMPLE, add_cage_arguments, "cages"),
     Command("check", CHECK_HELP, CHECK_EXAMPLE, add_check_arguments, "cages"),
+    Command("pose", POSE_HELP, POSE_EXAMPLE, add_pose_arguments, "cages"),
+    Command("edits", EDITS_HELP, EDITS_EXAMPLE, add_edits_arguments, "cages"),
+    Command("edit", EDIT_HELP, EDIT_EXAMPLE, add_edit_arguments, "cages"),
 )

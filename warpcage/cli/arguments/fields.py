@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ...core.names import PLANES
-from . import deformation, options
+from . import options
 from .options import Command
 
 SELECT_HELP = "choose an object of a scene, without what it stands on, by a click or a region"
@@ -234,7 +234,7 @@ def add_bake_arguments(parser: argparse.ArgumentParser) -> None:
         help="of --frames: also remove the files of a longer sequence of that name (default: a warning names them)",
     )
     options.add_selection(parser, "only what is chosen, cut out of its scene,")
-    deformation.add_deformation(parser, usual_resolution="128")
+    options.add_deformation(parser, usual_resolution="128")
     options.add_scene_scale(parser)
     options.add_device(parser)
 

@@ -7,7 +7,7 @@ from fractions import Fraction
 from typing import Any
 
 from ...core.names import LOOPS
-from . import deformation, options
+from . import options
 from .options import Command
 
 RENDER_HELP = "render one view of a field, as it is or deformed by a cage"
@@ -52,7 +52,7 @@ def add_render_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_clear_background(parser)
     options.add_fill(parser)
     options.add_antialias(parser)
-    deformation.add_deformation(parser, several=True)
+    options.add_deformation(parser, several=True)
     options.add_view(parser)
     options.add_scene_scale(parser)
     options.add_device(parser)
@@ -204,7 +204,7 @@ def add_animate_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_clear_background(parser)
     options.add_fill(parser)
     options.add_antialias(parser)
-    deformation.add_deformation(parser, keyframes=True)
+    options.add_deformation(parser, keyframes=True)
     options.add_view(parser)
     options.add_scene_scale(parser)
     options.add_device(parser)

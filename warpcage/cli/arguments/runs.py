@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ...core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, TRANSPARENT
-from . import deformation, options
+from . import options
 from .options import Command
 
 SWEEP_HELP = "write a job file of many poses of a field from many cameras, for data sets"
@@ -58,7 +58,7 @@ def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
         help='lattice cells along the longest side of the cage, or "precise" (default: by the size of the picture)',
     )
     group.add_argument("--density", choices=DENSITIES, default="opacity", help="as for render (default: %(default)s)")
-    deformation.add_map(group)
+    options.add_map(group)
     options.add_antialias(group)
     options.add_background(
         group,
