@@ -27,25 +27,21 @@ def add_cage_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field", metavar="object", help=f"field (.npz), splats or mesh ({' '.join(options.MESH_ENDINGS)})"
     )
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="CAGE", help=f"cage to write ({' '.join(options.CAGE_ENDINGS)})"
-    )
+    options.add_output(parser, "CAGE", f"cage to write ({' '.join(options.CAGE_ENDINGS)})")
     options.add_cage_up(parser)
     parser.add_argument(
         "--object", metavar="NAME", help="the object of a mesh file of several to put the cage around (default: all)"
     )
     parser.add_argument(
         "--vertices",
-        type=options.positive_int,
-        metavar="N",
         help="approximate number of vertices of a cage wrapped around the object, 30 to 200 (default: 100)",
+        **options.COUNT,
     )
     parser.add_argument(
         "--margin",
-        type=options.length,
-        metavar="LENGTH",
         help="distance between object and cage, world units (default: 0.03 of the object's size for a box or a "
         "cylinder, otherwise chosen from the object)",
+        **options.LENGTH,
     )
     parser.add_argument(
         "--method",
@@ -73,10 +69,8 @@ def add_cage_arguments(parser: argparse.ArgumentParser) -> None:
         help="segments along each axis of the box: one number, or one per axis (default: 1)",
     )
     parser.add_argument("--axis", choices="xyz", help="axis of the cylinder (default: z)")
-    parser.add_argument("--sides", type=options.positive_int, metavar="N", help="sides of the cylinder (default: 12)")
-    parser.add_argument(
-        "--rings", type=options.positive_int, metavar="N", help="segments of the cylinder along its axis (default: 4)"
-    )
+    parser.add_argument("--sides", help="sides of the cylinder (default: 12)", **options.COUNT)
+    parser.add_argument("--rings", help="segments of the cylinder along its axis (default: 4)", **options.COUNT)
     parser.add_argument("--quiet", action="store_true", help="do not print what is tried, even with --verbose")
     options.add_scene_scale(parser)
     options.add_device(parser)
@@ -89,13 +83,7 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
     options.add_selection(group)
     options.add_in_box(group)
     group.add_argument("--masks", metavar="SCENE", help="what is opaque in every training picture of a scene")
-    group.add_argument(
-        "--seed",
-        type=options.finite_float,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
-        help="what is connected to this point, world units",
-    )
+    group.add_argument("--seed", help="what is connected to this point, world units", **options.POINT)
     options.add_parts(group)
 
 
@@ -164,12 +152,8 @@ class _Step(argparse.Action):
 def add_pose_arguments(parser: argparse.ArgumentParser) -> None:
     number = options.finite_float
     parser.add_argument("cage", help=f"cage to pose ({' '.join(options.CAGE_ENDINGS)})")
-    parser.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        metavar="POSED",
-        help=f"cage to write ({' '.join(options.CAGE_ENDINGS)}), or pose file that gets a key (.json)",
+    options.add_output(
+        parser, "POSED", f"cage to write ({' '.join(options.CAGE_ENDINGS)}), or pose file that gets a key (.json)"
     )
     options.add_cage_up(parser)
     _add_keys(parser)
@@ -217,15 +201,7 @@ def add_pose_arguments(parser: argparse.ArgumentParser) -> None:
         help="scale by one factor, or by one per axis",
     )
     add("--rotate", dest="steps", action=_Step, type=number, metavar="DEGREES", help="turn about --axis")
-    add(
-        "--translate",
-        dest="steps",
-        action=_Step,
-        type=number,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
-        help="move, world units",
-    )
+    add("--translate", dest="steps", action=_Step, help="move, world units", **options.POINT)
     where = parser.add_argument_group("where")
     where.add_argument(
         "--axis",
@@ -242,7 +218,7 @@ def add_pose_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="AXIS",
         help="direction of a bend, in the same words; what is across --axis counts (default: x, or z if --axis is x)",
     )
-    where.add_argument("--up", type=number, nargs=3, metavar=("X", "Y", "Z"), help="what is up in the scene")
+    where.add_argument("--up", help="what is up in the scene", **options.POINT)
     where.add_argument(
         "--object",
         metavar="FIELD",
@@ -260,10 +236,8 @@ def add_pose_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument(
         "--centre",
         dest="center",
-        type=number,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
         help="point that stays fixed, world units (default: middle of the bounding box)",
+        **options.POINT,
     )
     parser.set_defaults(steps=None)
 

@@ -22,13 +22,10 @@ SELECT_EXAMPLE = """\
 
 def add_select_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
-    parser.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        metavar="SELECTION",
-        help=f"selection to write ({' '.join(options.SELECTION_ENDINGS)}); cage, mesh, bake and edit take it by "
-        "--selection",
+    options.add_output(
+        parser,
+        "SELECTION",
+        f"selection to write ({' '.join(options.SELECTION_ENDINGS)}); cage, mesh, bake and edit take it by --selection",
     )
     parser.add_argument(
         "--preview", metavar="PICTURE", help="also write a view with what is chosen tinted green (.png)"
@@ -58,10 +55,9 @@ def add_select_arguments(parser: argparse.ArgumentParser) -> None:
     )
     stand.add_argument(
         "--clearance",
-        type=options.length,
-        metavar="LENGTH",
         help="distance above the plane from which on matter is the object's, world units (default: by how even the "
         "plane is, a voxel or two)",
+        **options.LENGTH,
     )
     options.add_parts(parser.add_argument_group("of what is left"))
     options.add_view(parser)
@@ -104,9 +100,7 @@ CLEAN_EXAMPLE = """\
 
 def add_clean_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="FIELD", help="field to write (.npz, of splats as they come)"
-    )
+    options.add_output(parser, "FIELD", "field to write (.npz, of splats as they come)")
     parser.add_argument("--preview", metavar="PICTURE", help="also write a view with what went tinted red (.png)")
     loose = parser.add_argument_group("what hangs loose (splats fainter than 1/255 go too)")
     loose.add_argument(
@@ -117,9 +111,7 @@ def add_clean_arguments(parser: argparse.ArgumentParser) -> None:
         help="connected parts with fewer voxels than this share of the largest, and more than three voxels away from "
         "what is kept; 0 for none (default: %(default)s)",
     )
-    loose.add_argument(
-        "--parts", type=options.positive_int, metavar="N", help="all but the N largest connected parts (default: none)"
-    )
+    loose.add_argument("--parts", help="all but the N largest connected parts (default: none)", **options.COUNT)
     loose.add_argument(
         "--largest-scale",
         type=options.positive_float,
@@ -132,9 +124,7 @@ def add_clean_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE|SCENE[:SPLIT]",
         help="camera file, or scene of the cameras, that must show what is kept",
     )
-    shown.add_argument(
-        "--least-views", type=options.positive_int, metavar="N", help="so many of them must show it (default: 1)"
-    )
+    shown.add_argument("--least-views", help="so many of them must show it (default: 1)", **options.COUNT)
     shown.add_argument(
         "--least-weight",
         type=options.positive_float,
@@ -158,13 +148,7 @@ MESH_EXAMPLE = """\
 
 def add_mesh_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
-    parser.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        metavar="MESH",
-        help=f"mesh to write ({' '.join(options.MESH_ENDINGS)}; glTF with y up)",
-    )
+    options.add_output(parser, "MESH", f"mesh to write ({' '.join(options.MESH_ENDINGS)}; glTF with y up)")
     parser.add_argument(
         "--threshold",
         type=options.positive_float,
@@ -208,14 +192,11 @@ BAKE_EXAMPLE = """\
 
 def add_bake_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="FIELD", help="field to write (.npz, of splats as they come)"
-    )
+    options.add_output(parser, "FIELD", "field to write (.npz, of splats as they come)")
     parser.add_argument(
         "--voxels",
-        type=options.positive_int,
-        metavar="N",
         help="voxels along the longest side of the deformed scene (default: voxels as large as the field's)",
+        **options.COUNT,
     )
     parser.add_argument(
         "--format",
@@ -224,9 +205,8 @@ def add_bake_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--frames",
-        type=options.positive_int,
-        metavar="N",
         help="splats only: so many files from rest to the pose, -o walk_####.ply with the # for the number",
+        **options.COUNT,
     )
     parser.add_argument(
         "--overwrite",

@@ -80,6 +80,11 @@ def add_field(parser: Arguments) -> None:
     parser.add_argument("field", help=f"field file: voxels (.npz) or splats ({' '.join(SPLATS_READ)})")
 
 
+def add_output(parser: Arguments, metavar: str, help: str) -> None:
+    """What a command writes."""
+    parser.add_argument("-o", "--output", required=True, metavar=metavar, help=help)
+
+
 def add_scene(parser: Arguments, split: str) -> None:
     """The scene that a command reads, and which of its pictures; split: the default."""
     parser.add_argument("scene", help="folder with pictures and cameras")
@@ -87,11 +92,7 @@ def add_scene(parser: Arguments, split: str) -> None:
     add_scene_format(parser)
     add_masks(parser)
     parser.add_argument(
-        "--downscale",
-        type=positive_int,
-        default=1,
-        metavar="N",
-        help="shrink the pictures by averaging N x N pixels (default: %(default)s)",
+        "--downscale", default=1, help="shrink the pictures by averaging N x N pixels (default: %(default)s)", **COUNT
     )
     parser.add_argument(
         "--cameras",
@@ -211,18 +212,12 @@ def add_selection(parser: Arguments, what: str = "only what is chosen") -> None:
 
 def add_in_box(parser: Arguments) -> None:
     """A box around an object."""
-    parser.add_argument(
-        "--in-box",
-        type=finite_float,
-        nargs=6,
-        metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
-        help="what lies between two opposite corners, world units",
-    )
+    parser.add_argument("--in-box", help="what lies between two opposite corners, world units", **BOX)
 
 
 def add_parts(parser: Arguments) -> None:
     """Which connected parts of an object are kept."""
-    parser.add_argument("--parts", type=positive_int, metavar="N", help="the N largest connected parts")
+    parser.add_argument("--parts", help="the N largest connected parts", **COUNT)
     parser.add_argument(
         "--floaters",
         type=positive_float,
@@ -296,11 +291,9 @@ def add_view(parser: Arguments) -> None:
     )
     group.add_argument(
         "--size",
-        type=positive_int,
-        nargs="+",
-        metavar="PIXELS",
         help="width, or width and height; a width alone makes a square, or keeps the shape of --camera's picture "
         "(default: 400, or the size of --camera's picture)",
+        **PIXELS,
     )
 
 
@@ -526,3 +519,11 @@ def require_folder(path: str) -> None:
     if not pathlib.Path(path).is_dir():
         what = "is a file" if pathlib.Path(path).is_file() else "is not there"
         raise MissingFileError(f"scene folder {path!r} {what}")
+
+
+#: How options take a number of things, a length, a point, a box of two corners, and the size of pictures.
+COUNT: dict[str, Any] = {"type": positive_int, "metavar": "N"}
+LENGTH: dict[str, Any] = {"type": length, "metavar": "LENGTH"}
+POINT: dict[str, Any] = {"type": finite_float, "nargs": 3, "metavar": ("X", "Y", "Z")}
+BOX: dict[str, Any] = {"type": finite_float, "nargs": 6, "metavar": ("X0", "Y0", "Z0", "X1", "Y1", "Z1")}
+PIXELS: dict[str, Any] = {"type": positive_int, "nargs": "+", "metavar": "PIXELS"}

@@ -31,13 +31,7 @@ STEPS = 8
 
 def add_render_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
-    parser.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        metavar="PICTURE",
-        help="picture to write (.png, .exr), or folder: a picture of each pose",
-    )
+    options.add_output(parser, "PICTURE", "picture to write (.png, .exr), or folder: a picture of each pose")
     _add_many(parser)
     parser.add_argument("--disparity", metavar="PICTURE", help="also write the disparity in colour (.png)")
     parser.add_argument("--depth", metavar="PICTURE", help="also write the depth in grey, near is white (.png)")
@@ -73,9 +67,8 @@ def _add_many(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--frames",
-        type=options.positive_int,
-        metavar="N",
         help=f"pictures of --cameras interpolate (default: {STEPS} from each camera to the next)",
+        **options.COUNT,
     )
 
 
@@ -136,14 +129,11 @@ def add_animate_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--workers",
-        type=options.positive_int,
-        metavar="N",
         help="processes that render, one a GPU, or with a part of the cores each where there is none (default: this "
         "one)",
+        **options.COUNT,
     )
-    parser.add_argument(
-        "--frames", type=options.positive_int, default=48, metavar="N", help="number (default: %(default)s)"
-    )
+    parser.add_argument("--frames", default=48, help="number (default: %(default)s)", **options.COUNT)
     parser.add_argument(
         "--fps",
         type=options.positive_fraction,

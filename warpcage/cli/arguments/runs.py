@@ -31,13 +31,7 @@ MODES = ("bend", "twist", "stretch", "taper", "wave", "bump")
 
 def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
-    parser.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        metavar="JOBS",
-        help="job file to write (.jsonl); poses and cameras go beside it",
-    )
+    options.add_output(parser, "JOBS", "job file to write (.jsonl); poses and cameras go beside it")
     _add_poses(parser)
     _add_cameras(parser)
     group = parser.add_argument_group("pictures")
@@ -66,10 +60,7 @@ def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
         f"; {TRANSPARENT}: opacity in the picture; {OWN}: what the field has behind it",
     )
     group.add_argument(
-        "--supersampling",
-        type=options.positive_int,
-        metavar="N",
-        help="rays along each side of a pixel (default: that of the field)",
+        "--supersampling", help="rays along each side of a pixel (default: that of the field)", **options.COUNT
     )
     _add_records(parser)
     options.add_scene_scale(parser)
@@ -152,10 +143,7 @@ def _add_cameras(parser: argparse.ArgumentParser) -> None:
         "pose; a camera file (.json, .glb); a transforms.json; or a scene, SCENE[:SPLIT] (default: orbit:8)",
     )
     group.add_argument(
-        "--views",
-        type=options.positive_int,
-        metavar="N",
-        help="see each pose from N of the cameras, chosen at random (default: from all)",
+        "--views", help="see each pose from N of the cameras, chosen at random (default: from all)", **options.COUNT
     )
     group.add_argument(
         "--fov",
@@ -166,10 +154,8 @@ def _add_cameras(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--size",
-        type=options.positive_int,
-        nargs="+",
-        metavar="PIXELS",
         help="width, or width and height (default: 400, or the size of the cameras' pictures)",
+        **options.PIXELS,
     )
 
 
@@ -183,13 +169,7 @@ def _add_records(parser: argparse.ArgumentParser) -> None:
         "%(default)s)",
     )
     group.add_argument("--image", choices=("png", "jpg"), default="png", help="pictures (default: %(default)s)")
-    group.add_argument(
-        "--items-per-shard",
-        type=options.positive_int,
-        default=1000,
-        metavar="N",
-        help="pictures of a shard (default: 1000)",
-    )
+    group.add_argument("--items-per-shard", default=1000, help="pictures of a shard (default: 1000)", **options.COUNT)
     group.add_argument("--no-depth", dest="depth", action="store_false", help="leave depth out")
     group.add_argument("--no-alpha", dest="alpha", action="store_false", help="leave opacity out")
 
@@ -207,20 +187,17 @@ RUN_EXAMPLE = """\
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("jobs", help="job file (.jsonl), as docs/batch.md describes it")
-    parser.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        metavar="DIR",
-        help="folder of what is made, and of manifest.jsonl, which says what became of each item. What is there "
+    options.add_output(
+        parser,
+        "DIR",
+        "folder of what is made, and of manifest.jsonl, which says what became of each item. What is there "
         "already and whose inputs did not change is kept",
     )
     parser.add_argument(
         "--workers",
-        type=options.positive_int,
-        metavar="N",
         help="processes that work, one a GPU, or with a part of the cores each where there is none (default: 1; on a "
         "cluster all of its GPUs)",
+        **options.COUNT,
     )
     parser.add_argument(
         "--cluster",

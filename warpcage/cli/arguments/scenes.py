@@ -22,18 +22,15 @@ def add_capture_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source", metavar="VIDEO|FOLDER", help="video, or folder of pictures (.jpg .png .webp .bmp .tif)"
     )
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="SCENE", help="folder to write, new or empty: a scene for fit"
-    )
+    options.add_output(parser, "SCENE", "folder to write, new or empty: a scene for fit")
     parser.add_argument(
         "--pictures", metavar="FILE", help="text file that names the pictures of the folder to use, one a line"
     )
     parser.add_argument(
         "--frames",
-        type=options.positive_int,
         default=120,
-        metavar="N",
         help="most frames of a video that are taken: the sharp ones, spread along its way (default: %(default)s)",
+        **options.COUNT,
     )
     parser.add_argument(
         "--feature-size",
@@ -59,12 +56,8 @@ FIT_EXAMPLE = """\
 
 
 def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "-o",
-        "--output",
-        required=True,
-        metavar="FIELD",
-        help=f"field file to write: of voxels (.npz) or of splats ({' '.join(options.SPLAT_ENDINGS)})",
+    options.add_output(
+        parser, "FIELD", f"field file to write: of voxels (.npz) or of splats ({' '.join(options.SPLAT_ENDINGS)})"
     )
     options.add_scene(parser, split="train")
     parser.add_argument(
@@ -108,9 +101,8 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--resolution",
-        type=options.positive_int,
-        metavar="N",
         help="voxels along the longest side (default: follows the size of a pixel at the object)",
+        **options.COUNT,
     )
     parser.add_argument(
         "--max-memory",
@@ -124,8 +116,8 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="passes over the pixels that see the object (default: depends on --quality)",
     )
-    parser.add_argument("--steps", type=options.positive_int, metavar="N", help="splats: pictures that are drawn")
-    parser.add_argument("--most-splats", type=options.positive_int, metavar="N", help="splats: how many at the end")
+    parser.add_argument("--steps", help="splats: pictures that are drawn", **options.COUNT)
+    parser.add_argument("--most-splats", help="splats: how many at the end", **options.COUNT)
     parser.add_argument(
         "--variation",
         type=options.positive_float,
@@ -134,11 +126,7 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
         "for density and 15 for colours with masks or surroundings)",
     )
     parser.add_argument(
-        "--bounds",
-        type=options.finite_float,
-        nargs=6,
-        metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
-        help="box around the object, world units (default: found from the pictures)",
+        "--bounds", help="box around the object, world units (default: found from the pictures)", **options.BOX
     )
     cameras = parser.add_mutually_exclusive_group()
     cameras.add_argument(
