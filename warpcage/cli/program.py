@@ -19,17 +19,13 @@ from typing import Any, NoReturn, TextIO
 from ..core import reports
 from ..core.names import error_line
 from ..errors import InputError, MissingPackageError
-from .arguments import cages, fields, info, render, runs, scenes
-from .arguments.options import package_version
-
-_GROUPS = (scenes, fields, cages, render, runs, info)
+from .arguments import cages, fields, info, render, runs, scenes  # noqa: F401  (they bring their commands)
+from .arguments.options import COMMANDS, package_version
 
 _ORDER = (  # of commands in their help
     "capture fit select clean mesh cage check edit pose edits render animate sweep run bake evaluate info "
     "doctor kernels".split()
 )
-
-COMMANDS = {command.name: command for group in _GROUPS for command in group.COMMANDS}
 
 EXAMPLE = """\
 example, from pictures to a bent object:

@@ -8,9 +8,7 @@ from typing import Any
 from ...cage.axes import AXIS_WORDS, is_axis
 from ...core.names import EASINGS, LOOPS
 from . import options
-from .options import Command
-
-CAGE_HELP = "put a cage around a field or a mesh"
+from .options import command
 
 CAGE_EXAMPLE = """\
   warpcage cage lego.npz -o cage.obj --vertices 100
@@ -23,6 +21,7 @@ CAGE_EXAMPLE = """\
 """
 
 
+@command("cage", "put a cage around a field or a mesh", CAGE_EXAMPLE)
 def add_cage_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field", metavar="object", help=f"field (.npz), splats or mesh ({' '.join(options.MESH_ENDINGS)})"
@@ -87,8 +86,6 @@ def _add_selection(parser: argparse.ArgumentParser) -> None:
     options.add_parts(group)
 
 
-CHECK_HELP = "examine a cage, what it encloses and what a pose does to it; exit status 1 if it is of no use"
-
 CHECK_EXAMPLE = """\
   warpcage check cage.obj
   warpcage check cage.obj --object lego.npz --posed posed.obj
@@ -97,6 +94,11 @@ CHECK_EXAMPLE = """\
 """
 
 
+@command(
+    "check",
+    "examine a cage, what it encloses and what a pose does to it; exit status 1 if it is of no use",
+    CHECK_EXAMPLE,
+)
 def add_check_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("cage", help=f"cage to examine ({' '.join(options.CAGE_ENDINGS)})")
     parser.add_argument(
@@ -118,8 +120,6 @@ def add_check_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_device(parser)
 
 
-POSE_HELP = "bend, twist, taper, stretch, scale, rotate or move a cage"
-
 POSE_EXAMPLE = """\
   warpcage pose cage.obj -o posed.obj --bend 40 --axis x --towards z
   warpcage pose cage.obj -o posed.obj --twist 30 --taper 0.6 --axis z --limits 0.3 1
@@ -138,17 +138,12 @@ has; `warpcage animate --posed poses.json` makes the film. A direction with a mi
 class _Step(argparse.Action):
     """Collects steps in the order of the command line."""
 
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
         assert option_string is not None
         namespace.steps = [*(namespace.steps or []), (option_string.lstrip("-"), values)]
 
 
+@command("pose", "bend, twist, taper, stretch, scale, rotate or move a cage", POSE_EXAMPLE)
 def add_pose_arguments(parser: argparse.ArgumentParser) -> None:
     number = options.finite_float
     parser.add_argument("cage", help=f"cage to pose ({' '.join(options.CAGE_ENDINGS)})")
@@ -157,51 +152,18 @@ def add_pose_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_cage_up(parser)
     _add_keys(parser)
-    steps = parser.add_argument_group("steps")
-    add = steps.add_argument
-    add(
-        "--bend",
-        dest="steps",
-        action=_Step,
-        type=number,
-        metavar="DEGREES",
-        help="bend what lies along --axis into an arc in the direction of --towards",
-    )
-    add(
-        "--twist",
-        dest="steps",
-        action=_Step,
-        type=number,
-        metavar="DEGREES",
-        help="turn about --axis, from nothing at the start to DEGREES at the end",
-    )
-    add(
-        "--taper",
-        dest="steps",
-        action=_Step,
-        type=options.positive_float,
-        metavar="FACTOR",
-        help="scale across --axis, by 1 at the start to FACTOR at the end",
-    )
-    add(
-        "--stretch",
-        dest="steps",
-        action=_Step,
-        type=options.positive_float,
-        metavar="FACTOR",
-        help="scale along --axis",
-    )
-    add(
-        "--scale",
-        dest="steps",
-        action=_Step,
-        type=options.positive_float,
-        nargs="+",
-        metavar="FACTOR",
-        help="scale by one factor, or by one per axis",
-    )
-    add("--rotate", dest="steps", action=_Step, type=number, metavar="DEGREES", help="turn about --axis")
-    add("--translate", dest="steps", action=_Step, help="move, world units", **options.POINT)
+    steps, degrees = parser.add_argument_group("steps"), {"type": number, "metavar": "DEGREES"}
+    factor = {"type": options.positive_float, "metavar": "FACTOR"}
+    for name, help, kind in (
+        ("bend", "bend what lies along --axis into an arc in the direction of --towards", degrees),
+        ("twist", "turn about --axis, from nothing at the start to DEGREES at the end", degrees),
+        ("taper", "scale across --axis, by 1 at the start to FACTOR at the end", factor),
+        ("stretch", "scale along --axis", factor),
+        ("scale", "scale by one factor, or by one per axis", factor | {"nargs": "+"}),
+        ("rotate", "turn about --axis", degrees),
+        ("translate", "move, world units", options.POINT),
+    ):
+        steps.add_argument(f"--{name}", dest="steps", action=_Step, help=help, **kind)
     where = parser.add_argument_group("where")
     where.add_argument(
         "--axis",
@@ -266,8 +228,6 @@ def _add_keys(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--loop", choices=LOOPS, help="what the film does at its end")
 
 
-EDITS_HELP = "write several edits of one scene to a file, or say what such a file holds"
-
 EDITS_EXAMPLE = """\
   warpcage edits -o house.edits.json --edit wing.obj:wing_up.obj --edit tower.obj:tower_aside.obj:keep \\
       --edit chimney.obj:remove
@@ -289,6 +249,7 @@ of what edits do are in docs/edits.md.
 """
 
 
+@command("edits", "write several edits of one scene to a file, or say what such a file holds", EDITS_EXAMPLE)
 def add_edits_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", nargs="?", help="edits file, or session of the editor (.session.json)")
     parser.add_argument(
@@ -308,8 +269,6 @@ def axis_word(text: str) -> str:
     return text
 
 
-EDIT_HELP = "pose cages by hand in the browser and see the scene follow"
-
 EDIT_EXAMPLE = """\
   warpcage edit --demo
   warpcage edit lego.npz --cage cage.obj
@@ -319,6 +278,7 @@ What is edited is kept beside the field, as NAME.session.json, and the next call
 """
 
 
+@command("edit", "pose cages by hand in the browser and see the scene follow", EDIT_EXAMPLE)
 def add_edit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("field", nargs="?", help="field file (.npz)")
     parser.add_argument("--demo", action="store_true", help="edit a brick excavator, which is fitted once and kept")
@@ -357,12 +317,3 @@ def port_number(text: str) -> int:
     if not (text.isascii() and text.isdigit()) or int(text) > 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is no port: 0 to 65535")
     return int(text)
-
-
-COMMANDS = (
-    Command("cage", CAGE_HELP, CAGE_EXAMPLE, add_cage_arguments, "cages"),
-    Command("check", CHECK_HELP, CHECK_EXAMPLE, add_check_arguments, "cages"),
-    Command("pose", POSE_HELP, POSE_EXAMPLE, add_pose_arguments, "cages"),
-    Command("edits", EDITS_HELP, EDITS_EXAMPLE, add_edits_arguments, "cages"),
-    Command("edit", EDIT_HELP, EDIT_EXAMPLE, add_edit_arguments, "cages"),
-)

@@ -6,9 +6,7 @@ import argparse
 
 from ...core.names import PLANES
 from . import options
-from .options import Command
-
-SELECT_HELP = "choose an object of a scene, without what it stands on, by a click or a region"
+from .options import command
 
 SELECT_EXAMPLE = """\
   warpcage select room.npz -o cup.npz --point 0.2 0.1 0.4 --preview cup.png
@@ -20,6 +18,7 @@ SELECT_EXAMPLE = """\
 """
 
 
+@command("select", "choose an object of a scene, without what it stands on, by a click or a region", SELECT_EXAMPLE)
 def add_select_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
     options.add_output(
@@ -88,8 +87,6 @@ def _add_region(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--views", metavar="FILE|SCENE[:SPLIT]", help="camera file, or scene of the cameras, of --depth")
 
 
-CLEAN_HELP = "remove what hangs loose in a field, and what no view shows"
-
 CLEAN_EXAMPLE = """\
   warpcage clean place.ply -o clean.ply --preview gone.png
   warpcage clean place.ply -o clean.ply --views data/room --largest-scale 0.5
@@ -98,6 +95,7 @@ CLEAN_EXAMPLE = """\
 """
 
 
+@command("clean", "remove what hangs loose in a field, and what no view shows", CLEAN_EXAMPLE)
 def add_clean_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
     options.add_output(parser, "FIELD", "field to write (.npz, of splats as they come)")
@@ -137,8 +135,6 @@ def add_clean_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_device(parser)
 
 
-MESH_HELP = "extract the surface of a field as a triangle mesh"
-
 MESH_EXAMPLE = """\
   warpcage mesh lego.npz -o lego.obj
   warpcage mesh lego.npz -o lego.glb                    with colours, for Blender: docs/blender.md
@@ -146,6 +142,7 @@ MESH_EXAMPLE = """\
 """
 
 
+@command("mesh", "extract the surface of a field as a triangle mesh", MESH_EXAMPLE)
 def add_mesh_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
     options.add_output(parser, "MESH", f"mesh to write ({' '.join(options.MESH_ENDINGS)}; glTF with y up)")
@@ -177,8 +174,6 @@ def add_mesh_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_device(parser)
 
 
-BAKE_HELP = "make a new field of a deformed one, that needs no cage: voxels are resampled, splats moved"
-
 BAKE_EXAMPLE = """\
   warpcage bake lego.npz --cage cage.obj --posed posed.obj -o bent.npz
   warpcage bake lego.npz --cage cage.obj --posed twist:60 -o twisted.npz --format svox2 --voxels 512
@@ -190,6 +185,9 @@ BAKE_EXAMPLE = """\
 """
 
 
+@command(
+    "bake", "make a new field of a deformed one, that needs no cage: voxels are resampled, splats moved", BAKE_EXAMPLE
+)
 def add_bake_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
     options.add_output(parser, "FIELD", "field to write (.npz, of splats as they come)")
@@ -217,11 +215,3 @@ def add_bake_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_deformation(parser, usual_resolution="128")
     options.add_scene_scale(parser)
     options.add_device(parser)
-
-
-COMMANDS = (
-    Command("select", SELECT_HELP, SELECT_EXAMPLE, add_select_arguments, "fields"),
-    Command("clean", CLEAN_HELP, CLEAN_EXAMPLE, add_clean_arguments, "fields"),
-    Command("mesh", MESH_HELP, MESH_EXAMPLE, add_mesh_arguments, "fields"),
-    Command("bake", BAKE_HELP, BAKE_EXAMPLE, add_bake_arguments, "fields"),
-)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 
 from . import options
-from .options import Command
-
-INFO_HELP = "describe a field, a cage, poses, edits, cameras or a scene; without a file: versions and devices"
+from .options import command
 
 INFO_EXAMPLE = """\
   warpcage info
@@ -21,6 +19,11 @@ INFO_EXAMPLE = """\
 SHEET_PICTURES, SHEET_SIDE = 100, 160
 
 
+@command(
+    "info",
+    "describe a field, a cage, poses, edits, cameras or a scene; without a file: versions and devices",
+    INFO_EXAMPLE,
+)
 def add_info_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field",
@@ -43,8 +46,6 @@ def add_info_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_device(parser)
 
 
-KERNELS_HELP = "list the kernel files, or copy some with all that they need into a program of your own"
-
 KERNELS_EXAMPLE = """\
   warpcage kernels list
   warpcage kernels copy mean_value my_kernels
@@ -56,6 +57,9 @@ the modules that launch its kernels, in host/, the licence, and a README.md with
 """
 
 
+@command(
+    "kernels", "list the kernel files, or copy some with all that they need into a program of your own", KERNELS_EXAMPLE
+)
 def add_kernels_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="action", required=True)
     actions.add_parser("list", help="print the name and the topic of every kernel file")
@@ -69,8 +73,6 @@ def add_kernels_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-DOCTOR_HELP = "look whether warpcage works on this machine, and say what to do where it does not"
-
 DOCTOR_EXAMPLE = """\
   warpcage doctor
   warpcage doctor --device cuda:0
@@ -79,8 +81,10 @@ Versions, devices, driver, memory, kernel cache, codecs, extras, and a test of s
 something keeps it from working.
 """
 
-COMMANDS = (
-    Command("info", INFO_HELP, INFO_EXAMPLE, add_info_arguments, "info"),
-    Command("doctor", DOCTOR_HELP, DOCTOR_EXAMPLE, options.add_device, "doctor"),
-    Command("kernels", KERNELS_HELP, KERNELS_EXAMPLE, add_kernels_arguments, "info"),
-)
+
+command(
+    "doctor",
+    "look whether warpcage works on this machine, and say what to do where it does not",
+    DOCTOR_EXAMPLE,
+    "doctor",
+)(options.add_device)

@@ -36,20 +36,15 @@ COLOR_NAMES = ", ".join(BACKGROUNDS)
 #: The lattice where --resolution is not given.
 BY_SIZE = "by size"
 
-#: What takes arguments: a parser, or a group of its arguments.
+#: What takes arguments: a parser, or a group of its arguments; and what adds those of a command.
 Arguments = argparse._ActionsContainer
+AddArguments = Callable[[argparse.ArgumentParser], None]
 
 
 class OldName(argparse.Action):
     """An option by its old name, which the next version does not know."""
 
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
         old, new = self.option_strings[0], self.dest.replace("_", "-")
         warnings.warn(f"{old} is called --{new} now: the next version knows that name alone", stacklevel=2)
         setattr(namespace, self.dest, values)
@@ -58,11 +53,24 @@ class OldName(argparse.Action):
 class Command(NamedTuple):
     """A command as the parser knows it; `module` of warpcage.cli has run_NAME(args), loaded when it is chosen."""
 
-    name: str
     help: str  # one line
     example: str
     add_arguments: Callable[[argparse.ArgumentParser], None]
     module: str
+
+
+#: All commands by their names.
+COMMANDS: dict[str, Command] = {}
+
+
+def command(name: str, help: str, example: str, module: str = "") -> Callable[[AddArguments], AddArguments]:
+    """Decorates what adds the arguments of a command; module: that of warpcage.cli, else the one of the same name."""
+
+    def keep(add: AddArguments) -> AddArguments:
+        COMMANDS[name] = Command(help, example, add, module or add.__module__.rpartition(".")[2])
+        return add
+
+    return keep
 
 
 def package_version() -> str:

@@ -8,9 +8,7 @@ from typing import Any
 
 from ...core.names import LOOPS
 from . import options
-from .options import Command
-
-RENDER_HELP = "render one view of a field, as it is or deformed by a cage"
+from .options import command
 
 RENDER_EXAMPLE = """\
   warpcage render lego.npz -o lego.png
@@ -29,6 +27,7 @@ RENDER_EXAMPLE = """\
 STEPS = 8
 
 
+@command("render", "render one view of a field, as it is or deformed by a cage", RENDER_EXAMPLE)
 def add_render_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
     options.add_output(parser, "PICTURE", "picture to write (.png, .exr), or folder: a picture of each pose")
@@ -71,8 +70,6 @@ def _add_many(parser: argparse.ArgumentParser) -> None:
         **options.COUNT,
     )
 
-
-ANIMATE_HELP = "render a film from rest through the poses and back, with the camera turning around the object"
 
 ANIMATE_EXAMPLE = """\
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4
@@ -117,6 +114,11 @@ class Default:
         return str(self.value)
 
 
+@command(
+    "animate",
+    "render a film from rest through the poses and back, with the camera turning around the object",
+    ANIMATE_EXAMPLE,
+)
 def add_animate_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
     goal = parser.add_mutually_exclusive_group(required=True)
@@ -200,9 +202,3 @@ def add_animate_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_device(parser)
     options.add_quiet(parser)
     parser.set_defaults(**{name: Default(parser.get_default(name)) for name in OF_SESSIONS})
-
-
-COMMANDS = (
-    Command("render", RENDER_HELP, RENDER_EXAMPLE, add_render_arguments, "render"),
-    Command("animate", ANIMATE_HELP, ANIMATE_EXAMPLE, add_animate_arguments, "render"),
-)

@@ -6,9 +6,7 @@ import argparse
 
 from ...core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, TRANSPARENT
 from . import options
-from .options import Command
-
-SWEEP_HELP = "write a job file of many poses of a field from many cameras, for data sets"
+from .options import command
 
 SWEEP_EXAMPLE = """\
   warpcage sweep lego.npz --cage cage.obj --poses random:100 --cameras orbit:8 -o sweep.jsonl
@@ -29,6 +27,7 @@ OWN = "own"
 MODES = ("bend", "twist", "stretch", "taper", "wave", "bump")
 
 
+@command("sweep", "write a job file of many poses of a field from many cameras, for data sets", SWEEP_EXAMPLE)
 def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
     options.add_output(parser, "JOBS", "job file to write (.jsonl); poses and cameras go beside it")
@@ -174,8 +173,6 @@ def _add_records(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--no-alpha", dest="alpha", action="store_false", help="leave opacity out")
 
 
-RUN_HELP = "make all that a job file describes: frames, fits and evaluations, over several GPUs or machines"
-
 RUN_EXAMPLE = """\
   warpcage run jobs.jsonl -o frames
   warpcage run jobs.jsonl -o frames --dry-run
@@ -185,6 +182,11 @@ RUN_EXAMPLE = """\
 """
 
 
+@command(
+    "run",
+    "make all that a job file describes: frames, fits and evaluations, over several GPUs or machines",
+    RUN_EXAMPLE,
+)
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("jobs", help="job file (.jsonl), as docs/batch.md describes it")
     options.add_output(
@@ -234,9 +236,3 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_device(parser)
     options.add_quiet(parser)
-
-
-COMMANDS = (
-    Command("sweep", SWEEP_HELP, SWEEP_EXAMPLE, add_sweep_arguments, "runs"),
-    Command("run", RUN_HELP, RUN_EXAMPLE, add_run_arguments, "runs"),
-)

@@ -6,9 +6,7 @@ import argparse
 
 from ...core.names import QUALITIES
 from . import options
-from .options import Command
-
-CAPTURE_HELP = "make a scene of a video or a folder of pictures: find the cameras, undistort the pictures"
+from .options import command
 
 CAPTURE_EXAMPLE = """\
   warpcage capture walk.mp4 -o scene
@@ -18,6 +16,11 @@ CAPTURE_EXAMPLE = """\
 """
 
 
+@command(
+    "capture",
+    "make a scene of a video or a folder of pictures: find the cameras, undistort the pictures",
+    CAPTURE_EXAMPLE,
+)
 def add_capture_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source", metavar="VIDEO|FOLDER", help="video, or folder of pictures (.jpg .png .webp .bmp .tif)"
@@ -43,8 +46,6 @@ def add_capture_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_quiet(parser)
 
 
-FIT_HELP = "fit a radiance field to the pictures of a scene"
-
 FIT_EXAMPLE = """\
   warpcage fit data/lego --downscale 2 -o lego.npz
   warpcage fit data/lego -o lego.npz --device cuda:0 --resolution 384 --background black
@@ -55,6 +56,7 @@ FIT_EXAMPLE = """\
 """
 
 
+@command("fit", "fit a radiance field to the pictures of a scene", FIT_EXAMPLE)
 def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_output(
         parser, "FIELD", f"field file to write: of voxels (.npz) or of splats ({' '.join(options.SPLAT_ENDINGS)})"
@@ -145,14 +147,13 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_quiet(parser)
 
 
-EVALUATE_HELP = "compare renders of a field with a scene's pictures (PSNR, SSIM)"
-
 EVALUATE_EXAMPLE = """\
   warpcage evaluate lego.npz data/lego
   warpcage evaluate lego.npz data/lego --split test --downscale 2 --json psnr.json --worst worst.png
 """
 
 
+@command("evaluate", "compare renders of a field with a scene's pictures (PSNR, SSIM)", EVALUATE_EXAMPLE)
 def add_evaluate_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
     options.add_scene(parser, split="test")
@@ -177,10 +178,3 @@ def add_evaluate_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_scene_scale(parser)
     options.add_device(parser)
     options.add_quiet(parser)
-
-
-COMMANDS = (
-    Command("capture", CAPTURE_HELP, CAPTURE_EXAMPLE, add_capture_arguments, "scenes"),
-    Command("fit", FIT_HELP, FIT_EXAMPLE, add_fit_arguments, "scenes"),
-    Command("evaluate", EVALUATE_HELP, EVALUATE_EXAMPLE, add_evaluate_arguments, "scenes"),
-)
