@@ -263,11 +263,14 @@ LINES = {
     "half a line": ([HEADER, FRAME, '{"id": "b", "field'], "line 3: its JSON breaks off or is damaged at column"),
     "NaN": ([HEADER, '{"id": "b", "falloff": NaN}'], "line 2: NaN is no number of JSON"),
     "brackets": ([HEADER, "[" * 100_000], "line 2: its JSON is nested too deeply"),
-    "two of one id": ([HEADER, FRAME, FRAME | {"outputs": {"rgb": "b.png"}}], "line 3: the id 'a' is that of line 2"),
-    "capitals": ([HEADER, FRAME, FRAME | {"id": "A"}], "line 3: the id 'A' is that of line 2"),
+    "two of one id": (
+        [HEADER, FRAME, FRAME | {"outputs": {"rgb": "b.png"}}],
+        "lines 2 and 3: two items have the id 'a'",
+    ),
+    "capitals": ([HEADER, FRAME, FRAME | {"id": "A"}], "lines 2 and 3: two items have the id 'a'"),
     "one output of two": (
         [HEADER, FRAME, FRAME | {"id": "b"}, FRAME | {"id": "c", "outputs": {"rgb": "a.png"}}],
-        "line 4 ('c'): it writes 'a.png', as line 2 does ('a')",
+        "lines 2 and 4: two items have the output 'a.png'",
     ),
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import collections
 import dataclasses
 import functools
 import hashlib
@@ -164,24 +165,10 @@ class JobFile:
     def check(self) -> None:
         """Check all lines, and that no two items have one id or write one file, also where capitals are not told apart.
         16 bytes are held for each item and each output."""
-        keys, owners = array.array("Q"), array.array("q")
+        names = UniqueNames()
         for index, item in enumerate(self.items()):
-            marks = _marks(item)
-            keys.extend(marks)
-            owners.extend([index] * len(marks))
-        pairs = twins(np.array(keys, np.uint64), np.array(owners, np.int64))
-        for one, two in sorted((pair for pair in pairs if pair[0] != pair[1]), key=lambda pair: pair[1]):
-            first, second = self.item(one), self.item(two)
-            where = f"{self.path}, line {self.line(two)}"
-            if first.id.lower() == second.id.lower():
-                raise InputError(f"{where}: the id {second.id!r} is that of line {self.line(one)}: ids must differ")
-            paths = {path.lower() for path in first.outputs.values()}
-            for path in second.outputs.values():
-                if path.lower() in paths:
-                    raise InputError(
-                        f"{where} ({second.id!r}): it writes {path!r}, as line {self.line(one)} does ({first.id!r}): "
-                        "outputs must differ"
-                    )
+            names.note(index, item)
+        names.require(self)
 
     def _found_lines(self) -> tuple[np.ndarray, np.ndarray]:
         """Where lines start (and the end of the file), and the numbers of those that hold something."""
@@ -242,19 +229,36 @@ class JobFile:
 _HEADER_SHAPE = f'{{"format": "{FORMAT}", "version": 1}}'
 
 
-def _marks(item: Item) -> list[int]:
-    """64 bits for an item's id, and for each of its outputs. Letters in capitals are the same."""
-    names = [f"id {item.id}", *(f"file {path}" for path in item.outputs.values())]
-    hashes = (hashlib.blake2b(name.lower().encode(), digest_size=8).digest() for name in names)
-    return [int.from_bytes(each, "little") for each in hashes]
+class UniqueNames:
+    """Ids and outputs of items, 64 bits of each, of which no two may be alike; capitals are not told apart."""
+
+    def __init__(self) -> None:
+        self._keys, self._owners = array.array("Q"), array.array("q")
+
+    def note(self, index: int, item: Item) -> None:
+        """Take in an item by its number in the job file."""
+        for what, name in _names(item):
+            mark = hashlib.blake2b(f"{what} {name}".encode(), digest_size=8).digest()
+            self._keys.append(int.from_bytes(mark, "little"))
+            self._owners.append(index)
+
+    def require(self, job: JobFile) -> None:
+        """Raise ValueError for the first item that has a name of one before it."""
+        keys, owners = np.array(self._keys, np.uint64), np.array(self._owners, np.int64)
+        order = np.argsort(keys, kind="stable")
+        same = keys[order][1:] == keys[order][:-1]
+        for two, one in sorted(zip(owners[order][1:][same].tolist(), owners[order][:-1][same].tolist(), strict=True)):
+            names = collections.Counter(name for index in {one, two} for name in _names(job.item(index)))
+            shared = [name for name, count in names.items() if count > 1]
+            if shared:  # else two names have the same bits
+                what, name = min(shared)
+                lines = f"{job.path}, lines {job.line(one)} and {job.line(two)}"
+                raise InputError(f"{lines}: two items have {what} {name!r}: each needs its own")
 
 
-def twins(keys: np.ndarray, owners: np.ndarray) -> Iterator[tuple[int, int]]:
-    """Pairs of owners (n,) that share a key (n,), the lower one first."""
-    order = np.argsort(keys, kind="stable")
-    for place in np.flatnonzero(keys[order][1:] == keys[order][:-1]):
-        one, two = sorted((int(owners[order[place]]), int(owners[order[place + 1]])))
-        yield one, two
+def _names(item: Item) -> list[tuple[str, str]]:
+    """What it is called and what it writes. File systems that do not tell capitals apart are thought of."""
+    return [("the id", item.id.casefold()), *(("the output", path.casefold()) for path in item.outputs.values())]
 
 
 def _check_defaults(defaults: Any) -> None:

@@ -12,7 +12,7 @@ from ..core.names import counted
 from ..errors import InputError
 from .chunk_runner import MOST_CHUNKS, Chunk, ChunkReport
 from .items import KINDS, Item
-from .job_file import JobFile, twins
+from .job_file import JobFile, UniqueNames
 from .manifest import DONE, FAILED, Manifest, OutputFolder, id_key
 from .webdataset import shard_holds, shard_size, span_of, staged_shards
 
@@ -472,19 +472,18 @@ def make_plan(
     fingerprint: the hash of an item's inputs; progress: called with the number of items that were looked at."""
     count, span = len(job), span_of(job, folder)
     shard = shard_size(job)
-    keys, groups, poses = (np.zeros(count, np.int64) for _ in range(3))
+    groups, poses = (np.zeros(count, np.int64) for _ in range(2))
     kinds, wanted = np.zeros(count, np.int8), np.zeros(count, bool)
     wanted[span.start : span.stop] = True
     names: dict[str, int] = {}
-    paths, owners = [], []
+    unique = UniqueNames()
     changed = failed_before = 0
     for checked, index in enumerate(span, 1):
         item = job.item(index)
-        keys[index], kinds[index] = id_key(item.id.casefold()), KIND_NUMBERS[item.kind]
+        kinds[index] = KIND_NUMBERS[item.kind]
         groups[index] = names.setdefault(item.group, len(names))
         poses[index] = id_key(item.pose)
-        paths += [id_key(path) for path in _paths(item)]
-        owners += [index] * len(item.outputs)
+        unique.note(index, item)
         record = manifest.find(item.id) if len(manifest) else None
         if record is not None and record["state"] == DONE:
             outputs = record.get("outputs")
@@ -493,9 +492,7 @@ def make_plan(
             changed += int(wanted[index])
         failed_before += record is not None and record["state"] == FAILED
         progress(checked)
-    numbers = np.arange(span.start, span.stop)
-    _refuse_twins(job, keys[span.start : span.stop], numbers, lambda item: [item.id.casefold()], "the id")
-    _refuse_twins(job, np.array(paths, np.int64), np.array(owners, np.int64), _paths, "the output")
+    unique.require(job)
     makes = np.flatnonzero(wanted)
     major = makes // shard if shard else groups[makes]
     # poses in the order in which they come first
@@ -537,21 +534,3 @@ def _unchanged(record: dict, item: Item, fingerprint: Callable[[Item], str]) -> 
         return record.get("inputs") == fingerprint(item)
     except (OSError, ValueError):  # the worker will say what is wrong with it
         return False
-
-
-def _paths(item: Item) -> list[str]:
-    """What it writes. File systems that do not tell capitals apart are thought of."""
-    return [path.casefold() for path in item.outputs.values()]
-
-
-def _refuse_twins(
-    job: JobFile, keys: np.ndarray, owners: np.ndarray, names: Callable[[Item], list[str]], what: str
-) -> None:
-    """Raise ValueError for the first name that two items have."""
-    for one, two in twins(keys, owners):
-        shared = set(names(job.item(one))) & set(names(job.item(two))) if one != two else set(names(job.item(one)))
-        if shared and (one != two or len(names(job.item(one))) > len(shared)):
-            raise InputError(
-                f"{job.path}, lines {job.line(one)} and {job.line(two)}: two items have {what} {min(shared)!r}: "
-                "each needs its own"
-            )

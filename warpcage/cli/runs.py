@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import dataclasses
 import pathlib
 import re
 import sys
@@ -12,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..batch.manifest import Part
-from ..batch.run import Forecast, Options, RunProgress, RunReport, foresee, run_jobs
+from ..batch.run import Forecast, RunProgress, RunReport, foresee, run_jobs
 from ..batch.sweeps import GivenSource, PoseSource, RandomSource, RandomViews, write_sweep
 from ..cage.cage import Cage
 from ..cage.random_poses import RandomPoses
@@ -38,8 +40,7 @@ def run_run(args: argparse.Namespace) -> int:
         if part is not None:
             raise InputError("--dry-run looks at the whole job: leave out --part")
         return _say(foresee(args.jobs, args.output, workers=args.workers or 1, device=args.device))
-    Options(args.workers, args.cluster, args.device, args.retries, item_timeout=args.item_timeout)
-    with _Bar(args.quiet) as bar:
+    with contextlib.closing(_Bar(args.quiet)) as bar:
         report = run_jobs(
             args.jobs,
             args.output,
@@ -50,7 +51,7 @@ def run_run(args: argparse.Namespace) -> int:
             item_timeout=args.item_timeout,
             part=part,
             progress=bar.show,
-            warn=bar.warn,
+            warn=say_above_bar,
         )
     return _conclude(report, args.output)
 
@@ -61,18 +62,15 @@ class _Bar:
     def __init__(self, quiet: bool):
         self._quiet, self._bar, self._stage = quiet, None, ""
 
-    def __enter__(self) -> _Bar:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Leave the bar as it is."""
         if self._bar is not None:
             self._bar.close()
 
     def show(self, state: RunProgress) -> None:
         """Show how far the run is."""
         if state.stage != self._stage:
-            if self._bar is not None:
-                self._bar.close()
+            self.close()
             start = state.kept if state.stage == "make" else 0
             brief = state.stage == "check"  # gone again: most jobs are looked through at once
             options: dict[str, Any] = {"stays": not brief, "delay": 0.5 * brief, "unit": " items", "smoothing": 0.1}
@@ -83,10 +81,6 @@ class _Bar:
             self._bar.set_postfix(failed=state.failed, refresh=False)
         place = state.checked if state.stage == "check" else state.kept + state.done + state.failed
         self._bar.update(place - self._bar.n)
-
-    def warn(self, line: str) -> None:
-        """Print a line above the bar."""
-        say_above_bar(line)
 
 
 def _conclude(report: RunReport, output: str) -> int:
@@ -184,7 +178,7 @@ def run_sweep(args: argparse.Namespace) -> None:
         field=args.field,
         cage=args.cage,
         rest=rest,
-        sources=[_Told(source, args.quiet) for source in sources],
+        sources=sources,
         cameras=given or (lambda bounds: _made_cameras(args, _box_corners(np.concatenate([shown, bounds])), up)),
         coordinates=args.coordinates,
         views=args.views,
@@ -199,27 +193,15 @@ def run_sweep(args: argparse.Namespace) -> None:
     print(f"warpcage run {made.jobs} -o FOLDER makes them")
 
 
-class _Told:
-    """Poses, with a bar of how many are drawn."""
+@dataclasses.dataclass(frozen=True)
+class _Told(RandomSource):
+    """Random poses, with a bar of how many are drawn."""
 
-    def __init__(self, source: PoseSource, quiet: bool):
-        self.source, self._quiet = source, quiet or not isinstance(source, RandomSource)
-
-    def __len__(self) -> int:
-        return len(self.source)
+    quiet: bool = False
 
     def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
-        """The vertices of each; most: of the first ones alone."""
         count = len(self) if most is None else min(most, len(self))
-        yield from bar(count, "poses", shown=not self._quiet, stays=False, iterable=self.source.rows(most))
-
-    def drawn(self, number: int) -> dict | None:
-        """What a worker draws a pose by; None where its vertices are written."""
-        return self.source.drawn(number)
-
-    def origin(self, number: int) -> dict:
-        """Where a pose comes from."""
-        return self.source.origin(number)
+        yield from bar(count, "poses", shown=not self.quiet, stays=False, iterable=super().rows(most))
 
 
 def _check_words(args: argparse.Namespace) -> None:
@@ -271,7 +253,7 @@ def _pose_sources(args: argparse.Namespace, rest: Cage, expected: dict[str, str]
         if count is not None:
             options_ = {"stretch": args.stretch, "reach": args.reach, "modes": args.modes}
             drawn = [RandomPoses(rest, seed=seed, **options_) for seed in args.seeds]
-            sources += [RandomSource(poses, count, args.write_poses, cpu_threads()) for poses in drawn]
+            sources += [_Told(poses, count, args.write_poses, cpu_threads(), args.quiet) for poses in drawn]
         elif _is_array(text):
             sources.append(_array_source(text, rest))
         else:
