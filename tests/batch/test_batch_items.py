@@ -124,7 +124,7 @@ def test_one_edit_of_the_defaults_gives_way_to_edits_of_an_item(tmp_path):
     write_jobs(path, [{"id": "one"}, {"id": "two", "edits": edits}, {"id": "three", "posed": "q.obj"}], defaults=usual)
     one, two, three = JobFile(path)
     assert one.edits[0].falloff == 0.1 and three.edits[0].posed == "q.obj" and three.group == one.group
-    assert [edit.cage for edit in two.edits] == ["c.obj", "d.obj"] and two.edits[0].falloff == 0.0
+    assert [edit.cage for edit in two.edits] == ["c.obj", "d.obj"] and not two.edits[0].falloff
     write_jobs(path, [{"id": "one"}, {"id": "two", "cage": "e.obj", "posed": "q.obj"}], defaults=usual_edits(edits))
     assert [[edit.cage for edit in item.edits] for item in JobFile(path)] == [["c.obj", "d.obj"], ["e.obj"]]
 
@@ -179,7 +179,7 @@ REFUSED = {
     "no edits": (without(FRAME, "cage", "posed") | {"edits": []}, "'edits' must be a list of at least one edit"),
     "an edit with a slip": (
         without(FRAME, "cage", "posed") | {"edits": [EDIT, {"cage": "c.obj", "pose": 1}]},
-        "edit 2 of 'edits' has no 'pose'",
+        "edit 2 of 'edits': it has no 'pose'",
     ),
     "a pose of nothing": (
         FRAME | {"posed": {}},

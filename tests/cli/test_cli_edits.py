@@ -11,8 +11,9 @@ from runs import SMALL, run, succeed, write_files
 
 from warpcage import Cage, CageEdit, Camera, Deformer, PoseFile, VoxelField
 from warpcage.cli.program import build_parser
-from warpcage.cli.words import EditWords, parse_edit, read_edits_file, write_edits_file
+from warpcage.cli.words import parse_edit, read_edits_file, write_edits_file
 from warpcage.editor import Document, Selection, Settings, Timeline, View, new_edit, write_session
+from warpcage.edits.words import EditWords
 from warpcage.view import read_image
 
 VIEW = (*SMALL, "--eye", 0, -4, 0.5, "--target", 0, 0, 0, "--background", "white")
@@ -56,7 +57,7 @@ def expected(files, edits, poses):
         (r"C:cage.obj:C:poses.json:wave:keep", EditWords("C:cage.obj", "C:poses.json:wave", keep=True)),
         ("cage.obj:posed.obj:keep:falloff=0.5", EditWords("cage.obj", "posed.obj", keep=True, falloff=0.5)),
         ("cage.obj:remove:fragments=0.1", EditWords("cage.obj", remove=True, fragments=0.1)),
-        ("a.obj:twist:30:held=3,4:falloff=1", EditWords("a.obj", "twist:30", falloff=1.0, held="3,4")),
+        ("a.obj:twist:30:held=3,4:falloff=1", EditWords("a.obj", "twist:30", falloff=1.0, held=(3, 4))),
         ("my.obj files/a.obj:b.obj", EditWords("my.obj files/a.obj", "b.obj")),
         ("a.obj:my.obj files/b.glb:wave", EditWords("a.obj", "my.obj files/b.glb:wave")),
     ],
@@ -72,13 +73,13 @@ def test_words_of_an_edit(text, words):
         ("cage.obj", "there is no posed cage"),
         ("cage.obj:keep", "there is no posed cage"),
         ("cage.obj:keep:remove", "do not go together"),
-        ("cage.obj:posed.obj:remove", "needs no pose"),
+        ("cage.obj:posed.obj:remove", "needs no 'posed'"),
         ("cage.obj:remove:falloff=0.2", "no band in which it fades"),
         ("cage.obj:remove:held=4,5", "no band in which it fades"),
         ("cage.obj:posed.obj:falloff=wide", "falloff|finite number"),
         ("cage.obj:posed.obj:kept", "'kept' is no word of an edit"),
         ("cage.obj:posed.obj:falof=1:keep", "'falof=1' is no word of an edit"),
-        ("cage.obj:posed.obj:held=left:falloff=1", "held must be cut, still, or numbers"),
+        ("cage.obj:posed.obj:held=left:falloff=1", 'held must be "cut", "still", or numbers'),
     ],
 )
 def test_what_is_no_edit_is_refused(text, message):
@@ -245,7 +246,7 @@ def test_bad_edits_end_in_one_line(files, tmp_path, capsys, words, message):
 
 
 def test_all_of_an_edit_is_said():
-    edits = [EditWords("a.obj", "b.obj", keep=True, falloff=0.5, held="3,4", fragments=0.1),
+    edits = [EditWords("a.obj", "b.obj", keep=True, falloff=0.5, held=(3, 4), fragments=0.1),
              EditWords("a.obj", remove=True, fragments=0.1)]  # fmt: skip
     assert [str(edit) for edit in edits] == [
         "a.obj -> b.obj, the source stays (a copy), fades to rest over 0.5 (held=3,4), fragments below 0.1 go too",
@@ -256,11 +257,11 @@ def test_all_of_an_edit_is_said():
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        ({"cage": "top.obj"}, "edit 1: there is no posed cage"),
+        ({"cage": "top.obj"}, "edit 1: 'cage' needs 'posed'"),
         ({"posed": "rest"}, "edit 1: it names no cage"),
         ({"cage": "top.obj", "posed": "rest", "kept": True}, MESSAGES["cage.edit_keys"]),
-        ({"cage": "top.obj", "posed": "rest", "keep": "yes"}, "edit 1: keep must be true or false"),
-        ({"cage": 3, "posed": "rest"}, "edit 1: cage must be a text"),
+        ({"cage": "top.obj", "posed": "rest", "keep": "yes"}, "edit 1: 'keep' must be true or false"),
+        ({"cage": 3, "posed": "rest"}, "edit 1: 'cage' must be a text"),
         ("top.obj:rest", "edit 1: it must be an object"),
     ],
 )

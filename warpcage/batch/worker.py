@@ -138,7 +138,7 @@ class FrameMaker:
         def bind() -> Bound:
             rests = [self.references.rest_cage(edit, field) for edit in item.edits]
             edits = [
-                CageEdit(cage.cage, edit.keep, edit.remove, edit.falloff, edit.held, edit.fragments)
+                CageEdit(cage.cage, edit.keep, edit.remove, edit.falloff or 0.0, edit.held, edit.fragments or 0.0)
                 for cage, edit in zip(rests, item.edits, strict=True)
             ]
             self.counts.deformers += 1

@@ -27,6 +27,7 @@ from ..core.checks import checked_bounds
 from ..core.files import require_file
 from ..core.names import counted
 from ..editor.session import free_session_path, session_path
+from ..edits.words import EditWords
 from ..errors import InputError
 from ..field.closer import is_splats, matter_around
 from ..field.selection import NodeSelection, select_nodes
@@ -40,7 +41,6 @@ from . import shared
 from .arguments import options
 from .shared import Deformation, PosedEdit, is_session, numbered_edits, session_edits
 from .words import (
-    EditWords,
     ending,
     note_jumps,
     parse_edit,

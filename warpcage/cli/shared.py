@@ -21,13 +21,14 @@ from ..cage.axes import with_up
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile, cage_hash, is_preset
 from ..core.devices import resolve_device
-from ..core.files import require_file
+from ..core.files import read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
 from ..editor.session import FORMAT as SESSION_FORMAT
 from ..editor.session import read_session
 from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
+from ..edits.words import EditWords
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..scene.load import load_scene
@@ -38,7 +39,7 @@ from ..splats.splat_field import AnyField, SplatField, load_field
 from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
 from ..view.frame import Frame
 from .arguments import options
-from .words import EditWords, Keyframes, only_pose, parse_edit, posed_up, read_edits_file, read_edits_json, read_rest
+from .words import Keyframes, only_pose, parse_edit, posed_up, read_edits_file, read_rest
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,7 +168,7 @@ def is_session(path: str) -> bool:
     """Whether a file of --edits is a session of the editor. Raises for a file that is not there or no JSON."""
     file = require_file(path, "edits file")
     try:
-        return read_edits_json(file).get("format") == SESSION_FORMAT
+        return read_json(file, "edits file").get("format") == SESSION_FORMAT
     except ValueError as error:
         raise InputError(f"{file}: {error}") from None
 
@@ -193,7 +194,7 @@ def _read_edit(
     if words.held != "cut" and not falloff and not words.remove:
         raise InputError("held names the walls that an edit fades towards: give it a falloff=WIDTH, or leave held out")
     size = _own_or_all(words.fragments, args, "fragments")
-    edit = CageEdit(rest, words.keep, words.remove, falloff, words.walls, size)
+    edit = CageEdit(rest, words.keep, words.remove, falloff, words.held, size)
     if words.remove:
         return PosedEdit(edit, None)
     up, timed = words.up or posed_up(args), getattr(args, "timed", False)

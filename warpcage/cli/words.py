@@ -9,7 +9,7 @@ import os
 import pathlib
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -27,9 +27,10 @@ from ..cage.motion import (
 )
 from ..cage.pose_file import PoseFile, Preset, is_preset
 from ..cage.up_axis import UpAxis, load_standing
-from ..core.checks import checked_number, listed, warn_caller
+from ..core.checks import listed, warn_caller
 from ..core.files import PathLike, atomic_path, read_json, require_file
-from ..core.names import EASINGS, counted, edit_fields, edit_words
+from ..core.names import EASINGS, counted, edit_words
+from ..edits.words import EditWords, held_walls
 from ..errors import InputError
 from ..view.camera_path import timed_keys
 from ..view.motion import frame_rate, frame_times, pose_along, value_along
@@ -322,59 +323,6 @@ _SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)
 _CAGE = re.compile(rf"(.+?(?:{'|'.join(map(re.escape, CAGE_ENDINGS))}))(?::(.*))?", re.IGNORECASE | re.DOTALL)
 
 
-@dataclasses.dataclass(frozen=True)
-class EditWords:
-    """One edit as it is written."""
-
-    cage: str  # file of the cage at rest
-    posed: str | None = None  # a cage file, a keyframe of a pose file, or a preset; None for an edit that removes
-    keep: bool = False  # leave a copy where it was
-    remove: bool = False  # draw nothing in its place
-    falloff: float | None = None  # width of the band in which the edit fades to rest, world units
-    held: str = "cut"  # the walls that it fades towards: "cut", "still", or numbers of faces between commas
-    fragments: float | None = None  # size of the fragments that go with the part, world units
-    up: str | None = None  # axis that points up in its cage files; None is that of the format or of --cage-up
-    object: str | None = None  # the object of its file that is the cage; None is the only one, or that of --cage-object
-
-    def __post_init__(self) -> None:
-        if self.keep and self.remove:
-            raise InputError("keep and remove do not go together: choose one")
-        if self.remove and self.posed is not None:
-            raise InputError(f"what is removed needs no pose, got {self.posed!r}")
-        if self.remove and (self.falloff is not None or self.held != "cut"):
-            raise InputError("what is removed has no band in which it fades to rest: leave falloff and held out")
-        if not self.remove and self.posed is None:
-            raise InputError(f"there is no posed cage: write {EDIT_SHAPE}")
-        for name in ("falloff", "fragments"):
-            value = getattr(self, name)
-            if value is not None and checked_number(value, name) < 0.0:
-                raise InputError(f"{name} must be 0 or more, got {value:g}")
-        _ = self.walls  # refuses others
-        if self.up not in (None, "y", "z"):
-            raise InputError(f"up must be 'y' or 'z', got {self.up!r}")
-
-    @property
-    def walls(self) -> str | tuple[int, ...]:
-        """`held` as a CageEdit takes it. Raises ValueError for other words."""
-        if self.held in ("cut", "still"):
-            return self.held
-        try:
-            return tuple(int(number) for number in self.held.split(","))
-        except ValueError:
-            raise InputError(
-                f"held must be cut, still, or numbers of faces such as 4,5,17, got {self.held!r}"
-            ) from None
-
-    def __str__(self) -> str:
-        fragments = f", fragments below {self.fragments:g} go too" if self.fragments else ""
-        if self.remove:
-            return f"{self.cage}: removed{fragments}"
-        copy = ", the source stays (a copy)" if self.keep else ""
-        walls = "" if self.held == "cut" else f" (held={self.held})"
-        fades = f", fades to rest over {self.falloff:g}{walls}" if self.falloff else ""
-        return f"{self.cage} -> {self.posed}{copy}{fades}{fragments}"
-
-
 def parse_edit(text: str) -> EditWords:
     """An edit of --edit: CAGE:POSED, then ":keep", ":remove", ":falloff=WIDTH", ":held=WALLS", ":fragments=SIZE",
     ":object=NAME"."""
@@ -400,6 +348,9 @@ def parse_edit(text: str) -> EditWords:
                 f"{slip[1]!r} is no word of an edit, only keep, remove, falloff=, held=, fragments= and object="
             )
         words |= {name: positive_float(words[name]) for name in ("falloff", "fragments") if name in words}
+        words |= {"held": held_walls(words["held"], "held")} if "held" in words else {}
+        if not rest and not words.get("remove"):
+            raise InputError(f"there is no posed cage: write {EDIT_SHAPE}")
         return EditWords(cage, rest or None, **words)
     except (ValueError, argparse.ArgumentTypeError) as error:
         raise InputError(f"--edit {text!r}: {error}") from None
@@ -409,7 +360,7 @@ def read_edits_file(path: PathLike) -> list[EditWords]:
     """The edits of an edits file in their order; paths, relative to its folder there, as this process opens them."""
     path = require_file(path, "edits file")
     try:
-        content = read_edits_json(path)
+        content = read_json(path, "edits file")
         if content.get("format") != FORMAT:
             raise InputError(f"its format is {str(content.get('format'))[:40]!r}, not {FORMAT!r}")
         version, edits = content.get("version"), content.get("edits")
@@ -424,11 +375,6 @@ def read_edits_file(path: PathLike) -> list[EditWords]:
         raise InputError(f"{path}: {error}") from None
 
 
-def read_edits_json(path: pathlib.Path) -> dict[str, Any]:
-    """What a JSON file holds. Raises ValueError where it is no JSON object."""
-    return read_json(path, "edits file")
-
-
 def write_edits_file(path: PathLike, edits: list[EditWords]) -> None:
     """Write an edits file, whole or not at all; paths are kept relative to its folder where there is a way."""
     folder = pathlib.Path(path).absolute().parent
@@ -437,50 +383,27 @@ def write_edits_file(path: PathLike, edits: list[EditWords]) -> None:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def _words(edit: Any, number: int, folder: pathlib.Path) -> EditWords:
+def _words(entry: Any, number: int, folder: pathlib.Path) -> EditWords:
     """One edit of a file."""
-    try:
-        if not isinstance(edit, dict):
-            raise InputError(f"it must be an object with a cage, got {type(edit).__name__}")
-        known = edit_words({field.name: field for field in dataclasses.fields(EditWords)})
-        # what a later version adds has a higher version: an unknown word is a slip, and would be lost in silence
-        if unknown := [name for name in edit if name not in known]:
-            raise InputError(f"it has no {unknown[0]!r}, only {listed(known)}")
-        given = {name: value for name, value in edit.items() if value is not None}
-        for name, value in given.items():
-            _require_kind(name, value, known[name].type)
-        if "cage" not in given:
-            raise InputError("it names no cage")
-        words = EditWords(**edit_fields(given))
-    except ValueError as error:
-        raise InputError(f"edit {number}: {error}") from None
-    posed = words.posed
-    if posed is not None and not is_preset(posed):
-        posed = os.path.join(folder, posed)
-    return dataclasses.replace(words, cage=os.path.join(folder, words.cage), posed=posed)
-
-
-def _require_kind(name: str, value: Any, kind: Any) -> None:
-    """Raise ValueError where a value of a file is of another kind."""
-    if "bool" in str(kind):
-        good, wanted = isinstance(value, bool), "true or false"
-    elif "float" in str(kind):
-        checked_number(value, name)
-        return
-    else:
-        good, wanted = isinstance(value, str) and bool(value), "a text"
-    if not good:
-        raise InputError(f"{name} must be {wanted}, got {str(value)[:40]!r}")
+    # what a later version adds has a higher version: an unknown word is a slip, and would be lost in silence
+    edit = EditWords.from_json(entry, f"edit {number}")
+    if not isinstance(edit.cage, str) or not isinstance(edit.posed, str | None):
+        raise InputError(f"edit {number}: its cage and its pose must be named in a text, as for --edit")
+    return _replaced(edit, lambda path: os.path.join(folder, path))
 
 
 def _json(edit: EditWords, folder: pathlib.Path) -> dict[str, Any]:
-    """An edit as JSON takes it: what differs from the default."""
-    posed = edit.posed
-    if posed is not None and not is_preset(posed):
-        posed = _relative(posed, folder)
-    content = dataclasses.asdict(dataclasses.replace(edit, cage=_relative(edit.cage, folder), posed=posed))
-    defaults = {field.name: field.default for field in dataclasses.fields(EditWords)}
-    return edit_words({name: value for name, value in content.items() if value != defaults[name]})
+    """An edit as JSON takes it: what differs from the default, a width of 0 too."""
+    words = edit_words({name: getattr(edit, name) for name in ("falloff", "fragments")})
+    content = _replaced(edit, lambda path: _relative(path, folder)).to_json()
+    content |= {name: value for name, value in words.items() if value is not None}
+    return content | ({"held": edit.held_text} if "held" in content else {})
+
+
+def _replaced(edit: EditWords, named: Callable[[str], str]) -> EditWords:
+    """An edit whose files have other names."""
+    posed = edit.posed if edit.posed is None or is_preset(edit.posed) else named(edit.posed)
+    return dataclasses.replace(edit, cage=named(edit.cage), posed=posed)
 
 
 def _relative(path: str, folder: pathlib.Path) -> str:

@@ -211,7 +211,8 @@ def _posed(value: Any, word: str) -> Any:
     return drawn_pose(value, word) if isinstance(value, dict) else _array(value, word)
 
 
-def _held(value: Any, word: str) -> Any:
+def held_walls(value: Any, word: str) -> str | tuple[int, ...]:
+    """The walls that an edit fades towards: "cut", "still", or numbers of faces, in a list or between commas."""
     if value in ("cut", "still"):
         return value
     if isinstance(value, str):
@@ -226,15 +227,15 @@ def _held(value: Any, word: str) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class EditWords:
-    """One edit of a frame, with the words of `warpcage.CageEdit`."""
+    """One edit with the words of `warpcage.CageEdit`, as job files, edits files and --edit have it."""
 
     cage: Annotated[Any, _cage]  # at rest: a file, or "vertices" and "faces"
     posed: Annotated[Any, _posed] = None  # file, keyframe ("poses.json#wave"), array, or what draws it; None removes
     keep: Annotated[bool, truth] = False  # keep: leave a copy where it was; remove: draw nothing in its place
     remove: Annotated[bool, truth] = False
-    falloff: Annotated[float, not_negative] = 0.0  # width of the band in which the edit fades to rest, world units
-    held: Annotated[str | tuple[int, ...], _held] = "cut"  # walls that it fades towards: "cut", "still", or faces
-    fragments: Annotated[float, not_negative] = 0.0  # size of the fragments that go with the part, world units
+    falloff: Annotated[float | None, not_negative] = None  # width of the band in which it fades to rest, world units
+    held: Annotated[str | tuple[int, ...], held_walls] = "cut"  # walls that it fades towards: "cut", "still", or faces
+    fragments: Annotated[float | None, not_negative] = None  # size of what goes with the part too, world units
     up: Annotated[str | None, one_of("y", "z")] = None  # axis that points up in its cage files; None finds it
     object: Annotated[str | None, text] = None  # the object of its file that is the cage; None is the only one
 
@@ -247,23 +248,38 @@ class EditWords:
             raise InputError("what is removed has no band in which it fades to rest: leave 'falloff' and 'held' out")
         if not self.remove and self.posed is None:
             raise InputError("'cage' needs 'posed', the same cage posed, or \"remove\": true")
-        if self.held != "cut" and not self.falloff:
-            raise InputError("'held' names the walls that an edit fades towards: give it a 'falloff' too")
+
+    def __str__(self) -> str:
+        fragments = f", fragments below {self.fragments:g} go too" if self.fragments else ""
+        if self.remove:
+            return f"{self.cage}: removed{fragments}"
+        copy = ", the source stays (a copy)" if self.keep else ""
+        walls = "" if self.held == "cut" else f" (held={self.held_text})"
+        fades = f", fades to rest over {self.falloff:g}{walls}" if self.falloff else ""
+        return f"{self.cage} -> {self.posed}{copy}{fades}{fragments}"
+
+    @property
+    def held_text(self) -> str:
+        """`held` in a word: numbers of faces between commas."""
+        return self.held if isinstance(self.held, str) else ",".join(map(str, self.held))
 
     @classmethod
     def from_json(cls, entry: Any, what: str) -> EditWords:
         """An edit from JSON; what: how messages call it. Raises ValueError for words that cannot be."""
-        if not isinstance(entry, Mapping):
-            raise InputError(f"{what} must be an object with a cage, got {shown(entry)}")
-        given = checked_words(entry, EDIT_WORDS, what)
-        if "cage" not in given:
-            raise InputError(f"{what} needs a 'cage'")
-        return cls(**edit_fields(given))
+        try:
+            if not isinstance(entry, Mapping):
+                raise InputError(f"it must be an object with a cage, got {shown(entry)}")
+            given = checked_words(entry, EDIT_WORDS, "it")
+            if "cage" not in given:
+                raise InputError("it names no cage")
+            return cls(**edit_fields(given))
+        except ValueError as error:
+            raise InputError(f"{what}: {error}") from None
 
     def to_json(self) -> dict[str, Any]:
-        """The edit as JSON: what differs from the default."""
+        """The edit as JSON: what differs from the default; no width is as none."""
         fields = ((field.name, getattr(self, field.name), field.default) for field in dataclasses.fields(self))
-        return edit_words({name: plain(value) for name, value, default in fields if value != default})
+        return edit_words({name: plain(value) for name, value, usual in fields if value not in (usual, 0.0)})
 
     @property
     def is_drawn(self) -> bool:
