@@ -192,19 +192,40 @@ class Shot:
 #: Frames per second of films.
 VIDEO_RATE, GIF_RATE = 24, 15
 
-#: Options that are for a single picture.
-SINGLE_CAMERA = ("disparity", "depth", "alpha", "masks", "camera", "view", "frame", "eye", "target")
+#: Options for one picture, of any number of poses and of any number of cameras.
+SINGLE_POSE = ("disparity", "depth", "alpha", "masks")
+SINGLE_CAMERA = (*SINGLE_POSE, "camera", "view", "frame", "eye", "target")
+
+#: A picture, and the frame and the camera that it is of.
+Picture = tuple[np.ndarray, Frame, Camera]
+
+
+def pictures_of(
+    args: argparse.Namespace,
+    renderer: shared.AnyField | Deformer,
+    deformation: Deformation | None,
+    cameras: Sequence[Camera],
+    pose: Callable[[int], object] = lambda index: None,  # called before each with its number
+) -> Iterator[Picture]:
+    """The pictures of some cameras, one after the other."""
+    for index, camera in enumerate(cameras):
+        pose(index)
+        frame = shared.render_view(renderer, camera, args)
+        drawn = shared.drawn_cages(renderer, deformation) if args.overlay else ()
+        yield colors(frame, camera, drawn, shared.is_transparent(args)), frame, camera
 
 
 def run_flight(args: argparse.Namespace) -> None:
-    """Render them all."""
-    output = _checked_flight_output(args.output)
-    transparent = checked_opacity(args, output)
+    """Render what each of several cameras sees."""
+    if pathlib.Path(args.output).suffix:
+        output = options.check_output(args.output, FILM_ENDINGS, "film (a folder of pictures has no ending)")
+    else:
+        output = _new_folder(args.output, "--cameras writes a new or an empty folder, or a film")
+    checked_opacity(args, output)
     if args.scene is None:
         raise InputError("--cameras needs --scene, the scene of the cameras")
-    if any(getattr(args, name) is not None for name in SINGLE_CAMERA):
-        name = next(name for name in SINGLE_CAMERA if getattr(args, name) is not None)
-        raise InputError(f"--cameras cannot be combined with --{name}, which is for one picture")
+    if given := [name for name in SINGLE_CAMERA if getattr(args, name) is not None]:
+        raise InputError(f"--cameras cannot be combined with --{given[0]}, which is for one picture")
     shared.check_saved(args)
     if args.cameras == "given" and args.frames is not None:
         raise InputError("--frames belongs to --cameras interpolate")
@@ -213,16 +234,13 @@ def run_flight(args: argparse.Namespace) -> None:
     cameras = chosen_cameras(args)
     deformation = read_deformation(args, field)
     shared.set_lattice(args, cameras[0])
-    renderer = shared.posed_renderer(field, deformation, args)
-    drawn = shared.drawn_cages(renderer, deformation) if args.overlay else ()
-
-    def pictures() -> Iterator[tuple[np.ndarray, Frame, Camera]]:
-        for camera in cameras:
-            frame = shared.render_view(renderer, camera, args)
-            yield colors(frame, camera, drawn, transparent), frame, camera
-
+    pictures = pictures_of(args, shared.posed_renderer(field, deformation, args), deformation, cameras)
     shared.save_cameras(args, cameras)
-    _write(output, pictures(), args.format or "png")
+    if output.suffix:
+        rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
+        write_film(output, (finished(image) for image, _, _ in pictures), rate)
+    else:
+        _write_pictures(output, pictures, (f"view_{index:04d}" for index in range(len(cameras))), args)
     size = size_text(cameras[0].width, cameras[0].height, output)
     print(f"wrote {output}: {counted(len(cameras), 'picture')} of {size}")
 
@@ -240,38 +258,31 @@ def chosen_cameras(args: argparse.Namespace) -> list[Camera]:
     return cameras_along(cameras, args.frames or max(1, STEPS * (len(cameras) - 1) + 1))
 
 
-def _checked_flight_output(text: str) -> pathlib.Path:
+def _new_folder(text: str, what: str) -> pathlib.Path:
+    """A folder that holds nothing yet; what: what a message says about it."""
     path = pathlib.Path(text)
-    if path.suffix:
-        return options.check_output(text, FILM_ENDINGS, "film (a folder of pictures has no ending)")
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise InputError(f"{text!r} exists already: --cameras writes a new or an empty folder, or a film")
+        raise InputError(f"{text!r} exists already: {what}")
     options.check_parent(path)
     return path
 
 
-def _write(output: pathlib.Path, pictures: Iterable[tuple[np.ndarray, Frame, Camera]], kind: str) -> None:
-    if output.suffix:
-        rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
-        write_film(output, (finished(image) for image, _, _ in pictures), rate)
-        return
+def _write_pictures(
+    folder: pathlib.Path, pictures: Iterable[Picture], names: Iterable[str], args: argparse.Namespace
+) -> None:
+    """Write pictures into a folder under a name each."""
     with BackgroundWriter() as beside:
-        for index, (image, frame, camera) in enumerate(pictures):
-            beside.run(*picture_task(output / f"view_{index:04d}.{kind}", image, frame, camera))
-
-
-#: Options for one picture of one pose.
-SINGLE_POSE = ("disparity", "depth", "alpha", "masks")
+        for name, (image, frame, camera) in zip(names, pictures, strict=True):
+            beside.run(*picture_task(folder / f"{name}.{args.format or 'png'}", image, frame, camera))
 
 
 def run_many_poses(args: argparse.Namespace) -> None:
-    """Render them all. The field is read once, and its lattice is made once."""
-    folder = _checked_folder(args.output)
-    given = [name for name in SINGLE_POSE if getattr(args, name) is not None]
-    if given:
+    """Render each of several poses. The field is read once, and its lattice is made once."""
+    folder = _new_folder(args.output, "pictures of several poses go into a new or an empty folder")
+    if given := [name for name in SINGLE_POSE if getattr(args, name) is not None]:
         raise InputError(f"--{given[0]} is for one picture: give the name of a picture with -o")
     shared.require_deformation(args, f"the folder {args.output!r}")
-    transparent, kind = checked_opacity(args, folder), args.format or "png"
+    checked_opacity(args, folder)
     shared.check_saved(args)
     field = shared.read_field(args)
     shared.require_fillable(args, field)
@@ -281,29 +292,19 @@ def run_many_poses(args: argparse.Namespace) -> None:
     shared.set_lattice(args, camera)
     deformer = shared.make_deformer(field, deformation, args)
     count = max(1, deformation.pose_count - 1)
+
+    def pose(index: int) -> None:
+        cages = deformation.at(float(min(index + 1, deformation.pose_count - 1)))
+        try:
+            deformer.pose(cages)
+        except ValueError as error:
+            raise InputError(f"pose {index + 1} of {count}: {error}") from error
+
+    pictures = pictures_of(args, deformer, deformation, [camera] * count, pose)
     digits = max(4, len(str(count)))
-    with BackgroundWriter() as beside:
-        for number in range(1, count + 1):
-            cages = deformation.at(float(min(number, deformation.pose_count - 1)))
-            try:
-                deformer.pose(cages)
-            except ValueError as error:
-                raise InputError(f"pose {number} of {count}: {error}") from error
-            frame = shared.render_view(deformer, camera, args)
-            drawn = shared.drawn_cages(deformer, deformation) if args.overlay else ()
-            picture = colors(frame, camera, drawn, transparent)
-            path = folder / f"pose_{number:0{digits}d}.{kind}"
-            beside.run(*picture_task(path, picture, frame, camera))
+    _write_pictures(folder, pictures, (f"pose_{number:0{digits}d}" for number in range(1, count + 1)), args)
     shared.save_cameras(args, [camera])
     print(f"wrote {folder}: {counted(count, 'picture')} of {camera.width}x{camera.height}")
-
-
-def _checked_folder(text: str) -> pathlib.Path:
-    path = pathlib.Path(text)
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise InputError(f"{text!r} exists already: pictures of several poses go into a new or an empty folder")
-    options.check_parent(path)
-    return path
 
 
 def run_render(args: argparse.Namespace) -> None:
@@ -322,12 +323,9 @@ def run_render(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, (".png", ".exr"), "picture")
     require_format(output)
     shared.check_saved(args)
-    transparent = shared.is_transparent(args)
-    extra = {
-        kind: options.check_output(getattr(args, kind), (".png",), "picture")
-        for kind in ("disparity", "depth", "alpha", "masks")
-        if getattr(args, kind) is not None
-    }
+    shared.is_transparent(args)  # refuses others
+    given = [kind for kind in SINGLE_POSE if getattr(args, kind) is not None]
+    extra = {kind: options.check_output(getattr(args, kind), (".png",), "picture") for kind in given}
     if args.masks is not None:
         shared.require_deformation(args, "--masks")
     field = shared.read_field(args)
@@ -340,9 +338,8 @@ def run_render(args: argparse.Namespace) -> None:
     shared.warn_of_edges(args, camera, deformation)
     shared.set_lattice(args, camera)
     renderer = shared.posed_renderer(field, deformation, args)
-    frame = shared.render_view(renderer, camera, args)
-    drawn = shared.drawn_cages(renderer, deformation) if args.overlay else ()
-    write, _ = picture_task(output, colors(frame, camera, drawn, transparent), frame, camera)
+    image, frame, _ = next(pictures_of(args, renderer, deformation, [camera]))
+    write, _ = picture_task(output, image, frame, camera)
     write()
     for kind, path in extra.items():
         write_png(path, frame_parts.picture(frame, kind))
