@@ -320,7 +320,6 @@ class ChunkRunner:
         return None if order.shard is None or self._out is None else shard_stage(self._out, order.shard)
 
     def _pack(self, order: Chunk, report: ChunkReport) -> None:
-        """Pack a shard."""
         assert self._out is not None and order.shard is not None and order.packed is not None
         try:
             pack_shard(self._out, order.shard, [{"outputs": outputs} for outputs in order.packed])
@@ -448,7 +447,6 @@ class RunJournal:
         return report, [indices[each] for each in begun]
 
     def lost(self, item: int, error: str, attempts: int) -> None:
-        """Note an item that failed with its workers."""
         self._notes = self._notes or self._folder.new_notes(f"{self.run}-driver")
         found = self._job.item(item)
         record = {"id": found.id, "state": FAILED, "kind": found.kind, "attempts": attempts, "error": error}
@@ -512,7 +510,6 @@ class LocalEngine:
         self._ending = 0
 
     def now(self) -> float:
-        """Seconds of a clock that never goes back."""
         return time.monotonic()
 
     def start(self, worker: str, start: int) -> None:

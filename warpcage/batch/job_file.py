@@ -139,7 +139,6 @@ class JobFile:
         return self.items()
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def line(self, index: int) -> int:
@@ -204,7 +203,6 @@ class JobFile:
             return self._file.read(end - start)
 
     def _checked_header(self) -> dict[str, Any]:
-        """The header."""
         line = int(self._lines[0])
         where = f"{self.path}, line {line + 1}"
         header = parsed_line(self._data(line), where, first=not line)

@@ -62,7 +62,6 @@ class Notes:
                 raise file_error(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path)))
 
     def close(self) -> None:
-        """Close the file."""
         self.file.close()
 
 
@@ -141,7 +140,6 @@ class Manifest:
         return None
 
     def close(self) -> None:
-        """Close the file, if it is open."""
         if self._file is not None:
             self._file.close()
             self._file = None

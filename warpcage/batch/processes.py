@@ -202,7 +202,6 @@ class LocalHost:
         self.share = Share(workers, min(count, 1), 0, threads, "cuda:0" if count else "cpu")
 
     def start(self, settings: RunnerSettings) -> LocalProcess:
-        """Start the process of a worker."""
         gpu = {"CUDA_VISIBLE_DEVICES": self._gpus.split(",")[int(settings.worker)]} if self.share.gpus else {}
         return LocalProcess(settings, gpu)
 
@@ -340,7 +339,6 @@ class RayHost:
         )
 
     def start(self, settings: RunnerSettings) -> RayProcess:
-        """Start an actor."""
         return RayProcess(self._ray, self._actor.remote(settings))
 
     def death_line(self, error: BaseException) -> str:
@@ -380,11 +378,9 @@ class ProcessEngine:
         self._alone_since = self.now()  # since when no worker is ready, where none is
 
     def now(self) -> float:
-        """Seconds of a clock that never goes back."""
         return time.monotonic()
 
     def start(self, worker: str, start: int) -> None:
-        """Start the process of a worker."""
         notes = f"{self.settings.run}-{worker}-{start}"
         settings = dataclasses.replace(self.settings, worker=worker, notes=notes)
         self._processes[worker] = self._host.start(settings)
@@ -399,7 +395,6 @@ class ProcessEngine:
         )
 
     def cancel(self, worker: str) -> None:
-        """End a process."""
         self._ready.discard(worker)
         if not self._ready:
             self._alone_since = self.now()

@@ -63,7 +63,6 @@ class References:
         self._drawn: LRUCache[np.ndarray] = LRUCache(MOST_POSES)
 
     def path(self, name: str) -> pathlib.Path:
-        """The path of a file."""
         return self.base / name
 
     def stamped(self, name: str, what: str) -> tuple[str, tuple[int, int]]:

@@ -228,7 +228,6 @@ class Dispatcher:
 
     @property
     def workers(self) -> int:
-        """Places where work is done."""
         return len(self._workers)
 
     def attempts(self, item: int) -> int:

@@ -472,7 +472,6 @@ def stepped(cage: Cage, args: argparse.Namespace) -> Cage:
 
 
 def steps_text(args: argparse.Namespace) -> str:
-    """The steps of the command in words."""
     steps = args.steps or ()
     return ", ".join(f"{name} {value if isinstance(value, float) else tuple(value)}" for name, value in steps)
 

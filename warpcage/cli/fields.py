@@ -32,11 +32,17 @@ from .shared import Deformation, is_deformed, read_deformation
 from .words import read_rest
 
 
-def run_bake(args: argparse.Namespace) -> None:
+def _checked_fields(args: argparse.Namespace) -> tuple[bool, pathlib.Path]:
+    """Whether the field that becomes another is of splats, and where that one is written."""
     args.field = str(splat_path(args.field))
     require_file(args.field, "field file")
     of_splats = is_splat_file(args.field)
-    output = options.check_output(args.output, shared.splat_outputs() if of_splats else (".npz",), "field file")
+    endings = shared.splat_outputs() if of_splats else (".npz",)
+    return of_splats, options.check_output(args.output, endings, "field file")
+
+
+def run_bake(args: argparse.Namespace) -> None:
+    of_splats, output = _checked_fields(args)
     if of_splats and (args.voxels is not None or args.format is not None):
         raise InputError("--voxels and --format are for fields of voxels: the ending of a splat file says its format")
     if args.frames is not None and (not of_splats or "#" not in output.name):
@@ -97,10 +103,7 @@ GONE_COLOR = (0.95, 0.1, 0.1)
 
 
 def run_clean(args: argparse.Namespace) -> None:
-    args.field = str(splat_path(args.field))
-    require_file(args.field, "field file")
-    of_splats = is_splat_file(args.field)
-    output = options.check_output(args.output, shared.splat_outputs() if of_splats else (".npz",), "field file")
+    of_splats, output = _checked_fields(args)
     preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
     shared.check_saved(args)
     if args.views is None and (args.least_views is not None or args.least_weight is not None):

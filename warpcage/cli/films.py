@@ -232,7 +232,6 @@ class FilmWorkers:
 
     @property
     def cameras(self) -> list[Camera]:
-        """The cameras of the frames."""
         return [frame.camera for frame in self.frames]
 
     def make_frames(self, folder: pathlib.Path, told: Callable[[], None] = lambda: None) -> int:
@@ -300,7 +299,6 @@ def frames_folder(output: pathlib.Path) -> pathlib.Path:
 
 
 def _require_all(report: RunReport) -> None:
-    """Raise RuntimeError where frames are missing."""
     if report.failed:
         name, line = next(iter(report.failed.items()))
         more = f" ({counted(len(report.failed), 'frame')} failed)" if len(report.failed) > 1 else ""

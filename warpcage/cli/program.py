@@ -123,7 +123,6 @@ class SteadyStream:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write text, and return its length."""
         encoding = self._stream.encoding or "utf-8"
         try:
             text.encode(encoding, self._stream.errors or "strict")
@@ -133,7 +132,6 @@ class SteadyStream:
         return len(text)
 
     def flush(self) -> None:
-        """Hand over what is buffered."""
         self._attempt(self._stream.flush)
 
     def _attempt(self, action: Callable[..., Any], *arguments: str) -> None:

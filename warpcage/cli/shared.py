@@ -263,7 +263,6 @@ def _hash(parts: Sequence[object]) -> str:
 
 
 def chosen_device(args: argparse.Namespace) -> wp.Device:
-    """The device of --device."""
     return resolve_device(args.device)
 
 

@@ -74,7 +74,6 @@ def command(name: str, help: str, example: str, module: str = "") -> Callable[[A
 
 
 def package_version() -> str:
-    """The version of the installed package."""
     from importlib import metadata
 
     try:
@@ -116,12 +115,10 @@ def add_scene(parser: Arguments, split: str) -> None:
 
 
 def add_scene_format(parser: Arguments) -> None:
-    """The format of a scene folder."""
     parser.add_argument("--format", metavar="NAME", help="scene format (default: detected)")
 
 
 def add_device(parser: Arguments) -> None:
-    """The device that a command runs on."""
     parser.add_argument(
         "--device", metavar="NAME", help='Warp device, "cpu" or "cuda:0" (default: CUDA where there is one)'
     )
@@ -219,7 +216,6 @@ def add_selection(parser: Arguments, what: str = "only what is chosen") -> None:
 
 
 def add_in_box(parser: Arguments) -> None:
-    """A box around an object."""
     parser.add_argument("--in-box", help="what lies between two opposite corners, world units", **BOX)
 
 
@@ -235,7 +231,6 @@ def add_parts(parser: Arguments) -> None:
 
 
 def add_fill(parser: Arguments) -> None:
-    """What to do with what no picture showed."""
     parser.add_argument(
         "--fill",
         action="store_true",
@@ -246,7 +241,6 @@ def add_fill(parser: Arguments) -> None:
 
 
 def add_antialias(parser: Arguments) -> None:
-    """How small splats are drawn."""
     parser.add_argument(
         "--antialias",
         action=argparse.BooleanOptionalAction,
@@ -357,7 +351,6 @@ def add_deformation(
 
 
 def add_map(parser: Arguments) -> None:
-    """The way that splats move."""
     parser.add_argument(
         "--map",
         choices=SPLAT_MAPS,
@@ -367,7 +360,6 @@ def add_map(parser: Arguments) -> None:
 
 
 def add_edits(parser: Arguments) -> None:
-    """Several edits of one scene."""
     parser.add_argument(
         "--edit",
         action="append",
@@ -401,30 +393,25 @@ def add_edits(parser: Arguments) -> None:
 # Values
 
 
-def positive_int(text: str) -> int:
-    """A whole number of at least 1."""
-    try:
-        value = int(text)
-    except ValueError:
-        value = 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be a whole number of at least 1, got {text!r}")
-    return value
+def whole_from(least: int) -> Callable[[str], int]:
+    """Takes whole numbers from `least` on."""
+
+    def whole(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if value < least:
+            raise argparse.ArgumentTypeError(f"must be a whole number of at least {least}, got {text!r}")
+        return value
+
+    return whole
 
 
-def whole_number(text: str) -> int:
-    """A whole number of at least 0."""
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"must be a whole number of at least 0, got {text!r}")
-    return value
+positive_int, whole_number = whole_from(1), whole_from(0)
 
 
 def positive_float(text: str) -> float:
-    """A finite number above 0."""
     value = finite_float(text)
     if value <= 0:
         raise argparse.ArgumentTypeError(f"must be positive, got {text!r}")
@@ -452,7 +439,6 @@ def positive_ratio(text: str) -> float:
 
 
 def finite_float(text: str) -> float:
-    """A finite number."""
     try:
         value = float(text)
     except ValueError:
@@ -462,20 +448,17 @@ def finite_float(text: str) -> float:
     return value
 
 
-def length(text: str) -> float:
+def length(text: str, unit: str = "") -> float:
     """A finite number from 0 on, world units."""
     value = finite_float(text)
     if value < 0:
-        raise argparse.ArgumentTypeError(f"must be 0 or more, got {text!r}")
+        raise argparse.ArgumentTypeError(f"must be 0 or more{unit}, got {text!r}")
     return value
 
 
 def seconds(text: str) -> float:
     """A finite number from 0 on."""
-    value = finite_float(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"must be 0 or more seconds, got {text!r}")
-    return value
+    return length(text, " seconds")
 
 
 def field_of_view(text: str) -> float:
