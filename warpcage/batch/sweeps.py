@@ -11,7 +11,7 @@ import pathlib
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,26 +66,6 @@ FRAMED = 256
 WORTH_PROCESSES = 200
 
 
-class PoseSource(Protocol):
-    """Some poses of one cage."""
-
-    def __len__(self) -> int:
-        """How many."""
-        ...
-
-    def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
-        """The vertices of each, (v, 3), world units; most: of the first ones alone."""
-        ...
-
-    def drawn(self, number: int) -> dict[str, Any] | None:
-        """What a worker draws a pose by, as items have it; None where its vertices are written."""
-        ...
-
-    def origin(self, number: int) -> dict[str, Any]:
-        """What is kept of where a pose comes from."""
-        ...
-
-
 @dataclasses.dataclass(frozen=True)
 class RandomSource:
     """Random poses of one seed."""
@@ -99,15 +79,18 @@ class RandomSource:
         return self.count
 
     def rows(self, most: int | None = None) -> Iterator[np.ndarray]:
+        """The vertices of each, (v, 3), world units; most: of the first ones alone."""
         count = self.count if most is None else min(most, self.count)
         if self.processes == 1 or count < WORTH_PROCESSES:
             return map(self.poses.vertices, range(count))
         return rows_by_processes(self.poses, count, self.processes)
 
     def drawn(self, number: int) -> dict[str, Any] | None:
+        """What a worker draws a pose by, as items have it; None where its vertices are written."""
         return None if self.written else drawn_words(self.poses.chance, number)
 
     def origin(self, number: int) -> dict[str, Any]:
+        """What is kept of where a pose comes from."""
         return {"seed": self.poses.seed, "number": number}
 
 
@@ -129,6 +112,10 @@ class GivenSource:
 
     def origin(self, number: int) -> dict[str, Any]:
         return {"source": self.name} | ({"number": number} if len(self) > 1 else {})
+
+
+#: Some poses of one cage.
+PoseSource = RandomSource | GivenSource
 
 
 @dataclasses.dataclass(frozen=True)

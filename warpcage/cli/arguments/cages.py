@@ -71,8 +71,7 @@ def add_cage_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sides", help="sides of the cylinder (default: 12)", **options.COUNT)
     parser.add_argument("--rings", help="segments of the cylinder along its axis (default: 4)", **options.COUNT)
     parser.add_argument("--quiet", action="store_true", help="do not print what is tried, even with --verbose")
-    options.add_scene_scale(parser)
-    options.add_device(parser)
+    options.add_scale_and_device(parser)
 
 
 def _add_selection(parser: argparse.ArgumentParser) -> None:
@@ -116,8 +115,7 @@ def add_check_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print the report as JSON instead of a table")
     options.add_cage_up(parser, found=True, posed=True)
-    options.add_scene_scale(parser)
-    options.add_device(parser)
+    options.add_scale_and_device(parser)
 
 
 POSE_EXAMPLE = """\
@@ -308,8 +306,7 @@ def add_edit_arguments(parser: argparse.ArgumentParser) -> None:
         help="host name under which the page may be opened too, such as that of a proxy",
     )
     serving.add_argument("--no-browser", action="store_true", help="print the address and open no browser")
-    options.add_scene_scale(parser)
-    options.add_device(parser)
+    options.add_scale_and_device(parser)
 
 
 def port_number(text: str) -> int:

@@ -60,8 +60,7 @@ def add_select_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_parts(parser.add_argument_group("of what is left"))
     options.add_view(parser)
-    options.add_scene_scale(parser)
-    options.add_device(parser)
+    options.add_scale_and_device(parser)
 
 
 def _add_region(parser: argparse.ArgumentParser) -> None:
@@ -112,9 +111,8 @@ def add_clean_arguments(parser: argparse.ArgumentParser) -> None:
     loose.add_argument("--parts", help="all but the N largest connected parts (default: none)", **options.COUNT)
     loose.add_argument(
         "--largest-scale",
-        type=options.positive_float,
-        metavar="LENGTH",
         help="splats only: those with a standard deviation above this, world units (default: none)",
+        **options.positive("LENGTH"),
     )
     shown = parser.add_argument_group("what no view shows")
     shown.add_argument(
@@ -125,14 +123,12 @@ def add_clean_arguments(parser: argparse.ArgumentParser) -> None:
     shown.add_argument("--least-views", help="so many of them must show it (default: 1)", **options.COUNT)
     shown.add_argument(
         "--least-weight",
-        type=options.positive_float,
-        metavar="WEIGHT",
         help="rendering weight from which a view shows something: of a splat summed over the pixels of a picture of at "
         "most 800, of a voxel the largest of any pixel (default: 0.01)",
+        **options.positive("WEIGHT"),
     )
     options.add_view(parser)
-    options.add_scene_scale(parser)
-    options.add_device(parser)
+    options.add_scale_and_device(parser)
 
 
 MESH_EXAMPLE = """\
@@ -148,9 +144,8 @@ def add_mesh_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_output(parser, "MESH", f"mesh to write ({' '.join(options.MESH_ENDINGS)}; glTF with y up)")
     parser.add_argument(
         "--threshold",
-        type=options.positive_float,
-        metavar="SIGMA",
         help="density at the surface, per world unit (default: chosen from the field)",
+        **options.positive("SIGMA"),
     )
     parser.add_argument(
         "--components",
@@ -170,8 +165,7 @@ def add_mesh_arguments(parser: argparse.ArgumentParser) -> None:
         help="in the coordinates of the scene's files, for a field that was straightened (warpcage fit --straighten)",
     )
     options.add_selection(parser)
-    options.add_scene_scale(parser)
-    options.add_device(parser)
+    options.add_scale_and_device(parser)
 
 
 BAKE_EXAMPLE = """\
@@ -213,5 +207,4 @@ def add_bake_arguments(parser: argparse.ArgumentParser) -> None:
     )
     options.add_selection(parser, "only what is chosen, cut out of its scene,")
     options.add_deformation(parser, usual_resolution="128")
-    options.add_scene_scale(parser)
-    options.add_device(parser)
+    options.add_scale_and_device(parser)

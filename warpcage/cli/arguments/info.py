@@ -42,8 +42,7 @@ def add_info_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--box", metavar="PICTURE", help="write a picture of a scene's cameras, points and object's box (.png)"
     )
-    options.add_scene_scale(parser)
-    options.add_device(parser)
+    options.add_scale_and_device(parser)
 
 
 KERNELS_EXAMPLE = """\

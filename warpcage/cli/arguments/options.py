@@ -136,6 +136,12 @@ def add_scene_scale(parser: Arguments) -> None:
     )
 
 
+def add_scale_and_device(parser: Arguments) -> None:
+    """What commands that read a field end with."""
+    add_scene_scale(parser)
+    add_device(parser)
+
+
 def add_cage_up(parser: Arguments, *, found: bool = False, posed: bool = False) -> None:
     """The axis that points up in cage files; found: whether there is an object to find it by; posed: poses too."""
     default = "y for glTF, z for other formats; Blender exports OBJ with y unless told otherwise"
@@ -224,9 +230,8 @@ def add_parts(parser: Arguments) -> None:
     parser.add_argument("--parts", help="the N largest connected parts", **COUNT)
     parser.add_argument(
         "--floaters",
-        type=positive_float,
-        metavar="SHARE",
         help="leave out connected parts with fewer voxels than this share of the largest, e.g. 0.01",
+        **positive("SHARE"),
     )
 
 
@@ -370,17 +375,15 @@ def add_edits(parser: Arguments) -> None:
     )
     parser.add_argument(
         "--falloff",
-        type=positive_float,
-        metavar="WIDTH",
         help="hold the walls of a cage that cut through matter, and let the edit fade to rest in a band of this width "
         "inside them, world units, so that a part does not tear off (default: no wall is held)",
+        **positive("WIDTH"),
     )
     parser.add_argument(
         "--fragments",
-        type=positive_float,
-        metavar="SIZE",
         help="take pieces smaller than this, world units, that a cage cuts off its part, along with the part (default: "
         "they stay)",
+        **positive("SIZE"),
     )
     parser.add_argument("--crumbs", dest="fragments", action=OldName, type=positive_float, help=argparse.SUPPRESS)
     parser.add_argument(
@@ -518,3 +521,8 @@ LENGTH: dict[str, Any] = {"type": length, "metavar": "LENGTH"}
 POINT: dict[str, Any] = {"type": finite_float, "nargs": 3, "metavar": ("X", "Y", "Z")}
 BOX: dict[str, Any] = {"type": finite_float, "nargs": 6, "metavar": ("X0", "Y0", "Z0", "X1", "Y1", "Z1")}
 PIXELS: dict[str, Any] = {"type": positive_int, "nargs": "+", "metavar": "PIXELS"}
+
+
+def positive(metavar: str) -> dict[str, Any]:
+    """How options take a number above 0."""
+    return {"type": positive_float, "metavar": metavar}

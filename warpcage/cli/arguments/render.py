@@ -47,8 +47,7 @@ def add_render_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_antialias(parser)
     options.add_deformation(parser, several=True)
     options.add_view(parser)
-    options.add_scene_scale(parser)
-    options.add_device(parser)
+    options.add_scale_and_device(parser)
 
 
 def _add_many(parser: argparse.ArgumentParser) -> None:
@@ -198,7 +197,6 @@ def add_animate_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_antialias(parser)
     options.add_deformation(parser, keyframes=True)
     options.add_view(parser)
-    options.add_scene_scale(parser)
-    options.add_device(parser)
+    options.add_scale_and_device(parser)
     options.add_quiet(parser)
     parser.set_defaults(**{name: Default(parser.get_default(name)) for name in OF_SESSIONS})

@@ -62,8 +62,7 @@ def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
         "--supersampling", help="rays along each side of a pixel (default: that of the field)", **options.COUNT
     )
     _add_records(parser)
-    options.add_scene_scale(parser)
-    options.add_device(parser)
+    options.add_scale_and_device(parser)
     options.add_quiet(parser)
 
 
@@ -124,10 +123,9 @@ def _add_poses(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--falloff",
-        type=options.positive_float,
-        metavar="WIDTH",
         help="for a cage around a part: hold the walls that cut through matter, and let poses fade to rest in a band "
         "of this width inside them, world units (default: no wall is held)",
+        **options.positive("WIDTH"),
     )
     options.add_cage_up(group, found=True, posed=True)
 
@@ -223,10 +221,9 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--item-timeout",
-        type=options.positive_float,
-        metavar="SECONDS",
         help="end the worker of an item that takes longer, loading included, and try the item again like one of a "
         "worker that died. One worker is a process of its own then (default: no limit)",
+        **options.positive("SECONDS"),
     )
     parser.add_argument(
         "--dry-run",

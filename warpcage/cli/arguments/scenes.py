@@ -90,10 +90,9 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--checkpoint-seconds",
-        type=options.positive_float,
         default=60.0,
-        metavar="N",
         help="time between two checkpoints (default: %(default)s)",
+        **options.positive("N"),
     )
     parser.add_argument(
         "--preview",
@@ -114,18 +113,16 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--epochs",
-        type=options.positive_float,
-        metavar="N",
         help="passes over the pixels that see the object (default: depends on --quality)",
+        **options.positive("N"),
     )
     parser.add_argument("--steps", help="splats: pictures that are drawn", **options.COUNT)
     parser.add_argument("--most-splats", help="splats: how many at the end", **options.COUNT)
     parser.add_argument(
         "--variation",
-        type=options.positive_float,
-        metavar="FACTOR",
         help="factor on the total variation: higher is smoother (default: chosen from the pictures, at least 30 "
         "for density and 15 for colours with masks or surroundings)",
+        **options.positive("FACTOR"),
     )
     parser.add_argument(
         "--bounds", help="box around the object, world units (default: found from the pictures)", **options.BOX
@@ -175,6 +172,5 @@ def add_evaluate_arguments(parser: argparse.ArgumentParser) -> None:
         help="turn and shift the camera of each view first so that it matches the field best, as is usual for fields "
         "of refined cameras: the figures then say how good the field is, not where the views are",
     )
-    options.add_scene_scale(parser)
-    options.add_device(parser)
+    options.add_scale_and_device(parser)
     options.add_quiet(parser)
