@@ -26,7 +26,6 @@ from ..batch.job_file import write_jobs
 from ..batch.run import RunProgress, RunReport, run_jobs
 from ..core.files import PathLike, atomic_path
 from ..core.names import FRAGMENTS_WORD, TRANSPARENT, counted
-from ..core.overlap import BackgroundWriter
 from ..core.reports import bar, say_above_bar
 from ..editor.document import Document
 from ..editor.exports import Film
@@ -239,7 +238,8 @@ class FilmWorkers:
         told: called now and then, in this thread; what it raises ends the run."""
         _collect(folder / WORKPLACE, folder)  # of a run that was killed
 
-        def make(missing: list[int]) -> None:
+        def make(missing: list[int], begin: Callable[[], None]) -> None:
+            begin()
             with tempfile.TemporaryDirectory(prefix="warpcage-") as temporary:
                 path = pathlib.Path(temporary) / "film.jsonl"
                 self.job.write(path, (self.frames[index] for index in missing))
@@ -419,57 +419,29 @@ PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 FRAME_NAME = re.compile(r"frame_[0-9]{4,}\.(png|exr|npz)")
 
 
-def write_folder(
-    folder: pathlib.Path,
-    frames: Iterable[int],
-    cameras: list[Camera],
-    render: Callable[[int, pathlib.Path], tuple[Callable[[], None], int]],
-    settings: dict,  # all that decides how frames look, as JSON has it; "format" is their ending
-    *,
-    overwrite: bool = False,  # replace frames of another film, as soon as the first of this one is rendered
-) -> int:
-    """Write the frames of a film that are not there yet, each whole or not at all; returns how many were there.
-    render(index, file) returns what writes the picture, in another thread, and the bytes that it holds."""
-    # The note comes with the first picture, or goes where it cannot be written: without frames it binds nobody.
-    foreign = _allowed(_other_film(folder, settings), folder, overwrite)
-    kept, begun = 0, False
-    with _nothing_left_without_frames(folder), BackgroundWriter() as beside:
-        for index in frames:
-            path = frame_path(folder, index, settings["format"])
-            if not (foreign and not begun) and _holds_picture(path, cameras[index]):
-                kept += 1
-                continue
-            task = render(index, path)
-            if not begun:
-                for other in frame_files(folder) if foreign else ():
-                    other.unlink()
-                _write_note(folder / SETTINGS_NAME, settings)
-                begun = True
-            beside.run(*task)
-            del task  # what is rendered next may take its place
-    return kept
-
-
 def make_folder(
     folder: pathlib.Path,
     cameras: list[Camera],
-    make: Callable[[list[int]], None],
-    settings: dict,
+    make: Callable[[list[int], Callable[[], None]], None],
+    settings: dict,  # all that decides how frames look, as JSON has it; "format" is their ending
     *,
-    overwrite: bool = False,
+    overwrite: bool = False,  # replace frames of another film
 ) -> int:
-    """As `write_folder`, but for frames that make(numbers) makes, called once, where any is missing.
-    Frames of another film are replaced before the first of this one is made."""
+    """Make the frames of a film that are not there yet, each whole or not at all; returns how many were there.
+    make(missing, begin) is called where any is missing, and calls `begin` before it writes the first."""
     foreign = _allowed(_other_film(folder, settings), folder, overwrite)
     with _nothing_left_without_frames(folder):
         paths = [frame_path(folder, index, settings["format"]) for index in range(len(cameras))]
         pairs = enumerate(zip(paths, cameras, strict=True))
         missing = [index for index, pair in pairs if foreign or not _holds_picture(*pair)]
-        if missing:
+
+        def begin() -> None:
             for other in frame_files(folder) if foreign else [paths[index] for index in missing]:
                 other.unlink(missing_ok=True)
-            _write_note(folder / SETTINGS_NAME, settings)
-            make(missing)
+            _write_note(folder / SETTINGS_NAME, settings)  # not before: without frames it binds nobody
+
+        if missing:
+            make(missing, begin)
     return len(cameras) - len(missing)
 
 

@@ -11,6 +11,7 @@ import pathlib
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,8 +49,9 @@ from .films import (
     checked_jobs_path,
     film_words,
     frame_outputs,
+    frame_path,
+    make_folder,
     session_job,
-    write_folder,
 )
 from .shared import Deformation, read_deformation
 from .words import set_frames
@@ -355,21 +357,8 @@ FRAMES = pathlib.Path("frames")
 
 #: Options that go with --session.
 WITH_SESSION = (
-    "command",
-    "field",
-    "output",
-    "jobs",
-    "session",
-    "transparent",
-    "background",
-    "format",
-    "overlay",
-    "size",
-    "scene_scale",
-    "device",
-    "quiet",
-    "verbose",
-)
+    "command field output jobs session transparent background format overlay size scene_scale device quiet verbose"
+).split()
 
 
 def run_animate(args: argparse.Namespace) -> None:
@@ -444,15 +433,30 @@ def _check(args: argparse.Namespace, output: pathlib.Path) -> None:
 def _render(shot: Shot, output: pathlib.Path) -> None:
     """Render the film or the folder here."""
     args, cameras, kept = shot.args, shot.cameras, 0
-    numbers = range(args.frames)
-    with bar(args.frames, "animate", shown=not args.quiet, iterable=numbers) as frames:  # ends before an error is said
-        if output.suffix:
+
+    def make(missing: list[int], begin: Callable[[], None]) -> None:
+        with _told(args, missing) as frames, BackgroundWriter() as beside:
+            for index in frames:
+                task = shot.task(index, frame_path(output, index, settings["format"]))
+                if index == missing[0]:
+                    begin()
+                beside.run(*task)
+                del task  # what is rendered next may take its place
+
+    if output.suffix:
+        with _told(args, range(args.frames)) as frames:
             write_film(output, map(shot.picture, frames), args.fps, loop=args.loop != "once")
-        else:
-            settings = _settings(args, cameras, shot.deformation)
-            kept = write_folder(output, frames, cameras, shot.task, settings, overwrite=bool(args.overwrite))
+    else:
+        settings = _settings(args, cameras, shot.deformation)
+        kept = make_folder(output, cameras, make, settings, overwrite=bool(args.overwrite))
     _say(shot, output, kept)
     shot.warn()
+
+
+def _told(args: argparse.Namespace, numbers: Sequence[int]) -> Any:
+    """Numbers of frames with a bar, which ends before an error is said."""
+    done = args.frames - len(numbers)
+    return bar(args.frames, "animate", done=done, shown=not args.quiet, iterable=numbers)
 
 
 def _say(shot: Shot, output: pathlib.Path, kept: int) -> None:
@@ -564,22 +568,10 @@ def _checked_output(text: str) -> pathlib.Path:
 def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Deformation | None) -> dict:
     """All that decides how frames look, so that a folder never mixes two films."""
     names = (
-        "frames",
-        "motion",
-        "interpolation",
-        "turn",
-        "show",
-        "overlay",
-        "coordinates",
-        "resolution",
-        "density",
-        "map",
-        "antialias",
-        "fill",
-        "cage_up",
-        "scene_scale",
+        "frames motion interpolation turn show overlay coordinates resolution "
+        "density map antialias fill cage_up scene_scale"
     )
-    settings = {name: getattr(args, name) for name in names}
+    settings = {name: getattr(args, name) for name in names.split()}
     settings["background"] = TRANSPARENT if shared.is_transparent(args) else args.background
     settings["format"] = args.format or "png"
     settings["loop"], settings["fps"] = args.loop, None if args.loop is None else str(args.fps)
