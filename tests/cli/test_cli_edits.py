@@ -245,6 +245,17 @@ def test_bad_edits_end_in_one_line(files, tmp_path, capsys, words, message):
     assert message in said and said.count("\n") == 1 and not (tmp_path / "a.png").exists()
 
 
+@pytest.mark.parametrize("held", ["3,4", [3, 4]])
+def test_held_faces_are_read_from_a_text_or_a_list_and_written_as_a_text(tmp_path, held):
+    path = tmp_path / "house.edits.json"
+    edit = EditWords(str(tmp_path / "top.obj"), "rest", falloff=0.0, held=(3, 4))
+    write_edits_file(path, [edit])
+    content = json.loads(path.read_text())
+    assert content["edits"] == [{"cage": "top.obj", "posed": "rest", "falloff": 0.0, "held": "3,4"}]
+    path.write_text(json.dumps({**content, "edits": [content["edits"][0] | {"held": held}]}))
+    assert read_edits_file(path) == [edit]
+
+
 def test_all_of_an_edit_is_said():
     edits = [EditWords("a.obj", "b.obj", keep=True, falloff=0.5, held=(3, 4), fragments=0.1),
              EditWords("a.obj", remove=True, fragments=0.1)]  # fmt: skip
