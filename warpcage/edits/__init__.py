@@ -1,8 +1,13 @@
-"""Edits of a scene: one description of an edit, its maps, falloff and fragments."""
+"""Edits of a scene: one description of an edit, in words too, its maps, falloff and fragments."""
 
 from ..package import lazy_exports
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
-    {"apart": "EditBoxes box_gaps edit_boxes front_to_back", "falloff": "walls_share", "fragments": "fragment_voxels"},
+    {
+        "apart": "EditBoxes box_gaps edit_boxes front_to_back",
+        "falloff": "walls_share",
+        "fragments": "fragment_voxels",
+        "words": "EditWords",
+    },
 )
