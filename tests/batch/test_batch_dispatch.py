@@ -143,7 +143,7 @@ def test_a_chunk_of_which_nothing_is_known_ends_with_its_time():
         engine.submit("0", "run", chunk)
         report = engine.wait(1e6)[0].found
         assert report.loading and report.done == list(range(made)) and report.left == list(range(made, 250))
-        dispatcher.reported("0", report, 1e6)
+        dispatcher.reported("0", report)
         following = dispatcher.next_chunk("0", 1e6)
         assert following.seconds is None and following.items[0] == made and dispatcher.left == 1000 - made
 
@@ -159,11 +159,11 @@ def test_one_item_alone_says_little_beside_a_chunk_and_what_was_loaded_nothing()
         sizes.append(len(made))
         each = 4.0 if not step else 0.1 if len(made) == 1 else 0.01
         report = ChunkReport(list(made), [each] * len(made), left=list(chunk.items[len(made) :]), loading=not step)
-        dispatcher.reported("a", report, 0.0)
+        dispatcher.reported("a", report)
     assert sizes[:2] == [1, 1] and sizes[2] in (19, 20) and sizes[-1] >= 150
     before = dispatcher.chunks.seconds(0)
     chunk = dispatcher.next_chunk("a", 0.0)
-    dispatcher.reported("a", ChunkReport(done=chunk.items[:1], seconds=[5.0], left=chunk.items[1:], loading=True), 0.0)
+    dispatcher.reported("a", ChunkReport(done=chunk.items[:1], seconds=[5.0], left=chunk.items[1:], loading=True))
     assert dispatcher.chunks.seconds(0) == before
 
 
@@ -177,7 +177,7 @@ def test_what_is_thought_of_items_stays_near_the_truth():
         name = str(turn % workers)
         chunk = dispatcher.next_chunk(name, 0.0)
         slow = 6.0 if name == "3" else 1.0
-        dispatcher.reported(name, ChunkReport(done=chunk.items, seconds=[slow * random.lognormal(0.0, 1.0)]), 0.0)
+        dispatcher.reported(name, ChunkReport(done=chunk.items, seconds=[slow * random.lognormal(0.0, 1.0)]))
         assert turn <= 1000 or turn % 100 != 3 or 0.3 < dispatcher.chunks.seconds(0) < 30
     assert dispatcher.done == 50_000
 
@@ -201,15 +201,15 @@ def test_a_failed_item_is_tried_elsewhere():
     for name in "ab":
         dispatcher.add_worker(name)
     first = dispatcher.next_chunk("a", 0.0)
-    dispatcher.reported("a", ChunkReport(errors=[(first.items[0], "out of memory")]), 1.0)
+    dispatcher.reported("a", ChunkReport(errors=[(first.items[0], "out of memory")]))
     tried = []
     while (chunk := dispatcher.next_chunk("a", 2.0)) is not None:
         tried += chunk.items
-        dispatcher.reported("a", ChunkReport(done=list(chunk.items), seconds=[1.0] * len(chunk.items)), 3.0)
+        dispatcher.reported("a", ChunkReport(done=list(chunk.items), seconds=[1.0] * len(chunk.items)))
     assert first.items[0] not in tried and len(tried) == 5 and dispatcher.left == 1
     again = dispatcher.next_chunk("b", 4.0)
     assert (again.items, again.attempts) == ([first.items[0]], [1])
-    dispatcher.reported("b", ChunkReport(failed=[(again.items[0], "out of memory")]), 5.0)
+    dispatcher.reported("b", ChunkReport(failed=[(again.items[0], "out of memory")]))
     assert dispatcher.finished and dispatcher.failures == {first.items[0]: "out of memory"}
 
 
@@ -218,7 +218,7 @@ def test_the_item_that_was_begun_last_is_charged_and_the_others_are_made_alone()
     for name in "ab":
         dispatcher.add_worker(name)
     chunk = dispatcher.next_chunk("a", 0.0)
-    dispatcher.reported("a", ChunkReport(done=list(chunk.items), seconds=[0.01]), 0.01)
+    dispatcher.reported("a", ChunkReport(done=list(chunk.items), seconds=[0.01]))
     chunk = dispatcher.next_chunk("a", 0.1)
     begun = chunk.items[2:5]
     assert dispatcher.died("a", ChunkReport(done=chunk.items[:2], seconds=[0.01] * 2), begun, "killed") == []
@@ -226,7 +226,7 @@ def test_the_item_that_was_begun_last_is_charged_and_the_others_are_made_alone()
     alone = collections.Counter()
     while (chunk := dispatcher.next_chunk("b", 1.0)) is not None:
         alone.update({item: len(chunk.items) for item in chunk.items})
-        dispatcher.reported("b", ChunkReport(done=list(chunk.items), seconds=[0.01] * len(chunk.items)), 2.0)
+        dispatcher.reported("b", ChunkReport(done=list(chunk.items), seconds=[0.01] * len(chunk.items)))
     assert [alone[item] for item in begun] == [1, 1, 1] and dispatcher.done == 100
 
 
@@ -250,7 +250,7 @@ def test_a_chunk_that_ends_while_it_is_asked_back_is_counted_once():
         made, back = chunk.items[:2], chunk.items[2:]
         answers = [
             lambda d=dispatcher, made=made, back=back: d.reported(
-                "a", ChunkReport(done=made, seconds=[1, 1], left=back), 5.0
+                "a", ChunkReport(done=made, seconds=[1, 1], left=back)
             ),
             lambda d=dispatcher, chunk=chunk, back=back: d.returned("a", chunk.number, back),
         ]
@@ -265,7 +265,7 @@ def test_after_a_full_disk_nothing_is_handed_out():
         dispatcher.add_worker(name)
     chunk = dispatcher.next_chunk("a", 0.0)
     dispatcher.next_chunk("b", 0.0)
-    dispatcher.reported("a", ChunkReport(left=list(chunk.items), halt="no space left on device"), 1.0)
+    dispatcher.reported("a", ChunkReport(left=list(chunk.items), halt="no space left on device"))
     assert dispatcher.next_chunk("a", 2.0) is None and not dispatcher.finished
-    dispatcher.reported("b", ChunkReport(done=[1], seconds=[1.0]), 3.0)
+    dispatcher.reported("b", ChunkReport(done=[1], seconds=[1.0]))
     assert dispatcher.finished and dispatcher.left == 9 and not dispatcher.failures

@@ -111,13 +111,11 @@ def test_a_worker_has_two_chunks_and_not_three():
     assert not dispatcher.takes("a") and not dispatcher.begun("a", 99) and dispatcher.begun("a", first.number)
     second = dispatcher.next_chunk("a", 0.1)
     assert not dispatcher.begun("a", second.number) and not dispatcher.takes("a") and dispatcher.left == 100
-    dispatcher.reported("a", ChunkReport(done=second.items, seconds=[0.1] * 10), 0.2, second.number)
+    dispatcher.reported("a", ChunkReport(done=second.items, seconds=[0.1] * 10), second.number)
     assert dispatcher.takes("a") and dispatcher.left == 90 and not dispatcher.finished
     dispatcher.stop()
     assert not dispatcher.finished  # the files of the first
-    dispatcher.reported(
-        "a", ChunkReport(done=first.items[:9], seconds=[0.1] * 9, left=first.items[9:]), 0.3, first.number
-    )
+    dispatcher.reported("a", ChunkReport(done=first.items[:9], seconds=[0.1] * 9, left=first.items[9:]), first.number)
     assert dispatcher.finished and dispatcher.done == 19 and dispatcher.left == 81 == dispatcher.chunks.left
 
 
@@ -136,9 +134,7 @@ def test_a_worker_dies_with_two_chunks(begun_of_second):
     made = list(done)
     while (chunk := dispatcher.next_chunk("b", 1.0)) is not None:
         made += chunk.items
-        dispatcher.reported(
-            "b", ChunkReport(done=list(chunk.items), seconds=[0.1] * len(chunk.items)), 2.0, chunk.number
-        )
+        dispatcher.reported("b", ChunkReport(done=list(chunk.items), seconds=[0.1] * len(chunk.items)), chunk.number)
     assert sorted(made) == list(range(40)) and dispatcher.done == 40 and dispatcher.finished
 
 

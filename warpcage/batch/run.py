@@ -343,8 +343,8 @@ class Driver:
         if report.broken is not None:
             for order in self._end(name):
                 rest, _ = self._journal.noted(name, self._starts[name], order)
-                self._dispatcher.reported(name, rest, self._engine.now(), order.number)
-        self._dispatcher.reported(name, report, self._engine.now(), number)
+                self._dispatcher.reported(name, rest, order.number)
+        self._dispatcher.reported(name, report, number)
         if report.halt is not None and self.halt is None:
             self.halt = report.halt
             self.stop()

@@ -265,7 +265,7 @@ class Dispatcher:
         worker.ending[number], worker.chunk = worker.chunk, None
         return self.takes(name)
 
-    def reported(self, name: str, report: ChunkReport, now: float, number: int | None = None) -> None:
+    def reported(self, name: str, report: ChunkReport, number: int | None = None) -> None:
         """A worker is done with a chunk; number: of the chunk, None is the one of which it makes items."""
         worker = self._workers[name]
         chunk = worker.ending.pop(number, None) if number is not None else None
