@@ -1,4 +1,4 @@
-"""What the words of items name: cages, poses, cameras, fields that stay loaded, and poses drawn at random."""
+"""What the words of items name: cages, poses (drawn ones too), cameras, fields that stay loaded; what is missing."""
 
 from __future__ import annotations
 

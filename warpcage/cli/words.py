@@ -203,11 +203,9 @@ def read_poses(
     return poses
 
 
-def read_pose(
-    rest: Cage, text: str, up: str | None = None, usable: bool = True, expected: Mapping[str, str] | None = None
-) -> Cage:
+def read_pose(rest: Cage, text: str, up: str | None = None, usable: bool = True) -> Cage:
     """The one posed cage that a word of --posed names; see `read_poses`."""
-    poses = read_poses(rest, text, up, usable, expected)
+    poses = read_poses(rest, text, up, usable)
     return poses[0] if len(poses) == 1 else only_pose(rest, text, up, poses)
 
 
