@@ -72,7 +72,7 @@ def test_sizes_of_scenes_do_not_matter(device):
     assert abs(near - 1) < 0.05
 
 
-def test_bounds_of_scales(device):
+def test_bounds_of_scales(device, two_threads):
     """Needles become shorter, and no splat that pictures see is smaller than a part of a pixel."""
     truth = true_field(device, 60)
     scene = scene_of(truth, ring(8, 20, (40, 32)), points=truth.contents.centers)
@@ -86,7 +86,7 @@ def test_bounds_of_scales(device):
     assert (scales["free"][:, 0] < 1.5 * nearest).mean() > 0.1
     assert (scales["bound"][:, 0] < 1.5 * nearest).mean() < 0.02
     ratios = {name: np.percentile(each[:, 2] / each[:, 1], 90) for name, each in scales.items()}
-    assert ratios["bound"] < 1.2 and ratios["free"] > ratios["bound"] + 0.05
+    assert ratios["bound"] < 1.17 and ratios["free"] > ratios["bound"] + 0.05
 
 
 def test_progress_is_kept_and_gone_on_with(tmp_path, monkeypatch):

@@ -120,7 +120,7 @@ class SplatFit:
         scene: The images with their cameras.
         device: Warp device. None is CUDA where there is one.
         seed: Of the order of pictures, the places where splats begin and grow, and the noise. On the CPU the same seed
-            and scene give the same splats to the bit.
+            and scene give the same splats to the bit, with as many threads where they begin on a quick fit of voxels.
         first: Splats to begin with. None takes what the option `start` says.
         weights: (n, h, w) in [0, 1], how much each pixel of the pictures counts, in place of `Scene.weights`. None
             takes those.
