@@ -110,6 +110,7 @@ class _Parts:
         self._most = MOST_GROWTH * first
         self._largest = min(self._most, -(-count // parts) if threads > 1 else count)
         self._size = max(1, min(first, self._largest))
+        self._least = 1  # items that are worth a part
 
     def run_here(self, run: Callable[[int, int], None]) -> bool:
         """Run a part, and the rest where it is not worth the other threads; returns whether all is done."""
@@ -131,15 +132,15 @@ class _Parts:
         with self._lock:
             begin = self._next
             fair = -(-(self._count - begin) // self._threads)  # so that the other threads get as much
-            self._next = begin + min(self._size, fair)
+            self._next = min(begin + min(self._size, max(fair, self._least)), self._count)
             return (begin, self._next) if self._next > begin else None
 
     def note(self, items: int, seconds: float) -> None:
         """How long a part took, for the next ones."""
         rate = items / max(seconds, 1e-9)
         with self._lock:
-            worth = min(self._most, rate * LEAST_PART_SECONDS)
-            self._size = int(max(1, worth, min(self._largest, rate * PART_SECONDS)))
+            self._least = int(max(1, min(self._most, rate * LEAST_PART_SECONDS)))
+            self._size = int(max(self._least, min(self._largest, rate * PART_SECONDS)))
 
     def stop(self) -> None:
         """Hand out no more."""
