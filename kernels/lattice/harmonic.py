@@ -9,11 +9,13 @@
 # values' place meanwhile. Coarser levels begin at zero: their first half sweep is load / d. The half sweep that ends a
 # cycle begins the next one: what it changes is the residual.
 # values (nodes of all levels,) vec3, zero outside. A launch writes one colour and reads the other. Kernels take counts
-# from the device: launches may be longer than the list, so one CUDA graph serves poses with different counts.
+# from the device: launches may be longer than the list, so one CUDA graph serves poses with different counts. A CPU
+# takes what is the same for neighbours in a list from C++, with the same sums, to the bit; CUDA has an item a node.
 
 import warp as wp
 
 from ..core.lanes import lane_count, largest_of_lanes
+from ..core.variants import native_source
 from .cut_rows import CutRows
 from .nodes import OUTSIDE, NodeLevels, node_place
 
@@ -102,6 +104,37 @@ def relaxed_value(system: LaplaceSystem, level: int, node: int):
     return total / diagonal(system, code)
 
 
+@wp.func_native(native_source(__file__, "cpp/regular_run.h"))
+def regular_run(
+    codes: wp.array(dtype=int),
+    nodes: wp.array(dtype=int),
+    values: wp.array(dtype=wp.vec3),
+    loads: wp.array(dtype=wp.vec3),
+    shape: wp.vec3i,
+    first_loaded: int,
+    begin: int,
+    end: int,
+    leaves: int,
+    measures: int,
+) -> wp.vec2:
+    """On a CPU, relax nodes of the list from `begin` on, or leave residuals, while they are regular ones of a row.
+    Returns how many, none on CUDA, and what changed most. first_loaded: the node of loads[0], -1 without loads."""
+    ...
+
+
+@wp.func
+def swept_run(system: LaplaceSystem, level: int, begin: int, end: int, leaves: int, measures: int):
+    """regular_run on a level."""
+    first_loaded = int(-1)
+    if level > 0:
+        first_loaded = system.levels.first_node[1]
+    levels = system.levels
+    shape = levels.shapes[level]
+    return regular_run(
+        levels.codes, levels.nodes, system.values, system.loads, shape, first_loaded, begin, end, leaves, measures
+    )
+
+
 @wp.func
 def restricted_load(system: LaplaceSystem, level: int, node: int):
     """Load of a node of `level` (1 and up) by full weighting from the level below, whose red values are residuals."""
@@ -146,6 +179,52 @@ def prolonged_correction(system: LaplaceSystem, level: int, node: int):
     return 0.5 * total
 
 
+@wp.func_native(native_source(__file__, "cpp/restricted_run.h"))
+def restricted_run(
+    codes: wp.array(dtype=int),
+    nodes: wp.array(dtype=int),
+    diagonals: wp.array(dtype=float),
+    values: wp.array(dtype=wp.vec3),
+    loads: wp.array(dtype=wp.vec3),
+    shape: wp.vec3i,
+    fine_shape: wp.vec3i,
+    first_node: int,
+    first_fine: int,
+    first_loaded: int,
+    begin: int,
+    black: int,
+    end: int,
+) -> int:
+    """On a CPU, take_load for nodes of the list; returns how many. On CUDA none."""
+    ...
+
+
+@wp.func_native(native_source(__file__, "cpp/prolonged_run.h"))
+def prolonged_run(
+    nodes: wp.array(dtype=int),
+    values: wp.array(dtype=wp.vec3),
+    shape: wp.vec3i,
+    coarse_shape: wp.vec3i,
+    first_node: int,
+    first_coarse: int,
+    begin: int,
+    end: int,
+) -> wp.vec2:
+    """On a CPU, add prolonged_correction to nodes of the list; returns how many, and the largest. On CUDA none."""
+    ...
+
+
+@wp.func
+def corrected_run(system: LaplaceSystem, level: int, begin: int, end: int):
+    """prolonged_run on a level."""
+    levels = system.levels
+    fine = levels.shapes[level]
+    coarse = levels.shapes[level + 1]
+    first_node = levels.first_node[level]
+    first_coarse = levels.first_node[level + 1]
+    return prolonged_run(levels.nodes, system.values, fine, coarse, first_node, first_coarse, begin, end)
+
+
 @wp.func
 def raise_largest(largest: wp.array(dtype=wp.vec2), item: int, found: wp.vec2):
     """Raise the entry of an item's group of lanes. Entries only grow, so looking at the entry first avoids most of
@@ -160,14 +239,17 @@ def raise_largest(largest: wp.array(dtype=wp.vec2), item: int, found: wp.vec2):
 
 
 @wp.kernel
-def relax_laplace(first: int, level: int, color: int, system: LaplaceSystem):
-    """Half a Gauss-Seidel sweep: solve the rows of one colour for their own node."""
-    n = first + wp.tid()
-    begin = system.levels.starts[2 * level + color]
-    if n >= system.levels.starts[2 * level + color + 1] - begin:
-        return
-    node = system.levels.nodes[begin + n]
-    system.values[node] = relaxed_value(system, level, node)
+def relax_laplace(first: int, span: int, level: int, color: int, system: LaplaceSystem):
+    """Half a Gauss-Seidel sweep: solve the rows of one colour for their own node. An item takes `span` nodes."""
+    n = system.levels.starts[2 * level + color] + (first + wp.tid()) * span
+    end = wp.min(n + span, system.levels.starts[2 * level + color + 1])
+    while n < end:
+        run = swept_run(system, level, n, end, 0, 0)
+        n += int(run[0])
+        if n < end:
+            node = system.levels.nodes[n]
+            system.values[node] = relaxed_value(system, level, node)
+            n += 1
 
 
 @wp.kernel
@@ -177,45 +259,73 @@ def relax_and_measure(first: int, span: int, system: LaplaceSystem, largest: wp.
     item = first + wp.tid()
     begin = system.levels.starts[0]
     worst = float(0.0)
-    for n in range(begin + item * span, wp.min(begin + (item + 1) * span, system.levels.starts[1])):
-        node = system.levels.nodes[n]
-        value = relaxed_value(system, 0, node)
-        if diagonal(system, system.levels.codes[node]) <= LARGEST_DIAGONAL:
-            worst = wp.max(worst, wp.max(wp.abs(value - system.values[node])))
-        system.values[node] = value
+    n = begin + item * span
+    end = wp.min(n + span, system.levels.starts[1])
+    while n < end:
+        run = swept_run(system, 0, n, end, 0, 1)
+        worst = wp.max(worst, run[1])
+        n += int(run[0])
+        if n < end:
+            node = system.levels.nodes[n]
+            value = relaxed_value(system, 0, node)
+            if diagonal(system, system.levels.codes[node]) <= LARGEST_DIAGONAL:
+                worst = wp.max(worst, wp.max(wp.abs(value - system.values[node])))
+            system.values[node] = value
+            n += 1
     raise_largest(largest, item, wp.vec2(worst, 0.0))
 
 
 @wp.kernel
-def leave_residual(first: int, level: int, system: LaplaceSystem):
-    """Put the residuals of the red nodes of a level in the place of their values."""
-    n = first + wp.tid()
-    begin = system.levels.starts[2 * level]
-    if n >= system.levels.starts[2 * level + 1] - begin:
-        return
-    node = system.levels.nodes[begin + n]
-    system.values[node] = residual(system, level, node)
+def leave_residual(first: int, span: int, level: int, system: LaplaceSystem):
+    """Put the residuals of the red nodes of a level in the place of their values. An item takes `span` nodes."""
+    n = system.levels.starts[2 * level] + (first + wp.tid()) * span
+    end = wp.min(n + span, system.levels.starts[2 * level + 1])
+    while n < end:
+        run = swept_run(system, level, n, end, 1, 0)
+        n += int(run[0])
+        if n < end:
+            node = system.levels.nodes[n]
+            system.values[node] = residual(system, level, node)
+            n += 1
 
 
 @wp.kernel
-def restrict_residual(first: int, level: int, system: LaplaceSystem):
-    """Loads of `level` (1 and up), and its first half sweep."""
-    n = first + wp.tid()
-    begin = system.levels.starts[2 * level]
-    if n >= system.levels.starts[2 * level + 2] - begin:
-        return
-    take_load(system, level, system.levels.nodes[begin + n], begin + n < system.levels.starts[2 * level + 1])
+def restrict_residual(first: int, span: int, level: int, system: LaplaceSystem):
+    """Loads of `level` (1 and up), and its first half sweep. An item takes `span` nodes."""
+    levels = system.levels
+    black = levels.starts[2 * level + 1]
+    n = levels.starts[2 * level] + (first + wp.tid()) * span
+    end = wp.min(n + span, levels.starts[2 * level + 2])
+    n += restricted_run(
+        levels.codes,
+        levels.nodes,
+        system.rows.diagonals,
+        system.values,
+        system.loads,
+        levels.shapes[level],
+        levels.shapes[level - 1],
+        levels.first_node[level],
+        levels.first_node[level - 1],
+        levels.first_node[1],
+        n,
+        black,
+        end,
+    )
+    while n < end:
+        take_load(system, level, levels.nodes[n], n < black)
+        n += 1
 
 
 @wp.kernel
-def prolong_correction(first: int, level: int, system: LaplaceSystem):
-    """Add the correction of level + 1 to the black nodes of `level`."""
-    n = first + wp.tid()
-    begin = system.levels.starts[2 * level + 1]
-    if n >= system.levels.starts[2 * level + 2] - begin:
-        return
-    node = system.levels.nodes[begin + n]
-    system.values[node] = system.values[node] + prolonged_correction(system, level, node)
+def prolong_correction(first: int, span: int, level: int, system: LaplaceSystem):
+    """Add the correction of level + 1 to the black nodes of `level`. An item takes `span` nodes."""
+    n = system.levels.starts[2 * level + 1] + (first + wp.tid()) * span
+    end = wp.min(n + span, system.levels.starts[2 * level + 2])
+    n += int(corrected_run(system, level, n, end)[0])
+    while n < end:
+        node = system.levels.nodes[n]
+        system.values[node] = system.values[node] + prolonged_correction(system, level, node)
+        n += 1
 
 
 @wp.kernel
@@ -224,12 +334,17 @@ def prolong_and_measure(first: int, span: int, system: LaplaceSystem, largest: w
     relax_and_measure)."""
     item = first + wp.tid()
     begin = system.levels.starts[1]
-    worst = float(0.0)
-    for n in range(begin + item * span, wp.min(begin + (item + 1) * span, system.levels.starts[2])):
+    n = begin + item * span
+    end = wp.min(n + span, system.levels.starts[2])
+    run = corrected_run(system, 0, n, end)
+    worst = run[1]
+    n += int(run[0])
+    while n < end:
         node = system.levels.nodes[n]
         correction = prolonged_correction(system, 0, node)
         worst = wp.max(worst, wp.max(wp.abs(correction)))
         system.values[node] = system.values[node] + correction
+        n += 1
     raise_largest(largest, item, wp.vec2(0.0, worst))
 
 

@@ -53,6 +53,9 @@ LARGEST_SLOTS = 64
 #: Sweeps over fewer nodes than this run on one thread of a CPU: cutting them over threads takes longer than they do.
 SHORT_LAUNCH = 1 << 16
 
+#: Nodes of a list that an item of a sweep takes on a CPU.
+RUN_NODES = 128
+
 #: Levels with fewer nodes of a colour than this go through one launch of one block of threads on CUDA: two a thread.
 COARSE_NODES = 2 * BLOCK_THREADS
 
@@ -227,8 +230,10 @@ class HarmonicSolver(MapSolver):
         launch(kernel, items, inputs, device=self.device, threads=threads)
 
     def _sweep(self, kernel, count: int, inputs) -> None:
-        """Launch a kernel whose items are little work."""
-        launch(kernel, count, inputs, device=self.device, threads=1 if count < SHORT_LAUNCH else None)
+        """Launch a kernel whose items are runs of nodes, single ones on CUDA."""
+        span = RUN_NODES if self.device.is_cpu else 1
+        threads = 1 if count < SHORT_LAUNCH else None
+        launch(kernel, -(-count // span), [span, *inputs], device=self.device, threads=threads)
 
     def _launch(self, kernel, count: int, inputs) -> None:
         launch(kernel, count, inputs, device=self.device)
