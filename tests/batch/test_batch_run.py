@@ -330,7 +330,7 @@ def test_only_clusters_need_ray(files, tmp_path):
     line = [sys.executable, "-c", program, str(files / "jobs.jsonl"), str(out)]
     done = subprocess.run(line, capture_output=True, text=True)
     assert done.returncode == 2 and len(pictures(out)) == 12
-    said = [line for line in done.stderr.splitlines() if "fewer workers would have been quicker" not in line]
+    said = [line for line in done.stderr.splitlines() if "fewer workers" not in line]
     assert len(said) == 1 and said[0].startswith("warpcage: error: --cluster needs Ray: pip install 'warpcage[cluster]")
 
 
@@ -340,6 +340,7 @@ def test_a_dry_run_writes_nothing(files, tmp_path, capsys):
     said = capsys.readouterr().out.splitlines()
     assert said[0] == "12 items: 0 are there already and unchanged"
     assert said[1] == "12 would be made: 12 frames, in 1 group" and said[3].endswith("by 2 workers")
+    assert re.match(MESSAGES["batch.unpaid"].format(items=12), said[4])
     assert "one frame takes" in said[2] and "shot/f0000" in said[2] and not (tmp_path / "out").exists()
     bad = write_frames(files, 3, "bad.jsonl", changes={0: {"field": "none.npz"}, 1: {"field": "none.npz"}})
     assert main(["run", str(bad), "-o", str(tmp_path / "out"), "--dry-run", "--device", "cpu"]) == 1
@@ -495,8 +496,14 @@ def test_a_folder_of_records_is_a_scene(tmp_path):
     assert len(warpcage.load_scene(out).images) > 4
 
 
-def test_workers_that_do_not_pay_are_told():
-    """Processes take longer to start than a few small frames take to be made."""
+def test_workers_that_do_not_pay_are_told_as_soon_as_an_item_is_timed(tmp_path):
+    """Processes take longer to start than a few small items take to be made."""
+    path, told = write_frames(tmp_path / "job", 40), []
+    report = run_with(path, tmp_path / "out", Making, workers=2, progress=told.append, warn=told.append)
+    lines = [each for each in told if isinstance(each, str)]
+    assert report.complete and len(lines) == 1
+    assert re.match(MESSAGES["batch.unpaid"].format(items=40), lines[0])
+    assert 0 < told[told.index(lines[0]) - 1].done < 40 == told[-1].done
     assert unpaid(2, 12, 11.9, 1.4) == (
         "2 workers took 11.9 s to start and 1.4 s for 12 items: fewer workers would have been quicker, they pay for "
         "longer work"

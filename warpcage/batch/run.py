@@ -30,6 +30,7 @@ from .chunk_runner import (
     RunnerSettings,
     leaves_no_room,
     make_runner,
+    run_name,
 )
 from .items import FOLDER
 from .job_file import Fingerprints, JobFile
@@ -132,8 +133,8 @@ def run_jobs(
         part: One of several parts of the job, which runs beside those of the others; a run of the whole job merges what
             they note into the manifest, and writes what is of all items together. None is the whole job.
         progress: Called with how far the run is. None says nothing.
-        warn: Called with a line where a worker dies, and at the end where one worker would have been quicker than
-            several. None says nothing.
+        warn: Called with a line where a worker dies, and with one where fewer workers would be quicker, as soon as it
+            is known what an item takes. None says nothing.
         make: What makes the items in place of a worker of ours, so that everything around it can be tested: called in
             each process with the folder of the job file, the output folder and the device. What it returns has
             `submit(item, out)`, a Future of the bytes of the outputs by their paths, and `close()`. Processes import it
@@ -199,15 +200,27 @@ def _drive(
     state = RunProgress("make", plan.total, plan.total, plan.kept)
     told: list[float] = []  # seconds of each time; the second is that a worker is ready
     warned: list[str] = []
+    numbers = np.bincount(plan.kinds)
 
     def tell() -> None:
         told.append(time.monotonic() - begin)
         counts = {"done": dispatcher.done, "failed": len(dispatcher.failures), "workers": dispatcher.workers}
         progress(dataclasses.replace(state, **counts, seconds=told[-1]))
+        usual = dispatcher.chunks.usual_seconds()
+        if usual.keys() >= set(np.flatnonzero(numbers)) and dispatcher.left:
+            mean = sum(numbers[kind] * seconds for kind, seconds in usual.items()) / len(plan.items)
+            judge(told[-1] + dispatcher.left * mean / count, foreseen=True)
 
     def note(line: str) -> None:
         warned.append(line)
         warn(line)
+
+    def judge(end: float, foreseen: bool) -> None:
+        """Say once where fewer workers are quicker; end: seconds of the run."""
+        if count > 1 and options.cluster is None and len(told) > 1 and not warned:
+            line = unpaid(count, len(plan.items), told[1], end - told[1], foreseen=foreseen)
+            if line is not None:
+                note(line)
 
     tell()
     driver = Driver(dispatcher, engine, journal, item_timeout=options.item_timeout, progress=tell, warn=note)
@@ -217,10 +230,8 @@ def _drive(
         with contextlib.suppress(Exception):
             driver.drain(0.0 if options.local else GRACE)
         raise
-    if count > 1 and options.cluster is None and halt is None and len(told) > 1 and not warned:
-        line = unpaid(count, dispatcher.done, told[1], time.monotonic() - begin - told[1])
-        if line is not None:
-            warn(line)
+    if halt is None:
+        judge(time.monotonic() - begin, foreseen=False)
     return halt
 
 
@@ -422,13 +433,15 @@ class Driver:
             self._engine.submit(name, "recall", number, share)
 
 
-def unpaid(workers: int, items: int, start: float, work: float) -> str | None:
-    """A line where one worker would have been quicker than several, which took seconds to start, and then to work."""
+def unpaid(workers: int, items: int, start: float, work: float, *, foreseen: bool = False) -> str | None:
+    """A line where one worker would be quicker than several, which take seconds to start, and then to work.
+    foreseen: whether that is still to come."""
     if workers * work >= start + work:  # at the left the most that one takes: it has the cores of all
         return None
+    take, quicker = ("take about", "are quicker") if foreseen else ("took", "would have been quicker")
     return (
-        f"{workers} workers took {start:.1f} s to start and {work:.1f} s for {counted(items, 'item')}: fewer workers "
-        "would have been quicker, they pay for longer work"
+        f"{workers} workers {take} {start:.1f} s to start and {work:.1f} s for {counted(items, 'item')}: fewer workers "
+        f"{quicker}, they pay for longer work"
     )
 
 
@@ -506,11 +519,20 @@ class Forecast:
     missing_count: int
     workers: int
     seconds: float  # how long it would take, without what could not be measured
+    start: float = 0.0  # what comes before that: seconds until a process of several workers is there, as one was
+
+    @property
+    def unpaid(self) -> str | None:
+        """A line where fewer workers are quicker; None where some items could not be measured."""
+        if not self.measured or self.errors:
+            return None
+        return unpaid(self.workers, sum(self.counts.values()), self.start, self.seconds, foreseen=True)
 
 
 def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | None = None) -> Forecast:
     """Look at a job and at what is there of it, and make up to three items of each kind that earlier runs do not know.
-    workers: by how many it would be made, on the CPU they share the cores. Nothing is written to `out`."""
+    workers: by how many it would be made, on the CPU they share the cores; a process of several is started, to see how
+    long that takes. Nothing is written to `out`."""
     from .worker import Worker  # here, as a driver of processes needs nothing of it
 
     with JobFile(path) as job, tempfile.TemporaryDirectory() as temporary:
@@ -526,11 +548,25 @@ def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | No
             for kind in counts:
                 if kind not in measured:
                     _measure(job, plan, kind, worker, measured, errors)
+        workers = max(1, min(workers, len(plan.items)))
+        start = _start_seconds(job, pathlib.Path(temporary), workers, device) if workers > 1 else 0.0
     work = sum(counts[kind] * each.seconds + _poses(plan, kind) * each.pose_seconds for kind, each in measured.items())
     loads = max((each.load_seconds for each in measured.values()), default=0.0) * max(plan.group_count, 1)
-    workers = max(1, min(workers, len(plan.items)))
     seconds = (work + loads) / workers
-    return Forecast(plan, counts, measured, errors, missing, missing_count, workers, seconds)
+    return Forecast(plan, counts, measured, errors, missing, missing_count, workers, seconds, start)
+
+
+def _start_seconds(job: JobFile, temporary: pathlib.Path, workers: int, device: str | None) -> float:
+    """Seconds until the process of one of several workers is ready."""
+    folder = OutputFolder(temporary)
+    folder.prepare()
+    settings = RunnerSettings(str(job.folder), job.reader, str(folder.path), run_name(), device)
+    begin = time.monotonic()
+    with contextlib.closing(ProcessEngine(LocalHost(workers, device), settings)) as engine:
+        engine.start("0", 1)
+        while not list(engine.wait(TICK)):
+            pass
+        return time.monotonic() - begin
 
 
 def _missing(job: JobFile, plan: Plan) -> tuple[dict[str, str], int]:

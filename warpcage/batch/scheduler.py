@@ -84,6 +84,10 @@ class ChunkQueue:
         found = self._seconds.get(group, self._kind_seconds.get(int(self._kinds[group])))
         return None if found is None else found.mean
 
+    def usual_seconds(self) -> dict[int, float]:
+        """Seconds that items of a kind take, of the kinds of which more was made than what loads."""
+        return {kind: each.mean for kind, each in self._kind_seconds.items() if each.items}
+
     def note(self, group: int, seconds: float, items: int = 1) -> None:
         """Keep how long an item of a group took; seconds: mean over the items of a chunk; items: how many."""
         # One alone takes longer than one among others. 0: loading is in the seconds, which hold until others are known.

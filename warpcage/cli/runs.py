@@ -127,6 +127,8 @@ def _say(forecast: Forecast) -> int:
         print(f"one {kind} takes {each.seconds:.3g} s{first} (measured: {each.source})")
     if forecast.measured:
         print(f"about {_duration(forecast.seconds)} by {counted(forecast.workers, 'worker')}")
+    if forecast.unpaid is not None:
+        print(forecast.unpaid)
     wrong = forecast.errors | forecast.missing
     for name, line in wrong.items():
         print(f"warpcage: {name}: {line}", file=sys.stderr)
