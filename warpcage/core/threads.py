@@ -60,7 +60,10 @@ def limit_threads(count: int) -> Iterator[None]:
 
 
 def run_parallel(
-    tasks: Sequence[Callable[[], Any]], threads: int | None = None, stop: Callable[[], None] | None = None
+    tasks: Sequence[Callable[[], Any]],
+    threads: int | None = None,
+    stop: Callable[[], None] | None = None,
+    here: int = 0,  # how many of the first ones this thread runs
 ) -> list[Any]:
     """Run tasks on the shared pool of CPU threads, or here where `threads` is 1; returns their results in order.
     Several threads may do so at once. The first error is raised, after `stop`, by which long tasks can end early."""
@@ -70,7 +73,8 @@ def run_parallel(
     pool = _shared_pool()
     batch = _Batch()
     try:
-        return list(pool.map(batch.run, tasks))
+        others = pool.map(batch.run, tasks[here:])
+        return [*map(batch.run, tasks[:here]), *others]
     except BaseException:
         if stop is not None:
             stop()
@@ -96,7 +100,8 @@ def run_parts(run: Callable[[int, int], None], count: int, threads: int, first: 
                 raise
             parts.note(part[1] - part[0], time.perf_counter() - begun)
 
-    run_parallel([work] * threads, threads, parts.stop)
+    # This thread is one of them: if it waited, the others would begin on one core, until the system shares them out.
+    run_parallel([work] * threads, threads, parts.stop, here=1)
 
 
 class _Parts:
