@@ -54,7 +54,7 @@ LARGEST_SLOTS = 64
 SHORT_LAUNCH = 1 << 16
 
 #: Nodes of a list that an item of a sweep takes on a CPU.
-RUN_NODES = 128
+RUN_NODES = 64
 
 #: Levels with fewer nodes of a colour than this go through one launch of one block of threads on CUDA: two a thread.
 COARSE_NODES = 2 * BLOCK_THREADS
