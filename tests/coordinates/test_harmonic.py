@@ -15,6 +15,7 @@ from trimesh.transformations import rotation_matrix
 
 from warpcage import Cage
 from warpcage.coordinates import harmonic_weights
+from warpcage.core import limit_threads
 from warpcage.lattice import CageLattice, HarmonicSolver, NodeSections
 
 CAGES = ("icosphere", "box", "concave", "two boxes")
@@ -142,6 +143,17 @@ def test_launches_longer_than_the_lists_change_nothing(monkeypatch):
     )
     # more levels may have launches of their own, which round otherwise
     assert np.abs(solved(solver, values) - expected).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", ["box", "concave"])
+def test_threads_of_a_cpu_change_nothing(name):
+    """Runs of nodes end within rows where threads take turns; others write beside them meanwhile."""
+    cage, solver = solver_of(name, 88, "cpu")
+    found = []
+    for threads in (1, 2, 5, 5):
+        with limit_threads(threads):
+            found.append(solved(solver, random_values(cage)))
+    assert all(np.array_equal(found[0], each) for each in found[1:])
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 1e-9, 1.0, -1e-5, "1e-5", float("nan")])
