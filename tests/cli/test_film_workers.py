@@ -61,10 +61,11 @@ def test_films_of_workers_are_those_of_one_process(files, tmp_path, capsys, name
     assert said[0] == said[1]
 
 
-def test_two_workers_make_the_film_of_one_process(files, tmp_path):
-    pytest.importorskip("ray")
+def test_two_workers_make_the_film_of_one_process(files, tmp_path, capsys):
     succeed(files, *FILM, "-o", tmp_path / "one.mp4")
+    assert "workers" not in capsys.readouterr().err
     succeed(files, *FILM, "-o", tmp_path / "two.mp4", "--workers", 2)
+    assert capsys.readouterr().err.count(": fewer workers ") == 1  # it is short
     assert (tmp_path / "one.mp4").read_bytes() == (tmp_path / "two.mp4").read_bytes()
     assert names(tmp_path) == ["one.mp4", "two.mp4"]
 

@@ -529,10 +529,12 @@ class Forecast:
         return unpaid(self.workers, sum(self.counts.values()), self.start, self.seconds, foreseen=True)
 
 
-def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | None = None) -> Forecast:
+def foresee(
+    path: PathLike, out: PathLike, *, workers: int = 1, cluster: str | None = None, device: str | None = None
+) -> Forecast:
     """Look at a job and at what is there of it, and make up to three items of each kind that earlier runs do not know.
-    workers: by how many it would be made, on the CPU they share the cores; a process of several is started, to see how
-    long that takes. Nothing is written to `out`."""
+    workers: by how many it would be made, on the CPU they share the cores. Nothing is written to `out`."""
+    # A process of several workers is started, to see how long that takes, unless a cluster would make the items.
     from .worker import Worker  # here, as a driver of processes needs nothing of it
 
     with JobFile(path) as job, tempfile.TemporaryDirectory() as temporary:
@@ -549,7 +551,8 @@ def foresee(path: PathLike, out: PathLike, *, workers: int = 1, device: str | No
                 if kind not in measured:
                     _measure(job, plan, kind, worker, measured, errors)
         workers = max(1, min(workers, len(plan.items)))
-        start = _start_seconds(job, pathlib.Path(temporary), workers, device) if workers > 1 else 0.0
+        several = workers > 1 and cluster is None
+        start = _start_seconds(job, pathlib.Path(temporary), workers, device) if several else 0.0
     work = sum(counts[kind] * each.seconds + _poses(plan, kind) * each.pose_seconds for kind, each in measured.items())
     loads = max((each.load_seconds for each in measured.values()), default=0.0) * max(plan.group_count, 1)
     seconds = (work + loads) / workers

@@ -39,7 +39,8 @@ def run_run(args: argparse.Namespace) -> int:
     if args.dry_run:
         if part is not None:
             raise InputError("--dry-run looks at the whole job: leave out --part")
-        return _say(foresee(args.jobs, args.output, workers=args.workers or 1, device=args.device))
+        count = args.workers or 1
+        return _say(foresee(args.jobs, args.output, workers=count, cluster=args.cluster, device=args.device))
     with contextlib.closing(_Bar(args.quiet)) as bar:
         report = run_jobs(
             args.jobs,
