@@ -63,6 +63,7 @@ QUICK = {
     "page_fits_of_captures": "pages fits-of-captures --results {out} --page {out}/fits_of_captures.md",
     "page_frames": "pages frames --results {out} --page {out}/frames.md",
     "page_captures": "pages captures --results {out} --page {out}/captures.md",
+    "same_bits": "same-bits {tree} --only pose mesh",
     "soak": "memory soak --poses 20 --fits 4 --refused 200 --json {out}/soak.json",
     "films": "memory films --frames 200 --timed 8 --size 320 180 --json {out}/film_memory.json",
     "batch_scale": "batch-scale --items 20_000 --workers 50 --frames 20 --messages 2000"
@@ -106,7 +107,7 @@ def main() -> int:
 def words_of(words: str, out: pathlib.Path) -> list[str]:
     """The words of a quick run, with its folders."""
     of = f"--field {out}/field.npz --cage {out}/cage.obj"
-    given = shlex.split(words.format(out=out, scene=out / "scene", of=of))
+    given = shlex.split(words.format(out=out, scene=out / "scene", of=of, tree=HERE.parent))
     if given[0].endswith(".py"):
         return [sys.executable, str(HERE / given[0]), *given[1:]]
     return [*BENCHMARKS, *given]
