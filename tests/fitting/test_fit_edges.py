@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from messages import MESSAGES
+from scenes import room_scene
 
 from warpcage import Camera, FieldOptimizer, Scene, VoxelField, evaluate, fit, mean_psnr, turntable
 from warpcage.scene import find_box
@@ -211,6 +212,23 @@ def test_cameras_inside_what_they_see(bounds):
     field = fit(scene, bounds=bounds, **{**QUICK, "epochs": 10})
     assert mean_psnr(evaluate(field, scene)) > 20
     assert np.isfinite(field.render(cameras[0]).rgb).all()
+
+
+@pytest.mark.parametrize("masks", [False, "split"])
+@pytest.mark.parametrize(
+    "options, expected",
+    [
+        ({"resolution": 8, "levels": 6}, [(2, 2, 2), (4, 4, 4), (8, 8, 8)]),
+        ({"resolution": 9, "levels": 6}, [(2, 2, 2), (4, 4, 4), (8, 8, 8), (16, 16, 16)]),
+        ({"bounds": [[-2, -2, -0.02], [2, 2, 0.02]]}, [(8, 8, 2), (16, 16, 4)]),
+    ],
+)
+def test_first_levels_have_two_voxels_along_each_axis(masks, options, expected):
+    """As many as a field needs at least: with more levels than halvings, and where a box is thinner than a voxel."""
+    scene, box = room_scene(6, SIZE, masks=masks), [[-2.0] * 3, [2.0] * 3]
+    optimizer = FieldOptimizer(scene, **({"bounds": box, "resolution": 16, "levels": 2, "epochs": 1} | options))
+    assert optimizer.shapes == expected and optimizer.options.levels == len(expected)
+    assert (optimizer.bounds[0] <= np.array(options.get("bounds", box))[0]).all()
 
 
 @pytest.mark.parametrize("alpha", [True, False])

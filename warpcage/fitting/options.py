@@ -85,7 +85,7 @@ class FitOptions:
         1,
         MAX_LEVELS,
         "Levels of the fit. The resolution doubles from each to the next. A fit adds levels if it "
-        "has to start coarser.",
+        "has to start coarser, and has fewer where the first would have less than 2 voxels along its longest side.",
     )
     level_growth: float = positive(2.6, "Rays of a level over the rays of the level before.")
     epochs: float = positive(11.0, "Passes over the pixels that see the object.")

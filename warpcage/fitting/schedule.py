@@ -84,9 +84,10 @@ def plan_grid(scene: Scene, options: FitOptions, box: np.ndarray, layered: bool)
     if layered and scene.alphas is None:  # as many more as it takes for the first to be coarse
         needed = 1 + math.ceil(math.log2(max(1.0, resolution / COARSE_SIDE)))
         levels = max(levels, min(needed, MAX_LEVELS))
+    levels = min(levels, int(resolution - 1).bit_length())  # the first has 2 voxels or more along the longest side
     unit = 2 ** (levels - 1)
     voxel = longest / resolution
-    shape = np.maximum(1, np.ceil(extent / voxel / unit - 1e-6).astype(int)) * unit
+    shape = np.maximum(2, np.ceil(extent / voxel / unit - 1e-6).astype(int)) * unit
     scarce = options.scarcity
     if scarce is None:
         scarce = scarcity(scene.cameras, box.mean(axis=0), voxel, options.supersampling)
