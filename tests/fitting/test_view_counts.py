@@ -7,7 +7,7 @@ from scenes import room_scene
 
 import warpcage
 from warpcage import FieldOptimizer
-from warpcage.fitting import Level, PictureRays, ViewCounts, load_progress, save_progress
+from warpcage.fitting import Level, PictureRays, ViewCounts, batches, load_progress, save_progress
 from warpcage.view import camera_array
 
 SMALL = {"resolution": 24, "levels": 2, "epochs": 4, "batch_rays": 1024}
@@ -31,6 +31,30 @@ def test_counts_are_of_the_views_that_show_a_voxel(device):
         level.weighty_mask(PictureRays(placed, 12, 10, counted), 0.01, counts=True)
         np.testing.assert_array_equal(level.views.counts.numpy(), expected)
     assert set(range(4)) <= set(expected)
+
+
+def test_a_look_has_no_more_rays_than_a_launch_has_items(device, monkeypatch):
+    """Of 90 pictures of 24 million pixels there are more than 2^31: the last of them wrapped around."""
+    cameras = warpcage.turntable((0, 0, 0), 3.0, 20, 5, fov_degrees=40, width=12, height=10)
+    box = np.array([[-1.0] * 3, [1.0] * 3])
+    level = Level(wp.full((12, 12, 12), 1, dtype=wp.uint8, device=device), box, np.ones(3, np.float32), 1, 4.0)
+    rays = PictureRays(camera_array(cameras, level.field.center, device), 12, 10)
+    level.field.grid.density.fill_(4.0)
+    found, launched, launch_shards = [], [], batches.launch_shards
+
+    def launch(works, shards, device):
+        launched.extend(work.count for work in works)
+        launch_shards(works, shards, device)
+
+    monkeypatch.setattr(batches, "launch_shards", launch)
+    for most in (2**31 - 1, 300):
+        monkeypatch.setattr(batches, "MOST_ITEMS", most, raising=False)
+        counts = wp.zeros(level.field.voxel_count, dtype=wp.uint8, device=device)
+        found.append((level.measure_weights(rays), level.measure_weights(rays, counts=counts), counts))
+    assert launched == 2 * [600] + 2 * [240, 240, 120]
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one.numpy(), other.numpy())
+    assert found[0][2].numpy().max() == 5
 
 
 def test_factors_grow_with_how_few_views_there_are(device):

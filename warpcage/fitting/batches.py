@@ -26,7 +26,7 @@ from ..kernels.fitting.rmsprop import add_gradients, count_marks, join_maximum
 from ..scene.scene import Scene
 from ..view.camera import camera_array
 from ..view.pictures import to_uint8
-from .memory import require_image_memory
+from .memory import MOST_ITEMS, require_image_memory
 from .schedule import view_factors
 
 #: Bits per channel that pictures may be kept at, the better first. Files have 8; opacity and averaging need more.
@@ -366,12 +366,13 @@ class PictureRays:
         found = [wp.zeros(rows, dtype=wp.float32, device=device) for _ in range(shards)]
         shown = wp.zeros((shards, 1 if counts is None else max(1, rows)), dtype=wp.uint32, device=device)
         outputs = [[found[shard], None if counts is None else shown[shard]] for shard in range(shards)]
-        together = views if counts is None else MARKED_VIEWS
+        rays = -(-self.width // stride) * -(-self.height // stride)  # of a picture
+        together = max(1, min(views if counts is None else MARKED_VIEWS, MOST_ITEMS // rays))
         for first in range(0, views, together):
             part = slice(first, min(first + together, views))
             counted = None if self.counted is None else self.counted[part]
-            count = (part.stop - first) * -(-self.width // stride) * -(-self.height // stride)
-            work = ShardedWork(kernel, count, [self.cameras[part], stride, counted, *inputs], outputs)
+            taken = [self.cameras[part], stride, counted, *inputs]
+            work = ShardedWork(kernel, rays * (part.stop - first), taken, outputs)
             launch_shards([work], shards, device)
             if counts is not None:
                 launch(count_marks, rows, [shown], [counts], device=device)
