@@ -292,6 +292,7 @@ REFUSED = {
     MESSAGES["views.sizes"]: lambda deformer: deformer.render([view(size=32), view(size=24)]),
     MESSAGES["views.none"]: lambda deformer: deformer.render([]),
     MESSAGES["views.output"]: lambda deformer: deformer.render(view(), outputs=["canonicl"]),
+    MESSAGES["views.no_output"]: lambda deformer: deformer.render(view(), outputs=None),
     MESSAGES["views.aim"]: lambda deformer: deformer.render(view(), outputs=["flow"]),
     MESSAGES["views.asked"]: lambda deformer: deformer.render(view(), flow_pose=BENT),
     MESSAGES["views.counts"]: lambda deformer: deformer.render_poses([BOX, BENT], [view()] * 3),

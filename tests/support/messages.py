@@ -141,6 +141,7 @@ MESSAGES = {
     "views.asked": "say where flow goes: ask for it, outputs=",
     "views.counts": "a camera for each view, 2, got 3",
     "views.flow_counts": "as many flow_poses as poses, 2, got 1",
+    "views.no_output": "outputs must be one of rgb, .* got None",
     "views.none": "a camera for each view, 1 or more, got 0",
     "views.output": "outputs must be one of rgb, .* got 'canonicl', did you mean canonical",
     "views.poses": r"poses must be a list of poses or \(n, v, 3\) vertices, got 'walk.npz'",

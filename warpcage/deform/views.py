@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
@@ -135,7 +135,7 @@ def checked_aims(cameras: list[Camera], flow_camera: Any, names: Sequence[str]) 
 
 def checked_outputs(deformer: Deformer, outputs: str | Sequence[str], flows: bool) -> list[str]:
     """Those of OUTPUT_NAMES that a caller wants, once each. flows: another pose or camera was given."""
-    asked = [outputs] if isinstance(outputs, str) else list(outputs)
+    asked = list(outputs) if isinstance(outputs, Iterable) and not isinstance(outputs, str) else [outputs]
     for name in asked:
         require_name(name, (*PART_NAMES, *MASK_NAMES, *OUTPUT_NAMES), "outputs")
     names = [name for name in OUTPUT_NAMES if name in asked]
