@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+import warp as wp
 from fields import BOX, box_around, make_field, plain, rotation, shiny_field, two_balls, view
 from messages import MESSAGES
 from splat_scenes import splats_in_box
@@ -110,6 +111,10 @@ def test_frames_are_pickled_as_numpy():
     copied = pickle.loads(pickle.dumps(frames))
     assert repr(copied) == repr(frames) and np.array_equal(copied.instance, frames.instance)
     assert copied[1].instance.dtype == np.int32 and [len(copied), len(copied[:1])] == [2, 1]
+    for given in (np.zeros(1), wp.zeros(1, dtype=float, device="cpu")):
+        found = copied.arrays_like(given)
+        assert {type(each) for each in found.values()} == {type(given)} and found["rgb"].shape == (2, 20, 24, 3)
+        np.testing.assert_array_equal(np.asarray(found["instance"]), frames.instance)
 
 
 # What pixels show

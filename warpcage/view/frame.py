@@ -438,7 +438,7 @@ class Frames(Sequence[Frame]):
             The arrays by name, of the kind of `given`, not copied: what follows on the library's current stream waits
             for the frames, the host does not.
         """
-        return {name: as_given(array, given) for name, array in self.arrays.items()}
+        return {name: as_given(_warp_array(array), given) for name, array in self.arrays.items()}
 
     def _on_host(self, name: str) -> np.ndarray | None:
         if name in self.arrays and name not in self._host:
@@ -470,6 +470,11 @@ def _channels(name: str) -> tuple[int, ...]:
     """How many numbers a pixel's value has, as the last side of its array; none for a plain number."""
     count = wp.types.type_size(part_type(name))
     return (count,) if count > 1 else ()
+
+
+def _warp_array(array: Any) -> wp.array:
+    """An array of a frame as Warp's, not copied; those of copies of frames are NumPy."""
+    return array if isinstance(array, wp.array) else wp.array(array, device="cpu", copy=False)
 
 
 def _host_array(array: Any) -> np.ndarray:
