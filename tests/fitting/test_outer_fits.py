@@ -154,6 +154,25 @@ def test_a_fit_goes_on_from_its_checkpoint(tmp_path):
             load_progress(FieldOptimizer(scene, **options), tmp_path / "d.npz")
 
 
+def test_a_fit_goes_on_where_the_sky_alone_is_left(device, tmp_path):
+    """Nothing around the box has any density: its voxels go with the first level."""
+    scene, options = room_scene(8, 16, masks=False), SMALL | {"resolution": 16, "device": device}
+    optimizer, resumed = (FieldOptimizer(scene, **options) for _ in range(2))
+    while not optimizer.level_done:
+        optimizer.step()
+    optimizer.background.outer.grid.values.zero_()
+    optimizer.step()
+    assert optimizer.level == 1 and optimizer.background.outer.voxel_count == 0
+    save_progress(optimizer, tmp_path / "c.npz")
+    load_progress(resumed, tmp_path / "c.npz")
+    while resumed.step_count < resumed.total_steps:
+        resumed.step()
+    field = resumed.finish()
+    field.save(tmp_path / "field.npz")
+    again = warpcage.VoxelField.load(tmp_path / "field.npz", device=device)
+    assert again.background_model.voxel_count == 0 and mean_psnr(warpcage.evaluate(again, scene)) > 15
+
+
 def test_the_way_on_the_command_line(tmp_path, capsys):
     folder, field = write_room(tmp_path / "dtu", 17, 24), tmp_path / "room.npz"
     words = ["--resolution", "24", "--epochs", "3", "--quiet"]

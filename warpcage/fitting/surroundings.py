@@ -507,6 +507,8 @@ class OuterOptimizer:
         inputs = [SKY_RATE * rates.outer, self.options.beta, EPSILON, total, _numbers(self.sky_moments)]
         outputs = [_numbers(self.outer.grid.sky.values)]
         launch(apply_layer_rmsprop, total.size, inputs, outputs, device=self.device)
+        if not rows:  # the sky alone is left
+            return
         total = self.gradients[0]
         sum_shards([_numbers(gradients) for gradients in self.gradients])
         inputs = [rates.outer, rates.outer_density * 0.25 * self.outer.side, self.options.beta, EPSILON]
