@@ -179,6 +179,19 @@ def test_a_limit_is_kept(request, device, monkeypatch, pictures, limit, least):
     assert mean_psnr(evaluate(field, scene)) > least
 
 
+@pytest.mark.parametrize("limit", [1_200_000, 1_800_000])
+def test_a_limit_is_kept_with_what_is_around(request, device, monkeypatch, limit):
+    """The sky, and what is before and behind the rays of a batch, are counted: large beside so few voxels."""
+    if wp.get_device(device).is_cpu:
+        request.getfixturevalue("two_threads")
+    scene = room_scene(8, 32, masks=False)
+    allocations = Allocations(monkeypatch, device)
+    options = {"resolution": 32, "outer_resolution": 64, "levels": 2, "epochs": 2, "batch_rays": 8192}
+    field = fit(scene, device=device, progress=False, max_memory=limit, bounds=[[-2] * 3, [2] * 3], **options)
+    assert 0.5 * limit < allocations.peak <= limit
+    assert field.background_model.voxel_count > 0
+
+
 def test_more_memory_is_more_detail(scene, device):
     shapes = []
     for limit in (None, "1GB", "7MB", "2MB"):

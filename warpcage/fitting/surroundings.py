@@ -377,13 +377,17 @@ class OuterOptimizer:
         """Device memory of the grid, its optimiser, and what is before and behind the rays of a batch."""
         rows, side = self.nodes.shape[0], self.outer.side
         grid = row_bytes(self.shards) * rows + 4 * side**3 + (side - 1) ** 3
-        sky = VALUE_BYTES * (3 + self.shards) * self.sky_moments.size
-        return grid + sky + 2 * (FRONT_BYTES + COLOR_BYTES) * self.batch_rays + self.views.held_bytes
+        return grid + self._fixed_bytes(self.outer.grid.sky.side) + self.views.held_bytes
+
+    def _fixed_bytes(self, sky_side: int) -> int:
+        """Device memory of a sky and its optimiser, and of what is before and behind the rays of a batch."""
+        sky = VALUE_BYTES * (3 + self.shards) * surface_node_count(sky_side)
+        return sky + 2 * (FRONT_BYTES + COLOR_BYTES) * self.batch_rays
 
     def _memory(self) -> FitMemory:
         """What other levels take."""
         return FitMemory(
-            fixed=0,
+            fixed=self._fixed_bytes(MOST_SKY),
             node=NODE_BYTES,
             row=row_bytes(self.shards) + (1 if self.views.is_used else 0),
             field_row=VALUE_BYTES + PLACE_BYTES,
