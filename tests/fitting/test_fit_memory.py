@@ -263,6 +263,15 @@ def test_pictures_on_the_device(device, bits, masks):
         np.testing.assert_allclose(found, expected, atol=2**-12 + 1e-6 if bits == 16 else 0.5 / 255 + 1e-6)
 
 
+def test_what_counts_a_little_counts(device):
+    """Weights are kept in steps of 1/255: those next to 0 are looked at as those that are fitted."""
+    weights = np.full((2, 8, 8), 0.5, np.float32)
+    weights[0, :4], weights[1, 2:] = 0.0, 0.001
+    scene = dataclasses.replace(room_scene(2, 8, masks=False), weights=weights)
+    counted = TrainingPictures(scene, 8, wp.get_device(device)).counted.numpy()
+    np.testing.assert_array_equal(counted, np.select([weights == 0.0, weights < 0.1], [0, 1], 128))
+
+
 @pytest.mark.parametrize("bits", PRECISIONS)
 @pytest.mark.parametrize("masks", [False, "split"])
 def test_a_loss_compares_with_either_precision(device, bits, masks):

@@ -62,7 +62,8 @@ class TrainingPictures:
         self.scene, self.device, self.bits = scene, device, bits
         self.seen: Any = None  # premultiplied colours and opacity
         self.surroundings: Any = None  # colours that masks split off times their share, and the share; None if none
-        weights = [] if scene.weights is None else [np.round(255.0 * each).astype(np.uint8) for each in scene.weights]
+        given = () if scene.weights is None else scene.weights  # above 0 however little: those count
+        weights = [np.maximum(np.round(255.0 * each), each > 0.0).astype(np.uint8) for each in given]
         counted = np.stack(weights) if weights else np.zeros((0, 0, 0), np.uint8)
         self.counted: wp.array = wp.array(counted, dtype=wp.uint8, device=device)  # (views, h, w) in 1/255; empty: all
         self.keep(bits)
