@@ -53,7 +53,7 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_fragments: bool =
         return [stack_kernel(False)]
     several = [stack_kernel(True), stack_kernel(False)] if edit_count > 1 else []
     if device.is_cpu and tables.TILES_ON_CPU:
-        return [march_cpu, *several]
+        return [march_cpu, columns, *several]
     march_modules = [fine_cells, map_cells, beams, *several]
     kernel_of = part_kernel if several else view_kernel
     by_rows = [kernel_of(False, has_sides) for has_sides in (False, True)]
