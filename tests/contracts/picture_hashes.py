@@ -165,7 +165,9 @@ def surrounded_fit(kind):
     scene = brick_views(6, 24)
     whole = warpcage.Scene(scene.images * 0.9, None, scene.cameras)
     usual = {"resolution": 12, "batch_rays": 512, "least_steps": 6, "epochs": 0.1, "levels": 1}
-    small = {"outer_resolution": 16} if kind == "outer" else {"background_layers": 3, "background_side": 8}
+    small = {"background_layers": 3, "background_side": 8}
+    if kind == "outer":  # finer than the box: its first rates are (16 / 12)^2 times the given ones
+        small = {"outer_resolution": 16, "rate_outer": 0.06 * 9 / 16, "rate_outer_density": 0.083 * 9 / 16}
     field = warpcage.fit(whole, device="cpu", seed=1, progress=False, background=kind, **usual, **small)
     return field_values(field)
 

@@ -143,9 +143,9 @@ def voxel_weights(field: VoxelField, camera: Camera) -> np.ndarray:
     weights = wp.zeros(field.voxel_count, dtype=wp.float32, device=field.device)
     with device_turn(field.device):
         cameras = wp.array([camera_struct(camera, field.center)], dtype=PinholeCamera, device=field.device)
-        inputs = [field.grid, cameras, 1, field.step, STOP_TRANSMITTANCE]
+        inputs = [cameras, 1, None, field.grid, field.step, STOP_TRANSMITTANCE]
         count = camera.width * camera.height
-        launch(record_weights, count, inputs, [weights], device=field.device, threads=1, work=RAY_WORK)
+        launch(record_weights, count, inputs, [weights, None], device=field.device, threads=1, work=RAY_WORK)
         return weights.numpy()
 
 
