@@ -86,11 +86,17 @@ def assert_whole(out, whole):
         assert all((out / name).stat().st_size == size for name, size in record["outputs"].items())
 
 
+def about_workers(lines):
+    """What a run said but that fewer workers are quicker, which depends on the machine."""
+    return [line for line in lines if "fewer workers are quicker" not in line]
+
+
 def test_a_worker_killed_between_two_chunks_loses_nothing(address, job, whole, tmp_path):
     """While it makes items of a chunk and writes files of the one before."""
     out, lines = tmp_path / "out", []
     assert run_by(address, job, out, Late, workers=2, warn=lines.append).complete
-    assert len(lines) == 1 and "its worker died" in lines[0] and left_over(out) == ["died"]
+    told = about_workers(lines)
+    assert len(told) == 1 and "its worker died" in told[0] and left_over(out) == ["died"]
     assert [name for name, each in records(out).items() if each["attempts"] > 1] == ["shot/f0023"]
     assert len(records(out)) == len(whole) == len(list((out / "shot").iterdir()))
 
@@ -179,7 +185,7 @@ def test_an_item_that_kills_its_worker_is_failed_and_the_rest_is_made(address, j
     assert report.made == 39 and list(report.failed) == ["shot/f0005"]
     assert report.failed["shot/f0005"].endswith("killed, or a crash of the process, 3 times while it was made")
     record = records(out)["shot/f0005"]
-    told = [line for line in lines if "fewer workers are quicker" not in line]
+    told = about_workers(lines)
     assert record["state"] == "failed" and record["attempts"] == 3 == len(told) == sum("died" in x for x in told)
 
 
@@ -211,7 +217,7 @@ def test_an_endless_item_is_failed_and_the_rest_is_made(address, tmp_path, worke
     assert report.failed == {"shot/f0005": line} and report.made == 29 and not report.left
     found = records(out)
     assert len(found) == 30 and (found["shot/f0005"]["state"], found["shot/f0005"]["attempts"]) == ("failed", 2)
-    told = [each for each in lines if "fewer workers are quicker" not in each]
+    told = about_workers(lines)
     assert len(told) >= 2 and all("the item took longer than 2 s: it is started again" in each for each in told)
     assert run_by(address, path, out, Making, workers=2).kept == 29
     assert {record["state"] for record in records(out).values()} == {"done"} and left_over(out) == []
@@ -347,7 +353,8 @@ lines = []
 report = runs.run_with(pathlib.Path(sys.argv[1]), out, Slow, workers=2, cluster=cluster.address, warn=lines.append)
 losing.join()
 assert report.complete and report.made == 60, report
-assert len(lines) == 1 and "its worker died" in lines[0], lines
+told = [line for line in lines if "fewer workers are quicker" not in line]
+assert len(told) == 1 and "its worker died" in told[0], lines
 cluster.shutdown()
 """
 
