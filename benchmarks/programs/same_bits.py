@@ -158,8 +158,8 @@ pathlib.Path(sys.argv[2]).write_text(json.dumps(ended))
 def main(args: argparse.Namespace) -> int:
     """Run the same commands and job files in this checkout and in another one, and name files that differ.
 
-        git worktree add /tmp/before HEAD~20
-        python benchmarks same-bits /tmp/before
+        git worktree add ../before HEAD~20
+        python benchmarks same-bits ../before
 
     On the CPU, with one number of threads. Files are compared by their bytes, NumPy archives by their arrays; what runs
     note of their time (manifests, logs) is left out. A command that only one of the two refuses is told of too.
