@@ -21,6 +21,8 @@ CAPTURE = [
     "av>=14.2",  # from there on frames say how a phone was held
 ]
 
+USD = ["usd-core>=24.11"]  # stages of USD: from there on it takes arrays of NumPy 2
+
 CLUSTER = ["ray>=2.40"]  # clusters of `warpcage run`: the core alone, without ray[default]
 
 DOCS = [
@@ -34,6 +36,8 @@ TEST = [
     *EXR,
     *DOCS,
     *HEIF,
+    # there are wheels for these; elsewhere tests of USD are skipped
+    f"{USD[0]}; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'",
     # several workers and clusters; without it those tests are skipped
     "ray>=2.40; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'",
     "selenium>=4.20",  # drives a browser through the editor; those tests are skipped without Chromium
@@ -102,7 +106,7 @@ setup(
         'zstandard>=0.23; python_version < "3.14"',  # .spz of version 4; from 3.14 on Python has it
     ],
     extras_require={
-        **{"edit": EDIT, "exr": EXR, "heif": HEIF, "capture": CAPTURE, "cluster": CLUSTER},
+        **{"edit": EDIT, "exr": EXR, "heif": HEIF, "usd": USD, "capture": CAPTURE, "cluster": CLUSTER},
         **{"docs": DOCS, "test": TEST, "dev": DEV},
     },
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},

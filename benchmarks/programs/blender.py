@@ -439,12 +439,12 @@ def pixels_at(scene, camera, frame: int) -> np.ndarray:
 
 @command(option("folder", type=pathlib.Path, help="where the files go"))
 def motion(args) -> None:
-    """A cage that moves in Blender, as glTF, and where Blender has its vertices at each frame: files for the tests.
+    """A cage that moves in Blender, as glTF and USD, and its vertices at each frame: files for the tests.
 
         python benchmarks blender motion tests/data/blender_motion
 
-    Shape keys, an animated object, and an armature with weights between two bones. Each .glb is written with Blender's
-    defaults; beside it NAME.npz holds `vertices` (frames, v, 3) in world units, float32.
+    Shape keys, an animated object, and an armature with weights between two bones. Each .glb and .usdc is written with
+    Blender's defaults; beside it NAME.npz holds `vertices` (frames, v, 3) in world units, float32.
     """
     import bpy
 
@@ -455,6 +455,7 @@ def motion(args) -> None:
         build(cube)
         np.savez_compressed(folder / f"{name}.npz", vertices=vertices_by_frame(cube))
         bpy.ops.export_scene.gltf(filepath=str(folder / f"{name}.glb"), export_format="GLB")
+        bpy.ops.wm.usd_export(filepath=str(folder / f"{name}.usdc"), export_animation=True)
 
 
 def subdivided_cube():

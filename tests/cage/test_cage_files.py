@@ -147,7 +147,7 @@ def test_binary_ply_of_another_writer(tmp_path, order):
         ("c.ply", PLY.replace("4 0 1 2 3 7\n", ""), "1 PLY elements 'face' announced, 0 found"),
         ("c.ply", PLY.replace("4 0 1 2 3 7", "4 0 1"), "c.ply:21: too few numbers"),
         ("c.ply", PLY.replace("property float z\n", ""), "need properties x, y, z"),
-        ("c.stl", "solid\n", "must end in .obj, .ply, .off, .glb or .gltf"),
+        ("c.stl", "solid\n", "must end in .obj, .ply, .off, .glb, .gltf, .usd, .usdc or .usda"),
     ],
 )
 def test_errors_name_the_file_and_the_line(tmp_path, name, text, message):

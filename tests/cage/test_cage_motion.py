@@ -21,11 +21,15 @@ def from_y_up(vertices):
     return np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
 
 
+@pytest.mark.parametrize("ending", ["glb", "usdc"])
 @pytest.mark.parametrize("name", ["shape_keys", "moved_object", "armature"])
-def test_motion_from_blender_comes_back_frame_for_frame(name):
+def test_motion_from_blender_comes_back_frame_for_frame(name, ending):
+    """Shapes, skins and moved objects of either format."""
+    if ending == "usdc":
+        pytest.importorskip("pxr")
     expected = np.load(FIXTURES / f"{name}.npz")["vertices"].astype(float)
-    rest = Cage.load(FIXTURES / f"{name}.glb")
-    file = gltf_poses(FIXTURES / f"{name}.glb", rest)
+    rest = Cage.load(FIXTURES / f"{name}.{ending}")
+    file = gltf_poses(FIXTURES / f"{name}.{ending}", rest)
     assert len(file) == len(expected) and file.fps == 24.0
     np.testing.assert_allclose([file.times[key] for key in file.names], np.arange(len(expected)) / 24, atol=1e-9)
     assert set(file.easings.values()) == {"linear"}

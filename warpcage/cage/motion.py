@@ -1,4 +1,4 @@
-"""Poses and motion of a cage from files: animated glTF, vertex caches, one cage file a frame."""
+"""Poses and motion of a cage from files: animated glTF and USD, vertex caches, one cage file a frame."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from ..core.checks import checked_path, checked_positive, listed, require_type
 from ..core.files import PathLike, require_file
 from ..core.names import counted
 from ..errors import InputError
-from ..mesh.io import ALL_OBJECTS, ENDINGS, object_names, turned_up
+from ..mesh.io import ALL_OBJECTS, ENDINGS, MOTION_ENDINGS, file_up, object_names, turned_up
 from ..mesh.io.gltf_animation import read_gltf_motion
+from ..mesh.io.usd import USD_ENDINGS, read_usd_motion
 from ..mesh.io.vertex_cache import CACHE_ENDINGS, read_vertex_cache
 from .cage import Cage
 from .pose_file import PoseFile
@@ -27,7 +28,7 @@ USUAL_RATE = 24.0
 
 #: How files end that a cage may move in.
 GLTF_ENDINGS = (".glb", ".gltf")
-MOVING_ENDINGS = (*GLTF_ENDINGS, *CACHE_ENDINGS)
+MOVING_ENDINGS = (*MOTION_ENDINGS, *CACHE_ENDINGS)
 
 #: Most files of a sequence, and frames of a cache.
 MAX_FILES = 20_000
@@ -59,11 +60,11 @@ def read_pose(path: PathLike, rest: Cage) -> Cage:
 def read_motion(
     path: PathLike, rest: Cage | None, *, name: str = "", up: str | None = None, fps: float | None = None
 ) -> PoseFile:
-    """Keyframes in files of other programs: glTF, a vertex cache, numbered cage files, or a posed cage alone.
+    """Keyframes in files of other programs: glTF, USD, a vertex cache, numbered cage files, or a posed cage alone.
     name: of an animation or shape, "" takes all; up: None finds the axis."""
     path = checked_path(path, "the file of poses")
     ending = path.suffix.lower()
-    if ending in GLTF_ENDINGS and rest is None:
+    if ending in MOTION_ENDINGS and rest is None:
         rest = Cage.load(path, up=up)
     if rest is None:
         raise InputError(f"{str(path)!r} holds poses alone: give the cage at rest")
@@ -81,7 +82,7 @@ def read_motion(
 def file_poses(
     path: PathLike, rest: Cage, *, name: str = "", up: str | None = None, fps: float | None = None
 ) -> PoseFile | None:
-    """The motion in a glTF file or a vertex cache as keyframes of a cage, as `gltf_poses` and `cache_poses`."""
+    """The motion in a glTF or USD file or a vertex cache as keyframes of a cage, as `gltf_poses` and `cache_poses`."""
     if pathlib.Path(path).suffix.lower() not in CACHE_ENDINGS:
         return gltf_poses(path, rest, name=name, up=up)
     file = cache_poses(path, rest, up=up, fps=fps)
@@ -116,15 +117,16 @@ def cache_poses(path: PathLike, rest: Cage, *, up: str | None = None, fps: float
 
 
 def gltf_poses(path: PathLike, rest: Cage, *, name: str = "", up: str | None = None) -> PoseFile | None:
-    """The motion in a glTF file as keyframes of a cage, whose vertices may come in any order; None where nothing moves.
-    `name` "" takes the only animation, or all shapes; `up` None is "y", as the specification says."""
+    """The motion in a glTF or USD file as keyframes of a cage, its vertices in any order; None where nothing moves.
+    `name` "" takes the only animation, or all shapes; `up` None is that of the format."""
     # An animation is a keyframe for each frame, straight between; shapes (Blender's keys) alone are ones without times.
     path = require_file(path, "cage file")
     chosen = _object_of(path, rest)
-    motion = read_gltf_motion(path, name, chosen)
+    read = read_usd_motion if path.suffix.lower() in USD_ENDINGS else read_gltf_motion
+    motion = read(path, name, chosen)
     if motion is None:
         return None
-    was = up or "y"
+    was = up or file_up(path)
     base = Cage.load(path, up=was, object=chosen or ALL_OBJECTS)
     order = _order(rest, base, str(path))
     file = PoseFile(rest)

@@ -16,7 +16,7 @@ from ..core.checks import checked_number, checked_path, checked_positive, listed
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..core.names import EASINGS, LOOPS, require_name
 from ..errors import InputError
-from ..mesh.io import ENDINGS
+from ..mesh.io import ENDINGS, MOTION_ENDINGS, write_shown_mesh
 from ..mesh.io.vertex_cache import CACHE_ENDINGS, write_vertex_cache
 from ..mesh.mesh import require_mesh
 from ..view.camera import Camera, CameraKey, camera_from_json, camera_json
@@ -201,14 +201,15 @@ class PoseFile:
         Args:
             path: The file, usually .json. A vertex cache, .pc2 or .mdd, holds the vertices alone, z up, of each frame
                 of the film (24 a second where `fps` is None), or of one keyframe after the other where none has a time.
+                glTF (.glb, .gltf) and USD (.usd, .usda, .usdc) hold the cage at rest and the same frames.
 
         Raises:
             ValueError: For a time or an easing of no keyframe, a time that is not finite, an easing that is no word, a
-                rate that is not positive, a loop that is not known, a camera without a time, or a cache of no keyframe.
+                rate that is not positive, a loop that is not known, a camera without a time, or frames of no keyframe.
         """
         self._check_moments()
-        if pathlib.Path(path).suffix.lower() in CACHE_ENDINGS:
-            self._save_cache(path)
+        if pathlib.Path(path).suffix.lower() in (*CACHE_ENDINGS, *MOTION_ENDINGS):
+            self._save_frames(path)
             return
         document = {
             "format": _FORMAT, "version": _VERSION,
@@ -224,15 +225,19 @@ class PoseFile:
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(document) + "\n", encoding="utf-8")
 
-    def _save_cache(self, path: PathLike) -> None:
+    def _save_frames(self, path: PathLike) -> None:
         rate = self.fps or 24.0
         if not len(self):
-            raise InputError(f"{path}: a vertex cache needs a keyframe")
+            raise InputError(f"{path}: a file of frames needs a keyframe")
         if self.timed:
-            frames = [self.at_time(time) for time in frame_times(self.length, rate, self.loop or "once")]
+            cages = [self.at_time(time) for time in frame_times(self.length, rate, self.loop or "once")]
         else:
-            frames = list(self._poses.values())
-        write_vertex_cache(path, np.stack([frame.vertices for frame in frames]), rate)
+            cages = list(self._poses.values())
+        frames = np.stack([cage.vertices for cage in cages])
+        if pathlib.Path(path).suffix.lower() in CACHE_ENDINGS:
+            write_vertex_cache(path, frames, rate)
+        else:
+            write_shown_mesh(path, self.rest.vertices, self.rest.faces, frames=frames, fps=rate)
 
     def _moment(self, name: str) -> dict[str, Any]:
         """What the file holds of a keyframe besides its vertices."""
@@ -267,14 +272,14 @@ class PoseFile:
     ) -> PoseFile:
         """Read a file of keyframes, its own or that of another program.
 
-        An animation of glTF has a keyframe for each frame, shapes have one each; so has each frame of a vertex cache
-        (.pc2, .mdd), whose vertices come in the order of the cage at rest, and each of numbered cage files (a folder,
-        or `walk_####.obj`). A posed cage alone is one keyframe.
+        An animation of glTF or USD has a keyframe for each frame, shapes have one each; so has each frame of a vertex
+        cache (.pc2, .mdd), whose vertices come in the order of the cage at rest, and each of numbered cage files (a
+        folder, or `walk_####.obj`). A posed cage alone is one keyframe.
 
         Args:
             path: The file.
             rest: The cage to be posed; its order may differ from the file's. None takes the cage in the file, which
-                pose files (.json) and glTF have.
+                pose files (.json), glTF and USD have.
             name: The animation or the shape of a glTF file that is taken. "" takes the only one, or all shapes.
             up: The axis that points up in files of other programs, "z" or "y". None finds it.
             fps: Frames per second of numbered files and of .pc2 files. None is 24.

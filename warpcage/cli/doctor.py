@@ -37,6 +37,7 @@ EXTRAS = {
     "capture": "cameras of pictures and videos",
     "exr": "OpenEXR pictures",
     "heif": "HEIC pictures",
+    "usd": "cages and meshes in USD",
     "cluster": "several workers and clusters",
 }
 

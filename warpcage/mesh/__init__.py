@@ -5,7 +5,7 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "io": "read_mesh read_object",
+        "io": "read_mesh read_object write_shown_mesh",
         "io.formats": "MeshFormat mesh_formats",
         "io.gltf": "write_glb",
         "io.gltf_animation": "read_gltf_motion",

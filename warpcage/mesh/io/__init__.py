@@ -1,4 +1,4 @@
-"""Read and write OBJ, PLY, OFF and glTF so that every vertex keeps its place in the file."""
+"""Read and write OBJ, PLY, OFF, glTF and USD so that every vertex keeps its place in the file."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ from ...core.names import counted
 from ...errors import InputError
 from ..polygons import cut_polygon
 from .formats import ENDINGS, MeshFormat, mesh_format
+from .gltf import write_glb, write_gltf
 from .obj_off import UNNAMED, Polygons
+from .usd import USD_ENDINGS, write_usd
 
 __all__ = [
     "ALL_OBJECTS",
     "ENDINGS",
     "UPS",
+    "MOTION_ENDINGS",
     "MeshFile",
     "file_up",
     "object_names",
@@ -28,10 +31,14 @@ __all__ = [
     "read_object",
     "turned_up",
     "write_mesh",
+    "write_shown_mesh",
 ]
 
 #: Axes that may point up in a file.
 UPS = ("z", "y")
+
+#: Endings of mesh files that hold motion, and colours.
+MOTION_ENDINGS = (".glb", ".gltf", *USD_ENDINGS)
 
 #: The word that takes all objects of a file together.
 ALL_OBJECTS = "*"
@@ -170,6 +177,34 @@ def write_mesh(path: PathLike, vertices: ArrayLike, faces: ArrayLike, up: str | 
         vertices = turned_up(vertices, "z", "y")
     with atomic_path(path) as temporary:
         temporary.write_bytes(writer(vertices, np.asarray(faces, dtype=np.int32)))
+
+
+def write_shown_mesh(
+    path: PathLike,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    *,
+    colors: np.ndarray | None = None,
+    frames: np.ndarray | None = None,
+    fps: float = 24.0,
+    name: str = "cage",
+) -> None:
+    """Write a mesh of vertices (v, 3), z up, with colours (v, 3) in [0, 1], sRGB, or motion, whole or not at all; its
+    ending is one of MOTION_ENDINGS. frames: (n, v, 3), fps a second; USD holds them as time samples, glTF as shapes."""
+    path = checked_path(path, "the mesh file")
+    ending = path.suffix.lower()
+    if ending not in MOTION_ENDINGS:
+        raise InputError(f"{str(path)!r} must end in {listed(MOTION_ENDINGS)} to hold motion or colours")
+    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int32)
+    shown = {"colors": colors, "frames": frames, "fps": fps, "name": name}
+    if ending in USD_ENDINGS:
+        data = write_usd(vertices, faces, ending=ending, **shown)
+    else:
+        if frames is not None:
+            shown["frames"] = turned_up(np.asarray(frames).reshape(-1, 3), "z", "y").reshape(np.shape(frames))
+        data = (write_glb if ending == ".glb" else write_gltf)(turned_up(vertices, "z", "y"), faces, **shown)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
 
 
 def _up(path: pathlib.Path, verb: str = "read") -> str:

@@ -14,6 +14,7 @@ from ...errors import InputError
 from .gltf import gltf_object_names, read_gltf, write_glb, write_gltf
 from .obj_off import Polygons, obj_object_names, read_obj, read_obj_object, read_off, write_obj, write_off
 from .ply import read_ply, write_ply
+from .usd import read_usd, usd_object_names, write_usd, write_usda
 
 #: The group of entry points by which other packages add formats.
 GROUP = "warpcage.mesh_formats"
@@ -44,6 +45,9 @@ FORMATS = (
     MeshFormat("OFF", (".off",), read_off, write_off),
     MeshFormat("GLB", (".glb",), read_gltf, write_glb, "y", gltf_object_names, read_gltf, together=True),
     MeshFormat("glTF", (".gltf",), read_gltf, write_gltf, "y", gltf_object_names, read_gltf, together=True),
+    # its reader turns what has y up by what the file says
+    MeshFormat("USD", (".usd", ".usdc"), read_usd, write_usd, "z", usd_object_names, read_usd, together=True),
+    MeshFormat("USDA", (".usda",), read_usd, write_usda, "z", usd_object_names, read_usd, together=True),
 )
 
 #: Endings of mesh files that are read without other packages, lower case.

@@ -322,13 +322,17 @@ def _as_triangles(indices: np.ndarray, mode: int) -> np.ndarray:
 
 
 def write_glb(
-    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None, *, name: str = "cage"
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    colors: np.ndarray | None = None,
+    *,
+    name: str = "cage",
+    frames: np.ndarray | None = None,
+    fps: float = 24.0,
 ) -> bytes:
-    """A .glb file of one mesh, vertices (v, 3) with y up; colors: (v, 3) in [0, 1], sRGB, shown without light."""
-    document, body = _document(vertices, faces)  # the node holds the middle, so that float32 keeps the digits
-    document["nodes"][0]["name"] = name
-    if colors is not None:
-        body += _add_colors(document, colors, len(body))
+    """A .glb file of one mesh, vertices (v, 3) with y up; colors: (v, 3) in [0, 1], sRGB, shown without light.
+    frames: (n, v, 3), an animation of shapes (morph targets), fps a second."""
+    document, body = _document(vertices, faces, colors, name, frames, fps)
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     size = 12 + 8 + len(text) + 8 + len(body)
@@ -341,53 +345,124 @@ def write_glb(
     )
 
 
-def write_gltf(vertices: np.ndarray, faces: np.ndarray) -> bytes:
-    """The same as a .gltf file, without colours: text with the buffer in it."""
-    document, body = _document(vertices, faces)
+def write_gltf(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    colors: np.ndarray | None = None,
+    *,
+    name: str = "cage",
+    frames: np.ndarray | None = None,
+    fps: float = 24.0,
+) -> bytes:
+    """The same as a .gltf file: text with the buffer in it."""
+    document, body = _document(vertices, faces, colors, name, frames, fps)
     document["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(body).decode()
     return (json.dumps(document, indent=1) + "\n").encode()
 
 
-def _add_colors(document: dict, colors: np.ndarray, offset: int) -> bytes:
-    """Give the mesh of a document vertex colours, whose bytes follow its buffer. glTF has them in linear light."""
+def linear_light(colors: np.ndarray) -> np.ndarray:
+    """Colours (n, 3) in [0, 1] of sRGB as linear light, as glTF and USD have those of vertices."""
     srgb = np.clip(np.asarray(colors, np.float64), 0.0, 1.0)
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
-    rows = np.ones((len(linear), 4))  # four, as rows must be whole words
-    rows[:, :3] = linear
-    body = np.round(rows * 65535.0).astype("<u2").tobytes()
-    document["bufferViews"].append({"buffer": 0, "byteOffset": offset, "byteLength": len(body), "target": 34962})
-    document["accessors"].append(
-        {"bufferView": 2, "componentType": 5123, "normalized": True, "type": "VEC4", "count": len(linear)}
-    )
-    primitive = document["meshes"][0]["primitives"][0]
-    primitive["attributes"]["COLOR_0"], primitive["material"] = 2, 0
-    unlit = "KHR_materials_unlit"  # the light is in the colours
-    document["materials"] = [{"name": "captured", "extensions": {unlit: {}}, "doubleSided": True}]
-    document["extensionsUsed"] = [unlit]
-    document["buffers"][0]["byteLength"] += len(body)
-    return body
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
 
 
-def _document(vertices: np.ndarray, faces: np.ndarray) -> tuple[dict, bytes]:
-    """The JSON document and the buffer that it describes."""
+def middle_of(vertices: np.ndarray) -> np.ndarray:
+    """(3,) about the middle of vertices, which float32 keeps their digits around."""
     # a whole multiple of a coarse step: exact in float32 too, for programs that keep transforms in it
     size = float(np.ptp(vertices, axis=0).max()) or 1.0
     step = 2.0 ** np.ceil(np.log2(size))
-    middle = np.round((vertices.min(axis=0) + vertices.max(axis=0)) / 2.0 / step) * step
-    points = (vertices - middle).astype("<f4")
-    body = points.tobytes() + faces.astype("<u4").tobytes()
-    node = {"mesh": 0, "name": "cage"} | ({"translation": middle.tolist()} if middle.any() else {})
-    accessors = [
-        {"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": len(points),
-         "min": points.min(axis=0).tolist(), "max": points.max(axis=0).tolist()},
-        {"bufferView": 1, "componentType": 5125, "type": "SCALAR", "count": int(faces.size)},
-    ]  # fmt: skip
-    document = {
+    return np.round((vertices.min(axis=0) + vertices.max(axis=0)) / 2.0 / step) * step
+
+
+def shapes_of(moves: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Shapes (k, m), at least one, and weights (n, k) in [0, 1] whose sums are moves (n, m) up to a tolerance."""
+    # Gram-Schmidt, the largest rest first: a film between keyframes takes few shapes, whatever its frames
+    left, directions, shares = np.array(moves, np.float64), [], []
+    while not directions or (np.abs(left).max() > tolerance and len(directions) < len(moves)):
+        lengths = np.linalg.norm(left, axis=1)
+        longest = int(lengths.argmax())
+        directions.append(left[longest] / (lengths[longest] or 1.0))
+        shares.append(left @ directions[-1])
+        left -= np.outer(shares[-1], directions[-1])
+    shapes, weights = np.stack(directions), np.stack(shares, axis=1)
+    # Blender clamps weights to [0, 1]: what is below 0 becomes one shape more, which is always on
+    low = np.minimum(weights.min(axis=0), 0.0)
+    span = np.maximum(weights.max(axis=0), 0.0) - low
+    span[span == 0.0] = 1.0
+    shapes, weights, always = shapes * span[:, None], (weights - low) / span, low @ shapes
+    if not low.any():
+        return shapes, weights
+    return np.vstack([shapes, always]), np.hstack([weights, np.ones((len(weights), 1))])
+
+
+#: Most that animated vertices are off, as a share of the mesh's size: what float32 holds.
+SHAPE_ERROR = 1e-6
+
+
+class _Body:
+    """The buffer of a document that grows by a view and an accessor at a time."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes] = []
+        self.views: list[dict] = []
+        self.accessors: list[dict] = []
+
+    def add(self, values: np.ndarray, kind: str, *, target: int | None = None, **words: object) -> int:
+        """Add values in the type of the file, (n,) or (n, width). Returns the number of their accessor."""
+        component = next(number for number, name in _COMPONENTS.items() if np.dtype(name) == values.dtype)
+        view = {"buffer": 0, "byteOffset": sum(map(len, self.parts)), "byteLength": values.nbytes}
+        self.views.append(view if target is None else view | {"target": target})
+        self.parts.append(values.tobytes())
+        entry = {"bufferView": len(self.views) - 1, "componentType": component, "type": kind, "count": len(values)}
+        self.accessors.append(entry | words)
+        return len(self.accessors) - 1
+
+    def add_ranged(self, values: np.ndarray, kind: str, *, target: int | None = None) -> int:
+        """The same with the least and the largest values, which positions and times need."""
+        rows = values.reshape(len(values), -1)
+        return self.add(values, kind, target=target, min=rows.min(axis=0).tolist(), max=rows.max(axis=0).tolist())
+
+
+#: What views are for: vertices, and indices.
+_VERTICES, _INDICES = 34962, 34963
+
+
+def _document(
+    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None, name: str, frames: np.ndarray | None, fps: float
+) -> tuple[dict, bytes]:
+    """The JSON document and the buffer that it describes."""
+    middle, body = middle_of(vertices), _Body()  # the node holds the middle
+    position = body.add_ranged((vertices - middle).astype("<f4"), "VEC3", target=_VERTICES)
+    corners = body.add(faces.astype("<u4").reshape(-1), "SCALAR", target=_INDICES)
+    primitive: dict = {"attributes": {"POSITION": position}, "indices": corners, "mode": _TRIANGLES}
+    node = {"mesh": 0, "name": name} | ({"translation": middle.tolist()} if middle.any() else {})
+    mesh: dict = {"primitives": [primitive]}
+    document: dict = {
         "asset": {"version": "2.0", "generator": "warpcage"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [node],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "mode": _TRIANGLES}]}],
-        "accessors": accessors,
-        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": points.nbytes, "target": 34962},
-                        {"buffer": 0, "byteOffset": points.nbytes, "byteLength": 4 * faces.size, "target": 34963}],
-        "buffers": [{"byteLength": len(body)}],
+        "meshes": [mesh],
     }  # fmt: skip
-    return document, body
+    if colors is not None:
+        rows = np.ones((len(colors), 4))  # four, as rows must be whole words
+        rows[:, :3] = linear_light(colors)
+        colored = np.round(rows * 65535.0).astype("<u2")
+        primitive["attributes"]["COLOR_0"] = body.add(colored, "VEC4", target=_VERTICES, normalized=True)
+        primitive["material"], unlit = 0, "KHR_materials_unlit"  # the light is in the colours
+        document["materials"] = [{"name": "captured", "extensions": {unlit: {}}, "doubleSided": True}]
+        document["extensionsUsed"] = [unlit]
+    if frames is not None:
+        size = float(np.ptp(vertices, axis=0).max()) or 1.0
+        shapes, weights = shapes_of((frames - vertices).reshape(len(frames), -1), SHAPE_ERROR * size)
+        moves = shapes.reshape(len(shapes), -1, 3).astype("<f4")
+        primitive["targets"] = [{"POSITION": body.add_ranged(move, "VEC3", target=_VERTICES)} for move in moves]
+        mesh["weights"] = [0.0] * len(moves)
+        mesh["extras"] = {"targetNames": [f"shape {index + 1}" for index in range(len(moves))]}
+        sampler = {
+            "input": body.add_ranged((np.arange(len(frames)) / float(fps)).astype("<f4"), "SCALAR"),
+            "output": body.add(weights.astype("<f4").reshape(-1), "SCALAR"),
+            "interpolation": "LINEAR",
+        }
+        channel = {"sampler": 0, "target": {"node": 0, "path": "weights"}}
+        document["animations"] = [{"name": "film", "samplers": [sampler], "channels": [channel]}]
+    joined = b"".join(body.parts)
+    document |= {"accessors": body.accessors, "bufferViews": body.views, "buffers": [{"byteLength": len(joined)}]}
+    return document, joined
