@@ -32,7 +32,7 @@ FIXED = {
     "warpcage.editor.demo": {"demo_files": "function"},
     "warpcage.field.planes": {"Plane": "class", "find_planes": "function"},
     "warpcage.fitting.evaluation": {"evaluate": "function", "mean_psnr": "function"},
-    "warpcage.mesh": {"MeshFormat": "class"},
+    "warpcage.mesh": {"MeshFormat": "class", "write_shown_mesh": "function"},
     "warpcage.reference.brick_scene": {"write_brick_scene": "function"},
     "warpcage.reference.bricks": {"brick_model": "function"},
     "warpcage.reference.cage_scenes": {"CAGE_SCENES": "dict", "scene_field": "function"},

@@ -177,7 +177,9 @@ def read_mesh(name: str, object: str | None = None) -> trimesh.Trimesh:
         raise InputError(
             f"mesh file {str(path)!r} must end in {' or '.join(options.MESH_ENDINGS)}, or in .npz for a field"
         )
-    if object is not None or path.suffix.lower() == ".glb":  # strips and fans too, split vertices joined
+    if (
+        object is not None or path.suffix.lower() in options.MOTION_ENDINGS
+    ):  # strips and fans too, split vertices joined
         found = read_object(path, object=object or ALL_OBJECTS)
         return trimesh.Trimesh(found.vertices, found.faces, process=False)
     try:
@@ -303,6 +305,9 @@ def _size(part: PosedEdit) -> str:
 #: Options for pose files alone.
 OPTIONS = ("key", "at", "easing", "posed", "camera", "remove", "fps", "loop")
 
+#: Those of them that a cage that moves takes too.
+MOTION_OPTIONS = {"posed", "fps", "loop"}
+
 
 def run_pose_keys(args: argparse.Namespace, output: pathlib.Path) -> None:
     """Add a key to a pose file, or all keys of a file that moves, and say what the film is then."""
@@ -318,6 +323,18 @@ def run_pose_keys(args: argparse.Namespace, output: pathlib.Path) -> None:
     file.loop = args.loop or file.loop
     if not len(file) and not file.cameras:
         raise InputError(f"{str(output)!r} would hold no key: remove the file instead")
+    file.save(output)
+    print(f"wrote {output}: {_described(file)}")
+
+
+def _write_motion(args: argparse.Namespace, output: pathlib.Path) -> None:
+    """Write the frames of a pose file, or of another file that moves, as a cage that moves."""
+    rest, _ = read_cage(args)
+    if not args.posed or is_preset(args.posed):
+        raise InputError("a cage that moves needs --posed, a pose file (.json) or another file of poses")
+    file = PoseFile.load(args.posed, rest, up=args.cage_up, fps=None if args.fps is None else float(args.fps))
+    file.fps = file.fps if args.fps is None else float(args.fps)
+    file.loop = args.loop or file.loop
     file.save(output)
     print(f"wrote {output}: {_described(file)}")
 
@@ -439,6 +456,9 @@ def run_pose(args: argparse.Namespace) -> None:
         run_pose_keys(args, output)
         return
     given = [name for name in OPTIONS if getattr(args, name)]
+    if output.suffix.lower() in options.MOTION_ENDINGS and given and not args.steps and set(given) <= MOTION_OPTIONS:
+        _write_motion(args, output)
+        return
     if given:
         raise InputError(f"--{given[0]} is for keys of a pose file: give one with -o (.json)")
     if not args.steps:

@@ -9,22 +9,25 @@ from typing import Any
 
 import numpy as np
 
+from ..cage.motion import USUAL_RATE
 from ..core.checks import float32_spacing
 from ..core.files import atomic_path, require_file
 from ..core.names import counted
 from ..deform.bake import bake
 from ..deform.deformer import SplatDeformer
+from ..edits.carry import carried_points
 from ..errors import InputError
 from ..field.clean import CleanOptions, clean_voxels
 from ..field.objects import select_object
 from ..field.selection import NodeSelection, painted_voxels, splat_matter, tinted
 from ..field.voxel_field import VoxelField
-from ..mesh.io.gltf import write_glb
+from ..mesh.io import write_shown_mesh
 from ..mesh.io.ply import write_ply
 from ..splats.clean import clean_splats
 from ..splats.io import is_splat_file, splat_path
 from ..splats.splat_field import AnyField, SplatField
 from ..view.camera import Camera, CameraFile
+from ..view.motion import frame_times
 from ..view.pictures import write_png
 from . import shared
 from .arguments import options
@@ -139,36 +142,49 @@ def run_clean(args: argparse.Namespace) -> None:
         shared.save_cameras(args, [camera])
 
 
-#: Takes (x, y, z) to (x, z, -y): glTF has y up, while the other formats take coordinates as they are.
-TO_Y_UP = ((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1))
-
 #: Formats that hold colours of vertices.
-WITH_COLORS = (".glb", ".ply", ".obj")
+WITH_COLORS = (*options.MOTION_ENDINGS, ".ply", ".obj")
 
 
 def run_mesh(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, options.MESH_ENDINGS, "mesh file")
     ending = output.suffix.lower()
+    moves = ending in options.MOTION_ENDINGS
     if args.colors and ending not in WITH_COLORS:
         raise InputError(f"--colors: {ending} has no colours, {' '.join(WITH_COLORS)} have")
+    if args.frames is not None:
+        shared.require_deformation(args, "--frames")
+        if not moves or args.frames < 2:
+            raise InputError(
+                f"--frames takes 2 or more, and a file that holds motion ({' '.join(options.MOTION_ENDINGS)})"
+            )
+    if not moves and len(args.posed or ()) > 1:
+        raise InputError(f"{ending} holds one pose: give one --posed, or a file that holds motion")
     field = shared.require_voxels(shared.read_field(args), "mesh")
-    colored = ending == ".glb" if args.colors is None else args.colors
+    args.timed = moves and args.frames is None
+    deformation = read_deformation(args, field, "smooth" if moves else None)
+    colored = moves if args.colors is None else args.colors
 
     selection = None if args.selection is None else NodeSelection.load(args.selection, field)
     mesh = field.extract_mesh(threshold=args.threshold, components=args.components, colors=colored, selection=selection)
+    colors = np.asarray(getattr(mesh.visual, "vertex_colors"))[:, :3] if colored else None  # noqa: B009
+    frames, rate = _mesh_frames(np.asarray(mesh.vertices), deformation, args)
     if args.as_captured and field.straightening is not None:
-        mesh.apply_transform(np.linalg.inv(field.straightening))
-    with atomic_path(output) as temporary:
-        if ending == ".glb":
-            colors = np.asarray(getattr(mesh.visual, "vertex_colors"))[:, :3] / 255.0 if colored else None  # noqa: B009
-            upright = np.asarray(mesh.vertices) @ np.array(TO_Y_UP, np.float64)[:3, :3].T
-            temporary.write_bytes(write_glb(upright, np.asarray(mesh.faces, np.int32), colors, name=output.stem))
-        elif ending == ".ply" and _is_far(mesh):  # trimesh writes float32
-            colors = np.asarray(getattr(mesh.visual, "vertex_colors"))[:, :3] if colored else None  # noqa: B009
-            faces = np.asarray(mesh.faces, np.int32)
-            temporary.write_bytes(write_ply(np.asarray(mesh.vertices), faces, colors, comment=output.stem))
-        else:
-            mesh.export(temporary, file_type=ending[1:])
+        back = np.linalg.inv(field.straightening)
+        frames = None if frames is None else frames @ back[:3, :3].T + back[:3, 3]
+        mesh.apply_transform(back)
+    if frames is not None and len(frames) == 1:
+        mesh.vertices, frames = frames[0], None
+    faces = np.asarray(mesh.faces, np.int32)
+    if moves:
+        shown = {"colors": None if colors is None else colors / 255.0, "frames": frames, "fps": rate}
+        write_shown_mesh(output, mesh.vertices, faces, **shown, name=output.stem)
+    else:
+        with atomic_path(output) as temporary:
+            if ending == ".ply" and _is_far(mesh):  # trimesh writes float32
+                temporary.write_bytes(write_ply(np.asarray(mesh.vertices), faces, colors, comment=output.stem))
+            else:
+                mesh.export(temporary, file_type=ending[1:])
     if ending == ".stl" and _is_far(mesh):
         print(
             f"warpcage: warning: {output}: STL holds float32, which rounds places so far from the origin to "
@@ -177,9 +193,27 @@ def run_mesh(args: argparse.Namespace) -> None:
         )
     low, high = mesh.bounds
     print(
-        f"wrote {output}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces{', with colours' * colored}, from "
-        f"{low.round(3).tolist()} to {high.round(3).tolist()}"
+        f"wrote {output}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces{', with colours' * colored}"
+        f"{'' if frames is None else f', {len(frames)} frames at {rate:g} a second'}, from {low.round(3).tolist()} to "
+        f"{high.round(3).tolist()}"
     )
+
+
+def _mesh_frames(
+    vertices: np.ndarray, deformation: Deformation | None, args: argparse.Namespace
+) -> tuple[np.ndarray | None, float]:
+    """Where vertices go in each frame, (n, v, 3), one for a pose, and the rate; None where nothing is deformed."""
+    if deformation is None:
+        return None, USUAL_RATE
+    film, last = deformation.film, deformation.pose_count - 1.0
+    rate = USUAL_RATE if film is None or film.fps is None else film.fps
+    if film is None:
+        poses = [deformation.at(place) for place in np.linspace(0.0 if args.frames else last, last, args.frames or 1)]
+    else:
+        times = frame_times(film.length, rate, film.loop or "once")
+        poses = [deformation.at_time(time) for time in times]
+    options = {"coordinates": args.coordinates, "device": args.device}
+    return np.stack([carried_points(vertices, deformation.edits, pose, **options) for pose in poses]), rate
 
 
 #: A mesh so many times its size from the origin is rounded by float32 to more than 1e-6 of its size.

@@ -126,6 +126,7 @@ POSE_EXAMPLE = """\
   warpcage pose cage.obj -o poses.json --key up --at 2 --posed from_blender.obj --loop ping-pong
   warpcage pose cage.obj -o poses.json --key "from above" --at 2 --camera above.json
   warpcage pose cage.obj -o poses.json --posed walk.glb
+  warpcage pose cage.obj -o walk.usdc --posed poses.json
 
 Steps are applied in the order given. --axis, --towards, --limits and --centre apply to all steps of one call: run the
 command again on the posed cage for another axis. A pose file (.json) gets a key for each call, and keeps those that it
@@ -146,7 +147,10 @@ def add_pose_arguments(parser: argparse.ArgumentParser) -> None:
     number = options.finite_float
     parser.add_argument("cage", help=f"cage to pose ({' '.join(options.CAGE_ENDINGS)})")
     options.add_output(
-        parser, "POSED", f"cage to write ({' '.join(options.CAGE_ENDINGS)}), or pose file that gets a key (.json)"
+        parser,
+        "POSED",
+        f"cage to write ({' '.join(options.CAGE_ENDINGS)}; glTF and USD hold all frames of a --posed file), or "
+        "pose file that gets a key (.json)",
     )
     options.add_cage_up(parser)
     _add_keys(parser)

@@ -135,6 +135,8 @@ MESH_EXAMPLE = """\
   warpcage mesh lego.npz -o lego.obj
   warpcage mesh lego.npz -o lego.glb                    with colours, for Blender: docs/blender.md
   warpcage mesh lego.npz -o lego.ply --threshold 20 --components all
+  warpcage mesh lego.npz --cage cage.obj --posed bend:40:x:z -o bent.glb
+  warpcage mesh lego.npz --cage cage.obj --posed poses.json -o walk.usdc      the film, a time sample a frame
 """
 
 
@@ -142,6 +144,12 @@ MESH_EXAMPLE = """\
 def add_mesh_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
     options.add_output(parser, "MESH", f"mesh to write ({' '.join(options.MESH_ENDINGS)}; glTF with y up)")
+    parser.add_argument(
+        "--frames",
+        help=f"so many, evenly, from rest to the last pose ({' '.join(options.MOTION_ENDINGS)}; default: those of a "
+        "film whose keys have times, at its rate, else the last pose alone)",
+        **options.COUNT,
+    )
     parser.add_argument(
         "--threshold",
         help="density at the surface, per world unit (default: chosen from the field)",
@@ -156,8 +164,8 @@ def add_mesh_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--colors",
         action=argparse.BooleanOptionalAction,
-        help="write the colours of the surface at its vertices, as they are seen from straight ahead (.glb, .ply, "
-        ".obj; default: for .glb)",
+        help="write the colours of the surface at its vertices, as they are seen from straight ahead (glTF, USD, "
+        ".ply, .obj; default: for glTF and USD)",
     )
     parser.add_argument(
         "--as-captured",
@@ -165,6 +173,7 @@ def add_mesh_arguments(parser: argparse.ArgumentParser) -> None:
         help="in the coordinates of the scene's files, for a field that was straightened (warpcage fit --straighten)",
     )
     options.add_selection(parser)
+    options.add_cages(parser, keyframes=True)
     options.add_scale_and_device(parser)
 
 

@@ -12,9 +12,12 @@ from typing import Any, NamedTuple
 from ...core.names import BACKGROUNDS, COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT
 from ...errors import InputError, MissingFileError
 
-CAGE_ENDINGS = (".obj", ".ply", ".off", ".glb", ".gltf")
+#: Files of cages and meshes that hold motion too.
+MOTION_ENDINGS = (".glb", ".gltf", ".usd", ".usda", ".usdc")
 
-MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", ".glb")
+CAGE_ENDINGS = (".obj", ".ply", ".off", *MOTION_ENDINGS)
+
+MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", *MOTION_ENDINGS)
 
 SELECTION_ENDINGS = (".npz", ".json")
 
@@ -313,6 +316,27 @@ def add_deformation(
 ) -> None:
     """Add the cages of a deformation and how it is computed; several poses make a film (keyframes) or pictures.
     usual_resolution: what the help says of the lattice where it is not given."""
+    group = add_cages(parser, keyframes=keyframes, several=several)
+    group.add_argument(
+        "--resolution",
+        type=lattice_resolution,
+        default=BY_SIZE,
+        metavar="N",
+        help='lattice cells along the longest side of the cage, or "precise" to evaluate the '
+        f"coordinates at every sample (mean_value and green only) (default: {usual_resolution})",
+    )
+    group.add_argument(
+        "--density",
+        choices=DENSITIES,
+        default="opacity",
+        help="opacity: parts keep their opacity when they are scaled; paper: they keep their density, as in the paper "
+        "(default: %(default)s)",
+    )
+    add_map(group)
+
+
+def add_cages(parser: Arguments, *, keyframes: bool = False, several: bool = False) -> Arguments:
+    """Add the cages of a deformation and their coordinates; returns the group of these arguments."""
     group = parser.add_argument_group(
         "deformation (--cage and --posed, or --edit, or --edits; without them the field is shown as it is)"
     )
@@ -337,22 +361,7 @@ def add_deformation(
         default=FIELD_COORDINATES,
         help="kind of coordinates (default: %(default)s)",
     )
-    group.add_argument(
-        "--resolution",
-        type=lattice_resolution,
-        default=BY_SIZE,
-        metavar="N",
-        help='lattice cells along the longest side of the cage, or "precise" to evaluate the '
-        f"coordinates at every sample (mean_value and green only) (default: {usual_resolution})",
-    )
-    group.add_argument(
-        "--density",
-        choices=DENSITIES,
-        default="opacity",
-        help="opacity: parts keep their opacity when they are scaled; paper: they keep their density, as in the paper "
-        "(default: %(default)s)",
-    )
-    add_map(group)
+    return group
 
 
 def add_map(parser: Arguments) -> None:
