@@ -23,6 +23,11 @@ CAPTURE = [
 
 USD = ["usd-core>=24.11"]  # stages of USD: from there on it takes arrays of NumPy 2
 
+TEXTURE = [
+    "xatlas>=0.0.9",  # unwraps surfaces
+    "fast-simplification>=0.1.7",  # makes them light
+]
+
 CLUSTER = ["ray>=2.40"]  # clusters of `warpcage run`: the core alone, without ray[default]
 
 DOCS = [
@@ -36,6 +41,7 @@ TEST = [
     *EXR,
     *DOCS,
     *HEIF,
+    *TEXTURE,
     # there are wheels for these; elsewhere tests of USD are skipped
     f"{USD[0]}; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'",
     # several workers and clusters; without it those tests are skipped
@@ -106,7 +112,15 @@ setup(
         'zstandard>=0.23; python_version < "3.14"',  # .spz of version 4; from 3.14 on Python has it
     ],
     extras_require={
-        **{"edit": EDIT, "exr": EXR, "heif": HEIF, "usd": USD, "capture": CAPTURE, "cluster": CLUSTER},
+        **{
+            "edit": EDIT,
+            "exr": EXR,
+            "heif": HEIF,
+            "usd": USD,
+            "texture": TEXTURE,
+            "capture": CAPTURE,
+            "cluster": CLUSTER,
+        },
         **{"docs": DOCS, "test": TEST, "dev": DEV},
     },
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},

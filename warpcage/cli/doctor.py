@@ -38,6 +38,7 @@ EXTRAS = {
     "exr": "OpenEXR pictures",
     "heif": "HEIC pictures",
     "usd": "cages and meshes in USD",
+    "texture": "meshes with textures",
     "cluster": "several workers and clusters",
 }
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import pathlib
 import sys
 from typing import Any
 
 import numpy as np
 
-from ..cage.motion import USUAL_RATE
+from ..cage.motion import GLTF_ENDINGS, USUAL_RATE
 from ..core.checks import float32_spacing
 from ..core.files import atomic_path, require_file
 from ..core.names import counted
@@ -20,6 +21,8 @@ from ..errors import InputError
 from ..field.clean import CleanOptions, clean_voxels
 from ..field.objects import select_object
 from ..field.selection import NodeSelection, painted_voxels, splat_matter, tinted
+from ..field.surface import color_vertices
+from ..field.texture import simplified, textured
 from ..field.voxel_field import VoxelField
 from ..mesh.io import write_shown_mesh
 from ..mesh.io.ply import write_ply
@@ -147,11 +150,15 @@ WITH_COLORS = (*options.MOTION_ENDINGS, ".ply", ".obj")
 
 
 def run_mesh(args: argparse.Namespace) -> None:
+    import trimesh
+
     output = options.check_output(args.output, options.MESH_ENDINGS, "mesh file")
     ending = output.suffix.lower()
     moves = ending in options.MOTION_ENDINGS
     if args.colors and ending not in WITH_COLORS:
         raise InputError(f"--colors: {ending} has no colours, {' '.join(WITH_COLORS)} have")
+    if args.texture is not None and (ending not in GLTF_ENDINGS or args.colors):
+        raise InputError("--texture is for glTF (.glb, .gltf), and takes the place of --colors")
     if args.frames is not None:
         shared.require_deformation(args, "--frames")
         if not moves or args.frames < 2:
@@ -163,22 +170,33 @@ def run_mesh(args: argparse.Namespace) -> None:
     field = shared.require_voxels(shared.read_field(args), "mesh")
     args.timed = moves and args.frames is None
     deformation = read_deformation(args, field, "smooth" if moves else None)
-    colored = moves if args.colors is None else args.colors
+    colored = moves and args.texture is None if args.colors is None else args.colors
 
     selection = None if args.selection is None else NodeSelection.load(args.selection, field)
-    mesh = field.extract_mesh(threshold=args.threshold, components=args.components, colors=colored, selection=selection)
+    mesh = field.extract_mesh(threshold=args.threshold, components=args.components, selection=selection)
+    if args.faces is not None:
+        mesh = simplified(mesh, args.faces)
+    texture = None
+    if args.texture is not None:
+        parts = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), np.asarray(mesh.faces)
+        origin, faces, texture = textured(field, *parts, args.texture)
+        mesh = trimesh.Trimesh(mesh.vertices[origin], faces, process=False)
+    if colored:
+        color_vertices(field, mesh)
     colors = np.asarray(getattr(mesh.visual, "vertex_colors"))[:, :3] if colored else None  # noqa: B009
     frames, rate = _mesh_frames(np.asarray(mesh.vertices), deformation, args)
     if args.as_captured and field.straightening is not None:
         back = np.linalg.inv(field.straightening)
         frames = None if frames is None else frames @ back[:3, :3].T + back[:3, 3]
         mesh.apply_transform(back)
+        if texture is not None:
+            texture = dataclasses.replace(texture, normals=texture.normals @ back[:3, :3].T)
     if frames is not None and len(frames) == 1:
         mesh.vertices, frames = frames[0], None
     faces = np.asarray(mesh.faces, np.int32)
     if moves:
         shown = {"colors": None if colors is None else colors / 255.0, "frames": frames, "fps": rate}
-        write_shown_mesh(output, mesh.vertices, faces, **shown, name=output.stem)
+        write_shown_mesh(output, mesh.vertices, faces, **shown, name=output.stem, texture=texture)
     else:
         with atomic_path(output) as temporary:
             if ending == ".ply" and _is_far(mesh):  # trimesh writes float32
@@ -194,6 +212,7 @@ def run_mesh(args: argparse.Namespace) -> None:
     low, high = mesh.bounds
     print(
         f"wrote {output}: {len(mesh.vertices)} vertices, {len(mesh.faces)} faces{', with colours' * colored}"
+        f"{'' if texture is None else f', a texture of {args.texture}x{args.texture}'}"
         f"{'' if frames is None else f', {len(frames)} frames at {rate:g} a second'}, from {low.round(3).tolist()} to "
         f"{high.round(3).tolist()}"
     )

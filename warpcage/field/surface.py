@@ -160,3 +160,11 @@ def surface_colors(field: ColorField, points: np.ndarray, normals: np.ndarray) -
         through -= opacity
     shown = np.where(weights[:, None] > 0.0, colors / np.maximum(weights, 1e-12)[:, None], field.background)
     return np.clip(shown, 0.0, 1.0).astype(np.float32)
+
+
+def color_vertices(field: ColorField, mesh: trimesh.Trimesh) -> None:
+    """Give the vertices of a mesh the colours of the surface, as `surface_colors` has them."""
+    from trimesh.visual import ColorVisuals
+
+    shown = surface_colors(field, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals))
+    mesh.visual = ColorVisuals(mesh, vertex_colors=np.round(255.0 * shown).astype(np.uint8))

@@ -32,7 +32,7 @@ from .io import load_field, save_field
 from .io.field_file import BASIS_COUNT, FieldContents
 from .render import BeginMarch, March, render_frame
 from .sparse import checked_resolution, harmonics_on_device, harmonics_on_host, place_grid, values_on_device
-from .surface import DensityField, extract_mesh, surface_colors
+from .surface import DensityField, color_vertices, extract_mesh
 from .surroundings import LayeredBackground, OuterField
 from .tables import MarchTables
 
@@ -380,10 +380,7 @@ class VoxelField:
         """
         mesh = extract_mesh(self if selection is None else selection, threshold=threshold, components=components)
         if colors:
-            from trimesh.visual import ColorVisuals
-
-            shown = surface_colors(self, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals))
-            mesh.visual = ColorVisuals(mesh, vertex_colors=np.round(255.0 * shown).astype(np.uint8))
+            color_vertices(self, mesh)
         return mesh
 
     def node_densities(self) -> np.ndarray:

@@ -135,6 +135,7 @@ MESH_EXAMPLE = """\
   warpcage mesh lego.npz -o lego.obj
   warpcage mesh lego.npz -o lego.glb                    with colours, for Blender: docs/blender.md
   warpcage mesh lego.npz -o lego.ply --threshold 20 --components all
+  warpcage mesh lego.npz -o lego.glb --faces 20000 --texture 2048
   warpcage mesh lego.npz --cage cage.obj --posed bend:40:x:z -o bent.glb
   warpcage mesh lego.npz --cage cage.obj --posed poses.json -o walk.usdc      the film, a time sample a frame
 """
@@ -166,6 +167,18 @@ def add_mesh_arguments(parser: argparse.ArgumentParser) -> None:
         action=argparse.BooleanOptionalAction,
         help="write the colours of the surface at its vertices, as they are seen from straight ahead (glTF, USD, "
         ".ply, .obj; default: for glTF and USD)",
+    )
+    parser.add_argument(
+        "--faces",
+        help="simplify the surface to about so many, which films and textures are made of sooner (default: all)",
+        **options.COUNT,
+    )
+    parser.add_argument(
+        "--texture",
+        type=options.positive_int,
+        metavar="PIXELS",
+        help="write the colours as a picture of so many pixels a side, finer than those of vertices and in their place "
+        "(.glb, .gltf; take --faces 20000 or so with it)",
     )
     parser.add_argument(
         "--as-captured",

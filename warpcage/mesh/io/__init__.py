@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import pathlib
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +16,7 @@ from ...core.names import counted
 from ...errors import InputError
 from ..polygons import cut_polygon
 from .formats import ENDINGS, MeshFormat, mesh_format
-from .gltf import write_glb, write_gltf
+from .gltf import Texture, write_glb, write_gltf
 from .obj_off import UNNAMED, Polygons
 from .usd import USD_ENDINGS, write_usd
 
@@ -188,20 +189,26 @@ def write_shown_mesh(
     frames: np.ndarray | None = None,
     fps: float = 24.0,
     name: str = "cage",
+    texture: Texture | None = None,
 ) -> None:
     """Write a mesh of vertices (v, 3), z up, with colours (v, 3) in [0, 1], sRGB, or motion, whole or not at all; its
     ending is one of MOTION_ENDINGS. frames: (n, v, 3), fps a second; USD holds them as time samples, glTF as shapes."""
+    # a texture is for glTF: it lies in the file
     path = checked_path(path, "the mesh file")
     ending = path.suffix.lower()
     if ending not in MOTION_ENDINGS:
         raise InputError(f"{str(path)!r} must end in {listed(MOTION_ENDINGS)} to hold motion or colours")
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int32)
-    shown = {"colors": colors, "frames": frames, "fps": fps, "name": name}
+    shown: dict[str, Any] = {"colors": colors, "frames": frames, "fps": fps, "name": name}
     if ending in USD_ENDINGS:
+        if texture is not None:
+            raise InputError(f"{str(path)!r}: textures are written to glTF (.glb, .gltf)")
         data = write_usd(vertices, faces, ending=ending, **shown)
     else:
         if frames is not None:
             shown["frames"] = turned_up(np.asarray(frames).reshape(-1, 3), "z", "y").reshape(np.shape(frames))
+        if texture is not None:
+            shown["texture"] = dataclasses.replace(texture, normals=turned_up(texture.normals, "z", "y"))
         data = (write_glb if ending == ".glb" else write_gltf)(turned_up(vertices, "z", "y"), faces, **shown)
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)

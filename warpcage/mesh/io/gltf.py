@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import dataclasses
 import json
 import os
 import pathlib
@@ -321,6 +322,15 @@ def _as_triangles(indices: np.ndarray, mode: int) -> np.ndarray:
 # -- Writing
 
 
+@dataclasses.dataclass(frozen=True)
+class Texture:
+    """A picture on a mesh."""
+
+    places: np.ndarray  # (v, 2) of the vertices in the picture, 0 to 1 from its upper left corner
+    normals: np.ndarray  # (v, 3) of the vertices, in the axes of the vertices
+    png: bytes
+
+
 def write_glb(
     vertices: np.ndarray,
     faces: np.ndarray,
@@ -329,10 +339,11 @@ def write_glb(
     name: str = "cage",
     frames: np.ndarray | None = None,
     fps: float = 24.0,
+    texture: Texture | None = None,
 ) -> bytes:
     """A .glb file of one mesh, vertices (v, 3) with y up; colors: (v, 3) in [0, 1], sRGB, shown without light.
     frames: (n, v, 3), an animation of shapes (morph targets), fps a second."""
-    document, body = _document(vertices, faces, colors, name, frames, fps)
+    document, body = _document(vertices, faces, colors, name, frames, fps, texture)
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     size = 12 + 8 + len(text) + 8 + len(body)
@@ -353,9 +364,10 @@ def write_gltf(
     name: str = "cage",
     frames: np.ndarray | None = None,
     fps: float = 24.0,
+    texture: Texture | None = None,
 ) -> bytes:
     """The same as a .gltf file: text with the buffer in it."""
-    document, body = _document(vertices, faces, colors, name, frames, fps)
+    document, body = _document(vertices, faces, colors, name, frames, fps, texture)
     document["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(body).decode()
     return (json.dumps(document, indent=1) + "\n").encode()
 
@@ -407,13 +419,18 @@ class _Body:
         self.views: list[dict] = []
         self.accessors: list[dict] = []
 
+    def add_bytes(self, data: bytes, *, target: int | None = None) -> int:
+        """Add bytes, up to a whole word. Returns the number of their view."""
+        view = {"buffer": 0, "byteOffset": sum(map(len, self.parts)), "byteLength": len(data)}
+        self.views.append(view if target is None else view | {"target": target})
+        self.parts.append(data + bytes(-len(data) % 4))
+        return len(self.views) - 1
+
     def add(self, values: np.ndarray, kind: str, *, target: int | None = None, **words: object) -> int:
         """Add values in the type of the file, (n,) or (n, width). Returns the number of their accessor."""
         component = next(number for number, name in _COMPONENTS.items() if np.dtype(name) == values.dtype)
-        view = {"buffer": 0, "byteOffset": sum(map(len, self.parts)), "byteLength": values.nbytes}
-        self.views.append(view if target is None else view | {"target": target})
-        self.parts.append(values.tobytes())
-        entry = {"bufferView": len(self.views) - 1, "componentType": component, "type": kind, "count": len(values)}
+        view = self.add_bytes(values.tobytes(), target=target)
+        entry = {"bufferView": view, "componentType": component, "type": kind, "count": len(values)}
         self.accessors.append(entry | words)
         return len(self.accessors) - 1
 
@@ -428,7 +445,13 @@ _VERTICES, _INDICES = 34962, 34963
 
 
 def _document(
-    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None, name: str, frames: np.ndarray | None, fps: float
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    colors: np.ndarray | None,
+    name: str,
+    frames: np.ndarray | None,
+    fps: float,
+    texture: Texture | None,
 ) -> tuple[dict, bytes]:
     """The JSON document and the buffer that it describes."""
     middle, body = middle_of(vertices), _Body()  # the node holds the middle
@@ -446,9 +469,18 @@ def _document(
         rows[:, :3] = linear_light(colors)
         colored = np.round(rows * 65535.0).astype("<u2")
         primitive["attributes"]["COLOR_0"] = body.add(colored, "VEC4", target=_VERTICES, normalized=True)
+    if texture is not None:
+        attributes = primitive["attributes"]
+        attributes["NORMAL"] = body.add(texture.normals.astype("<f4"), "VEC3", target=_VERTICES)
+        attributes["TEXCOORD_0"] = body.add(texture.places.astype("<f4"), "VEC2", target=_VERTICES)
+        document["images"] = [{"bufferView": body.add_bytes(texture.png), "mimeType": "image/png"}]
+        document["textures"] = [{"source": 0}]
+    if colors is not None or texture is not None:
         primitive["material"], unlit = 0, "KHR_materials_unlit"  # the light is in the colours
-        document["materials"] = [{"name": "captured", "extensions": {unlit: {}}, "doubleSided": True}]
-        document["extensionsUsed"] = [unlit]
+        material: dict = {"name": "captured", "extensions": {unlit: {}}, "doubleSided": True}
+        if texture is not None:
+            material["pbrMetallicRoughness"] = {"baseColorTexture": {"index": 0}, "metallicFactor": 0.0}
+        document["materials"], document["extensionsUsed"] = [material], [unlit]
     if frames is not None:
         size = float(np.ptp(vertices, axis=0).max()) or 1.0
         shapes, weights = shapes_of((frames - vertices).reshape(len(frames), -1), SHAPE_ERROR * size)
