@@ -19,6 +19,7 @@ from ..deform.deformer import SplatDeformer
 from ..edits.carry import carried_points
 from ..errors import InputError
 from ..field.clean import CleanOptions, clean_voxels
+from ..field.io import VOLUME_ENDINGS
 from ..field.objects import select_object
 from ..field.selection import NodeSelection, painted_voxels, splat_matter, tinted
 from ..field.surface import color_vertices
@@ -38,17 +39,21 @@ from .shared import Deformation, is_deformed, read_deformation
 from .words import read_rest
 
 
-def _checked_fields(args: argparse.Namespace) -> tuple[bool, pathlib.Path]:
-    """Whether the field that becomes another is of splats, and where that one is written."""
+def _checked_fields(args: argparse.Namespace, volumes: tuple[str, ...] = ()) -> tuple[bool, pathlib.Path]:
+    """Whether the field that becomes another is of splats, and where that one is written.
+    volumes: endings of files of volumes that voxels may be written to."""
     args.field = str(splat_path(args.field))
     require_file(args.field, "field file")
     of_splats = is_splat_file(args.field)
-    endings = shared.splat_outputs() if of_splats else (".npz",)
+    endings = shared.splat_outputs() if of_splats else (".npz", *volumes)
     return of_splats, options.check_output(args.output, endings, "field file")
 
 
 def run_bake(args: argparse.Namespace) -> None:
-    of_splats, output = _checked_fields(args)
+    of_splats, output = _checked_fields(args, VOLUME_ENDINGS)
+    is_volume = output.suffix.lower() in VOLUME_ENDINGS
+    if is_volume and args.format is not None:
+        raise InputError(f"--format is for .npz: {output.suffix} is a format of its own")
     if of_splats and (args.voxels is not None or args.format is not None):
         raise InputError("--voxels and --format are for fields of voxels: the ending of a splat file says its format")
     if args.frames is not None and (not of_splats or "#" not in output.name):
@@ -59,7 +64,7 @@ def run_bake(args: argparse.Namespace) -> None:
         raise InputError("--frames 1 would write the pose at rest alone: give 2 or more, or leave it out")
     if args.frames is None and of_splats and "##" in output.name:
         raise InputError("-o with # for a number writes numbered files: give --frames, how many")
-    if args.selection is None or args.frames is not None:
+    if (args.selection is None and not is_volume) or args.frames is not None:
         shared.require_deformation(args, "bake" if args.frames is None else "--frames")
     elif args.voxels is not None and not is_deformed(args):
         raise InputError("--voxels is for a deformed scene: what is only cut out keeps its voxels")

@@ -403,8 +403,9 @@ class VoxelField:
         """Write the field to a file, whole or not at all.
 
         Args:
-            path: The file; it must end in .npz.
-            format: "warpcage"; "compact", quantised to a third of that; or "svox2", a Plenoxels checkpoint.
+            path: The file; it must end in .npz. As .nvdb (NanoVDB) and .vdb (OpenVDB, whose Python module is needed) it
+                holds the grids "density" and "color" for other programs, without what depends on the direction.
+            format: Of .npz: "warpcage"; "compact", quantised to a third of that; or "svox2", a Plenoxels checkpoint.
 
         Raises:
             ValueError: For another format or ending.

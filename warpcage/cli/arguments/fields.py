@@ -198,6 +198,7 @@ BAKE_EXAMPLE = """\
   warpcage bake scene.ply --cage cage.obj --posed bend:40:x:z -o bend_####.ply --frames 30
   warpcage bake room.npz --selection cup.npz -o cup_alone.npz
   warpcage bake place.ply --selection cup.npz -o cup.ply
+  warpcage bake lego.npz -o lego.nvdb                   for Houdini and others: docs/blender.md
 """
 
 
@@ -206,7 +207,11 @@ BAKE_EXAMPLE = """\
 )
 def add_bake_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_field(parser)
-    options.add_output(parser, "FIELD", "field to write (.npz, of splats as they come)")
+    options.add_output(
+        parser,
+        "FIELD",
+        "field to write (.npz, of splats as they come; .nvdb, .vdb: a volume for other programs, deformed or not)",
+    )
     parser.add_argument(
         "--voxels",
         help="voxels along the longest side of the deformed scene (default: voxels as large as the field's)",

@@ -34,12 +34,21 @@ def _write_svox2(path: pathlib.Path, field: FieldContents) -> None:
     np.savez(path, **svox2_arrays(field))
 
 
+#: Files of volumes for other programs, NanoVDB and OpenVDB, which are written alone.
+VOLUME_ENDINGS = (".nvdb", ".vdb")
+
 #: What writes a field to a path, by the name of the format.
 WRITERS = {"warpcage": _write_own, "compact": _write_compact, "svox2": _write_svox2}
 
 
 def save_field(field: FieldContents, path: str | os.PathLike[str], *, format: str = "warpcage") -> None:
-    """Write a field to a file (.npz), whole or not at all."""
+    """Write a field to a file (.npz), or as a volume (.nvdb, .vdb), whole or not at all."""
+    if pathlib.Path(path).suffix.lower() in VOLUME_ENDINGS:
+        from .volumes import write_volume
+
+        with atomic_path(path) as temporary:
+            write_volume(temporary, field)
+        return
     if not str(path).endswith(".npz"):
         raise InputError(f"a field file ends in .npz, got {str(path)!r}")
     if format not in WRITERS:
