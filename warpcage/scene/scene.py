@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds, real_array
+from ..core.files import PathLike
 from ..errors import InputError
 from ..view.camera import Camera, CameraFile, common_up, rigid_motion
 from ..view.frame import parse_background
 from ..view.motion import axis_rotation
 from .box import FoundBox, are_found, find_box
+from .save import save_scene
 
 #: Images may leave [0, 1] by this much, as renders of a field do; values further out are in other units.
 IMAGE_ROOM = 1.0
@@ -162,6 +164,22 @@ class Scene:
         order = np.arange(len(self))[numbers]
         lists = {name: [getattr(self, name)[k] for k in order] for name in ("cameras", "names")}
         return dataclasses.replace(self, **chosen, **lists)
+
+    def save(self, folder: PathLike) -> None:
+        """Write the scene as nerfstudio has it (transforms.json), for other programs and `load_scene`.
+
+        Pictures are written as they are here: without distortion, shrunk and turned as they were when they were read,
+        as PNG with 8 bits. Opacity that was rendered is their alpha, masks of captures are files of their own
+        (mask_path), pixels that do not count are dynamic_mask_NAME.png as instant-ngp has it, points are points.ply.
+        `load_scene(folder, split="all")` reads all of it back; bounds that do not follow from points are not kept.
+
+        Args:
+            folder: A new or an empty folder.
+
+        Raises:
+            ValueError: For a folder that holds something.
+        """
+        save_scene(self, folder)
 
     @property
     def whole(self) -> np.ndarray:
