@@ -25,7 +25,7 @@ USD = ["usd-core>=24.11"]  # stages of USD: from there on it takes arrays of Num
 
 TEXTURE = [
     "xatlas>=0.0.9",  # unwraps surfaces
-    "fast-simplification>=0.1.7",  # makes them light
+    "fast-simplification>=0.1.9",  # makes them light; from there on with NumPy 2
 ]
 
 CLUSTER = ["ray>=2.40"]  # clusters of `warpcage run`: the core alone, without ray[default]

@@ -43,7 +43,8 @@ def test_every_example_is_tested():
     names = {path.name for path in EXAMPLES.glob("[a-z]*.py")}
     assert names == {"render_lego.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py",
                      "analytic_field.py", "cage_contact_sheet.py", "edit_dtu.py", "edit_fox.py",
-                     "edit_parts.py", "bend_splats.py", "augment_captures.py", "pipeline_step.py"}  # fmt: skip
+                     "edit_parts.py", "bend_splats.py", "augment_captures.py", "pipeline_step.py",
+                     "nerfacc_render.py"}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
@@ -68,6 +69,19 @@ def test_a_step_of_a_pipeline_says_what_it_needs(tmp_path):
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=240)
     assert done.returncode == 1 and done.stderr == "pipeline_step.py needs torch: pip install torch\n"
     assert not list(tmp_path.iterdir())
+
+
+def test_another_renderer_of_fields(tmp_path):
+    pytest.importorskip("torch"), pytest.importorskip("nerfacc")
+    assert len((EXAMPLES / "nerfacc_render.py").read_text().splitlines()) < 80
+    assert float(re.search(r"within (\S+) dB", run("nerfacc_render.py", cwd=tmp_path))[1]) > 50.0
+
+
+def test_another_renderer_says_what_it_needs(tmp_path):
+    path = str(EXAMPLES / "nerfacc_render.py")
+    program = f"import runpy, sys; sys.modules['nerfacc'] = None; runpy.run_path({path!r}, run_name='__main__')"
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 1 and done.stderr == "nerfacc_render.py needs nerfacc: pip install torch nerfacc\n"
 
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
