@@ -41,9 +41,11 @@ TEST = [
     *EXR,
     *DOCS,
     *HEIF,
-    *TEXTURE,
-    # there are wheels for these; elsewhere tests of USD are skipped
-    f"{USD[0]}; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'",
+    # there are wheels for these; elsewhere tests of USD and textures are skipped
+    *(
+        f"{need}; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'"
+        for need in (*USD, *TEXTURE)
+    ),
     # several workers and clusters; without it those tests are skipped
     "ray>=2.40; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'",
     "selenium>=4.20",  # drives a browser through the editor; those tests are skipped without Chromium

@@ -13,6 +13,7 @@ import numpy as np
 from ..cage.motion import GLTF_ENDINGS, USUAL_RATE
 from ..core.checks import float32_spacing
 from ..core.files import atomic_path, require_file
+from ..core.memory import require_host_memory
 from ..core.names import counted
 from ..deform.bake import bake
 from ..deform.deformer import SplatDeformer
@@ -223,6 +224,10 @@ def run_mesh(args: argparse.Namespace) -> None:
     )
 
 
+#: Bytes of memory for a vertex of a frame: its place, and what is left of it while shapes are found.
+FRAME_BYTES = 4 * 24
+
+
 def _mesh_frames(
     vertices: np.ndarray, deformation: Deformation | None, args: argparse.Namespace
 ) -> tuple[np.ndarray | None, float]:
@@ -237,6 +242,8 @@ def _mesh_frames(
         times = frame_times(film.length, rate, film.loop or "once")
         poses = [deformation.at_time(time) for time in times]
     options = {"coordinates": args.coordinates, "device": args.device}
+    what = f"{counted(len(poses), 'frame')} of {len(vertices)} vertices need"
+    require_host_memory(FRAME_BYTES * len(poses) * len(vertices), what)
     return np.stack([carried_points(vertices, deformation.edits, pose, **options) for pose in poses]), rate
 
 
