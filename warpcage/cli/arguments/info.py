@@ -1,4 +1,4 @@
-"""Arguments of `warpcage info`, `doctor` and `kernels`."""
+"""Arguments of `warpcage info`, `demo`, `doctor` and `kernels`."""
 
 from __future__ import annotations
 
@@ -70,6 +70,28 @@ def add_kernels_arguments(parser: argparse.ArgumentParser) -> None:
     copy.add_argument(
         "--alone", action="store_true", help="without the modules that launch the kernels, for launches of your own"
     )
+
+
+DEMO_EXAMPLE = """\
+  warpcage demo
+  warpcage demo -o out --device cuda:0
+
+Makes an excavator of bricks with pictures of it, fits a field to them, puts a cage around it and bends it. The folder
+has the pictures, the film, the mesh, the cages and the field then; the seconds of each stage are told.
+"""
+
+
+@command(
+    "demo",
+    "go the whole way, from pictures to a bent object, on a small scene that is made for it",
+    DEMO_EXAMPLE,
+    "doctor",
+)
+def add_demo_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "-o", "--output", metavar="FOLDER", default="warpcage_demo", help="where results go (default: %(default)s)"
+    )
+    options.add_device(parser)
 
 
 DOCTOR_EXAMPLE = """\
