@@ -360,7 +360,6 @@ def test_arrays_are_files_of_numpy(tmp_path, shape):
         "several cameras": ({"camera": "cameras.json"}, "it holds 2 cameras: name one"),
         "no file of cameras": ({"camera": "text.json#1"}, "text.json"),
         "a skew camera": ({"camera": SKEW}, "rigid|rotation"),
-        "a squeezed picture": ({"size": [40, 40]}, MESSAGES["batch.size_squeezes"]),
         "nothing to fill": ({"fill": True}, MESSAGES["batch.fill_one_color"]),
     }.values(),
 )

@@ -100,6 +100,38 @@ def test_films_go_along_the_keys_of_a_file(files, tmp_path):
     np.testing.assert_array_equal(read_image(tmp_path / "one.png"), read_image(tmp_path / "given" / "view_0001.png"))
 
 
+def test_another_shape_is_cut_from_the_picture_or_widens_it(files, tmp_path, capsys):
+    """Where pictures of both shapes overlap they are the same one, and the shape fits in or around."""
+    Camera.look_at((0.4, -4.0, 1.0), (0, 0, 0), fov_degrees=12, width=40, height=40).save(tmp_path / "square.json")
+
+    def picture(*size):
+        path = tmp_path / "x.png"
+        succeed(files, "render", "@ball.npz", "-o", path, "--camera", tmp_path / "square.json", "--size", *size)
+        return read_image(path).astype(int)
+
+    square, fine = picture(40), picture(80)
+    capsys.readouterr()
+    for words, expected in {
+        ("40x20",): square[10:30],
+        ("40", "20"): square[10:30],
+        ("2:1",): square[10:30],
+        ("40", "2:1"): square[10:30],
+        ("20x40",): square[:, 10:30],
+        ("4:5",): square[:, 4:36],
+        ("1:1",): square,
+        ("80", "5:4"): fine[8:72],
+    }.items():
+        found = picture(*words)
+        assert found.shape == expected.shape and np.abs(found - expected).max() <= 2, words
+        said = capsys.readouterr().err
+        assert ("cuts the camera's 40x40 picture" in said) == (words != ("1:1",)) and said.count("\n") <= 1
+    for words, middle in ((("80x40", "widen"), np.s_[:, 20:60]), (("1:2", "widen"), np.s_[20:60])):
+        wide = picture(*words)
+        assert max(wide.shape) == 80 and np.abs(wide[middle] - square).max() <= 2
+        assert "cuts" not in capsys.readouterr().err
+    assert (square[:, 0] < 250).any()  # the square picture cuts the ball, so that a wider one shows more of it
+
+
 @pytest.mark.parametrize(
     "words, said",
     [

@@ -20,7 +20,6 @@ MESSAGES = {
     "batch.posed_lists": "'posed' must hold numbers, in lists of equal length",
     "batch.posed_shape": r"'posed' must be \(26, 3\) as the cage at rest, got \(1, 3\)",
     "batch.poses_by_number": "it holds 3 poses, write poses.npy#0 for the first",
-    "batch.size_squeezes": "'size' 40 40 would squeeze a 40x32 picture: give 40 32",
     "batch.unpaid": r"2 workers take about \S+ s to start and \S+ s for {items} items: fewer workers are quicker,",
     "cage.animations_by_name": r"two.gltf: it holds 2 animations \(walk, run\): name one, as in two.gltf:walk",
     "cage.degrees": "degrees must be one finite number, got '30'",

@@ -447,9 +447,7 @@ def image_size(args: argparse.Namespace) -> tuple[int, int] | None:
     """Width and height of --size, None where it is not given."""
     if args.size is None:
         return None
-    if len(args.size) > 2:
-        raise InputError(f"--size takes a width, or a width and a height, got {len(args.size)} numbers")
-    width, height = args.size[0], args.size[-1]
+    width, height = args.size.of(*DEFAULT_SIZE)
     if width * height > MOST_PIXELS:
         raise InputError(f"--size: {width}x{height} is too large, a picture has at most {MOST_PIXELS:,} pixels")
     return width, height
@@ -540,15 +538,30 @@ def middle(points: np.ndarray) -> np.ndarray:
 
 
 def fitted_to(camera: Camera, args: argparse.Namespace) -> Camera:
-    """A camera at the size of --size, at its own where it is not given. A width alone keeps the picture's shape."""
+    """A camera at the size of --size, at its own where it is not given; see `fitted`."""
     image_size(args)  # refuses others
-    return fitted(camera, args.size or (), "--size")
+    if args.size is None:
+        return camera
+    if not args.size.is_shaped:
+        return fitted(camera, (args.size.width,))
+    size = args.size.of(camera.width, camera.height)
+    found = fitted(camera, size, widen=args.size.widen)
+    aside, above = found.fx * camera.width / camera.fx - size[0], found.fy * camera.height / camera.fy - size[1]
+    if max(aside, above) > 1.5 and not getattr(args, "has_said_cut", False):
+        args.has_said_cut = True
+        cut = "left and right" if aside > above else "top and bottom"
+        print(
+            f"warpcage: {size[0]}x{size[1]} cuts the camera's {camera.width}x{camera.height} picture at {cut}: --size "
+            f"{size[0]}x{size[1]} widen shows all of it, and more at the other sides",
+            file=sys.stderr,
+        )
+    return found
 
 
 def file_size(args: argparse.Namespace) -> tuple[int, int] | None:
     """The size of pictures from cameras of files that have none. None is that of the file."""
     size = image_size(args)
-    return size if size is not None and len(args.size) == 2 else None
+    return size if size is not None and args.size.height is not None and not args.size.widen else None
 
 
 def scene_cameras(args: argparse.Namespace, text: str) -> list[Camera]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import fractions
 import pathlib
+import re
 import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -298,9 +300,13 @@ def add_view(parser: Arguments) -> None:
     )
     group.add_argument(
         "--size",
-        help="width, or width and height; a width alone makes a square, or keeps the shape of --camera's picture "
-        "(default: 400, or the size of --camera's picture)",
-        **PIXELS,
+        action=_PictureSizes,
+        nargs="+",
+        metavar="PIXELS",
+        help="width, or width and height, or a shape, as in 800, 1920x1080, 16:9 or 1080 9:16; a width alone makes a "
+        "square, or keeps the shape of --camera's picture. Another shape than that shows the most of it that fits in, "
+        "cut at two sides; the word widen after it shows all of it, and more at two sides (default: 400, or the size "
+        "of --camera's picture)",
     )
 
 
@@ -513,6 +519,56 @@ def require_folder(path: str) -> None:
     if not pathlib.Path(path).is_dir():
         what = "is a file" if pathlib.Path(path).is_file() else "is not there"
         raise MissingFileError(f"scene folder {path!r} {what}")
+
+
+@dataclasses.dataclass(frozen=True)
+class PictureSize:
+    """What --size asks for."""
+
+    width: int | None = None
+    height: int | None = None
+    shape: fractions.Fraction | None = None  # width over height, of a width or of none
+    widen: bool = False  # show more than the camera's picture where its shape is another
+
+    @property
+    def is_shaped(self) -> bool:
+        """Whether it says more than a width."""
+        return self.height is not None or self.shape is not None
+
+    def of(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height where only a shape is given, of a camera of a picture of some size, not magnified."""
+        if self.shape is None:
+            across = width if self.width is None else self.width
+            return across, self.height or across
+        most = max if self.widen else min
+        across = self.width or round(most(width, height * self.shape))
+        return max(1, across), max(1, round(across / self.shape))
+
+
+class _PictureSizes(argparse.Action):
+    """Takes the words of --size."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option_string: Any = None) -> None:
+        words = [part for word in values for part in re.sub(r"^(\d+)[x×](\d+)$", r"\1 \2", word).split()]
+        widen = words[-1] == "widen"
+        words = words[:-1] if widen else words
+        shape = None
+        if words and ":" in words[-1]:
+            try:
+                shape = positive_fraction(words.pop().replace(":", "/"))
+            except argparse.ArgumentTypeError:
+                parser.error(f"argument {option_string}: a shape is two numbers such as 16:9, got {values[-1]!r}")
+        try:
+            numbers = [positive_int(word) for word in words]
+        except argparse.ArgumentTypeError as error:
+            parser.error(f"argument {option_string}: {error}")
+        if len(numbers) > (2 if shape is None else 1) or not (numbers or shape):
+            parser.error(
+                f"argument {option_string}: takes a width, or a width and a height, or a shape such as 16:9, got "
+                f"{' '.join(values)!r}"
+            )
+        width, height = (*numbers, None, None)[:2]
+        setattr(namespace, self.dest, PictureSize(width, height, shape, widen))
 
 
 #: How options take a number of things, a length, a point, a box of two corners, and the size of pictures.
