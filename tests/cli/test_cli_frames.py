@@ -316,7 +316,6 @@ def test_a_width_alone_keeps_the_shape_of_a_cameras_picture(files, tmp_path):
         command = ["animate", "@ball.npz", "--quiet"] if film else ["render", "@ball.npz"]
         succeed(files, *command, "-o", out, *words, "--size", 36)
         assert read_image(out / "frame_0000.png" if film else out).shape == (24, 36, 3)
-    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", "--camera", "@scene:0", "--size", 40, 20) == 2
 
 
 def test_films_say_the_size_that_they_have(files, tmp_path, capsys):

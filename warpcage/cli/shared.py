@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import pathlib
 import re
@@ -569,7 +570,26 @@ def scene_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
     path, split = text, "train"
     if not pathlib.Path(path).exists() and ":" in path:
         path, _, split = path.rpartition(":")
-    return [moved_to_field(args, camera) for camera in load_scene(path, split=split).cameras]
+    return [moved_to_field(args, camera) for camera in _loaded_cameras(path, split)]
+
+
+def seen_cameras(args: argparse.Namespace, field: AnyField) -> list[Camera]:
+    """The cameras that saw what a field shows, as far as they are known: those that its fit refined, or else those of
+    the scene that --camera names; none where nobody says."""
+    refined = getattr(field, "refined_cameras", None)
+    if refined is not None:
+        return refined.cameras
+    text = args.camera or ""
+    scene = "" if camera_file(text) else text.rpartition(":")[0]
+    if scene and not pathlib.Path(scene).exists():
+        scene = scene.rpartition(":")[0]  # SCENE:SPLIT: fits take its training pictures
+    return scene_cameras(args, scene) if scene else []
+
+
+@functools.lru_cache(maxsize=2)
+def _loaded_cameras(path: str, split: str) -> list[Camera]:
+    """The cameras of a scene, without its pictures; a command may ask for them twice."""
+    return load_scene(path, split=split).cameras
 
 
 def moved_to_field(args: argparse.Namespace, camera: Camera) -> Camera:

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.names import MOVES
 from ..view.camera import Camera
+from ..view.camera_path import MovingCamera, turned
 
 #: A direction around the object is covered where a camera looks from within this angle of it, degrees.
 COVERED_DEGREES = 20.0
@@ -21,6 +23,9 @@ DIRECTIONS, PLACES = 2000, 16
 
 #: A gap between neighbouring cameras on the circle around the object that is larger was not seen, degrees.
 LARGE_GAP = 60.0
+
+#: A camera may go as far from the object as those within so many degrees of it stood.
+NEARBY = 10
 
 #: What fewer cameras saw is guesswork: one shows no depth, and two agree on much that is not there.
 ENOUGH = 3
@@ -40,6 +45,7 @@ class Coverage:
     middle: np.ndarray  # (3,) the place, world units
     frame: np.ndarray  # (3, 3) columns: two directions across what is up, and up
     directions: np.ndarray  # (k, 3) unit vectors from the place to the cameras that see it, in that frame
+    distances: np.ndarray  # (k,) to them, world units
 
     @property
     def azimuths(self) -> np.ndarray:
@@ -61,7 +67,7 @@ class Coverage:
     @property
     def elevation(self) -> tuple[float, float]:
         """Lowest and highest camera, degrees above the horizon of the place."""
-        rises = np.degrees(np.arcsin(np.clip(self.directions[:, 2], -1, 1)))
+        rises = _elevations(self.directions)
         return float(rises.min()), float(rises.max())
 
     def counts(self, directions: np.ndarray) -> np.ndarray:
@@ -93,6 +99,20 @@ class Coverage:
         nearest = arcs[np.argmin(beyond)].tolist()
         return nearest[0], nearest[1]
 
+    def reach(self, eye: ArrayLike) -> np.ndarray:
+        """(360,) shares, 1 at most, of its distance that a camera at eye (3,) may have, by degrees around from there:
+        smoothly as far as the farthest cameras there, so that it stays on this side of walls."""
+        offset = (np.asarray(eye, np.float64) - self.middle) @ self.frame
+        begin = math.degrees(math.atan2(offset[1], offset[0]))
+        degrees, turns = np.arange(360), np.degrees(np.arctan2(self.directions[:, 1], self.directions[:, 0])) - begin
+        near = np.abs((degrees[:, None] - turns + 180.0) % 360.0 - 180.0) <= NEARBY
+        farthest = np.where(near, self.distances / np.linalg.norm(offset), 0.0).max(axis=1)
+        there = near.any(axis=1)
+        farthest = np.interp(degrees, degrees[there], farthest[there], period=360)
+        around = np.add.outer(degrees, np.arange(-NEARBY, NEARBY + 1)) % 360
+        smooth = np.minimum(farthest[around].min(axis=1), 1.0)[around].mean(axis=1)
+        return np.minimum(smooth / smooth[0], 1.0)
+
     def summary(self) -> str:
         """What was seen, in words."""
         low, high = self.elevation
@@ -111,8 +131,8 @@ def find_coverage(cameras: Sequence[Camera], middle: ArrayLike, up: ArrayLike = 
     frame = np.stack([side, np.cross(axis, side), axis], axis=1)  # x and y of the world where z is up
     seeing = [camera for camera in cameras if _in_picture(camera, place[None])[0]]
     ways = np.stack([camera.center for camera in seeing or cameras]) - place
-    ways = ways / np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-12)
-    return Coverage(place, frame, ways @ frame)
+    distances = np.maximum(np.linalg.norm(ways, axis=1), 1e-12)
+    return Coverage(place, frame, ways / distances[:, None] @ frame, distances)
 
 
 def picture_counts(cameras: Sequence[Camera], points: np.ndarray) -> np.ndarray:
@@ -125,6 +145,39 @@ def little_seen(cameras: Sequence[Camera], bounds: np.ndarray) -> float:
     shares = (np.arange(PLACES) + 0.5) / PLACES
     grid = np.stack(np.meshgrid(shares, shares, shares, indexing="ij"), axis=-1).reshape(-1, 3)
     return float((picture_counts(cameras, bounds[0] + grid * (bounds[1] - bounds[0])) < ENOUGH).mean())
+
+
+def within_sight(
+    moving: MovingCamera, cameras: Sequence[Camera], *, anywhere: bool = False
+) -> tuple[MovingCamera, list[str]]:
+    """A film's camera whose turns and cranes without an amount stay within what cameras saw, and lines that say so.
+    anywhere: it may begin in the middle of what was seen, where nobody chose the side that it begins at."""
+    moves, camera, notes = list(moving.moves), moving.start, []
+    if not cameras or all(move.amount is not None or move.kind not in ("turn", "crane") for move in moves):
+        return moving, notes
+    seen = find_coverage(cameras, moving.pivot, moving.up)
+    arc, highest = seen.arc(camera.center), seen.elevation[1]
+    for index, move in enumerate(moves):
+        if move.kind == "turn" and move.amount is None and arc is not None:
+            low, high = arc
+            if anywhere and not low <= 0.0 <= high:
+                camera = turned(camera, moving.pivot, moving.up, math.radians(0.5 * (low + high)))
+                low, high = 0.5 * (low - high), 0.5 * (high - low)
+            low, high = min(low, 0.0), max(high, 0.0)
+            moves[index] = dataclasses.replace(move, arc=(low, high), reach=seen.reach(camera.center))
+            notes.append(
+                f"the camera goes there and back through {high - low:.0f} degrees, as no picture shows "
+                f"{seen.around:.0f} of 360 around the object: --full-turn goes all the way round"
+            )
+        elif move.kind == "crane" and move.amount is None:
+            rise = float(_elevations(((camera.center - moving.pivot) @ seen.frame)[None])[0])
+            amount = min(MOVES["crane"], max(highest - rise, 0.0))
+            moves[index] = dataclasses.replace(move, amount=amount)
+            if amount < MOVES["crane"]:
+                notes.append(
+                    f"the crane rises by {amount:.0f} degrees, to the highest picture: crane:{MOVES['crane']:g} goes on"
+                )
+    return dataclasses.replace(moving, start=camera, moves=moves), notes
 
 
 def draw_coverage(coverage: Coverage, cameras: Sequence[Camera], bounds: np.ndarray) -> np.ndarray:
@@ -189,6 +242,11 @@ def _in_picture(camera: Camera, points: np.ndarray) -> np.ndarray:
     pixels, depths = camera.project(points)
     with np.errstate(invalid="ignore"):
         return (depths > 0.0) & ((pixels >= 0.0) & (pixels <= (camera.width, camera.height))).all(axis=1)
+
+
+def _elevations(ways: np.ndarray) -> np.ndarray:
+    """(n,) degrees above the horizon of ways (n, 3) of any length, the last axis up."""
+    return np.degrees(np.arcsin(np.clip(ways[:, 2] / np.linalg.norm(ways, axis=1), -1, 1)))
 
 
 def _middles(count: int, begin: float, end: float) -> np.ndarray:

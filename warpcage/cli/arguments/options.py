@@ -439,6 +439,25 @@ def positive_fraction(text: str) -> fractions.Fraction:
     return value
 
 
+#: Moments that motion blur is the mean of, where their number is not given, and most of them.
+SUBFRAMES, MOST_SUBFRAMES = 8, 256
+
+
+def shutter(text: str) -> tuple[float, int]:
+    """The share of a frame that a shutter is open, of degrees above 0 to 360, and the number of moments in it."""
+    degrees, separator, number = text.partition(":")
+    try:
+        angle, count = float(degrees), int(number) if separator else SUBFRAMES
+    except ValueError:
+        angle, count = 0.0, 0
+    if not (0.0 < angle <= 360.0 and 1 <= count <= MOST_SUBFRAMES):
+        raise argparse.ArgumentTypeError(
+            f"must be degrees above 0 to 360, or with a number of moments up to {MOST_SUBFRAMES}, as in 180 or 180:16, "
+            f"got {text!r}"
+        )
+    return angle / 360.0, count
+
+
 def positive_ratio(text: str) -> float:
     """The same as a float."""
     try:
