@@ -72,7 +72,7 @@ MESSAGES = {
     "editor.film_width": "the width of a film must be a whole number from 1 to 8192",
     "editor.jobs_unfinished": "jobs are unfinished already: cancel one, or wait",
     "editor.key_before_film": "keyframe 'a' is at -1 s: a film goes from 0",
-    "editor.key_easing": "keyframe 'a' has the easing 'bounce', known are smooth",
+    "editor.key_easing": "keyframe 'a' has the easing 'wobble', known are smooth",
     "editor.new_folder": "holds something already: give the name of a new folder",
     "editor.no_job": "there is no job 1: it may have been cleared",
     "editor.session_kept": r"another program: this session is kept in .*ball\.1\.session\.json",

@@ -404,7 +404,8 @@ class CameraKey:
         camera: The camera.
         time: When it is reached, seconds from the film's start. None leaves it open.
         name: A name, empty for none.
-        easing: How the way to the next key goes: "smooth", "linear", "hold", "ease-in" or "ease-out".
+        easing: How the way to the next key goes: "smooth", "linear", "hold", "ease-in", "ease-out", "ease-in-out",
+            "bounce" or "elastic".
         target: (3,) the point ahead that the camera turns about, world units. None takes what all keys look at.
 
     Raises:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import bisect
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import TypeVar
 
@@ -40,7 +41,8 @@ def value_at(
     `values`: (d,) d numbers of their own or (..., d) vectors. Do not write what comes back: it may be a key's own."""
     # "smooth" is a cubic without jumps of velocity at keys; nothing swings beyond its keys, and what two keys share
     # stays still: velocities are limited (`limited_velocity`) along vectors, so that a turned scene moves alike. "hold"
-    # stays until the next key; "ease-in" sets out gently, "ease-out" arrives so. `still_ends`: smooth ways begin and
+    # stays until the next key; "ease-in" sets out gently, "ease-out" arrives so; "bounce" falls onto the next key and
+    # comes back three times, "elastic" alone goes beyond it and swings in. `still_ends`: smooth ways begin and
     # end at rest. `closed`: the last key is the first again, passed without stopping.
     index = bisect.bisect_right(times, time) - 1
     if index < 0 or index == len(times) - 1:
@@ -58,10 +60,30 @@ def value_at(
         value += length * share * (1.0 - share) ** 2 * velocities.at(index)
         value -= length * share * share * (1.0 - share) * velocities.at(index + 1)
     else:
-        eased = {"linear": share, "ease-in": share * share, "ease-out": share * (2.0 - share)}[easing]
-        value = begin + eased * (end - begin)
+        value = begin + _EASED[easing](share) * (end - begin)
     value.setflags(write=False)
     return value
+
+
+def _bounced(share: float) -> float:
+    """Parabolas of one gravity: a fall, and three bounces of 1/4, 1/16 and 1/64 of its height."""
+    time = 2.75 * share
+    middle, half = next(each for each in _BOUNCES if time <= sum(each))
+    return 1.0 - half * half + (time - middle) ** 2
+
+
+#: Of the fall and its bounces: the middle, and half of the time that each takes, of times in which the fall takes 1.
+_BOUNCES = ((0.0, 1.0), (1.5, 0.5), (2.25, 0.25), (2.625, 0.125))
+
+#: Share of the way by share of the time, 0 to 1 each, as Penner (2002) has them; elastic ones end at 1 exactly.
+_EASED: dict[str, Callable[[float], float]] = {
+    "linear": lambda share: share,
+    "ease-in": lambda share: share * share,
+    "ease-out": lambda share: share * (2.0 - share),
+    "ease-in-out": lambda share: 2.0 * share * share if share < 0.5 else 1.0 - 2.0 * (1.0 - share) ** 2,
+    "bounce": _bounced,
+    "elastic": lambda share: 1.0 - 2.0 ** (-10.0 * share) * math.cos(6.5 * math.pi * share),
+}
 
 
 class _Velocities:
