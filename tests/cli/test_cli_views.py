@@ -48,6 +48,18 @@ def test_the_object_stays_where_it_is_whatever_the_pose(files, tmp_path, capsys)
     assert (pixels > 0).all() and (pixels < 40).all()
 
 
+def test_posed_pictures_hold_what_no_cage_holds(files, tmp_path):
+    """A cage around the upper half, which goes up: the lower half of the ball stays in the picture."""
+    words = ["render", "@ball.npz", "-o", tmp_path / "x.png", *SMALL, "--view", "front", "--frame", "posed"]
+    Cage.box((-0.6, -0.6, 0.05), (0.6, 0.6, 0.6)).save(tmp_path / "half.obj")
+    part = ["--edit", f"{tmp_path / 'half.obj'}:translate:0:0:0.8"]
+    seen = cameras_of(files, tmp_path, *words, *part)[0].camera
+    pixels, _ = seen.project([[0.0, -0.3, -0.5], [0.0, 0.0, 1.4], [0.0, 0.0, -0.54]])
+    assert ((pixels > 0) & (pixels < 40)).all()
+    picture = read_image(tmp_path / "x.png")
+    assert (picture[[0, -1]] > 0.9).all() and (picture[:, [0, -1]] > 0.9).all()  # nothing touches the edge
+
+
 @pytest.mark.parametrize(
     "view, ahead, up",
     [

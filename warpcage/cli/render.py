@@ -135,6 +135,15 @@ class Shot:
             self.deformer = shared.make_deformer(self.field, self.deformation, self.args)
         self.scale = self._scale() if self.args.show in ("depth", "disparity") else None
 
+    def is_still(self) -> bool:
+        """Whether several frames are one picture."""
+        poses = [camera.camera_to_world for camera in self.cameras]
+        if len(poses) < 2 or any(not np.array_equal(pose, poses[0]) for pose in poses):
+            return False
+        if self.deformation is None or self.deformation.is_still:
+            return True
+        return len({self.place(frame) for frame in range(len(poses))}) == 1
+
     def time(self, frame: float) -> float:
         """Seconds of a frame, or between two, where there are keys at times."""
         assert self.film is not None
@@ -421,6 +430,8 @@ def run_animate(args: argparse.Namespace) -> None:
     if here or scaled:
         shot.prepare()
 
+    if shot.is_still():
+        print(f"warpcage: nothing moves in this film: its {args.frames} frames are equal", file=sys.stderr)
     shared.save_cameras(args, cameras, args.fps)
     if here:
         _render(shot, output)
@@ -528,6 +539,13 @@ def _run_session(args: argparse.Namespace) -> None:
         args.device = "cpu"  # nothing is rendered
     field = shared.require_voxels(shared.read_field(args), "--session")
     document = read_session(args.session, field)
+    count = len(frame_times(document.timeline))
+    if len(document.timeline.keys) < 2 and count > 1:
+        print(
+            f"warpcage: nothing moves in this film: its {count} frames are equal, as the session has no two keys (K "
+            "keeps one in the editor)",
+            file=sys.stderr,
+        )
     if jobs is not None:
         job, frames = session_job(document, field, film, args.field, args.scene_scale)
         _say_jobs(jobs, job.write(jobs, frames), view_camera(document.view, width, height))

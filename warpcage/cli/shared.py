@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from ..cage.axes import with_up
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile, cage_hash, is_preset
+from ..cage.up_axis import object_points
 from ..core.devices import resolve_device
 from ..core.files import read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
@@ -32,6 +33,7 @@ from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
 from ..edits.words import EditWords
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
+from ..mesh.queries import inside_mesh
 from ..scene.load import load_scene
 from ..scene.scene import Scene
 from ..splats.io import is_splat_file, splat_path
@@ -342,12 +344,20 @@ def require_deformation(args: argparse.Namespace, what: str) -> None:
         raise InputError(f"{what} needs a deformation: --cage and --posed{alone}, --edit or --edits")
 
 
+#: Points of an object that --frame posed looks at, and the share of them that lies out of the cages by chance.
+FRAMED_POINTS, LEAST_STAYING = 5000, 0.005
+
+
 def visible_points(field: AnyField, deformation: Deformation | None, frame: str | None) -> np.ndarray:
-    """(n, 3) points around what a picture shows, world units: vertices of the cages at rest and posed (frame "posed"),
-    else the corners of the field's box."""
+    """(n, 3) points around what a picture shows, world units: vertices of the cages at rest and posed (frame "posed")
+    with what lies in none of them and stays, else the corners of the field's box."""
     # Usually the field at rest, so that pictures before and after an edit, and of all its poses, can be compared.
     if deformation is not None and frame == "posed":
-        return deformation.vertices
+        seen = staying = object_points(field, FRAMED_POINTS)
+        for edit in deformation.edits:
+            staying = staying[~inside_mesh(staying, edit.cage)]
+        few = len(staying) <= LEAST_STAYING * len(seen)
+        return deformation.vertices if few else np.concatenate([deformation.vertices, staying])
     low, high = field.shown_bounds if isinstance(field, SplatField) else field.bounds
     return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
 

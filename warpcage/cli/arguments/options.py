@@ -84,9 +84,9 @@ def package_version() -> str:
         return "unknown (not installed)"
 
 
-def add_field(parser: Arguments) -> None:
+def add_field(parser: Arguments, **options: Any) -> None:
     """The field that a command reads."""
-    parser.add_argument("field", help=f"field file: voxels (.npz) or splats ({' '.join(SPLATS_READ)})")
+    parser.add_argument("field", help=f"field file: voxels (.npz) or splats ({' '.join(SPLATS_READ)})", **options)
 
 
 def add_output(parser: Arguments, metavar: str, help: str) -> None:
@@ -275,7 +275,7 @@ def add_view(parser: Arguments) -> None:
         "--frame",
         choices=("rest", "posed"),
         help="what is in the picture where no camera is given: the field at rest, so that pictures of all poses can "
-        "be compared, or the cages at rest and posed (default: rest)",
+        "be compared, or the cages at rest and posed, and what lies in none of them (default: rest)",
     )
     group.add_argument("--save-camera", metavar="FILE", help="also write the camera, or all of a film (.json)")
     group.add_argument(
