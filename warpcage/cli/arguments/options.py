@@ -300,13 +300,11 @@ def add_view(parser: Arguments) -> None:
     )
     group.add_argument(
         "--size",
-        action=_PictureSizes,
-        nargs="+",
-        metavar="PIXELS",
         help="width, or width and height, or a shape, as in 800, 1920x1080, 16:9 or 1080 9:16; a width alone makes a "
         "square, or keeps the shape of --camera's picture. Another shape than that shows the most of it that fits in, "
         "cut at two sides; the word widen after it shows all of it, and more at two sides (default: 400, or the size "
         "of --camera's picture)",
+        **PIXELS,
     )
 
 
@@ -595,7 +593,7 @@ COUNT: dict[str, Any] = {"type": positive_int, "metavar": "N"}
 LENGTH: dict[str, Any] = {"type": length, "metavar": "LENGTH"}
 POINT: dict[str, Any] = {"type": finite_float, "nargs": 3, "metavar": ("X", "Y", "Z")}
 BOX: dict[str, Any] = {"type": finite_float, "nargs": 6, "metavar": ("X0", "Y0", "Z0", "X1", "Y1", "Z1")}
-PIXELS: dict[str, Any] = {"type": positive_int, "nargs": "+", "metavar": "PIXELS"}
+PIXELS: dict[str, Any] = {"action": _PictureSizes, "nargs": "+", "metavar": "PIXELS"}
 
 
 def positive(metavar: str) -> dict[str, Any]:
