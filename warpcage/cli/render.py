@@ -430,8 +430,6 @@ def run_animate(args: argparse.Namespace) -> None:
     if here or scaled:
         shot.prepare()
 
-    if shot.is_still():
-        print(f"warpcage: nothing moves in this film: its {args.frames} frames are equal", file=sys.stderr)
     shared.save_cameras(args, cameras, args.fps)
     if here:
         _render(shot, output)
@@ -511,6 +509,8 @@ def _say(shot: Shot, output: pathlib.Path, kept: int) -> None:
         return
     size = size_text(cameras[0].width, cameras[0].height, output)
     print(f"wrote {output}: {counted(args.frames, 'frame')} of {size}, {output.stat().st_size / 1e6:.2f} MB")
+    if shot.is_still():
+        print(f"warpcage: nothing moves in this film: its {args.frames} frames are equal", file=sys.stderr)
 
 
 def _say_jobs(path: pathlib.Path, count: int, camera: Camera) -> None:
@@ -539,13 +539,6 @@ def _run_session(args: argparse.Namespace) -> None:
         args.device = "cpu"  # nothing is rendered
     field = shared.require_voxels(shared.read_field(args), "--session")
     document = read_session(args.session, field)
-    count = len(frame_times(document.timeline))
-    if len(document.timeline.keys) < 2 and count > 1:
-        print(
-            f"warpcage: nothing moves in this film: its {count} frames are equal, as the session has no two keys (K "
-            "keeps one in the editor)",
-            file=sys.stderr,
-        )
     if jobs is not None:
         job, frames = session_job(document, field, film, args.field, args.scene_scale)
         _say_jobs(jobs, job.write(jobs, frames), view_camera(document.view, width, height))
@@ -558,6 +551,12 @@ def _run_session(args: argparse.Namespace) -> None:
 
         count = export_film(document, field, output, film, report)
     print(f"wrote {output}: {counted(count, 'frame')} of {size_text(width, height, output)}")
+    if len(document.timeline.keys) < 2 and count > 1:
+        print(
+            f"warpcage: nothing moves in this film: its {count} frames are equal, as the session has no two keys (K "
+            "keeps one in the editor)",
+            file=sys.stderr,
+        )
 
 
 def _given_besides(args: argparse.Namespace) -> list[str]:
