@@ -105,7 +105,7 @@ def device_line(device: wp.Device) -> str:
 
 def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
     field = shared.require_voxels(shared.read_field(args), "info")
-    refined = field.refined_cameras
+    cameras = None if field.refined_cameras is None else field.refined_cameras.cameras
     share = field.voxel_count / (field.resolution[0] * field.resolution[1] * field.resolution[2])
     density = field.grid.density.numpy()
     weights = None if field.weights is None else field.weights.numpy()
@@ -121,7 +121,11 @@ def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
         ("up", field.up.round(3).tolist()),
         ("straightened", _turn(field.straightening)),
         ("around it", _around(field.background_model)),
-        ("seen", _seen(refined and refined.cameras, field.bounds, field.up, args.seen)),
+        *(
+            []
+            if cameras is None and args.seen is None
+            else [("seen", _seen(cameras, field.bounds, field.up, args.seen))]
+        ),
         ("file", _file_size(path)),
     ]
 
@@ -278,7 +282,7 @@ def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | N
         ("up", scene.up.round(3).tolist()),
         ("bounds", "not given" if scene.bounds is None else _box(*scene.bounds)),
         *([("object", _object(scene, args, box))] if scene.alphas is None or box is not None else []),
-        ("seen", _seen(scene.cameras, _bounds(scene), scene.up, args.seen)),
+        *([] if args.seen is None else [("seen", _seen(scene.cameras, _bounds(scene), scene.up, args.seen))]),
         ("memory", f"{(scene.images.nbytes + (0 if scene.alphas is None else scene.alphas.nbytes)) / 1e6:.0f} MB"),
     ]
     if scene.weights is not None:
@@ -293,9 +297,7 @@ def _seen(
 ) -> str:
     """From where cameras saw an object in a box (2, 3), of which a map may be written."""
     if cameras is None or bounds is None:
-        if path is not None:
-            raise InputError("--seen needs cameras and a box of the object, which are not known: give another scene")
-        return "not known"
+        raise InputError("--seen needs cameras and a box of the object, which are not known: give another scene")
     coverage = find_coverage(cameras, bounds.mean(axis=0), up)
     if path is not None:
         write_png(path, draw_coverage(coverage, cameras, bounds))

@@ -52,7 +52,7 @@ def mean_picture(pictures: Sequence[np.ndarray]) -> np.ndarray:
         total = np.mean(weighted, axis=0, dtype=np.float64) / np.maximum(opacity, 1e-12)
         mean = np.concatenate([screen_colors(total), opacity], axis=-1)
     else:
-        mean = screen_colors(np.mean(light, axis=0, dtype=np.float64))
+        mean = screen_colors(np.asarray(np.mean(light, axis=0, dtype=np.float64)))
     same = np.all([np.equal(picture, first) for picture in pictures[1:]], axis=0) if len(pictures) > 1 else True
     return np.where(same, first, mean.astype(np.float32))
 
