@@ -590,10 +590,13 @@ def seen_cameras(args: argparse.Namespace, field: AnyField) -> list[Camera]:
     if refined is not None:
         return refined.cameras
     text = args.camera or ""
-    scene = "" if camera_file(text) else text.rpartition(":")[0]
-    if scene and not pathlib.Path(scene).exists():
-        scene = scene.rpartition(":")[0]  # SCENE:SPLIT: fits take its training pictures
-    return scene_cameras(args, scene) if scene else []
+    named = "" if camera_file(text) else text.rpartition(":")[0]
+    if not named or pathlib.Path(named).exists():
+        return scene_cameras(args, named) if named else []
+    try:
+        return scene_cameras(args, named.rpartition(":")[0])  # of SCENE:SPLIT; fits take the training pictures
+    except (ValueError, FileNotFoundError):  # a scene may have that split alone
+        return scene_cameras(args, named)
 
 
 @functools.lru_cache(maxsize=2)
