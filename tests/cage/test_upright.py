@@ -149,7 +149,7 @@ def test_cages_of_a_part_stay_as_they_are(files, tmp_path, capsys):
         "rest",
     )
     said = capsys.readouterr().err
-    assert "warning" not in said and " % of the object, the rest of it stays where it is" in said
+    assert "warning" not in said and " % of what can be seen: the rest of it stays where it is" in said
     # one of several cages holds a part as it should: a word only where another axis would hold far more
     for top, told in ((-0.5, "has y up, and is turned"), (-0.3, "with y up it would hold")):
         foot = Cage.box((-0.4, -0.6, -1.0), (0.4, 0.8, top), segments=2)

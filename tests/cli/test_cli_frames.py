@@ -316,7 +316,20 @@ def test_a_width_alone_keeps_the_shape_of_a_cameras_picture(files, tmp_path):
         command = ["animate", "@ball.npz", "--quiet"] if film else ["render", "@ball.npz"]
         succeed(files, *command, "-o", out, *words, "--size", 36)
         assert read_image(out / "frame_0000.png" if film else out).shape == (24, 36, 3)
-    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", "--camera", "@scene:0", "--size", 40, 20) == 2
+
+
+def test_films_in_which_nothing_moves_say_so(files, tmp_path, capsys):
+    words = ["animate", "@ball.npz", "--size", 16, "--frames", 5, "--quiet", "-o", tmp_path / "film.gif"]
+    pose = [*DEFORMED, "--resolution", 12]
+    for more, still in (
+        (["--turn", 0], True),
+        ([], False),
+        (["--turn", 0, *pose], False),
+        (["--turn", 0, *pose, "--motion", "hold"], True),
+        (["--turn", 0, "--cameras", "hand-held"], None),
+    ):
+        assert run(files, *words, *more) == (2 if still is None else 0)
+        assert ("nothing moves in this film: its 5 frames are equal" in capsys.readouterr().err) == bool(still)
 
 
 def test_films_say_the_size_that_they_have(files, tmp_path, capsys):

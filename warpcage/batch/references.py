@@ -168,7 +168,7 @@ class References:
         """The camera of a frame, at its size and in the world of its field."""
         try:
             camera = self._camera(item, field)  # that of a scene is turned with a straightened field
-            return fitted(camera, item.size, "'size'")
+            return fitted(camera, item.size)
         except DAMAGED as error:
             raise InputError(f"'camera' cannot be used: {error}") from None
 

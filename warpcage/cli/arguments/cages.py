@@ -270,6 +270,7 @@ def axis_word(text: str) -> str:
 EDIT_EXAMPLE = """\
   warpcage edit --demo
   warpcage edit lego.npz --cage cage.obj
+  warpcage edit scene.ply
   warpcage edit lego.npz --port 8700 --no-browser     (then, at home: ssh -L 8700:127.0.0.1:8700 HOST)
 
 What is edited is kept beside the field, as NAME.session.json, and the next call goes on with it.
@@ -278,7 +279,7 @@ What is edited is kept beside the field, as NAME.session.json, and the next call
 
 @command("edit", "pose cages by hand in the browser and see the scene follow", EDIT_EXAMPLE)
 def add_edit_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("field", nargs="?", help="field file (.npz)")
+    options.add_field(parser, nargs="?")
     parser.add_argument("--demo", action="store_true", help="edit a brick excavator, which is fitted once and kept")
     parser.add_argument(
         "--cage",

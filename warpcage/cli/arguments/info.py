@@ -13,6 +13,7 @@ INFO_EXAMPLE = """\
   warpcage info cage.obj
   warpcage info data/lego --split test --sheet lego.png
   warpcage info place --box place.png                        where fit takes the object to be
+  warpcage info place --seen seen.png                        from where it was seen
 """
 
 #: Most pictures on a contact sheet, and their longest side there.
@@ -41,6 +42,12 @@ def add_info_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--box", metavar="PICTURE", help="write a picture of a scene's cameras, points and object's box (.png)"
+    )
+    parser.add_argument(
+        "--seen",
+        metavar="PICTURE",
+        help="write a map of what the cameras of a scene, or those that a field's fit refined, saw of the object: "
+        "directions and places that fewer than three cameras show are guesswork (.png)",
     )
     options.add_scale_and_device(parser)
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import fractions
 import pathlib
+import re
 import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -82,9 +84,9 @@ def package_version() -> str:
         return "unknown (not installed)"
 
 
-def add_field(parser: Arguments) -> None:
+def add_field(parser: Arguments, **options: Any) -> None:
     """The field that a command reads."""
-    parser.add_argument("field", help=f"field file: voxels (.npz) or splats ({' '.join(SPLATS_READ)})")
+    parser.add_argument("field", help=f"field file: voxels (.npz) or splats ({' '.join(SPLATS_READ)})", **options)
 
 
 def add_output(parser: Arguments, metavar: str, help: str) -> None:
@@ -273,7 +275,7 @@ def add_view(parser: Arguments) -> None:
         "--frame",
         choices=("rest", "posed"),
         help="what is in the picture where no camera is given: the field at rest, so that pictures of all poses can "
-        "be compared, or the cages at rest and posed (default: rest)",
+        "be compared, or the cages at rest and posed, and what lies in none of them (default: rest)",
     )
     group.add_argument("--save-camera", metavar="FILE", help="also write the camera, or all of a film (.json)")
     group.add_argument(
@@ -298,8 +300,10 @@ def add_view(parser: Arguments) -> None:
     )
     group.add_argument(
         "--size",
-        help="width, or width and height; a width alone makes a square, or keeps the shape of --camera's picture "
-        "(default: 400, or the size of --camera's picture)",
+        help="width, or width and height, or a shape, as in 800, 1920x1080, 16:9 or 1080 9:16; a width alone makes a "
+        "square, or keeps the shape of --camera's picture. Another shape than that shows the most of it that fits in, "
+        "cut at two sides; the word widen after it shows all of it, and more at two sides (default: 400, or the size "
+        "of --camera's picture)",
         **PIXELS,
     )
 
@@ -433,6 +437,25 @@ def positive_fraction(text: str) -> fractions.Fraction:
     return value
 
 
+#: Moments that motion blur is the mean of, where their number is not given, and most of them.
+SUBFRAMES, MOST_SUBFRAMES = 8, 256
+
+
+def shutter(text: str) -> tuple[float, int]:
+    """The share of a frame that a shutter is open, of degrees above 0 to 360, and the number of moments in it."""
+    degrees, separator, number = text.partition(":")
+    try:
+        angle, count = float(degrees), int(number) if separator else SUBFRAMES
+    except ValueError:
+        angle, count = 0.0, 0
+    if not (0.0 < angle <= 360.0 and 1 <= count <= MOST_SUBFRAMES):
+        raise argparse.ArgumentTypeError(
+            f"must be degrees above 0 to 360, or with a number of moments up to {MOST_SUBFRAMES}, as in 180 or 180:16, "
+            f"got {text!r}"
+        )
+    return angle / 360.0, count
+
+
 def positive_ratio(text: str) -> float:
     """The same as a float."""
     try:
@@ -515,12 +538,62 @@ def require_folder(path: str) -> None:
         raise MissingFileError(f"scene folder {path!r} {what}")
 
 
+@dataclasses.dataclass(frozen=True)
+class PictureSize:
+    """What --size asks for."""
+
+    width: int | None = None
+    height: int | None = None
+    shape: fractions.Fraction | None = None  # width over height, of a width or of none
+    widen: bool = False  # show more than the camera's picture where its shape is another
+
+    @property
+    def is_shaped(self) -> bool:
+        """Whether it says more than a width."""
+        return self.height is not None or self.shape is not None
+
+    def of(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height where only a shape is given, of a camera of a picture of some size, not magnified."""
+        if self.shape is None:
+            across = width if self.width is None else self.width
+            return across, self.height or across
+        most = max if self.widen else min
+        across = self.width or round(most(width, height * self.shape))
+        return max(1, across), max(1, round(across / self.shape))
+
+
+class _PictureSizes(argparse.Action):
+    """Takes the words of --size."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option_string: Any = None) -> None:
+        words = [part for word in values for part in re.sub(r"^(\d+)[x×](\d+)$", r"\1 \2", word).split()]
+        widen = words[-1] == "widen"
+        words = words[:-1] if widen else words
+        shape = None
+        if words and ":" in words[-1]:
+            try:
+                shape = positive_fraction(words.pop().replace(":", "/"))
+            except argparse.ArgumentTypeError:
+                parser.error(f"argument {option_string}: a shape is two numbers such as 16:9, got {values[-1]!r}")
+        try:
+            numbers = [positive_int(word) for word in words]
+        except argparse.ArgumentTypeError as error:
+            parser.error(f"argument {option_string}: {error}")
+        if len(numbers) > (2 if shape is None else 1) or not (numbers or shape):
+            parser.error(
+                f"argument {option_string}: takes a width, or a width and a height, or a shape such as 16:9, got "
+                f"{' '.join(values)!r}"
+            )
+        width, height = (*numbers, None, None)[:2]
+        setattr(namespace, self.dest, PictureSize(width, height, shape, widen))
+
+
 #: How options take a number of things, a length, a point, a box of two corners, and the size of pictures.
 COUNT: dict[str, Any] = {"type": positive_int, "metavar": "N"}
 LENGTH: dict[str, Any] = {"type": length, "metavar": "LENGTH"}
 POINT: dict[str, Any] = {"type": finite_float, "nargs": 3, "metavar": ("X", "Y", "Z")}
 BOX: dict[str, Any] = {"type": finite_float, "nargs": 6, "metavar": ("X0", "Y0", "Z0", "X1", "Y1", "Z1")}
-PIXELS: dict[str, Any] = {"type": positive_int, "nargs": "+", "metavar": "PIXELS"}
+PIXELS: dict[str, Any] = {"action": _PictureSizes, "nargs": "+", "metavar": "PIXELS"}
 
 
 def positive(metavar: str) -> dict[str, Any]:

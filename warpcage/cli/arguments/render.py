@@ -6,7 +6,7 @@ import argparse
 from fractions import Fraction
 from typing import Any
 
-from ...core.names import LOOPS
+from ...core.names import LOOPS, MOVE_HELP
 from . import options
 from .options import command
 
@@ -140,7 +140,7 @@ def add_animate_arguments(parser: argparse.ArgumentParser) -> None:
         type=options.positive_fraction,
         default=Fraction(24),
         metavar="RATE",
-        help="frames per second, such as 24, 12.5 or 30000/1001 (default: %(default)s)",
+        help="frames per second, such as 24, 12.5, 29.97 or 30000/1001, which is the same (default: %(default)s)",
     )
     parser.add_argument(
         "--motion",
@@ -175,13 +175,28 @@ def add_animate_arguments(parser: argparse.ArgumentParser) -> None:
         type=options.finite_float,
         default=None,
         metavar="DEGREES",
-        help="how far the camera turns around the target; 0 keeps it still (default: 360)",
+        help="how far the camera turns around the target; 0 keeps it still (default: 360, but where the cameras of the "
+        "pictures are known there and back within what they saw)",
+    )
+    path.add_argument(
+        "--full-turn",
+        dest="turn",
+        action="store_const",
+        const=360.0,
+        help="all the way round, also through what no picture showed: --turn 360",
     )
     path.add_argument(
         "--cameras",
-        metavar="FILE|SCENE[:SPLIT]",
-        help="move through the cameras of a file instead (.json, .glb, .gltf; at their times where they have some), or "
-        "of a scene's pictures, e.g. data/lego:test (default split: train)",
+        metavar="MOVE|FILE|SCENE[:SPLIT]",
+        help=f"move the camera instead by {MOVE_HELP}; or move through the cameras of a file (.json, .glb, .gltf; at "
+        "their times where they have some), or of a scene's pictures, e.g. data/lego:test (default split: train)",
+    )
+    path.add_argument(
+        "--shutter",
+        type=options.shutter,
+        metavar="DEGREES[:N]",
+        help=f"motion blur: how long the shutter is open, of 360 degrees a frame (180 is usual), by the mean of N "
+        f"moments in linear light (default: {options.SUBFRAMES})",
     )
     parser.add_argument(
         "--show",

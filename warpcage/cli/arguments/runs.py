@@ -151,7 +151,8 @@ def _add_cameras(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--size",
-        help="width, or width and height (default: 400, or the size of the cameras' pictures)",
+        help="width, or width and height, or a shape such as 16:9, as for render (default: 400, or the size of the "
+        "cameras' pictures)",
         **options.PIXELS,
     )
 
