@@ -10,6 +10,7 @@
 
 import warp as wp
 
+from ..core.gradients import add_slope
 from ..core.loads import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
 from ..mesh.fans import near_plane_limit
 from ..mesh.triangle import nearest_barycentric
@@ -357,16 +358,14 @@ def grad_mean_value_position(
             off = off_the_plane(p, q, r, unit)
             slopes = mean_value_slopes(p + off, q + off, r + off, by_weights)
             by_point -= slopes.p + slopes.q + slopes.r
-            if wp.adjoint[vertices]:
-                wp.atomic_add(wp.adjoint[vertices], face[0], wp.vec3(slopes.p))
-                wp.atomic_add(wp.adjoint[vertices], face[1], wp.vec3(slopes.q))
-                wp.atomic_add(wp.adjoint[vertices], face[2], wp.vec3(slopes.r))
+            add_slope(vertices, wp.adjoint[vertices], face[0], wp.vec3(slopes.p))
+            add_slope(vertices, wp.adjoint[vertices], face[1], wp.vec3(slopes.q))
+            add_slope(vertices, wp.adjoint[vertices], face[2], wp.vec3(slopes.r))
         if wp.abs(det) > FLAT * unit * wp.length(normal):
             w = weights_in_double(p, q, r, det)
-            if wp.adjoint[targets]:
-                wp.atomic_add(wp.adjoint[targets], face[0], wp.vec3(w[0] * slope))
-                wp.atomic_add(wp.adjoint[targets], face[1], wp.vec3(w[1] * slope))
-                wp.atomic_add(wp.adjoint[targets], face[2], wp.vec3(w[2] * slope))
+            add_slope(targets, wp.adjoint[targets], face[0], wp.vec3(w[0] * slope))
+            add_slope(targets, wp.adjoint[targets], face[1], wp.vec3(w[1] * slope))
+            add_slope(targets, wp.adjoint[targets], face[2], wp.vec3(w[2] * slope))
     wp.adjoint[x] += wp.vec3(by_point)
 
 

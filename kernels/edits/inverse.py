@@ -3,11 +3,14 @@ lattice."""
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..lattice.cage_map import corner_share
 from .structs import CELL_OUTSIDE, EditData, entry_of_sides
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.mat33, wp.vec3))
 
 #: Of Newton's method in a trilinear cell: from its middle, two or three are enough where the cell is not folded.
 NEWTON_STEPS = wp.constant(6)
@@ -68,7 +71,7 @@ def corner_slope(corners: mat83, f: wp.vec3):
                 column += corner_share(c, ahead) * (corners[c] - corners[c - bit])
         for row in range(3):
             slope[row, axis] = column[row]
-    return slope
+    return forward_only(slope, f)
 
 
 @wp.func
@@ -85,7 +88,7 @@ def place_in_cell(corners: mat83, target: wp.vec3):
         f = wp.max(wp.min(f, wp.vec3(2.0, 2.0, 2.0)), wp.vec3(-1.0, -1.0, -1.0))
     if wp.length(corner_mean(corners, f) - target) > CELL_MARGIN:
         return wp.vec3(1.0e6, 1.0e6, 1.0e6)
-    return f
+    return forward_only(f, target)
 
 
 @wp.func
