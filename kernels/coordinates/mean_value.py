@@ -10,7 +10,7 @@
 
 import warp as wp
 
-from ..core.gradients import add_slope
+from ..core.gradients import add_slope, forward_only_in
 from ..core.loads import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
 from ..mesh.fans import near_plane_limit
 from ..mesh.triangle import nearest_barycentric
@@ -18,6 +18,8 @@ from .face_slopes import STEP_INSIDE, distance_to_face, mean_value_slopes, off_t
 
 # so many registers per thread that larger blocks would fill a GPU less well
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True, "block_dim": 128})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.array2d(dtype=wp.float32),))
 
 #: Every face takes the float64 path where the sum of weights is between these over the size, as it is well outside.
 CANCELLED = wp.constant(10.0)
@@ -183,7 +185,7 @@ def position_in_double(
         total += weights[0] + weights[1] + weights[2]
         for k in range(3):
             position += weights[k] * wp.vec3d(targets[face[k]])
-    return wp.vec3(position * wp.where(total == _ZERO, _ZERO, _ONE / total))
+    return forward_only(wp.vec3(position * wp.where(total == _ZERO, _ZERO, _ONE / total)), x)
 
 
 @wp.func
@@ -220,6 +222,7 @@ def weigh_in_double(
         face = faces[f]
         w = far_face_weights_in_double(x, vertices[face[0]], vertices[face[1]], vertices[face[2]], size)
         add_corners(weights, n, face, wp.vec3(scale * w))
+    forward_only(weights)
 
 
 @wp.func

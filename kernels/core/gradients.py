@@ -39,25 +39,25 @@ def refusal(who: str, arguments: dict[str, Any], result: Any) -> str:
     arrays = [each for name, kind in arguments.items() for each in _arrays(kind, name)]
     if _numbers(result, ""):
         text = """
-    bool asked = false;
-    const unsigned char* slopes = reinterpret_cast<const unsigned char*>(&adj_ret);
+    bool slope_asked = false;  // names that no argument has
+    const unsigned char* slope_bytes = reinterpret_cast<const unsigned char*>(&adj_ret);
     for (int i = 0; i < (int)sizeof(adj_ret); ++i)
-        asked |= (slopes[i] & (i % 4 == 3 ? 0x7f : 0xff)) != 0;  // a slope of -0.0 is none
+        slope_asked |= (slope_bytes[i] & (i % 4 == 3 ? 0x7f : 0xff)) != 0;  // -0.0 asks for nothing
 """
     elif arrays:  # which may be written
-        text = f"\n    const bool asked = {' || '.join(f'{each}.grad' for each in arrays)};\n"
+        text = f"\n    const bool slope_asked = {' || '.join(f'{each}.grad' for each in arrays)};\n"
     else:
         return ""
-    return f"""{text}    if (!asked)
+    return f"""{text}    if (!slope_asked)
         return;
-    static int said = 0;
+    static int slope_refused = 0;
 #if defined(__CUDA_ARCH__)
-    const int before = atomicExch(&said, 1);
+    const int slope_refusals = atomicExch(&slope_refused, 1);
 #else
-    const int before = said;
-    said = 1;
+    const int slope_refusals = slope_refused;
+    slope_refused = 1;
 #endif
-    if (before == 0)
+    if (slope_refusals == 0)
         printf("warpcage: no gradient passes through {who}: slopes are NaN, see Gradients in docs/arrays.md\\n");
 """ + "".join(
         [f"    {each} = NAN;\n" for each in numbers]
