@@ -83,7 +83,7 @@ class forward:
 def forward_only_in(file: str, *kinds: tuple[Any, ...]) -> Any:
     """`forward_only(value, place)` of a kernel file, for pairs of types: the value, through which no gradient passes to
     `place`. `forward_only(array)`, for the type of an array alone: no gradient passes from what is written there."""
-    who = f"loops of {file}"
+    who = f"a function of {file}"
     for kind in kinds:
         if len(kind) == 2:
             value_type, place_type = kind
