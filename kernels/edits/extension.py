@@ -69,7 +69,7 @@ def wall_offset(walls: WallMap, x: wp.vec3):
         flat += wp.float32(share[corner]) * walls.rest[face[corner]]
     offset = map_position(walls.plain, q) - flat
     if not wp.isfinite(wp.length_sq(offset)):  # a face without area
-        return wp.vec3(0.0, 0.0, 0.0)
+        return forward_only(wp.vec3(0.0, 0.0, 0.0), x)
     return forward_only(offset, x)
 
 

@@ -87,7 +87,7 @@ def empty_until(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3
     if reach < 0.0:
         reach = empty_reach_of_grid(grid, origin, direction, t)
     if reach <= 0.0:
-        return t
+        return forward_only(t, origin)
     return forward_only(wp.max(t, wp.min(t + reach, limit)), origin)
 
 

@@ -84,13 +84,13 @@ def posed_point(edits: Any, cages: wp.array(dtype=MovedCage), y: wp.vec3, path: 
         held = in_rest_cage(edit, x, slack) or in_fragments(edit.fragments, x)
         if held and (goes or edit.keeps_source == 0):
             if edit.removes == 1:
-                return nowhere()
+                return forward_only(nowhere(), y)
             cage = cages[e]
             start = mean_value_position(x, cage.vertices, cage.faces, cage.fans, cage.targets, cage.size)
             x = posed_place(edit, start, x, 0.01 * close)
     back = canonical_point(edits, x)
     if back.vacant == 1 or back.region == CLEARED or not wp.length(back.position - y) <= close:
-        return nowhere()
+        return forward_only(nowhere(), y)
     return forward_only(x, y)
 
 

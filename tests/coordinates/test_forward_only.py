@@ -17,7 +17,7 @@ import warp as wp
 
 from warpcage.core import kernel_names, kernel_source
 from warpcage.kernels.coordinates import mean_value
-from warpcage.kernels.edits import bake
+from warpcage.kernels.edits import bake, inverse
 from warpcage.kernels.edits import nodes as map_nodes
 from warpcage.kernels.field import background, outer
 from warpcage.kernels.fitting import splat_growth as growth
@@ -116,7 +116,6 @@ OTHERS = {
     "lattice/cage_map:side_position": "its own gradient",
     "coordinates/mean_value:clear_row": "writes zeros",
     "fitting/splat_growth:clear_means": "writes zeros",
-    "edits/inverse:met_place": "the loop compares; place_in_cell speaks",
     "edits/nodes:side_slope": "the loop chooses; share_slope speaks",
     "lattice/crossings:cross_face": "insert_crossing speaks",
     "lattice/rings:shared_extrapolation": "sum_of_lanes speaks",
@@ -166,6 +165,16 @@ def test_every_doubtful_function_is_accounted_for():
     assert [key for key in sorted(doubtful - set(OTHERS)) if not gives_whole_numbers(key)] == []
 
 
+def test_every_return_after_a_loop_refuses():
+    """Warp's way back does not know what a loop came to, and may take another `return` than the way there."""
+    for key, node in functions().items():
+        loops = [each.lineno for each in ast.walk(node) if isinstance(each, ast.While)]
+        if loops and is_forward_only(node):
+            for each in ast.walk(node):
+                if isinstance(each, ast.Return) and each.lineno > min(loops) and not isinstance(each.value, ast.Name):
+                    assert "forward_only" in ast.unparse(each), f"{key}, line {each.lineno}"
+
+
 def test_every_native_function_is_accounted_for():
     """C++ has an adjoint, of its own or one that refuses, unless it holds no number that a gradient could come to."""
     for key in (key for key, node in functions().items() if is_native(node)):
@@ -204,6 +213,14 @@ class Shape:
     fans: wp.array(dtype=wp.vec4)
 
 
+@wp.func
+def cube_corners():
+    corners = inverse.mat83()
+    for c in range(8):
+        corners[c] = wp.vec3(float(c >> 2), float((c >> 1) & 1), float(c & 1))
+    return corners
+
+
 @wp.kernel
 def ask(
     which: int,
@@ -231,6 +248,8 @@ def ask(
     elif which == 6:
         opacity, factor = growth.split_opacity(p[0], 2)
         found[n] = opacity + factor
+    elif which == 8:
+        found[n] = inverse.place_in_cell(cube_corners(), p)[0]
     elif which == 7:
         pose.put_splats(n, others, p, wp.identity(n=3, dtype=float), carried)
         found[n] = p[0]
@@ -269,7 +288,7 @@ def printed(capfd, device):
     return capfd.readouterr().out
 
 
-@pytest.mark.parametrize("which", range(8))
+@pytest.mark.parametrize("which", range(9))
 def test_a_gradient_that_is_asked_for_is_refused(which, device, capfd):
     """In a line, once in a module, and in NaN."""
     x = wp.array(np.full((40, 3), 0.3), dtype=wp.vec3, device=device, requires_grad=True)
