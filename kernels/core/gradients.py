@@ -2,7 +2,7 @@
 
 # Warp calls the adjoint of C++ (`wp.func_native`) if it takes an argument: where none is given, a gradient is zero in
 # silence. In loops whose length is not known, in which numbers change that others are made of, it is wrong in silence.
-# On its way back Warp leaves such loops out until it comes to them: it may take another `return` after one, so each refuses.
+# On its way back Warp leaves loops out until it comes to them and may take another `return` after one: each refuses.
 # What is here speaks instead, once in each Warp module, where a slope that is not zero comes back.
 
 from typing import Any
