@@ -375,10 +375,10 @@ def kills(args) -> int:
 
     A run is two workers on two nodes beside the head. Of raylets, one of a worker's node is killed when a random number
     of items is begun, and a new node joins: the run has to end by itself with all items. Of heads, all processes of the
-    head's node are killed: the run ends as it may, and processes of this machine make what is missing. Makers write down
-    each item that they begin. `again` are those begun twice, at most UNDER_WAY for each worker that is lost; `seconds`
-    pass from the kill to the end of the run, `status` and `said` are how that ended, `noted` the items done by then. The
-    exit status is 1 where an item was lost, or one made again that was noted, or more than were under way.
+    head's node are killed: the run ends as it may, and processes of this machine make what is missing. Makers write
+    down each item that they begin. `again` are those begun twice, at most UNDER_WAY for each worker that is lost;
+    `seconds` pass from the kill to the end of the run, `status` and `said` are how that ended, `noted` the items done
+    by then. The exit status is 1 where an item was lost, or one made again that was noted, or more than were under way.
     """
     rows, chance = [], random.Random(args.seed)
     os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "CUDA_VISIBLE_DEVICES": ""}
