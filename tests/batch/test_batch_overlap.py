@@ -342,7 +342,7 @@ class Late(Making):
 @pytest.mark.parametrize("slow", [0.5, 0.0])
 def test_one_worker_alone_makes_the_next_chunk_meanwhile(tmp_path, monkeypatch, slow):
     """Unless its items are slow: who watches wants to know of each chunk before the next one is made."""
-    monkeypatch.setattr("warpcage.batch.chunk_runner.SLOW", slow)
+    monkeypatch.setattr("warpcage.batch.processes.SLOW", slow)
     events: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
 
     class Told(Late):

@@ -5,12 +5,12 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "chunk_runner": "Answer Chunk ChunkReport ChunkRunner RunJournal RunnerSettings",
+        "chunk_runner": "Chunk ChunkReport ChunkRunner RunJournal RunnerSettings",
         "items": "EvaluateItem FitItem FrameItem Item record_outputs",
         "job_file": "Fingerprints ItemReader JobFile write_jobs",
         "manifest": "Manifest Notes OutputFolder Part id_key merge_notes notes_of_chunk write_array",
         "plan": "foresee make_plan unpaid",
-        "processes": "load_ray LocalHost ProcessEngine ray_session RayHost Share",
+        "processes": "Answer load_ray LocalHost ProcessEngine ray_session RayHost Share",
         "references": "Missing",
         "run": "Driver run_jobs RunProgress RunReport",
         "scheduler": "AIM LARGEST ChunkQueue Dispatcher",

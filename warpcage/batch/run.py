@@ -15,23 +15,12 @@ from ..core.checks import checked_positive, checked_whole
 from ..core.files import PathLike
 from ..core.names import error_line
 from ..errors import StateError
-from .chunk_runner import (
-    Answer,
-    Chunk,
-    ChunkReport,
-    Engine,
-    LocalEngine,
-    Maker,
-    RunJournal,
-    RunnerSettings,
-    leaves_no_room,
-    make_runner,
-)
+from .chunk_runner import Chunk, ChunkReport, Maker, RunJournal, RunnerSettings, leaves_no_room, make_runner
 from .items import FOLDER
 from .job_file import JobFile
 from .manifest import OutputFolder, Part
 from .plan import Plan, make_plan, open_shards, unpaid
-from .processes import LocalHost, ProcessEngine, RayHost, ray_session
+from .processes import Answer, Engine, LocalEngine, LocalHost, ProcessEngine, RayHost, ray_session
 from .scheduler import AIM, ChunkQueue, Dispatcher
 from .webdataset import finish_folder, shard_path, shard_size, span_of
 
