@@ -202,7 +202,6 @@ file  edits file, or session of the editor (.session.json)
 """,
     CAGE_UP,
     file={"nargs": "?"},
-    edit={"action": "append"},
     output={},
 )
 

@@ -8,12 +8,10 @@ from ...core.names import PLANES
 from .options import (
     CAGE_UP_FOUND,
     CAGES,
-    DEFORMATION_VALUES,
     MESHES,
     SCALE_AND_DEVICE,
     SELECTION_ENDINGS,
     VIEW,
-    VIEW_VALUES,
     command,
     deformation,
     length,
@@ -64,7 +62,6 @@ of what is left:
     pixel={"action": "append", "type": whole_number},
     depth=length,
     plane={"choices": (*PLANES, "none"), "default": "ground"},
-    **VIEW_VALUES,
 )
 
 command(
@@ -96,7 +93,6 @@ what no view shows:
     SCALE_AND_DEVICE,
     floaters={"type": length, "default": 0.002},
     largest_scale=positive_float,
-    **VIEW_VALUES,
 )
 
 command(
@@ -148,5 +144,4 @@ field
     deformation(resolution="128"),
     SCALE_AND_DEVICE,
     format=("warpcage", "svox2"),
-    **DEFORMATION_VALUES,
 )

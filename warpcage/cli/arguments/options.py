@@ -207,20 +207,29 @@ field  field file: voxels (.npz) or splats ({" ".join(SPLATS_READ)})
 --selection FILE  only what is chosen by warpcage select (.npz, .json)
 """
 
-#: How their values are taken, and those of options whose help differs.
+#: How their values are taken, and those of options below, or of commands whose help differs.
 SHARED_VALUES: dict[str, Any] = {
     "antialias": {"action": argparse.BooleanOptionalAction, "default": None},
+    "as": {"dest": "representation", "choices": ("voxels", "splats")},
     "cage_up": ("y", "z"),
+    "crumbs": {"dest": "fragments", "action": OldName, "type": positive_float},
     "coordinates": {"choices": COORDINATES, "default": FIELD_COORDINATES},
     "density": {"choices": DENSITIES, "default": "opacity"},
+    "downscale": 1,
+    "edit": {"action": "append"},
     "fill": {"action": "store_true", "default": None},
+    "fragments": positive_float,
+    "frame": ("rest", "posed"),
     "fov": {"type": field_of_view, "default": 40.0},
     "map": SPLAT_MAPS,
+    "no_masks": {"dest": "masks", "action": "store_false", "default": True},
     "output": {"required": True},
     "posed_up": ("y", "z"),
     "resolution": {"type": lattice_resolution, "default": BY_SIZE},
     "scene_scale": {"type": positive_ratio, "default": 1.0},
+    "split_masks": {"dest": "masks", "action": "store_const", "const": "split"},
     "view": VIEWS,
+    "weight_masks": {"dest": "masks", "action": "store_const", "const": "weights"},
 }
 
 #: The axis that points up in cage files: that of their format, or found by an object that is there.
@@ -268,10 +277,8 @@ view (default: from above and to one side, with the whole object in the picture)
     (default: 400, or the size of --camera's picture)
 """
 
-VIEW_VALUES = {"frame": ("rest", "posed")}
 
-
-#: The scene that a command reads, and which of its pictures; how their values are taken.
+#: The scene that a command reads, and which of its pictures.
 SCENE = """
 scene  folder with pictures and cameras
 --split  which pictures (default: %(default)s)
@@ -286,13 +293,6 @@ options:
     `fit --refine-cameras` writes it
 --model NAME  which of several models in a scene, such as "1" (default: the one with most pictures)
 """
-
-SCENE_VALUES: dict[str, Any] = {
-    "downscale": 1,
-    "no_masks": {"dest": "masks", "action": "store_false", "default": True},
-    "split_masks": {"dest": "masks", "action": "store_const", "const": "split"},
-    "weight_masks": {"dest": "masks", "action": "store_const", "const": "weights"},
-}
 
 
 def deformation(
@@ -323,14 +323,6 @@ deformation (--cage and --posed, or --edit, or --edits; without them the field i
     (default: %(default)s)
 --map
 """
-
-
-#: How its values are taken.
-DEFORMATION_VALUES = {
-    "edit": {"action": "append"},
-    "fragments": positive_float,
-    "crumbs": {"dest": "fragments", "action": OldName, "type": positive_float},
-}
 
 
 def add_rows(parser: argparse.ArgumentParser, *texts: str, **values: Any) -> None:

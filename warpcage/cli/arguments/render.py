@@ -7,16 +7,7 @@ from fractions import Fraction
 from typing import Any
 
 from ...core.names import LOOPS
-from .options import (
-    CLEAR_BACKGROUND,
-    DEFORMATION_VALUES,
-    PICTURE_KINDS,
-    SCALE_AND_DEVICE,
-    VIEW,
-    VIEW_VALUES,
-    command,
-    deformation,
-)
+from .options import CLEAR_BACKGROUND, PICTURE_KINDS, SCALE_AND_DEVICE, VIEW, command, deformation
 
 #: Pictures of --cameras interpolate from each camera to the next where --frames is not given.
 STEPS = 8
@@ -61,8 +52,6 @@ options:
     SCALE_AND_DEVICE,
     cameras=("interpolate", "given"),
     format=("png", "exr"),
-    **DEFORMATION_VALUES,
-    **VIEW_VALUES,
 )
 
 #: What a session decides by itself, of the options that have a default.
@@ -164,6 +153,4 @@ options:
     overwrite={"action": "store_true", "default": None},
     show={"choices": PICTURE_KINDS, "default": "rgb"},
     format=("png", "exr"),
-    **DEFORMATION_VALUES,
-    **VIEW_VALUES,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ...core.names import QUALITIES
-from .options import COLORS, SCALE_AND_DEVICE, SCENE, SCENE_VALUES, SPLATS, command, positive_float
+from .options import COLORS, SCALE_AND_DEVICE, SCENE, SPLATS, command, positive_float
 
 command(
     "capture",
@@ -83,8 +83,6 @@ options:
     resolution={},
     epochs=positive_float,
     seed={"type": int, "default": 0},
-    **{"as": {"dest": "representation", "choices": ("voxels", "splats")}},
-    **SCENE_VALUES,
 )
 
 command(
@@ -110,5 +108,4 @@ one of:
     SCALE_AND_DEVICE,
     "--quiet",
     split="test",
-    **SCENE_VALUES,
 )
