@@ -118,10 +118,14 @@ class FrameMaker:
         if item.fill:
             frame = _filled(frame, field, camera)
         self.counts.frames += 1
-        writers = frame_writers(item, frame, camera, drawn) | _record_writers(item, camera, posed)
+        needed = needed_arrays(item, frame)
+        frame.begin_copies(*needed)  # on their way to the host when this returns
+        pictures = [(part, path) for part, path in item.outputs.items() if part not in OF_RECORDS]
+        writers = {path: _writer(part, path, item, frame, camera, drawn) for part, path in pictures}
+        writers |= _record_writers(item, camera, posed)
         self.fields.kept.settle(field_key)
         self.kept.settle(bound_key)
-        return MadeItem(writers, sum(_host_bytes(frame, name) for name in needed_arrays(item, frame)))
+        return MadeItem(writers, sum(_host_bytes(frame, name) for name in needed))
 
     def _deformer(
         self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera
@@ -185,14 +189,6 @@ def _filled(frame: Frame, field: AnyField, camera: Camera) -> Frame:
     return fill_unseen(frame, field, camera)
 
 
-def frame_writers(item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> dict[str, Writer]:
-    """What writes the outputs of a frame, by their paths; drawn: cages whose edges are drawn into the picture.
-    The arrays that they need are on their way to the host when this returns."""
-    frame.begin_copies(*needed_arrays(item, frame))
-    pictures = {part: path for part, path in item.outputs.items() if part not in OF_RECORDS}
-    return {path: _writer(part, path, item, frame, camera, drawn) for part, path in pictures.items()}
-
-
 def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
     """Names of the arrays of a frame that its outputs are made of: to copy all takes longer than a frame on a GPU."""
     needed = {"alpha"} if item.background == TRANSPARENT else set()
@@ -252,6 +248,7 @@ def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -
 
 
 def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> Writer:
+    """What writes a picture of a frame; drawn: cages whose edges are drawn into it."""
     ending = pathlib.PurePosixPath(path).suffix.lower()
     if part in ("reveal", "fold", "outside", "masks") and "reveal" not in frame.arrays:
         raise InputError(f"{part!r} is for fields of voxels (.npz), this one is of splats")
