@@ -126,22 +126,9 @@ def test_animate_renders_frames_that_are_cut_again(files, tmp_path, capsys):
 def test_animate_shows_other_outputs(files, tmp_path, capsys, kind):
     folder = tmp_path / kind
     words = [
-        "animate",
-        "@ball.npz",
-        "-o",
-        folder,
-        "--cage",
-        FRONT,
-        "--posed",
-        "translate:0:0:1.5",
+        *f"animate @ball.npz -o {folder} --cage {FRONT} --posed translate:0:0:1.5".split(),
         *SMALL,
-        "--frames",
-        4,
-        "--quiet",
-        "--turn",
-        0,
-        "--show",
-        kind,
+        *f"--frames 4 --quiet --turn 0 --show {kind}".split(),
     ]
     succeed(files, *words)
     said = capsys.readouterr().err
