@@ -21,6 +21,8 @@ CAPTURE = [
     "av>=14.2",  # from there on frames say how a phone was held
 ]
 
+COMPLETION = ["argcomplete>=3.1"]  # words of commands in the shell, after Tab
+
 CLUSTER = ["ray>=2.40"]  # clusters of `warpcage run`: the core alone, without ray[default]
 
 DOCS = [
@@ -34,6 +36,7 @@ TEST = [
     *EXR,
     *DOCS,
     *HEIF,
+    *COMPLETION,
     # several workers and clusters; without it those tests are skipped
     "ray>=2.40; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'",
     "selenium>=4.20",  # drives a browser through the editor; those tests are skipped without Chromium
@@ -103,7 +106,7 @@ setup(
     ],
     extras_require={
         **{"edit": EDIT, "exr": EXR, "heif": HEIF, "capture": CAPTURE, "cluster": CLUSTER},
-        **{"docs": DOCS, "test": TEST, "dev": DEV},
+        **{"completion": COMPLETION, "docs": DOCS, "test": TEST, "dev": DEV},
     },
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[

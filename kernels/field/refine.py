@@ -85,7 +85,8 @@ def link_nodes(
     links: wp.array3d(dtype=wp.int32),
     nodes: wp.array(dtype=wp.vec3i),
 ):
-    """Number the set nodes in memory order, one item per line. running_count: inclusive scan of the lines' counts."""
+    """Number the set nodes in memory order, one item per line. running_count: inclusive scan of the lines' counts.
+    Without `links` or without `nodes`, only the other is written."""
     n = first + wp.tid()
     i = n // mask.shape[1]
     j = n % mask.shape[1]
@@ -93,12 +94,14 @@ def link_nodes(
     if n > 0:
         row = running_count[n - 1]
     for k in range(mask.shape[2]):
+        link = int(-1)
         if mask[i, j, k] != wp.uint8(0):
-            links[i, j, k] = row
-            nodes[row] = wp.vec3i(i, j, k)
+            link = row
+            if nodes:
+                nodes[row] = wp.vec3i(i, j, k)
             row += 1
-        else:
-            links[i, j, k] = -1
+        if links:
+            links[i, j, k] = link
 
 
 @wp.kernel

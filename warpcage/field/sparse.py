@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,7 @@ import warp as wp
 from ..core.arrays import array_view, empty_array
 from ..core.devices import HostFlag, RecordedLaunch, launch
 from ..errors import InputError
-from ..kernels.field import occupancy
 from ..kernels.field import occupancy as grid_skip
-from ..kernels.field import refine as grid_halves
 from ..kernels.field import refine as grid_refine
 from .io.field_file import BASIS_COUNT, LUMINANCE_NUMBERS, RGB_NUMBERS, as_single
 
@@ -34,9 +33,9 @@ class DensityWatch:
         if kept is None or kept.size != density.size:
             kept, changed = wp.clone(density), True
         else:
-            news, run = wp.zeros(1, dtype=wp.int32, device=density.device), int(occupancy.COMPARED_VALUES)
+            news, run = wp.zeros(1, dtype=wp.int32, device=density.device), int(grid_skip.COMPARED_VALUES)
             inputs = [density, kept, news]
-            launch(occupancy.note_densities, -(-density.size // run), inputs, device=density.device, work=run)
+            launch(grid_skip.note_densities, -(-density.size // run), inputs, device=density.device, work=run)
             changed = bool(news.numpy()[0])
         self.version += changed
         self._kept = kept
@@ -59,13 +58,27 @@ def checked_resolution(links: Any) -> tuple[int, ...]:
 def link_mask(mask: wp.array) -> tuple[wp.array, wp.array]:
     """Number the set nodes of a mask (nx, ny, nz) uint8 in memory order.
     Returns links (nx, ny, nz) int32, the row of each node or -1, and nodes (rows,) vec3i."""
-    device = mask.device
+    counts, nodes = _numbered(mask)
+    links = empty_array(mask.shape, wp.int32, mask.device)
+    launch(grid_refine.link_nodes, counts.size, [mask, counts], [links, nodes], device=mask.device)
+    return links, nodes
+
+
+@contextlib.contextmanager
+def relinked(mask: wp.array, links: wp.array) -> Iterator[wp.array]:
+    """Nodes (rows,) vec3i of the set ones of a mask (nx, ny, nz) uint8, while `links` has the rows of before.
+    Then `links` has theirs: grids of a billion nodes are not held twice."""
+    counts, nodes = _numbered(mask)
+    launch(grid_refine.link_nodes, counts.size, [mask, counts], [None, nodes], device=mask.device)
+    yield nodes
+    launch(grid_refine.link_nodes, counts.size, [mask, counts], [links, None], device=mask.device)
+
+
+def _numbered(mask: wp.array) -> tuple[wp.array, wp.array]:
+    """(nx * ny,) int32 set nodes of a mask up to the end of each line along the last axis, and room for all of them."""
     counts = _line_counts(mask)
     wp.utils.array_scan(counts, counts, inclusive=True)
-    nodes = empty_array(int(counts[-1:].numpy()[0]), wp.vec3i, device)
-    links = empty_array(mask.shape, wp.int32, device)
-    launch(grid_refine.link_nodes, counts.size, [mask, counts], [links, nodes], device=device)
-    return links, nodes
+    return counts, empty_array(int(counts[-1:].numpy()[0]), wp.vec3i, mask.device)
 
 
 def place_grid(grid: Any, bounds: np.ndarray) -> None:
@@ -213,7 +226,7 @@ def harmonics_on_device(sh: np.ndarray | wp.array, device: wp.Device) -> Any:
 def _widened(halves: wp.array) -> wp.array:
     """(rows, n) float16 as float32."""
     singles = empty_array(halves.shape, wp.float32, halves.device)
-    launch(grid_halves.widen_rows, halves.size // int(grid_halves.RUN), [halves], [singles], device=halves.device)
+    launch(grid_refine.widen_rows, halves.size // int(grid_refine.RUN), [halves], [singles], device=halves.device)
     return singles
 
 

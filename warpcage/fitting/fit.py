@@ -75,7 +75,9 @@ def fit(
     Args:
         scene: The images with their cameras.
         representation: "voxels" or "splats".
-        quality: "fast", "standard" or "high": time against detail.
+        quality: "fast", "standard" or "high": time against detail. "fast" takes half as long as "standard"; "high" 3
+            to 9 times as long, with up to twice the memory, for about 1 dB where cameras are exact and views many,
+            and for little elsewhere.
         device: Warp device. None is CUDA where there is one.
         seed: Of the pixel order and the backgrounds; see FieldOptimizer.
         progress: True shows a bar with the PSNR of the last batch on stderr. A function is told (done, total, words),

@@ -15,7 +15,7 @@ from ..core.files import require_numbers
 from ..core.names import FIT_BACKGROUNDS
 from ..errors import InputError
 from ..field.io.field_file import surface_node_count
-from ..field.sparse import gathered, link_mask, mask_count
+from ..field.sparse import gathered, link_mask, mask_count, relinked
 from ..field.surroundings import LayeredBackground, OuterField, sky_layers
 from ..field.voxel_field import VoxelField
 from ..kernels.field import refine as grid_refine
@@ -416,34 +416,37 @@ class OuterOptimizer:
             launch(grid_refine.refine_mask, finer.size, [ratio, kept], [finer], device=self.device)
             kept = finer
         self._resample(coarse, kept, min(2 * coarse.grid.sky.side, MOST_SKY))
-        del coarse
+        del coarse, kept
         # finer voxels tell better what is behind others
-        kept = self._weighty_mask(picture_rays, field, least_weight(self.options, self.outer.side), counts=True)
-        self._resample(self.outer, kept, self.outer.grid.sky.side)
+        self._keep(self._weighty_mask(picture_rays, field, least_weight(self.options, self.outer.side), counts=True))
         self._allocate()
 
     def _resample(self, coarse: OuterField, mask: wp.array, sky_side: int) -> None:
-        """The field at the voxels of a mask, and its sky, interpolated from what it was."""
+        """The field at the voxels of a mask of another side, and its sky, interpolated from what it was."""
         sky = coarse.grid.sky.values
         if sky_side != coarse.grid.sky.side:
             sky = empty_array((1, surface_node_count(sky_side)), wp.vec4, self.device)
             launch(refine_layers, sky.size, [coarse.grid.sky, sky_side], [sky], device=self.device)
         self.outer = self._started(mask, sky)
-        grid = self.outer.grid
         inputs = [coarse.grid, self.nodes, self.outer.side]
-        launch(resample_outer, self.nodes.shape[0], inputs, [grid.values], device=self.device)
-        if self.outer.side == coarse.side:
-            self.views.follow(coarse.grid.links, self.nodes)
-        else:
-            self.views.forget()
+        launch(resample_outer, self.nodes.shape[0], inputs, [self.outer.grid.values], device=self.device)
+        self.views.forget()
+
+    def _keep(self, mask: wp.array) -> None:
+        """Only the voxels of a mask over the grid, with their second moments where there are any."""
+        links, sky, values = self.outer.grid.links, self.outer.grid.sky.values, self.outer.grid.values
+        del self.outer
+        with relinked(mask, links) as self.nodes:
+            values = gathered(values, links, self.nodes)
+            if self.moments.size:
+                self.moments = gathered(self.moments, links, self.nodes)
+            self.views.follow(links, self.nodes)
+        self.outer = OuterField(self.center, self.half, links, values, sky=sky, device=self.device)
 
     def thin_out(self, picture_rays: PictureRays, field: VoxelField) -> None:
         """Remove what no picture shows, and keep the second moments of the rest."""
         self.gradients = []
-        before, moments = self.outer, self.moments
-        mask = self._weighty_mask(picture_rays, field, self.options.keep_weight, counts=True)
-        self._resample(before, mask, before.grid.sky.side)
-        self.moments = gathered(moments, before.grid.links, self.nodes)
+        self._keep(self._weighty_mask(picture_rays, field, self.options.keep_weight, counts=True))
         self._allocate_gradients()
 
     def _weighty_mask(
@@ -563,8 +566,7 @@ class OuterOptimizer:
     def result(self, picture_rays: PictureRays, field: VoxelField) -> OuterField:
         """The outer field so far, pruned, colours in [0, 1] and densities of at least 0."""
         self._release()
-        mask = self._weighty_mask(picture_rays, field, self.options.keep_weight)
-        self._resample(self.outer, mask, self.outer.grid.sky.side)
+        self._keep(self._weighty_mask(picture_rays, field, self.options.keep_weight))
         values, sky = self.outer.values, self.outer.grid.sky.values
         values[:, :3] = np.clip(values[:, :3], 0.0, 1.0)
         values[:, 3] = np.maximum(values[:, 3], 0.0)

@@ -1,4 +1,4 @@
-"""Arguments of `warpcage info`, `doctor` and `kernels`."""
+"""Arguments of `warpcage info`, `demo`, `doctor` and `kernels`."""
 
 from __future__ import annotations
 
@@ -62,6 +62,24 @@ The copy needs Warp and nothing of warpcage: from my_kernels.coordinates.mean_va
 the modules that launch its kernels, in host/, the licence, and a README.md with a call that runs.
 """,
     more=_add_actions,
+)
+
+command(
+    "demo",
+    "doctor",
+    "go the whole way, from pictures to a bent object, on a small scene that is made for it",
+    """\
+  warpcage demo
+  warpcage demo -o out --device cuda:0
+
+Makes an excavator of bricks with pictures of it, fits a field to them, puts a cage around it and bends it. The folder
+has the pictures, the film, the mesh, the cages and the field then; the seconds of each stage are told.
+""",
+    """
+-o FOLDER  where results go (default: %(default)s)
+--device
+""",
+    output="warpcage_demo",
 )
 
 command(
