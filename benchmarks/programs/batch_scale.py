@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import concurrent.futures
+import contextlib
 import json
 import pathlib
 import resource
@@ -22,8 +23,8 @@ from warpcage.batch import (
     Driver,
     JobFile,
     OutputFolder,
+    make_plan,
     merge_notes,
-    planned,
     scheduler,
     write_jobs,
 )
@@ -191,7 +192,8 @@ def driver_ends(folder: pathlib.Path, count: int) -> dict[str, float]:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     begin = time.process_time()
     with JobFile(path) as job:
-        plan = planned(job, out)
+        with contextlib.closing(out.read_manifest()) as manifest:
+            plan = make_plan(job, out, manifest)
     planning = time.process_time() - begin
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - before
     assert len(plan.items) == count

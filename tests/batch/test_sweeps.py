@@ -107,18 +107,7 @@ def test_poses_of_files_are_written_and_random_ones_between_them_are_drawn(files
 
 def made_by_a_run(files, out, *words, **options):
     """The files of a sweep of random poses, in bytes by name, and the report of its run."""
-    usual = [
-        "--cameras",
-        "@cameras.json",
-        "--views",
-        2,
-        "--resolution",
-        16,
-        "--coordinates",
-        "mean_value",
-        "--size",
-        20,
-    ]
+    usual = "--cameras @cameras.json --views 2 --resolution 16 --coordinates mean_value --size 20".split()
     succeed(files, *SWEEP, *usual, *words, "-o", out / "sweep.jsonl")
     report = run_jobs(out / "sweep.jsonl", out / "made", device="cpu", **options)
     paths = [path for path in (out / "made").rglob("*") if path.is_file() and ".warpcage" not in path.parts]

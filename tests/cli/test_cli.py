@@ -12,11 +12,8 @@ from runs import DEFORMED, run, succeed, write_files
 
 from warpcage import VoxelField
 from warpcage.cli import main
-from warpcage.cli.program import COMMANDS
 from warpcage.core import warn_caller
 from warpcage.view import read_image
-
-NAMES = list(COMMANDS)
 
 
 @pytest.fixture(scope="module")
@@ -42,27 +39,10 @@ def test_warnings_take_one_line_without_a_place_in_the_source(capsys, monkeypatc
     assert capsys.readouterr().err == "warpcage: warning: the gap is narrow\n"
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_help_shows_an_example(name, capsys):
+def test_version(capsys):
     with pytest.raises(SystemExit) as leave:
-        main([name, "--help"])
-    assert leave.value.code == 0
-    text = capsys.readouterr().out
-    assert f"warpcage {name}" in text.split("example:")[1]
-    options = {"fit": ["--device", "--downscale"], "pose": ["--bend"], "kernels": ["copy"], "edits": ["--edit"]}
-    options["capture"] = ["--frames"]
-    for option in options.get(name, ["--device"]):
-        assert option in text
-
-
-def test_help_lists_every_command(capsys):
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    text = capsys.readouterr().out
-    assert all(name in text for name in ("fit", "mesh", "cage", "pose", "render", "animate", "evaluate", "info"))
-    with pytest.raises(SystemExit):
         main(["--version"])
-    assert capsys.readouterr().out.startswith("warpcage ")
+    assert leave.value.code == 0 and capsys.readouterr().out.startswith("warpcage ")
 
 
 BAD = {

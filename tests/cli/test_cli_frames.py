@@ -25,25 +25,9 @@ def files(tmp_path_factory):
 def test_render_of_a_plain_field(files, tmp_path):
     succeed(
         files,
-        "render",
-        "@ball.npz",
-        "-o",
-        tmp_path / "ball.png",
-        "--disparity",
-        tmp_path / "disparity.png",
+        *f"render @ball.npz -o {tmp_path}/ball.png --disparity {tmp_path}/disparity.png".split(),
         *SMALL,
-        "--eye",
-        0,
-        -3,
-        0,
-        "--target",
-        0,
-        0,
-        0,
-        "--fov",
-        50,
-        "--background",
-        "black",
+        *"--eye 0 -3 0 --target 0 0 0 --fov 50 --background black".split(),
     )
     image = read_image(tmp_path / "ball.png")
     assert image.shape == (40, 40, 3)
@@ -102,16 +86,7 @@ def test_animate_goes_through_keyframes_and_cameras(files, tmp_path):
     first = read_image(folder / "frame_0000.png")
     succeed(
         files,
-        "render",
-        "@ball.npz",
-        "-o",
-        tmp_path / "one.png",
-        "--cage",
-        "@cage.obj",
-        "--posed",
-        "rest",
-        "--camera",
-        "@scene:test:0",
+        *f"render @ball.npz -o {tmp_path}/one.png --cage @cage.obj --posed rest --camera @scene:test:0".split(),
         *SMALL,
         "--overlay",
     )
@@ -151,22 +126,9 @@ def test_animate_renders_frames_that_are_cut_again(files, tmp_path, capsys):
 def test_animate_shows_other_outputs(files, tmp_path, capsys, kind):
     folder = tmp_path / kind
     words = [
-        "animate",
-        "@ball.npz",
-        "-o",
-        folder,
-        "--cage",
-        FRONT,
-        "--posed",
-        "translate:0:0:1.5",
+        *f"animate @ball.npz -o {folder} --cage {FRONT} --posed translate:0:0:1.5".split(),
         *SMALL,
-        "--frames",
-        4,
-        "--quiet",
-        "--turn",
-        0,
-        "--show",
-        kind,
+        *f"--frames 4 --quiet --turn 0 --show {kind}".split(),
     ]
     succeed(files, *words)
     said = capsys.readouterr().err
@@ -272,15 +234,9 @@ def test_cages_with_y_up_are_turned_by_every_command(files, tmp_path, capsys):
 
     succeed(
         files,
-        "render",
-        "@ball.npz",
-        "-o",
-        tmp_path / "mixed.png",
+        *f"render @ball.npz -o {tmp_path}/mixed.png".split(),
         *view,
-        "--cage",
-        "@cage.obj",
-        "--posed",
-        tmp_path / "posed.obj",
+        *f"--cage @cage.obj --posed {tmp_path}/posed.obj".split(),
     )
     assert "posed.obj' has y up, and is turned to its rest cage" in capsys.readouterr().err
     assert np.abs(read_image(tmp_path / "mixed.png") - read_image(tmp_path / "z.png")).max() < 0.02

@@ -13,7 +13,6 @@ MESSAGES = {
     "batch.devices_of_workers": "--device of several workers is cpu or cuda",
     "batch.dots_in_names": "cuts names at their first dot: call it 'a_b'",
     "batch.fill_one_color": "'fill': behind this field there is one colour",
-    "batch.item_timeout": "item_timeout must be positive and finite",
     "batch.json_breaks_off": "jobs.jsonl, line 1: its JSON breaks off or is damaged at column",
     "batch.no_cage_file": "cage file {path} is not there",
     "batch.no_worker_left": "^no worker is left: its worker could not start: .*no driver of the GPU$",

@@ -282,14 +282,6 @@ class LoadedFields:
         key = path, stamp, scene_scale
         return key, self.kept.get(key, load)
 
-    def settle(self, key: Hashable) -> None:
-        """Measure a field anew, once it was rendered, and let go of others where it has grown too large."""
-        self.kept.settle(key)
-
-    def forget(self) -> None:
-        """Let go of all fields."""
-        self.kept.clear()
-
 
 #: Files that are remembered: each is looked at once, however many items name it.
 MOST_KNOWN = 100_000

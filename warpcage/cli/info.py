@@ -223,12 +223,9 @@ def _cameras(path: pathlib.Path) -> Rows:
     for index, key in enumerate(cameras):
         camera = key.camera
         place = f"{camera.width}x{camera.height} from {camera.center.round(4).tolist()}"
-        rows.append((f"camera {key.name or index!r}", place + _moment(key.time)))
+        place += "" if key.time is None else f", at {key.time:g} s"
+        rows.append((f"camera {key.name or index!r}", place))
     return rows
-
-
-def _moment(time: float | None) -> str:
-    return "" if time is None else f", at {time:g} s"
 
 
 def _poses(path: pathlib.Path) -> Rows:
@@ -352,22 +349,15 @@ def _file_size(path: pathlib.Path) -> str:
 
 def run_kernels(args: argparse.Namespace) -> None:
     if args.action == "list":
-        _print_list()
-    else:
-        _copy(args.name, pathlib.Path(args.destination), args.alone)
-
-
-def _print_list() -> None:
-    names = kernel_names()
-    width = max(map(len, names))
-    for name in names:
-        print(f"{name:{width}}  {kernel_summary(name)}")
-
-
-def _copy(text: str, destination: pathlib.Path, alone: bool) -> None:
-    name = text if text in kernel_groups() else find_kernel(text)
+        names = kernel_names()
+        width = max(map(len, names))
+        for name in names:
+            print(f"{name:{width}}  {kernel_summary(name)}")
+        return
+    name, destination = args.name, pathlib.Path(args.destination)
+    name = name if name in kernel_groups() else find_kernel(name)
     options.check_parent(destination)
-    paths = copy_kernel(name, destination, alone=alone)
+    paths = copy_kernel(name, destination, alone=args.alone)
     module = f"{destination.resolve().name}.{name}".replace("/", ".")
     host = [path for path in paths if "host" in path.relative_to(destination).parts]
     print(f"{destination} holds {name} and all that it needs; use it as in: from {module} import ...")
@@ -376,5 +366,5 @@ def _copy(text: str, destination: pathlib.Path, alone: bool) -> None:
             print(f"  {path}")
     if host:
         print(f"  {destination / 'host'}: {counted(len(host), 'module')} that launch kernels")
-    if not alone:
+    if not args.alone:
         print(f"a call that runs as it stands: {destination / name.partition('/')[0] / 'README.md'}")

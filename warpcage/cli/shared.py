@@ -8,7 +8,6 @@ import dataclasses
 import functools
 import hashlib
 import pathlib
-import re
 import sys
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
@@ -42,7 +41,7 @@ from ..splats.splat_field import AnyField, SplatField, load_field
 from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
 from ..view.frame import Frame
 from .arguments import options
-from .words import Keyframes, only_pose, parse_edit, posed_up, read_edits_file, read_rest
+from .words import Keyframes, file_and_name, only_pose, parse_edit, posed_up, read_edits_file, read_rest
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,7 +116,9 @@ class Deformation:
 
     def fingerprints(self) -> dict[str, list[str]]:
         """Hashes of the edits, "cage", and of their poses, "posed": all that decides how the scene moves."""
-        return {"cage": [_edit_hash(edit) for edit in self.edits], "posed": [_pose_hash(part) for part in self.parts]}
+        words = ([e.keep_source, e.remove, e.falloff, e.held, e.fragments] for e in self.edits)
+        cages = [_hash([cage_hash(edit.cage), *each]) for edit, each in zip(self.edits, words, strict=True)]
+        return {"cage": cages, "posed": [_pose_hash(part) for part in self.parts]}
 
 
 def read_deformation(
@@ -242,11 +243,6 @@ def _moves(part: PosedEdit) -> bool:
     return any(
         cage is not part.edit.cage and not np.array_equal(cage.vertices, part.edit.cage.vertices) for cage in cages
     )
-
-
-def _edit_hash(edit: CageEdit) -> str:
-    """A hash of an edit at rest."""
-    return _hash([cage_hash(edit.cage), edit.keep_source, edit.remove, edit.falloff, edit.held, edit.fragments])
 
 
 def _pose_hash(part: PosedEdit) -> str:
@@ -495,8 +491,7 @@ def named_camera(args: argparse.Namespace, text: str) -> Camera:
 
 def camera_file(text: str) -> tuple[str, str] | None:
     """File and name of a camera ("" for all) where a word names a camera file, None for other words."""
-    found = re.fullmatch(r"(.+\.(?:json|glb|gltf))(?::(.*))?", text, re.IGNORECASE)
-    return (found[1], found[2] or "") if found else None
+    return file_and_name(text, "json|glb|gltf")
 
 
 def camera_keys(args: argparse.Namespace, text: str) -> list[CameraKey]:
