@@ -36,14 +36,13 @@ from ..edits.edits import CageEdit, checked_edits
 from ..edits.falloff import FalloffBand
 from ..edits.fragments import found_fragments
 from ..errors import InputError, UseError
-from ..field.render import STOP_TRANSMITTANCE, MakeArrays, March
+from ..field.render import asked_view
 from ..field.voxel_field import VoxelField
-from ..kernels.render.rays import MarchOptions, Picture
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..lattice.buffers import StreamOrder
 from ..mesh.validity import is_usable
-from ..render.scene import LatticeEdits
-from ..render.view import PosedEdits, ViewRequest, cage_span, require_short_march
+from ..render.scene import PosedScene
+from ..render.view import PosedEdits, cage_span, require_short_march
 from ..splats.io.formats import format_to_write
 from ..splats.matter import SplatDensity
 from ..splats.render import render_field
@@ -173,7 +172,7 @@ class Deformer:
                 self._edits = ExactEdits(self.edits, coordinates, origin, device, self._bands, self._carried)
             else:
                 kept = store, self._bands, self._carried
-                edits = self._edits = LatticeEdits(self.edits, coordinates, resolution, origin, device, *kept)
+                edits = self._edits = PosedScene(self.edits, coordinates, resolution, origin, device, *kept)
                 edits.warm(self.field)
 
     @property
@@ -414,38 +413,11 @@ class Deformer:
         new ones; again: a view of the same call came before, and densities are as it found them."""
         if antialias is not None and checked_flag(antialias, "antialias"):
             raise InputError("antialias is for splats: voxels take more rays a pixel (supersampling)")
-        march_step, work = self.field.march_step(step, camera)
-        field, center = self.field, wp.vec3(*(camera.center - self.field.center).tolist())
-
-        def begin() -> March:
-            edits = posed_edits()
-            require_short_march(self._spans, march_step)
-            edits.begin_view(field, center, march_step)
-            if not again:
-                field.marching.begin()
-            tables = edits.row_tables(field, center, march_step)
-
-            def march(threads: int, pinhole: Any, color: wp.vec3, make_arrays: MakeArrays) -> None:
-                options = self._march_options(march_step)
-                picture = Picture()
-                for name, array in make_arrays().items():
-                    setattr(picture, name, array)
-                grid = field.marching.marched if again else field.marching.grid()
-                edits.prepare(grid, march_step)
-                edits.render(ViewRequest(field, grid, tables, pinhole, color, options, picture, threads, work))
-
-            return march
-
-        how: dict[str, Any] = {"background": background, "supersampling": supersampling}
-        return field.render_by(begin, camera, **how, masks=MASK_NAMES, into=into)
-
-    def _march_options(self, step: float) -> Any:
-        """The MarchOptions of a view."""
-        options = MarchOptions()
-        options.step, options.inverse_step = step, 1.0 / step
-        options.stop = STOP_TRANSMITTANCE
-        options.arc_opacity = chosen(self.density, "density", opacity=1, paper=0)
-        return options
+        masks = {"masks": MASK_NAMES, "into": into, "is_again": again}
+        view = asked_view(self.field, camera, background, step, supersampling, **masks)
+        edits = posed_edits()
+        require_short_march(self._spans, view.step)
+        return edits.render(view, chosen(self.density, "density", opacity=1, paper=0))
 
 
 class SplatDeformer(Deformer):

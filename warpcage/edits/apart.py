@@ -29,6 +29,12 @@ class EditBoxes:
         between, beneath = self._least_gaps
         return between > 2.0 * reach and beneath > 0.0  # maps lead to their own rest cages, which no edit changed
 
+    def front_to_back(self, center: ArrayLike, reach: float) -> tuple[int, ...] | None:
+        """The edits in an order in which rays from `center` (3,) meet them, where they `are_apart`. None where they may
+        meet, or hide each other in a circle."""
+        order = front_to_back(wider(self.changed, reach), center) if self.are_apart(reach) else None
+        return None if order is None else tuple(order)
+
     @functools.cached_property
     def _least_gaps(self) -> tuple[float, float]:
         """Between two boxes, and between what a map leads to and the box of an earlier edit."""
