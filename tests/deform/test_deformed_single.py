@@ -203,7 +203,7 @@ def test_edits_that_have_nothing_where_a_cell_goes_need_not_be_asked(scene, devi
     assert any((struct.cells.numpy() & CELL_ALONE).any() for struct, _ in edits.lattices.posed())
     for struct, _ in edits.lattices.posed():
         struct.cells.assign(struct.cells.numpy() & (255 - CELL_ALONE))
-    edits.tables.fill(edits.lattices.posed(), has_fragments=False)
+    edits.tables.fill(edits.lattices.posed())
     every = deformer.render(view())
     assert_same_frame(few, every)
 

@@ -126,7 +126,9 @@ class PosedScene(PosedEdits):
 
     def prepare(self, grid: Any, step: float) -> None:
         if self.lattices.mark_empty(grid, step) or not self.tables.edits:
-            self.tables.fill(self.lattices.posed(), has_fragments=any(self.lattices.carried))
+            self.tables.fill(self.lattices.posed())
+            if len(self.edits) > 1 or any(self.lattices.carried):
+                self.tables.stack()
             self.carried_shades.is_posed = False
 
     def facts(self, view: FieldView | SeenView) -> FrameFacts:

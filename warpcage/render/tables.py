@@ -235,7 +235,7 @@ class EditTables:
         held = zip((edit for edit, _ in posed), self._buffers, strict=True)
         self._laid = [(edit, edit_data(edit, look, nodes)) for edit, (look, nodes) in held]
 
-    def fill(self, posed: Sequence[tuple[Any, wp.array]], has_fragments: bool) -> None:
+    def fill(self, posed: Sequence[tuple[Any, wp.array]]) -> None:
         """Launch what fills the tables of cells and nodes, by what `mark_empty` found. posed: of EditLattices."""
         self.edits, self._stack, self._has_cells = [], None, False  # an interrupt leaves none
         if [id(edit) for edit, _ in posed] != [id(edit) for edit, _ in self._laid]:
@@ -246,8 +246,6 @@ class EditTables:
             join_tables(data, edit, skip, functools.partial(self._join, number=number))
         self.lattice_boxes = [lattice_box(data) for _, data in laid]
         self.edits = [data for _, data in laid]
-        if len(posed) > 1 or has_fragments:
-            self.stack()
 
     def stack(self) -> wp.array:
         """(edits,) EditData, as the kernel for several edits takes them."""
