@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -23,8 +22,7 @@ if TYPE_CHECKING:
 STOP_TRANSMITTANCE = 1e-3
 
 
-@dataclasses.dataclass(frozen=True)
-class FieldView:
+class FieldView(NamedTuple):
     """A view of a field that was asked for, checked."""
 
     field: VoxelField

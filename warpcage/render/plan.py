@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Literal, NamedTuple
 
 #: Rays from which on a view is one of many pixels.
@@ -30,8 +29,7 @@ class PlannedEdit(NamedTuple):
     has_sides: bool  # whether its march knows more than polynomials
 
 
-@dataclasses.dataclass(frozen=True)
-class FramePlan:
+class FramePlan(NamedTuple):
     """How a frame is marched."""
 
     march: Literal["edit", "parts", "stack"]  # through one edit, edits apart one after the other, or all at once

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.memory import free_bytes
-from ..edits.apart import NOWHERE, EditBoxes, edit_boxes, wider
+from ..edits.apart import NOWHERE, EditBoxes, edit_boxes
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand
 from ..edits.fragments import CarriedFragments
@@ -133,20 +133,20 @@ class PosedScene(PosedEdits):
 
     def facts(self, view: FieldView | SeenView) -> FrameFacts:
         """What is known of a view before its tables are there."""
-        marching, shades, edits = view.field.marching, self.carried_shades, self.tables.edits
+        marching, shades, tables = view.field.marching, self.carried_shades, self.tables
         order = None if self.boxes is None else self.boxes.front_to_back(tuple(view.center), 0.5 * view.step)
         has_fragments = any(self.lattices.carried)
-        is_alone = not has_fragments and (len(edits) == 1 or order is not None)
-        is_far = is_alone and not marching.by_tiles and marching.is_shaded(view.center, self.tables.lattice_boxes)
+        by_tiles, is_alone = marching.by_tiles, not has_fragments and (len(self.edits) == 1 or order is not None)
+        is_far = is_alone and not by_tiles and marching.is_shaded(view.center, tables.lattice_boxes)
         return FrameFacts(
-            general_maps=self.tables.general_maps,
-            has_gaps=any(edit.has_sides for edit in edits),
+            general_maps=tables.general_maps,
+            has_gaps=tables.has_gaps,
             has_fragments=has_fragments,
-            by_tiles=marching.by_tiles,
+            by_tiles=by_tiles,
             order=order,
             is_far=is_far,
             shades_fit=is_far
-            and all(edit.nodes.shape[0] < MOST_LATTICE_NODES for edit in edits)
+            and tables.most_nodes < MOST_LATTICE_NODES
             and shade_texture_bytes(marching.columns) <= self.most_shades,
             is_folded=shades.is_known_folded if shades.is_posed else None,
             rays=view.threads if isinstance(view, FieldView) else 0,
@@ -210,7 +210,9 @@ class PosedScene(PosedEdits):
         """What the planned march of a view reads."""
         plan, cells = self.plan, [view.field.marching.cells(grid)] if self.plan.lanes == "tile" else []
         edits = [self.tables.edits[edit.number] for edit in plan.edits]
-        boxes = [NOWHERE] if self.boxes is None else wider(self.boxes.changed, 0.5 * view.step)
-        of_parts = [boxes[edit.number].tolist() for edit in plan.edits] if plan.march == "parts" else []
+        boxes: list[list[list[float]]] = []
+        if plan.march == "parts":
+            around = [NOWHERE] if self.boxes is None else self.boxes.reaching(0.5 * view.step)
+            boxes = [around[edit.number].tolist() for edit in plan.edits]
         stack = self.tables.stack() if plan.march == "stack" else None
-        return FrameTables([grid, *rows, *cells], edits, starts, of_parts, stack)
+        return FrameTables([grid, *rows, *cells], edits, starts, boxes, stack)

@@ -218,6 +218,8 @@ class EditTables:
         self.edits: list[Any] = []  # in their order, once `fill` was called for a pose
         self.lattice_boxes: list[list[list[float]]] = []  # of each, see `lattice_box`
         self._laid: list[tuple[Any, Any]] = []  # each LatticeEdit and its EditData, once for a pose
+        self.general_maps: tuple[bool, ...] = ()  # of each, see `needs_general_map`
+        self.has_gaps, self.most_nodes = False, 0  # narrow gaps of any; nodes of the largest lattice
         self._stack: wp.array | None = None
         self._has_cells = False
         pool = BufferPool(device)
@@ -245,7 +247,10 @@ class EditTables:
             tell_sides(data, edit)
             join_tables(data, edit, skip, functools.partial(self._join, number=number))
         self.lattice_boxes = [lattice_box(data) for _, data in laid]
+        self.has_gaps = any(data.has_sides for _, data in laid)
+        self.most_nodes = max(data.nodes.size for _, data in laid)
         self.edits = [data for _, data in laid]
+        self._tell_maps()
 
     def stack(self) -> wp.array:
         """(edits,) EditData, as the kernel for several edits takes them."""
@@ -253,10 +258,8 @@ class EditTables:
             self._stack = struct_array(self.edits, EditData, self._side.device)
         return self._stack
 
-    @property
-    def general_maps(self) -> tuple[bool, ...]:
-        """Of each edit, see `needs_general_map`."""
-        return tuple(needs_general_map(edit) for edit in self.edits)
+    def _tell_maps(self) -> None:
+        self.general_maps = tuple([needs_general_map(edit) for edit in self.edits])
 
     def mark(self) -> None:
         """Remember what came before, which the second stream waits for."""
@@ -282,4 +285,6 @@ class EditTables:
     def join(self, has_begun: bool) -> None:
         """Let what follows wait for the second stream. has_begun: what `begin_cells` said."""
         self._side.join()
-        self._has_cells = self._has_cells or has_begun
+        if has_begun:
+            self._has_cells = True
+            self._tell_maps()
