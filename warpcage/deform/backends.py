@@ -25,11 +25,13 @@ from ..core.names import (
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand
 from ..edits.fragments import found_fragments
+from ..edits.maps import EditLattices
 from ..errors import InputError
 from ..field.render import asked_view
 from ..field.voxel_field import VoxelField
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..lattice.buffers import StreamOrder
+from ..render.modules import load_pose_modules, render_modules
 from ..render.scene import PosedScene
 from ..render.view import PosedEdits, cage_span, require_short_march
 from ..splats.matter import SplatDensity
@@ -117,9 +119,11 @@ class VoxelBackend(Backend):
         if options.resolution is None:
             self.posed = ExactEdits(edits, coordinates, origin, device, self.bands, self._carried)
         else:
+            load_pose_modules(coordinates, render_modules(device, len(edits), any(self._carried)), device)
             kept = options.store, self.bands, self._carried
-            self.posed = scene = PosedScene(edits, coordinates, options.resolution, origin, device, *kept)
+            scene = PosedScene(EditLattices(edits, coordinates, options.resolution, origin, device, *kept))
             scene.warm(field)
+            self.posed = scene
 
     @classmethod
     def check(cls, options: MapOptions) -> None:

@@ -10,7 +10,7 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..coordinates.coordinates import stretched_normals
-from ..core.arrays import empty_array
+from ..core.arrays import empty_array, local_points
 from ..core.devices import launch
 from ..core.names import chosen
 from ..edits.edits import CageEdit
@@ -105,8 +105,8 @@ class ExactEdits(PosedEdits):
         rest, fans = edit.cage, edit.cage.topology.fans
         deformed = rest if cage is None else cage
         struct = ExactEdit()
-        struct.deformed_vertices = self._local(deformed.vertices)
-        struct.rest_vertices = self._local(rest.vertices)
+        struct.deformed_vertices = local_points(deformed.vertices, self._origin, self._device)
+        struct.rest_vertices = local_points(rest.vertices, self._origin, self._device)
         struct.faces = wp.array(fans.faces, dtype=wp.vec3i, device=self._device)
         struct.fans = prepared_fans(struct.deformed_vertices, struct.faces, deformed.size)
         if self._is_green:
@@ -122,10 +122,6 @@ class ExactEdits(PosedEdits):
         struct.is_green = int(self._is_green)
         struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
         return struct
-
-    def _local(self, vertices: np.ndarray) -> wp.array:
-        """(v,) vec3 on the device, relative to the origin."""
-        return wp.array((vertices - self._origin).astype(np.float32), dtype=wp.vec3, device=self._device)
 
 
 def settled_rest_cells(rest: Any, slack: float, device: wp.Device) -> Any:

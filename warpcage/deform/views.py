@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.arrays import array_view, as_host_array, empty_array, is_device_array, struct_array
+from ..core.arrays import array_view, as_host_array, empty_array, is_device_array, local_points, struct_array
 from ..core.checks import require_type, shown
 from ..core.devices import launch
 from ..core.names import require_name
@@ -215,10 +215,7 @@ def _moved_cages(backend: Backend, cages: Sequence[Cage | None]) -> list[Any]:
     for edit, cage in zip(backend.edits, cages, strict=True):
         struct, rest = MovedCage(), edit.cage
         if cage is not None:
-            struct.vertices, struct.targets = (
-                wp.array((each.vertices - center).astype(np.float32), dtype=wp.vec3, device=device)
-                for each in (rest, cage)
-            )
+            struct.vertices, struct.targets = (local_points(each.vertices, center, device) for each in (rest, cage))
             struct.faces = wp.array(rest.topology.fans.faces, dtype=wp.vec3i, device=device)
             struct.fans, struct.size = prepared_fans(struct.vertices, struct.faces, rest.size), rest.size
         structs.append(struct)

@@ -6,23 +6,17 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.memory import free_bytes
 from ..edits.apart import NOWHERE, EditBoxes, edit_boxes
-from ..edits.edits import CageEdit
-from ..edits.falloff import FalloffBand
-from ..edits.fragments import CarriedFragments
 from ..edits.maps import EditLattices
 from ..field.render import FieldView, finish_frame
 from ..field.voxel_field import VoxelField
 from ..kernels.edits import trace
 from ..view.frame import Frame
 from .launch import FrameLauncher, FrameTables, frame_target
-from .modules import load_pose_modules, render_modules
 from .plan import FrameFacts, FramePlan, plan_frame
 from .shading import CarriedShades, shade_texture_bytes
 from .tables import EditTables
@@ -45,24 +39,13 @@ MOST_SHADES = 0.25
 
 
 class PosedScene(PosedEdits):
-    """Edits on lattices in a pose, and what frames of it need; arguments as EditLattices has them."""
+    """Edits on lattices in a pose, and what frames of it need."""
 
     map_kernel = trace.map_points
 
-    def __init__(
-        self,
-        edits: list[CageEdit],
-        coordinates: str,
-        resolution: int,
-        origin: ArrayLike,
-        device: wp.Device,
-        store: str = "map",
-        bands: Sequence[FalloffBand | None] = (),
-        carried: Sequence[CarriedFragments | None] = (),
-    ):
-        self.edits, self.origin, self.device = edits, np.asarray(origin), device
-        load_pose_modules(coordinates, render_modules(device, len(edits), any(carried)), device)
-        self.lattices = EditLattices(edits, coordinates, resolution, origin, device, store, bands, carried)
+    def __init__(self, lattices: EditLattices):
+        self.lattices, self.edits, self.device = lattices, lattices.edits, lattices.device
+        edits, device = self.edits, self.device
         self.tables, self.carried_shades = EditTables(len(edits), device), CarriedShades(len(edits), device)
         self.launcher = FrameLauncher(device)
         self.boxes: EditBoxes | None = None  # of several edits without fragments, in the pose
@@ -90,7 +73,7 @@ class PosedScene(PosedEdits):
         if len(self.edits) > 1 and not any(self.lattices.carried):
             structs = [struct for struct, _ in self.lattices.posed()]
             tolerances, slacks = ([float(getattr(each, name)) for each in structs] for name in ("tolerance", "slack"))
-            self.boxes = edit_boxes(self.edits, cages, self.origin, tolerances, slacks)
+            self.boxes = edit_boxes(self.edits, cages, self.lattices.origin, tolerances, slacks)
         if seen is not None:
             self._look_ahead(seen)
 

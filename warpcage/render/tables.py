@@ -11,7 +11,7 @@ import warp as wp
 
 from ..core.arrays import array_view, empty_array, struct_array
 from ..core.devices import RecordedLaunches, lane_count
-from ..edits.maps import has_sides
+from ..edits.falloff import has_sides
 from ..kernels.edits.cell_tables import join_cell_tables, join_nodes
 from ..kernels.edits.fine_cells import FINE_COUNT, FINE_SIDE, FINE_WORDS, mark_fine_cells, spread_fine_cells
 from ..kernels.edits.nodes import CELL_WORDS, expand_map_cells
