@@ -133,7 +133,7 @@ def measure_scene(scene, field, ceiling: float, args):
                     "scene": scene.name,
                     "pose": pose,  # noqa: B023 (used at once)
                     "kind": kind,  # noqa: B023
-                    "what": what,  # noqa: B023 (used at once)
+                    "what": what,
                     **more,
                     **measure(frames, against, scene.cage.size, similarity=what == "frame"),
                 }

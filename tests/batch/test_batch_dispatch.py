@@ -86,7 +86,7 @@ def test_workers_stay_with_what_they_have_loaded():
 
 
 def test_small_groups_go_together():
-    dispatcher, engine, _ = simulated(20_000, 4, 20_000, item_seconds=np.full(20_000, 0.001))
+    _dispatcher, engine, _ = simulated(20_000, 4, 20_000, item_seconds=np.full(20_000, 0.001))
     assert engine.chunks < 400 and (engine.made == 1).all()
 
 

@@ -349,10 +349,9 @@ def test_one_worker_alone_makes_the_next_chunk_meanwhile(tmp_path, monkeypatch, 
         def submit(self, item, out=None):
             events.put(("made", number_of(item)))
             found = Making.submit(self, item, out)
-            late = self.pool.submit(
+            return self.pool.submit(
                 lambda: (time.sleep(0.3), events.put(("there", number_of(item))), found.result())[2]
             )
-            return late
 
     report = run_with(write_frames(tmp_path / "job", 20), tmp_path / "out", Told)
     told = [events.get() for _ in range(40)]

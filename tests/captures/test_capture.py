@@ -43,7 +43,7 @@ def test_blurred_frames_are_passed_over(walk):
 
 
 def test_a_captured_scene_stands_upright_around_its_object(walk):
-    folder, _, true = walk
+    folder, _, _true = walk
     names, poses, _ = found_poses(folder)
     scene = warpcage.load_scene(folder, split="all")
     assert scene.names == names and len(scene) == 18

@@ -23,7 +23,7 @@ def test_mesh(files, tmp_path, ending):
     succeed(files, "mesh", "@ball.npz", "-o", tmp_path / f"ball.{ending}")
     mesh = trimesh.load(tmp_path / f"ball.{ending}", force="mesh")
     radius = np.linalg.norm(mesh.vertices, axis=1)
-    assert 0.4 < radius.min() and radius.max() < 0.7
+    assert radius.min() > 0.4 and radius.max() < 0.7
 
 
 def test_gltf_meshes_stand_upright(tmp_path, capsys):

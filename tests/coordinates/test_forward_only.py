@@ -319,8 +319,10 @@ def test_the_line_is_printed_where_somebody_asks(tmp_path):
     done = subprocess.run([sys.executable, program], capture_output=True, text=True, timeout=300, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert [line for line in done.stdout.splitlines() if "nan" in line.lower()] == [
-        "warpcage: no gradient passes through a function of warpcage.kernels.mesh.containment: "
-        "slopes are NaN, see Gradients in docs/arrays.md",
+        (
+            "warpcage: no gradient passes through a function of warpcage.kernels.mesh.containment: "
+            "slopes are NaN, see Gradients in docs/arrays.md"
+        ),
         "[nan nan nan]",
     ]
 

@@ -102,7 +102,7 @@ def test_directions_of_affine_poses(kind, device):
     deformer = Deformer(shiny_field(device), BOX, coordinates=kind, resolution=24).pose(pose)
     camera = view()
     shaded(deformer, camera)
-    edit, nodes, _, distance, taken = found_places(deformer)
+    edit, _nodes, _, distance, taken = found_places(deformer)
     ((_, _, cage),) = deformer.posed_edits().carried_shades.posed
     aims = cage.aims.numpy().reshape(*taken.shape, 4)
     x = np.array(edit.rest.lower) + edit.rest.spacing * np.argwhere(taken) + deformer.field.center

@@ -225,7 +225,7 @@ def test_backward_splats_lie_where_voxels_are(kind, device):
     field = splats_in_box(device, count=80, half=0.85)
     twisted = BOX.bend(50)
     deformer = Deformer(field, BOX, coordinates=kind, resolution=32, map="backward").pose(twisted)
-    rows, centers, covariances, _ = drawn(deformer)
+    rows, centers, _covariances, _ = drawn(deformer)
     found = deformer.posed_edits().missed_count
     assert found <= 4
     looking = Deformer(random_field(device)[0], BOX, coordinates=kind, resolution=32).pose(twisted)

@@ -367,7 +367,9 @@ def make_runner(settings: RunnerSettings) -> ChunkRunner:
     device = resolve_device(settings.device)
     make = settings.maker
     if make is None:
-        from .worker import Worker as make  # here, as the driver of a cluster needs nothing of it
+        from .worker import Worker  # here, as the driver of a cluster needs nothing of it
+
+        make = Worker
 
     check_device(device)
     maker = make(settings.base, settings.out, device)

@@ -305,9 +305,7 @@ class Driver:
         name, number = answer.worker, answer.number
         if answer.error is not None:
             self._died(name, answer.error)
-        elif answer.method == "facts":
-            self._idle[name] = None
-        elif answer.method == "begun" and self._dispatcher.begun(name, number):
+        elif answer.method == "facts" or (answer.method == "begun" and self._dispatcher.begun(name, number)):
             self._idle[name] = None
         elif answer.method == "recall":
             self._dispatcher.returned(name, number, answer.found)

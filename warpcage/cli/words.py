@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import json
 import os
 import pathlib
@@ -148,7 +149,7 @@ def _timed(file: PoseFile, path: str) -> PoseFile | None:
 def note_jumps(file: PoseFile, path: str) -> None:
     """Say in a line where two keyframes of a film have one time."""
     names = file.timed
-    jumps = [(a, b) for a, b in zip(names, names[1:], strict=False) if file.times[a] == file.times[b]]
+    jumps = [(a, b) for a, b in itertools.pairwise(names) if file.times[a] == file.times[b]]
     if jumps:
         (one, two), more = jumps[0], len(jumps) - 1
         print(

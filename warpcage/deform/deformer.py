@@ -477,4 +477,5 @@ class SplatDeformer(Deformer, of=SplatBackend):
 # `__new__`, which chooses the class, would hide it
 for _class in (Deformer, SplatDeformer):
     _of_self = inspect.signature(_class.__init__)
-    _class.__signature__ = _of_self.replace(parameters=list(_of_self.parameters.values())[1:])  # pyright: ignore
+    _given = list(_of_self.parameters.values())[1:]
+    _class.__signature__ = _of_self.replace(parameters=_given)  # pyright: ignore[reportAttributeAccessIssue]

@@ -222,10 +222,15 @@ def draw_coverage(coverage: Coverage, cameras: Sequence[Camera], bounds: np.ndar
 
     width = 3 * SIDE + 3 * GAP
     lines = [
-        "left: where cameras stand, seen from the middle, degrees around and above; right: what lies in their pictures "
-        f"on the middle's level, from above. Grey: none, orange: under {ENOUGH}, green: {ENOUGH} to {MANY} or more",
-        f"seen {coverage.summary()}; {100 * little_seen(cameras, bounds):.0f} % of the box lies in fewer than {ENOUGH} "
-        "pictures",
+        (
+            "left: where cameras stand, seen from the middle, degrees around and above; right: what lies in their "
+            f"pictures on the middle's level, from above. Grey: none, orange: under {ENOUGH}, green: {ENOUGH} to {MANY} "
+            "or more"
+        ),
+        (
+            f"seen {coverage.summary()}; {100 * little_seen(cameras, bounds):.0f} % of the box lies in fewer than "
+            f"{ENOUGH} pictures"
+        ),
     ]
     letters = int((width - 2 * GAP) / font.getlength("n"))
     lines = [row for line in lines for row in textwrap.wrap(line, letters)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import pathlib
 from collections.abc import Callable, Sequence
@@ -44,7 +45,7 @@ def timed_keys(keys: Sequence[CameraKey], length: float | None = None) -> list[C
             "all of them one, or none"
         )
     ordered = sorted(keys, key=lambda key: key.time or 0.0)
-    for one, two in zip(ordered, ordered[1:], strict=False):
+    for one, two in itertools.pairwise(ordered):
         if one.time == two.time:
             names = f" ({one.name!r} and {two.name!r})" if one.name and two.name else ""
             raise InputError(f"two cameras of a path{names} are at {one.time:g} s: give each a time of its own")

@@ -259,7 +259,7 @@ def write_gif(
 def _gif_durations(images: Sequence[Any], rate: Fraction) -> list[int]:
     """Milliseconds of each PIL image, in whole hundredths of a second: each begins as near to its time as can be."""
     starts = [round(100 * index / rate) for index in range(len(images) + 1)]
-    durations = [10 * (end - begin) for begin, end in zip(starts[:-1], starts[1:], strict=True)]
+    durations = [10 * (end - begin) for begin, end in itertools.pairwise(starts)]
     still = 0
     for index, duration in enumerate(durations):
         same = index > 0 and images[index].tobytes() == images[index - 1].tobytes()
