@@ -224,8 +224,8 @@ def draw_coverage(coverage: Coverage, cameras: Sequence[Camera], bounds: np.ndar
     lines = [
         (
             "left: where cameras stand, seen from the middle, degrees around and above; right: what lies in their "
-            f"pictures on the middle's level, from above. Grey: none, orange: under {ENOUGH}, green: {ENOUGH} to {MANY} "
-            "or more"
+            f"pictures on the middle's level, from above. Grey: none, orange: under {ENOUGH}, green: {ENOUGH} to "
+            f"{MANY} or more"
         ),
         (
             f"seen {coverage.summary()}; {100 * little_seen(cameras, bounds):.0f} % of the box lies in fewer than "
