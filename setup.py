@@ -27,6 +27,7 @@ TEXTURE = [
     "xatlas>=0.0.9",  # unwraps surfaces
     "fast-simplification>=0.1.9",  # makes them light; from there on with NumPy 2
 ]
+COMPLETION = ["argcomplete>=3.1"]  # words of commands in the shell, after Tab
 
 CLUSTER = ["ray>=2.40"]  # clusters of `warpcage run`: the core alone, without ray[default]
 
@@ -46,6 +47,7 @@ TEST = [
         f"{need}; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'"
         for need in (*USD, *TEXTURE)
     ),
+    *COMPLETION,
     # several workers and clusters; without it those tests are skipped
     "ray>=2.40; sys_platform == 'linux' and platform_machine == 'x86_64' and python_version < '3.14'",
     "selenium>=4.20",  # drives a browser through the editor; those tests are skipped without Chromium
@@ -114,16 +116,17 @@ setup(
         'zstandard>=0.23; python_version < "3.14"',  # .spz of version 4; from 3.14 on Python has it
     ],
     extras_require={
-        **{
-            "edit": EDIT,
-            "exr": EXR,
-            "heif": HEIF,
-            "usd": USD,
-            "texture": TEXTURE,
-            "capture": CAPTURE,
-            "cluster": CLUSTER,
-        },
-        **{"docs": DOCS, "test": TEST, "dev": DEV},
+        "edit": EDIT,
+        "exr": EXR,
+        "heif": HEIF,
+        "usd": USD,
+        "texture": TEXTURE,
+        "capture": CAPTURE,
+        "cluster": CLUSTER,
+        "completion": COMPLETION,
+        "docs": DOCS,
+        "test": TEST,
+        "dev": DEV,
     },
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[

@@ -63,6 +63,9 @@ QUICK = {
     "page_fits_of_captures": "pages fits-of-captures --results {out} --page {out}/fits_of_captures.md",
     "page_frames": "pages frames --results {out} --page {out}/frames.md",
     "page_captures": "pages captures --results {out} --page {out}/captures.md",
+    "by_turns": "frames by-turns --other {tree} {of} --size 40 --resolution 16 --runs 2 --most 9"
+    " --json {out}/trend.json",
+    "page_trends": "pages trends --results {out} --page {out}/trends.md",
     "same_bits": "same-bits {tree} --only pose mesh",
     "soak": "memory soak --poses 20 --fits 4 --refused 200 --json {out}/soak.json",
     "films": "memory films --frames 200 --timed 8 --size 320 180 --json {out}/film_memory.json",
@@ -248,7 +251,7 @@ def run_over_gpus(runs: list[Run], gpus: list[str], seconds: float, out: pathlib
     for thread in threads:
         thread.join()
     for run in runs:
-        if 1 < run.gpus:
+        if run.gpus > 1:
             if run.gpus > len(gpus) or run.seconds > left():
                 waiting.append(run)
             elif not _run(run, gpus[: run.gpus], out):

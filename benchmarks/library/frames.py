@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import collections
+import datetime
 import json
 import os
 import pathlib
@@ -318,20 +319,26 @@ def many(args) -> None:
     option("--size", type=int, default=200, help="pixels along each side"),
     option("--resolution", type=int, default=64, help="cells of the lattice"),
     option("--runs", type=int, default=15),
+    option("--most", type=float, default=1.15, help="how many times as long as the other one it may take"),
+    JSON,
     option("--worker", action="store_true", help=argparse.SUPPRESS),
 )
-def by_turns(args) -> None:
-    """Frames of two checkouts by turns, on the CPU: CPU time of each, their ratio, and how alike the pictures are.
+def by_turns(args) -> int:
+    """Frames and poses of two checkouts by turns, on the CPU: CPU time, their ratio, and how alike the pictures are.
 
         python benchmarks frames by-turns --other ../older --field bricks.npz --cage bricks_cage.obj
+        python benchmarks frames by-turns --other ../last_release --field bricks.npz --cage bricks_cage.obj \\
+            --json docs/results/trend_2026-11-27.json
 
     Each checkout renders in a process of its own, which waits while the other one works, so that both meet the same
-    noise. The ratio is that of the medians; its spread is that of the ratios of successive frames.
+    noise. The ratio is that of the medians; its spread is that of the ratios of successive frames. The exit status is 1
+    where this checkout takes more than --most times as long. `pages trends` makes a page of
+    several --json.
     """
     if args.worker:
         work(args)
-        return
-    workers = {"this": started(HERE.parent, args), "other": started(pathlib.Path(args.other).resolve(), args)}
+        return 0
+    rows, workers = [], {"this": started(HERE.parent, args), "other": started(pathlib.Path(args.other).resolve(), args)}
     for what in ask(workers["this"], "list"):
         pictures = {name: ask(worker, f"show {what}") for name, worker in workers.items()}
         seconds = {name: [] for name in workers}
@@ -347,10 +354,24 @@ def by_turns(args) -> None:
             "ratios": [round(float(np.percentile(ratios, share)), 2) for share in (25, 75)],
             "psnr": round(float(-10 * np.log10(max(error, 1e-14))), 1),
         }
+        rows.append(row)
         print(json.dumps(row), flush=True)
     for worker in workers.values():
         worker.stdin.close()
         worker.wait()
+    if args.json:
+        names = {"this": revision_of(HERE.parent), "other": revision_of(pathlib.Path(args.other))}
+        write_results(args.json, "cpu", date=str(datetime.date.today()), **names, size=args.size, rows=rows)
+    slower = [row["what"] for row in rows if row["ratio"] * args.most < 1]
+    if slower:
+        print(f"takes more than {args.most:g} times as long: {', '.join(slower)}", file=sys.stderr)
+    return 1 if slower else 0
+
+
+def revision_of(checkout: pathlib.Path) -> str:
+    """The tag of a checkout, or its commit; its folder's name where it is none of git."""
+    words = ["git", "-C", str(checkout), "describe", "--tags", "--always"]
+    return subprocess.run(words, capture_output=True, text=True).stdout.strip() or checkout.resolve().name
 
 
 def started(checkout: pathlib.Path, args):
@@ -383,9 +404,15 @@ def work(args) -> None:
         deformer = warpcage.Deformer(field, rests, coordinates=kind, resolution=args.resolution).pose(poses)
         return lambda: deformer.render(camera)
 
+    def posed(kind):
+        deformer = warpcage.Deformer(field, rest, coordinates=kind, resolution=args.resolution).pose(bend)
+        cycle = Cycle(deformer, [rest.bend(40, axis="y", towards="z"), bend])
+        return lambda: cycle.pose().render(camera)
+
     frames = {
         "canonical": lambda: field.render(camera),
         **{kind: deformed(rest, bend, kind) for kind in ("harmonic", "mean_value", "green")},
+        **{f"{kind},-new-pose": posed(kind) for kind in ("harmonic", "mean_value", "green")},
         "one-slab": deformed(slabs[1], turned[1], "mean_value"),
         "three-slabs": deformed(slabs, turned, "mean_value"),
     }

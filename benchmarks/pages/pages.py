@@ -122,6 +122,34 @@ def compared_fits(run: dict) -> str:
     )
 
 
+# Trends
+
+
+@command(*page_options("trends"))
+def trends(args) -> None:
+    """Write docs/trends.md from the results of `frames by-turns`, one of each release beside the one before.
+
+        python benchmarks pages trends --results docs/results --page docs/trends.md
+
+    Files are those of the folder whose names begin with "trend", in the order of their names.
+    """
+    write_page(args, [texts("trends")["introduction"]], {"trend*.json": trend_parts}, "frames by-turns")
+
+
+def trend_parts(files: list[dict], pictures: pathlib.Path) -> list[str]:
+    names = list(dict.fromkeys(row["what"] for found in files for row in found["rows"]))
+    head = ["", *(f"{found['other']} to {found['this']}, {found['date']}" for found in files)]
+    rows = [[name.replace(",-", ", ").replace("-", " ").replace("_", " ")] for name in names]
+    for found in files:
+        by_name = {row["what"]: row for row in found["rows"]}
+        for name, cells in zip(names, rows, strict=True):
+            row = by_name.get(name)
+            cells.append(
+                "–" if row is None else f"{row['other_ms']:g} to {row['this_ms']:g} ms, **{row['ratio']:.2f}**"
+            )
+    return [table(head, rows), *(source(found) for found in files)]
+
+
 # Fits
 
 

@@ -90,3 +90,31 @@ def test_warp_that_gives_wrong_numbers(tmp_path):
     status, lines = doctor(tmp_path, NUMPY)
     (broken,) = lines["broken"]
     assert status == 1 and broken.startswith("self-test") and "0.01 in points on cpu" in broken
+
+
+def test_the_demo_is_the_example_of_the_whole_way(tmp_path, monkeypatch):
+    import warpcage.examples.render_lego as example
+    from warpcage.cli import main
+
+    words = []
+    monkeypatch.setattr(example, "main", lambda given: words.append(vars(example.parse_arguments(given))))
+    assert (
+        main(["demo", "--device", "cpu", "-o", str(tmp_path / "here")]) == 0 and main(["demo", "--device", "cpu"]) == 0
+    )
+    assert [each["out"] for each in words] == [str(tmp_path / "here"), "warpcage_demo"]
+    assert all(each["data"] is None and each["device"] == "cpu" and not each["no_video"] for each in words)
+
+
+@pytest.mark.parametrize(
+    "line, words",
+    [
+        ("warpcage re", {"render "}),
+        ("warpcage fit scene --qu", {"--quality", "--quiet"}),
+        ("warpcage fit scene --quality ", {"fast", "standard", "high"}),
+    ],
+)
+def test_a_shell_completes_words(tmp_path, line, words):
+    pytest.importorskip("argcomplete")
+    variables = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(tmp_path / "words"), "COMP_LINE": line}
+    subprocess.run([sys.executable, "-m", "warpcage"], env={**os.environ, **variables, "COMP_POINT": str(len(line))})
+    assert set((tmp_path / "words").read_text().split("\013")) == words

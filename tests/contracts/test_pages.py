@@ -8,7 +8,7 @@ import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
-PAGES = ("results", "fits", "fits_of_captures", "captures", "splats_views", "frames", "select")
+PAGES = ("results", "fits", "fits_of_captures", "trends", "captures", "splats_views", "frames", "select")
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -2,6 +2,8 @@
 
 import pathlib
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -45,3 +47,20 @@ def test_the_citation_is_that_of_the_paper():
     paper = citation["preferred-citation"]
     assert paper["title"] == "Deforming Radiance Fields with Cages" and paper["year"] == 2022
     assert [author["family-names"] for author in paper["authors"]] == ["Xu", "Harada"]
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no history to compare with")
+@pytest.mark.parametrize("version", ["0.0.1", "99.0.0"])
+def test_the_script_of_releases_compares_with_the_last_one_and_counts_notes(version):
+    """Of the commit that this checkout is of, what changed since can only be what is not committed."""
+    command = [sys.executable, str(ROOT / ".ci" / "release"), version, "--since", "HEAD"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    if version == "0.0.1":
+        assert done.returncode == 1 and re.match("the version must be X.Y.Z, later than .*, got 0.0.1", done.stderr)
+        return
+    went, came, stay = map(
+        int, re.search(r"(\d+) went, (\d+) came, (\d+) stay\n(\d+) bullets", done.stdout).groups()[:3]
+    )
+    assert stay > 1000 and went + came < stay
+    bullets = int(re.search(r"(\d+) bullets in the notes", done.stdout)[1])
+    assert (done.returncode == 0) == (0 < bullets <= 60)

@@ -47,7 +47,7 @@ def gltf_frames(path):
     (primitive,), (sampler,) = mesh["primitives"], animation["samplers"]
     shapes = np.stack([values(target["POSITION"]) for target in primitive["targets"]])
     weights = values(sampler["output"]).reshape(-1, len(shapes))
-    assert 0.0 <= weights.min() and weights.max() <= 1.0 and len(mesh["weights"]) == len(shapes)
+    assert weights.min() >= 0.0 and weights.max() <= 1.0 and len(mesh["weights"]) == len(shapes)
     assert animation["channels"] == [{"sampler": 0, "target": {"node": 0, "path": "weights"}}]
     base = values(primitive["attributes"]["POSITION"])
     x, y, z = np.moveaxis(base + np.einsum("nk,kvi->nvi", weights, shapes) + node.get("translation", [0, 0, 0]), -1, 0)
@@ -92,7 +92,7 @@ def test_a_film_of_a_cage_comes_back(tmp_path, ending):
     np.testing.assert_allclose(PoseFile.load(path, shuffled)["frame 31"].vertices, found[-1][::-1], atol=1e-9)
 
 
-def test_glTF_holds_a_film_as_shapes_that_are_few(tmp_path):
+def test_gltf_holds_a_film_as_shapes_that_are_few(tmp_path):
     file = film()
     file.save(tmp_path / "walk.gltf")
     frames, times, shapes = gltf_frames(tmp_path / "walk.gltf")

@@ -1,8 +1,9 @@
-"""`warpcage doctor`: what this machine has of what warpcage needs, with what to do where something is missing."""
+"""`warpcage demo`, and `warpcage doctor`: what this machine has of what warpcage needs, and what to do where not."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import pathlib
 import platform
 import re
@@ -14,6 +15,12 @@ from typing import NamedTuple
 
 from ..core.names import counted, error_line
 from .arguments import options
+
+
+def run_demo(arguments: argparse.Namespace) -> None:
+    """The example of the whole way, as it stands in the wheel."""
+    words = ["--out", arguments.output, *(["--device", arguments.device] if arguments.device else [])]
+    importlib.import_module("warpcage.examples.render_lego").main(words)
 
 
 class Finding(NamedTuple):
@@ -39,7 +46,8 @@ EXTRAS = {
     "heif": "HEIC pictures",
     "usd": "cages and meshes in USD",
     "texture": "meshes with textures",
-    "cluster": "several workers and clusters",
+    "cluster": "clusters of several machines",
+    "completion": "words of commands in the shell",
 }
 
 #: Memory and disk that scenes of usual size want to be free, bytes.

@@ -24,7 +24,7 @@ from .arguments.options import COMMANDS, package_version
 
 _ORDER = (  # of commands in their help
     "capture fit select clean mesh cage check edit pose edits render animate sweep run bake evaluate info "
-    "doctor kernels".split()
+    "demo doctor kernels".split()
 )
 
 EXAMPLE = """\
@@ -202,6 +202,8 @@ def _line(error: Exception | str) -> str:
 
 def _run_command(argv: list[str] | None) -> int:
     parser = build_parser()
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks what words may follow
+        importlib.import_module("argcomplete").autocomplete(parser)
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         arguments = parser.parse_args(argv)

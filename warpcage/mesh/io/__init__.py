@@ -23,8 +23,8 @@ from .usd import USD_ENDINGS, write_usd
 __all__ = [
     "ALL_OBJECTS",
     "ENDINGS",
-    "UPS",
     "MOTION_ENDINGS",
+    "UPS",
     "MeshFile",
     "file_up",
     "object_names",
