@@ -24,13 +24,22 @@ from ..edits.place import Place, PlaceFile, as_places, require_version
 from ..edits.words import Checker, EditWords, anything, checked_words
 from ..errors import InputError
 from ..field.mixing import mixed_field
-from ..field.render import PART_NAMES, picture_arrays
+from ..field.render import picture_arrays
 from ..field.voxel_field import VoxelField
 from ..kernels.view.compose import compose_things
 from ..splats.io.axes import joined, placed
 from ..splats.splat_field import SplatField, load_field
 from ..view.camera import Camera
-from ..view.frame import MASK_NAMES, Frame, average_frame, checked_supersampling, finer_camera, view_background
+from ..view.frame import (
+    MASK_NAMES,
+    PART_NAMES,
+    Frame,
+    average_frame,
+    checked_supersampling,
+    finer_camera,
+    part_type,
+    view_background,
+)
 from .bake import MAX_RESOLUTION, STAND_IN_RESOLUTION, bake
 from .deformer import Deformer, SplatDeformer
 
@@ -298,22 +307,24 @@ class Stage:
         self, frames: Sequence[Frame], scales: Sequence[float], color: np.ndarray, unit: float | None
     ) -> tuple[Frame, wp.array]:
         """Frames of several things as one before a colour, and its depth in units; an empty array for None of them."""
+        assert self.device is not None
         device, count, things = self.device, frames[0].width * frames[0].height, len(frames)
         names = [name for name in MASK_NAMES if any(name in frame.arrays for frame in frames)]
-        colors = empty_array((things, count), wp.vec3, device)
-        alphas, depths = (empty_array((things, count), wp.float32, device) for _ in range(2))
-        masks = wp.zeros((len(names), things, count), dtype=wp.float32, device=device)
+        seen = {name: empty_array(things * count, part_type(name), device) for name in PART_NAMES}
+        masks = wp.zeros(len(names) * things * count, dtype=wp.float32, device=device)
         for index, frame in enumerate(frames):
-            for array, name in ((colors, "rgb"), (alphas, "alpha"), (depths, "depth")):
-                wp.copy(array[index], frame.arrays[name])
+            for name, array in seen.items():
+                wp.copy(array, frame.arrays[name], dest_offset=index * count, count=count)
             for place, name in enumerate(names):
                 if name in frame.arrays:
-                    wp.copy(masks[place][index], frame.arrays[name])
+                    offset = (place * things + index) * count
+                    wp.copy(masks, frame.arrays[name], dest_offset=offset, count=count)
         made = picture_arrays(count, PART_NAMES, device)
         around = empty_array(0 if unit is None else count, wp.float32, device)
         mask = empty_array((len(names), count), wp.float32, device)
         sizes = wp.array(np.asarray(scales, np.float32), dtype=wp.float32, device=device)
-        inputs = [sizes, wp.vec3(*map(float, color)), 1.0 if unit is None else unit, colors, alphas, depths, masks]
+        behind, stacked = wp.vec3(*map(float, color)), [array.reshape((things, count)) for array in seen.values()]
+        inputs = [sizes, behind, unit or 1.0, *stacked, masks.reshape((len(names), things, count))]
         launch(compose_things, count, inputs, [*(made[name] for name in PART_NAMES), around, mask], device=device)
         made |= {name: mask[place] for place, name in enumerate(names)}
         return Frame(frames[0].width, frames[0].height, **made), around
