@@ -14,11 +14,13 @@ from ..core.files import atomic_path, require_file
 from ..core.names import counted
 from ..deform.bake import bake
 from ..deform.deformer import SplatDeformer
+from ..deform.stage import Stage
 from ..errors import InputError
 from ..field.clean import CleanOptions, clean_voxels
 from ..field.objects import select_object
 from ..field.selection import NodeSelection, painted_voxels, splat_matter, tinted
 from ..field.voxel_field import VoxelField
+from ..fitting.splats.from_voxels import to_splats
 from ..mesh.io.gltf import write_glb
 from ..mesh.io.ply import write_ply
 from ..splats.clean import clean_splats
@@ -28,6 +30,7 @@ from ..view.camera import Camera, CameraFile
 from ..view.pictures import write_png
 from . import shared
 from .arguments import options
+from .films import is_stage
 from .shared import Deformation, is_deformed, read_deformation
 from .words import read_rest
 
@@ -42,6 +45,8 @@ def _checked_fields(args: argparse.Namespace) -> tuple[bool, pathlib.Path]:
 
 
 def run_bake(args: argparse.Namespace) -> None:
+    if is_stage(args.field):
+        return _bake_stage(args)
     of_splats, output = _checked_fields(args)
     if of_splats and (args.voxels is not None or args.format is not None):
         raise InputError("--voxels and --format are for fields of voxels: the ending of a splat file says its format")
@@ -75,6 +80,25 @@ def run_bake(args: argparse.Namespace) -> None:
             return
         baked = bake(deformer, resolution=args.voxels)
     _write_voxels(baked, output, args.format or "warpcage")
+
+
+def _bake_stage(args: argparse.Namespace) -> None:
+    """Merge the things of a stage file."""
+    given = ("frames", "overwrite", "selection", "cage", "edit", "edits")
+    if wrong := [name for name in given if getattr(args, name) not in (None, False)]:
+        raise InputError(f"--{wrong[0]} does not go with a stage file, whose things are merged as they are")
+    output = options.check_output(args.output, (".npz", *shared.splat_outputs()), "field file")
+    shared.require_field_scale(args)
+    stage = Stage.load(args.field, device=shared.chosen_device(args))
+    merged = stage.merged(resolution=args.voxels, convert=to_splats)
+    if isinstance(merged, SplatField):
+        if output.suffix.lower() == ".npz":
+            raise InputError(f"splats are merged as splats: give -o with one of {', '.join(shared.splat_outputs())}")
+        _write_splats(merged, output)
+    elif output.suffix.lower() != ".npz":
+        _write_splats(to_splats(merged), output)
+    else:
+        _write_voxels(merged, output, args.format or "warpcage")
 
 
 def _write_splats(field: SplatField, output: pathlib.Path) -> None:

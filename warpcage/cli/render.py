@@ -23,6 +23,7 @@ from ..core.names import TRANSPARENT, counted
 from ..core.overlap import BackgroundWriter
 from ..core.reports import bar
 from ..deform.deformer import Deformer
+from ..deform.stage import STAGE_ENDING, Stage
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
 from ..editor.renderer import view_camera
 from ..editor.session import read_session
@@ -46,12 +47,16 @@ from .films import (
     FilmFrame,
     FilmJob,
     FilmWorkers,
+    Staging,
     checked_jobs_path,
     film_words,
     frame_outputs,
     frame_path,
+    is_stage,
     make_folder,
+    read_things,
     session_job,
+    staging_of,
 )
 from .shared import Deformation, read_deformation
 from .words import set_frames
@@ -121,7 +126,9 @@ class Shot:
         cameras: list[Camera],  # one a frame
         args: argparse.Namespace,
         times: list[float] | None = None,  # seconds of each frame, where there are keys at times
+        staging: Staging | None = None,  # what stands beside the field
     ):
+        self.staging = staging
         self.times = times
         self.field, self.deformer, self.deformation = field, deformer, deformation
         self.cameras, self.args = cameras, args
@@ -146,7 +153,7 @@ class Shot:
         """The frame, and the cages that it shows."""
         camera = self.cameras[index]
         if self.deformer is None or self.deformation is None:
-            return shared.render_view(self.field, camera, self.args), []
+            return shared.render_view(self._scene(self.field, index), camera, self.args), []
         place = self.places[index]
         cages = self.cages(index)
         try:
@@ -155,8 +162,15 @@ class Shot:
                 self.held = place
         except ValueError as error:
             raise InputError(f"frame {index}, between the poses: {error}") from error
-        frame = shared.render_view(self.deformer, camera, self.args)
+        frame = shared.render_view(self._scene(self.deformer, index), camera, self.args)
         return frame, self.deformation.drawn(self.deformer.deformed or cages)
+
+    def _scene(self, renderer: shared.AnyField | Deformer, index: int) -> shared.AnyField | Deformer | Stage:
+        """What a frame shows: what renders the field, alone or among others as they are then."""
+        if self.staging is None:
+            return renderer
+        self.staging.at(float(index / self.args.fps) if self.times is None else float(self.times[index]))
+        return self.staging.with_main(renderer)
 
     def picture(self, index: int) -> np.ndarray:
         """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4); not to be written to."""
@@ -208,11 +222,12 @@ def pictures_of(
     deformation: Deformation | None,
     cameras: Sequence[Camera],
     pose: Callable[[int], object] = lambda index: None,  # called before each with its number
+    staging: Staging | None = None,  # what stands beside it
 ) -> Iterator[Picture]:
     """The pictures of some cameras, one after the other."""
     for index, camera in enumerate(cameras):
         pose(index)
-        frame = shared.render_view(renderer, camera, args)
+        frame = shared.render_view(renderer if staging is None else staging.with_main(renderer), camera, args)
         drawn = shared.drawn_cages(renderer, deformation) if args.overlay else ()
         yield colors(frame, camera, drawn, shared.is_transparent(args)), frame, camera
 
@@ -231,12 +246,14 @@ def run_flight(args: argparse.Namespace) -> None:
     shared.check_saved(args)
     if args.cameras == "given" and args.frames is not None:
         raise InputError("--frames belongs to --cameras interpolate")
-    field = shared.read_field(args)
+    field, stage = read_things(args)
     shared.require_fillable(args, field)
     cameras = chosen_cameras(args)
     deformation = read_deformation(args, field)
+    staging = staging_of(args, field, stage)
     shared.set_lattice(args, cameras[0])
-    pictures = pictures_of(args, shared.posed_renderer(field, deformation, args), deformation, cameras)
+    renderer = shared.posed_renderer(field, deformation, args)
+    pictures = pictures_of(args, renderer, deformation, cameras, staging=staging)
     shared.save_cameras(args, cameras)
     if output.suffix:
         rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
@@ -278,6 +295,14 @@ def _write_pictures(
             beside.run(*picture_task(folder / f"{name}.{args.format or 'png'}", image, frame, camera))
 
 
+def seen_points(
+    field: shared.AnyField, deformation: Deformation | None, args: argparse.Namespace, staging: Staging | None
+) -> np.ndarray:
+    """(n, 3) points around what a picture shows, world units."""
+    points = shared.visible_points(field, deformation, args.frame)
+    return points if staging is None else staging.points(points)
+
+
 def run_many_poses(args: argparse.Namespace) -> None:
     """Render each of several poses. The field is read once, and its lattice is made once."""
     folder = _new_folder(args.output, "pictures of several poses go into a new or an empty folder")
@@ -286,11 +311,12 @@ def run_many_poses(args: argparse.Namespace) -> None:
     shared.require_deformation(args, f"the folder {args.output!r}")
     checked_opacity(args, folder)
     shared.check_saved(args)
-    field = shared.read_field(args)
+    field, stage = read_things(args)
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field, "linear")
     assert deformation is not None
-    camera = shared.chosen_camera(args, shared.visible_points(field, deformation, args.frame))
+    staging = staging_of(args, field, stage)
+    camera = shared.chosen_camera(args, seen_points(field, deformation, args, staging))
     shared.set_lattice(args, camera)
     deformer = shared.make_deformer(field, deformation, args)
     count = max(1, deformation.pose_count - 1)
@@ -302,7 +328,7 @@ def run_many_poses(args: argparse.Namespace) -> None:
         except ValueError as error:
             raise InputError(f"pose {index + 1} of {count}: {error}") from error
 
-    pictures = pictures_of(args, deformer, deformation, [camera] * count, pose)
+    pictures = pictures_of(args, deformer, deformation, [camera] * count, pose, staging)
     digits = max(4, len(str(count)))
     _write_pictures(folder, pictures, (f"pose_{number:0{digits}d}" for number in range(1, count + 1)), args)
     shared.save_cameras(args, [camera])
@@ -330,22 +356,27 @@ def run_render(args: argparse.Namespace) -> None:
     extra = {kind: options.check_output(getattr(args, kind), (".png",), "picture") for kind in given}
     if args.masks is not None:
         shared.require_deformation(args, "--masks")
-    field = shared.read_field(args)
+    if args.save_stage is not None and not is_stage(args.save_stage):
+        raise InputError(f"--save-stage writes a file that ends in {STAGE_ENDING}, got {args.save_stage!r}")
+    field, stage = read_things(args)
     if args.masks is not None:
         shared.require_voxels(field, "--masks")
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field)
+    staging = staging_of(args, field, stage)
 
-    camera = shared.chosen_camera(args, shared.visible_points(field, deformation, args.frame))
+    camera = shared.chosen_camera(args, seen_points(field, deformation, args, staging))
     shared.warn_of_edges(args, camera, deformation)
     shared.set_lattice(args, camera)
     renderer = shared.posed_renderer(field, deformation, args)
-    image, frame, _ = next(pictures_of(args, renderer, deformation, [camera]))
+    image, frame, _ = next(pictures_of(args, renderer, deformation, [camera], staging=staging))
     write, _ = picture_task(output, image, frame, camera)
     write()
     for kind, path in extra.items():
         write_png(path, frame_parts.picture(frame, kind))
     shared.save_cameras(args, [camera])
+    if args.save_stage is not None and staging is not None:
+        staging.stage.save(args.save_stage)
     names = " and ".join(map(str, [output, *extra.values()]))
     print(f"wrote {names}: {frame.width}x{frame.height}, {100 * float(frame.alpha.mean()):.1f} % covered")
     if args.masks is not None:
@@ -377,20 +408,26 @@ def run_animate(args: argparse.Namespace) -> None:
     device, scaled = args.device, args.show in ("depth", "disparity")  # by a few frames, which are rendered
     if not here and not scaled:
         args.device = "cpu"
-    field = shared.read_field(args)
+    if not here and (args.add or is_stage(args.field)):
+        raise InputError("--workers and --jobs render a field alone: leave them out where several things are shown")
+    field, stage = read_things(args)
     if args.show == "masks":
         shared.require_voxels(field, "--show masks")
     args.timed, args.film_rate = not given & {"motion", "interpolation"}, args.fps if "fps" in given else None
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field, args.interpolation)
-    times = set_frames(args, deformation and deformation.film, given)
+    staging = staging_of(args, field, stage, args.interpolation)
+    keys: Any = deformation and deformation.film
+    if staging is not None and (keys is not None or deformation is None):  # poses without times keep to --frames
+        keys = staging.longest(keys)
+    times = set_frames(args, keys, given)
     film = None if times is None or deformation is None else deformation.camera_film
-    cameras = _chosen_cameras(args, shared.visible_points(field, deformation, args.frame), film, times or [])
+    cameras = _chosen_cameras(args, seen_points(field, deformation, args, staging), film, times or [])
     shared.warn_of_edges(args, cameras[0], deformation)
     shared.set_lattice(args, cameras[0])
     renders = deformation if here or scaled else None
     deformer = None if renders is None else shared.make_deformer(field, renders, args)
-    shot = Shot(field, deformer, deformation, cameras, args, times)
+    shot = Shot(field, deformer, deformation, cameras, args, times, staging)
 
     shared.save_cameras(args, cameras, args.fps)
     if here:
@@ -448,6 +485,8 @@ def _render(shot: Shot, output: pathlib.Path) -> None:
             write_film(output, map(shot.picture, frames), args.fps, loop=args.loop != "once")
     else:
         settings = _settings(args, cameras, shot.deformation)
+        if shot.staging is not None:
+            settings["things"] = shot.staging.fingerprints()
         kept = make_folder(output, cameras, make, settings, overwrite=bool(args.overwrite))
     _say(shot, output, kept)
     shot.warn()

@@ -354,6 +354,15 @@ def parse_edit(text: str) -> EditWords:
         raise InputError(f"--edit {text!r}: {error}") from None
 
 
+def parse_add(text: str) -> tuple[str, str | None, str | None]:
+    """Field, place file and edits file of a word of --add: FIELD, FIELD:PLACE or FIELD:PLACE:EDITS; "" is none."""
+    parts = re.split(r":(?![\\/])", text)  # the colon of a Windows drive (C:\field.npz) separates nothing
+    if len(parts) > 3 or not parts[0]:
+        raise InputError(f"--add {text!r} must be FIELD, FIELD:PLACE.json or FIELD:PLACE.json:EDITS.json")
+    field, place, edits = (*parts, "", "")[:3]
+    return field, place or None, edits or None
+
+
 def read_edits_file(path: PathLike) -> list[EditWords]:
     """The edits of an edits file in their order; paths, relative to its folder there, as this process opens them."""
     path = require_file(path, "edits file")

@@ -355,6 +355,20 @@ def add_deformation(
     add_map(group)
 
 
+def add_things(parser: Arguments, *, saved: bool = False) -> None:
+    """Add what is shown beside the field, in one scene; saved: whether the scene is kept as a file."""
+    group = parser.add_argument_group("several things in one scene (FIELD may be a stage file, .stage.json, too)")
+    group.add_argument(
+        "--add",
+        action="append",
+        metavar="FIELD[:PLACE[:EDITS]]",
+        help="also show another field, where a place file (.json) says, posed by an edits file (.json) of its own; "
+        'repeat it for more. A place file: {"position": [1, 0, 0], "turn": [0, 0, 90], "scale": 0.5}',
+    )
+    if saved:
+        group.add_argument("--save-stage", metavar="FILE", help="also write the scene as one file (.stage.json)")
+
+
 def add_map(parser: Arguments) -> None:
     parser.add_argument(
         "--map",

@@ -18,6 +18,7 @@ RENDER_EXAMPLE = """\
   warpcage render lego.npz --cage cage.obj --posed twist:60 -o twisted.png
   warpcage render lego.npz --cage cage.obj -o caged.png --overlay
   warpcage render lego.npz --edit arm.obj:arm_up.obj:keep --edit cab.obj:remove -o parts.png
+  warpcage render lego.npz --add mic.npz:beside.json -o both.png --save-stage both.stage.json
   warpcage render lego.npz -o lego.exr --background transparent
   warpcage render lego.npz --cage cage.obj --posed bend:20 bend:40 bend:60 -o bends/
   warpcage render lego.npz -o views/ --cameras interpolate --scene data/lego:test --frames 60
@@ -46,6 +47,7 @@ def add_render_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_fill(parser)
     options.add_antialias(parser)
     options.add_deformation(parser, several=True)
+    options.add_things(parser, saved=True)
     options.add_view(parser)
     options.add_scale_and_device(parser)
 
@@ -80,6 +82,7 @@ ANIMATE_EXAMPLE = """\
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mov --background transparent
   warpcage animate lego.npz --edits lego.edits.json -o parts.mp4
+  warpcage animate lego.npz --add mic.npz:around.json -o both.mp4
   warpcage animate lego.npz --session lego.session.json -o film.mp4 --size 800 600
   warpcage animate lego.npz --cage cage.obj --posed posed.obj --frames 240 --jobs film.jsonl
   warpcage run film.jsonl -o frames
@@ -196,6 +199,7 @@ def add_animate_arguments(parser: argparse.ArgumentParser) -> None:
     options.add_fill(parser)
     options.add_antialias(parser)
     options.add_deformation(parser, keyframes=True)
+    options.add_things(parser)
     options.add_view(parser)
     options.add_scale_and_device(parser)
     options.add_quiet(parser)
