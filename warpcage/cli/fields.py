@@ -30,7 +30,6 @@ from ..view.camera import Camera, CameraFile
 from ..view.pictures import write_png
 from . import shared
 from .arguments import options
-from .films import is_stage
 from .shared import Deformation, is_deformed, read_deformation
 from .words import read_rest
 
@@ -45,7 +44,7 @@ def _checked_fields(args: argparse.Namespace) -> tuple[bool, pathlib.Path]:
 
 
 def run_bake(args: argparse.Namespace) -> None:
-    if is_stage(args.field):
+    if shared.is_stage(args.field):
         return _bake_stage(args)
     of_splats, output = _checked_fields(args)
     if of_splats and (args.voxels is not None or args.format is not None):

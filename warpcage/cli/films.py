@@ -30,7 +30,7 @@ from ..core.files import PathLike, atomic_path, require_file
 from ..core.names import FRAGMENTS_WORD, TRANSPARENT, counted
 from ..core.reports import bar, say_above_bar
 from ..deform.deformer import Deformer
-from ..deform.stage import STAGE_ENDING, Stage
+from ..deform.stage import Stage
 from ..editor.document import Document
 from ..editor.exports import Film
 from ..editor.renderer import view_camera
@@ -600,19 +600,17 @@ class Staging:
     def fingerprints(self) -> list[Any]:
         """All that decides how the scene looks besides the command's own field and its poses."""
         items = self.stage.items.items()
-        paths = [item.path for _, item in items]
-        files = [
-            None if path is None or path.is_dir() else hashlib.sha256(path.read_bytes()).hexdigest() for path in paths
-        ]
+        paths = [item.path for _, item in items if item.path is not None and item.path.is_file()]
+        files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
         places = [[name, item.places.to_json()] for name, item in items]
         return [places, files, [deformation.fingerprints() for _, deformation in self.moving]]
 
 
 def read_things(args: argparse.Namespace) -> tuple[shared.AnyField, Stage | None]:
     """The field of a command that may show several things, and the stage where its file is one of a stage."""
-    if args.fill and (args.add or is_stage(args.field)):
+    if args.fill and (args.add or shared.is_stage(args.field)):
         raise InputError("--fill is for a field alone: leave it out where several things are shown")
-    if not is_stage(args.field):
+    if not shared.is_stage(args.field):
         return shared.read_field(args), None
     if shared.is_deformed(args):
         raise InputError("the things of a stage file have cages of their own: leave --cage, --edit and --edits out")
@@ -632,15 +630,7 @@ def staging_of(
     return Staging(args, field, stage, interpolation) if several else None
 
 
-def is_stage(path: str) -> bool:
-    """Whether a file is that of a stage, by its ending."""
-    return path.lower().endswith(STAGE_ENDING)
-
-
 def free_name(name: str, taken: Collection[str]) -> str:
     """A name that is not taken: the same, or with the first number from 2 that makes it one."""
-    return next(
-        each
-        for each in itertools.chain([name], (f"{name} {number}" for number in itertools.count(2)))
-        if each not in taken
-    )
+    names = itertools.chain([name], (f"{name} {number}" for number in itertools.count(2)))
+    return next(each for each in names if each not in taken)

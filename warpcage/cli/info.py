@@ -277,7 +277,8 @@ def _placed(places: PlaceFile) -> str:
     if len(places.places) > 1:
         return f"moves through {counted(len(places.places), 'place')} in {places.length:g} s"
     place = next(iter(places.places.values()))
-    numbers = [f"at {list(place.position)}", f"turned by {list(place.turn)} degrees", f"{place.scale:g} times as large"]
+    position, turn = (np.asarray(vector).tolist() for vector in (place.position, place.turn))
+    numbers = [f"at {position}", f"turned by {turn} degrees", f"{place.scale:g} times as large"]
     return ", ".join(numbers)
 
 

@@ -52,7 +52,6 @@ from .films import (
     film_words,
     frame_outputs,
     frame_path,
-    is_stage,
     make_folder,
     read_things,
     session_job,
@@ -356,7 +355,7 @@ def run_render(args: argparse.Namespace) -> None:
     extra = {kind: options.check_output(getattr(args, kind), (".png",), "picture") for kind in given}
     if args.masks is not None:
         shared.require_deformation(args, "--masks")
-    if args.save_stage is not None and not is_stage(args.save_stage):
+    if args.save_stage is not None and not shared.is_stage(args.save_stage):
         raise InputError(f"--save-stage writes a file that ends in {STAGE_ENDING}, got {args.save_stage!r}")
     field, stage = read_things(args)
     if args.masks is not None:
@@ -408,7 +407,7 @@ def run_animate(args: argparse.Namespace) -> None:
     device, scaled = args.device, args.show in ("depth", "disparity")  # by a few frames, which are rendered
     if not here and not scaled:
         args.device = "cpu"
-    if not here and (args.add or is_stage(args.field)):
+    if not here and (args.add or shared.is_stage(args.field)):
         raise InputError("--workers and --jobs render a field alone: leave them out where several things are shown")
     field, stage = read_things(args)
     if args.show == "masks":

@@ -25,7 +25,7 @@ from ..core.files import read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
-from ..deform.stage import Stage
+from ..deform.stage import STAGE_ENDING, Stage
 from ..editor.session import FORMAT as SESSION_FORMAT
 from ..editor.session import read_session
 from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
@@ -315,6 +315,11 @@ def is_field(path: str) -> bool:
 def splat_outputs() -> tuple[str, ...]:
     """Endings of files of splats that are written, those of other packages last."""
     return tuple(dict.fromkeys([*options.SPLAT_ENDINGS, *endings_written()]))
+
+
+def is_stage(path: str) -> bool:
+    """Whether a file is that of a stage, by its ending."""
+    return path.lower().endswith(STAGE_ENDING)
 
 
 def require_voxels(field: AnyField, what: str) -> VoxelField:
