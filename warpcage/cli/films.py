@@ -575,8 +575,11 @@ class Staging:
 
     def points(self, points: np.ndarray) -> np.ndarray:
         """(n, 3) points around what a picture shows, world units; points: those around the command's own field."""
-        own = [] if self.of_file else [points]
-        return np.concatenate([self.stage.shown_points, *own])
+        seen = [] if self.of_file else [points]
+        times = {0.0, *(time for item in self.stage.items.values() for time in item.places.places)}
+        for self.stage.time in sorted(times, reverse=True):  # last the first, where pictures are made
+            seen.append(self.stage.shown_points)
+        return np.concatenate(seen)
 
     def with_main(self, renderer: shared.AnyField | Deformer) -> Stage:
         """The stage with what renders the command's own field; the things of a stage file stay as they are."""

@@ -18,7 +18,7 @@ from ..core.modules import start_warp
 from ..core.names import counted
 from ..core.threads import cpu_threads
 from ..deform.stage import read_stage_file
-from ..edits.place import PlaceFile
+from ..edits.place import PLACE_WORDS, PlaceFile
 from ..errors import InputError, MissingFileError
 from ..field.surroundings import LayeredBackground, OuterField
 from ..fitting.silhouettes import Silhouettes
@@ -197,7 +197,8 @@ def _json(path: pathlib.Path) -> Rows:
     kinds = {"warpcage poses": _poses, "warpcage cameras": _cameras, "warpcage edits": _edits}
     kinds |= {"warpcage stage": _stage, "warpcage place": _place}
     try:
-        kind = read_json(path, "file of warpcage").get("format")
+        content = read_json(path, "file of warpcage")
+        kind = content.get("format", "warpcage place" if content.keys() & PLACE_WORDS else None)  # made by hand
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     if kind == "warpcage session":

@@ -344,13 +344,12 @@ class Stage:
         if not self.items:
             raise InputError("an empty stage is not written: add a thing first")
         folder = path.absolute().parent
-        content = {
-            "format": _FORMAT,
-            "version": _VERSION,
-            "things": [_item_json(name, item, folder) for name, item in self.items.items()],
-        }
+        things = [json.dumps(_item_json(name, item, folder)) for name, item in self.items.items()]
+        head = (
+            f'{{"format": "{_FORMAT}", "version": {_VERSION}, "things": [\n '  # a line a thing, to be read and changed
+        )
         with atomic_path(path) as temporary:
-            temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+            temporary.write_text(head + ",\n ".join(things) + "]}\n", encoding="utf-8")
 
     @classmethod
     def load(cls, path: PathLike, *, device: wp.DeviceLike = None) -> Stage:

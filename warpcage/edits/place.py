@@ -19,6 +19,10 @@ from .words import Checker, anything, checked_words
 
 _FORMAT, _VERSION = "warpcage place", 1
 
+#: Words of a place, and of a file that has places at times.
+_WORDS: dict[str, Checker] = dict.fromkeys(("position", "turn", "scale", "matrix"), anything)
+PLACE_WORDS = frozenset((*_WORDS, "keys"))
+
 
 @dataclasses.dataclass(frozen=True)
 class Place:
@@ -253,8 +257,9 @@ def require_version(version: Any, newest: int) -> None:
 
 def _place(content: Mapping[str, Any], beside: dict[str, Checker]) -> Place:
     """A place of JSON; beside: other words that its object may have."""
-    known: dict[str, Checker] = dict.fromkeys(("position", "turn", "scale", "matrix"), anything)
-    given = {word: value for word, value in checked_words(content, known | beside, "a place").items() if word in known}
+    given = {
+        word: value for word, value in checked_words(content, _WORDS | beside, "a place").items() if word in _WORDS
+    }
     if "matrix" not in given:
         return Place(**given)
     if len(given) > 1:
