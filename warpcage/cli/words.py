@@ -356,7 +356,8 @@ def parse_edit(text: str) -> EditWords:
 
 def parse_add(text: str) -> tuple[str, str | None, str | None]:
     """Field, place file and edits file of a word of --add: FIELD, FIELD:PLACE or FIELD:PLACE:EDITS; "" is none."""
-    parts = re.split(r":(?![\\/])", text)  # the colon of a Windows drive (C:\field.npz) separates nothing
+    # the colon of a Windows drive (C:\field.npz) separates nothing
+    parts = re.split(r":(?![\\/])|(?<!^[A-Za-z])(?<!:[A-Za-z]):", text)
     if len(parts) > 3 or not parts[0]:
         raise InputError(f"--add {text!r} must be FIELD, FIELD:PLACE.json or FIELD:PLACE.json:EDITS.json")
     field, place, edits = (*parts, "", "")[:3]
