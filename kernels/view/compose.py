@@ -12,22 +12,21 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 @wp.kernel
 def compose_things(
     first: int,
-    scales: wp.array(dtype=wp.float32),
+    scales: wp.array(dtype=wp.float32),  # (things,) from the depths of each to world units
     behind: wp.vec3,
-    unit: float,
-    colors: wp.array2d(dtype=wp.vec3),
-    alphas: wp.array2d(dtype=wp.float32),
-    depths: wp.array2d(dtype=wp.float32),
-    masks: wp.array3d(dtype=wp.float32),
+    unit: float,  # of `around`, world units
+    colors: wp.array2d(dtype=wp.vec3),  # (things, h * w) on black
+    alphas: wp.array2d(dtype=wp.float32),  # (things, h * w)
+    depths: wp.array2d(dtype=wp.float32),  # (things, h * w), inf for nothing
+    masks: wp.array3d(dtype=wp.float32),  # (names, things, h * w)
     rgb: wp.array(dtype=wp.vec3),
     alpha: wp.array(dtype=wp.float32),
-    depth: wp.array(dtype=wp.float32),
-    around: wp.array(dtype=wp.float32),
-    mask: wp.array2d(dtype=wp.float32),
+    depth: wp.array(dtype=wp.float32),  # world units
+    around: wp.array(dtype=wp.float32),  # (h * w,), or empty where nobody asks for it
+    mask: wp.array2d(dtype=wp.float32),  # (names, h * w)
 ):
-    """colors, on black, alphas and depths (things, h * w), depths times scales (things,) in world units, inf for
-    nothing; masks (names, things, h * w). rgb before a colour, alpha and depth (h * w,); around: depth in units, or
-    empty; mask (names, h * w): each less what is before its thing."""
+    """Put things over each other before a colour; rgb, alpha and depth (h * w,). Masks are dimmed by what is before
+    their things; around: the same depth in other units."""
     n = first + wp.tid()
     color = wp.vec3()
     light = float(1.0)

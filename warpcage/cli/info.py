@@ -71,7 +71,8 @@ def run_info(args: argparse.Namespace) -> None:
     else:
         raise InputError(
             f"{args.field!r} is not a field (.npz), splats ({' '.join(endings_read())}), cage "
-            f"({' '.join(mesh_endings())}), poses, edits or cameras (.json) or scene folder{scene_around(path)}"
+            f"({' '.join(mesh_endings())}), poses, edits, cameras, places or stages (.json) or scene "
+            f"folder{scene_around(path)}"
         )
     width = max(len(name) for name, _ in rows)
     for name, value in rows:

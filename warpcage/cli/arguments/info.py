@@ -21,7 +21,7 @@ SHEET_PICTURES, SHEET_SIDE = 100, 160
 
 @command(
     "info",
-    "describe a field, a cage, poses, edits, cameras or a scene; without a file: versions and devices",
+    "describe a field, a cage, poses, edits, cameras, places, a stage or a scene; without a file: versions and devices",
     INFO_EXAMPLE,
 )
 def add_info_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,7 @@ def add_info_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="file",
         nargs="?",
         help=f"field (.npz), splats ({' '.join(options.SPLATS_READ)}), cage "
-        f"({' '.join(options.CAGE_ENDINGS)}), poses, edits or cameras (.json) or scene folder",
+        f"({' '.join(options.CAGE_ENDINGS)}), poses, edits, cameras, places or stages (.json) or scene folder",
     )
     parser.add_argument("--split", default="train", help="split of a scene (default: %(default)s)")
     options.add_scene_format(parser)
