@@ -105,8 +105,15 @@ setup(
         'zstandard>=0.23; python_version < "3.14"',  # .spz of version 4; from 3.14 on Python has it
     ],
     extras_require={
-        **{"edit": EDIT, "exr": EXR, "heif": HEIF, "capture": CAPTURE, "cluster": CLUSTER},
-        **{"completion": COMPLETION, "docs": DOCS, "test": TEST, "dev": DEV},
+        "edit": EDIT,
+        "exr": EXR,
+        "heif": HEIF,
+        "capture": CAPTURE,
+        "cluster": CLUSTER,
+        "completion": COMPLETION,
+        "docs": DOCS,
+        "test": TEST,
+        "dev": DEV,
     },
     entry_points={"console_scripts": ["warpcage=warpcage.cli:main"]},
     classifiers=[

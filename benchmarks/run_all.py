@@ -251,7 +251,7 @@ def run_over_gpus(runs: list[Run], gpus: list[str], seconds: float, out: pathlib
     for thread in threads:
         thread.join()
     for run in runs:
-        if 1 < run.gpus:
+        if run.gpus > 1:
             if run.gpus > len(gpus) or run.seconds > left():
                 waiting.append(run)
             elif not _run(run, gpus[: run.gpus], out):

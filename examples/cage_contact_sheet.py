@@ -95,8 +95,10 @@ def drawn(name: str, mesh, made, size: int) -> list[np.ndarray]:
         share = report.mesh_enclosed if report.field_enclosed is None else report.field_enclosed
         crossings = f", {len(report.intersecting_faces)} CROSSINGS" if report.intersecting_faces else ""
         lines = [
-            f"{report.vertex_count} vertices, {report.part_count} part{'s' * (report.part_count > 1)}, "
-            f"genus {report.genus}{crossings}",
+            (
+                f"{report.vertex_count} vertices, {report.part_count} part{'s' * (report.part_count > 1)}, "
+                f"genus {report.genus}{crossings}"
+            ),
             f"{100 * share:.4g} % enclosed, hull x {report.hull_ratio:.2f}",
             f"{'usable' if report.usable else 'NOT usable'}, made in {seconds:.1f} s",
         ]

@@ -106,7 +106,7 @@ def video_run(folder: pathlib.Path, args: argparse.Namespace) -> dict:
         exposures=2,
         device=args.device,
     )
-    report, run = captured(video, scene, frames=args.frames, feature_size=args.feature_size)
+    _report, run = captured(video, scene, frames=args.frames, feature_size=args.feature_size)
     found = warpcage.load_scene(scene, split="all")
     numbers = [int(name.removeprefix("frame_")) for name in found.names]
     blurred = sum(number % 6 == 5 for number in numbers)

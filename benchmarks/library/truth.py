@@ -133,7 +133,7 @@ def measure_scene(scene, field, ceiling: float, args):
                     "scene": scene.name,
                     "pose": pose,  # noqa: B023 (used at once)
                     "kind": kind,  # noqa: B023
-                    "what": what,  # noqa: B023 (used at once)
+                    "what": what,
                     **more,
                     **measure(frames, against, scene.cage.size, similarity=what == "frame"),
                 }
@@ -393,7 +393,7 @@ def use_nearest_voxels(deformer, posed, tolerance: float = 1e-5) -> int:
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import cg
 
-    edit = deformer._edits.lattices.posed()[0][0]
+    edit = deformer.posed_edits().lattices.posed()[0][0]
     cage_map, origin, rest = edit.deformed, deformer.field.center, deformer.edits[0].cage
     distance, positions = cage_map.distance.numpy(), cage_map.positions.numpy().astype(np.float64)
     lower, spacing = np.array(cage_map.lower) + origin, cage_map.spacing
@@ -443,7 +443,7 @@ def _surface_values(cage, targets, lower, spacing, shape):
 
 def use_weight_sums(deformer, threshold: float) -> None:
     """Decide inside or outside, in both cages of a posed deformer, by the sum of weights."""
-    edit = deformer._edits.lattices.posed()[0][0]
+    edit = deformer.posed_edits().lattices.posed()[0][0]
     origin = deformer.field.center
     inside = edit.deformed.distance.numpy() < 0
     positions = edit.deformed.positions.numpy()
@@ -462,10 +462,8 @@ def use_weight_sums(deformer, threshold: float) -> None:
 
 def _remark(deformer, edit) -> None:
     """Let a deformer's tables follow a map that was changed under it."""
-    edits = deformer._edits
     edit.deformed.side_index = wp.zeros(0, dtype=int, device=deformer.device)
-    edits.lattices.settle_cells()
-    edits.array, edits.scene = edits.lattices.array, None
+    deformer.posed_edits().lattices.settle_cells()
 
 
 def march(deformer, camera, *, plain_directions: bool, stride: int = 1, chunk: int = 4_000_000) -> np.ndarray:

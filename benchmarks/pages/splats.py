@@ -157,8 +157,10 @@ def verdict(found: Rows, scenes: list[str]) -> str:
     clear = {place: cost for place, cost in costs.items() if cost <= -CLEAR}
     others = {place: cost for place, cost in costs.items() if cost > -CLEAR}
     said = [
-        f"On the scenes that change with the direction, the GSDeformer way is {CLEAR:g} dB or more below\n"
-        f"the deformer in {len(clear)} of {len(costs)} poses"
+        (
+            f"On the scenes that change with the direction, the GSDeformer way is {CLEAR:g} dB or more below\n"
+            f"the deformer in {len(clear)} of {len(costs)} poses"
+        )
     ]
     if clear:
         said.append(f", by {-max(clear.values()):.1f} to {-min(clear.values()):.1f} dB")

@@ -151,8 +151,10 @@ def start_parts(files: list[dict], pictures: pathlib.Path) -> list[str]:
         twice = ", ".join(results["compiled_twice"]) or "none"
         parts += [
             table(["stage", "cold, s", "warm, s"], rows),
-            f"Limit {results['limit']:g} s; modules compiled twice in one process: {twice}; load of the machine "
-            f"when it began: {results['load_average']:.1f}.\n",
+            (
+                f"Limit {results['limit']:g} s; modules compiled twice in one process: {twice}; load of the machine "
+                f"when it began: {results['load_average']:.1f}.\n"
+            ),
             source(results),
         ]
     return parts

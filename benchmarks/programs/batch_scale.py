@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import concurrent.futures
+import contextlib
 import json
 import pathlib
 import resource
@@ -22,8 +23,8 @@ from warpcage.batch import (
     Driver,
     JobFile,
     OutputFolder,
+    make_plan,
     merge_notes,
-    planned,
     scheduler,
     write_jobs,
 )
@@ -106,7 +107,7 @@ class Nothing:
 
     def submit(self, item, out=None):
         done = concurrent.futures.Future()
-        done.set_result({path: 1000 for path in item.outputs.values()})
+        done.set_result(dict.fromkeys(item.outputs.values(), 1000))
         return done
 
     def close(self):
@@ -137,7 +138,7 @@ def message_costs(folder: pathlib.Path, count: int) -> dict[str, float]:
             used = max(40, int(share * count))
             write_tiny(folder / f"tiny{size}.jsonl", used)
             times = []
-            with sized_chunks(size):
+            with SizedChunks(size):
                 report = warpcage.run_jobs(
                     folder / f"tiny{size}.jsonl",
                     folder / f"tiny{size}",
@@ -167,7 +168,7 @@ def state_made(done: int, count: int) -> bool:
     return 0.1 * count <= done <= 0.9 * count
 
 
-class sized_chunks:
+class SizedChunks:
     """Chunks of one size for a while."""
 
     def __init__(self, size: int):
@@ -190,8 +191,8 @@ def driver_ends(folder: pathlib.Path, count: int) -> dict[str, float]:
     out.prepare()
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     begin = time.process_time()
-    with JobFile(path) as job:
-        plan = planned(job, out)
+    with JobFile(path) as job, contextlib.closing(out.read_manifest()) as manifest:
+        plan = make_plan(job, out, manifest)
     planning = time.process_time() - begin
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - before
     assert len(plan.items) == count

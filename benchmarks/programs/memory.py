@@ -245,8 +245,10 @@ def figure(parts: dict) -> str:
     columns = [column for column in columns if any(max(part[column[0]]) > 0 for part in parts.values())]
     full = left + len(columns) * (width + left), top + len(parts) * (height + top)
     lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{full[0]}" height="{full[1]}" font-family="sans-serif" '
-        'font-size="11">',
+        (
+            f'<svg xmlns="http://www.w3.org/2000/svg" width="{full[0]}" height="{full[1]}" font-family="sans-serif" '
+            'font-size="11">'
+        ),
         f'<rect width="{full[0]}" height="{full[1]}" fill="white"/>',
     ]
     for row, (name, part) in enumerate(parts.items()):

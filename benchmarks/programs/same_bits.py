@@ -34,6 +34,28 @@ cage.save("cage.obj")
 np.save("poses.npy", np.stack([np.asarray(cage.vertices) * (1, 1, 1 + 0.1 * k) for k in range(4)]))
 """
 
+#: A session of the editor, with a film of two keys, and what its page exports: film, frames, baked field, cage, poses.
+EXPORTS = """
+import dataclasses, warpcage
+from warpcage import editor
+field, cage = warpcage.VoxelField.load("balls.npz", device="cpu"), warpcage.Cage.load("cage.obj")
+bent = cage.bend(40, axis="x", towards="z").vertices
+made = editor.new_document(field, [cage], resolution=24)
+other = dataclasses.replace(made.view, fov=50.0)
+keys = (
+    editor.Key(10, 0.0, "rest", "smooth", {1: editor.frozen_vertices(cage.vertices)}, made.view),
+    editor.Key(11, 0.5, "bent", "linear", {1: editor.frozen_vertices(bent)}, other),
+)
+edits = (editor.new_edit(1, cage, "Move 1", posed=bent),)
+made = dataclasses.replace(made, edits=edits, timeline=editor.Timeline(keys, length=0.5, fps=6.0), next_id=99)
+editor.write_session("balls.session.json", made, field, "balls.npz")
+editor.export_film(made, field, "exported.gif", editor.Film(48, 36, overlay=True))
+editor.export_film(made, field, "exported", editor.Film(48, 36, transparent=True))
+editor.export_baked(made, field, "exported.npz")
+editor.export_cage(made, 1, "exported.obj")
+editor.export_poses(made, 1, "exported.json")
+"""
+
 #: Views, and edits, that lines below name; what they write is compared, never what they print.
 VIEW = "--size 64 --eye 2.4 -2 1.4 --target 0 0 0"
 BEND = "--cage cage.obj --posed bend:40:x:z --resolution 24"
@@ -85,6 +107,8 @@ animate balls.npz -o once --frames 3 --motion once --show depth {BEND} --size 48
 animate balls.npz -o masks --frames 3 --motion hold --show masks {BEND} --size 48
 animate balls.npz -o paths --frames 4 --cameras scene:train --size 32
 animate balls.ply -o splat_film --frames 3 {BEND} --size 48
+animate balls.npz --session balls.session.json -o session.gif --size 48 36
+render balls.npz --edits balls.session.json -o session.png {VIEW} --resolution 24
 animate balls.npz --jobs film.jsonl --frames 3 {BEND} --size 48
 run film.jsonl -o film_made
 bake balls.npz -o baked.npz {BEND}
@@ -156,7 +180,7 @@ pathlib.Path(sys.argv[2]).write_text(json.dumps(ended))
     option("--keep", type=pathlib.Path, help="folder for what both make (default: a temporary one)"),
 )
 def main(args: argparse.Namespace) -> int:
-    """Run the same commands and job files in this checkout and in another one, and name files that differ.
+    """Run the same commands, job files and exports of the editor in this checkout and another one; name what differs.
 
         git worktree add ../before HEAD~20
         python benchmarks same-bits ../before
@@ -202,6 +226,7 @@ def run_in(tree: pathlib.Path, folder: pathlib.Path, lines: list[str]) -> dict[s
         subprocess.run([sys.executable, *words], cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL)
 
     run("-c", INPUTS)
+    run("-c", EXPORTS)
     (folder / "jobs.jsonl").write_text("".join(json.dumps(item) + "\n" for item in JOBS))
     (folder / "commands.txt").write_text("\n".join(lines))
     run("-c", RUNNER, "commands.txt", "ended.json")

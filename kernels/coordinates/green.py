@@ -15,6 +15,7 @@
 
 import warp as wp
 
+from ..core.gradients import add_slope
 from ..core.loads import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
 from ..mesh.fans import INFINITE, PLANE_BAND, near_plane_limit
 from ..mesh.triangle import nearest_barycentric
@@ -362,16 +363,13 @@ def grad_green_point(
             )
             layers = green_layers(p, q, r, by_phi, wp.dot(slope, wp.vec3d(target_normals[f])))
             by_point -= layers.slopes.p + layers.slopes.q + layers.slopes.r
-            if wp.adjoint[vertices]:
-                wp.atomic_add(wp.adjoint[vertices], face[0], wp.vec3(layers.slopes.p))
-                wp.atomic_add(wp.adjoint[vertices], face[1], wp.vec3(layers.slopes.q))
-                wp.atomic_add(wp.adjoint[vertices], face[2], wp.vec3(layers.slopes.r))
-            if wp.adjoint[targets]:
-                wp.atomic_add(wp.adjoint[targets], face[0], wp.vec3(layers.phi[0] * slope))
-                wp.atomic_add(wp.adjoint[targets], face[1], wp.vec3(layers.phi[1] * slope))
-                wp.atomic_add(wp.adjoint[targets], face[2], wp.vec3(layers.phi[2] * slope))
-            if wp.adjoint[target_normals]:
-                wp.atomic_add(wp.adjoint[target_normals], f, wp.vec3(layers.psi * slope))
+            add_slope(vertices, wp.adjoint[vertices], face[0], wp.vec3(layers.slopes.p))
+            add_slope(vertices, wp.adjoint[vertices], face[1], wp.vec3(layers.slopes.q))
+            add_slope(vertices, wp.adjoint[vertices], face[2], wp.vec3(layers.slopes.r))
+            add_slope(targets, wp.adjoint[targets], face[0], wp.vec3(layers.phi[0] * slope))
+            add_slope(targets, wp.adjoint[targets], face[1], wp.vec3(layers.phi[1] * slope))
+            add_slope(targets, wp.adjoint[targets], face[2], wp.vec3(layers.phi[2] * slope))
+            add_slope(target_normals, wp.adjoint[target_normals], f, wp.vec3(layers.psi * slope))
     wp.adjoint[x] += wp.vec3(by_point)
 
 

@@ -10,6 +10,7 @@
 
 import warp as wp
 
+from ..core.gradients import add_slope, forward_only_in
 from ..core.loads import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
 from ..mesh.fans import near_plane_limit
 from ..mesh.triangle import nearest_barycentric
@@ -17,6 +18,8 @@ from .face_slopes import STEP_INSIDE, distance_to_face, mean_value_slopes, off_t
 
 # so many registers per thread that larger blocks would fill a GPU less well
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fast_math": True, "block_dim": 128})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.array2d(dtype=wp.float32),))
 
 #: Every face takes the float64 path where the sum of weights is between these over the size, as it is well outside.
 CANCELLED = wp.constant(10.0)
@@ -182,7 +185,7 @@ def position_in_double(
         total += weights[0] + weights[1] + weights[2]
         for k in range(3):
             position += weights[k] * wp.vec3d(targets[face[k]])
-    return wp.vec3(position * wp.where(total == _ZERO, _ZERO, _ONE / total))
+    return forward_only(wp.vec3(position * wp.where(total == _ZERO, _ZERO, _ONE / total)), x)
 
 
 @wp.func
@@ -219,6 +222,7 @@ def weigh_in_double(
         face = faces[f]
         w = far_face_weights_in_double(x, vertices[face[0]], vertices[face[1]], vertices[face[2]], size)
         add_corners(weights, n, face, wp.vec3(scale * w))
+    forward_only(weights)
 
 
 @wp.func
@@ -357,16 +361,14 @@ def grad_mean_value_position(
             off = off_the_plane(p, q, r, unit)
             slopes = mean_value_slopes(p + off, q + off, r + off, by_weights)
             by_point -= slopes.p + slopes.q + slopes.r
-            if wp.adjoint[vertices]:
-                wp.atomic_add(wp.adjoint[vertices], face[0], wp.vec3(slopes.p))
-                wp.atomic_add(wp.adjoint[vertices], face[1], wp.vec3(slopes.q))
-                wp.atomic_add(wp.adjoint[vertices], face[2], wp.vec3(slopes.r))
+            add_slope(vertices, wp.adjoint[vertices], face[0], wp.vec3(slopes.p))
+            add_slope(vertices, wp.adjoint[vertices], face[1], wp.vec3(slopes.q))
+            add_slope(vertices, wp.adjoint[vertices], face[2], wp.vec3(slopes.r))
         if wp.abs(det) > FLAT * unit * wp.length(normal):
             w = weights_in_double(p, q, r, det)
-            if wp.adjoint[targets]:
-                wp.atomic_add(wp.adjoint[targets], face[0], wp.vec3(w[0] * slope))
-                wp.atomic_add(wp.adjoint[targets], face[1], wp.vec3(w[1] * slope))
-                wp.atomic_add(wp.adjoint[targets], face[2], wp.vec3(w[2] * slope))
+            add_slope(targets, wp.adjoint[targets], face[0], wp.vec3(w[0] * slope))
+            add_slope(targets, wp.adjoint[targets], face[1], wp.vec3(w[1] * slope))
+            add_slope(targets, wp.adjoint[targets], face[2], wp.vec3(w[2] * slope))
     wp.adjoint[x] += wp.vec3(by_point)
 
 

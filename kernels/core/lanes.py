@@ -6,6 +6,8 @@
 
 import warp as wp
 
+from .gradients import forward
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
@@ -33,7 +35,7 @@ def ballot(flag: wp.int32) -> wp.int32:
     ...
 
 
-@wp.func_native("""
+@forward.func_native("""
 #if defined(__CUDA_ARCH__)
     return __shfl_sync(0xffffffffu, value, lane);
 #else
@@ -69,7 +71,7 @@ def mask_from_lane(value: wp.uint64, lane: wp.int32) -> wp.uint64:
     ...
 
 
-@wp.func_native("""
+@forward.func_native("""
 #if defined(__CUDA_ARCH__)
     for (int reach = 16; reach > 0; reach >>= 1)
         value = fminf(value, __shfl_xor_sync(0xffffffffu, value, reach));
@@ -81,7 +83,7 @@ def least_of_lanes(value: wp.float32) -> wp.float32:
     ...
 
 
-@wp.func_native("""
+@forward.func_native("""
 #if defined(__CUDA_ARCH__)
     for (int reach = 16; reach > 0; reach >>= 1)
         value += __shfl_xor_sync(0xffffffffu, value, reach);
@@ -105,7 +107,7 @@ def octet_count() -> wp.int32:
     ...
 
 
-@wp.func_native("""
+@forward.func_native("""
 #if defined(__CUDA_ARCH__)
     for (int reach = 4; reach > 0; reach >>= 1)
         value += __shfl_xor_sync(0xffffffffu, value, reach);

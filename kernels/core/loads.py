@@ -12,8 +12,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
     return *reinterpret_cast<const wp::vec_t<3, wp::float32>*>(begin + offset);
 """,
     adj_snippet="""
-    if (adj_array.data)
-        wp::atomic_add(adj_array, i, adj_ret);
+    wp::adj_address(array, i, adj_array, 0, adj_ret);
 """,
 )
 def vec3_entry(array: wp.array(dtype=wp.vec3), i: int) -> wp.vec3:
@@ -31,8 +30,7 @@ def vec3_entry(array: wp.array(dtype=wp.vec3), i: int) -> wp.vec3:
 #endif
 """,
     adj_snippet="""
-    if (adj_array.data)
-        wp::atomic_add(adj_array, i, adj_ret);
+    wp::adj_address(array, i, adj_array, 0, adj_ret);
 """,
 )
 def vec4_entry(array: wp.array(dtype=wp.vec4), i: int) -> wp.vec4:
@@ -123,8 +121,7 @@ def row_has_zero(array: wp.array3d(dtype=wp.uint8), i: int, j: int, k: int, last
         adj_g.c[0] += adj_ret * value * (p ? v * w : -v * w);
         adj_g.c[1] += adj_ret * value * (q ? u * w : -u * w);
         adj_g.c[2] += adj_ret * value * (r ? u * v : -u * v);
-        if (adj_values.data)
-            wp::atomic_add(adj_values, i + p, j + q, k + r, adj_ret * u * v * w);
+        wp::adj_address(values, i + p, j + q, k + r, adj_values, 0, 0, 0, adj_ret * u * v * w);
     }
 """,
 )

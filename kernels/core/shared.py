@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from .gradients import forward
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Numbers of a warp, and warps of a block, at most. A block takes 4 * 4 * WARP_NUMBERS bytes of shared memory.
@@ -10,7 +12,7 @@ WARP_NUMBERS = wp.constant(1344)
 BLOCK_WARPS = wp.constant(4)
 
 
-@wp.func_native(f"""
+@forward.func_native(f"""
 #if defined(__CUDA_ARCH__)
     // one function for all that is done with it: another would have another array
     __shared__ float4 memory[{BLOCK_WARPS} * {WARP_NUMBERS // 4}];
@@ -58,7 +60,7 @@ def keep_one(place: int, value: float):
     warp_memory(3, place, wp.vec4(value, 0.0, 0.0, 0.0))
 
 
-@wp.func_native("""
+@forward.func_native("""
     union { int whole; float bits; } both;
     both.whole = value;
     return both.bits;

@@ -3,6 +3,7 @@
 import warp as wp
 
 from ..coordinates.mean_value import mean_value_position
+from ..core.gradients import forward_only_in
 from ..lattice.cage_map import CageMap, cell_sides, map_position
 from ..lattice.nodes import CELL_DIAGONAL
 from ..mesh.containment import triangle_distance_squared
@@ -11,6 +12,8 @@ from .cell_tables import jacobian_spread, largest_stretch, mat83, mean_jacobian
 from .structs import CELL_CARRIES, CELL_FOLDED, CELL_INSIDE, CELL_STEEP, CUT_LENGTH, LatticeEdit
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3))
 
 #: Most steps of the search for a place that the map leads to a given point.
 MOST_STEPS = wp.constant(12)
@@ -66,8 +69,8 @@ def wall_offset(walls: WallMap, x: wp.vec3):
         flat += wp.float32(share[corner]) * walls.rest[face[corner]]
     offset = map_position(walls.plain, q) - flat
     if not wp.isfinite(wp.length_sq(offset)):  # a face without area
-        return wp.vec3(0.0, 0.0, 0.0)
-    return offset
+        return forward_only(wp.vec3(0.0, 0.0, 0.0), x)
+    return forward_only(offset, x)
 
 
 @wp.func

@@ -3,11 +3,14 @@ lattice."""
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..lattice.cage_map import corner_share
 from .structs import CELL_OUTSIDE, EditData, entry_of_sides
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.vec4, wp.vec3), (wp.mat33, wp.vec3))
 
 #: Of Newton's method in a trilinear cell: from its middle, two or three are enough where the cell is not folded.
 NEWTON_STEPS = wp.constant(6)
@@ -68,7 +71,7 @@ def corner_slope(corners: mat83, f: wp.vec3):
                 column += corner_share(c, ahead) * (corners[c] - corners[c - bit])
         for row in range(3):
             slope[row, axis] = column[row]
-    return slope
+    return forward_only(slope, f)
 
 
 @wp.func
@@ -80,12 +83,12 @@ def place_in_cell(corners: mat83, target: wp.vec3):
         step += 1
         slope = corner_slope(corners, f)
         if wp.abs(wp.determinant(slope)) < 1.0e-9:
-            return wp.vec3(1.0e6, 1.0e6, 1.0e6)
+            return forward_only(wp.vec3(1.0e6, 1.0e6, 1.0e6), target)
         f += wp.inverse(slope) * (target - corner_mean(corners, f))
         f = wp.max(wp.min(f, wp.vec3(2.0, 2.0, 2.0)), wp.vec3(-1.0, -1.0, -1.0))
     if wp.length(corner_mean(corners, f) - target) > CELL_MARGIN:
-        return wp.vec3(1.0e6, 1.0e6, 1.0e6)
-    return f
+        return forward_only(wp.vec3(1.0e6, 1.0e6, 1.0e6), target)
+    return forward_only(f, target)
 
 
 @wp.func
@@ -110,8 +113,8 @@ def met_place(edit: EditData, n: int, entry: int, side: int, corners: mat83, tar
         distance = side_distance(edit, n, entry, side, f)
         for other in range(entry % 8):
             if side_distance(edit, n, entry, other, f) < distance:
-                return wp.vec4(1.0e6, 1.0e6, 1.0e6, 1.0e6)
-    return wp.vec4(f[0], f[1], f[2], distance)
+                return forward_only(wp.vec4(1.0e6, 1.0e6, 1.0e6, 1.0e6), target)
+    return forward_only(wp.vec4(f[0], f[1], f[2], distance), target)
 
 
 @wp.func

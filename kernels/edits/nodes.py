@@ -2,10 +2,13 @@
 
 import warp as wp
 
+from ..core.gradients import forward, forward_only_in
 from ..lattice.cage_map import corner_share
 from .structs import LOOK_SKIP
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (float, wp.vec3))
 
 #: Words of four numbers that a cell's coefficients take: eight of three numbers each, one after the other.
 CELL_WORDS = wp.constant(6)
@@ -46,7 +49,7 @@ def expand_map_cells(
     polynomials[to + 5] = wp.vec4(yz[2], xyz[0], xyz[1], xyz[2])
 
 
-@wp.func_native(
+@forward.func_native(
     """
     float c[24];
 #if defined(__CUDA_ARCH__)
@@ -106,7 +109,7 @@ FOUR_EDGES = """
 vec7 = wp.types.vector(length=7, dtype=wp.float32)
 
 
-@wp.func_native(
+@forward.func_native(
     """
 #if defined(__CUDA_ARCH__)
 """
@@ -139,7 +142,7 @@ def node_blend(nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: wp.i
     ...
 
 
-@wp.func_native("""
+@forward.func_native("""
 #if defined(__CUDA_ARCH__)
     #define DISTANCE(i) __ldg(begin + 4 * (size_t)(i))
 #else
@@ -160,7 +163,7 @@ def node_distance(nodes: wp.array(dtype=wp.vec4), n: wp.int32, x: wp.int32, z: w
     ...
 
 
-@wp.func_native(
+@forward.func_native(
     """
 #if defined(__CUDA_ARCH__)
 """
@@ -195,7 +198,7 @@ def node_slope(
     ...
 
 
-@wp.func_native(
+@forward.func_native(
     """
 #if defined(__CUDA_ARCH__)
 """
@@ -249,7 +252,7 @@ def share_slope(corner: int, offset: wp.vec3, rate: wp.vec3):
         moved = offset
         moved[axis] = wp.where(high, 1.0, 0.0)
         total += wp.where(high, rate[axis], -rate[axis]) * corner_share(corner, moved)
-    return total
+    return forward_only(total, offset)
 
 
 @wp.func(inline=False)  # rare

@@ -6,6 +6,7 @@ import warp as wp
 
 from ..coordinates.green import green_position
 from ..coordinates.mean_value import mean_value_position
+from ..core.gradients import forward_only_in
 from ..lattice.cage_map import cell_sides, map_distance, map_position, side_position
 from ..mesh.containment import cage_distance, winding_number
 from ..mesh.triangle import faded_position
@@ -26,6 +27,8 @@ from .structs import (
 )
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3))
 
 #: Part of a step that the finite difference falls back to where neither neighbour shares the point's cage.
 SHORT_DIFFERENCE = wp.constant(0.0625)
@@ -240,7 +243,7 @@ def traced_point(edits: Any, x: wp.vec3):
             result.vacant = cleared  # what is cleared cannot be cleared again
             cleared = 1
         e -= 1
-    result.position = position
+    result.position = forward_only(position, x)
     result.region = wp.where(cleared == 1, CLEARED, wp.where(result.path != 0, MAPPED, UNCHANGED))
     return result
 

@@ -8,9 +8,12 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3), (wp.vec4, wp.vec3))
 
 #: A ray ends where this share of the light is left.
 OPAQUE_TRANSMITTANCE = wp.constant(1.0e-4)
@@ -117,6 +120,7 @@ def surface_sample(side: int, point: wp.vec3):
         node[c] = vi + dv
         result.nodes[corner_index] = surface_node(side, node)
         result.weights[corner_index] = wp.where(du == 1, fu, 1.0 - fu) * wp.where(dv == 1, fv, 1.0 - fv)
+    result.weights = forward_only(result.weights, point)
     result.met = 1
     return result
 
@@ -164,7 +168,7 @@ def background_color(layers: BackgroundLayers, origin: wp.vec3, direction: wp.ve
                 kept = layer_kept(layers, layer, value)
                 color += transmittance * (1.0 - kept) * wp.vec3(value[0], value[1], value[2])
                 transmittance *= kept
-    return color
+    return forward_only(color, direction)
 
 
 @wp.kernel

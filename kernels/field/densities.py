@@ -5,6 +5,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward
 from .columns import CELL_PLACE, COLUMN_ENTRY, Columns
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -56,7 +57,7 @@ DENSITY_OF_ROWS = (
 )
 
 
-@wp.func_native(
+@forward.func_native(
     """
 #if defined(__CUDA_ARCH__)
 """
@@ -82,7 +83,7 @@ def row_density(
     ...
 
 
-@wp.func_native(
+@forward.func_native(
     """
 #if defined(__CUDA_ARCH__)
 """
@@ -106,7 +107,7 @@ def early_density(
     ...
 
 
-@wp.func_native(
+@forward.func_native(
     """
 #if defined(__CUDA_ARCH__)
     return early;

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward, forward_only_in
 from ..view.rays import box_span
 from .harmonics import COLOR_OF_ROW, sh_basis, vec16
 
@@ -10,6 +11,8 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 eight_rows = wp.types.vector(length=8, dtype=wp.int32)
 
 eight_weights = wp.types.vector(length=8, dtype=wp.float32)
+
+forward_only = forward_only_in(__name__, (eight_weights, wp.vec3))
 
 #: Samples of a ray that float32 tells apart; rays that meet nothing begin beyond them.
 MOST_SAMPLES = wp.constant(8388608.0)
@@ -90,6 +93,7 @@ def cell_sample(grid: VoxelGrid, g: wp.vec3):
         wz = wp.where(dk == 1, fz, 1.0 - fz)
         result.rows[c] = row
         result.weights[c] = wx * wy * wz
+    result.weights = forward_only(result.weights, g)
     return result
 
 
@@ -103,7 +107,7 @@ def cell_density(grid: VoxelGrid, cell: CellSample):
     return sigma
 
 
-@wp.func_native(
+@forward.func_native(
     BLENDED_ROW
     + COLOR_OF_ROW
     + """

@@ -4,6 +4,7 @@ from typing import Any
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..core.loads import cell_byte
 from ..core.variants import declared_once, variant_module
 from ..view.rays import PinholeCamera, pixel_direction, strided_pixel, tile_pixel
@@ -25,6 +26,8 @@ from .rows import RowTable, row_color
 from .shades import ShadedGrid, shade_at
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
+
+forward_only = forward_only_in(__name__, (float, wp.vec3), (wp.vec3, wp.vec3))
 
 #: A pixel has a depth where it is at least this opaque.
 DEPTH_MIN_ALPHA = wp.constant(1.0e-3)
@@ -115,6 +118,9 @@ def image_kernel(shaded: bool) -> Any:
             t = (k + 0.5) * step
         if wp.static(not shaded):
             result.color += pending_color(result.color, result.transmittance, pending)
+        result.color = forward_only(result.color, origin)
+        result.transmittance = forward_only(result.transmittance, origin)
+        result.depth = forward_only(result.depth, origin)
         return result
 
     @wp.kernel(name=f"render_{variant}", module=variant_module(__name__, variant, block_dim=64 if shaded else 128))

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward
 from ..core.variants import native_source
 from ..view.rays import TILE_SIZE, PinholeCamera, pixel_direction, tile_pixel
 from .grid import VoxelGrid, grid_ray
@@ -18,7 +19,7 @@ tile_directions = wp.types.matrix(shape=(32, 3), dtype=wp.float32)
 tile_radiance = wp.types.matrix(shape=(32, 6), dtype=wp.float32)
 
 
-@wp.func_native(native_source(__file__, "cpp/march_cpu.h"))
+@forward.func_native(native_source(__file__, "cpp/march_cpu.h"))
 def march_tile(
     grid: VoxelGrid,
     table: RowTable,

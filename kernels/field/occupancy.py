@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from ..core.gradients import forward
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 #: Cells of a block.
@@ -68,7 +70,7 @@ def gather_densities(
         blocks[n, block] = wp.vec2i(bits, begin)
 
 
-@wp.func_native("""
+@forward.func_native("""
     unsigned news = 0u;
     const unsigned* from = reinterpret_cast<const unsigned*>(density.data);
     unsigned* to = reinterpret_cast<unsigned*>(kept.data);

@@ -10,13 +10,19 @@
 
 import warp as wp
 
+from ..core.gradients import forward, forward_only_in
 from ..core.lanes import ballot, from_lane, index_from_lane, product_before, sum_of_lanes
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .background import BackgroundLayers, layer_value, surface_sample
 from .grid import eight_rows, eight_weights, exit_distance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
 vec6 = wp.types.vector(length=6, dtype=wp.float32)
+
+forward_only = forward_only_in(
+    __name__, (wp.vec4, wp.vec3), (wp.vec3, wp.vec3), (vec6, wp.vec3), (eight_weights, wp.vec3)
+)
 
 #: A ray ends where this share of the light is left.
 OUTER_STOP = wp.constant(1.0e-3)
@@ -117,7 +123,7 @@ def expanded(p: wp.vec3):
     largest = 1.0 / (2.0 - wp.abs(p[axis]))
     u = largest * p
     u[axis] = wp.where(p[axis] > 0.0, largest, -largest)
-    return u
+    return forward_only(u, p)
 
 
 @wp.func
@@ -156,6 +162,8 @@ def outer_path(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: flo
         span = region_span(o, d, region, begin, end)
         path.begin[region] = span[0]
         path.end[region] = span[1]
+    path.begin = forward_only(path.begin, origin)
+    path.end = forward_only(path.end, origin)
     return path
 
 
@@ -222,7 +230,7 @@ def sample_after(piece: OuterPiece, k: int, g: wp.vec3, empty: int):
     return wp.max(k + 1, int(wp.min(wp.ceil(float(k) + exit_distance(g, piece.slope, empty)), 1.0e6)))
 
 
-@wp.func_native("""
+@forward.func_native("""
     wp::vec_t<4, wp::float32> sum;
 #if defined(__CUDA_ARCH__)
     const float4* numbers = reinterpret_cast<const float4*>(values.data);
@@ -269,6 +277,7 @@ def outer_sample(outer: OuterGrid, g: wp.vec3):
             * wp.where(dj == 1, f[1], 1.0 - f[1])
             * wp.where(dk == 1, f[2], 1.0 - f[2])
         )
+    result.weights = forward_only(result.weights, g)
     result.value = blended_rows(outer.values, result.rows, result.weights)
     return result
 
@@ -333,7 +342,7 @@ def march_outer(outer: OuterGrid, origin: wp.vec3, direction: wp.vec3, begin: fl
     if lanes > 1:
         for channel in range(3):
             color[channel] = sum_of_lanes(color[channel])
-    return wp.vec4(color[0], color[1], color[2], light)
+    return forward_only(wp.vec4(color[0], color[1], color[2], light), origin)
 
 
 @wp.func

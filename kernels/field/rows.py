@@ -6,6 +6,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward
 from ..core.variants import native_source
 from .columns import CELL_PLACE, COLUMN_ENTRY, Columns
 from .grid import VoxelGrid, eight_rows
@@ -45,7 +46,7 @@ def cell_rows(columns: Columns, i: wp.int32, j: wp.int32, k: wp.int32) -> eight_
     ...
 
 
-@wp.func_native(native_source(__file__, "cpp/row_color.h"))
+@forward.func_native(native_source(__file__, "cpp/row_color.h"))
 def row_color(
     sh: wp.array2d(dtype=wp.float32),
     packed: wp.array2d(dtype=wp.uint32),
@@ -60,7 +61,7 @@ def row_color(
     ...
 
 
-@wp.func_native(native_source(__file__, "cpp/write_packed.h"))
+@forward.func_native(native_source(__file__, "cpp/write_packed.h"))
 def write_packed(
     sh: wp.array2d(dtype=wp.float32), row: wp.int32, packed: wp.array2d(dtype=wp.uint32), target: wp.int32
 ):

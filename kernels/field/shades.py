@@ -6,6 +6,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward
 from ..core.texels import FOUR_HALVES
 from ..core.variants import native_source
 from .columns import Columns
@@ -26,7 +27,7 @@ class ShadedGrid:
     shades: wp.array2d(dtype=wp.uint32)  # (rows, words): red, green, blue less 0.5 and optical depth of a step
 
 
-@wp.func_native(native_source(__file__, "cpp/shade_color.h"))
+@forward.func_native(native_source(__file__, "cpp/shade_color.h"))
 def shade_color(sh: wp.array2d(dtype=wp.float32), row: wp.int32, basis: vec16) -> wp.vec3:
     """Harmonics of a row times a basis. All lanes, in blocks of at most 128 threads."""
     ...
@@ -82,7 +83,7 @@ def shade_rows(first: int, grid: VoxelGrid, nodes: wp.array(dtype=wp.int32), sha
         write_shade(shaded.shades, n, wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step))
 
 
-@wp.func_native("""
+@forward.func_native("""
     float r = 0.0f, g = 0.0f, b = 0.0f, d = 0.0f;
 #if defined(__CUDA_ARCH__)
     const uint2* shades = reinterpret_cast<const uint2*>(data.data);

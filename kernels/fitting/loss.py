@@ -6,6 +6,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward
 from ..field.grid import (
     VoxelGrid,
     cell_color,
@@ -109,7 +110,7 @@ def background_behind(background: wp.vec3, random_background: int, seed: int, n:
     return background
 
 
-@wp.func_native("""
+@forward.func_native("""
     // luminance, orange and green: what red, green and blue are made of
     const float parts[3] = {
         change.c[0] + change.c[1] + change.c[2],

@@ -8,6 +8,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward, forward_only_in
 from ..core.lanes import from_lane, lane_count, sum_before
 from ..field.background import layer_value, surface_sample
 from ..field.grid import (
@@ -41,6 +42,8 @@ from .rmsprop import rmsprop_update
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
+forward_only = forward_only_in(__name__, (float, wp.vec3))
+
 
 @wp.kernel
 def gather_outer(
@@ -68,7 +71,7 @@ def gather_outer(
             behind[n] = color
 
 
-@wp.func_native("""
+@forward.func_native("""
     float* numbers = reinterpret_cast<float*>(values.data + row);
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
     atomicAdd(reinterpret_cast<float4*>(numbers), make_float4(value.c[0], value.c[1], value.c[2], value.c[3]));
@@ -129,7 +132,7 @@ def add_outer_gradient(
             light = step.light
             k = step.following
         turn = turn_after(path, turn)
-    return light
+    return forward_only(light, origin)
 
 
 @wp.func
@@ -206,7 +209,7 @@ def light_through(grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3, step: fl
         else:
             depth += step * wp.max(cell_density(grid, cell_sample(grid, g)), 0.0)
             k += 1
-    return wp.exp(-depth)
+    return forward_only(wp.exp(-depth), origin)
 
 
 @wp.func
@@ -239,7 +242,7 @@ def record_outer_ray(
             light = step.light
             k = step.following
         turn = turn_after(path, turn)
-    return light
+    return forward_only(light, origin)
 
 
 @wp.kernel

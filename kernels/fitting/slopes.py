@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward
 from ..field.grid import VoxelGrid, eight_rows, eight_weights
 from ..field.harmonics import vec16
 
@@ -106,7 +107,7 @@ def sh_basis_slope(d: wp.vec3, axis: int):
     )
 
 
-@wp.func_native(
+@forward.func_native(
     """
     const int width = sh.shape[1];
     const bool luminous = width == 24;

@@ -10,9 +10,12 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..splats.project_slopes import SplatValues
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (float, float))
 
 #: Most copies of one splat, and its greatest opacity, of which copies are made.
 MOST_COPIES = wp.constant(51)
@@ -40,7 +43,7 @@ def split_opacity(opacity: float, copies: int):
     for j in range(1, copies + 1):
         term *= -part * wp.float64(copies + 1 - j) / wp.float64(j)
         total += term / wp.sqrt(wp.float64(j))
-    return float(part), float(o / total)
+    return forward_only(float(part), opacity), forward_only(float(o / total), opacity)
 
 
 @wp.kernel

@@ -8,6 +8,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward
 from ..core.variants import native_source
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 256})
@@ -214,7 +215,7 @@ def find_slopes(
 # On CUDA a block takes 16x16 windows or pixels at once, and sums in shared memory.
 
 
-@wp.func_native(native_source(__file__, "cpp/splat_loss_windows.h"))
+@forward.func_native(native_source(__file__, "cpp/splat_loss_windows.h"))
 def window_sums(
     drawn: wp.array(dtype=wp.vec3),
     truth: wp.array(dtype=wp.vec3),
@@ -230,7 +231,7 @@ def window_sums(
     ...
 
 
-@wp.func_native(native_source(__file__, "cpp/splat_loss_pixels.h"))
+@forward.func_native(native_source(__file__, "cpp/splat_loss_pixels.h"))
 def pixel_sums(windows: wp.array(dtype=vec9), rows: int, columns: int, top: int, left: int, taps: vec11) -> vec9:
     """Weighted sum of the slopes of the windows over a thread's pixel; top, left: first pixel of the block. All 256
     threads."""

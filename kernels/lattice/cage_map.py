@@ -4,9 +4,12 @@ from typing import Any
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from .nodes import NodeLevels, centered_place
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3))
 
 
 @wp.struct
@@ -79,6 +82,48 @@ def side_position(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3)
     return position
 
 
+@wp.func_native("wp::adj_address(sides, row, corner, slopes, 0, 0, value);")
+def add_side_slope(
+    sides: wp.array2d(dtype=wp.vec4), slopes: wp.array2d(dtype=wp.vec4), row: int, corner: int, value: wp.vec4
+):
+    """Add to the gradient of sides[row, corner], where one is asked for."""
+    ...
+
+
+@wp.func_grad(side_position)
+def grad_side_position(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3, grad: wp.vec3):
+    """Slopes by the place and by the positions of its side, at the corners."""
+    lowest = float(1.0e30)
+    row = int(-1)
+    for side in range(entry % 8):
+        distance = float(0.0)
+        for corner in range(8):
+            distance += corner_share(corner, offset) * sides[entry / 8 + side, corner][3]
+        if distance < lowest:
+            lowest = distance
+            row = entry / 8 + side
+    if row >= 0:
+        slope = wp.vec3(0.0, 0.0, 0.0)
+        for corner in range(8):
+            value = sides[row, corner]
+            along = wp.dot(grad, wp.vec3(value[0], value[1], value[2]))
+            ahead = wp.vec3(
+                wp.where((corner & 4) != 0, 1.0, 0.0),
+                wp.where((corner & 2) != 0, 1.0, 0.0),
+                wp.where((corner & 1) != 0, 1.0, 0.0),
+            )
+            slope += along * wp.vec3(
+                (2.0 * ahead[0] - 1.0) * corner_share(corner, wp.vec3(ahead[0], offset[1], offset[2])),
+                (2.0 * ahead[1] - 1.0) * corner_share(corner, wp.vec3(offset[0], ahead[1], offset[2])),
+                (2.0 * ahead[2] - 1.0) * corner_share(corner, wp.vec3(offset[0], offset[1], ahead[2])),
+            )
+            share = corner_share(corner, offset)
+            add_side_slope(
+                sides, wp.adjoint[sides], row, corner, wp.vec4(share * grad[0], share * grad[1], share * grad[2], 0.0)
+            )
+        wp.adjoint[offset] += slope
+
+
 @wp.func
 def map_position(cage_map: CageMap, x: wp.vec3):
     """Trilinear canonical position of a point; valid where map_distance is negative. Clamped to the lattice's cells."""
@@ -147,7 +192,7 @@ def make_inverse(map_type: Any, position: Any, slope: Any) -> Any:
                 break
             x += better * move
             step += 1
-        return x
+        return forward_only(x, target)
 
     return inverse_position
 

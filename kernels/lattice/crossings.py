@@ -8,10 +8,13 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..core.lanes import ballot, lane_count, lowest_bit, without_lowest_bit
 
 # small blocks, as there are few items to fill a GPU with
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
+
+forward_only = forward_only_in(__name__, (wp.array2d(dtype=float),))
 
 #: How far, in cells, a node may lie beyond a crossing by rounding and still count as on its inner side.
 SLACK = wp.constant(1.0e-3)
@@ -76,6 +79,7 @@ def insert_crossing(crossings: LineCrossings, line: int, place: float, signed_fa
         crossings.places[line, slot] = place
         crossings.faces[line, slot] = signed_face
     crossings.counts[line] = count + 1
+    forward_only(crossings.places)
 
 
 @wp.func
@@ -93,6 +97,7 @@ def keep_changes(crossings: LineCrossings, line: int):
             crossings.faces[line, kept] = wp.abs(signed_face) - 1
             kept += 1
     crossings.counts[line] = kept
+    forward_only(crossings.places)
 
 
 @wp.func

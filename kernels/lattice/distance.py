@@ -6,6 +6,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..core.lanes import (
     ballot,
     bit_count,
@@ -20,6 +21,8 @@ from ..mesh.containment import triangle_distance_squared
 from .crossings import LineCrossings, is_inside
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (float, wp.vec3))
 
 #: Half-width of the band, in cells.
 BAND = wp.constant(4.0)
@@ -285,7 +288,7 @@ def nearest_face(
             apart = face_distance_squared(x, f, vertices, faces)
             found = wp.where(apart < nearest, f, found)
             nearest = wp.min(nearest, apart)
-    return nearest, found
+    return forward_only(nearest, x), found
 
 
 @wp.kernel

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..core.lanes import ballot, bit_count, bits_before, lane_count, sum_of_lanes
 from .crossings import LineCrossings, exit_distance
 from .cut_rows import DOUBLE_CUT, CutRows
@@ -9,6 +10,8 @@ from .nodes import OUTSIDE, NodeLevels, cut_section, node_place, ring_section
 from .rings import is_open_link, node_step
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 2})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3))
 
 #: Most sides that an entry of side_index has room for, and the mask of the bits that count them.
 MOST_SIDES = wp.constant(7)
@@ -397,7 +400,7 @@ def mean_around(levels: NodeLevels, values: wp.array(dtype=wp.vec3), node: int, 
         if (mask >> d) & 1 == 1:
             total += values[node + ((d / 9 - 1) * shape[1] + (d / 3) % 3 - 1) * shape[2] + d % 3 - 1]
             count += 1.0
-    return total / count
+    return forward_only(total / count, total)
 
 
 @wp.kernel

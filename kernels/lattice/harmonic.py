@@ -14,6 +14,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward
 from ..core.lanes import lane_count, largest_of_lanes
 from ..core.variants import native_source
 from .cut_rows import CutRows
@@ -104,7 +105,7 @@ def relaxed_value(system: LaplaceSystem, level: int, node: int):
     return total / diagonal(system, code)
 
 
-@wp.func_native(native_source(__file__, "cpp/regular_run.h"))
+@forward.func_native(native_source(__file__, "cpp/regular_run.h"))
 def regular_run(
     codes: wp.array(dtype=int),
     nodes: wp.array(dtype=int),
@@ -179,7 +180,7 @@ def prolonged_correction(system: LaplaceSystem, level: int, node: int):
     return 0.5 * total
 
 
-@wp.func_native(native_source(__file__, "cpp/restricted_run.h"))
+@forward.func_native(native_source(__file__, "cpp/restricted_run.h"))
 def restricted_run(
     codes: wp.array(dtype=int),
     nodes: wp.array(dtype=int),
@@ -199,7 +200,7 @@ def restricted_run(
     ...
 
 
-@wp.func_native(native_source(__file__, "cpp/prolonged_run.h"))
+@forward.func_native(native_source(__file__, "cpp/prolonged_run.h"))
 def prolonged_run(
     nodes: wp.array(dtype=int),
     values: wp.array(dtype=wp.vec3),

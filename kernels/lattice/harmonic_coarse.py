@@ -6,6 +6,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from .harmonic import (
     LARGEST_DIAGONAL,
     LaplaceSystem,
@@ -19,6 +20,8 @@ from .harmonic import (
 #: Threads of the one block on CUDA.
 BLOCK_THREADS = 768
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": BLOCK_THREADS})
+
+forward_only = forward_only_in(__name__, (wp.array(dtype=wp.vec3),))
 _Ends = wp.types.vector(length=6, dtype=int)
 
 
@@ -126,6 +129,7 @@ def sweep_level(
                 system.values[node] = residual(system, level, node)
                 n += threads
             wait_for_block()
+    forward_only(system.values)
 
 
 @wp.kernel(launch_bounds=BLOCK_THREADS)

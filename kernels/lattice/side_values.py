@@ -10,12 +10,15 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from .cut_rows import DOUBLE_CUT, CutRows, crossing_value
 from .gaps import corner_node, cut_row_count, far_side, inside_corners, link_direction, table_length
 from .nodes import NodeLevels, cut_section, node_place
 from .rings import is_known, is_steady, node_step
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 2})
+
+forward_only = forward_only_in(__name__, (wp.vec4, float))
 
 #: Below all heights of a corner of a cell over faces that cross it, in cells.
 FARTHEST_INSIDE = wp.constant(-4.0)
@@ -123,7 +126,7 @@ def continued(
             position = scale * boundary[row, back] + affine_position(affine, place)
             ratio = (1.0 - theta) / wp.max(apart, SHORTEST_CHORD)
     position = g + (g - position) * ratio
-    return wp.vec4(position[0], position[1], position[2], wp.max(-height * ratio, 0.0))
+    return forward_only(wp.vec4(position[0], position[1], position[2], wp.max(-height * ratio, 0.0)), scale)
 
 
 @wp.func

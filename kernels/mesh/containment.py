@@ -7,7 +7,11 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (float, wp.vec3))
 
 
 @wp.func
@@ -89,7 +93,7 @@ def cage_distance(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array
     for f in range(faces.shape[0]):
         face = faces[f]
         nearest = wp.min(nearest, triangle_distance_squared(x, vertices[face[0]], vertices[face[1]], vertices[face[2]]))
-    return wp.sqrt(nearest)
+    return forward_only(wp.sqrt(nearest), x)
 
 
 @wp.kernel

@@ -7,7 +7,11 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fuse_fp": False})
+
+forward_only = forward_only_in(__name__, (wp.float64, wp.vec3d))
 
 #: Voxels by which rounding may put a point into the next one.
 BESIDE = wp.constant(wp.float64(1.0e-6))
@@ -192,7 +196,7 @@ def least_squared(
                                 if squared < best:
                                     best = squared
                             room = best * voxels + BESIDE
-    return best
+    return forward_only(best, x)
 
 
 @wp.kernel

@@ -2,9 +2,12 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from .containment import triangle_distance_squared
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (float, wp.vec3))
 
 _ZERO = wp.constant(wp.float64(0.0))
 
@@ -81,7 +84,7 @@ def walls_share(walls: Walls, x: wp.vec3):
                     nearest = wp.min(nearest, triangle_distance_squared(x, a, b, c))
             t = wp.sqrt(nearest) / walls.width
             share *= t * t * t * (t * (6.0 * t - 15.0) + 10.0)
-    return share
+    return forward_only(share, x)
 
 
 @wp.func

@@ -13,7 +13,11 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (wp.vec3d, wp.vec3d))
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
 _HALF = wp.constant(wp.float64(0.5))
@@ -124,7 +128,7 @@ def exact_position(exact: ExactMap, x: wp.vec3d):
         position += weights[0] * exact.data[f, 0] + weights[1] * exact.data[f, 1] + weights[2] * exact.data[f, 2]
     if exact.is_mean_value == 1:
         position = position / total
-    return position
+    return forward_only(position, x)
 
 
 @wp.func

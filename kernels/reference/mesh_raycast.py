@@ -2,9 +2,12 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..view.rays import PinholeCamera
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (float, wp.vec3))
 
 #: Directions in which a surface point looks for nearby matter.
 OPENNESS_RAYS = wp.constant(6)
@@ -54,7 +57,7 @@ def openness(mesh: wp.uint64, position: wp.vec3, normal: wp.vec3, reach: float):
             share = query.t / reach
         free += cosine * share
         total += cosine
-    return free / wp.max(total, 1.0e-6)
+    return forward_only(free / wp.max(total, 1.0e-6), position)
 
 
 @wp.func

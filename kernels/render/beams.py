@@ -2,12 +2,15 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..core.loads import byte_entry, cell_byte, near_reciprocal, near_root
 from ..edits.structs import LOOK_SKIP, EditData
 from ..field.grid import VoxelGrid, grid_position
 from ..view.rays import TILE_SIZE, TILE_WIDTH, PinholeCamera, tile_pixel
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
+
+forward_only = forward_only_in(__name__, (float, wp.vec3), (wp.vec3, wp.vec3), (wp.vec2, wp.vec3))
 
 #: Distance of what is never met.
 NEVER = wp.constant(1.0e30)
@@ -55,7 +58,9 @@ def beam_among(start: wp.vec3, low: wp.vec3, high: wp.vec3, size: wp.vec3):
             near = wp.max(near, wp.where(low[axis] < 0.0, -above * beam.inverse_low[axis], NEVER))
         elif low[axis] > 0.0:
             far = wp.min(far, -above * beam.inverse_low[axis])
-    beam.span = wp.vec2(near, far)
+    beam.inverse_low = forward_only(beam.inverse_low, low)
+    beam.inverse_high = forward_only(beam.inverse_high, high)
+    beam.span = forward_only(wp.vec2(near, far), start)
     return beam
 
 
@@ -77,7 +82,7 @@ def tile_directions(camera: PinholeCamera, tile: int):
         low = wp.min(low, along)
         high = wp.max(high, along)
         n += 1
-    return low, high
+    return forward_only(low, first), forward_only(high, first)
 
 
 @wp.func
@@ -164,7 +169,7 @@ def beam_begin(edit: EditData, grid: VoxelGrid, origin: wp.vec3, low: wp.vec3, h
             leave = wp.min(leave, wp.where(reach > 0, leave_cube(plain, cell, reach, s), 0.0))
         if leave <= wp.max(s * (1.0 + ROUNDING), s + least) or cubes == MOST_CUBES:
             leave = float(-1.0)
-    return wp.where(leave < 0.0, s * (1.0 - ROUNDING), NEVER)
+    return forward_only(wp.where(leave < 0.0, s * (1.0 - ROUNDING), NEVER), origin)
 
 
 @wp.kernel

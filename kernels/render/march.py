@@ -5,6 +5,7 @@ from typing import Any
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..core.loads import byte_entry, cell_byte, near_exp, near_reciprocal, near_root, unset_number
 from ..edits.nodes import cell_place_slope, node_blend_slope, node_distance, side_slope
 from ..edits.structs import (
@@ -26,10 +27,21 @@ from ..field.march import PENDING_WEIGHT
 from ..field.rows import RowTable, row_color
 from ..lattice.cage_map import side_position
 from ..view.rays import box_span
-from .rays import BEGUN, FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions, RayState
+from .rays import (
+    BEGUN,
+    FAINT,
+    FOLD_MIN_WEIGHT,
+    MAX_SUB_SAMPLES,
+    DeformedRadiance,
+    MarchOptions,
+    RayState,
+    forward_only_radiance,
+)
 from .volume import CARRIED_LAYER, PLAIN_LAYER, ShadedVolume, laid_shade
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (float, wp.vec3))
 
 
 @wp.func
@@ -501,8 +513,8 @@ def make_edit_march(has_sides: bool) -> Any:
             ray = gather_matter(edit, grid, table, options, line, ray, after, at, found, t)
             t = sample_distance(ray.sample, options.step)
         result = RayState()
-        result.seen = ray.seen
-        result.pending = ray.pending
+        result.seen = forward_only_radiance(ray.seen, origin)
+        result.pending = forward_only(ray.pending, origin)
         result.reached = wp.max(far, BEGUN)  # beyond `far` there is nothing up to `end`
         return result
 

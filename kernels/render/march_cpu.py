@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward
 from ..core.variants import native_source
 from ..edits.structs import (
     CELL_FOLDED,
@@ -58,7 +59,7 @@ CONSTANTS = "".join(  #: of the march, by their names in C++
 )
 
 
-@wp.func_native(CONSTANTS + native_source(__file__, "march_cpu.h"))
+@forward.func_native(CONSTANTS + native_source(__file__, "march_cpu.h"))
 def march_tile(
     edit: EditData,
     grid: VoxelGrid,

@@ -4,6 +4,7 @@ from typing import Any
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..edits.structs import CELL_STEEP, CLEARED, CUT_LENGTH, MAPPED, ExactEdit, lattice_lower, lattice_upper
 from ..edits.trace import CanonicalPoint, canonical_direction, canonical_point, canonical_step, has_inverted_cells
 from ..field.grid import (
@@ -19,9 +20,11 @@ from ..field.grid import (
 )
 from ..field.harmonics import sh_basis
 from ..view.rays import box_span
-from .rays import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
+from .rays import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions, forward_only_radiance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (float, wp.vec3), (wp.vec2, wp.vec3))
 
 
 @wp.func
@@ -84,8 +87,8 @@ def empty_until(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3
     if reach < 0.0:
         reach = empty_reach_of_grid(grid, origin, direction, t)
     if reach <= 0.0:
-        return t
-    return wp.max(t, wp.min(t + reach, limit))
+        return forward_only(t, origin)
+    return forward_only(wp.max(t, wp.min(t + reach, limit)), origin)
 
 
 @wp.func
@@ -103,7 +106,7 @@ def scene_span(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.vec3)
         if span[0] < span[1]:
             near = wp.min(near, span[0])
             far = wp.max(far, span[1])
-    return wp.vec2(near, far)
+    return forward_only(wp.vec2(near, far), origin)
 
 
 @wp.func
@@ -179,4 +182,4 @@ def march_deformed(edits: Any, grid: VoxelGrid, origin: wp.vec3, direction: wp.v
                             if has_inverted_cells(edits, x_sub, point):
                                 seen.fold += weight
         k += 1
-    return seen
+    return forward_only_radiance(seen, origin)

@@ -5,6 +5,7 @@ from typing import Any
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..core.loads import byte_entry, cell_byte
 from ..edits.nodes import node_blend, node_slope, side_slope
 from ..edits.structs import (
@@ -38,9 +39,11 @@ from ..field.march import PENDING_WEIGHT, pending_color
 from ..field.rows import RowTable, row_color
 from ..lattice.cage_map import side_position
 from ..view.rays import box_span
-from .rays import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions
+from .rays import FAINT, FOLD_MIN_WEIGHT, MAX_SUB_SAMPLES, DeformedRadiance, MarchOptions, forward_only_radiance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (float, wp.vec3), (wp.vec3, wp.vec3), (wp.vec2, wp.vec3))
 
 
 @wp.struct
@@ -206,7 +209,9 @@ def make_trace(is_simple: bool) -> Any:
                 if alone:
                     e = 0  # the edits before this one have nothing there
             e -= 1
-        result.position = position
+        result.position = forward_only(position, x)
+        result.offset = forward_only(result.offset, x)
+        result.room = forward_only(result.room, x)
         return result
 
     @wp.func
@@ -228,7 +233,7 @@ def make_trace(is_simple: bool) -> Any:
                     node = node_blend(edit.nodes, place.cell, place.nodes[0], place.nodes[1], place.offset)
                     position = mapped_position(edit, entry, place.offset, node)
             e -= 1
-        return slope
+        return forward_only(slope, x)
 
     return trace_stack, traced_slope
 
@@ -272,7 +277,7 @@ def make_spans(is_simple: bool) -> Any:
             if span[0] < span[1]:
                 near = wp.min(near, span[0])
                 far = wp.max(far, span[1])
-        return wp.vec2(near, far)
+        return forward_only(wp.vec2(near, far), origin)
 
     @wp.func
     def ray_part(edits: wp.array(dtype=EditData), origin: wp.vec3, direction: wp.vec3, t: float):
@@ -296,6 +301,7 @@ def make_spans(is_simple: bool) -> Any:
                         part.end = wp.min(part.end, span[0])
             if has_fragments(edit):
                 part.asked = part.asked | (1 << e)
+        part.end = forward_only(part.end, origin)
         return part
 
     return scene_span, ray_part
@@ -431,6 +437,6 @@ def make_stack_march(is_simple: bool) -> Any:
             parts = wp.max(count, 1)
             t = (float(k) + 0.5 + ((float(j) + 0.5) / float(parts) - 0.5)) * step
         seen.color += pending_color(seen.color, seen.transmittance, pending)
-        return seen
+        return forward_only_radiance(seen, origin)
 
     return march_stack

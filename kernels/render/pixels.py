@@ -5,6 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..coordinates.mean_value import mean_value_position
+from ..core.gradients import forward_only_in
 from ..core.variants import declared_once, variant_module
 from ..edits.structs import CLEARED, ExactEdit, LatticeEdit, in_fragments
 from ..edits.trace import CLOSED_FORM_DIFFERENCE, canonical_point, edit_position, in_rest_cage
@@ -12,6 +13,8 @@ from ..lattice.cage_map import CageMap, make_inverse, map_position, map_slope
 from ..view.rays import PinholeCamera, pixel_direction
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3))
 
 #: A closed form is taken to turn hardly over this share of the cage's size.
 EXACT_CELL = wp.constant(1.0 / 64.0)
@@ -81,14 +84,14 @@ def posed_point(edits: Any, cages: wp.array(dtype=MovedCage), y: wp.vec3, path: 
         held = in_rest_cage(edit, x, slack) or in_fragments(edit.fragments, x)
         if held and (goes or edit.keeps_source == 0):
             if edit.removes == 1:
-                return nowhere()
+                return forward_only(nowhere(), y)
             cage = cages[e]
             start = mean_value_position(x, cage.vertices, cage.faces, cage.fans, cage.targets, cage.size)
             x = posed_place(edit, start, x, 0.01 * close)
     back = canonical_point(edits, x)
     if back.vacant == 1 or back.region == CLEARED or not wp.length(back.position - y) <= close:
-        return nowhere()
-    return x
+        return forward_only(nowhere(), y)
+    return forward_only(x, y)
 
 
 @declared_once

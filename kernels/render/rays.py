@@ -2,10 +2,13 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..field.march import pending_color, visible_depth
 from ..view.tile_order import TileOrder
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (float, wp.vec3), (wp.vec3, wp.vec3))
 
 #: A sample that is longer than CUT_LENGTH in canonical space is cut into at most this many.
 MAX_SUB_SAMPLES = wp.constant(16)
@@ -94,6 +97,19 @@ class ScenePart:
     progress: wp.array(dtype=wp.vec4)  # light that is left, distance reached, light left by what is cleared, pending
     colors: wp.array(dtype=wp.vec4)  # colour and depth; not set before a ray has reached anything
     masks: wp.array(dtype=wp.vec4)  # reveal, fold, outside; likewise
+
+
+@wp.func
+def forward_only_radiance(seen: DeformedRadiance, origin: wp.vec3):
+    """What a march gathered, through which no gradient passes."""
+    result = seen
+    result.color = forward_only(seen.color, origin)
+    result.transmittance = forward_only(seen.transmittance, origin)
+    result.depth = forward_only(seen.depth, origin)
+    result.cleared_transmittance = forward_only(seen.cleared_transmittance, origin)
+    result.reveal = forward_only(seen.reveal, origin)
+    result.fold = forward_only(seen.fold, origin)
+    return result
 
 
 @wp.func

@@ -3,6 +3,7 @@ and its optical depth."""
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..edits.nodes import node_blend, node_slope, side_slope
 from ..field.grid import VoxelGrid
 from ..field.harmonics import sh_basis
@@ -11,6 +12,8 @@ from ..lattice.cage_map import CageMap, map_distance
 from .volume import CARRIED_LAYER, PLAIN_LAYER, ShadedVolume, write_shaded_volume
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3))
 
 #: A cage is at least this many cells within the border of its lattice (warpcage/lattice/lattice).
 LATTICE_MARGIN = wp.constant(2.0)
@@ -118,6 +121,7 @@ def row_view(cages: wp.array(dtype=ViewDirectionCage), x: wp.vec3, plain: wp.vec
                 seen.carried = 1
                 if wp.length_sq(turned) > 1.0e-6:
                     seen.along = wp.normalize(turned)
+    seen.along = forward_only(seen.along, x)
     return seen
 
 
@@ -147,7 +151,7 @@ def nearest_view(cages: wp.array(dtype=ViewDirectionCage), x: wp.vec3, plain: wp
             turned = wp.vec3(aim[0], aim[1], aim[2])
             if wp.length_sq(turned) > 1.0e-6:
                 along = wp.normalize(turned)
-    return along
+    return forward_only(along, x)
 
 
 @wp.kernel

@@ -3,6 +3,7 @@ place at once."""
 
 import warp as wp
 
+from ..core.gradients import forward
 from ..core.texels import BLENDED_TEXEL, WRITE_HALF_TEXEL
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -26,7 +27,7 @@ class ShadedVolume:
     shades: wp.array(dtype=wp.vec4)  # (layers * nodes,) on a CPU
 
 
-@wp.func_native(
+@forward.func_native(
     """
     const int ny = laid.node_counts.c[1], nz = laid.node_counts.c[2];
 #if defined(__CUDA_ARCH__)
@@ -47,7 +48,7 @@ def write_shaded_volume(laid: ShadedVolume, node: wp.int32, layer: wp.int32, val
     ...
 
 
-@wp.func_native(
+@forward.func_native(
     """
 #if defined(__CUDA_ARCH__)
     const auto texture = laid.texture;

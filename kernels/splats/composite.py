@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward
 from ..core.variants import native_source
 from .tiles import TILE_SIDE, TileGrid
 
@@ -13,7 +14,7 @@ DEPTH_MIN_ALPHA = wp.constant(1.0e-3)
 vec5 = wp.types.vector(length=5, dtype=wp.float32)
 
 
-@wp.func_native(native_source(__file__, "cpp/composite.h"))
+@forward.func_native(native_source(__file__, "cpp/composite.h"))
 def drawn_pixel(
     view: wp.array(dtype=wp.vec4),
     members: wp.array(dtype=wp.int32),
@@ -71,7 +72,7 @@ def composite_pixels(
 SUMS = wp.constant(9)
 
 
-@wp.func_native(native_source(__file__, "cpp/composite_slopes.h"))
+@forward.func_native(native_source(__file__, "cpp/composite_slopes.h"))
 def add_pixel_slopes(
     view: wp.array(dtype=wp.vec4),
     members: wp.array(dtype=wp.int32),

@@ -2,13 +2,14 @@
 
 import warp as wp
 
+from ..core.gradients import forward
 from ..core.variants import native_source
 from .tiles import TileGrid
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
-@wp.func_native(native_source(__file__, "cpp/composite_slopes_cpu.h"))
+@forward.func_native(native_source(__file__, "cpp/composite_slopes_cpu.h"))
 def sum_tile_slopes(
     view: wp.array(dtype=wp.vec4),
     members: wp.array(dtype=wp.int32),
@@ -67,7 +68,7 @@ def sum_slopes_of_splats(
         sums[9 * n + k] = total
 
 
-@wp.func_native(native_source(__file__, "cpp/composite_cpu.h"))
+@forward.func_native(native_source(__file__, "cpp/composite_cpu.h"))
 def draw_tile(
     view: wp.array(dtype=wp.vec4),
     members: wp.array(dtype=wp.int32),

@@ -9,6 +9,7 @@
 
 import warp as wp
 
+from ..core.gradients import forward
 from .pose import CarriedSplats, put_splats
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
@@ -62,7 +63,7 @@ def pack_rows(first: int, begin: int, rows: wp.array2d(dtype=wp.vec4), packed: P
         packed.words[tile, group, 128 + lane] = tail
 
 
-@wp.func_native(
+@forward.func_native(
     """
     struct Group
     {

@@ -2,10 +2,13 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..lattice.cage_map import CageMap, make_inverse, map_distance, map_position, map_slope
 from ..mesh.containment import winding_number
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (wp.mat33, wp.mat33), (wp.array(dtype=wp.vec3),), (wp.array(dtype=wp.mat33),))
 
 #: Below this determinant, as a share of the cube of J's root mean square stretch, J counts as flat or turned over.
 FLAT = wp.constant(1.0e-3)
@@ -53,7 +56,7 @@ def nearest_rotation(jacobian: wp.mat33):
         off = wp.ddot(r, r) - 3.0
         if wp.abs(gamma - 1.0) < 1.0e-4 and wp.abs(off) < 1.0e-6:
             break
-    return r
+    return forward_only(r, jacobian)
 
 
 @wp.func
@@ -92,6 +95,8 @@ def put_splats(n: int, others: wp.array(dtype=int), position: wp.vec3, jacobian:
         carried.positions[each] = position
         carried.jacobians[each] = jacobian
         each = others[each]
+    forward_only(carried.positions)
+    forward_only(carried.jacobians)
 
 
 @wp.kernel

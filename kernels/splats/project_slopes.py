@@ -7,12 +7,15 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..field.harmonics import sh_basis, vec16
 from .fit import quaternion_slope, splat_axes
 from .project import ROOT_SCALE, Lens, rim_slope
 from .splats import Splats, splat_covariance
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
+
+forward_only = forward_only_in(__name__, (wp.vec3, wp.vec3))
 
 LN_2 = wp.constant(0.6931471805599453)
 
@@ -100,7 +103,7 @@ def color_slope(splats: Splats, n: int, direction: wp.vec3, by_color: wp.vec3):
             + g[1] * splats.harmonics[n, 3 * b + 1]
             + g[2] * splats.harmonics[n, 3 * b + 2]
         )
-    return basis_slope(direction, weights), g
+    return forward_only(basis_slope(direction, weights), direction), forward_only(g, by_color)
 
 
 @wp.func

@@ -2,12 +2,15 @@
 
 import warp as wp
 
+from ..core.gradients import forward_only_in
 from ..core.lanes import ballot, from_lane, lane_count, least_of_lanes, lowest_bit, sum_of_lanes
 from ..field.harmonics import sh_basis
 from ..mesh.containment import closest_point_on_triangle, solid_angle, winding_number
 from .pose import CarriedSplats
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+forward_only = forward_only_in(__name__, (float, wp.vec3), (wp.vec3, wp.vec3))
 
 
 @wp.struct
@@ -52,7 +55,7 @@ def splat_color(splats: Splats, n: int, direction: wp.vec3):
         red += basis[b] * splats.harmonics[row, 3 * b]
         green += basis[b] * splats.harmonics[row, 3 * b + 1]
         blue += basis[b] * splats.harmonics[row, 3 * b + 2]
-    return wp.max(wp.vec3(red, green, blue), wp.vec3(0.0, 0.0, 0.0))
+    return forward_only(wp.max(wp.vec3(red, green, blue), wp.vec3(0.0, 0.0, 0.0)), direction)
 
 
 @wp.func
@@ -99,7 +102,9 @@ def nearest_wall(x: wp.vec3, vertices: wp.array(dtype=wp.vec3), faces: wp.array(
     inside = winding_number(x, vertices, faces) > 0.5
     if length > 1.0e-6 * wp.max(wp.length(x), length):
         wall.normal = (x - wall.place) / wp.where(inside, -length, length)
-    wall.distance = wp.where(inside, -length, length)
+    wall.distance = forward_only(wp.where(inside, -length, length), x)
+    wall.place = forward_only(wall.place, x)
+    wall.normal = forward_only(wall.normal, x)
     return wall
 
 

@@ -1,7 +1,5 @@
 """Who makes what: chunks, deaths, retries and stragglers, under a virtual clock. The code is that of real runs."""
 
-import collections
-
 import numpy as np
 import pytest
 from batch_simulation import Conditions, SimulatedEngine
@@ -88,7 +86,7 @@ def test_workers_stay_with_what_they_have_loaded():
 
 
 def test_small_groups_go_together():
-    dispatcher, engine, _ = simulated(20_000, 4, 20_000, item_seconds=np.full(20_000, 0.001))
+    _dispatcher, engine, _ = simulated(20_000, 4, 20_000, item_seconds=np.full(20_000, 0.001))
     assert engine.chunks < 400 and (engine.made == 1).all()
 
 
@@ -195,51 +193,6 @@ def test_a_straggler_gives_back_what_it_has_not_begun():
     assert slow < 60 + 1.25 * count / 7 and alone < 1.1 * count / 8 + 2
 
 
-def test_a_failed_item_is_tried_elsewhere():
-    chunks = ChunkQueue(np.arange(6), np.zeros(6))
-    dispatcher = Dispatcher(chunks, retries=1)
-    for name in "ab":
-        dispatcher.add_worker(name)
-    first = dispatcher.next_chunk("a", 0.0)
-    dispatcher.reported("a", ChunkReport(errors=[(first.items[0], "out of memory")]))
-    tried = []
-    while (chunk := dispatcher.next_chunk("a", 2.0)) is not None:
-        tried += chunk.items
-        dispatcher.reported("a", ChunkReport(done=list(chunk.items), seconds=[1.0] * len(chunk.items)))
-    assert first.items[0] not in tried and len(tried) == 5 and dispatcher.left == 1
-    again = dispatcher.next_chunk("b", 4.0)
-    assert (again.items, again.attempts) == ([first.items[0]], [1])
-    dispatcher.reported("b", ChunkReport(failed=[(again.items[0], "out of memory")]))
-    assert dispatcher.finished and dispatcher.failures == {first.items[0]: "out of memory"}
-
-
-def test_the_item_that_was_begun_last_is_charged_and_the_others_are_made_alone():
-    dispatcher = Dispatcher(ChunkQueue(np.arange(100), np.zeros(100)), retries=2)
-    for name in "ab":
-        dispatcher.add_worker(name)
-    chunk = dispatcher.next_chunk("a", 0.0)
-    dispatcher.reported("a", ChunkReport(done=list(chunk.items), seconds=[0.01]))
-    chunk = dispatcher.next_chunk("a", 0.1)
-    begun = chunk.items[2:5]
-    assert dispatcher.died("a", ChunkReport(done=chunk.items[:2], seconds=[0.01] * 2), begun, "killed") == []
-    assert [dispatcher.attempts(item) for item in begun] == [0, 0, 1]
-    alone = collections.Counter()
-    while (chunk := dispatcher.next_chunk("b", 1.0)) is not None:
-        alone.update({item: len(chunk.items) for item in chunk.items})
-        dispatcher.reported("b", ChunkReport(done=list(chunk.items), seconds=[0.01] * len(chunk.items)))
-    assert [alone[item] for item in begun] == [1, 1, 1] and dispatcher.done == 100
-
-
-def test_a_place_whose_workers_die_before_they_begin_is_given_up():
-    dispatcher = Dispatcher(ChunkQueue(np.arange(3), np.zeros(3)))
-    dispatcher.add_worker("a")
-    for _ in range(2):
-        dispatcher.died("a", ChunkReport(), [], "no module named warpcage")
-        assert not dispatcher.given_up("a")
-    dispatcher.died("a", ChunkReport(), [], "no module named warpcage")
-    assert dispatcher.given_up("a") and dispatcher.workers == 0 and dispatcher.left == 3
-
-
 def test_a_chunk_that_ends_while_it_is_asked_back_is_counted_once():
     for report_first in (True, False):
         dispatcher = Dispatcher(ChunkQueue(np.arange(40), np.zeros(40), aim=100.0))
@@ -257,15 +210,3 @@ def test_a_chunk_that_ends_while_it_is_asked_back_is_counted_once():
         for answer in answers if report_first else reversed(answers):
             answer()
         assert dispatcher.left == 38 == dispatcher.chunks.left
-
-
-def test_after_a_full_disk_nothing_is_handed_out():
-    dispatcher = Dispatcher(ChunkQueue(np.arange(10), np.zeros(10)))
-    for name in "ab":
-        dispatcher.add_worker(name)
-    chunk = dispatcher.next_chunk("a", 0.0)
-    dispatcher.next_chunk("b", 0.0)
-    dispatcher.reported("a", ChunkReport(left=list(chunk.items), halt="no space left on device"))
-    assert dispatcher.next_chunk("a", 2.0) is None and not dispatcher.finished
-    dispatcher.reported("b", ChunkReport(done=[1], seconds=[1.0]))
-    assert dispatcher.finished and dispatcher.left == 9 and not dispatcher.failures

@@ -1,6 +1,7 @@
 """`warpcage run` by several workers, processes of this machine and Ray: whatever is killed when, every output is whole,
 each item once in the manifest, and the pictures are those of a run without faults, to the bit."""
 
+import contextlib
 import os
 import pathlib
 import random
@@ -171,10 +172,8 @@ def count_of(notes, out):
     files = [*notes.glob("*.jsonl"), out / "manifest.jsonl"] if notes.exists() else []
     found = set()
     for path in files:
-        try:
+        with contextlib.suppress(FileNotFoundError):
             found |= {line.split(b'"')[3] for line in path.read_bytes().splitlines() if b'"done"' in line}
-        except FileNotFoundError:
-            pass
     return len(found)
 
 

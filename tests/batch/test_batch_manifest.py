@@ -1,14 +1,13 @@
 """The manifest: each item once, whatever was killed when, and also after a disk was full."""
 
 import json
-import pathlib
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from warpcage.batch import Manifest, Notes, id_key, merge_notes, notes_of_chunk
+from warpcage.batch import Manifest, id_key, merge_notes, notes_of_chunk
 
 
 def record(name, state="done", **words):
@@ -127,14 +126,6 @@ def test_what_a_dead_worker_left_of_a_chunk(tmp_path):
     settled, begun = notes_of_chunk(path, 2)
     assert [(each["id"], each["state"]) for each in settled] == [("b", "error")] and begun == ["c", "d"]
     assert notes_of_chunk(path, 3) == ([], []) and notes_of_chunk(tmp_path / "none", 1) == ([], [])
-
-
-@pytest.mark.skipif(not pathlib.Path("/dev/full").exists(), reason="no /dev/full")
-def test_a_full_disk_is_told(tmp_path):
-    notes = Notes("/dev/full")
-    with pytest.raises(OSError, match="No space left"):
-        notes.append(record("a"))
-    notes.close()
 
 
 def test_a_line_that_does_not_fit_is_taken_away_again(tmp_path):

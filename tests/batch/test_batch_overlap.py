@@ -2,6 +2,7 @@
 
 import concurrent.futures
 import contextlib
+import dataclasses
 import json
 import queue
 import threading
@@ -89,6 +90,64 @@ def test_items_of_a_chunk_are_made_while_files_of_the_one_before_are_written(fil
     assert [note.get("lot") for note in notes[:5]] == [1, 1, 2, 2, 2] and len(notes) == 10
 
 
+class Held(Making):
+    """Ends items and the writing of their files when a test says so."""
+
+    def __init__(self):
+        super().__init__("", ".", "cpu")
+        self.begun, self.go, self.written = threading.Semaphore(0), threading.Semaphore(0), []
+
+    def submit(self, item, out=None):
+        self.begun.release()
+        assert self.go.acquire(timeout=60)
+        self.written.append(concurrent.futures.Future())
+        return self.written[-1]
+
+
+def test_the_item_that_is_under_way_for_longest_is_known(files, tmp_path):
+    """From its beginning until its files are written, whatever was begun later."""
+    maker = Held()
+    with runner_of(files, tmp_path / "out", maker) as (runner, order):
+        assert runner.oldest(1) is None
+        working = threading.Thread(target=runner.run, args=[order(1, 3, 7)])
+        working.start()
+        assert maker.begun.acquire(timeout=60)
+        index, first = runner.oldest(1)
+        assert index == 3 and runner.oldest(2) is None and runner.oldest(1)[1] >= first >= 0.0
+        maker.go.release()
+        assert maker.begun.acquire(timeout=60)  # of the second; the files of the first are being written
+        assert runner.oldest(1)[0] == 3
+        maker.written[0].set_result({"a": 1})
+        assert runner.oldest(1)[0] == 7
+        maker.go.release()
+        while len(maker.written) < 2:
+            time.sleep(0.01)
+        maker.written[1].set_result({"b": 1})
+        working.join(60)
+        assert runner.oldest(1) is None and runner.report.done == [3, 7]
+
+
+def test_a_chunk_ends_with_its_time_and_loading_is_told_apart(files, tmp_path, monkeypatch):
+    """The first item loads: what it takes is not what others take."""
+    clock = types.SimpleNamespace(passed=0.0, perf_counter=lambda: clock.passed)
+    monkeypatch.setattr("warpcage.batch.chunk_runner.time", clock)
+    seconds = iter([2.0, 0.25, 0.25, 0.25, 5.0, 0.25, 8.0, 0.25])
+
+    class Timed(Writing):
+        def submit(self, item, out=None):
+            clock.passed += next(seconds)
+            made = super().submit(item)
+            self.write(number_of(item))
+            return made
+
+    with runner_of(files, tmp_path / "out", Timed()) as (runner, order):
+        first = runner.run(dataclasses.replace(order(1, *range(7)), seconds=7.9))
+        assert first.loading and first.done == [0, 1, 2, 3, 4, 5] and first.left == [6]
+        assert first.seconds == [2.0, 0.25, 0.25, 0.25, 5.0, 0.25]
+        alone = runner.run(dataclasses.replace(order(2, 6), seconds=1.0))
+        assert alone.done == [6] and alone.seconds == [8.0] and not alone.loading and runner.recall(2, 1.0) == []
+
+
 def test_a_device_that_is_lost_ends_the_chunk_that_is_made_too(files, tmp_path):
     """The files of a chunk say it, while the next one is being made: that one begins nothing more."""
     maker = Writing()
@@ -131,11 +190,13 @@ def test_a_worker_dies_with_two_chunks(begun_of_second):
     done, begun = chunks[0].items[:-3], [*chunks[0].items[-3:], *chunks[1].items[:begun_of_second]]
     assert dispatcher.died("a", ChunkReport(done=done, seconds=[0.1] * len(done)), begun, "killed") == []
     assert [dispatcher.attempts(item) for item in begun] == [0] * (len(begun) - 1) + [1]
-    made = list(done)
+    made, alone = list(done), []
     while (chunk := dispatcher.next_chunk("b", 1.0)) is not None:
         made += chunk.items
+        alone += chunk.items if len(chunk.items) == 1 else []
         dispatcher.reported("b", ChunkReport(done=list(chunk.items), seconds=[0.1] * len(chunk.items)), chunk.number)
     assert sorted(made) == list(range(40)) and dispatcher.done == 40 and dispatcher.finished
+    assert set(begun) <= set(alone)  # so that one that kills its worker is known by that
 
 
 class Scripted:
@@ -281,17 +342,16 @@ class Late(Making):
 @pytest.mark.parametrize("slow", [0.5, 0.0])
 def test_one_worker_alone_makes_the_next_chunk_meanwhile(tmp_path, monkeypatch, slow):
     """Unless its items are slow: who watches wants to know of each chunk before the next one is made."""
-    monkeypatch.setattr("warpcage.batch.chunk_runner.SLOW", slow)
+    monkeypatch.setattr("warpcage.batch.processes.SLOW", slow)
     events: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
 
     class Told(Late):
         def submit(self, item, out=None):
             events.put(("made", number_of(item)))
             found = Making.submit(self, item, out)
-            late = self.pool.submit(
+            return self.pool.submit(
                 lambda: (time.sleep(0.3), events.put(("there", number_of(item))), found.result())[2]
             )
-            return late
 
     report = run_with(write_frames(tmp_path / "job", 20), tmp_path / "out", Told)
     told = [events.get() for _ in range(40)]

@@ -206,7 +206,7 @@ def test_packing_again_changes_no_byte_and_adds_what_failed_before(files, shard)
 
 
 def test_what_is_made_anew_replaces_what_was_packed(files, shard):
-    job, out, manifest = shard
+    _job, out, manifest = shard
     name = "pose_1/camera_0"
     loose = shard_stage(out, 0) / f"{name}.jpg"
     loose.parent.mkdir(parents=True)
@@ -220,7 +220,7 @@ def test_what_is_made_anew_replaces_what_was_packed(files, shard):
 
 
 def test_a_shard_that_cannot_be_written_stays_as_it_was(shard, monkeypatch):
-    job, out, manifest = shard
+    _job, out, manifest = shard
     whole, records = shard_path(out, 0).read_bytes(), list(manifest.records.values())
     loose = shard_stage(out, 0) / "pose_0/camera_0.jpg"
     loose.parent.mkdir(parents=True)

@@ -13,19 +13,7 @@ import time
 import numpy as np
 import pytest
 from messages import MESSAGES
-from runs import (
-    RECORDS,
-    SUPPORT,
-    Making,
-    Moody,
-    command,
-    left_over,
-    pictures,
-    records,
-    run_with,
-    write_frames,
-    write_records,
-)
+from runs import RECORDS, SUPPORT, Making, Moody, left_over, pictures, records, run_with, write_frames, write_records
 
 import warpcage
 from warpcage.batch import OutputFolder, pack_shard, read_shard, unpaid
@@ -95,20 +83,14 @@ def test_bad_items_are_listed_and_the_rest_is_made(files, tmp_path, capsys):
     assert len(said) == 4 and said[-1] == "warpcage: error: 3 items failed"
     assert all(f"shot/f000{place}: " in line for place, line in zip((2, 5, 6), said, strict=False))
     found = records(out)
-    assert [name for name, each in found.items() if each["state"] == "failed"] == [f"shot/f000{n}" for n in (2, 5, 6)]
+    failed = {name for name, each in found.items() if each["state"] == "failed"}
+    assert failed == {f"shot/f000{n}" for n in (2, 5, 6)}
     assert all(found[f"shot/f000{place}"]["attempts"] == 1 for place in changes) and len(pictures(out)) == 9
     missing = re.escape(repr(str(files / "none.obj")))
     assert re.fullmatch(MESSAGES["batch.no_cage_file"].format(path=missing), found["shot/f0006"]["error"])
     write_frames(files, 12, "bad.jsonl")
     assert started(path, out) == 0 and len(pictures(out)) == 12
     assert {each["state"] for each in records(out).values()} == {"done"}
-
-
-def test_one_bad_item_of_a_hundred(files, tmp_path):
-    path = write_frames(tmp_path / "job", 100, changes={41: {"posed": "jobs.npy#100"}})
-    report = run_with(path, tmp_path / "out")
-    assert report.made == 99 and list(report.failed) == ["shot/f0041"] and not report.left
-    assert len(pictures(tmp_path / "out")) == 99 and not report.complete
 
 
 def test_errors_are_tried_again_and_bad_input_is_not(files, tmp_path):
@@ -124,38 +106,43 @@ def test_errors_are_tried_again_and_bad_input_is_not(files, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "fault", ["two ids", "two ids but for capitals", "two outputs", "no item", "a file as folder", "no job"]
+    ("fault", "said"),
+    [
+        ("two ids", "lines 4 and 14: two items have the id 'shot/f0002'"),
+        ("no item", "line 2"),
+        ("a file as folder", "is a file"),
+        ("no job", "is not there"),
+    ],
 )
-def test_what_cannot_be_run_is_refused_in_one_line(files, tmp_path, capsys, fault):
+def test_what_cannot_be_run_is_refused_in_one_line(files, tmp_path, capsys, fault, said):
     path, out = tmp_path / "jobs.jsonl", tmp_path / "out"
-    shutil.copy(files / "jobs.jsonl", path)
-    lines = path.read_text().splitlines()
-    if fault == "two ids":
-        path.write_text("\n".join([*lines, lines[3]]) + "\n")
-    elif fault == "two ids but for capitals":
-        path.write_text("\n".join([*lines, lines[3].replace("shot/f0002", "shot/F0002")]) + "\n")
-    elif fault == "two outputs":
-        path.write_text(
-            "\n".join([*lines, lines[3].replace('"shot/f0002"', '"x", "outputs": {"rgb": "shot/f0002.png"}')])
-        )
-    elif fault == "no item":
-        path.write_text(lines[0] + '\n{"id": "a", "fields": 3}\n')
-    elif fault == "a file as folder":
+    lines = (files / "jobs.jsonl").read_text().splitlines()
+    if fault != "no job":
+        bad = {"two ids": [*lines, lines[3]], "no item": [lines[0], '{"id": "a", "fields": 3}']}
+        path.write_text("\n".join(bad.get(fault, lines)) + "\n")
+    if fault == "a file as folder":
         out.write_text("mine")
-    else:
-        path.unlink()
     assert started(path, out) == 2
-    said = capsys.readouterr().err.splitlines()
-    expected = {
-        "two ids": "lines 4 and 14: two items have the id 'shot/f0002'",
-        "two ids but for capitals": "lines 4 and 14: two items have the id 'shot/f0002'",
-        "two outputs": "lines 4 and 14: two items have the output 'shot/f0002.png'",
-        "no item": "line 2",
-        "a file as folder": "is a file",
-        "no job": "is not there",
-    }
-    assert len(said) == 1 and expected[fault] in said[0], said
-    assert out.is_file() or not out.exists() or not pictures(out)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line and (out.is_file() or not out.exists() or not pictures(out))
+
+
+def test_nothing_stays_of_a_run_that_made_nothing(tmp_path):
+    job, out = write_frames(tmp_path / "job", 2), tmp_path / "new" / "out"
+
+    def refused():
+        with pytest.raises(ValueError, match="cuda:99"):
+            warpcage.run_jobs(job, out, device="cuda:99")
+        return sorted(path.name for path in out.iterdir()) if out.exists() else None
+
+    assert refused() is None and not out.parent.exists()
+    out.mkdir(parents=True)
+    assert refused() == []
+    (out / "mine.txt").write_text("mine")
+    assert refused() == ["mine.txt"]
+    assert run_with(job, out).complete
+    (out / "shot" / "f0000.png").unlink()
+    assert refused() == [".warpcage", "manifest.jsonl", "mine.txt", "shot"] and (out / "shot" / "f0001.png").exists()
 
 
 def test_a_second_driver_is_refused_and_the_first_one_killed_frees_the_folder(files, tmp_path, capsys):
@@ -377,15 +364,19 @@ def test_progress_tells_how_far_it_is(files, tmp_path):
     assert done == sorted(done) and len(set(done)) > 2
 
 
-@pytest.mark.parametrize("words", [{"workers": 0}, {"workers": "2"}, {"retries": -1}, {"retries": 1.5}])
+@pytest.mark.parametrize(
+    "words",
+    [
+        {"workers": 0},
+        {"workers": "2"},
+        {"retries": -1},
+        {"retries": 1.5},
+        *({"item_timeout": seconds} for seconds in (0, -1.0, float("nan"), "soon")),
+    ],
+)
 def test_options_that_cannot_be_are_refused(files, tmp_path, words):
     with pytest.raises(ValueError, match=next(iter(words))):
         warpcage.run_jobs(files / "jobs.jsonl", tmp_path, **words)
-
-
-def test_help_names_the_words():
-    done = subprocess.run(command("run", "--help"), capture_output=True, text=True)
-    assert done.returncode == 0 and "--cluster" in done.stdout and json.dumps(done.stdout)
 
 
 def test_shards_are_packed_when_their_items_are_settled(tmp_path):

@@ -123,19 +123,10 @@ def test_the_template_of_a_render_farm_makes_the_film_of_animate(farm, tmp_path)
     (tmp_path / "files").mkdir()
     files = write_files(tmp_path / "files")
     film = (
-        "animate",
-        "@ball.npz",
+        *"animate @ball.npz".split(),
         *DEFORMED,
         *SMALL,
-        "--size",
-        64,
-        "--frames",
-        4,
-        "--fps",
-        12,
-        "--quiet",
-        "--device",
-        "cpu",
+        *"--size 64 --frames 4 --fps 12 --quiet --device cpu".split(),
     )
     succeed(files, *film, "-o", tmp_path / "one.mp4")
     succeed(files, *film, "--jobs", files / "film.jsonl")

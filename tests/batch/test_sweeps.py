@@ -107,18 +107,7 @@ def test_poses_of_files_are_written_and_random_ones_between_them_are_drawn(files
 
 def made_by_a_run(files, out, *words, **options):
     """The files of a sweep of random poses, in bytes by name, and the report of its run."""
-    usual = [
-        "--cameras",
-        "@cameras.json",
-        "--views",
-        2,
-        "--resolution",
-        16,
-        "--coordinates",
-        "mean_value",
-        "--size",
-        20,
-    ]
+    usual = "--cameras @cameras.json --views 2 --resolution 16 --coordinates mean_value --size 20".split()
     succeed(files, *SWEEP, *usual, *words, "-o", out / "sweep.jsonl")
     report = run_jobs(out / "sweep.jsonl", out / "made", device="cpu", **options)
     paths = [path for path in (out / "made").rglob("*") if path.is_file() and ".warpcage" not in path.parts]
@@ -138,7 +127,7 @@ def test_workers_draw_the_poses_that_the_driver_would_have_drawn(files, tmp_path
             assert data == written[name], name
         if name.endswith(".pose.npy"):
             assert np.array_equal(np.load(tmp_path / "drawn/made" / name), rows[int(name[5:11])])
-    record = json.loads(drawn["pose_000005/camera_" + sorted(drawn_cameras(drawn, 5))[0] + ".json"])
+    record = json.loads(drawn["pose_000005/camera_" + min(drawn_cameras(drawn, 5)) + ".json"])
     usual = {"reach": [0.5, 0.9], "stretch": [0.5, 2.0], "modes": list(POSE_MODES)}
     assert record["edits"][0]["posed"] == {"random": {"seed": 8, "number": 1} | usual}
     frames = json.loads(drawn["transforms.json"])["frames"]
@@ -184,7 +173,7 @@ def test_a_run_makes_those_drawn_poses_again_whose_words_or_cage_changed(files, 
     report = run_jobs(path, path.parent / "made", device="cpu")
     assert (report.kept, report.made) == (4, 4) and report.complete
     rest = Cage.load(tmp_path / "cage.obj")
-    camera = sorted(drawn_cameras(made, 2))[0]
+    camera = min(drawn_cameras(made, 2))
     pose = np.load(path.parent / f"made/pose_000002/camera_{camera}.pose.npy")
     assert np.array_equal(pose, RandomPoses(rest, seed=1, stretch=(0.8, 1.3)).vertices(2))
     rest.with_vertices(1.1 * rest.vertices).save(tmp_path / "cage.obj")

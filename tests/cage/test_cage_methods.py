@@ -99,7 +99,7 @@ def test_outer_surface_of_a_block_by_hand():
     marks[1:3, 1:2, 1:4] = True
     for axis in (None, 0, 1, 2):
         nodes, faces = outer_surface(marks, axis)
-        corners = {node for node in itertools.product(range(1, 4), range(1, 3), range(1, 5))}
+        corners = set(itertools.product(range(1, 4), range(1, 3), range(1, 5)))
         inner = {(2, 1, 2), (2, 1, 3), (2, 2, 2), (2, 2, 3)}
         assert {tuple(node) for node in nodes.astype(int).tolist()} == corners and inner <= corners
         assert len(faces) == 2 * 2 * (2 * 1 + 1 * 3 + 2 * 3)

@@ -115,7 +115,7 @@ def test_poses_stay_within_the_bounds_and_do_not_fold(made):
     for pose in posed[:4]:
         report = check_pose(rest, pose)
         assert report.inverted_share == 0.0 and report.outside_share < 2e-3 and not report.problem
-        assert 0.55 < report.least_stretch and report.largest_stretch < 1.9
+        assert report.least_stretch > 0.55 and report.largest_stretch < 1.9
 
 
 def test_poses_are_of_all_strengths_and_none_is_at_rest(made):
@@ -170,7 +170,7 @@ def test_poses_are_the_same_to_the_bit_on_all_machines():
 def test_random_numbers_are_even():
     random = RandomNumbers(0, (1, 2))
     numbers = np.array([random.number() for _ in range(4000)])
-    assert 0.0 <= numbers.min() and numbers.max() < 1.0
+    assert numbers.min() >= 0.0 and numbers.max() < 1.0
     assert np.abs(np.histogram(numbers, 8, (0, 1))[0] / 500 - 1).max() < 0.2
     directions = np.array([random.direction() for _ in range(2000)])
     assert np.allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-15)

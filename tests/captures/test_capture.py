@@ -43,7 +43,7 @@ def test_blurred_frames_are_passed_over(walk):
 
 
 def test_a_captured_scene_stands_upright_around_its_object(walk):
-    folder, _, true = walk
+    folder, _, _true = walk
     names, poses, _ = found_poses(folder)
     scene = warpcage.load_scene(folder, split="all")
     assert scene.names == names and len(scene) == 18
@@ -104,7 +104,7 @@ def test_a_fit_with_found_cameras_is_as_good_as_one_with_true_ones(walk):
 def test_the_report_says_what_was_found(walk):
     folder, report, _ = walk
     assert {entry.name for entry in folder.iterdir()} == {
-        "images", "transforms.json", "points.ply", "capture.json", "capture.md", "contact.png", "box.png"
+        "images", "transforms.json", "points.ply", "capture.json", "capture.md", "contact.png", "box.png", "seen.png"
     }  # fmt: skip
     content = json.loads((folder / "capture.json").read_text())
     assert content["registered"] == 18 and content["frames_of_the_video"] == 36

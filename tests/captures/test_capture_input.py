@@ -279,7 +279,7 @@ def test_a_capture_tells_how_far_it_is_and_ends_when_it_is_asked_to(tmp_path, gl
 
     def progress(done, total, words):
         told.append(words)
-        assert 0 <= done and (done <= total or total == 0)
+        assert done >= 0 and (done <= total or total == 0)
         return words != step
 
     with pytest.raises(warpcage.Cancelled, match=f"{step} was cancelled"):

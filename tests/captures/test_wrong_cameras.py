@@ -76,7 +76,7 @@ def scene():
 
 def solved(folder, scene, at_once, one_by_one):
     """The solution and which ways were asked for; the models are given by the poses of their cameras."""
-    poses, slopes, matches = scene
+    _poses, slopes, matches = scene
     folder.mkdir(exist_ok=True)
     write_database(folder / "database.db", slopes, matches)
     models = [None if each is None else reconstruction(slopes, each) for each in (at_once, one_by_one)]

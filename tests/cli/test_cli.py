@@ -12,11 +12,8 @@ from runs import DEFORMED, run, succeed, write_files
 
 from warpcage import VoxelField
 from warpcage.cli import main
-from warpcage.cli.program import COMMANDS
 from warpcage.core import warn_caller
 from warpcage.view import read_image
-
-NAMES = list(COMMANDS)
 
 
 @pytest.fixture(scope="module")
@@ -42,27 +39,10 @@ def test_warnings_take_one_line_without_a_place_in_the_source(capsys, monkeypatc
     assert capsys.readouterr().err == "warpcage: warning: the gap is narrow\n"
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_help_shows_an_example(name, capsys):
+def test_version(capsys):
     with pytest.raises(SystemExit) as leave:
-        main([name, "--help"])
-    assert leave.value.code == 0
-    text = capsys.readouterr().out
-    assert f"warpcage {name}" in text.split("example:")[1]
-    options = {"fit": ["--device", "--downscale"], "pose": ["--bend"], "kernels": ["copy"], "edits": ["--edit"]}
-    options["capture"] = ["--frames"]
-    for option in options.get(name, ["--device"]):
-        assert option in text
-
-
-def test_help_lists_every_command(capsys):
-    with pytest.raises(SystemExit):
-        main(["--help"])
-    text = capsys.readouterr().out
-    assert all(name in text for name in ("fit", "mesh", "cage", "pose", "render", "animate", "evaluate", "info"))
-    with pytest.raises(SystemExit):
         main(["--version"])
-    assert capsys.readouterr().out.startswith("warpcage ")
+    assert leave.value.code == 0 and capsys.readouterr().out.startswith("warpcage ")
 
 
 BAD = {
@@ -113,8 +93,9 @@ BAD = {
     "render: ending": (["render", "@ball.npz", "-o", "@new.jpg"], "must end in .png"),
     "render: camera": (["render", "@ball.npz", "-o", "@new.png", "--camera", "@scene:99"], "0 to 5"),
     "render: camera form": (["render", "@ball.npz", "-o", "@new.png", "--camera", "@scene"], "SCENE:INDEX"),
-    "render: squeezed": (["render", "@ball.npz", "-o", "@new.png", "--camera", "@scene:0", "--size", "40", "20"],
-                         "squeeze"),
+    "render: sizes": (["render", "@ball.npz", "-o", "@new.png", "--size", "40", "20", "10"], "a width and a height"),
+    "render: no shape": (["render", "@ball.npz", "-o", "@new.png", "--size", "16:0"], "two numbers such as 16:9"),
+    "render: widened by nothing": (["render", "@ball.npz", "-o", "@new.png", "--size", "widen"], "or a shape"),
     "animate: ending": (["animate", "@ball.npz", "-o", "@new.avi"], ".mp4 or .gif"),
     "animate: rate": (["animate", "@ball.npz", "-o", "@new.mp4", "--fps", "1e30"], "must be from 0.01 to 1000"),
     "animate: slow rate": (["animate", "@ball.npz", "-o", "@new.mp4", "--fps", "0.001"], "must be from 0.01 to 1000"),

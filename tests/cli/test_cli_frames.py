@@ -26,25 +26,9 @@ def files(tmp_path_factory):
 def test_render_of_a_plain_field(files, tmp_path):
     succeed(
         files,
-        "render",
-        "@ball.npz",
-        "-o",
-        tmp_path / "ball.png",
-        "--disparity",
-        tmp_path / "disparity.png",
+        *f"render @ball.npz -o {tmp_path}/ball.png --disparity {tmp_path}/disparity.png".split(),
         *SMALL,
-        "--eye",
-        0,
-        -3,
-        0,
-        "--target",
-        0,
-        0,
-        0,
-        "--fov",
-        50,
-        "--background",
-        "black",
+        *"--eye 0 -3 0 --target 0 0 0 --fov 50 --background black".split(),
     )
     image = read_image(tmp_path / "ball.png")
     assert image.shape == (40, 40, 3)
@@ -103,16 +87,7 @@ def test_animate_goes_through_keyframes_and_cameras(files, tmp_path):
     first = read_image(folder / "frame_0000.png")
     succeed(
         files,
-        "render",
-        "@ball.npz",
-        "-o",
-        tmp_path / "one.png",
-        "--cage",
-        "@cage.obj",
-        "--posed",
-        "rest",
-        "--camera",
-        "@scene:test:0",
+        *f"render @ball.npz -o {tmp_path}/one.png --cage @cage.obj --posed rest --camera @scene:test:0".split(),
         *SMALL,
         "--overlay",
     )
@@ -152,22 +127,9 @@ def test_animate_renders_frames_that_are_cut_again(files, tmp_path, capsys):
 def test_animate_shows_other_outputs(files, tmp_path, capsys, kind):
     folder = tmp_path / kind
     words = [
-        "animate",
-        "@ball.npz",
-        "-o",
-        folder,
-        "--cage",
-        FRONT,
-        "--posed",
-        "translate:0:0:1.5",
+        *f"animate @ball.npz -o {folder} --cage {FRONT} --posed translate:0:0:1.5".split(),
         *SMALL,
-        "--frames",
-        4,
-        "--quiet",
-        "--turn",
-        0,
-        "--show",
-        kind,
+        *f"--frames 4 --quiet --turn 0 --show {kind}".split(),
     ]
     succeed(files, *words)
     said = capsys.readouterr().err
@@ -273,15 +235,9 @@ def test_cages_with_y_up_are_turned_by_every_command(files, tmp_path, capsys):
 
     succeed(
         files,
-        "render",
-        "@ball.npz",
-        "-o",
-        tmp_path / "mixed.png",
+        *f"render @ball.npz -o {tmp_path}/mixed.png".split(),
         *view,
-        "--cage",
-        "@cage.obj",
-        "--posed",
-        tmp_path / "posed.obj",
+        *f"--cage @cage.obj --posed {tmp_path}/posed.obj".split(),
     )
     assert "posed.obj' has y up, and is turned to its rest cage" in capsys.readouterr().err
     assert np.abs(read_image(tmp_path / "mixed.png") - read_image(tmp_path / "z.png")).max() < 0.02
@@ -317,7 +273,20 @@ def test_a_width_alone_keeps_the_shape_of_a_cameras_picture(files, tmp_path):
         command = ["animate", "@ball.npz", "--quiet"] if film else ["render", "@ball.npz"]
         succeed(files, *command, "-o", out, *words, "--size", 36)
         assert read_image(out / "frame_0000.png" if film else out).shape == (24, 36, 3)
-    assert run(files, "render", "@ball.npz", "-o", tmp_path / "x.png", "--camera", "@scene:0", "--size", 40, 20) == 2
+
+
+def test_films_in_which_nothing_moves_say_so(files, tmp_path, capsys):
+    words = ["animate", "@ball.npz", "--size", 16, "--frames", 5, "--quiet", "-o", tmp_path / "film.gif"]
+    pose = [*DEFORMED, "--resolution", 12]
+    for more, still in (
+        (["--turn", 0], True),
+        ([], False),
+        (["--turn", 0, *pose], False),
+        (["--turn", 0, *pose, "--motion", "hold"], True),
+        (["--turn", 0, "--cameras", "hand-held"], None),
+    ):
+        assert run(files, *words, *more) == (2 if still is None else 0)
+        assert ("nothing moves in this film: its 5 frames are equal" in capsys.readouterr().err) == bool(still)
 
 
 def test_films_say_the_size_that_they_have(files, tmp_path, capsys):

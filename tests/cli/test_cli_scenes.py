@@ -131,17 +131,9 @@ def test_cameras_are_interpolated(files, tmp_path, capsys):
 
 
 def test_film_of_a_pose_through_the_cameras(files, tmp_path):
-    words = [
-        "--cage",
-        files / "cage.ply",
-        "--posed",
-        files / "cage.ply",
-        "--coordinates",
-        "mean_value",
-        "--resolution",
-        16,
-        "--overlay",
-    ]
+    words = (
+        f"--cage {files}/cage.ply --posed {files}/cage.ply --coordinates mean_value --resolution 16 --overlay".split()
+    )
     film = tmp_path / "way.gif"
     assert render(files, "-o", film, "--cameras", "interpolate", "--scene", f"{files / 'colmap'}:test", *words) == 0
     import imageio.v3 as iio

@@ -457,7 +457,7 @@ def make_names():
 
 
 if __name__ == "__main__":
-    assert warpcage.__version__ == "0.1.0" and BASE == pathlib.Path.cwd(), f"run it in a clean tree, not of {BASE}"
+    assert warpcage.__version__ == "0.1.0" and pathlib.Path.cwd() == BASE, f"run it in a clean tree, not of {BASE}"
     make_names()
     make_files()
     print(sum(path.stat().st_size for path in DATA.rglob("*") if path.is_file()), "bytes", file=sys.stderr)

@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+from fields import two_balls
 from scene_writers import Pictures, write_transforms
 from scenes import write_room
 
@@ -43,7 +44,8 @@ def test_every_example_is_tested():
     names = {path.name for path in EXAMPLES.glob("[a-z]*.py")}
     assert names == {"render_lego.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py",
                      "analytic_field.py", "cage_contact_sheet.py", "edit_dtu.py", "edit_fox.py",
-                     "edit_parts.py", "bend_splats.py", "augment_captures.py", "pipeline_step.py"}  # fmt: skip
+                     "edit_parts.py", "bend_splats.py", "augment_captures.py", "pipeline_step.py",
+                     "newton_soft_body.py"}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])
@@ -62,12 +64,21 @@ def test_a_step_of_a_pipeline(tmp_path):
     assert picture.shape == (40, 40, 4) and 0.2 < (picture[..., 3] > 0.5).mean() < 0.5
 
 
-def test_a_step_of_a_pipeline_says_what_it_needs(tmp_path):
-    path = str(EXAMPLES / "pipeline_step.py")
-    program = f"import runpy, sys; sys.modules['torch'] = None; runpy.run_path({path!r}, run_name='__main__')"
+@pytest.mark.parametrize("name, needed", [("pipeline_step.py", "torch"), ("newton_soft_body.py", "newton")])
+def test_an_example_says_what_it_needs(name, needed, tmp_path):
+    path = str(EXAMPLES / name)
+    begin = f"import runpy, sys; sys.modules[{needed!r}] = None; sys.argv[1:] = []; "
+    program = f"{begin}runpy.run_path({path!r}, run_name='__main__')"
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=240)
-    assert done.returncode == 1 and done.stderr == "pipeline_step.py needs torch: pip install torch\n"
+    assert done.returncode == 1 and done.stderr == f"{name} needs {needed}: pip install {needed}\n"
     assert not list(tmp_path.iterdir())
+
+
+def test_a_soft_body_carries_what_it_holds(tmp_path):
+    pytest.importorskip("newton")
+    two_balls("cpu").save(tmp_path / "balls.npz")
+    words = ["--field", "balls.npz", "--out", "drop.mp4", "--size", 32, "--device", "cpu"]
+    assert "wrote drop.mp4: 40 pictures" in run("newton_soft_body.py", *words, cwd=tmp_path)
 
 
 @pytest.mark.parametrize("name", ["analytic_field.py", "deform_in_a_pipeline.py", "deform_mesh.py", "kernel_alone.py"])

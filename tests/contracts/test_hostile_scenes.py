@@ -227,7 +227,7 @@ def _linked(folder, tmp_path):
 
 def test_masks_poses_and_points_may_not_be_links_out(tmp_path, pictures):
     write_nsvf(tmp_path / "nsvf", pictures, "000")
-    pose = sorted((tmp_path / "nsvf" / "pose").glob("*.txt"))[0]
+    pose = min((tmp_path / "nsvf" / "pose").glob("*.txt"))
     pose.symlink_to(pose.rename(tmp_path / "pose.txt"))
     with pytest.raises(ValueError, match="leads out of the data folder"):
         load_scene(tmp_path / "nsvf")

@@ -46,5 +46,5 @@ class Cage(Base):
 """
     monkeypatch.setattr(internal_docstrings, "python_files", lambda: [("warpcage/cage/cage.py", ast.parse(text))])
     found = internal_docstrings.long_docstrings()
-    private = ".".join(("Base", "_shut")), ".".join(("Cage", "_hidden", "nested"))
+    private = "Base._shut", "Cage._hidden.nested"
     assert set(found) == {f"warpcage/cage: {name}" for name in ("inner", "Base", *private)}

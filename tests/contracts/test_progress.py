@@ -96,7 +96,7 @@ def test_work_tells_how_far_it_is(name, things, capfd):
     assert found == pytest.approx(expected)
     assert told and capfd.readouterr().out == ""
     for done, total, words in told:
-        assert type(done) is int and type(total) is int and 0 <= done and (done <= total or total == 0)
+        assert type(done) is int and type(total) is int and done >= 0 and (done <= total or total == 0)
         assert isinstance(words, str) and words and "\n" not in words
 
 

@@ -19,10 +19,9 @@ warpcage.Cage.from_field(field, 30).save("cage.obj")
 
 
 def started(tmp_path, **environment):
-    done = subprocess.run(
+    return subprocess.run(
         [sys.executable, "-c", PROGRAM], cwd=tmp_path, env=os.environ | environment, capture_output=True, text=True
     )
-    return done
 
 
 def test_nothing_is_printed_unless_it_is_asked_for(tmp_path):

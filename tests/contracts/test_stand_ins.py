@@ -67,7 +67,7 @@ def test_files_that_only_speak_of_such_things_are_read(tmp_path):
 def test_files_inside_scenes(tmp_path):
     pictures = brick_pictures(3)
     write_blender(tmp_path / "blender", pictures)
-    first = sorted((tmp_path / "blender").rglob("*.png"))[0]
+    first = min((tmp_path / "blender").rglob("*.png"))
     first.write_bytes(POINTER)
     refused(lambda: load_scene(tmp_path / "blender"), LFS, first.name)
     (tmp_path / "blender" / "transforms_train.json").write_bytes(PAGE)

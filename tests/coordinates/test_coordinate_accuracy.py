@@ -154,7 +154,7 @@ def test_one_cell_slots_turned_so_that_cells_hold_tips_alone(kind, degrees, axis
 
 @pytest.mark.parametrize("kind", ["harmonic", "mean_value", "green"])
 def test_gaps_narrower_than_a_cell_are_reported(kind, device):
-    narrow, wide, turn = slot_cages(0.6 / 32, 17)
+    narrow, wide, _turn = slot_cages(0.6 / 32, 17)
     position_map = PositionMap(wide, coordinates=kind, resolution=32, device=device)
     with pytest.warns(UserWarning, match=MESSAGES["coordinates.gaps_open"]) as caught:
         position_map.pose(narrow)
@@ -204,7 +204,7 @@ def test_memory_for_the_sides_of_gaps_is_refused_before_it_is_taken(device, monk
 def test_sides_of_replayed_poses_are_the_same(kind, device, monkeypatch):
     """Tables in the launches of a graph, with room for other poses, against those found step by step."""
     narrow, wide, turn = slot_cages(1.2 / 32, 17)
-    options = dict(coordinates=kind, resolution=32, device=device)
+    options = {"coordinates": kind, "resolution": 32, "device": device}
     points = points_beside_slot(1.2 / 32, 32, turn)
     # as it was, larger, with more cells at gaps as its lattice lies otherwise, without gaps, and again
     poses = [narrow, narrow.scale(1.01), narrow.rotate(30), narrow.scale((1, 0.7, 1)), wide, narrow.rotate(-10), narrow]

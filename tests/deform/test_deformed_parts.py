@@ -29,9 +29,8 @@ from warpcage import Cage, CageEdit, Camera, Deformer
 from warpcage.core import recorded_launches
 from warpcage.edits import EditBoxes, box_gaps, edit_boxes, front_to_back
 from warpcage.field import tables
-from warpcage.kernels.render.rays import MarchOptions
-from warpcage.kernels.render.views import part_kernel
-from warpcage.render import ViewRequest
+from warpcage.kernels.render.rays import Picture
+from warpcage.render import FrameTables, FrameTarget
 from warpcage.view import camera_struct
 
 LEFT, MIDDLE, RIGHT = (box_around(x, 0, 0, half=0.3) for x in (-0.7, 0.0, 0.7))
@@ -90,7 +89,7 @@ def both(deformer, camera, **options):
     """The frames of the marches of one edit after the other, and of the march of all; and the labels of the former."""
     with recorded_launches() as launched:
         by_parts = deformer.render(camera, **options)
-    with recorded_launches() as launched_at_once, general_march(deformer.posed_edits()):
+    with recorded_launches() as launched_at_once, general_march():
         at_once = deformer.render(camera, **options)
     assert marches(launched_at_once) == ["views.stack"]
     return by_parts, at_once, marches(launched)
@@ -129,7 +128,7 @@ def test_edits_one_by_one_are_seen_as_all_at_once(scene, march, device):
         if deformer.device.is_cpu and tables.TILES_ON_CPU:
             assert marched == len(rests) * [TILES]
         else:
-            gaps = sum(flat.has_sides for flat in deformer.posed_edits().flat)
+            gaps = sum(flat.has_sides for flat in deformer.posed_edits().tables.edits)
             is_far = np.linalg.norm(eye) > 1.5
             turns_over = scene == "with a slot"  # the map, where its slot closes
             assert is_shaded(marched) == (march == "shaded" and is_far and not turns_over)
@@ -208,24 +207,20 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
         def take(self, shape):
             return wp.array(ptr=dot.ptr, shape=shape, dtype=wp.vec4, device="cpu", copy=False)
 
-    def march(view, kernel, scene, item_rays, order, begins, number):
+    def march(kernel, inputs, target, *, number, item_rays):
         assert number == len(marched_parts)
-        marched_parts.append(scene[-1])
+        marched_parts.append(inputs[-1])
 
     deformer = Deformer(two_balls("cpu"), [LEFT, RIGHT], device="cpu", resolution=16)
     deformer.render(view(size=8))
-    edits = deformer.posed_edits()
-    monkeypatch.setattr(edits, "march", march)
+    plan, launcher = deformer.posed_edits().plan, deformer.posed_edits().launcher
+    monkeypatch.setattr(launcher, "march", march)
+    monkeypatch.setattr(launcher, "rays", Untouched())
     width, height = 46340, 46340
     camera = camera_struct(Camera(4e4, 4e4, width / 2, height / 2, width, height, view().camera_to_world), (0, 0, 0))
-    options = MarchOptions()
-    options.step = deformer.field.step
-    options.inverse_step = 1.0 / options.step
-    marched = ViewRequest(deformer.field, None, [], camera, wp.vec3(), options, None, 0, 1.0)
-    kernels = [part_kernel(False, has_sides) for has_sides in (False, True)]
-    edits.parts_in_turn.rays = Untouched()
-    parts = edits.scene_parts(camera.center, options.step)
-    edits.parts_in_turn.render(edits, marched, parts, kernels, [None, None], [None, None])
+    boxes = [[[x, -1.0, -1.0], [x + 0.5, 1.0, 1.0]] for x in (-1.0, 0.5)]
+    tables = FrameTables([], [None, None], [None, None], boxes, None)
+    launcher.launch_frame(plan, tables, FrameTarget(camera, wp.vec3(), None, Picture(), {}, width * height, 1.0))
     assert [(part.is_first, part.is_last) for part in marched_parts] == [(1, 0), (0, 1)]
     for part in marched_parts:
         arrays = part.progress, part.colors, part.masks

@@ -33,8 +33,9 @@ def both(deformer, camera, **options):
     edits = deformer.posed_edits()
     with recorded_launches() as launched:
         single = deformer.render(camera, **options)
-        table, sides = "shades" if edits.plan.is_shaded else "rows", "+sides" if edits.scene.has_sides else ""
-        with general_march(edits):
+        table = "shades" if edits.plan.is_shaded else "rows"
+        sides = "+sides" if edits.tables.edits[0].has_sides else ""
+        with general_march():
             general = deformer.render(camera, **options)
     by_tiles = deformer.device.is_cpu and tables.TILES_ON_CPU
     assert marches(launched) == [TILES if by_tiles else f"views.{table}{sides}", "views.stack"]
@@ -132,7 +133,7 @@ def test_a_slot_that_a_pose_closes_to_less_than_a_cell(kind, march, device):
     deformer = Deformer(field, slotted(0.5), coordinates=kind, resolution=32).pose(slotted(0.03))
     camera = Camera.look_at([0.1, 0.6, 3.0], (0, 0.1, 0), up=(0, 1, 0), width=64, height=64, fov_degrees=40)
     single, general = both(deformer, camera)
-    assert deformer.posed_edits().scene.has_sides == 1 or kind != "harmonic"
+    assert deformer.posed_edits().tables.edits[0].has_sides == 1 or kind != "harmonic"
     assert psnr(single.rgb, general.rgb) > 45
     assert general.alpha.max() > 0.9
 
@@ -187,7 +188,7 @@ def test_several_edits_without_fragments_and_gaps_are_seen_as_with(scene, device
     deformer = Deformer(two_balls(device), rests, resolution=24).pose(posed)
     with recorded_launches() as launched:
         plainly = deformer.render(view())
-        with general_march(deformer.posed_edits()):
+        with general_march():
             generally = deformer.render(view())
     assert marches(launched) == ["views.stack+simple", "views.stack"]
     assert_same_frame(plainly, generally)
@@ -202,7 +203,7 @@ def test_edits_that_have_nothing_where_a_cell_goes_need_not_be_asked(scene, devi
     assert any((struct.cells.numpy() & CELL_ALONE).any() for struct, _ in edits.lattices.posed())
     for struct, _ in edits.lattices.posed():
         struct.cells.assign(struct.cells.numpy() & (255 - CELL_ALONE))
-    edits.scene = edits.flat_scene()
+    edits.tables.fill(edits.lattices.posed())
     every = deformer.render(view())
     assert_same_frame(few, every)
 

@@ -88,16 +88,16 @@ def test_what_an_editor_cannot_open_is_one_line_and_leaves_no_thread(tmp_path):
         with pytest.raises(OSError, match="address already in use|in use"):
             edit(tiny_field(), port=port)
     wrong = [
-        (dict(port=-1), "port"),
-        (dict(port=70000), "port"),
-        (dict(port="80"), "port"),
-        (dict(port=True), "port"),
-        (dict(host=5), "host"),
-        (dict(allowed_hosts="proxy"), "allowed_hosts"),
-        (dict(cage="cage.obj"), "Cage"),
-        (dict(cage=Cage(BOX.vertices, BOX.faces[1:])), "cage 1"),
-        (dict(field=7), "VoxelField"),
-        (dict(field=tmp_path), "not there|is no|npz|is a folder"),
+        ({"port": -1}, "port"),
+        ({"port": 70000}, "port"),
+        ({"port": "80"}, "port"),
+        ({"port": True}, "port"),
+        ({"host": 5}, "host"),
+        ({"allowed_hosts": "proxy"}, "allowed_hosts"),
+        ({"cage": "cage.obj"}, "Cage"),
+        ({"cage": Cage(BOX.vertices, BOX.faces[1:])}, "cage 1"),
+        ({"field": 7}, "VoxelField"),
+        ({"field": tmp_path}, "not there|is no|npz|is a folder"),
     ]
     for options, words in wrong:
         with pytest.raises((ValueError, OSError), match=words):

@@ -375,6 +375,17 @@ def test_a_job_file_of_a_session_makes_its_frames_to_the_bit(saved, tmp_path, tr
     assert frames == made and len(frames) > 2
 
 
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_a_film_of_a_session_without_two_keys_says_that_nothing_moves(saved, field, tmp_path, capsys, count):
+    document = moving(loop="once")
+    timeline = dataclasses.replace(document.timeline, keys=document.timeline.keys[:count], length=0.2, fps=10.0)
+    session = saved / "still.session.json"
+    write_session(session, dataclasses.replace(document, timeline=timeline), field, "ball.npz")
+    words = ["animate", str(saved / "ball.npz"), "--session", str(session), "--device", "cpu", "--size", "24", "24"]
+    assert main([*words, "--quiet", "-o", str(tmp_path / "film.gif")]) == 0
+    assert ("nothing moves in this film: its 3 frames are equal" in capsys.readouterr().err) == (count < 2)
+
+
 def test_words_of_the_command_are_safe_for_a_shell():
     command = export_command("it's; rm.session.json", "-field.npz", Film(8, 6), output="$(x).mp4", scene_scale=2 / 3)
     assert shlex.split(command) == [

@@ -419,7 +419,7 @@ def test_fingers_turn_zoom_and_pan(stage: Stage) -> None:
     stage.settle()
     nearer = stage.do("return warpcage.viewport.view")
     assert np.isclose(np.linalg.norm(np.subtract(nearer["eye"], nearer["target"])), away[0] / 2, rtol=0.02)
-    assert [it["moving"] for it in stage.sent("view")][0] is True
+    assert next(it["moving"] for it in stage.sent("view")) is True
 
 
 def test_wheel_middle_button_and_keys_move_the_view(stage: Stage) -> None:

@@ -137,7 +137,7 @@ def test_pages_that_vanish_leave_nothing_and_lose_nothing(tmp_path):
             await page.until(
                 lambda: np.array_equal(page.sections["edits"][0]["posed"], host.session.document.edits[0].posed)
             )
-        assert list(host.clients.values())[0].number == page.client and len(host.clients) == 1
+        assert next(iter(host.clients.values())).number == page.client and len(host.clients) == 1
         assert not host.session.moving and not host.lookers and host.connected == 1
         assert [label for label, _ in host.session.history.undo_steps] == [f"pull {k}" for k in (1, 3, 5, 7, 9)]
         await page.until(lambda: page.frames and page.frames[-1]["width"] == 24 and page.frames[-1]["sharp"])
@@ -158,7 +158,7 @@ def test_pages_that_vanish_leave_nothing_and_lose_nothing(tmp_path):
 def test_connections_that_end_before_the_first_word_leave_nothing(tmp_path):
     async def test(host, page):
         for _ in range(20):
-            reader, writer = await asyncio.open_connection("127.0.0.1", host.port)
+            _reader, writer = await asyncio.open_connection("127.0.0.1", host.port)
             key = (
                 "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: "
                 + "A" * 22
@@ -206,7 +206,7 @@ def test_a_page_that_reads_nothing_is_not_listened_to_before_it_does(tmp_path, m
             await other.do(do="edit.add", kind="move", shape="box", lower=[0] * 3, upper=[1] * 3)
             await other.do(do="undo")
         assert len(deaf.texts) <= clients.MAX_WAITING + 1
-        assert len(deaf.vertices) <= 4 and deaf.frame is None or len(deaf.frame) == 2
+        assert (len(deaf.vertices) <= 4 and deaf.frame is None) or len(deaf.frame) == 2
         gate.set()
         await page.until(lambda: len(page.replies) == count + 1)
         await page.until(lambda: np.array_equal(page.posed(), host.session.document.edits[0].posed))

@@ -9,6 +9,7 @@ import pytest
 from messages import MESSAGES
 
 from warpcage import Cage, Camera, CameraKey, PoseFile
+from warpcage.core import EASINGS
 from warpcage.editor import (
     Document,
     Key,
@@ -49,7 +50,7 @@ def pose_at(document, time):
     return state_at(document, time)[0][1]
 
 
-@pytest.mark.parametrize("easing", ["smooth", "linear", "hold", "ease-in", "ease-out"])
+@pytest.mark.parametrize("easing", EASINGS)
 def test_keys_are_met_to_the_bit_and_ends_are_still(easing):
     times = (0.5, 1.0, 2.25)
     document = film(*((time, easing, pose, None) for time, pose in zip(times, POSES, strict=False)))
@@ -66,6 +67,7 @@ def test_keys_are_met_to_the_bit_and_ends_are_still(easing):
         ("hold", lambda s: 0.0),
         ("ease-in", lambda s: s**2),
         ("ease-out", lambda s: 1 - (1 - s) ** 2),
+        ("ease-in-out", lambda s: 2 * s**2 if s < 0.5 else 1 - 2 * (1 - s) ** 2),
         ("smooth", lambda s: 3 * s**2 - 2 * s**3),  # between two keys alone: at rest at both
     ],
 )
@@ -227,7 +229,7 @@ def test_pose_files_without_times_are_spread_and_equal_names_are_told_apart():
     ("change", "message"),
     [
         (lambda file: file.times.update(a=-1.0), MESSAGES["editor.key_before_film"]),
-        (lambda file: file.easings.update(a="bounce"), MESSAGES["editor.key_easing"]),
+        (lambda file: file.easings.update(a="wobble"), MESSAGES["editor.key_easing"]),
     ],
 )
 def test_pose_files_that_a_film_cannot_hold(change, message):

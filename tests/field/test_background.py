@@ -200,7 +200,7 @@ def rooms():
 
 @pytest.mark.parametrize("masks", [False, "split"])
 def test_a_room_is_seen_from_new_places(rooms, masks):
-    scene, field = rooms[masks]
+    _scene, field = rooms[masks]
     assert field.background_model is not None and field.background_model.layer_count == 6
     test = room_scene(5, 32, masks="split", turn=0.13)
     rows = warpcage.evaluate(field, test)

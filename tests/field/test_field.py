@@ -283,3 +283,23 @@ def test_a_field_keeps_its_supersampling(device, tmp_path):
             field.render(camera, supersampling=wrong)
     with pytest.raises(ValueError, match="antialias is for splats"):
         warpcage.Deformer(field, cage, resolution=16).render(camera, antialias=True)
+
+
+def test_another_march_through_a_field_is_warned_of(device):
+    """By the old `render_by`, which fills a picture by whatever march it is given."""
+    field = oracle.random_field(device)[0]
+    camera = warpcage.Camera.look_at([3, 0, 0], [0, 0, 0], width=5, height=4)
+
+    def begin():
+        def march(threads, pinhole, color, make_arrays):
+            arrays = make_arrays()
+            assert threads >= 20 and pinhole.width == 5 and set(arrays) == {"rgb", "alpha", "depth", "fold"}
+            for name, array in arrays.items():
+                array.fill_(wp.vec3(0.25, 0.5, 0.75) if name == "rgb" else 0.5)
+
+        return march
+
+    with pytest.warns(UserWarning, match="render_by is gone"):
+        frame = field.render_by(begin, camera, masks=("fold",))
+    np.testing.assert_array_equal(frame.rgb, np.broadcast_to(np.float32([0.25, 0.5, 0.75]), (4, 5, 3)))
+    assert (frame.fold == 0.5).all() and (frame.alpha == 0.5).all()

@@ -152,7 +152,7 @@ def test_a_pixel_shows_the_place_in_front(scene, device):
     camera = scene.camera()
     up, table_top = scene.world((0, 0, 1)), scene.world((0.55, 0.3, -0.2))
     clicked = np.floor(camera.project(table_top[None])[0][0]).astype(int)
-    origins, rays = camera.rays()
+    _origins, rays = camera.rays()
     ray = rays[clicked[1], clicked[0]]
     exact = camera.center + ray * ((table_top - camera.center) @ up) / (ray @ up)
     assert np.linalg.norm(pick_point(field, camera, clicked) - exact) < 2.5 * VOXEL

@@ -135,8 +135,16 @@ def whole_loss(device, by_sky, sky=None):
         inputs=[0, outer.grid, rays, front, behind, grad_front, grad_behind, BY_FRONT, by_sky],
         outputs=[grad, grad_sky],
     )
-    parts = dict(field=field, density=density, sh=sh, outer=outer, values=values, cameras=cameras, images=images)
-    found = dict(grad=grad.numpy(), grad_sky=grad_sky.numpy()[0], in_box=gradients[:, 24])
+    parts = {
+        "field": field,
+        "density": density,
+        "sh": sh,
+        "outer": outer,
+        "values": values,
+        "cameras": cameras,
+        "images": images,
+    }
+    found = {"grad": grad.numpy(), "grad_sky": grad_sky.numpy()[0], "in_box": gradients[:, 24]}
     return SimpleNamespace(**parts, **found, scale=scale, random=random)
 
 

@@ -1,5 +1,7 @@
 """The order of a fit's tiles: each once, another order for each key, without a trace of where they lie."""
 
+import itertools
+
 import numpy as np
 import pytest
 import warp as wp
@@ -48,7 +50,7 @@ def test_orders_look_random(device, count):
         tenth = np.histogram(order[: count // 10], bins=16, range=(0, count))[0] / (count / 160)
         assert np.abs(tenth - 1).max() < 5 / np.sqrt(count / 160)
         assert (np.abs(np.diff(order)) == 1).sum() < 2 + 5 * np.sqrt(2)  # two are expected
-    for first, second in zip(orders[:-1], orders[1:], strict=True):
+    for first, second in itertools.pairwise(orders):
         assert abs(np.corrcoef(first, second)[0, 1]) < 5 / np.sqrt(count)
         assert (first == second).sum() < 1 + 5
 

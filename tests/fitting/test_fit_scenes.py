@@ -96,7 +96,7 @@ def test_models_are_meshes(model):
     vertices, faces, colors = MODELS[model]()
     assert vertices.shape[1] == 3 and np.abs(vertices).max() < 1.4
     assert faces.shape == colors.shape and faces.min() == 0 and faces.max() == len(vertices) - 1
-    assert 0 <= colors.min() and colors.max() <= 1
+    assert colors.min() >= 0 and colors.max() <= 1
     area = np.linalg.norm(np.cross(*(vertices[faces[:, i]] - vertices[faces[:, 0]] for i in (1, 2))), axis=1)
     assert area.min() > 0
 

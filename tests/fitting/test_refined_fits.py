@@ -102,7 +102,7 @@ def test_cameras_are_refined_where_they_are_off_alone(bricks, device, capsys):
 
 def test_held_out_views_move_along(bricks, device, tmp_path):
     """Cameras that are all off as their neighbors are: a path whose poses bend, held-out ones too."""
-    train, test = bricks
+    _train, test = bricks
     off = [dataclasses.replace(scene, cameras=[bent(camera) for camera in scene.cameras]) for scene in bricks]
     _, field = optimized(off[0], device, refine_cameras=True)
     given, along = (mean_psnr(evaluate(field, off[1], moved_along=moved)) for moved in (False, True))
@@ -142,7 +142,7 @@ def test_exposures_are_undone(bricks, device):
     images = gains * (train.images - behind) + behind
     exposed = dataclasses.replace(train, images=images.astype(np.float32))
     _, uneven = optimized(exposed, device)
-    optimizer, field = optimized(exposed, device, refine_cameras=True)
+    _optimizer, field = optimized(exposed, device, refine_cameras=True)
     assert mean_psnr(evaluate(field, test)) > mean_psnr(evaluate(uneven, test)) + 0.3
     found, true = np.log(field.refined_cameras.gains).ravel(), np.log(gains).ravel()
     assert np.corrcoef(found, true)[0, 1] > 0.75

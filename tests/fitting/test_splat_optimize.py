@@ -31,7 +31,7 @@ def test_views_that_were_held_out(fitted):
 
 
 def test_the_same_seed_gives_the_same_splats(fitted, two_threads):
-    truth, scene, field = fitted
+    _truth, scene, field = fitted
     again = warpcage.fit(scene, representation="splats", device="cpu", progress=False, **FAST)
     for name in ("centers", "log_scales", "quaternions", "logits", "harmonics"):
         assert (getattr(again.contents, name) == getattr(field.contents, name)).all()

@@ -99,7 +99,7 @@ def test_render_mesh_views_refuses(change, message):
 def test_brick_model_is_closed_centered_and_in_the_box():
     vertices, faces, colors = brick_model()
     assert faces.dtype == np.int32 and colors.shape == faces.shape
-    assert 0.0 <= colors.min() and colors.max() <= 1.0
+    assert colors.min() >= 0.0 and colors.max() <= 1.0
     assert len(np.unique(colors, axis=0)) >= 8
     np.testing.assert_allclose(vertices.min(axis=0), -vertices.max(axis=0), atol=1e-12)
     assert 0.9 < np.abs(vertices).max() < 1.2

@@ -20,7 +20,7 @@ class Maps:
     def __init__(self, name, resolution, device):
         self.rest = Cage(*oracles.cage(name))
         self.deformed = pose_noisily(self.rest, 0.1)
-        options = dict(coordinates="mean_value", resolution=resolution, device=device)
+        options = {"coordinates": "mean_value", "resolution": resolution, "device": device}
         self.corrected = PositionMap(self.rest, **options).pose(self.deformed)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(

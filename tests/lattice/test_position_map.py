@@ -114,7 +114,7 @@ def test_cage_itself_goes_to_the_rest_cage(kind, device):
 def test_stored_weights_give_the_same_map_and_rebind(kind, device):
     rest = cage_named("concave")
     deformed, other = pose_noisily(rest), rest.twist(40)
-    options = dict(coordinates=kind, resolution=20, device=device)
+    options = {"coordinates": kind, "resolution": 20, "device": device}
     points = points_up_to(deformed)
     weights = PositionMap(rest, store="weights", **options).pose(deformed)
     by_weights, _ = look_up(weights, points)
@@ -144,7 +144,7 @@ def test_far_origin_and_scale(kind, scale, shift, device):
     rest = cage_named("icosphere")
     deformed = pose_noisily(rest)
     points = inside_points(deformed)
-    options = dict(coordinates=kind, resolution=16, device=device)
+    options = {"coordinates": kind, "resolution": 16, "device": device}
     positions, _ = look_up(PositionMap(rest, **options).pose(deformed), points)
     moved = [cage.with_vertices(cage.vertices * scale + shift) for cage in (rest, deformed)]
     far, _ = look_up(PositionMap(moved[0], **options).pose(moved[1]), points * scale + shift)
@@ -154,7 +154,7 @@ def test_far_origin_and_scale(kind, scale, shift, device):
 @pytest.mark.parametrize("kind", KINDS)
 def test_posing_again_gives_what_a_new_map_gives(kind, device):
     rest = cage_named("icosphere")
-    options = dict(coordinates=kind, resolution=16, device=device)
+    options = {"coordinates": kind, "resolution": 16, "device": device}
     kept = PositionMap(rest, **options)
     for deformed in (rest.bend(60), rest.scale((0.5, 1, 2)), pose_noisily(rest), rest):
         points = inside_points(deformed, 100)
@@ -172,7 +172,7 @@ def test_replayed_poses_are_the_same(kind, many_faces, device, monkeypatch):
     for limit in ("MANY_FACES", "MANY_FACES_CPU"):
         monkeypatch.setattr(block_faces, limit, many_faces)
     rest = cage_named("icosphere")
-    options = dict(coordinates=kind, resolution=16, device=device)
+    options = {"coordinates": kind, "resolution": 16, "device": device}
     monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: False))
     poses = [pose_noisily(rest), rest.scale((1, 1.02, 0.97)), rest.rotate(20), rest.scale((1, 0.5, 0.4)), rest]
     expected = []
@@ -225,7 +225,7 @@ def test_no_pose_waits_for_a_graph_once_maps_are_warm(kind, device, monkeypatch)
         rest.twist(60),
         rest,
     ]
-    options = dict(coordinates=kind, resolution=24, device=device)
+    options = {"coordinates": kind, "resolution": 24, "device": device}
     points = [inside_points(pose, 100) for pose in poses]
     monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: False))
     assert PositionMap(rest, **options).warm().lattice is None  # nothing to be done without graphs
@@ -271,7 +271,7 @@ def test_maps_that_are_begun(kind, graphs, device, monkeypatch):
     """The last one begun is the one that is finished. What `begin` returns is the map, but for the sides of gaps."""
     monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: graphs))
     rest = cage_named("icosphere")
-    options = dict(coordinates=kind, resolution=24, device=device)
+    options = {"coordinates": kind, "resolution": 24, "device": device}
     expected = {angle: values(PositionMap(rest, **options).pose(rest.bend(angle))) for angle in (10, 20, 30)}
     kept = PositionMap(rest, **options).warm()
     for angle in (30, 10, 20):
@@ -385,11 +385,11 @@ def test_maps_take_less_than_100_and_700_megabytes():
 def test_bad_input_is_refused(device):
     rest = cage_named("box")
     for options in (
-        dict(coordinates="bezier"),
-        dict(store="disk"),
-        dict(resolution=4),
-        dict(resolution=5000),
-        dict(tolerance=0),
+        {"coordinates": "bezier"},
+        {"store": "disk"},
+        {"resolution": 4},
+        {"resolution": 5000},
+        {"tolerance": 0},
     ):
         with pytest.raises(ValueError):
             PositionMap(rest, device=device, **options)

@@ -102,7 +102,7 @@ def test_directions_of_affine_poses(kind, device):
     deformer = Deformer(shiny_field(device), BOX, coordinates=kind, resolution=24).pose(pose)
     camera = view()
     shaded(deformer, camera)
-    edit, nodes, _, distance, taken = found_places(deformer)
+    edit, _nodes, _, distance, taken = found_places(deformer)
     ((_, _, cage),) = deformer.posed_edits().carried_shades.posed
     aims = cage.aims.numpy().reshape(*taken.shape, 4)
     x = np.array(edit.rest.lower) + edit.rest.spacing * np.argwhere(taken) + deformer.field.center
@@ -161,7 +161,7 @@ def test_gaps_whose_cells_have_sides(device):
     deformer.pose(slotted(0.06).rotate(20, axis="x"))
     camera = view((0.4, 2.6, 1.4))
     assert psnr(shaded(deformer, camera).rgb, of_rows(deformer, camera).rgb) > 50
-    assert deformer.posed_edits().flat[0].has_sides
+    assert deformer.posed_edits().tables.edits[0].has_sides
 
 
 @pytest.mark.filterwarnings("ignore:a cage has gaps narrower")

@@ -54,7 +54,7 @@ def posed(field, rest, pose, **options):
     """A Deformer that has rendered, and the edits that it marches."""
     deformer = Deformer(field, CageEdit(rest, **options), resolution=CELLS).pose(pose)
     deformer.render(view(size=8))
-    return deformer, deformer.posed_edits().flat
+    return deformer, deformer.posed_edits().tables.edits
 
 
 def chebyshev(occupied, limit):
@@ -152,7 +152,7 @@ def frames(deformer, monkeypatch, camera):
     with monkeypatch.context() as patch:
         patch.setattr(tables, "LEAST_VOXELS", math.inf)
         whole = deformer.pose(deformer.deformed).render(camera)
-        assert all(flat.fine_bits == 0 for flat in deformer.posed_edits().flat)
+        assert all(flat.fine_bits == 0 for flat in deformer.posed_edits().tables.edits)
     fine = deformer.pose(deformer.deformed).render(camera)
     return whole, fine
 
@@ -164,7 +164,7 @@ def test_pictures_are_those_without_fine_cells(case, density, march, device, mon
     deformer = Deformer(finest(device), CageEdit(rest, **options), resolution=CELLS, density=density).pose(pose)
     for eye in ((2.5, 1.2, 1.0), (-0.3, -2.6, 0.4)):
         whole, fine = frames(deformer, monkeypatch, view(eye))
-        assert all(1 << flat.fine_bits == SIDE for flat in deformer.posed_edits().flat)
+        assert all(1 << flat.fine_bits == SIDE for flat in deformer.posed_edits().tables.edits)
         for name in ("rgb", "alpha", "reveal", "fold", "outside"):
             assert np.allclose(getattr(fine, name), getattr(whole, name), atol=2e-5), name
     assert fine.alpha.max() > 0.5
@@ -176,7 +176,7 @@ def test_pictures_of_several_edits_are_those_without_fine_cells(march, device, m
     deformer.pose([cages[0].rotate(40, axis="x"), cages[1].scale([1.0, 0.7, 0.7])])
     for eye in ((2.5, 1.2, 1.0), (0.1, -2.6, 0.4)):
         whole, fine = frames(deformer, monkeypatch, view(eye))
-        assert [1 << flat.fine_bits for flat in deformer.posed_edits().flat] == [SIDE, SIDE]
+        assert [1 << flat.fine_bits for flat in deformer.posed_edits().tables.edits] == [SIDE, SIDE]
         for name in ("rgb", "alpha", "reveal", "fold", "outside"):
             assert np.allclose(getattr(fine, name), getattr(whole, name), atol=2e-5), name
 
@@ -200,5 +200,5 @@ def test_follow_the_pose_and_the_matter(march, device):
 def test_cells_as_small_as_voxels_are_not_told_apart(march, device):
     deformer = Deformer(shiny_field(device, resolution=16), BOX, resolution=24).pose(BOX)
     deformer.render(Camera.look_at((2.5, 1.2, 1.0), (0, 0, 0), width=8, height=8, fov_degrees=50))
-    (edit,) = deformer.posed_edits().flat
+    (edit,) = deformer.posed_edits().tables.edits
     assert edit.fine_bits == 0 and edit.fine_width == 1.0 and edit.fine_look.ptr == edit.look.ptr

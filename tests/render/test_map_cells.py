@@ -92,7 +92,7 @@ def test_pictures_without_polynomials_are_the_same(case, march, device, monkeypa
         monkeypatch.setattr(tables, "MOST_ENTRIES", most)
         deformer = Deformer(field, CageEdit(rest, **options), resolution=10).pose(pose)
         frames.append(deformer.render(view()))
-        (edit,) = deformer.posed_edits().flat
+        (edit,) = deformer.posed_edits().tables.edits
         assert edit.by_nodes == (most == 0 and case != "removed")
         sides = "+sides" if edit.by_nodes or case == "narrow slot" else ""
         with recorded_launches() as launched:

@@ -10,7 +10,7 @@ from warpcage.core import recorded_launches
 from warpcage.kernels.edits.structs import LOOK_SKIP
 from warpcage.kernels.render.beams import NEVER
 from warpcage.kernels.view.rays import TILE_HEIGHT, TILE_WIDTH
-from warpcage.render import TileStarts, scene
+from warpcage.render import TileStarts, plan
 
 SLAB = Cage.box([-0.3, -0.9, -0.9], [0.9, 0.9, 0.9], segments=2)
 CASES = {
@@ -143,8 +143,8 @@ def test_large_pictures_are_those_of_small_ones(device, monkeypatch):
         BOX.bend(70, axis="x", towards="z")
     )
     pictures = []
-    for least in (scene.LARGE_PICTURE, 64):
-        monkeypatch.setattr(scene, "LARGE_PICTURE", least)
+    for least in (plan.LARGE_PICTURE, 64):
+        monkeypatch.setattr(plan, "LARGE_PICTURE", least)
         deformer.render(view())
         with recorded_launches() as launched:
             pictures.append(deformer.render(view()))

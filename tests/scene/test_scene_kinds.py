@@ -97,7 +97,7 @@ def test_heic_without_its_library_says_how_to_get_it(tmp_path, smooth, monkeypat
 @pytest.fixture
 def turned(tmp_path, request):
     """A COLMAP model of upright pictures whose files are stored on their side, with an orientation tag of theirs."""
-    number, masks, ending = request.param
+    number, masks, _ending = request.param
     color = np.random.default_rng(0).integers(0, 256, (9, 20, 24, 4), dtype=np.uint8)
     pictures = Pictures(color, spiral_cameras(9))
     write_colmap(tmp_path, pictures, binary=True, masks=masks)

@@ -95,7 +95,7 @@ def test_what_a_view_shows_of_each_splat(device):
 
 
 def test_what_no_view_shows_goes(scene):
-    field, labels = scene
+    field, _labels = scene
     camera = place_camera(size=96)
     away = place_camera(target=(1.6, -9.0, 1.7), size=96)  # sees nothing
     cleaned = clean_splats(field, CleanOptions(cameras=[camera, away]))

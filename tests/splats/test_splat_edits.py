@@ -24,7 +24,7 @@ def test_the_three_cases(device):
     field = splats_in_box(device, half=2.0, count=600, scales=TINY)
     cage = Cage.box((-1, -1, -1), (0, 1, 1))
     deformer = Deformer(field, cage, coordinates="mean_value").pose(cage.translate((1.5, 0, 0)))
-    rows, centers, _, opacities = drawn(deformer)
+    rows, centers, _, _opacities = drawn(deformer)
     inside, covered = rows_at(field, (-1, -1, -1), (0, 1, 1)), rows_at(field, (0.5, -1, -1), (1.5, 1, 1))
     stays = np.setdiff1d(np.arange(600), np.concatenate([inside, covered]))
     np.testing.assert_array_equal(np.sort(rows), np.sort(np.concatenate([inside, stays])))

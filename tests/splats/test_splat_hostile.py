@@ -410,7 +410,7 @@ def test_damaged_files_are_refused_or_read(name, data, tmp_path_factory):
     whole = path.read_bytes()
     packed = name == ".spz"
     changed = bytearray(gzip.decompress(whole) if packed else whole)
-    inside = len(changed) if not name == ".glb" else min(len(changed), 3000)
+    inside = len(changed) if name != ".glb" else min(len(changed), 3000)
     for _ in range(data.draw(st.integers(1, 5))):
         place = data.draw(st.integers(0, inside - 1))
         if data.draw(st.booleans()):

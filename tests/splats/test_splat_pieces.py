@@ -76,7 +76,7 @@ def test_bent_splats_are_drawn_in_pieces_that_follow(device):
     bent = cage.bend(110)
     field = one_splat(device, (0.0, 0.0, 0.0), (0.01, 0.01, 0.25), 0.4)
     deformer = Deformer(field, cage, coordinates="mean_value").pose(bent)
-    _, centers, covariances, opacities = drawn(deformer)
+    _, centers, covariances, _opacities = drawn(deformer)
     assert 3 <= len(centers) <= 81
     # samples of the matter, moved by the map, are near the posed splats' axes
     heights = np.linspace(-0.4, 0.4, 41)

@@ -203,6 +203,14 @@ def test_far_origins_keep_their_digits(device):
         np.testing.assert_allclose(two[1] - shift, one[1], atol=2e-5)
 
 
+def test_bounds_reach_around_splats_and_posed_cages(device):
+    field = splats_in_box(device, count=20, half=0.5)
+    deformer = Deformer(field, BOX, coordinates="mean_value")
+    reached = deformer.pose(BOX.translate((0, 0, 3))).reached_bounds
+    np.testing.assert_allclose(reached[1, 2], BOX.bounds[1, 2] + 3)
+    np.testing.assert_allclose(reached[0], np.minimum(field.bounds[0], BOX.bounds[0] + [0, 0, 3]))
+
+
 def test_fit_similarity():
     rng = np.random.default_rng(5)
     points = rng.normal(size=(20, 3))
@@ -217,7 +225,7 @@ def test_backward_splats_lie_where_voxels_are(kind, device):
     field = splats_in_box(device, count=80, half=0.85)
     twisted = BOX.bend(50)
     deformer = Deformer(field, BOX, coordinates=kind, resolution=32, map="backward").pose(twisted)
-    rows, centers, covariances, _ = drawn(deformer)
+    rows, centers, _covariances, _ = drawn(deformer)
     found = deformer.posed_edits().missed_count
     assert found <= 4
     looking = Deformer(random_field(device)[0], BOX, coordinates=kind, resolution=32).pose(twisted)

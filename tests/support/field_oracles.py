@@ -2,6 +2,8 @@
 by the coordinates of every lattice point, in a dictionary; outer fields by the contraction's formula, rays cut at every
 border."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -245,7 +247,7 @@ def pieces(outer, origin, direction, begin, end):
                 cuts += [(o[b] - o[a]) / (d[a] - d[b]), -(o[a] + o[b]) / (d[a] + d[b])]
     cuts = sorted(cut for cut in cuts if begin <= cut <= end)
     found = []
-    for near, far in zip(cuts, cuts[1:], strict=False):
+    for near, far in itertools.pairwise(cuts):
         middle = near + 1.0 if far > 1e20 else 0.5 * (near + far)
         if far - near > 1e-9 and np.abs(o + middle * d).max() > 1:
             found.append(tuple(contract(o + min(t, 1e12) * d, o + middle * d) for t in (near, far)))

@@ -9,7 +9,7 @@ from field_oracles import surface_points
 
 from warpcage import Cage, Camera, VoxelField
 from warpcage.field import LayeredBackground, OuterField, harmonics_on_host, tables
-from warpcage.kernels.render.views import stack_kernel
+from warpcage.render import FramePlan, scene
 
 KINDS = ("harmonic", "mean_value", "green")
 SIZE = 64
@@ -153,16 +153,11 @@ def marches(launched):
 
 
 @contextlib.contextmanager
-def general_march(edits):
+def general_march():
     """Marches posed edits by the kernel for any edits; they must have been rendered."""
-    usual = edits.render_kernel, edits.scene, edits.most_shades
-    edits.render_kernel, edits.scene, edits.most_shades = stack_kernel(False), edits.flat_array(), -1
-    edits.scene_parts = lambda *_: None
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scene, "plan_frame", lambda facts: FramePlan("stack"))
         yield
-    finally:
-        del edits.scene_parts
-        edits.render_kernel, edits.scene, edits.most_shades = usual
 
 
 #: On a CPU by tiles; as CUDA marches near cameras and copies, by rows; and as it does else, of shaded voxels.

@@ -65,7 +65,7 @@ def place(device="cpu", spacing=1.0, seed=0, faint=50):
     def sheet(label, origin, along, across, step, color, bump=0.0):
         """Flat splats over a parallelogram."""
         origin, along, across = (np.asarray(each, float) for each in (origin, along, across))
-        counts = [max(2, int(round(np.linalg.norm(each) / (spacing * step)))) for each in (along, across)]
+        counts = [max(2, round(np.linalg.norm(each) / (spacing * step))) for each in (along, across)]
         u, v = (np.indices(counts).reshape(2, -1) + 0.5) / np.array(counts)[:, None]
         normal = np.cross(along, across)
         normal /= np.linalg.norm(normal)

@@ -1,12 +1,15 @@
 """Keys in time: what is held stays, nothing overshoots, turned scenes move alike, loops close."""
 
+from fractions import Fraction
+
+import av
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warpcage.core import EASINGS
-from warpcage.view import frame_times, limited_velocity, value_at
+from warpcage.view import frame_rate, frame_times, limited_velocity, value_at, write_film
 
 STEPS = st.floats(0.05, 3.0)
 HEIGHTS = st.sampled_from([-1.0, 0.0, 0.0, 0.3, 1.0, 1.0, 7.0])
@@ -25,6 +28,65 @@ def test_nothing_goes_beyond_its_keys(keys, still_ends):
         steps = np.diff(heights) * np.sign(keys[k + 1][1] - keys[k][1])
         assert (steps >= -1e-12).all()  # it rises where its keys do, and falls where they fall
         np.testing.assert_allclose([value[1] for value in way], -heights, atol=1e-12)
+
+
+def way(easing, count=2201):
+    shares = np.linspace(0.0, 1.0, count)
+    return np.array([value_at([0.0, 1.0], [np.zeros(1), np.ones(1)], t, [easing] * 2)[0] for t in shares])
+
+
+def test_what_eases_in_and_out_is_the_same_from_both_ends():
+    np.testing.assert_allclose(way("ease-in-out"), 1.0 - way("ease-in-out")[::-1], atol=1e-12)
+    np.testing.assert_allclose(way("ease-in-out")[:1101], 0.5 * way("ease-in")[::2], atol=1e-12)
+
+
+def test_what_bounces_falls_with_one_gravity_and_never_beyond():
+    """Four arcs of one curvature, which meet on the next key, each bounce a quarter as high as the one before."""
+    found = way("bounce")
+    assert found.max() <= 1.0 and found.min() >= 0.0
+    gravity = np.diff(found, 2) * 2200**2
+    impacts = np.flatnonzero(gravity < 0.0)
+    np.testing.assert_allclose(np.delete(gravity, impacts), 2 * 2.75**2, rtol=1e-3)
+    parts = np.split(found, [800, 1600, 2000])  # at 1, 2 and 2.5 of 2.75 times that of the fall
+    np.testing.assert_allclose([1.0 - part.min() for part in parts], [1.0, 1 / 4, 1 / 16, 1 / 64], atol=1e-6)
+    np.testing.assert_allclose(found[[800, 1600, 2000]], 1.0, atol=1e-12)
+
+
+def test_what_is_elastic_swings_in_around_the_next_key():
+    found = way("elastic") - 1.0
+    crossings = np.flatnonzero(np.diff(np.sign(found)))
+    assert len(crossings) >= 6 and 0.2 < found.max() < 0.4 and found.min() == -1.0
+    peaks = [np.abs(part).max() for part in np.split(found, crossings + 1)]
+    assert (np.diff(peaks[:6]) < 0.0).all() and abs(found[-1]) < 1e-12 and abs(found[-2]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    "written, exact",
+    [
+        ("23.976", (24000, 1001)),
+        ("23.98", (24000, 1001)),
+        ("24", (24, 1)),
+        ("25", (25, 1)),
+        ("29.97", (30000, 1001)),
+        ("30", (30, 1)),
+        ("50", (50, 1)),
+        ("59.94", (60000, 1001)),
+        ("60", (60, 1)),
+        ("12.5", (25, 2)),
+        ("29.9", (299, 10)),
+        ("999", (999, 1)),
+    ],
+)
+def test_rates_of_film_and_television_are_exact(written, exact, tmp_path):
+    """What FFmpeg reads back of a video is the rate, to the bit, and each frame lasts as long."""
+    assert frame_rate(float(written)) == frame_rate(Fraction(written)) == Fraction(*exact)
+    if exact[1] in (1, 1001) and exact[0] // exact[1] < 61:
+        for name in ("film.mp4", "film.mov"):
+            write_film(tmp_path / name, [np.full((16, 16, 3), shade) for shade in (0.1, 0.5, 0.9)], float(written))
+            with av.open(str(tmp_path / name)) as file:
+                assert file.streams.video[0].average_rate == Fraction(*exact)
+                times = [frame.pts * frame.time_base for frame in file.decode(video=0)]
+            assert [time - times[0] for time in times] == [k / Fraction(*exact) for k in range(3)]
 
 
 def test_what_two_keys_have_in_common_stays_still_while_the_rest_moves():

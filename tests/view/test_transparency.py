@@ -73,7 +73,7 @@ def test_an_exr_holds_light_times_opacity_and_depth(files, tmp_path):
 
 def test_depth_in_a_file_is_along_the_view():
     camera = Camera.look_at([0, -4, 0], (0, 0, 0), width=9, height=7, fov_degrees=80)
-    origins, directions = camera.rays()
+    _origins, directions = camera.rays()
     along = directions.reshape(7, 9, 3) @ [0.0, 1.0, 0.0]  # a wall across the view, 4 before the camera
     depth = np.where(np.arange(9) == 0, np.inf, 4.0 / along)
     frame = Frame(9, 7, np.zeros((63, 3)), np.ones(63), depth.reshape(-1))

@@ -5,13 +5,14 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "chunk_runner": "Answer Chunk ChunkReport ChunkRunner RunJournal RunnerSettings",
+        "chunk_runner": "Chunk ChunkReport ChunkRunner RunJournal RunnerSettings",
         "items": "EvaluateItem FitItem FrameItem Item record_outputs",
         "job_file": "Fingerprints ItemReader JobFile write_jobs",
         "manifest": "Manifest Notes OutputFolder Part id_key merge_notes notes_of_chunk write_array",
-        "processes": "load_ray LocalHost ProcessEngine ray_session RayHost Share",
+        "plan": "foresee make_plan unpaid",
+        "processes": "Answer load_ray LocalHost ProcessEngine ray_session RayHost Share",
         "references": "Missing",
-        "run": "Driver foresee Options planned run_jobs RunProgress RunReport unpaid",
+        "run": "Driver run_jobs RunProgress RunReport",
         "scheduler": "AIM LARGEST ChunkQueue Dispatcher",
         "sweeps": "GivenSource RandomSource RandomViews write_sweep",
         "webdataset": "finish_folder pack_shard read_shard shard_holds shard_path shard_stage split_key staged_shards",

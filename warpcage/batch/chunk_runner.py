@@ -1,4 +1,4 @@
-"""The items of a chunk, one after the other, in whichever process a worker lives; and workers in this process."""
+"""The items of a chunk, one after the other, in whichever process a worker lives."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ import math
 import os
 import pathlib
 import platform
-import queue
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from typing import Any, Protocol
 
 import warp as wp
 
@@ -368,7 +367,9 @@ def make_runner(settings: RunnerSettings) -> ChunkRunner:
     device = resolve_device(settings.device)
     make = settings.maker
     if make is None:
-        from .worker import Worker as make  # here, as the driver of a cluster needs nothing of it
+        from .worker import Worker  # here, as the driver of a cluster needs nothing of it
+
+        make = Worker
 
     check_device(device)
     maker = make(settings.base, settings.out, device)
@@ -458,110 +459,3 @@ class RunJournal:
         indices = range(begin, min(begin + self._shard_size, len(self._job)))
         there = (self._job.item(index) for index in indices if index not in self.failures)
         return [{path: part for part, path in item.outputs.items()} for item in there]
-
-
-class Answer(NamedTuple):
-    """What a worker answers to what was submitted."""
-
-    worker: str
-    method: str  # of `ChunkRunner`
-    number: int  # of the chunk that it is about; 0 for none
-    found: Any
-    error: str | None = None  # one line: why the worker will answer nothing any more
-
-
-class Engine(Protocol):
-    """Where workers live: in this process, in others, or under a virtual clock."""
-
-    overlapping: bool  # whether it is to be asked when all items of a chunk are begun
-
-    def now(self) -> float:
-        """Seconds of a clock that never goes back."""
-        ...
-
-    def start(self, worker: str, start: int) -> None:
-        """Start the process of a worker, for the time `start` from 1; the answer of "facts" says that it has."""
-
-    def submit(self, worker: str, method: str, *given: Any) -> None:
-        """Call a method of a worker's `ChunkRunner`, which `wait` has the answer of."""
-
-    def cancel(self, worker: str) -> None:
-        """End the process of a worker, wherever it is at; what it has not answered is not heard any more."""
-
-    def wait(self, timeout: float) -> Iterable[Answer]:
-        """What was answered since, at least one unless the time passes; RuntimeError where no worker can start.
-        Of a worker that is ended while this is looked through no more answers come."""
-        ...
-
-
-SLOW = 0.5  # seconds of an item; then a chunk is settled before the next, as this thread tells of it only after that
-
-
-class LocalEngine:
-    """Runs chunks in this process, one after the other: items in the thread that waits, while others wait for files."""
-
-    overlapping = False  # it says when items are begun without being asked
-
-    def __init__(self, runner: ChunkRunner):
-        self._runner = runner
-        self._given: tuple[str, Chunk] | None = None
-        self._settling = ThreadPoolExecutor(MOST_CHUNKS, "warpcage-settling")
-        self._told: queue.SimpleQueue[tuple[str, str, int, Future[Any]]] = queue.SimpleQueue()
-        self._ending = 0
-
-    def now(self) -> float:
-        return time.monotonic()
-
-    def start(self, worker: str, start: int) -> None:
-        """The worker is here; a RuntimeError when it is started again."""
-        if start > 1:  # a device that is lost stays so in this process
-            raise StateError("the device works no more in this process: run again, what is made is kept")
-        self._tell(worker, "facts", 0)
-
-    def submit(self, worker: str, method: str, *given: Any) -> None:
-        """Take a chunk, which `wait` makes; nothing comes back of one, as nobody can ask while it is made."""
-        if method == "run":
-            self._given = worker, given[0]
-        elif method == "recall":
-            self._tell(worker, method, given[0], [])
-        else:
-            self._runner.stop()
-
-    def cancel(self, worker: str) -> None:
-        """The worker is this process."""
-
-    def wait(self, timeout: float) -> list[Answer]:
-        """Make the chunk that was given, or wait for one whose files are being written."""
-        if self._given is not None:
-            (worker, order), self._given = self._given, None
-            start = self.now()
-            begun = self._runner.begin(order)
-            if self.now() - start > SLOW * len(order.items):
-                self._tell(worker, "run", order.number, self._runner.settle(begun))
-            else:
-                self._ending += 1
-                self._tell(worker, "begun", order.number)
-                self._settling.submit(self._runner.settle, begun).add_done_callback(
-                    lambda done: self._told.put((worker, "run", order.number, done))
-                )
-        answers: list[Answer] = []
-        while not self._told.empty() or (self._ending and not answers):
-            try:
-                worker, method, number, found = self._told.get(timeout=timeout)
-            except queue.Empty:
-                break
-            answers.append(Answer(worker, method, number, found.result()))
-            self._ending -= method == "run"
-        return answers
-
-    def _tell(self, worker: str, method: str, number: int, found: Any = None) -> None:
-        """Let an answer come into the queue."""
-        done: Future[Any] = Future()
-        done.set_result(found)
-        self._ending += method == "run"
-        self._told.put((worker, method, number, done))
-
-    def close(self) -> None:
-        """Wait for files that are being written, and close the notes of the worker."""
-        self._settling.shutdown()
-        self._runner.close()

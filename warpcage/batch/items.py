@@ -179,7 +179,7 @@ def _camera(value: Any, word: str) -> Any:
             f"{word} must be an object with {', '.join(_PINHOLE)}, or one with eye, target, width and height; or "
             f'"cameras.json#NAME" or "transforms.json#3", got {shown(value)}'
         )
-    if "eye" in value or "target" in value and "camera_to_world" not in value:
+    if "eye" in value or ("target" in value and "camera_to_world" not in value):
         checked_words(value, _LOOKING, word)
     needed = {name: each for name, each in _LOOKING.items() if name not in _USUAL} if "eye" in value else _PINHOLE
     for name, check in needed.items():

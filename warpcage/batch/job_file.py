@@ -422,20 +422,16 @@ def references_of(item: Item) -> list[str]:
     """What an item reads, relative to the folder of its file: files, rows of arrays ("poses.npy#17"), folders of
     scenes."""
     if isinstance(item, FrameItem):
-        return [item.field, *_files_of_frame(item)]
+        values = [item.field, item.camera]
+        for edit in item.edits:
+            values += edit.cage.values() if isinstance(edit.cage, dict) else [edit.cage]
+            values.append(edit.posed)
+        return [value for value in values if isinstance(value, str)]
     if isinstance(item, FitItem):
         return [item.scene, *([item.cameras] if item.cameras else [])]
     if isinstance(item, EvaluateItem):
         return [item.field, item.scene, *([item.cameras] if item.cameras else [])]
     return []
-
-
-def _files_of_frame(item: FrameItem) -> Iterator[str]:
-    values: list[Any] = [item.camera] if isinstance(item.camera, str) else []
-    for edit in item.edits:
-        values += edit.cage.values() if isinstance(edit.cage, dict) else [edit.cage]
-        values.append(edit.posed)
-    yield from (value for value in values if isinstance(value, str))
 
 
 def file_hash(path: pathlib.Path) -> str:

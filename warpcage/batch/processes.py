@@ -1,4 +1,4 @@
-"""Processes of workers, here and on clusters of Ray: how one is started, asked and ended, and what it does."""
+"""Where workers live, this process, others and clusters of Ray: how one is started, asked and ended."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import time
 import types
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import warp as wp
 
@@ -28,7 +28,7 @@ from ..core.devices import start_warp
 from ..core.names import error_line
 from ..core.threads import cpu_threads
 from ..errors import InputError, MissingPackageError, StateError
-from .chunk_runner import MOST_CHUNKS, Answer, RunnerSettings, make_runner
+from .chunk_runner import MOST_CHUNKS, Chunk, ChunkRunner, RunnerSettings, make_runner
 
 #: Calls that a worker answers at once: one a chunk, one that tells when all items are begun, and one that shortens a
 #: chunk or tells of items.
@@ -364,6 +364,16 @@ MOST_OVERLAPPING = 64
 Process = LocalProcess | RayProcess
 
 
+class Answer(NamedTuple):
+    """What a worker answers to what was submitted."""
+
+    worker: str
+    method: str  # of `ChunkRunner`
+    number: int  # of the chunk that it is about; 0 for none
+    found: Any
+    error: str | None = None  # one line: why the worker will answer nothing any more
+
+
 class ProcessEngine:
     """Runs chunks in processes that a host starts; settings: of every worker, its name and notes are filled in."""
 
@@ -378,9 +388,11 @@ class ProcessEngine:
         self._alone_since = self.now()  # since when no worker is ready, where none is
 
     def now(self) -> float:
+        """Seconds of a clock that never goes back."""
         return time.monotonic()
 
     def start(self, worker: str, start: int) -> None:
+        """Start the process of a worker, for the time `start` from 1; the answer of "facts" says that it has."""
         notes = f"{self.settings.run}-{worker}-{start}"
         settings = dataclasses.replace(self.settings, worker=worker, notes=notes)
         self._processes[worker] = self._host.start(settings)
@@ -395,6 +407,7 @@ class ProcessEngine:
         )
 
     def cancel(self, worker: str) -> None:
+        """End the process of a worker, wherever it is at; what it has not answered is not heard any more."""
         self._ready.discard(worker)
         if not self._ready:
             self._alone_since = self.now()
@@ -404,7 +417,8 @@ class ProcessEngine:
         process.wait()
 
     def wait(self, timeout: float) -> Iterator[Answer]:
-        """What workers answered; a RuntimeError where none could start for a long time."""
+        """What workers answered since, at least once unless the time passes; a RuntimeError where none could start for
+        a long time. Of a worker that is ended while this is looked through no more answers come."""
         with contextlib.suppress(queue.Empty):
             told = self._answers.get(timeout=timeout)
             while True:
@@ -429,3 +443,79 @@ class ProcessEngine:
         for process in self._processes.values():
             process.wait()
         self._processes.clear()
+
+
+SLOW = 0.5  # seconds of an item; then a chunk is settled before the next, as this thread tells of it only after that
+
+
+class LocalEngine:
+    """Runs chunks in this process, one after the other: items in the thread that waits, while others wait for files."""
+
+    overlapping = False  # it says when items are begun without being asked
+
+    def __init__(self, runner: ChunkRunner):
+        self._runner = runner
+        self._given: tuple[str, Chunk] | None = None
+        self._settling = ThreadPoolExecutor(MOST_CHUNKS, "warpcage-settling")
+        self._told: queue.SimpleQueue[tuple[str, str, int, Future[Any]]] = queue.SimpleQueue()
+        self._ending = 0
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def start(self, worker: str, start: int) -> None:
+        """The worker is here; a RuntimeError when it is started again."""
+        if start > 1:  # a device that is lost stays so in this process
+            raise StateError("the device works no more in this process: run again, what is made is kept")
+        self._tell(worker, "facts", 0)
+
+    def submit(self, worker: str, method: str, *given: Any) -> None:
+        """Take a chunk, which `wait` makes; nothing comes back of one, as nobody can ask while it is made."""
+        if method == "run":
+            self._given = worker, given[0]
+        elif method == "recall":
+            self._tell(worker, method, given[0], [])
+        else:
+            self._runner.stop()
+
+    def cancel(self, worker: str) -> None:
+        """The worker is this process."""
+
+    def wait(self, timeout: float) -> list[Answer]:
+        """Make the chunk that was given, or wait for one whose files are being written."""
+        if self._given is not None:
+            (worker, order), self._given = self._given, None
+            start = self.now()
+            begun = self._runner.begin(order)
+            if self.now() - start > SLOW * len(order.items):
+                self._tell(worker, "run", order.number, self._runner.settle(begun))
+            else:
+                self._ending += 1
+                self._tell(worker, "begun", order.number)
+                self._settling.submit(self._runner.settle, begun).add_done_callback(
+                    lambda done: self._told.put((worker, "run", order.number, done))
+                )
+        answers: list[Answer] = []
+        while not self._told.empty() or (self._ending and not answers):
+            try:
+                worker, method, number, found = self._told.get(timeout=timeout)
+            except queue.Empty:
+                break
+            answers.append(Answer(worker, method, number, found.result()))
+            self._ending -= method == "run"
+        return answers
+
+    def _tell(self, worker: str, method: str, number: int, found: Any = None) -> None:
+        """Let an answer come into the queue."""
+        done: Future[Any] = Future()
+        done.set_result(found)
+        self._ending += method == "run"
+        self._told.put((worker, method, number, done))
+
+    def close(self) -> None:
+        """Wait for files that are being written, and close the notes of the worker."""
+        self._settling.shutdown()
+        self._runner.close()
+
+
+Engine = ProcessEngine | LocalEngine

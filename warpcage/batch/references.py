@@ -168,7 +168,7 @@ class References:
         """The camera of a frame, at its size and in the world of its field."""
         try:
             camera = self._camera(item, field)  # that of a scene is turned with a straightened field
-            return fitted(camera, item.size, "'size'")
+            return fitted(camera, item.size)
         except DAMAGED as error:
             raise InputError(f"'camera' cannot be used: {error}") from None
 
@@ -281,14 +281,6 @@ class LoadedFields:
 
         key = path, stamp, scene_scale
         return key, self.kept.get(key, load)
-
-    def settle(self, key: Hashable) -> None:
-        """Measure a field anew, once it was rendered, and let go of others where it has grown too large."""
-        self.kept.settle(key)
-
-    def forget(self) -> None:
-        """Let go of all fields."""
-        self.kept.clear()
 
 
 #: Files that are remembered: each is looked at once, however many items name it.

@@ -1,46 +1,28 @@
-"""`warpcage.run_jobs`: make what a job file names, on several workers, and report how it went or would go."""
+"""`warpcage.run_jobs`: make what a job file names, on several workers, and report how it went."""
 
 from __future__ import annotations
 
 import collections
 import contextlib
 import dataclasses
-import pathlib
-import tempfile
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..core.checks import checked_positive, checked_whole
-from ..core.devices import resolve_device
 from ..core.files import PathLike
-from ..core.names import counted, error_line
-from ..core.threads import cpu_threads, limit_threads
+from ..core.names import error_line
 from ..errors import StateError
-from .chunk_runner import (
-    Answer,
-    Chunk,
-    ChunkReport,
-    Engine,
-    LocalEngine,
-    Maker,
-    RunJournal,
-    RunnerSettings,
-    leaves_no_room,
-    make_runner,
-    run_name,
-)
+from .chunk_runner import Chunk, ChunkReport, Maker, RunJournal, RunnerSettings, leaves_no_room, make_runner
 from .items import FOLDER
-from .job_file import Fingerprints, JobFile
-from .manifest import Manifest, OutputFolder, Part, merge_notes, newest_seconds
-from .processes import LocalHost, ProcessEngine, RayHost, ray_session
-from .scheduler import AIM, KIND_NUMBERS, Dispatcher, Plan, make_plan, open_shards
+from .job_file import JobFile
+from .manifest import OutputFolder, Part
+from .plan import Plan, make_plan, open_shards, unpaid
+from .processes import Answer, Engine, LocalEngine, LocalHost, ProcessEngine, RayHost, ray_session
+from .scheduler import AIM, ChunkQueue, Dispatcher
 from .webdataset import finish_folder, shard_path, shard_size, span_of
-
-if TYPE_CHECKING:
-    from .worker import Worker
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,9 +133,13 @@ def run_jobs(
         OSError: Where the output folder cannot be written to.
         RuntimeError: Where no worker can start.
     """
-    options = Options(workers, cluster, device, retries, part, item_timeout)
+    if workers is not None:
+        checked_whole(workers, "workers", 1, 100_000)
+    checked_whole(retries, "retries", 0, 200)
+    if item_timeout is not None:
+        checked_positive(item_timeout, "item_timeout")
     tell, say = progress or (lambda state: None), warn or (lambda line: None)
-    folder, halt = OutputFolder(out, options.part), None
+    folder, halt = OutputFolder(out, part), None
     with contextlib.ExitStack() as held:
         job = held.enter_context(JobFile(path))
         journal = RunJournal(job, folder)
@@ -161,7 +147,7 @@ def run_jobs(
         held.enter_context(folder.driven())
         held.enter_context(folder.nothing_left())
         folder.merge()
-        plan = planned(job, folder, tell)
+        plan = _planned(job, folder, tell)
         shards = open_shards(plan, folder, job) if shard_size(job) else None
         begin = time.monotonic()
         if not len(plan.items) and not shards:
@@ -169,70 +155,79 @@ def run_jobs(
         settings = RunnerSettings(
             str(job.folder), job.reader, str(folder.path), journal.run, device, retries=retries, maker=make
         )
-        if not len(plan.items):  # there is nothing but shards to be packed
-            options = Options()
+        # in this process, which cannot end itself where an item takes too long; also where shards are only to be packed
+        local = not len(plan.items) or (cluster is None and workers in (None, 1) and item_timeout is None)
         dispatcher = None
         try:
-            with journal, _engine(options, settings) as (engine, count):
-                chunks = plan.chunks(aim=_aim(options, count), whole=shards is not None)
+            with journal, _engine(settings, local, workers, cluster) as (engine, count):
+                aim = LEAST_AIM if local else min(AIM, LEAST_AIM + count / WORKERS_PER_SECOND)
+                chunks = ChunkQueue(plan.items, plan.groups, plan.kinds, aim=aim, whole=shards is not None)
                 dispatcher = Dispatcher(chunks, retries=retries, shards=shards)
                 journal.failures = dispatcher.failures
                 for number in range(max(1, min(count, len(plan.items)))):
                     dispatcher.add_worker(str(number))
-                halt = _drive(plan, dispatcher, engine, journal, options, count, begin, tell, say)
+                watch = _Watch(plan, dispatcher, count, begin, tell, say, pays=count == 1 or cluster is not None)
+                limit = None if local else item_timeout
+                driver = Driver(dispatcher, engine, journal, item_timeout=limit, progress=watch.tell, warn=watch.warn)
+                watch.tell()
+                try:
+                    halt = driver.run()
+                except BaseException:
+                    with contextlib.suppress(Exception):
+                        driver.drain(0.0 if local else GRACE)
+                    raise
+                if halt is None:
+                    watch.judge(time.monotonic() - begin, foreseen=False)
         finally:
             full = _merge(folder)
         return _ended(job, folder, plan, dispatcher, begin, halt or full)
 
 
-def _drive(
-    plan: Plan,
-    dispatcher: Dispatcher,
-    engine: Engine,
-    journal: RunJournal,
-    options: Options,
-    count: int,
-    begin: float,
-    progress: Progress,
-    warn: Callable[[str], None],
-) -> str | None:
-    """Make what a plan has, by `count` workers at most; returns why it ended before its end, one line."""
-    state = RunProgress("make", plan.total, plan.total, plan.kept)
-    told: list[float] = []  # seconds of each time; the second is that a worker is ready
-    warned: list[str] = []
-    numbers = np.bincount(plan.kinds)
+class _Watch:
+    """Tells how far a run is, and once where fewer workers would be quicker; pays: whether that is not looked at."""
 
-    def tell() -> None:
-        told.append(time.monotonic() - begin)
+    def __init__(
+        self,
+        plan: Plan,
+        dispatcher: Dispatcher,
+        count: int,  # of workers
+        begin: float,
+        progress: Progress,
+        warn: Callable[[str], None],
+        pays: bool,
+    ):
+        self._state = RunProgress("make", plan.total, plan.total, plan.kept)
+        self._dispatcher, self._count, self._begin, self._progress, self._warn = (
+            dispatcher,
+            count,
+            begin,
+            progress,
+            warn,
+        )
+        self._quiet, self._numbers = pays, np.bincount(plan.kinds)
+        self._told: list[float] = []  # seconds of each time; the second is that a worker is ready
+
+    def tell(self) -> None:
+        dispatcher, left = self._dispatcher, self._dispatcher.left
+        self._told.append(time.monotonic() - self._begin)
         counts = {"done": dispatcher.done, "failed": len(dispatcher.failures), "workers": dispatcher.workers}
-        progress(dataclasses.replace(state, **counts, seconds=told[-1]))
+        self._progress(dataclasses.replace(self._state, **counts, seconds=self._told[-1]))
         usual = dispatcher.chunks.usual_seconds()
-        if usual.keys() >= set(np.flatnonzero(numbers)) and dispatcher.left:
-            mean = sum(numbers[kind] * seconds for kind, seconds in usual.items()) / len(plan.items)
-            judge(told[-1] + dispatcher.left * mean / count, foreseen=True)
+        if usual.keys() >= set(np.flatnonzero(self._numbers)) and left:
+            mean = sum(self._numbers[kind] * each for kind, each in usual.items()) / self._numbers.sum()
+            self.judge(self._told[-1] + left * mean / self._count, foreseen=True)
 
-    def note(line: str) -> None:
-        warned.append(line)
-        warn(line)
+    def warn(self, line: str) -> None:
+        self._quiet = True
+        self._warn(line)
 
-    def judge(end: float, foreseen: bool) -> None:
-        """Say once where fewer workers are quicker; end: seconds of the run."""
-        if count > 1 and options.cluster is None and len(told) > 1 and not warned:
-            line = unpaid(count, len(plan.items), told[1], end - told[1], foreseen=foreseen)
+    def judge(self, end: float, foreseen: bool) -> None:
+        """Say it where it is so; end: seconds of the run."""
+        if not self._quiet and len(self._told) > 1:
+            start, items = self._told[1], int(self._numbers.sum())
+            line = unpaid(self._count, items, start, end - start, foreseen=foreseen)
             if line is not None:
-                note(line)
-
-    tell()
-    driver = Driver(dispatcher, engine, journal, item_timeout=options.item_timeout, progress=tell, warn=note)
-    try:
-        halt = driver.run()
-    except BaseException:
-        with contextlib.suppress(Exception):
-            driver.drain(0.0 if options.local else GRACE)
-        raise
-    if halt is None:
-        judge(time.monotonic() - begin, foreseen=False)
-    return halt
+                self.warn(line)
 
 
 def _merge(folder: OutputFolder) -> str | None:
@@ -244,30 +239,6 @@ def _merge(folder: OutputFolder) -> str | None:
             raise
         return error_line(error, named=True)
     return None
-
-
-@dataclasses.dataclass(frozen=True)
-class Options:
-    """How a run works; see `run_jobs`."""
-
-    workers: int | None = 1
-    cluster: str | None = None
-    device: str | None = None
-    retries: int = 2
-    part: Part | None = None
-    item_timeout: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.workers is not None:
-            checked_whole(self.workers, "workers", 1, 100_000)
-        checked_whole(self.retries, "retries", 0, 200)
-        if self.item_timeout is not None:
-            checked_positive(self.item_timeout, "item_timeout")
-
-    @property
-    def local(self) -> bool:
-        """Whether the work is done in this process, which cannot end itself where an item takes too long."""
-        return self.cluster is None and self.workers in (None, 1) and self.item_timeout is None
 
 
 TICK = 1.0  # seconds after which the driver looks for stragglers even where nothing happened
@@ -334,9 +305,7 @@ class Driver:
         name, number = answer.worker, answer.number
         if answer.error is not None:
             self._died(name, answer.error)
-        elif answer.method == "facts":
-            self._idle[name] = None
-        elif answer.method == "begun" and self._dispatcher.begun(name, number):
+        elif answer.method == "facts" or (answer.method == "begun" and self._dispatcher.begun(name, number)):
             self._idle[name] = None
         elif answer.method == "recall":
             self._dispatcher.returned(name, number, answer.found)
@@ -433,18 +402,6 @@ class Driver:
             self._engine.submit(name, "recall", number, share)
 
 
-def unpaid(workers: int, items: int, start: float, work: float, *, foreseen: bool = False) -> str | None:
-    """A line where one worker would be quicker than several, which take seconds to start, and then to work.
-    foreseen: whether that is still to come."""
-    if workers * work >= start + work:  # at the left the most that one takes: it has the cores of all
-        return None
-    take, quicker = ("take about", "are quicker") if foreseen else ("took", "would have been quicker")
-    return (
-        f"{workers} workers {take} {start:.1f} s to start and {work:.1f} s for {counted(items, 'item')}: fewer workers "
-        f"{quicker}, they pay for longer work"
-    )
-
-
 def _ended(
     job: JobFile, folder: OutputFolder, plan: Plan, dispatcher: Dispatcher | None, begin: float, halt: str | None = None
 ) -> RunReport:
@@ -460,170 +417,29 @@ def _ended(
     return RunReport(plan.total, plan.kept, dispatcher.done, failed, dispatcher.left, halt, seconds)
 
 
-def planned(job: JobFile, folder: OutputFolder, progress: Progress = lambda state: None) -> Plan:
-    """What is to be made; folder: its notes are merged already; progress: as for `run_jobs`."""
+def _planned(job: JobFile, folder: OutputFolder, progress: Progress) -> Plan:
+    """What is to be made; the folder's notes are merged already."""
     total = len(span_of(job, folder))
 
     def tell(count: int) -> None:
         if not count % CHECKED_AT_ONCE or count == total:
             progress(RunProgress("check", total, count))
 
-    manifest = folder.read_manifest()
-    try:
-        return make_plan(job, folder, manifest, Fingerprints(job.folder, folder.path).of, tell)
-    finally:
-        manifest.close()
-
-
-def _aim(options: Options, count: int) -> float:
-    return LEAST_AIM if options.local else min(AIM, LEAST_AIM + count / WORKERS_PER_SECOND)
+    with contextlib.closing(folder.read_manifest()) as manifest:
+        return make_plan(job, folder, manifest, tell)
 
 
 @contextlib.contextmanager
-def _engine(options: Options, settings: RunnerSettings) -> Iterator[tuple[Engine, int]]:
+def _engine(
+    settings: RunnerSettings, local: bool, workers: int | None, cluster: str | None
+) -> Iterator[tuple[Engine, int]]:
     """Where the work is done, and by how many. Whatever ends it, nothing works afterwards."""
     with contextlib.ExitStack() as held:
-        if options.local:
+        if local:
             yield held.enter_context(contextlib.closing(LocalEngine(make_runner(settings)))), 1
             return
-        if options.cluster is None:
-            host = LocalHost(options.workers or 1, options.device)
+        if cluster is None:
+            host = LocalHost(workers or 1, settings.device)
         else:
-            host = RayHost(held.enter_context(ray_session(options.cluster)), options.workers, options.device)
+            host = RayHost(held.enter_context(ray_session(cluster)), workers, settings.device)
         yield held.enter_context(contextlib.closing(ProcessEngine(host, settings))), host.share.workers
-
-
-#: Items that name what is not there, of which a forecast keeps a line.
-MOST_MISSING = 10
-
-
-@dataclasses.dataclass(frozen=True)
-class Measured:
-    """What an item of a kind takes."""
-
-    seconds: float  # an item, where all that it needs is loaded, and its pose there where others share it
-    load_seconds: float  # what the first of a group takes more
-    source: str  # the id of the item that was made for it, or "earlier runs"
-    pose_seconds: float = 0.0  # what the first of a pose takes more, where others share it
-
-
-@dataclasses.dataclass(frozen=True)
-class Forecast:
-    """What a run would do."""
-
-    plan: Plan
-    counts: dict[str, int]  # items to be made, by their kind
-    measured: dict[str, Measured]  # by kind
-    errors: dict[str, str]  # why an item of a kind could not be made, by its id
-    missing: dict[str, str]  # what items name and is not there, by id, of MOST_MISSING of them; the count is of all
-    missing_count: int
-    workers: int
-    seconds: float  # how long it would take, without what could not be measured
-    start: float = 0.0  # what comes before that: seconds until a process of several workers is there, as one was
-
-    @property
-    def unpaid(self) -> str | None:
-        """A line where fewer workers are quicker; None where some items could not be measured."""
-        if not self.measured or self.errors:
-            return None
-        return unpaid(self.workers, sum(self.counts.values()), self.start, self.seconds, foreseen=True)
-
-
-def foresee(
-    path: PathLike, out: PathLike, *, workers: int = 1, cluster: str | None = None, device: str | None = None
-) -> Forecast:
-    """Look at a job and at what is there of it, and make up to three items of each kind that earlier runs do not know.
-    workers: by how many it would be made, on the CPU they share the cores. Nothing is written to `out`."""
-    # A process of several workers is started, to see how long that takes, unless a cluster would make the items.
-    from .worker import Worker  # here, as a driver of processes needs nothing of it
-
-    with JobFile(path) as job, tempfile.TemporaryDirectory() as temporary:
-        plan, known = _planned(job, OutputFolder(out), pathlib.Path(temporary))
-        numbers = collections.Counter(plan.kinds.tolist())
-        counts = {kind: numbers[number] for kind, number in KIND_NUMBERS.items() if numbers[number]}
-        measured = {kind: Measured(known[kind], 0.0, "earlier runs") for kind in counts if kind in known}
-        errors: dict[str, str] = {}
-        missing, missing_count = _missing(job, plan)
-        found = resolve_device(device)
-        threads = max(1, cpu_threads() // workers) if found.is_cpu else cpu_threads()
-        with limit_threads(threads), Worker(job.folder, temporary, found) as worker:
-            for kind in counts:
-                if kind not in measured:
-                    _measure(job, plan, kind, worker, measured, errors)
-        workers = max(1, min(workers, len(plan.items)))
-        several = workers > 1 and cluster is None
-        start = _start_seconds(job, pathlib.Path(temporary), workers, device) if several else 0.0
-    work = sum(counts[kind] * each.seconds + _poses(plan, kind) * each.pose_seconds for kind, each in measured.items())
-    loads = max((each.load_seconds for each in measured.values()), default=0.0) * max(plan.group_count, 1)
-    seconds = (work + loads) / workers
-    return Forecast(plan, counts, measured, errors, missing, missing_count, workers, seconds, start)
-
-
-def _start_seconds(job: JobFile, temporary: pathlib.Path, workers: int, device: str | None) -> float:
-    """Seconds until the process of one of several workers is ready."""
-    folder = OutputFolder(temporary)
-    folder.prepare()
-    settings = RunnerSettings(str(job.folder), job.reader, str(folder.path), run_name(), device)
-    begin = time.monotonic()
-    with contextlib.closing(ProcessEngine(LocalHost(workers, device), settings)) as engine:
-        engine.start("0", 1)
-        while not list(engine.wait(TICK)):
-            pass
-        return time.monotonic() - begin
-
-
-def _missing(job: JobFile, plan: Plan) -> tuple[dict[str, str], int]:
-    """What items to be made name and is not there, of some of them, and how many they are."""
-    from .references import Missing
-
-    missing, lines, count = Missing(job.folder), {}, 0
-    for index in plan.items:
-        item = job.item(int(index))
-        line = missing.of(item)
-        if line is not None:
-            count += 1
-            if count <= MOST_MISSING:
-                lines[item.id] = line
-    return lines, count
-
-
-def _planned(job: JobFile, folder: OutputFolder, temporary: pathlib.Path) -> tuple[Plan, dict[str, float]]:
-    """The plan, and what items took in earlier runs; the notes of one that was killed count."""
-    merged = temporary / "manifest.jsonl"
-    merge_notes(folder.manifest, folder.notes.glob("*.jsonl"), into=merged)
-    with contextlib.closing(Manifest(merged)) as manifest:
-        return make_plan(job, folder, manifest, Fingerprints(job.folder, folder.path).of), newest_seconds(manifest)
-
-
-def _measure(
-    job: JobFile, plan: Plan, kind: str, worker: Worker, measured: dict[str, Measured], errors: dict[str, str]
-) -> None:
-    """Make the first item of a kind, the next of its group, for which all is loaded, and where both show one pose the
-    first of another one."""
-    places = np.flatnonzero(plan.kinds == KIND_NUMBERS[kind])
-    first = job.item(int(plan.items[places[0]]))
-    made = [first]
-    if kind == "frame" and len(places) > 1:
-        other = places[plan.poses[places] != plan.poses[places[0]]][:1]
-        followers = [job.item(int(plan.items[place])) for place in [places[1], *other]]
-        made += [each for each in followers if each.group == first.group]
-        if len(made) > 1 and made[1].pose != first.pose:
-            del made[2:]
-    seconds = []
-    for item in made:
-        begin = time.perf_counter()
-        try:
-            worker.run(item)
-        except Exception as error:  # whatever it is, a run would list it
-            errors[item.id] = " ".join(str(error).split()) or type(error).__name__
-            break
-        seconds.append(time.perf_counter() - begin)
-    if seconds:
-        usual = seconds[min(1, len(seconds) - 1)]
-        posing = max(0.0, seconds[2] - usual) if len(seconds) > 2 else 0.0
-        measured[kind] = Measured(usual, seconds[0] - usual - posing, first.id, posing)
-
-
-def _poses(plan: Plan, kind: str) -> int:
-    """How often a worker moves a cage for the items of a kind."""
-    return len(np.unique(plan.poses[plan.kinds == KIND_NUMBERS[kind]]))

@@ -1,20 +1,16 @@
-"""What a run has to make, the chunks of it and who gets them: by measured seconds, by what a worker holds already."""
+"""The chunks of what is left and who gets them: by measured seconds, by what a worker holds already."""
 
 from __future__ import annotations
 
 import collections
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from ..core.names import counted
 from ..errors import InputError
 from .chunk_runner import MOST_CHUNKS, Chunk, ChunkReport
-from .items import KINDS, Item
-from .job_file import JobFile, UniqueNames
-from .manifest import DONE, FAILED, Manifest, OutputFolder, id_key
-from .webdataset import shard_holds, shard_size, span_of, staged_shards
 
 AIM, LARGEST = 10.0, 256  # seconds that a chunk should take, and most items that it holds
 CHUNKS_PER_WORKER = 4  # that each should still get of what is left: they become small, and all end together
@@ -440,100 +436,3 @@ class Dispatcher:
         if group is not None:
             self._sharers[group] += 1
         worker.group = group
-
-
-KIND_NUMBERS = {kind: number for number, kind in enumerate(KINDS)}  # for `ChunkQueue`
-
-
-@dataclasses.dataclass
-class Plan:
-    """What is made, and what is kept."""
-
-    total: int
-    items: np.ndarray  # (n,) numbers of those to be made, in the order in which workers should take them
-    groups: np.ndarray  # (n,) which of them share what a worker loads; of a job with shards, the shard of each
-    kinds: np.ndarray  # (n,) as KIND_NUMBERS has them
-    poses: np.ndarray  # (n,) those that follow each other with one number show one pose of one group
-    kept: int
-    changed: int  # of the items to be made, those whose inputs changed or whose files are not as they were
-    failed_before: int  # of the items to be made, those that failed in an earlier run
-    group_count: int  # of those to be made: fields with the cages at rest on them, scenes
-
-    def chunks(self, *, aim: float, whole: bool) -> ChunkQueue:
-        """What is to be made, as workers take it."""
-        return ChunkQueue(self.items, self.groups, self.kinds, aim=aim, whole=whole)
-
-
-def make_plan(
-    job: JobFile,
-    folder: OutputFolder,
-    manifest: Manifest,
-    fingerprint: Callable[[Item], str],
-    progress: Callable[[int], None] = lambda count: None,
-) -> Plan:
-    """Look at all items of a job, or of the part that the folder is for.
-    fingerprint: the hash of an item's inputs; progress: called with the number of items that were looked at."""
-    count, span = len(job), span_of(job, folder)
-    shard = shard_size(job)
-    groups, poses = (np.zeros(count, np.int64) for _ in range(2))
-    kinds, wanted = np.zeros(count, np.int8), np.zeros(count, bool)
-    wanted[span.start : span.stop] = True
-    names: dict[str, int] = {}
-    unique = UniqueNames()
-    changed = failed_before = 0
-    for checked, index in enumerate(span, 1):
-        item = job.item(index)
-        kinds[index] = KIND_NUMBERS[item.kind]
-        groups[index] = names.setdefault(item.group, len(names))
-        poses[index] = id_key(item.pose)
-        unique.note(index, item)
-        record = manifest.find(item.id) if len(manifest) else None
-        if record is not None and record["state"] == DONE:
-            outputs = record.get("outputs")
-            there = shard_holds(folder.path, index // shard, outputs) if shard else folder.holds(outputs)
-            wanted[index] = not (there and _unchanged(record, item, fingerprint))
-            changed += int(wanted[index])
-        failed_before += record is not None and record["state"] == FAILED
-        progress(checked)
-    unique.require(job)
-    makes = np.flatnonzero(wanted)
-    major = makes // shard if shard else groups[makes]
-    # poses in the order in which they come first
-    _, first, which = np.unique(poses[makes], return_index=True, return_inverse=True)
-    minor = first[which] if len(makes) else which
-    order = np.lexsort((makes, minor, groups[makes], major))
-    group_count = len(np.unique(groups[makes]))
-    return Plan(
-        len(span),
-        makes[order],
-        major[order],
-        kinds[makes][order],
-        _runs(major[order], groups[makes][order], minor[order]),
-        len(span) - len(makes),
-        changed,
-        failed_before,
-        group_count,
-    )
-
-
-def _runs(*columns: np.ndarray) -> np.ndarray:
-    """(n,) numbers of rows that follow each other and are alike in all columns (n,), from 0."""
-    changes = np.zeros(len(columns[0]), bool)
-    for column in columns:
-        changes[1:] |= np.diff(column) != 0
-    return np.cumsum(changes)
-
-
-def open_shards(plan: Plan, folder: OutputFolder, job: JobFile) -> dict[int, int]:
-    """Items to be made of each shard of a job with shards; 0 where its loose files are only to be packed."""
-    shards, counts = np.unique(plan.groups, return_counts=True)
-    span, size = span_of(job, folder), shard_size(job)
-    staged = (shard for shard in staged_shards(folder.path) if folder.part is None or shard * size in span)
-    return dict.fromkeys(staged, 0) | dict(zip(shards.tolist(), counts.tolist(), strict=True))
-
-
-def _unchanged(record: dict, item: Item, fingerprint: Callable[[Item], str]) -> bool:
-    try:
-        return record.get("inputs") == fingerprint(item)
-    except (OSError, ValueError):  # the worker will say what is wrong with it
-        return False

@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import math
 import multiprocessing
-import os
 import pathlib
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,7 +18,7 @@ from numpy.typing import ArrayLike
 from ..cage.cage import Cage
 from ..cage.random_poses import RandomNumbers, RandomPoses
 from ..core.checks import checked_whole
-from ..core.files import PathLike, atomic_path
+from ..core.files import PathLike, atomic_path, path_from
 from ..core.names import FIELD_COORDINATES, require_coordinates
 from ..edits.words import drawn_words
 from ..errors import InputError
@@ -252,7 +251,8 @@ def write_sweep(
         if temporary is not None:
             _write_poses(temporary, rest, given, corners)
         chosen = cameras(corners.found) if callable(cameras) else cameras
-        shared = {"field": _beside(field, path), "cage": _beside(cage, path), **(defaults or {})}
+        beside = path.absolute().parent
+        shared = {"field": path_from(beside, field), "cage": path_from(beside, cage), **(defaults or {})}
         items = _Items(path, sources, chosen, kinds, views, seed)
         count = write_jobs(path, items, defaults=shared | items.shared, records=records or {"kind": "folder"})
         if not isinstance(chosen, RandomViews):
@@ -321,11 +321,3 @@ def _chosen(seed: int, pose: int, count: int, views: int) -> list[int]:
         other = place + random.whole(count - place)
         numbers[place], numbers[other] = numbers[other], numbers[place]
     return sorted(numbers[:views])
-
-
-def _beside(file: PathLike, path: pathlib.Path) -> str:
-    """A file as items of a job file call it."""
-    try:
-        return pathlib.Path(os.path.relpath(file, path.absolute().parent)).as_posix()
-    except ValueError:  # on another drive
-        return pathlib.Path(file).absolute().as_posix()

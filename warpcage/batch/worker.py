@@ -95,10 +95,6 @@ class FrameMaker:
         self.kept: LRUCache[Bound] = LRUCache(MOST_DEFORMERS, limit, _bound_bytes)
         fields.dropped = self._drop_bound_to
 
-    def forget(self) -> None:
-        """Let go of all that is bound to fields."""
-        self.kept.clear()
-
     def _drop_bound_to(self, field: AnyField) -> None:
         """Let go of what is bound to a field, which would keep it loaded."""
         for key, bound in self.kept.items():
@@ -122,10 +118,14 @@ class FrameMaker:
         if item.fill:
             frame = _filled(frame, field, camera)
         self.counts.frames += 1
-        writers = frame_writers(item, frame, camera, drawn) | _record_writers(item, camera, posed)
-        self.fields.settle(field_key)
+        needed = needed_arrays(item, frame)
+        frame.begin_copies(*needed)  # on their way to the host when this returns
+        pictures = [(part, path) for part, path in item.outputs.items() if part not in OF_RECORDS]
+        writers = {path: _writer(part, path, item, frame, camera, drawn) for part, path in pictures}
+        writers |= _record_writers(item, camera, posed)
+        self.fields.kept.settle(field_key)
         self.kept.settle(bound_key)
-        return MadeItem(writers, sum(_host_bytes(frame, name) for name in needed_arrays(item, frame)))
+        return MadeItem(writers, sum(_host_bytes(frame, name) for name in needed))
 
     def _deformer(
         self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera
@@ -189,14 +189,6 @@ def _filled(frame: Frame, field: AnyField, camera: Camera) -> Frame:
     return fill_unseen(frame, field, camera)
 
 
-def frame_writers(item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> dict[str, Writer]:
-    """What writes the outputs of a frame, by their paths; drawn: cages whose edges are drawn into the picture.
-    The arrays that they need are on their way to the host when this returns."""
-    frame.begin_copies(*needed_arrays(item, frame))
-    pictures = {part: path for part, path in item.outputs.items() if part not in OF_RECORDS}
-    return {path: _writer(part, path, item, frame, camera, drawn) for part, path in pictures.items()}
-
-
 def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
     """Names of the arrays of a frame that its outputs are made of: to copy all takes longer than a frame on a GPU."""
     needed = {"alpha"} if item.background == TRANSPARENT else set()
@@ -256,6 +248,7 @@ def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -
 
 
 def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> Writer:
+    """What writes a picture of a frame; drawn: cages whose edges are drawn into it."""
     ending = pathlib.PurePosixPath(path).suffix.lower()
     if part in ("reveal", "fold", "outside", "masks") and "reveal" not in frame.arrays:
         raise InputError(f"{part!r} is for fields of voxels (.npz), this one is of splats")
@@ -298,11 +291,7 @@ class FitMaker:
 
     def __init__(self, references: References, fingerprints: Fingerprints, device: wp.Device):
         self.references, self.fingerprints, self.device, self.read_count = references, fingerprints, device, 0
-        self._scenes: LRUCache[Scene] = LRUCache(1)
-
-    def forget(self) -> None:
-        """Let go of the scene."""
-        self._scenes.clear()
+        self.scenes: LRUCache[Scene] = LRUCache(1)
 
     def make(self, item: FitItem, checkpoint: pathlib.Path | None = None) -> MadeItem:
         """Fit a field to the pictures of a scene, as `warpcage fit` does; what is made writes its outputs.
@@ -326,7 +315,7 @@ class FitMaker:
             orient = "up" if item.straighten else None
             return _scene(item, self.references, item.background, orient=orient)
 
-        return self._scenes.get(key, load)
+        return self.scenes.get(key, load)
 
 
 def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFields) -> MadeItem:
@@ -341,7 +330,7 @@ def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFi
     elif refined_cameras_of(field) is not None and not item.given_cameras:
         scene, given = moved_scene(field, scene), scene
     found = evaluation_report(field, scene, given=given)
-    fields.settle(key)
+    fields.kept.settle(key)
     content = {
         "field": item.field,
         "scene": item.scene,
@@ -394,14 +383,12 @@ class Worker:
         """Bytes that all takes that is loaded."""
         return self.fields.kept.held_bytes + self.frames.kept.held_bytes
 
-    def forget(self) -> None:
-        """Let go of all that is loaded."""
-        self.fits.forget()
-        self._forget_fields()
-
-    def _forget_fields(self) -> None:
-        self.frames.forget()
-        self.fields.forget()
+    def forget(self, *, scenes: bool = True) -> None:
+        """Let go of all that is loaded, or of all but the scenes of fits."""
+        if scenes:
+            self.fits.scenes.clear()
+        self.frames.kept.clear()
+        self.fields.kept.clear()
         gc.collect()
 
     def run(self, item: Item, out: str | os.PathLike[str] | None = None) -> dict[str, int]:
@@ -441,9 +428,9 @@ class Worker:
 
     def _made_once(self, item: Item) -> MadeItem:
         if isinstance(item, FitItem):
-            self._forget_fields()  # a fit plans with the memory that is free
+            self.forget(scenes=False)  # a fit plans with the memory that is free
             return self.fits.make(item, self.checkpoint_path(item))
-        self.fits.forget()  # its pictures are for fits alone
+        self.fits.scenes.clear()  # its pictures are for fits alone
         if isinstance(item, FrameItem):
             return self.frames.make(item)
         if isinstance(item, EvaluateItem):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import pathlib
 import re
@@ -204,7 +205,7 @@ def are_numbered(paths: Sequence[PathLike]) -> bool:
     numbers = [_number(file) for file in files]
     heads = {(file.parent, re.sub(r"\d+$", "", file.stem), file.suffix.lower()) for file in files}
     alike = len(files) > 1 and None not in numbers and len(heads) == 1
-    return alike and all(one < two for one, two in zip(numbers[:-1], numbers[1:], strict=True))  # pyright: ignore
+    return alike and all(one < two for one, two in itertools.pairwise(numbers))  # pyright: ignore[reportOperatorIssue]
 
 
 def _number(path: pathlib.Path) -> int | None:

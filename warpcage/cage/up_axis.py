@@ -114,7 +114,7 @@ def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = 
     An axis that the user gave is kept; a cage that cannot be used, or an object that shows nothing, is as expected."""
     if first_problem(cage):
         return UpAxis(up)
-    points = _object_points(thing, count=max(_LEAST_POINTS, min(_MOST_POINTS, _WORK // len(cage.faces))))
+    points = object_points(thing, count=max(_LEAST_POINTS, min(_MOST_POINTS, _WORK // len(cage.faces))))
     if not len(points):
         return UpAxis(up)
     here, other = _share_inside(cage, points), _other(up)
@@ -136,7 +136,7 @@ def standing_of_rest(cage: ClosedMesh, up: str, thing: object, *, given: bool = 
         nothing = f"holds nothing of the object, with z up or with y up: it lies at {places}"
         return UpAxis(up, note=nothing, doubtful=True, lost=True)
     more = f"; with {other} up it would hold {_percent(there)}" if there > _MORE * here else ""
-    note = f"holds {_percent(here)} of the object, the rest of it stays where it is{more}"
+    note = f"is around a part, {_percent(here)} of what can be seen: the rest of it stays where it is{more}"
     return UpAxis(up, note=note, likelier=there > _FAR_MORE * here)
 
 
@@ -218,7 +218,7 @@ def restood(cage: Mesh, was: str, up: str) -> Mesh:
     return cage if was == up else cage.with_vertices(turned_up(cage.vertices, up, was))
 
 
-def _object_points(thing: Any, count: int) -> np.ndarray:
+def object_points(thing: Any, count: int) -> np.ndarray:
     """(n, 3) at most `count` points of a field, a selection or a mesh, world units."""
     # splats of whole places reach so far that the cells of a grid over all of them are larger than the object
     vertices = getattr(thing, "vertices", getattr(thing, "shown_points", None))

@@ -20,6 +20,7 @@ from ..core.names import agreed, counted
 from ..core.reports import Progress, heard
 from ..errors import InputError, MissingFileError
 from ..scene.box_picture import box_text, draw_box
+from ..scene.coverage import draw_coverage, find_coverage
 from ..view.pictures import write_png
 from .colmap import Solver, load_pycolmap
 from .report import MOST_THUMBNAILS, THUMBNAIL, CaptureReport, make_contact_sheet, make_report
@@ -110,8 +111,9 @@ def capture(
     compared, of a small folder all pictures. Pictures of one size, maker, model and focal length share a camera.
     Cameras are found all at once (GLOMAP, Pan et al. 2024), and picture by picture where the matches disagree with
     those. The scene is written with +z up, the object around the origin and its box two units long, in the format
-    "transforms" of `load_scene`: images/, transforms.json, points.ply; and capture.md, capture.json, contact.png and
-    box.png, which say how good it is, and where the object. The folder appears whole or not at all.
+    "transforms" of `load_scene`: images/, transforms.json, points.ply; and capture.md, capture.json, contact.png,
+    box.png and seen.png, which say how good it is, where the object is and what was seen. The folder appears whole or
+    not at all.
 
     What has been done is kept in a hidden folder beside the output until the end. After an interrupt or a kill the same
     call continues there.
@@ -196,9 +198,12 @@ def _capture(
         facts["pictures_cut_or_turned_to_that_size"] = reshaped
     to_pixels = 1.0 / shrink_factor(size, feature_size)
     kept = [source.name for source in sources]
-    report = make_report(output, source.name or str(source), kept, sharp, found, size, to_pixels, facts)
+    cameras = cameras_of(found)
+    seen = find_coverage(cameras, np.zeros(3))
+    report = make_report(output, source.name or str(source), kept, sharp, found, size, to_pixels, facts, seen)
     report.advice.extend(doubts(solution, kept))
-    write_png(new / "box.png", draw_box(cameras_of(found), found.points, box))
+    write_png(new / "box.png", draw_box(cameras, found.points, box))
+    write_png(new / "seen.png", draw_coverage(seen, cameras, box.bounds))
     _write_contact_sheet(new / "contact.png", [work / "small" / name for name in names], report)
     (new / "capture.json").write_text(report.to_json(), encoding="utf-8")
     (new / "capture.md").write_text(report.to_markdown(), encoding="utf-8")

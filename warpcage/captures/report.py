@@ -11,20 +11,15 @@ import numpy as np
 
 from ..core.checks import listed
 from ..core.names import agreed, counted
+from ..scene.coverage import LARGE_GAP, Coverage
 from ..view.pictures import contact_sheet
 from .colmap import Found
 
 #: A picture is blurred where its sharpness is below this share of the median.
 BLURRED = 0.6
 
-#: A direction around the object is covered where a camera looks from within this angle of it, degrees.
-COVERED_DEGREES = 20.0
-
-#: Directions that the sphere around the object is sampled by.
-DIRECTIONS = 2000
-
-#: What is said to be little: of the circle around the object, degrees; of pictures; of pixels.
-LARGE_GAP, FEW_PICTURES, LARGE_ERROR = 60.0, 30, 1.5
+#: What is said to be little: of pictures; of pixels.
+FEW_PICTURES, LARGE_ERROR = 30, 1.5
 
 #: Pictures on the contact sheet, and the longer side of each.
 MOST_THUMBNAILS, THUMBNAIL = 100, 160
@@ -150,6 +145,7 @@ class CaptureReport:
         lines += ["", *(f"- {sentence}" for sentence in self.advice), ""] if self.advice else [""]
         if "object" in self.facts:
             lines += ["![cameras, points, and the object's box from three sides](box.png)", ""]
+            lines += ["![from where the object was seen, and what of its surroundings](seen.png)", ""]
         lines += ["![all pictures; those without a camera have a red frame](contact.png)", ""]
         if self.left_out:
             lines += ["No camera: " + ", ".join(self.left_out), ""]
@@ -167,14 +163,15 @@ def make_report(
     size: tuple[int, int],
     to_pixels: float,
     facts: dict[str, object],
+    seen: Coverage,
 ) -> CaptureReport:
-    """The report of a capture; names and sharpness are of all pictures, `found` in coordinates of the object, +z up.
+    """The report of a capture; names and sharpness are of all pictures, `found` and `seen` in the object's coordinates.
     size: of the pictures as they are written; to_pixels: pixels of those in a pixel that errors are measured in."""
     registered = [False] * len(names)
     errors: list[float | None] = [None] * len(names)
     for picture, error in zip(found.pictures, found.errors, strict=True):
         registered[picture], errors[picture] = True, float(error) * to_pixels
-    around, elevation, sphere, upper = coverage(found.poses[:, :3, 3])
+    sphere, upper = seen.shares()
     report = CaptureReport(
         folder=folder,
         source=source,
@@ -185,8 +182,8 @@ def make_report(
         points=len(found.points),
         error=found.error * to_pixels,
         size=size,
-        around=around,
-        elevation=elevation,
+        around=seen.around,
+        elevation=seen.elevation,
         sphere=sphere,
         upper=upper,
         advice=[],
@@ -194,21 +191,6 @@ def make_report(
     )
     report.advice.extend(_advice(report))
     return report
-
-
-def coverage(eyes: np.ndarray) -> tuple[float, tuple[float, float], float, float]:
-    """How well cameras at eyes (k, 3), +z up, surround the origin: largest gap (360 for one), lowest and highest
-    elevation, degrees, and shares of the sphere and of its upper half within COVERED_DEGREES of a camera."""
-    directions = eyes / np.maximum(np.linalg.norm(eyes, axis=1, keepdims=True), 1e-12)
-    turns = np.sort(np.degrees(np.arctan2(directions[:, 1], directions[:, 0])))
-    gap = float(np.diff(turns, append=turns[0] + 360.0).max())
-    rises = np.degrees(np.arcsin(np.clip(directions[:, 2], -1, 1)))
-    k = np.arange(DIRECTIONS) + 0.5  # a Fibonacci sphere
-    height, turn = 1 - 2 * k / DIRECTIONS, k * np.pi * (3 - np.sqrt(5))
-    flat = np.sqrt(1 - height**2)
-    sphere = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
-    covered = (sphere @ directions.T).max(axis=1) >= np.cos(np.radians(COVERED_DEGREES))
-    return gap, (float(rises.min()), float(rises.max())), float(covered.mean()), float(covered[height > 0].mean())
 
 
 def make_contact_sheet(thumbnails: Sequence[np.ndarray], registered: Sequence[bool]) -> np.ndarray:

@@ -164,8 +164,10 @@ def doubts(solution: Solution, labels: Sequence[str]) -> list[str]:
         return []
     worst = ", ".join(labels[int(picture)] for picture in worst_pictures(solution)[:NAMED])
     return [
-        f"Only {100 * share:.0f} % of the matches agree with the cameras, which may be wrong in part, least those of "
-        f"{worst}: look at what is fitted; what repeats itself, shines or moves misleads."
+        (
+            f"Only {100 * share:.0f} % of the matches agree with the cameras, which may be wrong in part, least those "
+            f"of {worst}: look at what is fitted; what repeats itself, shines or moves misleads."
+        )
     ]
 
 
@@ -192,7 +194,7 @@ def _require_most(source: pathlib.Path, names: Sequence[str], labels: Sequence[s
     count, groups = len(names), [] if solution is None else solution.groups
     most = 0 if solution is None else len(solution.found.pictures)
     label_of = dict(zip(names, labels, strict=True))
-    if len(groups) > 1 and LEAST_GROUP <= most and 2 * most < count + 1 and 2 * len(groups[1]) >= most:
+    if len(groups) > 1 and most >= LEAST_GROUP and 2 * most < count + 1 and 2 * len(groups[1]) >= most:
         parts = "; ".join(
             f"{len(group)} with {label_of[min(group)]} and {label_of[max(group)]}"
             for group in sorted(groups, key=min)

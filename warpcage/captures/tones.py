@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ..view.exr import screen_colors
+
 #: Transfer characteristics of ISO/IEC 23091-2 (H.273) that are tone-mapped, by their numbers: SMPTE ST 2084 and ARIB
 #: STD-B67, the two of BT.2100.
 TRANSFERS = {16: "PQ", 18: "HLG"}
@@ -74,7 +76,7 @@ def srgb_of(signal: np.ndarray, transfer: str, *, wide_primaries: bool = True) -
     # the curve is that of the brightest channel, by which all are scaled: hues stay
     most = light.max(axis=-1, keepdims=True)
     light = np.clip(light * (pressed(most) / np.maximum(most, 1e-6)), 0.0, 1.0)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)  # IEC 61966-2-1
+    return screen_colors(light)
 
 
 def light_of_hlg(signal: np.ndarray) -> np.ndarray:

@@ -27,7 +27,6 @@ from ..core.checks import checked_bounds
 from ..core.files import require_file
 from ..core.names import counted
 from ..editor.session import free_session_path, session_path
-from ..edits.words import EditWords
 from ..errors import InputError
 from ..field.closer import is_splats, matter_around
 from ..field.selection import NodeSelection, select_nodes
@@ -277,13 +276,10 @@ def run_edits(args: argparse.Namespace) -> None:
     words += [parse_edit(text) for text in args.edit or ()]
     deformation = numbered_edits(words, args, "smooth")
     if output is not None:
-        write_edits_file(output, [_with_file_words(edit, args) for edit in words])
+        # each says which axis points up in its cages, and which object they are, where that was said for all
+        said = ((edit, edit.up or args.cage_up, edit.object or args.cage_object) for edit in words)
+        write_edits_file(output, [dataclasses.replace(edit, up=up, object=name) for edit, up, name in said])
     _list(f"wrote {output}" if output is not None else str(args.file), deformation, [str(edit) for edit in words])
-
-
-def _with_file_words(edit: EditWords, args: argparse.Namespace) -> EditWords:
-    """An edit that says which axis points up in its cages, and which object they are, where it was said for all."""
-    return dataclasses.replace(edit, up=edit.up or args.cage_up, object=edit.object or args.cage_object)
 
 
 def _list(what: str, deformation: Deformation, names: list[str]) -> None:
@@ -322,11 +318,6 @@ def run_pose_keys(args: argparse.Namespace, output: pathlib.Path) -> None:
     print(f"wrote {output}: {_described(file)}")
 
 
-def _posed(args: argparse.Namespace) -> str:
-    """The word of --posed."""
-    return with_up(args.posed, args.up) if is_preset(args.posed) else args.posed
-
-
 def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
     name = args.key
     if not name.strip():
@@ -343,8 +334,8 @@ def _add_key(file: PoseFile, args: argparse.Namespace) -> None:
         if alone:
             return  # a camera and no pose
     if name not in file or not alone:  # otherwise another time or easing of the pose that is there
-        begin = file.rest if args.posed is None else read_pose(file.rest, _posed(args), posed_up(args))
-        file[name] = stepped(begin, args)
+        posed = with_up(args.posed, args.up) if args.posed is not None and is_preset(args.posed) else args.posed
+        file[name] = stepped(file.rest if posed is None else read_pose(file.rest, posed, posed_up(args)), args)
     if args.at is not None:
         same = [other for other in timed if file.times[other] == args.at]
         if same:
@@ -386,7 +377,11 @@ def _add_all(file: PoseFile, args: argparse.Namespace) -> None:
         poses = read_poses(file.rest, args.posed, up)
         if len(poses) < 2 and named is None:
             raise InputError(f"{args.posed!r} holds one pose: give it a name, --key NAME")
-        film = PoseFile.load(named[0], file.rest) if named and not named[1] else _shapes(file.rest, args.posed, up)
+        film = (
+            PoseFile.load(named[0], file.rest) if named and not named[1] else file_poses(args.posed, file.rest, up=up)
+        )
+        if film is None:
+            raise InputError(f"{args.posed!r} holds one pose: give it a name, --key NAME")
     if bool(film.times) != bool(file.times) and len(file):
         raise InputError("keys with times and keys without do not go into one pose file: write another one")
     for name in film.names:
@@ -398,14 +393,6 @@ def _add_all(file: PoseFile, args: argparse.Namespace) -> None:
             file.easings[name] = film.easings[name]
     file.fps, file.loop = film.fps or file.fps, film.loop or file.loop
     note_jumps(file, args.posed)
-
-
-def _shapes(rest: Cage, text: str, up: str | None) -> PoseFile:
-    """The shapes of a glTF file."""
-    file = file_poses(text, rest, up=up)
-    if file is None:
-        raise InputError(f"{text!r} holds one pose: give it a name, --key NAME")
-    return file
 
 
 def _remove(file: PoseFile, args: argparse.Namespace, output: pathlib.Path) -> None:
@@ -450,7 +437,8 @@ def run_pose(args: argparse.Namespace) -> None:
 
     cage, found = read_cage(args)
     stepped(cage, args).save(output, up=args.cage_up or found.get(ending(str(output))))
-    print(f"wrote {output}: {steps_text(args)}")
+    steps = (f"{name} {value if isinstance(value, float) else tuple(value)}" for name, value in args.steps)
+    print(f"wrote {output}: {', '.join(steps)}")
 
 
 def read_cage(args: argparse.Namespace) -> tuple[Cage, dict[str, str]]:
@@ -469,11 +457,6 @@ def stepped(cage: Cage, args: argparse.Namespace) -> Cage:
         cage = getattr(cage, name)(*_arguments(name, value), **_options(name, cage, args))
     cage.require_usable("the posed cage")
     return cage
-
-
-def steps_text(args: argparse.Namespace) -> str:
-    steps = args.steps or ()
-    return ", ".join(f"{name} {value if isinstance(value, float) else tuple(value)}" for name, value in steps)
 
 
 def _arguments(name: str, value: Any) -> tuple:

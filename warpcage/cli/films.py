@@ -261,7 +261,7 @@ class FilmWorkers:
     def make_film(self, output: pathlib.Path, rate: Fraction, *, loop: bool) -> None:
         """Make the frames in a folder beside a film, and the film of them, in order, as they come.
         The folder is removed at the end; after an error or an interrupt it stays, and the next run goes on with it."""
-        folder = frames_folder(output)
+        folder = output.with_name(f".{output.name}.frames")
         self.settings, self.overwrite = self.settings | {"version": __version__}, True  # that folder is ours
         encoder = FilmEncoder(output, rate, loop, [self._places(folder, frame) for frame in self.frames])
         try:
@@ -299,11 +299,6 @@ def frame_outputs(output: pathlib.Path, show: str, kind: str | None) -> tuple[di
             raise InputError(f"--workers makes {output.suffix} films of colours alone: leave out --show, or --workers")
         return {"film": "{id}.npz"}, "npz"  # as many bits as they hold
     return {show: "{id}." + (kind or "png")}, kind or "png"
-
-
-def frames_folder(output: pathlib.Path) -> pathlib.Path:
-    """The folder of the frames of a film that is not finished."""
-    return output.with_name(f".{output.name}.frames")
 
 
 def _require_all(report: RunReport) -> None:
@@ -437,7 +432,12 @@ def make_folder(
 ) -> int:
     """Make the frames of a film that are not there yet, each whole or not at all; returns how many were there.
     make(missing, begin) is called where any is missing, and calls `begin` before it writes the first."""
-    foreign = _allowed(_other_film(folder, settings), folder, overwrite)
+    foreign = _other_film(folder, settings)
+    if foreign and not overwrite:
+        raise InputError(
+            f"folder {str(folder)!r} holds {foreign}: give another folder, or --overwrite to replace those frames; "
+            "with the options of that film it is continued"
+        )
     with _nothing_left_without_frames(folder):
         paths = [frame_path(folder, index, settings["format"]) for index in range(len(cameras))]
         pairs = enumerate(zip(paths, cameras, strict=True))
@@ -446,7 +446,8 @@ def make_folder(
         def begin() -> None:
             for other in frame_files(folder) if foreign else [paths[index] for index in missing]:
                 other.unlink(missing_ok=True)
-            _write_note(folder / SETTINGS_NAME, settings)  # not before: without frames it binds nobody
+            with atomic_path(folder / SETTINGS_NAME) as note:  # not before: without frames it binds nobody
+                note.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
 
         if missing:
             make(missing, begin)
@@ -462,16 +463,6 @@ def frame_files(folder: pathlib.Path) -> list[pathlib.Path]:
     """The frames in a folder, in their order; none where there is no such folder."""
     files = sorted(folder.iterdir()) if folder.is_dir() else []
     return [file for file in files if FRAME_NAME.fullmatch(file.name)]
-
-
-def _allowed(foreign: str, folder: pathlib.Path, overwrite: bool) -> str:
-    """Whose frames a folder holds. Raises ValueError for those of another film that nobody wants to be replaced."""
-    if foreign and not overwrite:
-        raise InputError(
-            f"folder {str(folder)!r} holds {foreign}: give another folder, or --overwrite to replace those frames; "
-            "with the options of that film it is continued"
-        )
-    return foreign
 
 
 def _other_film(folder: pathlib.Path, settings: dict) -> str:
@@ -501,17 +492,9 @@ def _read_note(note: pathlib.Path) -> dict:
 def _difference(name: str, there: object, here: object) -> str:
     """A setting that differs, with both values where they are short words or numbers."""
     if all(isinstance(value, str | int | float | None) and len(str(value)) <= 12 for value in (there, here)):
-        return f"{name}: {_word(there)} there, {_word(here)} now"
+        there, here = ("default" if value is None else value for value in (there, here))
+        return f"{name}: {there} there, {here} now"
     return name
-
-
-def _word(value: object) -> str:
-    return "default" if value is None else str(value)
-
-
-def _write_note(note: pathlib.Path, settings: dict) -> None:
-    with atomic_path(note) as temporary:
-        temporary.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
 
 
 @contextlib.contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import pathlib
 import platform
+from collections.abc import Sequence
 
 import numpy as np
 import warp as wp
@@ -26,13 +27,14 @@ from ..mesh.io import object_names
 from ..mesh.io.formats import mesh_endings, mesh_formats
 from ..scene.box import scene_box
 from ..scene.box_picture import box_text, draw_box
+from ..scene.coverage import draw_coverage, find_coverage
 from ..scene.formats.table import format_lines as scene_lines
 from ..scene.load import holding_format, load_scene, scene_around
 from ..scene.scene import Scene
 from ..splats.io import is_splat_file, splat_path
 from ..splats.io.formats import endings_read, format_to_read, splat_formats
 from ..splats.splat_field import SplatField
-from ..view.camera import CameraFile
+from ..view.camera import Camera, CameraFile
 from ..view.pictures import contact_sheet, shrink, write_png
 from . import shared
 from .arguments import options
@@ -47,6 +49,7 @@ def run_info(args: argparse.Namespace) -> None:
     shared.require_field_scale(args)
     sheet = None if args.sheet is None else options.check_output(args.sheet, (".png",), "contact sheet")
     box = None if args.box is None else options.check_output(args.box, (".png",), "picture")
+    args.seen = None if args.seen is None else options.check_output(args.seen, (".png",), "picture")
     path = None if args.field is None else pathlib.Path(args.field)
     of_splats = path is not None and path.exists() and is_splat_file(path)
     if not (path is not None and path.is_dir() and not of_splats):
@@ -54,6 +57,8 @@ def run_info(args: argparse.Namespace) -> None:
             raise InputError(f"--sheet shows the pictures of a scene folder, got {args.field!r}")
         if box is not None:
             raise InputError(f"--box shows where the object of a scene folder is, got {args.field!r}")
+        if args.seen is not None and not str(args.field).lower().endswith(".npz"):
+            raise InputError(f"--seen shows what cameras of a scene folder or a field saw, got {args.field!r}")
     if path is None:
         rows = _machine()
     elif of_splats:
@@ -103,6 +108,7 @@ def device_line(device: wp.Device) -> str:
 
 def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
     field = shared.require_voxels(shared.read_field(args), "info")
+    cameras = None if field.refined_cameras is None else field.refined_cameras.cameras
     share = field.voxel_count / (field.resolution[0] * field.resolution[1] * field.resolution[2])
     density = field.grid.density.numpy()
     weights = None if field.weights is None else field.weights.numpy()
@@ -118,6 +124,11 @@ def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
         ("up", field.up.round(3).tolist()),
         ("straightened", _turn(field.straightening)),
         ("around it", _around(field.background_model)),
+        *(
+            []
+            if cameras is None and args.seen is None
+            else [("seen", _seen(cameras, field.bounds, field.up, args.seen))]
+        ),
         ("file", _file_size(path)),
     ]
 
@@ -217,12 +228,9 @@ def _cameras(path: pathlib.Path) -> Rows:
     for index, key in enumerate(cameras):
         camera = key.camera
         place = f"{camera.width}x{camera.height} from {camera.center.round(4).tolist()}"
-        rows.append((f"camera {key.name or index!r}", place + _moment(key.time)))
+        place += "" if key.time is None else f", at {key.time:g} s"
+        rows.append((f"camera {key.name or index!r}", place))
     return rows
-
-
-def _moment(time: float | None) -> str:
-    return "" if time is None else f", at {time:g} s"
 
 
 def _poses(path: pathlib.Path) -> Rows:
@@ -302,6 +310,7 @@ def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | N
         ("up", scene.up.round(3).tolist()),
         ("bounds", "not given" if scene.bounds is None else _box(*scene.bounds)),
         *([("object", _object(scene, args, box))] if scene.alphas is None or box is not None else []),
+        *([] if args.seen is None else [("seen", _seen(scene.cameras, _bounds(scene), scene.up, args.seen))]),
         ("memory", f"{(scene.images.nbytes + (0 if scene.alphas is None else scene.alphas.nbytes)) / 1e6:.0f} MB"),
     ]
     if scene.weights is not None:
@@ -309,6 +318,26 @@ def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | N
     if sheet is not None:
         rows.append(("sheet", _write_sheet(scene, sheet)))
     return rows
+
+
+def _seen(
+    cameras: Sequence[Camera] | None, bounds: np.ndarray | None, up: np.ndarray, path: pathlib.Path | None
+) -> str:
+    """From where cameras saw an object in a box (2, 3), of which a map may be written."""
+    if cameras is None or bounds is None:
+        raise InputError("--seen needs cameras and a box of the object, which are not known: give another scene")
+    coverage = find_coverage(cameras, bounds.mean(axis=0), up)
+    if path is not None:
+        write_png(path, draw_coverage(coverage, cameras, bounds))
+    return coverage.summary() + ("" if path is None else f"; see {path}")
+
+
+def _bounds(scene: Scene) -> np.ndarray | None:
+    """The box of a scene's object, outlines not looked at; None where its cameras do not tell."""
+    try:
+        return scene_box(scene).bounds
+    except ValueError:
+        return None
 
 
 def _object(scene: Scene, args: argparse.Namespace, path: pathlib.Path | None) -> str:
@@ -351,22 +380,15 @@ def _file_size(path: pathlib.Path) -> str:
 
 def run_kernels(args: argparse.Namespace) -> None:
     if args.action == "list":
-        _print_list()
-    else:
-        _copy(args.name, pathlib.Path(args.destination), args.alone)
-
-
-def _print_list() -> None:
-    names = kernel_names()
-    width = max(map(len, names))
-    for name in names:
-        print(f"{name:{width}}  {kernel_summary(name)}")
-
-
-def _copy(text: str, destination: pathlib.Path, alone: bool) -> None:
-    name = text if text in kernel_groups() else find_kernel(text)
+        names = kernel_names()
+        width = max(map(len, names))
+        for name in names:
+            print(f"{name:{width}}  {kernel_summary(name)}")
+        return
+    name, destination = args.name, pathlib.Path(args.destination)
+    name = name if name in kernel_groups() else find_kernel(name)
     options.check_parent(destination)
-    paths = copy_kernel(name, destination, alone=alone)
+    paths = copy_kernel(name, destination, alone=args.alone)
     module = f"{destination.resolve().name}.{name}".replace("/", ".")
     host = [path for path in paths if "host" in path.relative_to(destination).parts]
     print(f"{destination} holds {name} and all that it needs; use it as in: from {module} import ...")
@@ -375,5 +397,5 @@ def _copy(text: str, destination: pathlib.Path, alone: bool) -> None:
             print(f"  {path}")
     if host:
         print(f"  {destination / 'host'}: {counted(len(host), 'module')} that launch kernels")
-    if not alone:
+    if not args.alone:
         print(f"a call that runs as it stands: {destination / name.partition('/')[0] / 'README.md'}")

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
@@ -28,21 +27,23 @@ from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
 from ..editor.renderer import view_camera
 from ..editor.session import read_session
 from ..editor.timeline import frame_times
+from ..edits.place import PlaceFile
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from ..view import frame_parts
 from ..view.camera import Camera
-from ..view.camera_path import camera_at, path_cameras
-from ..view.exr import require_openexr, write_picture
+from ..view.camera_path import path_cameras
+from ..view.exr import mean_picture, require_openexr, write_picture
 from ..view.film import FILM_ENDINGS, checked_rate, film_size, require_clear_film, write_film
 from ..view.frame import Frame, depth_along_view
 from ..view.frame_parts import MASKS, picture
-from ..view.motion import axis_rotation, cameras_along, frame_places
+from ..view.motion import cameras_along, frame_places, frame_rate, time_at
 from ..view.opacity import rgba_picture
 from ..view.pictures import write_png
 from . import shared
 from .arguments import options
 from .arguments.render import OF_SESSIONS, STEPS, Default
+from .film_cameras import camera_track
 from .films import (
     FilmFrame,
     FilmJob,
@@ -120,65 +121,105 @@ class Shot:
     def __init__(
         self,
         field: shared.AnyField,
-        deformer: Deformer | None,  # None where the field is shown as it is, or where others render
         deformation: Deformation | None,  # None where the field is shown as it is
-        cameras: list[Camera],  # one a frame
         args: argparse.Namespace,
-        times: list[float] | None = None,  # seconds of each frame, where there are keys at times
+        film: PoseFile | PlaceFile | None = None,  # keys at times, where there are any
         staging: Staging | None = None,  # what stands beside the field
     ):
         self.staging = staging
-        self.times = times
-        self.field, self.deformer, self.deformation = field, deformer, deformation
-        self.cameras, self.args = cameras, args
-        count = 1 if deformation is None else deformation.pose_count
-        places = frame_places(args.frames, count, args.motion, args.interpolation) if times is None else times
-        self.places = [float(place) for place in places]
+        self.field, self.deformation, self.args, self.film = field, deformation, args, film
+        self.deformer: Deformer | None = None  # None where the field is shown as it is, or where others render
+        keys = None if film is None or deformation is None else deformation.camera_film
+        points, time_of = seen_points(field, deformation, args, staging), None if film is None else self.time
+        self.track = camera_track(args, field, deformation, points, keys, time_of, self.cages)
+        self.cameras = self.track(range(args.frames))  # one a frame
         self.held: float | None = None  # the place that the deformer is posed at
         self.shares: dict[str, list[float]] = {}
-        self.scale = self._scale() if args.show in ("depth", "disparity") else None  # low and high disparity
+        self.scale: tuple[float, float] | None = None  # low and high disparity
 
-    def cages(self, index: int) -> list[Cage | None]:
-        """The posed cages of a frame, one an edit; None for what is removed."""
+    def prepare(self) -> None:
+        """Make what renders here."""
+        if self.deformation is not None:
+            self.deformer = shared.make_deformer(self.field, self.deformation, self.args)
+        self.scale = self._scale() if self.args.show in ("depth", "disparity") else None
+
+    def is_still(self) -> bool:
+        """Whether several frames are one picture."""
+        poses = [camera.camera_to_world for camera in self.cameras]
+        if len(poses) < 2 or any(not np.array_equal(pose, poses[0]) for pose in poses):
+            return False
+        if self.staging is not None and self.staging.longest(None) is not None:
+            return False
+        if self.deformation is None or self.deformation.is_still:
+            return True
+        return len({self.place(frame) for frame in range(len(poses))}) == 1
+
+    def time(self, frame: float) -> float:
+        """Seconds of a frame, or between two, where there are keys at times."""
+        assert self.film is not None
+        return time_at(frame, self.film.length, frame_rate(self.args.fps), self.args.loop)
+
+    def place(self, frame: float) -> float:
+        """Where the poses are at a frame, or between two: a time, or a place among them."""
+        if self.film is not None:
+            return self.time(frame)
+        count = 1 if self.deformation is None else self.deformation.pose_count
+        return float(frame_places(self.args.frames, count, self.args.motion, self.args.interpolation, [frame])[0])
+
+    def cages(self, frame: float) -> list[Cage | None]:
+        """The posed cages of a frame, or between two, one an edit; None for what is removed."""
         if self.deformation is None:
             return []
-        place = self.places[index]
+        place = self.place(frame)
         try:
-            return self.deformation.at(place) if self.times is None else self.deformation.at_time(place)
+            return self.deformation.at(place) if self.film is None else self.deformation.at_time(place)
         except ValueError as error:
-            raise InputError(f"frame {index}, between the poses: {error}") from error
+            raise InputError(f"frame {frame:g}, between the poses: {error}") from error
 
-    def frame(self, index: int) -> tuple[Frame, list[Cage]]:
-        """The frame, and the cages that it shows."""
-        camera = self.cameras[index]
+    def frame(self, frame: float, camera: Camera) -> tuple[Frame, list[Cage]]:
+        """A frame, or what is between two, and the cages that it shows."""
         if self.deformer is None or self.deformation is None:
-            return shared.render_view(self._scene(self.field, index), camera, self.args), []
-        place = self.places[index]
-        cages = self.cages(index)
+            return shared.render_view(self._scene(self.field, frame), camera, self.args), []
+        place, cages = self.place(frame), self.cages(frame)
         try:
             if place != self.held:
                 self.deformer.pose(cages)
                 self.held = place
         except ValueError as error:
-            raise InputError(f"frame {index}, between the poses: {error}") from error
-        frame = shared.render_view(self._scene(self.deformer, index), camera, self.args)
-        return frame, self.deformation.drawn(self.deformer.deformed or cages)
+            raise InputError(f"frame {frame:g}, between the poses: {error}") from error
+        found = shared.render_view(self._scene(self.deformer, frame), camera, self.args)
+        return found, self.deformation.drawn(self.deformer.deformed or cages)
 
-    def _scene(self, renderer: shared.AnyField | Deformer, index: int) -> shared.AnyField | Deformer | Stage:
+    def _scene(self, renderer: shared.AnyField | Deformer, frame: float) -> shared.AnyField | Deformer | Stage:
         """What a frame shows: what renders the field, alone or among others as they are then."""
         if self.staging is None:
             return renderer
-        self.staging.at(float(index / self.args.fps) if self.times is None else float(self.times[index]))
+        self.staging.at(frame / float(self.args.fps) if self.film is None else self.time(frame))
         return self.staging.with_main(renderer)
 
+    def taken(self, index: int) -> tuple[np.ndarray, Frame, Camera]:
+        """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4), and the frame itself."""
+        camera = self.cameras[index]
+        if self.args.shutter is None:
+            frame, cages = self.frame(index, camera)
+            return self._shown(frame, cages, camera), frame, camera
+        share, count = self.args.shutter
+        moments = index + share * ((np.arange(count) + 0.5) / count - 0.5)  # the frame is in the middle of them
+        pictures, middle = [], None
+        for number, (moment, moved) in enumerate(zip(moments, self.track(moments), strict=True)):
+            frame, cages = self.frame(float(moment), moved)
+            pictures.append(self._shown(frame, cages, moved))
+            middle = (frame, moved) if number == count // 2 else middle
+        assert middle is not None
+        return mean_picture(pictures), *middle
+
     def picture(self, index: int) -> np.ndarray:
-        """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4); not to be written to."""
-        return finished(self._shown(*self.frame(index), self.cameras[index]))
+        """What the film shows of a frame; not to be written to."""
+        return finished(self.taken(index)[0])
 
     def task(self, index: int, path: pathlib.Path) -> tuple[Callable[[], None], int]:
         """Render a frame. Returns what writes its picture to a file, in any thread, and the bytes that it holds."""
-        (frame, cages), camera = self.frame(index), self.cameras[index]
-        return picture_task(path, self._shown(frame, cages, camera), frame, camera)
+        return picture_task(path, *self.taken(index))
 
     def _shown(self, frame: Frame, cages: Sequence[Cage], camera: Camera) -> np.ndarray:
         if self.args.show == "masks":
@@ -192,7 +233,7 @@ class Shot:
     def _scale(self) -> tuple[float, float]:
         """From a few frames, always the same ones, so that a folder that is continued keeps its colours."""
         probes = sorted({round(share * (self.args.frames - 1)) for share in (0.0, 0.25, 0.5, 0.75)})
-        return frame_parts.disparity_scale([self.frame(index)[0] for index in probes])
+        return frame_parts.disparity_scale([self.frame(index, self.cameras[index])[0] for index in probes])
 
     def described(self) -> Iterator[FilmFrame]:
         """The frames as items of a job describe them."""
@@ -416,17 +457,17 @@ def run_animate(args: argparse.Namespace) -> None:
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field, args.interpolation)
     staging = staging_of(args, field, stage, args.interpolation)
-    keys: Any = deformation and deformation.film
-    if staging is not None and (keys is not None or deformation is None):  # poses without times keep to --frames
-        keys = staging.longest(keys)
-    times = set_frames(args, keys, given)
-    film = None if times is None or deformation is None else deformation.camera_film
-    cameras = _chosen_cameras(args, seen_points(field, deformation, args, staging), film, times or [])
+    timed: PoseFile | PlaceFile | None = None if deformation is None else deformation.film
+    if staging is not None and (timed is not None or deformation is None):  # poses without times keep to --frames
+        timed = staging.longest(timed)
+    if set_frames(args, timed, given) is None:
+        timed = None
+    shot = Shot(field, deformation, args, timed, staging)
+    cameras = shot.cameras
     shared.warn_of_edges(args, cameras[0], deformation)
     shared.set_lattice(args, cameras[0])
-    renders = deformation if here or scaled else None
-    deformer = None if renders is None else shared.make_deformer(field, renders, args)
-    shot = Shot(field, deformer, deformation, cameras, args, times, staging)
+    if here or scaled:
+        shot.prepare()
 
     shared.save_cameras(args, cameras, args.fps)
     if here:
@@ -464,6 +505,10 @@ def _check(args: argparse.Namespace, output: pathlib.Path) -> None:
         shared.require_deformation(args, "--overlay")
     if args.show == "masks":
         shared.require_deformation(args, "--show masks")
+    if args.shutter is not None and (args.jobs is not None or args.workers is not None):
+        raise InputError("--shutter blurs frames that are rendered here: leave out --jobs and --workers")
+    if args.shutter is not None and args.show != "rgb":
+        raise InputError(f"--shutter blurs colours: leave it out, or --show {args.show}")
 
 
 def _render(shot: Shot, output: pathlib.Path) -> None:
@@ -505,6 +550,8 @@ def _say(shot: Shot, output: pathlib.Path, kept: int) -> None:
         return
     size = size_text(cameras[0].width, cameras[0].height, output)
     print(f"wrote {output}: {counted(args.frames, 'frame')} of {size}, {output.stat().st_size / 1e6:.2f} MB")
+    if shot.is_still():
+        print(f"warpcage: nothing moves in this film: its {args.frames} frames are equal", file=sys.stderr)
 
 
 def _say_jobs(path: pathlib.Path, count: int, camera: Camera) -> None:
@@ -545,6 +592,12 @@ def _run_session(args: argparse.Namespace) -> None:
 
         count = export_film(document, field, output, film, report)
     print(f"wrote {output}: {counted(count, 'frame')} of {size_text(width, height, output)}")
+    if len(document.timeline.keys) < 2 and count > 1:
+        print(
+            f"warpcage: nothing moves in this film: its {count} frames are equal, as the session has no two keys (K "
+            "keeps one in the editor)",
+            file=sys.stderr,
+        )
 
 
 def _given_besides(args: argparse.Namespace) -> list[str]:
@@ -555,42 +608,6 @@ def _given_besides(args: argparse.Namespace) -> list[str]:
         for name, value in values.items()
         if (not isinstance(value, Default) if name in OF_SESSIONS else value is not None)
     ]
-
-
-def _chosen_cameras(
-    args: argparse.Namespace, points: np.ndarray, film: PoseFile | None, times: list[float]
-) -> list[Camera]:
-    """One camera per frame; that of the film's keys where no option names another."""
-    named = (args.cameras, args.turn, args.camera, args.view, args.eye, args.target)
-    if film is not None and all(one is None for one in named):
-        return [shared.fitted_to(film.camera_at(time), args) for time in times]
-    if args.cameras is None:
-        camera, pivot = shared.chosen_camera(args, points), shared.chosen_target(args, points)
-        return turned_cameras(camera, pivot, args.up, 360.0 if args.turn is None else args.turn, args.frames)
-    if any(given is not None for given in (args.turn, args.camera, args.view, args.frame, args.eye, args.target)):
-        raise InputError("--cameras cannot be combined with --turn, --camera, --view, --frame, --eye or --target")
-    if shared.camera_file(args.cameras):
-        keys = shared.camera_keys(args, args.cameras)
-        if times and all(key.time is not None for key in keys):
-            return [camera_at(keys, time) for time in times]  # of one film with the keys of the poses
-        return path_cameras(keys, args.frames)
-    return cameras_along(shared.sized_cameras(args, args.cameras), args.frames, args.interpolation)
-
-
-def turned_cameras(camera: Camera, pivot: np.ndarray, up: ArrayLike, degrees: float, count: int) -> list[Camera]:
-    """Cameras carried around an axis, `degrees` in all: through pivot (3,), world units, in the direction up (3,)."""
-    axis = np.asarray(up, np.float64)
-    if np.linalg.norm(axis) == 0:
-        raise InputError("--up must not be 0 0 0")
-    axis /= np.linalg.norm(axis)
-    steps = count if degrees % 360 == 0 else max(1, count - 1)  # after a full turn the next would be the first
-    cameras = []
-    for angle in np.radians(degrees) * np.arange(count) / steps:
-        turn = np.eye(4)
-        turn[:3, :3] = axis_rotation(axis, angle)
-        turn[:3, 3] = pivot - turn[:3, :3] @ pivot
-        cameras.append(camera.moved(turn))
-    return cameras
 
 
 def _checked_output(text: str) -> pathlib.Path:
@@ -612,6 +629,7 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
     settings = {name: getattr(args, name) for name in names.split()}
     settings["background"] = TRANSPARENT if shared.is_transparent(args) else args.background
     settings["format"] = args.format or "png"
+    settings |= {} if args.shutter is None else {"shutter": args.shutter}
     settings["loop"], settings["fps"] = args.loop, None if args.loop is None else str(args.fps)
     settings["size"] = [cameras[0].width, cameras[0].height]
     settings["camera"] = hashlib.sha256(b"".join(camera.camera_to_world.tobytes() for camera in cameras)).hexdigest()

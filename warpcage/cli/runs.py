@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from ..batch.manifest import Part
-from ..batch.run import Forecast, RunProgress, RunReport, foresee, run_jobs
+from ..batch.plan import Forecast, foresee
+from ..batch.run import RunProgress, RunReport, run_jobs
 from ..batch.sweeps import GivenSource, PoseSource, RandomSource, RandomViews, write_sweep
 from ..cage.cage import Cage
 from ..cage.random_poses import RandomPoses

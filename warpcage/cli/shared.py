@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import pathlib
-import re
 import sys
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from ..cage.axes import with_up
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile, cage_hash, is_preset
+from ..cage.up_axis import object_points
 from ..core.devices import resolve_device
 from ..core.files import read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
@@ -32,6 +33,7 @@ from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
 from ..edits.words import EditWords
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
+from ..mesh.queries import inside_mesh
 from ..scene.load import load_scene
 from ..scene.scene import Scene
 from ..splats.io import is_splat_file, splat_path
@@ -40,7 +42,7 @@ from ..splats.splat_field import AnyField, SplatField, load_field
 from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
 from ..view.frame import Frame
 from .arguments import options
-from .words import Keyframes, only_pose, parse_edit, posed_up, read_edits_file, read_rest
+from .words import Keyframes, file_and_name, only_pose, parse_edit, posed_up, read_edits_file, read_rest
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,7 +117,9 @@ class Deformation:
 
     def fingerprints(self) -> dict[str, list[str]]:
         """Hashes of the edits, "cage", and of their poses, "posed": all that decides how the scene moves."""
-        return {"cage": [_edit_hash(edit) for edit in self.edits], "posed": [_pose_hash(part) for part in self.parts]}
+        words = ([e.keep_source, e.remove, e.falloff, e.held, e.fragments] for e in self.edits)
+        cages = [_hash([cage_hash(edit.cage), *each]) for edit, each in zip(self.edits, words, strict=True)]
+        return {"cage": cages, "posed": [_pose_hash(part) for part in self.parts]}
 
 
 def read_deformation(
@@ -249,11 +253,6 @@ def _moves(part: PosedEdit) -> bool:
     )
 
 
-def _edit_hash(edit: CageEdit) -> str:
-    """A hash of an edit at rest."""
-    return _hash([cage_hash(edit.cage), edit.keep_source, edit.remove, edit.falloff, edit.held, edit.fragments])
-
-
 def _pose_hash(part: PosedEdit) -> str:
     """A hash of the poses of an edit."""
     keyframes = part.keyframes
@@ -354,12 +353,20 @@ def require_deformation(args: argparse.Namespace, what: str) -> None:
         raise InputError(f"{what} needs a deformation: --cage and --posed{alone}, --edit or --edits")
 
 
+#: Points of an object that --frame posed looks at, and the share of them that lies out of the cages by chance.
+FRAMED_POINTS, LEAST_STAYING = 5000, 0.005
+
+
 def visible_points(field: AnyField, deformation: Deformation | None, frame: str | None) -> np.ndarray:
-    """(n, 3) points around what a picture shows, world units: vertices of the cages at rest and posed (frame "posed"),
-    else the corners of the field's box."""
+    """(n, 3) points around what a picture shows, world units: vertices of the cages at rest and posed (frame "posed")
+    with what lies in none of them and stays, else the corners of the field's box."""
     # Usually the field at rest, so that pictures before and after an edit, and of all its poses, can be compared.
     if deformation is not None and frame == "posed":
-        return deformation.vertices
+        seen = staying = object_points(field, FRAMED_POINTS)
+        for edit in deformation.edits:
+            staying = staying[~inside_mesh(staying, edit.cage)]
+        few = len(staying) <= LEAST_STAYING * len(seen)
+        return deformation.vertices if few else np.concatenate([deformation.vertices, staying])
     low, high = field.shown_bounds if isinstance(field, SplatField) else field.bounds
     return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
 
@@ -460,9 +467,7 @@ def image_size(args: argparse.Namespace) -> tuple[int, int] | None:
     """Width and height of --size, None where it is not given."""
     if args.size is None:
         return None
-    if len(args.size) > 2:
-        raise InputError(f"--size takes a width, or a width and a height, got {len(args.size)} numbers")
-    width, height = args.size[0], args.size[-1]
+    width, height = args.size.of(*DEFAULT_SIZE)
     if width * height > MOST_PIXELS:
         raise InputError(f"--size: {width}x{height} is too large, a picture has at most {MOST_PIXELS:,} pixels")
     return width, height
@@ -499,8 +504,7 @@ def named_camera(args: argparse.Namespace, text: str) -> Camera:
 
 def camera_file(text: str) -> tuple[str, str] | None:
     """File and name of a camera ("" for all) where a word names a camera file, None for other words."""
-    found = re.fullmatch(r"(.+\.(?:json|glb|gltf))(?::(.*))?", text, re.IGNORECASE)
-    return (found[1], found[2] or "") if found else None
+    return file_and_name(text, "json|glb|gltf")
 
 
 def camera_keys(args: argparse.Namespace, text: str) -> list[CameraKey]:
@@ -553,15 +557,30 @@ def middle(points: np.ndarray) -> np.ndarray:
 
 
 def fitted_to(camera: Camera, args: argparse.Namespace) -> Camera:
-    """A camera at the size of --size, at its own where it is not given. A width alone keeps the picture's shape."""
+    """A camera at the size of --size, at its own where it is not given; see `fitted`."""
     image_size(args)  # refuses others
-    return fitted(camera, args.size or (), "--size")
+    if args.size is None:
+        return camera
+    if not args.size.is_shaped:
+        return fitted(camera, (args.size.width,))
+    size = args.size.of(camera.width, camera.height)
+    found = fitted(camera, size, widen=args.size.widen)
+    aside, above = found.fx * camera.width / camera.fx - size[0], found.fy * camera.height / camera.fy - size[1]
+    if max(aside, above) > 1.5 and not getattr(args, "has_said_cut", False):
+        args.has_said_cut = True
+        cut = "left and right" if aside > above else "top and bottom"
+        print(
+            f"warpcage: {size[0]}x{size[1]} cuts the camera's {camera.width}x{camera.height} picture at {cut}: --size "
+            f"{size[0]}x{size[1]} widen shows all of it, and more at the other sides",
+            file=sys.stderr,
+        )
+    return found
 
 
 def file_size(args: argparse.Namespace) -> tuple[int, int] | None:
     """The size of pictures from cameras of files that have none. None is that of the file."""
     size = image_size(args)
-    return size if size is not None and len(args.size) == 2 else None
+    return size if size is not None and args.size.height is not None and not args.size.widen else None
 
 
 def scene_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
@@ -569,7 +588,29 @@ def scene_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
     path, split = text, "train"
     if not pathlib.Path(path).exists() and ":" in path:
         path, _, split = path.rpartition(":")
-    return [moved_to_field(args, camera) for camera in load_scene(path, split=split).cameras]
+    return [moved_to_field(args, camera) for camera in _loaded_cameras(path, split)]
+
+
+def seen_cameras(args: argparse.Namespace, field: AnyField) -> list[Camera]:
+    """The cameras that saw what a field shows, as far as they are known: those that its fit refined, or else those of
+    the scene that --camera names; none where nobody says."""
+    refined = getattr(field, "refined_cameras", None)
+    if refined is not None:
+        return refined.cameras
+    text = args.camera or ""
+    named = "" if camera_file(text) else text.rpartition(":")[0]
+    if not named or pathlib.Path(named).exists():
+        return scene_cameras(args, named) if named else []
+    try:
+        return scene_cameras(args, named.rpartition(":")[0])  # of SCENE:SPLIT; fits take the training pictures
+    except (ValueError, FileNotFoundError):  # a scene may have that split alone
+        return scene_cameras(args, named)
+
+
+@functools.lru_cache(maxsize=2)
+def _loaded_cameras(path: str, split: str) -> list[Camera]:
+    """The cameras of a scene, without its pictures; a command may ask for them twice."""
+    return load_scene(path, split=split).cameras
 
 
 def moved_to_field(args: argparse.Namespace, camera: Camera) -> Camera:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import json
 import os
 import pathlib
@@ -28,8 +29,9 @@ from ..cage.motion import (
 from ..cage.pose_file import PoseFile, Preset, is_preset
 from ..cage.up_axis import UpAxis, load_standing
 from ..core.checks import listed, warn_caller
-from ..core.files import PathLike, atomic_path, read_json, require_file
+from ..core.files import PathLike, atomic_path, path_from, read_json, require_file
 from ..core.names import EASINGS, counted, edit_words
+from ..edits.place import PlaceFile
 from ..edits.words import EditWords, held_walls
 from ..errors import InputError
 from ..view.camera_path import timed_keys
@@ -73,15 +75,16 @@ def ending(text: str) -> str:
 
 def pose_file(text: str) -> tuple[str, str] | None:
     """File and keyframe ("" for all) of a word of --posed that names a pose file, or None for other words."""
-    return _file_and_name(text, "json")
+    return file_and_name(text, "json")
 
 
 def moving_file(text: str) -> tuple[str, str] | None:
     """File and animation, shape or frame ("" for all) of a word that names a file that a cage may move in, or None."""
-    return _file_and_name(text, "|".join(each[1:] for each in MOVING_ENDINGS))
+    return file_and_name(text, "|".join(each[1:] for each in MOVING_ENDINGS))
 
 
-def _file_and_name(text: str, endings: str) -> tuple[str, str] | None:
+def file_and_name(text: str, endings: str) -> tuple[str, str] | None:
+    """A file of some endings ("json|glb") and what is named of it, "" for all; None for other words."""
     found = re.fullmatch(rf"(.+\.(?:{endings}))(?::(.*))?", text, re.IGNORECASE)
     return (found[1], found[2] or "") if found else None
 
@@ -147,7 +150,7 @@ def _timed(file: PoseFile, path: str) -> PoseFile | None:
 def note_jumps(file: PoseFile, path: str) -> None:
     """Say in a line where two keyframes of a film have one time."""
     names = file.timed
-    jumps = [(a, b) for a, b in zip(names, names[1:], strict=False) if file.times[a] == file.times[b]]
+    jumps = [(a, b) for a, b in itertools.pairwise(names) if file.times[a] == file.times[b]]
     if jumps:
         (one, two), more = jumps[0], len(jumps) - 1
         print(
@@ -157,7 +160,7 @@ def note_jumps(file: PoseFile, path: str) -> None:
         )
 
 
-def set_frames(args: argparse.Namespace, film: PoseFile | None, given: set[str]) -> list[float] | None:
+def set_frames(args: argparse.Namespace, film: PoseFile | PlaceFile | None, given: set[str]) -> list[float] | None:
     """Set number, rate and loop of the frames in `args` by the keys of a film; given: names of the options given.
     Returns the times of the frames, seconds; None, the frames being as they were asked for, without a film."""
     if film is None:
@@ -403,7 +406,7 @@ def _words(entry: Any, number: int, folder: pathlib.Path) -> EditWords:
 def _json(edit: EditWords, folder: pathlib.Path) -> dict[str, Any]:
     """An edit as JSON takes it: what differs from the default, a width of 0 too."""
     words = edit_words({name: getattr(edit, name) for name in ("falloff", "fragments")})
-    content = _replaced(edit, lambda path: _relative(path, folder)).to_json()
+    content = _replaced(edit, lambda path: path_from(folder, path)).to_json()
     content |= {name: value for name, value in words.items() if value is not None}
     return content | ({"held": edit.held_text} if "held" in content else {})
 
@@ -412,11 +415,3 @@ def _replaced(edit: EditWords, named: Callable[[str], str]) -> EditWords:
     """An edit whose files have other names."""
     posed = edit.posed if edit.posed is None or is_preset(edit.posed) else named(edit.posed)
     return dataclasses.replace(edit, cage=named(edit.cage), posed=posed)
-
-
-def _relative(path: str, folder: pathlib.Path) -> str:
-    """A path from a folder, with slashes, so that both can be moved together and read on any system."""
-    try:
-        return pathlib.PurePath(os.path.relpath(path, folder)).as_posix()
-    except ValueError:  # on another drive
-        return os.path.abspath(path)

@@ -49,6 +49,11 @@ def is_device_array(array: object) -> bool:
     return hasattr(array, "__dlpack__") or hasattr(array, "__cuda_array_interface__")
 
 
+def local_points(points: ArrayLike, origin: ArrayLike, device: wp.DeviceLike) -> wp.array:
+    """(n,) vec3 of points (n, 3) of the world, relative to the point `origin`, for kernels."""
+    return wp.array((np.asarray(points) - origin).astype(np.float32), dtype=wp.vec3, device=device)
+
+
 def empty_array(shape: int | tuple[int, ...], dtype: Any, device: wp.DeviceLike, *, pinned: bool = False) -> wp.array:
     """A Warp array whose values are not set yet; pinned memory of the CPU is page-locked."""
     return wp.empty(shape, dtype=dtype, device=device, pinned=pinned)  # whose annotations know float alone

@@ -288,6 +288,14 @@ def _replacing(path: PathLike) -> Iterator[pathlib.Path]:
             temporary.unlink()
 
 
+def path_from(folder: PathLike, path: PathLike) -> str:
+    """A path from a folder, with slashes, so that both can be moved together and read on any system."""
+    try:
+        return pathlib.Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # on another drive
+        return pathlib.Path(path).absolute().as_posix()
+
+
 def _permissions(path: pathlib.Path) -> int | None:
     """Who may read, write and execute a file; None where there is none yet."""
     try:

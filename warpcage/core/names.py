@@ -53,7 +53,11 @@ TRANSPARENT = "transparent"
 FIT_BACKGROUNDS = ("auto", "outer", "layers", "random", "constant")
 
 #: How the way from a key of a film to the next one goes.
-EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out")
+EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out", "ease-in-out", "bounce", "elastic")
+
+#: Moves of a film's camera by name with their amounts where none is given, and how words have them.
+MOVES = {"turn": 360.0, "dolly": 0.6, "crane": 25.0, "hand-held": 0.0, "follow": 0.0}
+MOVE_HELP = "turn[:DEGREES], dolly[:SHARE], crane[:DEGREES], hand-held[:SEED] or follow[:PART], several joined by +"
 
 #: What something in a scene stands on: what is level, what is upright, or either.
 PLANES = ("ground", "wall", "any")

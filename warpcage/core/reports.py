@@ -219,7 +219,7 @@ def without_driver_note() -> Iterator[None]:
         return
     _done.set()
     try:
-        kept, held = os.dup(2), tempfile.TemporaryFile()  # noqa: SIM115  (closed below)
+        kept, held = os.dup(2), tempfile.TemporaryFile()
     except OSError:  # no standard error, or nowhere to keep it
         yield
         return

@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..field.sparse import link_mask
 from ..field.voxel_field import VoxelField
 from ..kernels.edits.bake import bake_nodes, mark_filled_nodes
-from ..render.scene import LatticeEdits
+from ..render.scene import PosedScene
 from ..splats.splat_field import SplatField
 from .deformer import Deformer, SplatDeformer
 
@@ -130,10 +130,10 @@ def _baked(deformer: Deformer, resolution: int | None, bounds: ArrayLike | None)
     )
 
 
-def lattice_edits(deformer: Deformer) -> LatticeEdits:
+def lattice_edits(deformer: Deformer) -> PosedScene:
     """The edits of a Deformer, posed at rest where it was not posed, on lattices."""
     edits = deformer.posed_edits()
-    if isinstance(edits, LatticeEdits):
+    if isinstance(edits, PosedScene):
         return edits
     assert deformer.deformed is not None
     stand_in = Deformer(  # its own edits have no lattice: those of another Deformer in the same pose stand in

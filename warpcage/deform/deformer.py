@@ -6,8 +6,8 @@ import inspect
 import os
 import pathlib
 import re
-from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, overload
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, cast, overload
 
 import numpy as np
 import warp as wp
@@ -15,46 +15,24 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import PointsLike
-from ..core.checks import checked_flag, checked_path, checked_whole, require_type
+from ..core.checks import checked_path, checked_whole, require_type
 from ..core.devices import resolve_device
 from ..core.locks import owner_lock
-from ..core.names import (
-    DENSITIES,
-    FIELD_COORDINATES,
-    SPLAT_MAPS,
-    Coordinates,
-    Density,
-    SplatMap,
-    Store,
-    chosen,
-    require_coordinates,
-    require_name,
-    require_store,
-)
+from ..core.names import FIELD_COORDINATES, Coordinates, Density, SplatMap, Store
 from ..core.reports import Progress, hears
-from ..edits.edits import CageEdit, checked_edits
-from ..edits.falloff import FalloffBand
-from ..edits.fragments import found_fragments
+from ..edits.edits import checked_edits
 from ..errors import InputError, UseError
-from ..field.render import STOP_TRANSMITTANCE, MakeArrays, March
 from ..field.voxel_field import VoxelField
-from ..kernels.render.rays import MarchOptions, Picture
-from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
-from ..lattice.buffers import StreamOrder
 from ..mesh.validity import is_usable
-from ..render.scene import LatticeEdits
-from ..render.view import PosedEdits, ViewRequest, cage_span, require_short_march
+from ..render.view import PosedEdits
 from ..splats.io.formats import format_to_write
-from ..splats.matter import SplatDensity
-from ..splats.render import render_field
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
-from ..view.frame import MASK_NAMES, Frame, Frames
-from .exact import ExactEdits
+from ..view.frame import Frame, Frames
+from .backends import Backend, MapOptions, SplatBackend, VoxelBackend
 from .posed import DeformerOptions, PosedDeformer, PoseLike, RestLike
-from .poses import canonical_points, checked_pose, inverse_error
+from .poses import inverse_error
 from .splat_baking import baked_field, numbered_files, warn_of_others
-from .splat_edits import SplatEdits
 from .views import ViewOptions, render_pose, render_poses
 
 if TYPE_CHECKING:
@@ -106,6 +84,7 @@ class Deformer:
         resolution: Cells of the lattices, or None.
         density: "opacity" or "paper".
         store: "map" or "weights".
+        map: "forward", "backward", or None for the field's own way.
         deformed: The posed cages, one per edit, None for an edit that removes; None before the first pose.
         lock: Held while buffers are in use. Hold it around several calls that must see the same pose, and around what
             reads `posed_edits()`.
@@ -122,10 +101,19 @@ class Deformer:
             cls, field: VoxelField | SplatField, rest: RestLike, **options: Unpack[DeformerOptions]
         ) -> Deformer: ...
 
+    field: VoxelField
+    _backends: ClassVar[tuple[type[Backend], ...]] = (VoxelBackend, SplatBackend)
+    _kinds: ClassVar[dict[type, type]] = {}  # of Deformers that have more to say of a kind of field
+
+    def __init_subclass__(cls, of: type[Backend] | None = None, **options: Any):
+        super().__init_subclass__(**options)
+        if of is not None:
+            cls._backends = (of,)
+            Deformer._kinds[of.kind] = cls
+
     def __new__(cls, field: Any, *args: Any, **options: Any) -> Any:
-        if cls is Deformer and isinstance(field, SplatField):
-            return object.__new__(SplatDeformer)
-        return super().__new__(cls)
+        known = Deformer._kinds.items() if cls is Deformer else ()
+        return object.__new__(next((kind for of, kind in known if isinstance(field, of)), cls))
 
     @hears
     def __init__(
@@ -141,49 +129,29 @@ class Deformer:
         map: SplatMap | None = None,
         progress: bool | Progress = False,
     ):
-        require_type(field, VoxelField, "a Deformer needs")
-        assert isinstance(field, VoxelField)
-        if map not in (None, "backward"):
-            raise InputError(f'map={map!r} is for splats: voxels are looked up backward, "backward" or None')
-        require_coordinates(coordinates)
-        require_name(density, DENSITIES, "density")
-        if resolution is None and coordinates == "harmonic":
-            raise InputError("harmonic coordinates have no closed form: give a resolution, or mean_value or green")
-        require_store(store)
-        if resolution is None and store != "map":
-            raise InputError('store="weights" keeps weights on a lattice: give a resolution')
+        backend = next((each for each in self._backends if isinstance(field, each.kind)), self._backends[0])
+        require_type(field, backend.kind, f"a {type(self).__name__} needs")
+        asked = MapOptions(coordinates, resolution, density, store, map)
+        backend.check(asked)
         self.edits = checked_edits(rest)
         self.device = field.device if device is None else resolve_device(device)
-        self.field = field.to(self.device)
+        self.field = cast(Any, field).to(self.device)
         self.coordinates: Coordinates = coordinates
         self.density: Density = density
         self.store: Store = store
+        self.map: SplatMap | None = map
         self.resolution = resolution
         self.deformed: list[Cage | None] | None = None
-        self.lock, self._order = owner_lock(self.device), StreamOrder(self.device)
-        self._held: list[Cage | None] | None = None  # the pose that is in the buffers
-        self._spans: list[float] = []  # of its cages
-        self._edits: PosedEdits
+        self.lock = owner_lock(self.device)
         with self.lock:
-            self._order.follow()
-            self._bands = [FalloffBand(edit, self.field) if edit.falloff > 0.0 else None for edit in self.edits]
-            self._carried = [found_fragments(edit, self.field, index) for index, edit in enumerate(self.edits)]
-            origin, device = self.field.center, self.device
-            if resolution is None:
-                self._edits = ExactEdits(self.edits, coordinates, origin, device, self._bands, self._carried)
-            else:
-                kept = store, self._bands, self._carried
-                edits = self._edits = LatticeEdits(self.edits, coordinates, resolution, origin, device, *kept)
-                edits.warm(self.field)
+            self._backend = backend(self.field, self.edits, asked)
 
     @property
     def reached_bounds(self) -> np.ndarray:
         """(2, 3) box of all that the field and the posed cages reach, fragments that go with them too; world units."""
         with self.lock:
-            self.posed_edits()
-            boxes = [cage.bounds for cage in self.deformed or [] if cage is not None]
-            boxes += [each.bounds for each in self._carried if each is not None and each.bounds is not None]
-            reached = np.stack([self.field.bounds, *boxes])
+            boxes = [cage.bounds for cage in self._posed_cages() if cage is not None]
+            reached = np.stack([self.field.bounds, *boxes, *self._backend.reached()])
         return np.stack([reached[:, 0].min(axis=0), reached[:, 1].max(axis=0)])
 
     def __reduce__(self):
@@ -204,11 +172,11 @@ class Deformer:
                 (inverted, open, without volume); the pose before stays then. Also for too little memory, or a cage so
                 far from the field that float32 cannot tell the cells of its lattice apart; the cages are at rest then.
         """
-        cages = self._checked(deformed)
+        cages = self._backend.checked(deformed)
         with self.lock:
             before, self.deformed = self.deformed, None  # should this fail half-way, the next use starts from rest
             try:
-                self._hold(cages)
+                self._backend.hold(cages)
             except ValueError:
                 if not all(cage is None or is_usable(cage) for cage in cages):
                     self.deformed = before
@@ -231,9 +199,9 @@ class Deformer:
         Raises:
             ValueError: As `pose`.
         """
-        cages = self._checked(deformed)
+        cages = self._backend.checked(deformed)
         with self.lock:
-            self._hold(cages)
+            self._backend.hold(cages)
         return PosedDeformer(self, cages)
 
     def posed_edits(self) -> PosedEdits:
@@ -242,28 +210,14 @@ class Deformer:
         Hold `lock` over this and what reads it, where several threads use this Deformer.
         """
         with self.lock:
-            if self.deformed is None:
-                self.pose([None if edit.remove else edit.cage for edit in self.edits])
-            assert self.deformed is not None
-            return self._hold(self.deformed)
+            return self._backend.hold(self._posed_cages())
 
-    def _checked(self, deformed: PoseLike | Sequence[PoseLike | None]) -> list[Cage | None]:
-        """The cages of a pose, one per edit. Whether they can be used is for the edits to find, which have the device
-        at work meanwhile."""
-        cages = list(deformed) if isinstance(deformed, list | tuple) else [deformed]
-        if len(cages) != len(self.edits):
-            raise InputError(f"a pose needs one cage per edit, {len(self.edits)}, got {len(cages)}")
-        numbered = enumerate(zip(self.edits, cages, self._bands, strict=True))
-        return [checked_pose(edit, cage, index, band) for index, (edit, cage, band) in numbered]
-
-    def _hold(self, cages: list[Cage | None]) -> PosedEdits:
-        """The edits with this pose in their buffers, computed where another one is there. Needs the lock."""
-        self._order.follow()  # poses and frames of other streams share the buffers
-        if self._held is not cages:
-            self._held = None
-            self._edits.pose(cages)
-            self._held, self._spans = cages, [cage_span(cage) for cage in cages]
-        return self._edits
+    def _posed_cages(self) -> list[Cage | None]:
+        """The cages of the last pose, at rest where there was none."""
+        if self.deformed is None:
+            self.pose([None if edit.remove else edit.cage for edit in self.edits])
+        assert self.deformed is not None
+        return self.deformed
 
     def inverse_error(self, points: Any = None, *, edit: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """How far apart the two maps of the last pose draw the same matter: 0 where each is the inverse of the other.
@@ -310,7 +264,7 @@ class Deformer:
                 positive and finite.
         """
         with self.lock:
-            return self._to_canonical(self.posed_edits(), points, directions, step, return_outside)
+            return self._backend.to_canonical(self._posed_cages(), points, directions, step, return_outside)
 
     @overload
     def render(self, camera: Camera, **options: Unpack[ViewOptions]) -> Frame: ...
@@ -354,7 +308,7 @@ class Deformer:
         """
         with self.lock:
             how = background, step, supersampling, antialias
-            return render_pose(self, self.posed_edits, camera, how, outputs, flow_pose, flow_camera)
+            return render_pose(self._backend, self._posed_cages(), camera, how, outputs, flow_pose, flow_camera)
 
     def render_poses(
         self,
@@ -391,64 +345,10 @@ class Deformer:
         """
         with self.lock:
             how = background, step, supersampling, antialias
-            return render_poses(self, poses, camera, how, outputs, flow_poses, flow_camera)
-
-    def _to_canonical(
-        self, edits: PosedEdits, points: Any, directions: Any, step: float | None, return_outside: bool
-    ) -> tuple[Any, ...]:
-        """`to_canonical` of the pose that the buffers hold."""
-        return canonical_points(self.field, edits, points, directions, step, return_outside)
-
-    def _render(
-        self,
-        posed_edits: Callable[[], PosedEdits],
-        camera: Camera,
-        background: str | ArrayLike | None,
-        step: float | None,
-        supersampling: int | None,
-        antialias: bool | None,
-        into: dict[str, wp.array] | None = None,
-        again: bool = False,
-    ) -> Frame:
-        """`render` of a pose, which is worked out once the rest is checked. into: arrays (h * w,) to fill, None makes
-        new ones; again: a view of the same call came before, and densities are as it found them."""
-        if antialias is not None and checked_flag(antialias, "antialias"):
-            raise InputError("antialias is for splats: voxels take more rays a pixel (supersampling)")
-        march_step, work = self.field.march_step(step, camera)
-        field, center = self.field, wp.vec3(*(camera.center - self.field.center).tolist())
-
-        def begin() -> March:
-            edits = posed_edits()
-            require_short_march(self._spans, march_step)
-            edits.begin_view(field, center, march_step)
-            if not again:
-                field.marching.begin()
-            tables = edits.row_tables(field, center, march_step)
-
-            def march(threads: int, pinhole: Any, color: wp.vec3, make_arrays: MakeArrays) -> None:
-                options = self._march_options(march_step)
-                picture = Picture()
-                for name, array in make_arrays().items():
-                    setattr(picture, name, array)
-                grid = field.marching.marched if again else field.marching.grid()
-                edits.prepare(grid, march_step)
-                edits.render(ViewRequest(field, grid, tables, pinhole, color, options, picture, threads, work))
-
-            return march
-
-        how: dict[str, Any] = {"background": background, "supersampling": supersampling}
-        return field.render_by(begin, camera, **how, masks=MASK_NAMES, into=into)
-
-    def _march_options(self, step: float) -> Any:
-        """The MarchOptions of a view."""
-        options = MarchOptions()
-        options.step, options.inverse_step = step, 1.0 / step
-        options.stop = STOP_TRANSMITTANCE
-        options.arc_opacity = chosen(self.density, "density", opacity=1, paper=0)
-        return options
+            return render_poses(self._backend, poses, camera, how, outputs, flow_poses, flow_camera)
 
 
-class SplatDeformer(Deformer):
+class SplatDeformer(Deformer, of=SplatBackend):
     """Gaussian splats as cages deform them. `Deformer(splat_field, cage)` makes one.
 
     Splats are matter, so that they move forward: each is bound to the cage at rest once, and a pose is one weighted sum
@@ -493,49 +393,6 @@ class SplatDeformer(Deformer):
 
     field: SplatField  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    @hears
-    def __init__(
-        self,
-        field: SplatField,
-        rest: RestLike,
-        *,
-        coordinates: Coordinates = FIELD_COORDINATES,
-        resolution: int | None = 128,
-        density: Density = "opacity",
-        device: wp.DeviceLike = None,
-        store: Store = "map",
-        map: SplatMap | None = None,
-        progress: bool | Progress = False,
-    ):
-        require_type(field, SplatField, "a SplatDeformer needs")
-        require_coordinates(coordinates)
-        require_name(density, DENSITIES, "density")
-        self.coordinates, self.density = coordinates, density
-        self.map = "forward" if map is None else require_name(map, SPLAT_MAPS, "map")
-        if store != "map":
-            raise InputError(f'splats keep their weights: store must be "map", got {store!r}')
-        self.store, self.resolution = store, resolution
-        self.edits = checked_edits(rest)
-        if any(edit.fragments > 0.0 for edit in self.edits):
-            raise InputError("fragments are for voxels: splats of a part that hang over its wall go by their shares")
-        self.device = field.device if device is None else resolve_device(device)
-        self.field = field.to(self.device)
-        self.deformed = None
-        self.lock, self._order = owner_lock(self.device), StreamOrder(self.device)
-        self._held = None
-        with self.lock:
-            self._bands = [self._band(edit) if edit.falloff > 0.0 else None for edit in self.edits]
-            law = chosen(density, "density", opacity=LAW_RAYS, paper=LAW_DENSITY)
-            backward = self.map == "backward"
-            self._edits: Any = SplatEdits(self.field, self.edits, coordinates, resolution, law, backward, self._bands)
-
-    def _band(self, edit: CageEdit) -> FalloffBand:
-        """The band of an edit; what walls cut is found among the splats near its cage."""
-        low, high = edit.cage.bounds
-        reach = 0.1 * edit.cage.size
-        matter: Any = SplatDensity(self.field, bounds=np.array([low - reach, high + reach]))
-        return FalloffBand(edit, matter)
-
     def pose(self, deformed: PoseLike | Sequence[PoseLike | None]) -> SplatDeformer:
         """Move the cages; see `Deformer.pose`.
 
@@ -569,7 +426,7 @@ class SplatDeformer(Deformer):
             The field, on the same device.
         """
         with self.lock:
-            posed, edits = self.posed_splats(), self._edits
+            posed, edits = self.posed_splats(), self._backend.posed
             if posed is self.field.splats:
                 return self.field
             return baked_field(self.field, posed, edits)
@@ -618,30 +475,9 @@ class SplatDeformer(Deformer):
         warn_of_others(pattern, marks[0], written)
         return written
 
-    def _to_canonical(self, edits: Any, points: Any, directions: Any, step: float | None, return_outside: bool) -> Any:
-        raise InputError(
-            "to_canonical looks points up backward, as voxels are: splats move forward; take deform_points for points, "
-            "or posed_splats for the splats themselves"
-        )
-
-    def _render(
-        self,
-        posed_edits: Any,
-        camera: Camera,
-        background: str | ArrayLike | None,
-        step: float | None,
-        supersampling: int | None,
-        antialias: bool | None,
-        into: dict[str, wp.array] | None = None,
-        again: bool = False,
-    ) -> Frame:
-        """`render` of a pose."""
-        if step is not None:
-            raise InputError("splats are not marched through: leave step out")
-        return render_field(self.field, posed_edits().posed, camera, background, supersampling, antialias, into)
-
 
 # `__new__`, which chooses the class, would hide it
 for _class in (Deformer, SplatDeformer):
     _of_self = inspect.signature(_class.__init__)
-    _class.__signature__ = _of_self.replace(parameters=list(_of_self.parameters.values())[1:])  # pyright: ignore
+    _given = list(_of_self.parameters.values())[1:]
+    _class.__signature__ = _of_self.replace(parameters=_given)  # pyright: ignore[reportAttributeAccessIssue]

@@ -10,20 +10,23 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..coordinates.coordinates import stretched_normals
-from ..core.arrays import empty_array
+from ..core.arrays import empty_array, local_points
 from ..core.devices import launch
 from ..core.names import chosen
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand
 from ..edits.fragments import CarriedFragments
 from ..edits.maps import EditLattices, cell_shape
+from ..field.render import FieldView, finish_frame
 from ..kernels.edits import cell_tables, points_exact
 from ..kernels.edits.structs import CellTable, ExactEdit
 from ..kernels.render.views import exact_kernel
 from ..mesh.mesh import prepared_fans
 from ..mesh.queries import SURFACE_TOLERANCE
+from ..render.launch import FrameLauncher, frame_target
 from ..render.modules import load_pose_modules
 from ..render.view import PosedEdits
+from ..view.frame import Frame
 
 #: How far the map may lead out of the rest cage before a sample counts as outside, as a share of the cage's size:
 #: float32 evaluates the maps to about 1e-5.
@@ -38,6 +41,8 @@ class ExactEdits(PosedEdits):
     """Edits whose mean value or Green coordinates are evaluated at every sample ("precise").
     bands, carried: one or None for each edit, () for none at all."""
 
+    map_kernel = points_exact.map_points_precisely
+
     # A lattice map of the same coordinates finds cells clear of a cage or that show nothing, and carries fragments.
 
     def __init__(
@@ -49,7 +54,7 @@ class ExactEdits(PosedEdits):
         bands: Sequence[FalloffBand | None] = (),
         carried: Sequence[CarriedFragments | None] = (),
     ):
-        super().__init__(points_exact.map_points_precisely, exact_kernel())
+        self.array, self.launcher = None, FrameLauncher(device)
         self._edits, self._origin, self._device = edits, origin, device
         self.sample_work = sum(len(edit.cage.faces) for edit in edits)  # each face is looked at
         self._is_green = chosen(coordinates, "coordinates", mean_value=False, green=True)
@@ -70,12 +75,22 @@ class ExactEdits(PosedEdits):
                 self._edits, cages, self._bands, self._rest_cells, self.guide.posed(), strict=True
             )
         ]
-        self.array = self.scene = wp.array(self._structs, dtype=ExactEdit, device=self._device)
+        self.array = wp.array(self._structs, dtype=ExactEdit, device=self._device)
 
     def prepare(self, grid: Any, step: float) -> None:
         # half a cell larger, as the lattice's map is only near the exact one
         margin = GUIDE_MARGIN * max(guide.deformed.spacing for guide, _ in self.guide.posed())
         self.guide.mark_empty(grid, step + margin)
+
+    def render(self, view: FieldView, arc_opacity: int) -> Frame:
+        marching = view.field.marching
+        if not view.is_again:
+            marching.begin()
+        target = frame_target(view, arc_opacity)
+        grid = marching.marched if view.is_again else marching.grid()
+        self.prepare(grid, view.step)
+        self.launcher.march(exact_kernel(), [grid, self.array], target, work=self.sample_work)
+        return finish_frame(view, target.arrays)
 
     def _struct(
         self,
@@ -90,8 +105,8 @@ class ExactEdits(PosedEdits):
         rest, fans = edit.cage, edit.cage.topology.fans
         deformed = rest if cage is None else cage
         struct = ExactEdit()
-        struct.deformed_vertices = self._local(deformed.vertices)
-        struct.rest_vertices = self._local(rest.vertices)
+        struct.deformed_vertices = local_points(deformed.vertices, self._origin, self._device)
+        struct.rest_vertices = local_points(rest.vertices, self._origin, self._device)
         struct.faces = wp.array(fans.faces, dtype=wp.vec3i, device=self._device)
         struct.fans = prepared_fans(struct.deformed_vertices, struct.faces, deformed.size)
         if self._is_green:
@@ -107,10 +122,6 @@ class ExactEdits(PosedEdits):
         struct.is_green = int(self._is_green)
         struct.keeps_source, struct.removes = int(edit.keep_source), int(edit.remove)
         return struct
-
-    def _local(self, vertices: np.ndarray) -> wp.array:
-        """(v,) vec3 on the device, relative to the origin."""
-        return wp.array((vertices - self._origin).astype(np.float32), dtype=wp.vec3, device=self._device)
 
 
 def settled_rest_cells(rest: Any, slack: float, device: wp.Device) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, overload
@@ -57,7 +56,7 @@ class PosedDeformer:
         `Deformer.to_canonical`."""
         shared = self.deformer
         with shared.lock:
-            return shared._to_canonical(shared._hold(self.deformed), points, directions, step, return_outside)
+            return shared._backend.to_canonical(self.deformed, points, directions, step, return_outside)
 
     @overload
     def render(self, camera: Camera, **options: Unpack[ViewOptions]) -> Frame: ...
@@ -78,5 +77,4 @@ class PosedDeformer:
         """The view of a camera, or those of several, of the scene in this pose; see `Deformer.render`."""
         shared, how = self.deformer, (background, step, supersampling, antialias)
         with shared.lock:
-            hold = functools.partial(shared._hold, self.deformed)
-            return render_pose(shared, hold, camera, how, outputs, flow_pose, flow_camera)
+            return render_pose(shared._backend, self.deformed, camera, how, outputs, flow_pose, flow_camera)

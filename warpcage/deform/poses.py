@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,15 @@ from ..render.view import PosedEdits
 
 #: Cells along the longest side of the posed cage's box, of the grid at whose nodes the maps are compared.
 CELLS = 24
+
+
+def checked_poses(edits: Sequence[CageEdit], bands: Sequence[FalloffBand | None], deformed: Any) -> list[Cage | None]:
+    """The cages of a pose, one per edit, as callers give it; whether they can be used is for the edits to find."""
+    cages = list(deformed) if isinstance(deformed, list | tuple) else [deformed]
+    if len(cages) != len(edits):
+        raise InputError(f"a pose needs one cage per edit, {len(edits)}, got {len(cages)}")
+    numbered = enumerate(zip(edits, cages, bands, strict=True))
+    return [checked_pose(edit, cage, index, band) for index, (edit, cage, band) in numbered]
 
 
 def checked_pose(edit: CageEdit, cage: Any, index: int, band: FalloffBand | None = None) -> Cage | None:

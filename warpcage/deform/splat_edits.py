@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from ..cage.cage import Cage
-from ..core.arrays import empty_array
+from ..core.arrays import empty_array, local_points
 from ..core.devices import lane_count, launch
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand, tell_of_squeezing
@@ -257,7 +257,7 @@ class SplatEdits:
 
     def local(self, points: np.ndarray) -> wp.array:
         """(n,) vec3 on the device, relative to the origin; points (n, 3) world units."""
-        return wp.array((points - self.origin).astype(np.float32), dtype=wp.vec3, device=self.device)
+        return local_points(points, self.origin, self.device)
 
     def _empty_splats(self, count: int) -> Any:
         """The Splats that poses are written to."""

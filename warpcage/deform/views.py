@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
@@ -13,7 +12,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.arrays import array_view, as_host_array, empty_array, is_device_array, struct_array
+from ..core.arrays import array_view, as_host_array, empty_array, is_device_array, local_points, struct_array
 from ..core.checks import require_type, shown
 from ..core.devices import launch
 from ..core.names import require_name
@@ -22,13 +21,12 @@ from ..field.render import picture_arrays
 from ..kernels.render.pixels import MovedCage, find_flow, follow_kernel, trace_kernel
 from ..mesh.mesh import prepared_fans
 from ..render.view import PosedEdits
-from ..splats.splat_field import SplatField
 from ..view.camera import Camera, camera_struct
 from ..view.frame import MASK_NAMES, OUTPUT_NAMES, PART_NAMES, Frame, Frames
+from .backends import Backend
 from .exact import ExactEdits
 
 if TYPE_CHECKING:
-    from .deformer import Deformer
     from .posed import PoseLike
 
 #: How near to where it was a place of another pose must lead back, as a share of the largest rest cage's size.
@@ -55,7 +53,7 @@ class Views:
     """Views that were asked for by one call, each with its pose."""
 
     cameras: Sequence[Camera]
-    holds: Sequence[Callable[[], PosedEdits]]  # each puts the pose of a view into the buffers
+    poses: Sequence[list[Cage | None]]  # of each view
     how: tuple[Any, ...]  # background, step, supersampling, antialias
     names: Sequence[str]  # of OUTPUT_NAMES
     flow_poses: Sequence[list[Cage | None]]  # to which flow goes; empty where it stays in each view's own
@@ -63,28 +61,28 @@ class Views:
 
 
 def render_pose(
-    deformer: Deformer,
-    hold: Callable[[], PosedEdits],
+    backend: Backend,
+    cages: list[Cage | None],
     camera: Camera | Sequence[Camera],
     how: tuple[Any, ...],
     outputs: str | Sequence[str],
     flow_pose: Any,
     flow_camera: Camera | Sequence[Camera] | None,
 ) -> Frame | Frames:
-    """See `Deformer.render`; hold: puts the pose into the buffers. Needs the lock."""
-    names = checked_outputs(deformer, outputs, flow_pose is not None or flow_camera is not None)
+    """See `Deformer.render`; needs the lock."""
+    names = checked_outputs(backend, outputs, flow_pose is not None or flow_camera is not None)
     if isinstance(camera, Camera) and not names:
-        return deformer._render(hold, camera, *how)
+        return backend.render(cages, camera, how)
     cameras = checked_cameras(camera)
     count = len(cameras)
-    poses = [] if flow_pose is None else count * [deformer._checked(flow_pose)]
+    poses = [] if flow_pose is None else count * [backend.checked(flow_pose)]
     aims = checked_aims(cameras, flow_camera, names)
-    frames = render_views(deformer, Views(cameras, count * [hold], how, names, poses, aims))
+    frames = render_views(backend, Views(cameras, count * [cages], how, names, poses, aims))
     return frames if is_several(camera) else frames[0]
 
 
 def render_poses(
-    deformer: Deformer,
+    backend: Backend,
     poses: Any,
     camera: Camera | Sequence[Camera],
     how: tuple[Any, ...],
@@ -92,15 +90,14 @@ def render_poses(
     flow_poses: Any,
     flow_camera: Camera | Sequence[Camera] | None,
 ) -> Frames:
-    """See `Deformer.render_poses`. Needs the lock."""
-    names = checked_outputs(deformer, outputs, flow_poses is not None or flow_camera is not None)
-    cages = [deformer._checked(pose) for pose in listed_poses(poses)]
+    """See `Deformer.render_poses`; needs the lock."""
+    names = checked_outputs(backend, outputs, flow_poses is not None or flow_camera is not None)
+    cages = [backend.checked(pose) for pose in listed_poses(poses)]
     cameras = checked_cameras(camera, len(cages))
-    others = [] if flow_poses is None else [deformer._checked(pose) for pose in listed_poses(flow_poses)]
+    others = [] if flow_poses is None else [backend.checked(pose) for pose in listed_poses(flow_poses)]
     if flow_poses is not None and len(others) != len(cages):
         raise InputError(f"there must be as many flow_poses as poses, {len(cages)}, got {len(others)}")
-    holds = [functools.partial(deformer._hold, each) for each in cages]
-    return render_views(deformer, Views(cameras, holds, how, names, others, checked_aims(cameras, flow_camera, names)))
+    return render_views(backend, Views(cameras, cages, how, names, others, checked_aims(cameras, flow_camera, names)))
 
 
 def listed_poses(poses: Any) -> list[Any]:
@@ -133,7 +130,7 @@ def checked_aims(cameras: list[Camera], flow_camera: Any, names: Sequence[str]) 
     return cameras if flow_camera is None else checked_cameras(flow_camera, len(cameras))
 
 
-def checked_outputs(deformer: Deformer, outputs: str | Sequence[str], flows: bool) -> list[str]:
+def checked_outputs(backend: Backend, outputs: str | Sequence[str], flows: bool) -> list[str]:
     """Those of OUTPUT_NAMES that a caller wants, once each. flows: another pose or camera was given."""
     asked = list(outputs) if isinstance(outputs, Iterable) and not isinstance(outputs, str) else [outputs]
     for name in asked:
@@ -143,12 +140,12 @@ def checked_outputs(deformer: Deformer, outputs: str | Sequence[str], flows: boo
         raise InputError('flow_pose and flow_camera say where flow goes: ask for it, outputs=["flow"]')
     if "flow" in names and not flows:
         raise InputError('outputs=["flow"] needs where it goes: flow_pose, flow_camera or both')
-    if names and isinstance(deformer.field, SplatField):
+    if names and not backend.masks:
         raise InputError(f"{', '.join(names)} look pixels up backward, as voxels are: splats move forward")
     return names
 
 
-def render_views(deformer: Deformer, views: Views) -> Frames:
+def render_views(backend: Backend, views: Views) -> Frames:
     """The views, in one allocation; needs the lock. Between those of one pose the host waits for nothing."""
     sizes = [(camera.width, camera.height) for camera in views.cameras]
     other = next((number for number, size in enumerate(sizes) if size != sizes[0]), None)
@@ -156,28 +153,28 @@ def render_views(deformer: Deformer, views: Views) -> Frames:
         one, two = ("x".join(map(str, sizes[number])) for number in (0, other))
         raise InputError(f"cameras of one call must have one size: the first has {one}, number {other} has {two}")
     count, pixels = len(sizes), math.prod(sizes[0])
-    device = deformer.device
-    parts = PART_NAMES if isinstance(deformer.field, SplatField) else (*PART_NAMES, *MASK_NAMES)
+    device = backend.device
+    parts = (*PART_NAMES, *backend.masks)
     arrays = picture_arrays(count * pixels, (*parts, *views.names), device)
     tracks = count * pixels if views.flow_poses else 0  # pixels that are followed to another pose
     scratch = {"places": empty_array(tracks, wp.vec3, device), "paths": empty_array(tracks, wp.int32, device)}
     own = [_parts_of({**arrays, **scratch}, pixels, number) for number in range(count)]
     frames = []
-    for number, (camera, hold) in enumerate(zip(views.cameras, views.holds, strict=True)):
+    for number, (camera, cages) in enumerate(zip(views.cameras, views.poses, strict=True)):
         into = {name: own[number][name] for name in parts}
-        frame = deformer._render(hold, camera, *views.how, into=into, again=number > 0)
+        frame = backend.render(cages, camera, views.how, into=into, is_again=number > 0)
         if tracks or {"canonical", "instance"} & set(views.names):
-            _trace(deformer, hold(), camera, own[number])
+            _trace(backend, backend.hold(cages), camera, own[number])
         frame.arrays.update({name: own[number][name] for name in views.names})
         frames.append(frame)
     last, moved = None, []
     for cages, mine in zip(views.flow_poses, own, strict=False):
-        edits = deformer._hold(cages)
+        edits = backend.hold(cages)
         if cages is not last:
-            last, moved = cages, _moved_cages(deformer, cages)
-        _follow(deformer, edits, struct_array(moved, MovedCage, device), mine)
+            last, moved = cages, _moved_cages(backend, cages)
+        _follow(backend, edits, struct_array(moved, MovedCage, device), mine)
     for camera, other, mine in zip(views.cameras, views.flow_cameras, own, strict=False):
-        seen, target = (camera_struct(each, deformer.field.center) for each in (camera, other))
+        seen, target = (camera_struct(each, backend.field.center) for each in (camera, other))
         inputs = [seen, mine["depth"], mine["places"], target]
         launch(find_flow, pixels, inputs, [mine["flow"]], device=device)
     return Frames(frames, arrays)
@@ -193,9 +190,9 @@ def _parts_of(arrays: dict[str, wp.array], pixels: int, number: int) -> dict[str
     }
 
 
-def _trace(deformer: Deformer, edits: PosedEdits, camera: Camera, own: dict[str, wp.array]) -> None:
+def _trace(backend: Backend, edits: PosedEdits, camera: Camera, own: dict[str, wp.array]) -> None:
     """Find what the pixels of a view show, of the pose that the buffers hold."""
-    center, device = deformer.field.center, deformer.device
+    center, device = backend.field.center, backend.device
     none = {"canonical": empty_array(0, wp.vec3, device), "instance": empty_array(0, wp.int32, device)}
     outputs = [{**none, **own}[name] for name in ("canonical", "instance", "places", "paths")]
     inputs = [edits.array, wp.vec3(*center), camera_struct(camera, center), own["depth"]]
@@ -203,25 +200,22 @@ def _trace(deformer: Deformer, edits: PosedEdits, camera: Camera, own: dict[str,
     launch(kernel, own["depth"].size, inputs, outputs, device=device, work=edits.sample_work)
 
 
-def _follow(deformer: Deformer, edits: PosedEdits, cages: wp.array, own: dict[str, wp.array]) -> None:
+def _follow(backend: Backend, edits: PosedEdits, cages: wp.array, own: dict[str, wp.array]) -> None:
     """Take the places of a view to the pose that the buffers hold; cages: its MovedCages."""
-    close = CLOSE * max(edit.cage.size for edit in deformer.edits)
+    close = CLOSE * max(edit.cage.size for edit in backend.edits)
     inputs, places = [edits.array, cages, close, own["paths"]], own["places"]
     kernel, work = follow_kernel(isinstance(edits, ExactEdits)), FOLLOW_WORK * edits.sample_work
-    launch(kernel, places.size, inputs, [places], device=deformer.device, work=work)
+    launch(kernel, places.size, inputs, [places], device=backend.device, work=work)
 
 
-def _moved_cages(deformer: Deformer, cages: Sequence[Cage | None]) -> list[Any]:
+def _moved_cages(backend: Backend, cages: Sequence[Cage | None]) -> list[Any]:
     """The MovedCage of each edit in a pose."""
-    center, device = deformer.field.center, deformer.device
+    center, device = backend.field.center, backend.device
     structs = []
-    for edit, cage in zip(deformer.edits, cages, strict=True):
+    for edit, cage in zip(backend.edits, cages, strict=True):
         struct, rest = MovedCage(), edit.cage
         if cage is not None:
-            struct.vertices, struct.targets = (
-                wp.array((each.vertices - center).astype(np.float32), dtype=wp.vec3, device=device)
-                for each in (rest, cage)
-            )
+            struct.vertices, struct.targets = (local_points(each.vertices, center, device) for each in (rest, cage))
             struct.faces = wp.array(rest.topology.fans.faces, dtype=wp.vec3i, device=device)
             struct.fans, struct.size = prepared_fans(struct.vertices, struct.faces, rest.size), rest.size
         structs.append(struct)

@@ -22,12 +22,26 @@ class EditBoxes:
 
     changed: np.ndarray  # around the posed cage and the rest cage of each: beyond, it changes nothing
     sources: np.ndarray  # around where its map may lead
+    _wider: dict[float, np.ndarray] = dataclasses.field(default_factory=dict, init=False, repr=False, compare=False)
 
     def are_apart(self, reach: float) -> bool:
         """Whether no place has to do with two edits, where a sample looks as far as `reach`, world units, from its
         place."""
         between, beneath = self._least_gaps
         return between > 2.0 * reach and beneath > 0.0  # maps lead to their own rest cages, which no edit changed
+
+    def front_to_back(self, center: ArrayLike, reach: float) -> tuple[int, ...] | None:
+        """The edits in an order in which rays from `center` (3,) meet them, where they `are_apart`. None where they may
+        meet, or hide each other in a circle."""
+        order = front_to_back(self.reaching(reach), center) if self.are_apart(reach) else None
+        return None if order is None else tuple(order)
+
+    def reaching(self, reach: float) -> np.ndarray:
+        """(n, 2, 3) boxes of places that samples look at which look as far as `reach`; kept, as frames ask again."""
+        if self._wider.get(reach) is None:
+            self._wider.clear()
+            self._wider[reach] = wider(self.changed, reach)
+        return self._wider[reach]
 
     @functools.cached_property
     def _least_gaps(self) -> tuple[float, float]:

@@ -96,10 +96,15 @@ def faded_map(cage_map: Any, walls: Any, held: Any = None) -> Any:
     else:
         faded.positions = empty_array(positions.shape, wp.vec3, device)
     launch(kernels.fade_nodes, positions.size, [cage_map, walls], [faded.positions], device=device)
-    if cage_map.side_index is not None and cage_map.side_index.size:
+    if has_sides(cage_map):
         faded.side_index, faded.sides = cage_map.side_index, wp.clone(cage_map.sides)
         launch(kernels.fade_sides, positions.size, [cage_map, walls], [faded.sides], device=device)
     return faded
+
+
+def has_sides(cage_map: Any) -> bool:
+    """Whether a CageMap has cells at narrow gaps of its cage."""
+    return cage_map.side_index is not None and cage_map.side_index.size > 0
 
 
 def tell_of_squeezing(maps: Sequence[PositionMap | None], bands: Sequence[FalloffBand | None]) -> None:

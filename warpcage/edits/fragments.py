@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.arrays import empty_array
+from ..core.arrays import empty_array, local_points
 from ..core.checks import warn_caller
 from ..core.devices import launch
 from ..core.memory import require_memory
@@ -22,6 +21,7 @@ from ..kernels.mesh.triangle import Walls
 from ..lattice.buffers import BufferPool
 from ..mesh.mesh import prepared_fans
 from .edits import CageEdit
+from .falloff import has_sides
 
 
 def fragment_voxels(field: VoxelField, cage: Cage, size: float) -> np.ndarray:
@@ -104,11 +104,12 @@ class CarriedFragments:
         corners, rows = np.unique((self.voxels[:, None] + CORNERS).reshape(-1, 3), axis=0, return_inverse=True)
         self._rows = rows.reshape(len(self.voxels), len(CORNERS))  # of the corners of each voxel
         self._points, self._corners = (
-            self._local(field.bounds[0] + (nodes + 0.5) * field.voxel_size) for nodes in (self.voxels, corners)
+            local_points(field.bounds[0] + (nodes + 0.5) * field.voxel_size, self._origin, self._device)
+            for nodes in (self.voxels, corners)
         )
         fans = edit.cage.topology.fans
         self._walls = extension.WallMap()
-        self._walls.rest = self._local(edit.cage.vertices)
+        self._walls.rest = local_points(edit.cage.vertices, self._origin, self._device)
         self._walls.faces = wp.array(fans.faces, dtype=wp.vec3i, device=self._device)
         self._walls.rest_size = edit.cage.size
         self._walls.rest_fans = prepared_fans(self._walls.rest, self._walls.faces, edit.cage.size)
@@ -118,15 +119,11 @@ class CarriedFragments:
         self._mark_buffer = pool.buffer(wp.uint8)
         self._marks: wp.array | None = None
 
-    def _local(self, vertices: ArrayLike) -> wp.array:
-        """(v,) vec3 on the device, relative to the origin."""
-        return wp.array((np.asarray(vertices) - self._origin).astype(np.float32), dtype=wp.vec3, device=self._device)
-
     def extended(self, cage: Cage, plain: Any, cage_map: Any, walls: Any = None) -> Any:
         """The CageMap of a pose on a lattice that reaches as far as its fragments. plain: the CageMap before it fades;
         cage_map: once it is faded, or `plain` again; walls: the Walls towards which it fades, or None."""
         data = self._walls
-        data.posed = self._local(cage.vertices)
+        data.posed = local_points(cage.vertices, self._origin, self._device)
         data.posed_size = cage.size
         data.posed_fans = prepared_fans(data.posed, data.faces, cage.size)
         data.plain, data.walls = plain, Walls() if walls is None else walls
@@ -200,12 +197,11 @@ class CarriedFragments:
         corner = np.array(cage_map.lower) - cage_map.spacing * self.before
         result.lower = wp.vec3(*corner)
         result.positions, result.distance = self._positions.take(shape), self._distance.take(shape)
-        has_sides = cage_map.side_index is not None and cage_map.side_index.size > 0
-        sides = self._sides.take(int(np.prod(shape)) if has_sides else 0)
+        sides = self._sides.take(int(np.prod(shape)) if has_sides(cage_map) else 0)
         inputs = [cage_map, wp.vec3i(*(int(n) for n in self.before))]
         outputs = [result.positions, result.distance, sides]
         launch(extension.pad_nodes, result.distance.size, inputs, outputs, device=self._device)
-        if has_sides:
+        if has_sides(cage_map):
             result.side_index, result.sides = sides, cage_map.sides
         return result
 

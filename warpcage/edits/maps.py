@@ -26,7 +26,7 @@ from ..lattice.position_map import PositionMap
 from ..mesh.queries import SURFACE_TOLERANCE
 from ..mesh.validity import require_usable, size_problem
 from .edits import CageEdit
-from .falloff import FalloffBand, faded_map, folded_cells, tell_of_squeezing
+from .falloff import FalloffBand, faded_map, folded_cells, has_sides, tell_of_squeezing
 from .fragments import CarriedFragments
 
 #: How far the map may lead out of the rest cage before a sample counts as outside, in cells of the rest cage's lattice:
@@ -49,7 +49,7 @@ class EditLattices:
         bands: Sequence[FalloffBand | None] = (),
         carried: Sequence[CarriedFragments | None] = (),
     ):
-        self._edits, self._device, self._origin = edits, device, origin  # positions on the device are from there
+        self.edits, self.device, self.origin = edits, device, origin  # positions on the device are from there
         self._bands = list(bands) or [None] * len(edits)
         self.carried = list(carried) or [None] * len(edits)
         if any(self.carried):
@@ -96,7 +96,7 @@ class EditLattices:
             None if position_map is None or cage is None else position_map.begin(cage)
             for position_map, cage in zip(self.maps, cages, strict=True)
         ]
-        is_known = all(edit.remove or draft is not None for edit, draft in zip(self._edits, drafts, strict=True))
+        is_known = all(edit.remove or draft is not None for edit, draft in zip(self.edits, drafts, strict=True))
         if is_known and not any(self._bands) and not any(self.carried):
             self._lay_out(drafts)
         return self._laid is not None
@@ -123,7 +123,7 @@ class EditLattices:
         self._structs = [
             posed_struct(edit, rest, cage_map, cage, fragments)
             for edit, rest, cage_map, cage, fragments in zip(
-                self._edits, self._rest_maps, maps, self._cages, self.carried, strict=True
+                self.edits, self._rest_maps, maps, self._cages, self.carried, strict=True
             )
         ]
         shapes = [cell_shape(struct.deformed) for struct in self._structs]
@@ -142,7 +142,7 @@ class EditLattices:
         data = self._plain[index] = position_map.finish().data
         if band is None:
             return data
-        walls = self._walls[index] = band.on_device(cage, self._origin, self._device)
+        walls = self._walls[index] = band.on_device(cage, self.origin, self.device)
         return faded_map(data, walls, self._faded[index])
 
     def _extended_map(self, index: int, cage: Cage | None) -> Any:
@@ -154,7 +154,7 @@ class EditLattices:
 
     def _warn_of_folds(self, cages: Sequence[Cage | None]) -> None:
         """Warn where a band is too narrow for its pose: where it folds matter over, which the map alone does not."""
-        for index, (edit, cells) in enumerate(zip(self._edits, self._cells, strict=True)):
+        for index, (edit, cells) in enumerate(zip(self.edits, self._cells, strict=True)):
             band, carried = self._bands[index], self.carried[index]
             if band is None:
                 continue
@@ -165,11 +165,11 @@ class EditLattices:
             if not faded.any():
                 continue
             plain = posed_struct(edit, self._rest_maps[index], self._plain[index], cages[index])
-            plain.cells = empty_array(faded.shape, wp.uint8, self._device)
+            plain.cells = empty_array(faded.shape, wp.uint8, self.device)
             plain.skip = plain.cells
-            launch(cell_tables.mark_edit_cases, faded.size, [plain], [plain.cells], device=self._device)
+            launch(cell_tables.mark_edit_cases, faded.size, [plain], [plain.cells], device=self.device)
             folded = np.argwhere(faded & ~folded_cells(plain.cells.numpy()))
-            if band.has_matter(self._faded[index].positions.numpy()[tuple(folded.T)] + self._origin):
+            if band.has_matter(self._faded[index].positions.numpy()[tuple(folded.T)] + self.origin):
                 warn_caller(
                     f"edit {index} turns matter inside out in its falloff band of {edit.falloff:.3g}: make the band "
                     "wider, or move the cage less"
@@ -189,7 +189,7 @@ class EditLattices:
         for index, struct in enumerate(self._structs if len(self._structs) > 1 else []):
             if not struct.removes:
                 inputs = [self.array, index]
-                launch(cell_tables.mark_alone_cells, struct.cells.size, inputs, [struct.cells], device=self._device)
+                launch(cell_tables.mark_alone_cells, struct.cells.size, inputs, [struct.cells], device=self.device)
         self.marked_step = 0.0
 
     def mark_empty(self, grid: Any, step: float) -> bool:
@@ -242,11 +242,6 @@ def distance_map(lattice: CageLattice) -> Any:
     data.inverse_spacing = 1.0 / lattice.spacing
     data.distance = lattice.distance
     return data
-
-
-def has_sides(cage_map: Any) -> bool:
-    """Whether a CageMap has cells at narrow gaps of its cage."""
-    return cage_map.side_index is not None and cage_map.side_index.size > 0
 
 
 def cell_shape(cage_map: Any) -> tuple[int, ...]:

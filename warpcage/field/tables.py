@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..core.devices import RecordedLaunch, half_texture, launch
+from ..core.devices import RecordedLaunch, SpareMemory, half_texture, launch
 from ..core.locks import owner_lock
 from ..core.modules import Kernel
 from ..kernels.core.texels import clear_half_texels
@@ -22,8 +22,9 @@ from ..kernels.field.march_cpu import render_tiles
 from ..kernels.field.rows import RowTable, pack_rows
 from ..kernels.field.shades import ShadedGrid, shade_rows
 from ..kernels.view.rays import TILE_SIZE
-from ..view.frame import PART_NAMES
-from .render import STOP_TRANSMITTANCE, MakeArrays, March
+from ..view.camera import camera_struct
+from ..view.frame import PART_NAMES, Frame
+from .render import STOP_TRANSMITTANCE, FieldView, finish_frame, new_picture
 from .sparse import MatterSkip
 
 
@@ -220,6 +221,7 @@ class MarchTables:
         size, lower = np.array(grid.voxel_size), np.array(grid.lower)
         self._box = lower.tolist(), (lower + size * (np.array(grid.links.shape) - 1)).tolist()
         self._longest = float(size.max())
+        self.spare = SpareMemory(grid.links.device)  # of frames
         self._lock = owner_lock(grid.links.device)  # threads may share a field
 
     @property
@@ -255,19 +257,15 @@ class MarchTables:
         """The rows as they are now: a RowTable of kernels/field/rows.py."""
         return row_table(self._grid, self.columns)
 
-    def begin_image(self, center: wp.vec3, step: float, work: float) -> March:
-        """Start on a view of the grid and return what launches the rest; step: world units.
-        center: of the camera, relative to the grid's origin; work: steps that a ray may take, as `launch` has them."""
-        kernel, inputs, rays = self._image_kernel(center, step)
-
-        def march(threads: int, pinhole: Any, color: wp.vec3, make_arrays: MakeArrays) -> None:
-            arrays = make_arrays()
-            outputs = [arrays[name] for name in PART_NAMES]
-            view = [pinhole, color, step, STOP_TRANSMITTANCE]
-            transient = len(view) + len(outputs)
-            self._launch_of(kernel)(threads // rays, [*inputs, *view], outputs, transient=transient, work=rays * work)
-
-        return march
+    def render(self, view: FieldView) -> Frame:
+        """The frame of a view of the grid."""
+        kernel, inputs, rays = self._image_kernel(view.center, view.step)
+        pinhole, color = camera_struct(view.rays, view.field.center), wp.vec3(*map(float, view.color))
+        arrays = new_picture(view)
+        ends = [pinhole, color, view.step, STOP_TRANSMITTANCE, *(arrays[name] for name in PART_NAMES)]
+        how: dict[str, Any] = {"transient": len(ends), "work": rays * view.work}
+        self._launch_of(kernel)(view.threads // rays, [*inputs, *ends], **how)
+        return finish_frame(view, arrays)
 
     def _launch_of(self, kernel: Kernel) -> RecordedLaunch:
         """The launch of a kernel that renders views."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,18 +20,19 @@ from ..core.checks import (
     device_by_name,
     require_ordinary_side,
     require_type,
+    warn_caller,
 )
-from ..core.devices import SpareMemory, launch, resolve_device
+from ..core.devices import launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..core.reports import Progress, hears, tell
 from ..errors import InputError, UseError
 from ..kernels.field.grid import VoxelGrid, sample_field
-from ..view.camera import Camera, rigid_motion
+from ..view.camera import Camera, camera_struct, rigid_motion
 from ..view.camera_path import RefinedCameras
 from ..view.frame import Frame, checked_supersampling, parse_background, view_background
 from .io import load_field, save_field
 from .io.field_file import BASIS_COUNT, FieldContents
-from .render import BeginMarch, March, render_frame
+from .render import asked_view, finish_frame, new_picture
 from .sparse import checked_resolution, harmonics_on_device, harmonics_on_host, place_grid, values_on_device
 from .surface import DensityField, extract_mesh, surface_colors
 from .surroundings import LayeredBackground, OuterField
@@ -121,7 +123,6 @@ class VoxelField:
         with device_turn(self.device):
             self.grid = self._filled_grid(links, density, sh, weights)
         self.marching = MarchTables(self.grid)
-        self._spare = SpareMemory(self.device)
 
     def _filled_grid(self, links: Any, density: Any, sh: Any, weights: Any) -> Any:
         """The VoxelGrid of the arrays that the constructor was given; their weights go to `weights`."""
@@ -265,13 +266,7 @@ class VoxelField:
             ValueError: For a background that is not known, a step that is not positive and finite or is too short,
                 a camera so far away that float32 cannot tell steps there, or supersampling out of range.
         """
-        step, work = self.march_step(step, camera)
-        center = wp.vec3(*(camera.center - self._center))
-
-        def begin() -> March:
-            return self.marching.begin_image(center, step, work)
-
-        return self.render_by(begin, camera, background=background, supersampling=supersampling)
+        return self.marching.render(asked_view(self, camera, background, step, supersampling))
 
     def march_step(self, step: float | None, camera: Camera) -> tuple[float, float]:
         """The step of a march from a camera.
@@ -293,7 +288,7 @@ class VoxelField:
     @in_turn
     def render_by(
         self,
-        begin: BeginMarch,
+        begin: Callable[[], Callable[..., None]],
         camera: Camera,
         *,
         background: str | ArrayLike | None = None,
@@ -301,11 +296,11 @@ class VoxelField:
         masks: tuple[str, ...] = (),
         into: dict[str, wp.array] | None = None,
     ) -> Frame:
-        """The view of a camera by another march through this field, before the field's own background.
+        """The view of a camera by another march through this field, before the field's own background; for one version.
 
         Args:
-            begin: Called once the rest is checked; what it returns fills the arrays of the picture. See
-                `warpcage.field.render`.
+            begin: Called once the rest is checked. What it returns is called with the number of threads, the
+                PinholeCamera, the colour behind the picture, and a function that makes the arrays to fill, by name.
             camera: The camera.
             background: As for `render`.
             supersampling: As for `render`.
@@ -318,22 +313,17 @@ class VoxelField:
         Raises:
             ValueError: For a background that is not known, or supersampling out of range.
         """
-        require_type(camera, Camera, "render needs")
-        color, layers = self.chosen_background(background)
-        supersampling = checked_supersampling(self.supersampling if supersampling is None else supersampling)
-        frame = render_frame(
-            begin(),
-            camera,
-            origin=self.center,
-            color=color,
-            layers=layers,
-            supersampling=supersampling,
-            device=self.device,
-            spare=self._spare,
-            masks=masks,
-            into=into,
-        )
-        return frame.seen_by(camera, None if layers else color, background)
+        warn_caller("VoxelField.render_by is gone in the next version: Deformer renders what is deformed")
+        view = asked_view(self, camera, background, None, supersampling, masks=masks, into=into)
+        arrays: dict[str, wp.array] = {}
+
+        def made_arrays() -> dict[str, wp.array]:
+            arrays.update(new_picture(view))
+            return arrays
+
+        color = wp.vec3(*map(float, view.color))
+        begin()(view.threads, camera_struct(view.rays, self.center), color, made_arrays)
+        return finish_frame(view, arrays)
 
     def chosen_background(
         self, background: str | ArrayLike | None = None

@@ -212,7 +212,7 @@ class ClosedMesh:
     # `mesh.validity.require_usable` first. Messages call it a cage: users make one as a `warpcage.Cage`.
 
     # __weakref__: mesh/validity.py remembers what it found for as long as the mesh lives
-    __slots__ = ("_vertices", "_faces", "_topology", "_bounds", "_object_name", "__weakref__")
+    __slots__ = ("__weakref__", "_bounds", "_faces", "_object_name", "_topology", "_vertices")
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike):
         self._vertices = _checked_vertices(vertices)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -133,7 +134,7 @@ def globe_model() -> Model:
     ring(globe + 0.62 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1), (0.9, 0.7, 0.1))
     feet = np.array([[0.3, 0.3], [-0.3, 0.3], [-0.3, -0.3], [0.3, -0.3]])
     levels = ((-0.95, 1.0), (-0.6, 0.7), (-0.27, 0.3))
-    for (low, wide), (high, narrow) in zip(levels, levels[1:], strict=False):
+    for (low, wide), (high, narrow) in itertools.pairwise(levels):
         for i in range(4):
             foot, head = np.append(wide * feet[i], low), np.append(narrow * feet[i], high)
             across = np.append(narrow * feet[(i + 1) % 4], high)

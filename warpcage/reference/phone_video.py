@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
 from collections.abc import Callable, Iterator
 
@@ -76,7 +77,7 @@ def take_picture(
     (strips * moments, 4, 4) of which it is made."""
     edges = np.linspace(0, camera.height, strips + 1).round().astype(int)
     rows, poses = [], []
-    for strip, (first, last) in enumerate(zip(edges, edges[1:], strict=False)):
+    for strip, (first, last) in enumerate(itertools.pairwise(edges)):
         late = readout * ((strip + 0.5) / strips - 0.5)
         times = time + late + exposure * ((np.arange(moments) + 0.5) / moments - 0.5)
         of_strip = [route.pose(moment) for moment in times]

@@ -6,10 +6,10 @@ __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "modules": "load_pose_modules render_modules",
-        "scene": "LARGE_PICTURE",
+        "launch": "FrameLauncher FrameTables FrameTarget",
+        "plan": "FrameFacts FramePlan LARGE_PICTURE PlannedEdit plan_frame",
         "shading": "CarriedShades",
         "tables": "FineCells TileStarts",
         "tile_order": "BalancedTiles",
-        "view": "ViewRequest",
     },
 )

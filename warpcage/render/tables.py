@@ -1,7 +1,8 @@
-"""Tables of a posed scene that marches read: flat edits, fine cells, polynomials of cells, begins of tiles."""
+"""Tables of a posed scene that marches read: its edits, fine cells, polynomials of cells, begins of tiles."""
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -10,13 +11,15 @@ import warp as wp
 
 from ..core.arrays import array_view, empty_array, struct_array
 from ..core.devices import RecordedLaunches, lane_count
-from ..edits.maps import has_sides
+from ..edits.falloff import has_sides
 from ..kernels.edits.cell_tables import join_cell_tables, join_nodes
 from ..kernels.edits.fine_cells import FINE_COUNT, FINE_SIDE, FINE_WORDS, mark_fine_cells, spread_fine_cells
 from ..kernels.edits.nodes import CELL_WORDS, expand_map_cells
 from ..kernels.edits.structs import CELL_OUTSIDE, EditData
 from ..kernels.render.beams import find_tile_starts, find_tile_starts_of_edits
+from ..kernels.view.rays import TILE_SIZE
 from ..lattice.buffers import Buffer, BufferPool, SideStream
+from .plan import FramePlan
 
 #: Cells that are less than so many voxels wide are not told apart: fine cells would be smaller than what they skip.
 LEAST_VOXELS = 2.0
@@ -206,3 +209,82 @@ class TileStarts:
                 del self._kept[next(iter(self._kept))]  # used longest ago
         self._kept[key] = kept
         return kept
+
+
+class EditTables:
+    """The EditData of posed edits with all their tables, which are filled beside each other on two streams."""
+
+    def __init__(self, edit_count: int, device: wp.Device):
+        self.edits: list[Any] = []  # in their order, once `fill` was called for a pose
+        self.lattice_boxes: list[list[list[float]]] = []  # of each, see `lattice_box`
+        self._laid: list[tuple[Any, Any]] = []  # each LatticeEdit and its EditData, once for a pose
+        self.general_maps: tuple[bool, ...] = ()  # of each, see `needs_general_map`
+        self.has_gaps, self.most_nodes = False, 0  # narrow gaps of any; nodes of the largest lattice
+        self._stack: wp.array | None = None
+        self._has_cells = False
+        pool = BufferPool(device)
+        self._buffers = [(pool.buffer(wp.uint8), pool.buffer(wp.vec4)) for _ in range(edit_count)]
+        self._side, self._join = SideStream(device, priority=-1), RecordedLaunches(device)
+        self._fine, self._polynomials = FineCells(edit_count, self._side), MapPolynomials(edit_count, device)
+        self._starts = TileStarts(self._side)
+
+    def clear(self) -> None:
+        """Forget the pose."""
+        self.edits, self._laid, self._stack = [], [], None
+
+    def lay_out(self, posed: Sequence[tuple[Any, wp.array]]) -> None:
+        """Make the EditData of a pose, their tables still to be filled. posed: of EditLattices."""
+        held = zip((edit for edit, _ in posed), self._buffers, strict=True)
+        self._laid = [(edit, edit_data(edit, look, nodes)) for edit, (look, nodes) in held]
+
+    def fill(self, posed: Sequence[tuple[Any, wp.array]]) -> None:
+        """Launch what fills the tables of cells and nodes, by what `mark_empty` found. posed: of EditLattices."""
+        self.edits, self._stack, self._has_cells = [], None, False  # an interrupt leaves none
+        if [id(edit) for edit, _ in posed] != [id(edit) for edit, _ in self._laid]:
+            self.lay_out(posed)
+        laid, self._laid = self._laid, []
+        for number, ((edit, skip), (_, data)) in enumerate(zip(posed, laid, strict=True)):
+            tell_sides(data, edit)
+            join_tables(data, edit, skip, functools.partial(self._join, number=number))
+        self.lattice_boxes = [lattice_box(data) for _, data in laid]
+        self.has_gaps = any(data.has_sides for _, data in laid)
+        self.most_nodes = max(data.nodes.size for _, data in laid)
+        self.edits = [data for _, data in laid]
+        self._tell_maps()
+
+    def stack(self) -> wp.array:
+        """(edits,) EditData, as the kernel for several edits takes them."""
+        if self._stack is None:
+            self._stack = struct_array(self.edits, EditData, self._side.device)
+        return self._stack
+
+    def _tell_maps(self) -> None:
+        self.general_maps = tuple([needs_general_map(edit) for edit in self.edits])
+
+    def mark(self) -> None:
+        """Remember what came before, which the second stream waits for."""
+        self._side.mark()
+
+    def begin_cells(self, plan: FramePlan, grid: Any, step: float) -> bool:
+        """Launch the tables of fine cells and the polynomials of cells, where the march knows them. Returns whether
+        they are new: they are there behind `join`. step: the longest of a march, world units."""
+        if self._has_cells or plan.lanes == "tile" or not plan.edits:
+            return False
+        self._fine.begin(self.edits, grid, step)
+        self._polynomials.expand(self.edits)  # on the program's stream, which has less to do meanwhile
+        return True
+
+    def find_starts(self, plan: FramePlan, grid: Any, pinhole: Any, threads: int) -> list[wp.array | None]:
+        """How far the rays of each tile go before they may meet anything, for each planned edit; None where its kernel
+        does not ask."""
+        if plan.lanes == "tile" or not plan.edits:
+            return [None for _ in plan.edits]
+        planned = [self.edits[edit.number] for edit in plan.edits]
+        return [*self._starts.find(planned, grid, pinhole, threads // TILE_SIZE)]
+
+    def join(self, has_begun: bool) -> None:
+        """Let what follows wait for the second stream. has_begun: what `begin_cells` said."""
+        self._side.join()
+        if has_begun:
+            self._has_cells = True
+            self._tell_maps()

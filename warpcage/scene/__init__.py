@@ -7,6 +7,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
     {
         "box": "FoundBox Look are_inliers find_box",
         "box_picture": "draw_box",
+        "coverage": "Coverage draw_coverage find_coverage",
         "formats.parsing": "held_out",
         "formats.table": "SceneFormat scene_formats",
         "pictures": "COEFFICIENTS View distort make_scene undistort undistorted_intrinsics",

@@ -228,7 +228,7 @@ def turned_harmonics(harmonics: np.ndarray, rotations: np.ndarray) -> np.ndarray
     """Coefficients (n, b, 3) float32 of d -> f(R^-1 d) from those of f, b = 1, 4, 9 or 16; rotations: R (n, 3, 3).
     That is a splat and its highlights, turned by R."""
     turned = harmonics.astype(np.float32, copy=True)
-    degree = int(round(np.sqrt(harmonics.shape[1]))) - 1
+    degree = round(np.sqrt(harmonics.shape[1])) - 1
     if degree == 0:
         return turned
     directions, parts = _probes()

@@ -404,7 +404,8 @@ class CameraKey:
         camera: The camera.
         time: When it is reached, seconds from the film's start. None leaves it open.
         name: A name, empty for none.
-        easing: How the way to the next key goes: "smooth", "linear", "hold", "ease-in" or "ease-out".
+        easing: How the way to the next key goes: "smooth", "linear", "hold", "ease-in", "ease-out", "ease-in-out",
+            "bounce" or "elastic".
         target: (3,) the point ahead that the camera turns about, world units. None takes what all keys look at.
 
     Raises:
@@ -573,17 +574,24 @@ def camera_from_json(entry: dict[str, Any], index: int) -> CameraKey:
         raise InputError(f"camera {name or index}: {error}") from None
 
 
-def fitted(camera: Camera, size: Sequence[int], name: str = "size") -> Camera:
-    """The same view at another size: a width, which keeps the shape, or width and height; none keeps the camera."""
+def fitted(camera: Camera, size: Sequence[int], *, widen: bool = False) -> Camera:
+    """The view at another size: a width, which keeps the shape, or width and height; none keeps the camera.
+    Another shape shows the most of the camera's picture that fits in; `widen`: all of it, and more on two sides."""
     if not size:
         return camera
     width = int(size[0])
-    usual = round(width * camera.height / camera.width)
     if len(size) == 1:
-        return camera.resized(width, max(1, usual))
+        return camera.resized(width, max(1, round(width * camera.height / camera.width)))
     height = int(size[1])
-    if abs(width * camera.height - height * camera.width) > max(camera.width, camera.height):
-        raise InputError(
-            f"{name} {width} {height} would squeeze a {camera.width}x{camera.height} picture: give {width} {usual}"
-        )
-    return camera.resized(width, height)
+    if abs(width * camera.height - height * camera.width) <= max(camera.width, camera.height):
+        return camera.resized(width, height)  # the same shape in whole pixels
+    scale = (min if widen else max)(width / camera.width, height / camera.height)
+    return dataclasses.replace(
+        camera,
+        fx=camera.fx * scale,
+        fy=camera.fy * scale,
+        cx=width / 2 + (camera.cx - camera.width / 2) * scale,  # about the middle of the picture
+        cy=height / 2 + (camera.cy - camera.height / 2) * scale,
+        width=width,
+        height=height,
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,27 @@ def linear_light(colors: ArrayLike) -> np.ndarray:
     """Light, float32, of colours as screens take them (sRGB, IEC 61966-2-1): 0 is black, 1 white, more is brighter."""
     coded = np.maximum(np.asarray(colors, np.float32), 0.0)
     return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def screen_colors(light: np.ndarray) -> np.ndarray:
+    """Colours of a screen of light from 0 on: what `linear_light` undoes."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+def mean_picture(pictures: Sequence[np.ndarray]) -> np.ndarray:
+    """The mean of pictures (h, w, 3), or (h, w, 4) with straight colours, of light as a shutter gathers it.
+    Each pixel counts by its opacity; what all of them share stays as it is."""
+    first = pictures[0]
+    light = [linear_light(picture[..., :3]) for picture in pictures]
+    if first.shape[-1] == 4:
+        opacity = np.mean([picture[..., 3:] for picture in pictures], axis=0, dtype=np.float64)
+        weighted = [each * picture[..., 3:] for each, picture in zip(light, pictures, strict=True)]
+        total = np.mean(weighted, axis=0, dtype=np.float64) / np.maximum(opacity, 1e-12)
+        mean = np.concatenate([screen_colors(total), opacity], axis=-1)
+    else:
+        mean = screen_colors(np.asarray(np.mean(light, axis=0, dtype=np.float64)))
+    same = np.all([np.equal(picture, first) for picture in pictures[1:]], axis=0) if len(pictures) > 1 else True
+    return np.where(same, first, mean.astype(np.float32))
 
 
 def write_picture(path: str | os.PathLike[str], image: ArrayLike, depth: ArrayLike | None = None) -> None:

@@ -20,7 +20,7 @@ from ..core.memory import require_host_memory
 from ..core.overlap import stream
 from ..core.reports import Progress, hears, tell
 from ..errors import InputError
-from .motion import MAX_DENOMINATOR
+from .motion import frame_rate
 from .opacity import with_spread_colors
 from .pictures import as_rgb, path_with_ending, read_image, to_uint8
 
@@ -46,10 +46,9 @@ GIF_LOOK, GIF_COPIES = 1 << 27, 3
 
 
 def checked_rate(fps: float | Fraction, ending: str) -> Fraction:
-    """A film's frames per second as the nearest fraction of a denominator up to 1001: 29.97003 becomes 30000/1001."""
+    """A film's frames per second as a fraction, which may not be too high or low; see `frame_rate`."""
     low, high = GIF_RATES if ending == ".gif" else VIDEO_RATES
-    exact = fps if isinstance(fps, Fraction) else Fraction(checked_positive(fps, "fps"))
-    rate = exact.limit_denominator(MAX_DENOMINATOR)
+    rate = frame_rate(fps if isinstance(fps, Fraction) else checked_positive(fps, "fps"))
     if not low <= rate <= high:
         raise InputError(f"fps of a film ({ending}) must be from {float(low):g} to {float(high):g}, got {fps}")
     return rate
@@ -260,7 +259,7 @@ def write_gif(
 def _gif_durations(images: Sequence[Any], rate: Fraction) -> list[int]:
     """Milliseconds of each PIL image, in whole hundredths of a second: each begins as near to its time as can be."""
     starts = [round(100 * index / rate) for index in range(len(images) + 1)]
-    durations = [10 * (end - begin) for begin, end in zip(starts[:-1], starts[1:], strict=True)]
+    durations = [10 * (end - begin) for begin, end in itertools.pairwise(starts)]
     still = 0
     for index, duration in enumerate(durations):
         same = index > 0 and images[index].tobytes() == images[index - 1].tobytes()

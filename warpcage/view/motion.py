@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import bisect
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import TypeVar
 
@@ -17,6 +18,9 @@ from .camera import Camera
 
 #: Largest denominator of a rate, that of the television rates such as 30000/1001.
 MAX_DENOMINATOR = 1001
+
+#: Rates of television are these by 1001/1000; decimals so near to one stand for it, as 23.976 and 23.98 for 24000/1001.
+TELEVISION, ROUNDED = (15, 24, 30, 48, 60, 120, 240), Fraction(1, 200)
 
 #: Most frames that a film may have.
 MAX_FRAMES = 1_000_000
@@ -37,7 +41,8 @@ def value_at(
     `values`: (d,) d numbers of their own or (..., d) vectors. Do not write what comes back: it may be a key's own."""
     # "smooth" is a cubic without jumps of velocity at keys; nothing swings beyond its keys, and what two keys share
     # stays still: velocities are limited (`limited_velocity`) along vectors, so that a turned scene moves alike. "hold"
-    # stays until the next key; "ease-in" sets out gently, "ease-out" arrives so. `still_ends`: smooth ways begin and
+    # stays until the next key; "ease-in" sets out gently, "ease-out" arrives so; "bounce" falls onto the next key and
+    # comes back three times, "elastic" alone goes beyond it and swings in. `still_ends`: smooth ways begin and
     # end at rest. `closed`: the last key is the first again, passed without stopping.
     index = bisect.bisect_right(times, time) - 1
     if index < 0 or index == len(times) - 1:
@@ -55,10 +60,30 @@ def value_at(
         value += length * share * (1.0 - share) ** 2 * velocities.at(index)
         value -= length * share * share * (1.0 - share) * velocities.at(index + 1)
     else:
-        eased = {"linear": share, "ease-in": share * share, "ease-out": share * (2.0 - share)}[easing]
-        value = begin + eased * (end - begin)
+        value = begin + _EASED[easing](share) * (end - begin)
     value.setflags(write=False)
     return value
+
+
+def _bounced(share: float) -> float:
+    """Parabolas of one gravity: a fall, and three bounces of 1/4, 1/16 and 1/64 of its height."""
+    time = 2.75 * share
+    middle, half = next(each for each in _BOUNCES if time <= sum(each))
+    return 1.0 - half * half + (time - middle) ** 2
+
+
+#: Of the fall and its bounces: the middle, and half of the time that each takes, of times in which the fall takes 1.
+_BOUNCES = ((0.0, 1.0), (1.5, 0.5), (2.25, 0.25), (2.625, 0.125))
+
+#: Share of the way by share of the time, 0 to 1 each, as Penner (2002) has them; elastic ones end at 1 exactly.
+_EASED: dict[str, Callable[[float], float]] = {
+    "linear": lambda share: share,
+    "ease-in": lambda share: share * share,
+    "ease-out": lambda share: share * (2.0 - share),
+    "ease-in-out": lambda share: 2.0 * share * share if share < 0.5 else 1.0 - 2.0 * (1.0 - share) ** 2,
+    "bounce": _bounced,
+    "elastic": lambda share: 1.0 - 2.0 ** (-10.0 * share) * math.cos(6.5 * math.pi * share),
+}
 
 
 class _Velocities:
@@ -132,13 +157,21 @@ def frame_times(length: float, fps: float | Fraction, loop: str = "once") -> lis
     count = exact.__floor__() + 1 if loop == "once" else max(1, exact.__ceil__())
     if count > MAX_FRAMES:
         raise InputError(f"a film has at most {MAX_FRAMES} frames, {length:g} s at {float(rate):g} would have {count}")
-    return [float(looped_time(loop, exact_length, index / rate)) for index in range(count)]
+    return [time_at(index, length, rate, loop) for index in range(count)]
+
+
+def time_at(frame: float, length: float, rate: Fraction, loop: str) -> float:
+    """The time of a film's frame, or between two of them, seconds from its start."""
+    return float(looped_time(loop, whole_frames(length, rate), Fraction(frame) / rate))
 
 
 def frame_rate(fps: float | Fraction) -> Fraction:
-    """Frames per second as the nearest fraction whose denominator is at most 1001, such as 30000/1001 for 29.97003."""
+    """Frames per second as a fraction whose denominator is at most 1001: the nearest, or the television rate that
+    decimals such as 23.976, 29.97 and 59.94 stand for, 30000/1001."""
     exact = fps if isinstance(fps, Fraction) else Fraction(repr(float(fps)))
-    return exact.limit_denominator(MAX_DENOMINATOR)
+    television = [Fraction(1000 * whole, MAX_DENOMINATOR) for whole in TELEVISION]
+    meant = [rate for rate in television if abs(exact - rate) < ROUNDED]
+    return meant[0] if meant else exact.limit_denominator(MAX_DENOMINATOR)
 
 
 def whole_frames(length: float, rate: Fraction) -> Fraction:
@@ -163,17 +196,25 @@ def pose_weights(count: int, motion: str = "swing") -> np.ndarray:
     return frame_places(count, 2, motion)
 
 
-def frame_places(count: int, keyframe_count: int, motion: str = "swing", interpolation: str = "smooth") -> np.ndarray:
-    """Places (count,) of a film's frames among keyframes, 0 for the first and keyframe_count - 1 for the last."""
+def frame_places(
+    count: int,
+    keyframe_count: int,
+    motion: str = "swing",
+    interpolation: str = "smooth",
+    frames: ArrayLike | None = None,
+) -> np.ndarray:
+    """Places of a film's frames (count,) among keyframes, 0 for the first and keyframe_count - 1 for the last.
+    frames: (n,) which of them, or between which, as numbers from 0 on; None is all."""
     if count < 1 or keyframe_count < 1:
         raise InputError(f"a film needs at least one frame and one keyframe, got {count} and {keyframe_count}")
     if motion not in MOTIONS:
         raise InputError(f"motion {motion!r} is not known: {', '.join(MOTIONS)}")
     _check_interpolation(interpolation)
     if motion == "hold":
-        return np.full(count, keyframe_count - 1.0)
+        return np.full(count if frames is None else np.shape(frames), keyframe_count - 1.0)
+    at = np.arange(count) if frames is None else np.asarray(frames, np.float64)
     # a film that swings loops without a repeated frame
-    phase = np.arange(count) / count if motion == "swing" else 0.5 * np.arange(count) / max(1, count - 1)
+    phase = at / count % 1.0 if motion == "swing" else 0.5 * np.clip(at, 0, count - 1) / max(1, count - 1)
     # phase 0 is the first keyframe, 1/2 the last
     weights = 0.5 - 0.5 * np.cos(2 * np.pi * phase) if interpolation == "smooth" else 1.0 - np.abs(1.0 - 2.0 * phase)
     return weights * (keyframe_count - 1)
@@ -199,14 +240,23 @@ def pose_along(keyframes: Sequence[Mesh], place: float, interpolation: str = "sm
     return keyframes[0].with_vertices(value_along([cage.vertices for cage in keyframes], place, interpolation))
 
 
-def cameras_along(cameras: Sequence[Camera], count: int, interpolation: str = "smooth") -> list[Camera]:
-    """`count` cameras on the way through a list of cameras of one picture size, the first and the last included."""
+def cameras_along(
+    cameras: Sequence[Camera], count: int, interpolation: str = "smooth", frames: ArrayLike | None = None
+) -> list[Camera]:
+    """`count` cameras on the way through a list of cameras of one picture size, the first and the last included.
+    frames: (n,) which of them, or between which, as numbers from 0 on; None is all."""
     if not cameras:
         raise InputError("a camera path needs at least one camera")
     sizes = {(camera.width, camera.height) for camera in cameras}
     if len(sizes) > 1:
         raise InputError(f"cameras of a path must have one picture size, got {sorted(sizes)}")
-    return [_camera_at(cameras, place, interpolation) for place in np.linspace(0, len(cameras) - 1, count)]
+    return [_camera_at(cameras, place, interpolation) for place in evenly(0, len(cameras) - 1, count, frames)]
+
+
+def evenly(begin: float, end: float, count: int, frames: ArrayLike | None = None) -> np.ndarray:
+    """Numbers from `begin` to `end` of `count` frames, of those (n,) that are named, or between them; None is all."""
+    numbers = np.linspace(begin, end, count)
+    return numbers if frames is None else np.interp(np.asarray(frames, np.float64), np.arange(count), numbers)
 
 
 def axis_rotation(axis: ArrayLike, angle: float) -> np.ndarray:

@@ -44,7 +44,7 @@ def with_spread_colors(rgba: ArrayLike, reach: int = REACH) -> np.ndarray:
     if clear.all() or not clear.any():
         return spread
     # SciPy's stubs know no more than that it returns something
-    distance, (row, column) = distance_transform_edt(clear, return_indices=True)  # pyright: ignore
+    distance, (row, column) = distance_transform_edt(clear, return_indices=True)  # pyright: ignore[reportGeneralTypeIssues]
     filled = clear & (distance <= reach)
     spread[filled, :3] = spread[row[filled], column[filled], :3]
     return spread

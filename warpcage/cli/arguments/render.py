@@ -6,11 +6,27 @@ import argparse
 from fractions import Fraction
 from typing import Any
 
-from ...core.names import LOOPS
-from . import options
-from .options import command
+from ...core.names import LOOPS, MOVE_HELP
+from .options import (
+    CLEAR_BACKGROUND,
+    PICTURE_KINDS,
+    SCALE_AND_DEVICE,
+    SUBFRAMES,
+    VIEW,
+    command,
+    deformation,
+    shutter,
+    things,
+)
 
-RENDER_EXAMPLE = """\
+#: Pictures of --cameras interpolate from each camera to the next where --frames is not given.
+STEPS = 8
+
+command(
+    "render",
+    "render",
+    "render one view of a field, as it is or deformed by a cage",
+    """\
   warpcage render lego.npz -o lego.png
   warpcage render lego.npz --cage cage.obj --posed posed.obj -o bent.png --size 800
   warpcage render lego.npz --cage cage.obj --posed posed.obj -o bent.png --overlay \\
@@ -22,57 +38,61 @@ RENDER_EXAMPLE = """\
   warpcage render lego.npz -o lego.exr --background transparent
   warpcage render lego.npz --cage cage.obj --posed bend:20 bend:40 bend:60 -o bends/
   warpcage render lego.npz -o views/ --cameras interpolate --scene data/lego:test --frames 60
-"""
+""",
+    f"""
+field
+-o PICTURE  picture to write (.png, .exr), or folder: a picture of each pose
+many pictures:
+--cameras  given: one picture from each camera of --scene; interpolate: pictures along a smooth path through them. The
+    output is then a folder or a film (.mp4, .gif, .mov, .webm)
+--scene FILE|SCENE[:SPLIT]  camera file, or scene of the cameras, e.g. data/lego:test (default split: train)
+--frames N  pictures of --cameras interpolate (default: {STEPS} from each camera to the next)
+options:
+--disparity PICTURE  also write the disparity in colour (.png)
+--depth PICTURE  also write the depth in grey, near is white (.png)
+--alpha PICTURE  also write the opacity (.png)
+--masks PICTURE  also write what is turned inside out (red), what was uncovered (blue) and where the posed cage has
+    nothing to show (yellow) (.png), and warn of how much there is of each
+--overlay  draw the cage into the picture
+{CLEAR_BACKGROUND}
+--fill
+--antialias
+""",
+    deformation("POSED...", ". Several, or all keyframes of a pose file, make a picture each, in a folder"),
+    things("--save-stage FILE  also write the scene as one file (.stage.json)"),
+    VIEW,
+    SCALE_AND_DEVICE,
+    cameras=("interpolate", "given"),
+    format=("png", "exr"),
+)
 
-#: Pictures of --cameras interpolate from each camera to the next where --frames is not given.
-STEPS = 8
-
-
-@command("render", "render one view of a field, as it is or deformed by a cage", RENDER_EXAMPLE)
-def add_render_arguments(parser: argparse.ArgumentParser) -> None:
-    options.add_field(parser)
-    options.add_output(parser, "PICTURE", "picture to write (.png, .exr), or folder: a picture of each pose")
-    _add_many(parser)
-    parser.add_argument("--disparity", metavar="PICTURE", help="also write the disparity in colour (.png)")
-    parser.add_argument("--depth", metavar="PICTURE", help="also write the depth in grey, near is white (.png)")
-    parser.add_argument("--alpha", metavar="PICTURE", help="also write the opacity (.png)")
-    parser.add_argument(
-        "--masks",
-        metavar="PICTURE",
-        help="also write what is turned inside out (red), what was uncovered (blue) and where the posed cage has "
-        "nothing to show (yellow) (.png), and warn of how much there is of each",
-    )
-    parser.add_argument("--overlay", action="store_true", help="draw the cage into the picture")
-    options.add_clear_background(parser)
-    options.add_fill(parser)
-    options.add_antialias(parser)
-    options.add_deformation(parser, several=True)
-    options.add_things(parser, saved=True)
-    options.add_view(parser)
-    options.add_scale_and_device(parser)
-
-
-def _add_many(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("many pictures")
-    group.add_argument(
-        "--cameras",
-        choices=("interpolate", "given"),
-        help="given: one picture from each camera of --scene; interpolate: pictures along a smooth path through "
-        "them. The output is then a folder or a film (.mp4, .gif, .mov, .webm)",
-    )
-    group.add_argument(
-        "--scene",
-        metavar="FILE|SCENE[:SPLIT]",
-        help="camera file, or scene of the cameras, e.g. data/lego:test (default split: train)",
-    )
-    group.add_argument(
-        "--frames",
-        help=f"pictures of --cameras interpolate (default: {STEPS} from each camera to the next)",
-        **options.COUNT,
-    )
+#: What a session decides by itself, of the options that have a default.
+OF_SESSIONS = ("frames", "fps", "motion", "interpolation", "show", "coordinates", "resolution", "density", "fov")
 
 
-ANIMATE_EXAMPLE = """\
+class Default:
+    """The default of an option that a session decides, as nobody gave it; value: what it is without a session."""
+
+    def __init__(self, value: Any):
+        self.value = value
+
+    def __str__(self) -> str:
+        return str(self.value)
+
+
+def _leave_to_sessions(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(**{name: Default(parser.get_default(name)) for name in OF_SESSIONS})
+
+
+#: What several words of --posed make of a film.
+FOLLOWING = """. Several, or all keyframes of a pose file (poses.json), follow one another. An animated glTF file
+    (walk.glb), numbered files (walk_####.obj) or their folder are taken frame for frame"""
+
+command(
+    "animate",
+    "render",
+    "render a film from rest through the poses and back, with the camera turning around the object",
+    """\
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4
   warpcage animate lego.npz --cage cage.obj --posed bend:45:y:z -o bend.gif --frames 24 --turn 0 --size 240
   warpcage animate lego.npz --cage cage.obj --posed one.obj two.obj rest -o walk.mp4 --motion once
@@ -100,107 +120,58 @@ pattern, or all of their names. --motion goes from rest through their poses inst
 
 --session makes the film of a session of the editor: its keys, its camera and its settings. A folder is new or empty
 then, and appears when all of its pictures are there.
-"""
-
-#: What a session decides by itself, of the options that have a default.
-OF_SESSIONS = ("frames", "fps", "motion", "interpolation", "show", "coordinates", "resolution", "density", "fov")
-
-
-class Default:
-    """The default of an option that a session decides, as nobody gave it; value: what it is without a session."""
-
-    def __init__(self, value: Any):
-        self.value = value
-
-    def __str__(self) -> str:
-        return str(self.value)
-
-
-@command(
-    "animate",
-    "render a film from rest through the poses and back, with the camera turning around the object",
-    ANIMATE_EXAMPLE,
+""",
+    f"""
+field
+one of these:
+-o FILM  film (.mp4, .gif, .mov, .webm) or folder of pictures
+--jobs FILE  render nothing, but write a job file (.jsonl) of the frames: warpcage run makes them, over GPUs and
+    machines
+options:
+--workers N  processes that render, one a GPU, or with a part of the cores each where there is none (default: this one)
+--frames N  number (default: %(default)s)
+--fps RATE  frames per second, such as 24, 12.5, 29.97 or 30000/1001, which is the same (default: %(default)s)
+--motion  swing: to the last pose and back; once: to the last pose; hold: posed throughout (default: %(default)s)
+--loop  what a film of keys at times does at its end: once; loop: begin again; ping-pong: go back to its beginning
+    (default: what the pose file says, or once)
+--interpolation  linear: straight from pose to pose at constant speed; smooth: without jolts at the poses and slow at
+    both ends (default: %(default)s)
+--overwrite  replace the frames of another film that are in the folder
+a session of the editor:
+--session FILE  session file (.session.json), instead of all that it holds
+camera path:
+--turn DEGREES  how far the camera turns around the target; 0 keeps it still (default: 360, but where the cameras of the
+    pictures are known there and back within what they saw)
+--full-turn  all the way round, also through what no picture showed: --turn 360
+--cameras MOVE|FILE|SCENE[:SPLIT]  move the camera instead by {MOVE_HELP};
+    or move through the cameras of a file (.json, .glb, .gltf; at their times where they have some), or of a scene's
+    pictures, e.g. data/lego:test (default split: train)
+--shutter DEGREES[:N]  motion blur: how long the shutter is open, of 360 degrees a frame (180 is usual), by the mean of
+    N moments in linear light (default: {SUBFRAMES})
+options:
+--show  rgb; alpha; depth (near is white) or disparity, on one scale for the whole film; masks: what is turned inside
+    out, what was uncovered and where a posed cage has nothing to show, with a warning of how much (default:
+    %(default)s)
+--overlay  draw the cage into the pictures
+{CLEAR_BACKGROUND}
+--fill
+--antialias
+""",
+    deformation("POSED...", FOLLOWING),
+    things(),
+    VIEW,
+    SCALE_AND_DEVICE,
+    "--quiet",
+    more=_leave_to_sessions,
+    output={},
+    frames=48,
+    fps=Fraction(24),
+    motion={"choices": ("swing", "once", "hold"), "default": "swing"},
+    loop=LOOPS,
+    interpolation={"choices": ("smooth", "linear"), "default": "smooth"},
+    overwrite={"action": "store_true", "default": None},
+    full_turn={"dest": "turn", "action": "store_const", "const": 360.0},
+    shutter=shutter,
+    show={"choices": PICTURE_KINDS, "default": "rgb"},
+    format=("png", "exr"),
 )
-def add_animate_arguments(parser: argparse.ArgumentParser) -> None:
-    options.add_field(parser)
-    goal = parser.add_mutually_exclusive_group(required=True)
-    goal.add_argument("-o", "--output", metavar="FILM", help="film (.mp4, .gif, .mov, .webm) or folder of pictures")
-    goal.add_argument(
-        "--jobs",
-        metavar="FILE",
-        help="render nothing, but write a job file (.jsonl) of the frames: warpcage run makes them, over GPUs and "
-        "machines",
-    )
-    parser.add_argument(
-        "--workers",
-        help="processes that render, one a GPU, or with a part of the cores each where there is none (default: this "
-        "one)",
-        **options.COUNT,
-    )
-    parser.add_argument("--frames", default=48, help="number (default: %(default)s)", **options.COUNT)
-    parser.add_argument(
-        "--fps",
-        type=options.positive_fraction,
-        default=Fraction(24),
-        metavar="RATE",
-        help="frames per second, such as 24, 12.5 or 30000/1001 (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--motion",
-        choices=("swing", "once", "hold"),
-        default="swing",
-        help="swing: to the last pose and back; once: to the last pose; hold: posed throughout (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--loop",
-        choices=LOOPS,
-        help="what a film of keys at times does at its end: once; loop: begin again; ping-pong: go back to its "
-        "beginning (default: what the pose file says, or once)",
-    )
-    parser.add_argument(
-        "--interpolation",
-        choices=("smooth", "linear"),
-        default="smooth",
-        help="linear: straight from pose to pose at constant speed; smooth: without jolts at the poses and slow at "
-        "both ends (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--overwrite",
-        action="store_true",
-        default=None,
-        help="replace the frames of another film that are in the folder",
-    )
-    session = parser.add_argument_group("a session of the editor")
-    session.add_argument("--session", metavar="FILE", help="session file (.session.json), instead of all that it holds")
-    path = parser.add_argument_group("camera path")
-    path.add_argument(
-        "--turn",
-        type=options.finite_float,
-        default=None,
-        metavar="DEGREES",
-        help="how far the camera turns around the target; 0 keeps it still (default: 360)",
-    )
-    path.add_argument(
-        "--cameras",
-        metavar="FILE|SCENE[:SPLIT]",
-        help="move through the cameras of a file instead (.json, .glb, .gltf; at their times where they have some), or "
-        "of a scene's pictures, e.g. data/lego:test (default split: train)",
-    )
-    parser.add_argument(
-        "--show",
-        choices=options.PICTURE_KINDS,
-        default="rgb",
-        help="rgb; alpha; depth (near is white) or disparity, on one scale for the whole film; masks: what is turned "
-        "inside out, what was uncovered and where a posed cage has nothing to show, with a warning of how much "
-        "(default: %(default)s)",
-    )
-    parser.add_argument("--overlay", action="store_true", help="draw the cage into the pictures")
-    options.add_clear_background(parser)
-    options.add_fill(parser)
-    options.add_antialias(parser)
-    options.add_deformation(parser, keyframes=True)
-    options.add_things(parser)
-    options.add_view(parser)
-    options.add_scale_and_device(parser)
-    options.add_quiet(parser)
-    parser.set_defaults(**{name: Default(parser.get_default(name)) for name in OF_SESSIONS})

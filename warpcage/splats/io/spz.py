@@ -3,6 +3,7 @@ zstd (version 4), or not at all."""
 
 from __future__ import annotations
 
+import itertools
 import pathlib
 import struct
 import zlib
@@ -83,7 +84,7 @@ def read_spz_data(path: pathlib.Path, data: bytes) -> SplatContents:
                 f"{path}: {count} splats of degree {degree} take {_HEADER.size + size} bytes, got {len(whole)}"
             )
         ends = np.cumsum([_HEADER.size, *(count * width for width in widths)])
-        parts = [whole[begin:end] for begin, end in zip(ends[:-1], ends[1:], strict=True)]
+        parts = [whole[begin:end] for begin, end in itertools.pairwise(ends)]
         extensions = whole[len(whole) - extra :]
     tables = [np.frombuffer(part, np.uint8).reshape(count, width) for part, width in zip(parts, widths, strict=True)]
     if degree == 4:

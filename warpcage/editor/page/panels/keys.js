@@ -10,6 +10,9 @@ export const EASINGS = [
   ["hold", "Hold"],
   ["ease-in", "Ease in"],
   ["ease-out", "Ease out"],
+  ["ease-in-out", "Ease in and out"],
+  ["bounce", "Bounce"],
+  ["elastic", "Elastic"],
 ];
 export const LOOPS = [
   ["once", "Once"],

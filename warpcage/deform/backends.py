@@ -1,0 +1,193 @@
+"""What a Deformer deforms: a field of voxels or of splats on its device, with the pose that is in its buffers."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..cage.cage import Cage
+from ..core.checks import checked_flag
+from ..core.names import (
+    DENSITIES,
+    SPLAT_MAPS,
+    Coordinates,
+    Density,
+    SplatMap,
+    Store,
+    chosen,
+    require_coordinates,
+    require_name,
+    require_store,
+)
+from ..edits.edits import CageEdit
+from ..edits.falloff import FalloffBand
+from ..edits.fragments import found_fragments
+from ..edits.maps import EditLattices
+from ..errors import InputError
+from ..field.render import asked_view
+from ..field.voxel_field import VoxelField
+from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
+from ..lattice.buffers import StreamOrder
+from ..render.modules import load_pose_modules, render_modules
+from ..render.scene import PosedScene
+from ..render.view import PosedEdits, cage_span, require_short_march
+from ..splats.matter import SplatDensity
+from ..splats.render import render_field
+from ..splats.splat_field import SplatField
+from ..view.camera import Camera
+from ..view.frame import MASK_NAMES, Frame
+from .exact import ExactEdits
+from .poses import canonical_points, checked_poses
+from .splat_edits import SplatEdits
+
+
+@dataclasses.dataclass(frozen=True)
+class MapOptions:
+    """How cages act on a field; see `Deformer`."""
+
+    coordinates: Coordinates
+    resolution: int | None
+    density: Density
+    store: Store
+    map: SplatMap | None
+
+
+class Backend(abc.ABC):
+    """A field that cages deform; its buffers hold one pose at a time, for callers that take turns."""
+
+    kind: ClassVar[type]  # of the field
+    masks: ClassVar[tuple[str, ...]] = ()  # of its frames
+    bands: list[FalloffBand | None]  # of each edit
+    posed: Any  # the edits on the device, with a pose in their buffers
+
+    def __init__(self, field: Any, edits: list[CageEdit], options: MapOptions):
+        self.field, self.edits, self.device, self.options = field, edits, field.device, options
+        self._held: list[Cage | None] | None = None  # the pose that is in the buffers
+        self._spans: list[float] = []  # of its cages
+        self._order = StreamOrder(self.device)
+        self._order.follow()
+
+    @classmethod
+    @abc.abstractmethod
+    def check(cls, options: MapOptions) -> None:
+        """Refuse options that this kind of field does not have."""
+
+    def checked(self, deformed: Any) -> list[Cage | None]:
+        """The cages of a pose as callers give it, one per edit."""
+        return checked_poses(self.edits, self.bands, deformed)
+
+    def hold(self, cages: list[Cage | None]) -> Any:
+        """The edits with this pose in their buffers, computed where another one is there."""
+        self._order.follow()  # poses and frames of other streams share the buffers
+        if self._held is not cages:
+            self._held = None
+            self.posed.pose(cages)
+            self._held, self._spans = cages, [cage_span(cage) for cage in cages]
+        return self.posed
+
+    @abc.abstractmethod
+    def render(self, cages: list[Cage | None], camera: Camera, how: tuple[Any, ...], **target: Any) -> Frame:
+        """The view of a camera in a pose; how: background, step, supersampling and antialias as `Deformer.render` has
+        them, target: `into` and `is_again` as a FieldView has them."""
+
+    def to_canonical(self, cages: list[Cage | None], *asked: Any) -> tuple[Any, ...]:
+        """Where points of a pose are at rest; asked: points, directions, step, return_outside."""
+        raise InputError(
+            "to_canonical looks points up backward, as voxels are: splats move forward; take deform_points for points, "
+            "or posed_splats for the splats themselves"
+        )
+
+    def reached(self) -> list[np.ndarray]:
+        """Boxes (2, 3), world units, of what goes with cages beside what is in them."""
+        return []
+
+
+class VoxelBackend(Backend):
+    """Voxels, which are looked up backward: where each place of the deformed scene comes from."""
+
+    kind, masks = VoxelField, MASK_NAMES
+    posed: PosedEdits
+
+    def __init__(self, field: VoxelField, edits: list[CageEdit], options: MapOptions):
+        super().__init__(field, edits, options)
+        origin, device, coordinates = field.center, field.device, options.coordinates
+        self.bands = [FalloffBand(edit, field) if edit.falloff > 0.0 else None for edit in edits]
+        self._carried = [found_fragments(edit, field, index) for index, edit in enumerate(edits)]
+        if options.resolution is None:
+            self.posed = ExactEdits(edits, coordinates, origin, device, self.bands, self._carried)
+        else:
+            load_pose_modules(coordinates, render_modules(device, len(edits), any(self._carried)), device)
+            kept = options.store, self.bands, self._carried
+            scene = PosedScene(EditLattices(edits, coordinates, options.resolution, origin, device, *kept))
+            scene.warm(field)
+            self.posed = scene
+
+    @classmethod
+    def check(cls, options: MapOptions) -> None:
+        if options.map not in (None, "backward"):
+            raise InputError(f'map={options.map!r} is for splats: voxels are looked up backward, "backward" or None')
+        require_coordinates(options.coordinates)
+        require_name(options.density, DENSITIES, "density")
+        if options.resolution is None and options.coordinates == "harmonic":
+            raise InputError("harmonic coordinates have no closed form: give a resolution, or mean_value or green")
+        require_store(options.store)
+        if options.resolution is None and options.store != "map":
+            raise InputError('store="weights" keeps weights on a lattice: give a resolution')
+
+    def render(self, cages: list[Cage | None], camera: Camera, how: tuple[Any, ...], **target: Any) -> Frame:
+        background, step, supersampling, antialias = how
+        if antialias is not None and checked_flag(antialias, "antialias"):
+            raise InputError("antialias is for splats: voxels take more rays a pixel (supersampling)")
+        view = asked_view(self.field, camera, background, step, supersampling, masks=MASK_NAMES, **target)
+        posed = self.hold(cages)
+        require_short_march(self._spans, view.step)
+        return posed.render(view, chosen(self.options.density, "density", opacity=1, paper=0))
+
+    def to_canonical(self, cages: list[Cage | None], *asked: Any) -> tuple[Any, ...]:
+        return canonical_points(self.field, self.hold(cages), *asked)
+
+    def reached(self) -> list[np.ndarray]:
+        return [each.bounds for each in self._carried if each is not None and each.bounds is not None]
+
+
+class SplatBackend(Backend):
+    """Splats, which are matter and move forward."""
+
+    kind = SplatField
+    posed: SplatEdits
+
+    def __init__(self, field: SplatField, edits: list[CageEdit], options: MapOptions):
+        if any(edit.fragments > 0.0 for edit in edits):
+            raise InputError("fragments are for voxels: splats of a part that hang over its wall go by their shares")
+        super().__init__(field, edits, options)
+        self.bands = [splat_band(field, edit) if edit.falloff > 0.0 else None for edit in edits]
+        law = chosen(options.density, "density", opacity=LAW_RAYS, paper=LAW_DENSITY)
+        how = options.coordinates, options.resolution, law, options.map == "backward"
+        self.posed = SplatEdits(field, edits, *how, self.bands)
+
+    @classmethod
+    def check(cls, options: MapOptions) -> None:
+        require_coordinates(options.coordinates)
+        require_name(options.density, DENSITIES, "density")
+        if options.map is not None:
+            require_name(options.map, SPLAT_MAPS, "map")
+        if options.store != "map":
+            raise InputError(f'splats keep their weights: store must be "map", got {options.store!r}')
+
+    def render(self, cages: list[Cage | None], camera: Camera, how: tuple[Any, ...], **target: Any) -> Frame:
+        background, step, supersampling, antialias = how
+        if step is not None:
+            raise InputError("splats are not marched through: leave step out")
+        splats = self.hold(cages).posed
+        return render_field(self.field, splats, camera, background, supersampling, antialias, target.get("into"))
+
+
+def splat_band(field: SplatField, edit: CageEdit) -> FalloffBand:
+    """The band of an edit, whose cut walls are found among the splats near its cage."""
+    low, high = edit.cage.bounds
+    reach = 0.1 * edit.cage.size
+    matter: Any = SplatDensity(field, bounds=np.array([low - reach, high + reach]))
+    return FalloffBand(edit, matter)
