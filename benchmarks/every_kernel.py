@@ -260,6 +260,7 @@ def splats(device) -> None:
         rng.uniform(-1, 1, (300, 3)), *values, 0.2 * rng.normal(size=(300, 16, 3)), device=device
     )
     field.render(camera(37), supersampling=2, antialias=True)
+    warpcage.Stage().add("one", field).add("other", field, place=warpcage.Place((1, 0, 0))).render(camera(37))
     view = warpcage.Camera.look_at((0.1, 0, 0.1), (0, 1, 0), width=40, height=23)
     field.render(view)
     cameras = [camera(37), view]

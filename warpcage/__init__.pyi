@@ -16,8 +16,11 @@ from .deform.bake import bake as bake
 from .deform.deformer import Deformer as Deformer
 from .deform.deformer import SplatDeformer as SplatDeformer
 from .deform.fill import fill_unseen as fill_unseen
+from .deform.stage import Stage as Stage
 from .editor.edit import edit as edit
 from .edits.edits import CageEdit as CageEdit
+from .edits.place import Place as Place
+from .edits.place import PlaceFile as PlaceFile
 from .errors import Cancelled as Cancelled
 from .errors import Error as Error
 from .field.objects import select_object as select_object
@@ -64,6 +67,8 @@ __all__ = [
     "Frame",
     "Frames",
     "NodeSelection",
+    "Place",
+    "PlaceFile",
     "PoseFile",
     "PositionMap",
     "RandomPoses",
@@ -74,6 +79,7 @@ __all__ = [
     "SplatFit",
     "SplatFitOptions",
     "SplatRates",
+    "Stage",
     "VoxelField",
     "bake",
     "camera_at",

@@ -1,5 +1,6 @@
 """Pictures, films and baked fields of deformed scenes from the command line."""
 
+import json
 from fractions import Fraction
 
 import imageio.v3 as iio
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from runs import DEFORMED, SMALL, run, succeed, write_files
 
-from warpcage import Cage, PoseFile, VoxelField
+from warpcage import Cage, Camera, Deformer, Place, PoseFile, SplatField, Stage, VoxelField, load_scene
 from warpcage.field import harmonics_on_host
 from warpcage.view import read_image, write_png
 
@@ -351,3 +352,94 @@ def test_what_commands_say_of_a_pose_is_plain(files, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "pose: turned inside out" in said and "pose: has nothing to show" in said and "memory of a pose" in said
     assert not any(word in said for word in JARGON), said
+
+
+# Several things in one scene
+
+PLACE = {"position": [0.6, 0.2, 0.1], "turn": [0, 90, 20], "scale": 0.5}
+
+
+@pytest.fixture
+def things(files, tmp_path):
+    """Words of a scene of two: the ball posed, and another, small and posed by edits of its own, beside it."""
+    (tmp_path / "place.json").write_text(json.dumps(PLACE))
+    edit = f"{files}/cage.obj:{files}/posed.obj"
+    succeed(files, "edits", "-o", tmp_path / "it.edits.json", "--edit", edit)
+    return [*SMALL, *DEFORMED, "--add", f"@ball.npz:{tmp_path}/place.json:{tmp_path}/it.edits.json"]
+
+
+def test_render_of_several_things(files, things, tmp_path, capsys):
+    view = ["--camera", "@scene:test:1", "--background", "black"]
+    scene = tmp_path / "both.stage.json"
+    succeed(files, "render", "@ball.npz", *things, *view, "-o", tmp_path / "both.png", "--save-stage", scene)
+    camera = load_scene(files / "scene", split="test").cameras[1].resized(40, 40)
+    field, cage = VoxelField.load(files / "ball.npz"), Cage.load(files / "cage.obj")
+    options = {"coordinates": "mean_value", "resolution": 24}
+    deformer = Deformer(field, cage, **options).pose(cage.match(Cage.load(files / "posed.obj")))
+    stage = Stage().add("one", deformer).add("other", deformer, place=Place(**PLACE))
+    expected = stage.render(camera, background="black").rgb
+    np.testing.assert_allclose(read_image(tmp_path / "both.png"), expected, atol=0.01)
+    assert np.abs(expected - deformer.render(camera, background="black").rgb).max() > 0.3
+    succeed(files, "render", scene, *SMALL, *view, "-o", tmp_path / "again.png")
+    np.testing.assert_array_equal(read_image(tmp_path / "again.png"), read_image(tmp_path / "both.png"))
+    capsys.readouterr()
+    succeed(files, "info", scene)
+    said = capsys.readouterr().out
+    assert "thing 'ball 2'" in said and "1 edit, at [0.6, 0.2, 0.1], turned by [0.0, 90.0, 20.0] degrees" in said
+    succeed(files, "render", scene, "-o", tmp_path / "all.png", "--size", 40)  # the picture holds all of them
+    image = read_image(tmp_path / "all.png")
+    assert (image[[0, -1]] == 1).all() and (image[:, [0, -1]] == 1).all()
+
+
+def test_film_of_things_that_move_by_keys_of_their_places(files, things, tmp_path):
+    keys = [{"time": 0, **PLACE, "easing": "linear"}, {"time": 1, "position": [-0.6, 0.2, 0.1], "scale": 0.5}]
+    (tmp_path / "around.json").write_text(json.dumps({"keys": keys}))
+    words = ["@ball.npz", *SMALL, "--add", f"@ball.npz:{tmp_path}/around.json", "--eye", 0, -4, 0, "--target", 0, 0, 0]
+    folder = tmp_path / "frames"
+    succeed(files, "animate", *words, "--turn", 0, "--fps", 4, "--background", "black", "-o", folder)
+    assert len(list(folder.glob("*.png"))) == 5  # as long as the keys
+    field = VoxelField.load(files / "ball.npz")
+    camera = Camera.look_at((0, -4, 0), (0, 0, 0), width=40, height=40)
+    stage = Stage().add("one", field).add("other", field, place=tmp_path / "around.json")
+    for index in (1, 4):
+        stage.time = index / 4
+        expected = stage.render(camera, background="black").rgb
+        np.testing.assert_allclose(read_image(folder / f"frame_{index:04d}.png"), expected, atol=0.01)
+    (tmp_path / "around.json").write_text(json.dumps({"keys": keys[::-1][:1] + keys[:1]}))
+    assert run(files, "animate", *words, "--turn", 0, "--fps", 4, "--background", "black", "-o", folder) == 2
+    posed = ["animate", "@ball.npz", *things, "--frames", 3, "--turn", 0, "-o", tmp_path / "posed"]
+    succeed(files, *posed)  # poses without times keep to the number of frames
+    assert len(list((tmp_path / "posed").glob("*.png"))) == 3
+
+
+def test_bake_of_a_stage_file(files, things, tmp_path):
+    scene = tmp_path / "both.stage.json"
+    succeed(files, "render", "@ball.npz", *things, "-o", tmp_path / "both.png", "--save-stage", scene)
+    succeed(files, "bake", scene, "-o", tmp_path / "both.npz", "--voxels", 80)
+    succeed(files, "bake", scene, "-o", tmp_path / "both.ply")
+    stage, camera = Stage.load(scene), Camera.look_at((2, 3, 1), (0, 0, 0), width=40, height=40)
+    merged, splats = VoxelField.load(tmp_path / "both.npz"), SplatField.load(tmp_path / "both.ply")
+    seen = [one.render(camera, background="black").rgb for one in (stage, merged, splats)]
+    errors = [np.mean((one - seen[0]) ** 2) for one in seen[1:]]
+    assert max(merged.resolution) <= 81 and errors[0] < 1e-2 and errors[1] < 2e-2
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["render", "@ball.npz", "--add", "@ball.npz:@text.txt"], "text.txt: not a place file"),
+        (["render", "@ball.npz", "--add", "@none.npz"], "none.npz' is not there"),
+        (["render", "@ball.npz", "--add", "@ball.npz:a:b:c"], "must be FIELD, FIELD:PLACE.json or"),
+        (["render", "@ball.npz", "--save-stage", "x.json"], "that ends in .stage.json"),
+        (["render", "@none.stage.json"], "none.stage.json' is not there"),
+        (["render", "@none.stage.json", *DEFORMED], "have cages of their own"),
+        (["animate", "@ball.npz", "--add", "@ball.npz", "--workers", "2"], "--workers and --jobs render a field alone"),
+        (["bake", "@none.stage.json", *DEFORMED], "--cage does not go with a stage file"),
+    ],
+    ids=["place", "field", "words", "ending", "stage", "cages", "workers", "bake"],
+)
+def test_what_several_things_do_not_go_with(words, message, files, tmp_path, capsys):
+    output = tmp_path / {"bake": "out.npz", "animate": "out.mp4"}.get(words[0], "out.png")
+    assert run(files, *words, "-o", output) == 2
+    said = capsys.readouterr().err
+    assert message in said and len(said.splitlines()) == 1 and not output.exists()

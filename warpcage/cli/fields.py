@@ -17,6 +17,7 @@ from ..core.memory import require_host_memory
 from ..core.names import counted
 from ..deform.bake import bake
 from ..deform.deformer import SplatDeformer
+from ..deform.stage import Stage
 from ..edits.carry import carried_points
 from ..errors import InputError
 from ..field.clean import CleanOptions, clean_voxels
@@ -26,6 +27,7 @@ from ..field.selection import NodeSelection, painted_voxels, splat_matter, tinte
 from ..field.surface import color_vertices
 from ..field.texture import simplified, textured
 from ..field.voxel_field import VoxelField
+from ..fitting.splats.from_voxels import to_splats
 from ..mesh.io import write_shown_mesh
 from ..mesh.io.ply import write_ply
 from ..splats.clean import clean_splats
@@ -51,6 +53,8 @@ def _checked_fields(args: argparse.Namespace, volumes: tuple[str, ...] = ()) -> 
 
 
 def run_bake(args: argparse.Namespace) -> None:
+    if shared.is_stage(args.field):
+        return _bake_stage(args)
     of_splats, output = _checked_fields(args, VOLUME_ENDINGS)
     is_volume = output.suffix.lower() in VOLUME_ENDINGS
     if is_volume and args.format is not None:
@@ -87,6 +91,25 @@ def run_bake(args: argparse.Namespace) -> None:
             return
         baked = bake(deformer, resolution=args.voxels)
     _write_voxels(baked, output, args.format or "warpcage")
+
+
+def _bake_stage(args: argparse.Namespace) -> None:
+    """Merge the things of a stage file."""
+    given = ("frames", "overwrite", "selection", "cage", "edit", "edits")
+    if wrong := [name for name in given if getattr(args, name) not in (None, False)]:
+        raise InputError(f"--{wrong[0]} does not go with a stage file, whose things are merged as they are")
+    output = options.check_output(args.output, (".npz", *shared.splat_outputs()), "field file")
+    shared.require_field_scale(args)
+    stage = Stage.load(args.field, device=shared.chosen_device(args))
+    merged = stage.merged(resolution=args.voxels, convert=to_splats)
+    if isinstance(merged, SplatField):
+        if output.suffix.lower() == ".npz":
+            raise InputError(f"splats are merged as splats: give -o with one of {', '.join(shared.splat_outputs())}")
+        _write_splats(merged, output)
+    elif output.suffix.lower() != ".npz":
+        _write_splats(to_splats(merged), output)
+    else:
+        _write_voxels(merged, output, args.format or "warpcage")
 
 
 def _write_splats(field: SplatField, output: pathlib.Path) -> None:

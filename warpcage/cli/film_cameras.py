@@ -30,12 +30,12 @@ def camera_track(
     args: argparse.Namespace,
     field: shared.AnyField,
     deformation: Deformation | None,
+    points: np.ndarray,  # (n, 3) around what the film shows, world units
     film: PoseFile | None,  # keys that hold cameras too
     time_of: Callable[[float], float] | None,  # seconds of a frame where there are keys at times
     cages_at: Callable[[float], Sequence[Cage | None]],  # of a frame
 ) -> CameraTrack:
     """The camera of a film; that of the film's keys where no option names another."""
-    points = shared.visible_points(field, deformation, args.frame)
     named = (args.cameras, args.turn, args.camera, args.view, args.eye, args.target)
     if film is not None and time_of is not None and all(one is None for one in named):
         return lambda frames: [shared.fitted_to(film.camera_at(time_of(frame)), args) for frame in frames]

@@ -18,6 +18,8 @@ from ..core.kernel_files import copy_kernel, find_kernel, kernel_groups, kernel_
 from ..core.modules import start_warp
 from ..core.names import counted
 from ..core.threads import cpu_threads
+from ..deform.stage import read_stage_file
+from ..edits.place import PLACE_WORDS, PlaceFile
 from ..errors import InputError, MissingFileError
 from ..field.surroundings import LayeredBackground, OuterField
 from ..fitting.silhouettes import Silhouettes
@@ -74,7 +76,8 @@ def run_info(args: argparse.Namespace) -> None:
     else:
         raise InputError(
             f"{args.field!r} is not a field (.npz), splats ({' '.join(endings_read())}), cage "
-            f"({' '.join(mesh_endings())}), poses, edits or cameras (.json) or scene folder{scene_around(path)}"
+            f"({' '.join(mesh_endings())}), poses, edits, cameras, places or stages (.json) or scene "
+            f"folder{scene_around(path)}"
         )
     width = max(len(name) for name, _ in rows)
     for name, value in rows:
@@ -204,8 +207,10 @@ def _objects(path: pathlib.Path, names: list[str]) -> Rows:
 def _json(path: pathlib.Path) -> Rows:
     """What a JSON file holds, by the format that it names."""
     kinds = {"warpcage poses": _poses, "warpcage cameras": _cameras, "warpcage edits": _edits}
+    kinds |= {"warpcage stage": _stage, "warpcage place": _place}
     try:
-        kind = read_json(path, "file of warpcage").get("format")
+        content = read_json(path, "file of warpcage")
+        kind = content.get("format", "warpcage place" if content.keys() & PLACE_WORDS else None)  # made by hand
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     if kind == "warpcage session":
@@ -259,6 +264,32 @@ def _edits(path: pathlib.Path) -> Rows:
     edits = read_edits_file(path)
     numbered = [(f"edit {number}", edit) for number, edit in enumerate(edits, 1)]
     return [("kind", "edits"), ("edits", len(edits)), *numbered, ("file", _file_size(path))]
+
+
+def _stage(path: pathlib.Path) -> Rows:
+    things = read_stage_file(path)
+    rows: Rows = [("kind", "stage"), ("things", len(things))]
+    for thing in things:
+        cages = counted(len(thing["deformation"]["edits"]), "edit") if "deformation" in thing else "no edits"
+        hidden = ", hidden" if thing.get("hidden") else ""
+        rows.append((f"thing {thing['name']!r}", f"{thing['field']}, {cages}, {_placed(thing['place'])}{hidden}"))
+    return [*rows, ("file", _file_size(path))]
+
+
+def _place(path: pathlib.Path) -> Rows:
+    places = PlaceFile.load(path)
+    keys = [(f"at {time:g} s", _placed(PlaceFile(place))) for time, place in places.places.items()]
+    return [("kind", "place"), *keys, ("file", _file_size(path))]
+
+
+def _placed(places: PlaceFile) -> str:
+    """Where a thing stands, or how long it moves."""
+    if len(places.places) > 1:
+        return f"moves through {counted(len(places.places), 'place')} in {places.length:g} s"
+    place = next(iter(places.places.values()))
+    position, turn = (np.asarray(vector).tolist() for vector in (place.position, place.turn))
+    numbers = [f"at {position}", f"turned by {turn} degrees", f"{place.scale:g} times as large"]
+    return ", ".join(numbers)
 
 
 def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | None, box: pathlib.Path | None) -> Rows:

@@ -22,10 +22,12 @@ from ..core.names import TRANSPARENT, counted
 from ..core.overlap import BackgroundWriter
 from ..core.reports import bar
 from ..deform.deformer import Deformer
+from ..deform.stage import STAGE_ENDING, Stage
 from ..editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
 from ..editor.renderer import view_camera
 from ..editor.session import read_session
 from ..editor.timeline import frame_times
+from ..edits.place import PlaceFile
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from ..view import frame_parts
@@ -46,12 +48,15 @@ from .films import (
     FilmFrame,
     FilmJob,
     FilmWorkers,
+    Staging,
     checked_jobs_path,
     film_words,
     frame_outputs,
     frame_path,
     make_folder,
+    read_things,
     session_job,
+    staging_of,
 )
 from .shared import Deformation, read_deformation
 from .words import set_frames
@@ -118,12 +123,15 @@ class Shot:
         field: shared.AnyField,
         deformation: Deformation | None,  # None where the field is shown as it is
         args: argparse.Namespace,
-        film: PoseFile | None = None,  # keys at times, where there are any
+        film: PoseFile | PlaceFile | None = None,  # keys at times, where there are any
+        staging: Staging | None = None,  # what stands beside the field
     ):
+        self.staging = staging
         self.field, self.deformation, self.args, self.film = field, deformation, args, film
         self.deformer: Deformer | None = None  # None where the field is shown as it is, or where others render
         keys = None if film is None or deformation is None else deformation.camera_film
-        self.track = camera_track(args, field, deformation, keys, None if film is None else self.time, self.cages)
+        points, time_of = seen_points(field, deformation, args, staging), None if film is None else self.time
+        self.track = camera_track(args, field, deformation, points, keys, time_of, self.cages)
         self.cameras = self.track(range(args.frames))  # one a frame
         self.held: float | None = None  # the place that the deformer is posed at
         self.shares: dict[str, list[float]] = {}
@@ -139,6 +147,8 @@ class Shot:
         """Whether several frames are one picture."""
         poses = [camera.camera_to_world for camera in self.cameras]
         if len(poses) < 2 or any(not np.array_equal(pose, poses[0]) for pose in poses):
+            return False
+        if self.staging is not None and self.staging.longest(None) is not None:
             return False
         if self.deformation is None or self.deformation.is_still:
             return True
@@ -169,7 +179,7 @@ class Shot:
     def frame(self, frame: float, camera: Camera) -> tuple[Frame, list[Cage]]:
         """A frame, or what is between two, and the cages that it shows."""
         if self.deformer is None or self.deformation is None:
-            return shared.render_view(self.field, camera, self.args), []
+            return shared.render_view(self._scene(self.field, frame), camera, self.args), []
         place, cages = self.place(frame), self.cages(frame)
         try:
             if place != self.held:
@@ -177,8 +187,15 @@ class Shot:
                 self.held = place
         except ValueError as error:
             raise InputError(f"frame {frame:g}, between the poses: {error}") from error
-        found = shared.render_view(self.deformer, camera, self.args)
+        found = shared.render_view(self._scene(self.deformer, frame), camera, self.args)
         return found, self.deformation.drawn(self.deformer.deformed or cages)
+
+    def _scene(self, renderer: shared.AnyField | Deformer, frame: float) -> shared.AnyField | Deformer | Stage:
+        """What a frame shows: what renders the field, alone or among others as they are then."""
+        if self.staging is None:
+            return renderer
+        self.staging.at(frame / float(self.args.fps) if self.film is None else self.time(frame))
+        return self.staging.with_main(renderer)
 
     def taken(self, index: int) -> tuple[np.ndarray, Frame, Camera]:
         """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4), and the frame itself."""
@@ -245,11 +262,12 @@ def pictures_of(
     deformation: Deformation | None,
     cameras: Sequence[Camera],
     pose: Callable[[int], object] = lambda index: None,  # called before each with its number
+    staging: Staging | None = None,  # what stands beside it
 ) -> Iterator[Picture]:
     """The pictures of some cameras, one after the other."""
     for index, camera in enumerate(cameras):
         pose(index)
-        frame = shared.render_view(renderer, camera, args)
+        frame = shared.render_view(renderer if staging is None else staging.with_main(renderer), camera, args)
         drawn = shared.drawn_cages(renderer, deformation) if args.overlay else ()
         yield colors(frame, camera, drawn, shared.is_transparent(args)), frame, camera
 
@@ -268,12 +286,14 @@ def run_flight(args: argparse.Namespace) -> None:
     shared.check_saved(args)
     if args.cameras == "given" and args.frames is not None:
         raise InputError("--frames belongs to --cameras interpolate")
-    field = shared.read_field(args)
+    field, stage = read_things(args)
     shared.require_fillable(args, field)
     cameras = chosen_cameras(args)
     deformation = read_deformation(args, field)
+    staging = staging_of(args, field, stage)
     shared.set_lattice(args, cameras[0])
-    pictures = pictures_of(args, shared.posed_renderer(field, deformation, args), deformation, cameras)
+    renderer = shared.posed_renderer(field, deformation, args)
+    pictures = pictures_of(args, renderer, deformation, cameras, staging=staging)
     shared.save_cameras(args, cameras)
     if output.suffix:
         rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
@@ -315,6 +335,14 @@ def _write_pictures(
             beside.run(*picture_task(folder / f"{name}.{args.format or 'png'}", image, frame, camera))
 
 
+def seen_points(
+    field: shared.AnyField, deformation: Deformation | None, args: argparse.Namespace, staging: Staging | None
+) -> np.ndarray:
+    """(n, 3) points around what a picture shows, world units."""
+    points = shared.visible_points(field, deformation, args.frame)
+    return points if staging is None else staging.points(points)
+
+
 def run_many_poses(args: argparse.Namespace) -> None:
     """Render each of several poses. The field is read once, and its lattice is made once."""
     folder = _new_folder(args.output, "pictures of several poses go into a new or an empty folder")
@@ -323,11 +351,12 @@ def run_many_poses(args: argparse.Namespace) -> None:
     shared.require_deformation(args, f"the folder {args.output!r}")
     checked_opacity(args, folder)
     shared.check_saved(args)
-    field = shared.read_field(args)
+    field, stage = read_things(args)
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field, "linear")
     assert deformation is not None
-    camera = shared.chosen_camera(args, shared.visible_points(field, deformation, args.frame))
+    staging = staging_of(args, field, stage)
+    camera = shared.chosen_camera(args, seen_points(field, deformation, args, staging))
     shared.set_lattice(args, camera)
     deformer = shared.make_deformer(field, deformation, args)
     count = max(1, deformation.pose_count - 1)
@@ -339,7 +368,7 @@ def run_many_poses(args: argparse.Namespace) -> None:
         except ValueError as error:
             raise InputError(f"pose {index + 1} of {count}: {error}") from error
 
-    pictures = pictures_of(args, deformer, deformation, [camera] * count, pose)
+    pictures = pictures_of(args, deformer, deformation, [camera] * count, pose, staging)
     digits = max(4, len(str(count)))
     _write_pictures(folder, pictures, (f"pose_{number:0{digits}d}" for number in range(1, count + 1)), args)
     shared.save_cameras(args, [camera])
@@ -367,22 +396,27 @@ def run_render(args: argparse.Namespace) -> None:
     extra = {kind: options.check_output(getattr(args, kind), (".png",), "picture") for kind in given}
     if args.masks is not None:
         shared.require_deformation(args, "--masks")
-    field = shared.read_field(args)
+    if args.save_stage is not None and not shared.is_stage(args.save_stage):
+        raise InputError(f"--save-stage writes a file that ends in {STAGE_ENDING}, got {args.save_stage!r}")
+    field, stage = read_things(args)
     if args.masks is not None:
         shared.require_voxels(field, "--masks")
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field)
+    staging = staging_of(args, field, stage)
 
-    camera = shared.chosen_camera(args, shared.visible_points(field, deformation, args.frame))
+    camera = shared.chosen_camera(args, seen_points(field, deformation, args, staging))
     shared.warn_of_edges(args, camera, deformation)
     shared.set_lattice(args, camera)
     renderer = shared.posed_renderer(field, deformation, args)
-    image, frame, _ = next(pictures_of(args, renderer, deformation, [camera]))
+    image, frame, _ = next(pictures_of(args, renderer, deformation, [camera], staging=staging))
     write, _ = picture_task(output, image, frame, camera)
     write()
     for kind, path in extra.items():
         write_png(path, frame_parts.picture(frame, kind))
     shared.save_cameras(args, [camera])
+    if args.save_stage is not None and staging is not None:
+        staging.stage.save(args.save_stage)
     names = " and ".join(map(str, [output, *extra.values()]))
     print(f"wrote {names}: {frame.width}x{frame.height}, {100 * float(frame.alpha.mean()):.1f} % covered")
     if args.masks is not None:
@@ -414,16 +448,21 @@ def run_animate(args: argparse.Namespace) -> None:
     device, scaled = args.device, args.show in ("depth", "disparity")  # by a few frames, which are rendered
     if not here and not scaled:
         args.device = "cpu"
-    field = shared.read_field(args)
+    if not here and (args.add or shared.is_stage(args.field)):
+        raise InputError("--workers and --jobs render a field alone: leave them out where several things are shown")
+    field, stage = read_things(args)
     if args.show == "masks":
         shared.require_voxels(field, "--show masks")
     args.timed, args.film_rate = not given & {"motion", "interpolation"}, args.fps if "fps" in given else None
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field, args.interpolation)
-    timed = None if deformation is None else deformation.film
+    staging = staging_of(args, field, stage, args.interpolation)
+    timed: PoseFile | PlaceFile | None = None if deformation is None else deformation.film
+    if staging is not None and (timed is not None or deformation is None):  # poses without times keep to --frames
+        timed = staging.longest(timed)
     if set_frames(args, timed, given) is None:
         timed = None
-    shot = Shot(field, deformation, args, timed)
+    shot = Shot(field, deformation, args, timed, staging)
     cameras = shot.cameras
     shared.warn_of_edges(args, cameras[0], deformation)
     shared.set_lattice(args, cameras[0])
@@ -490,6 +529,8 @@ def _render(shot: Shot, output: pathlib.Path) -> None:
             write_film(output, map(shot.picture, frames), args.fps, loop=args.loop != "once")
     else:
         settings = _settings(args, cameras, shot.deformation)
+        if shot.staging is not None:
+            settings["things"] = shot.staging.fingerprints()
         kept = make_folder(output, cameras, make, settings, overwrite=bool(args.overwrite))
     _say(shot, output, kept)
     shot.warn()

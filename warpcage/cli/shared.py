@@ -26,6 +26,7 @@ from ..core.files import read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
+from ..deform.stage import STAGE_ENDING, Stage
 from ..editor.session import FORMAT as SESSION_FORMAT
 from ..editor.session import read_session
 from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
@@ -138,12 +139,19 @@ def read_deformation(
             )
         texts = args.posed if isinstance(args.posed, list) else [args.posed or "rest"]
         return Deformation([_read_edit(EditWords(args.cage, texts[0]), texts, args, interpolation, field)])
-    if args.edits is not None and is_session(args.edits):
-        return session_edits(args.edits, interpolation)[0]
-    words = [parse_edit(text) for text in args.edit or ()]
     if args.edits is not None:
-        words = read_edits_file(args.edits)
+        return edits_of_file(args.edits, args, interpolation, field)
+    words = [parse_edit(text) for text in args.edit or ()]
     return numbered_edits(words, args, interpolation, field) if words else None
+
+
+def edits_of_file(
+    path: str, args: argparse.Namespace, interpolation: str | None, field: VoxelField | SplatField
+) -> Deformation:
+    """The deformation of an edits file, or of a session of the editor."""
+    if is_session(path):
+        return session_edits(path, interpolation)[0]
+    return numbered_edits(read_edits_file(path), args, interpolation, field)
 
 
 def numbered_edits(
@@ -308,6 +316,11 @@ def splat_outputs() -> tuple[str, ...]:
     return tuple(dict.fromkeys([*options.SPLAT_ENDINGS, *endings_written()]))
 
 
+def is_stage(path: str) -> bool:
+    """Whether a file is that of a stage, by its ending."""
+    return path.lower().endswith(STAGE_ENDING)
+
+
 def require_voxels(field: AnyField, what: str) -> VoxelField:
     """A field of voxels. Raises ValueError for splats; what: what is asked for, as the message begins."""
     if isinstance(field, SplatField):
@@ -395,11 +408,11 @@ def is_transparent(args: argparse.Namespace) -> bool:
     return args.transparent or args.background == TRANSPARENT
 
 
-def render_view(renderer: AnyField | Deformer, camera: Camera, args: argparse.Namespace) -> Frame:
+def render_view(renderer: AnyField | Deformer | Stage, camera: Camera, args: argparse.Namespace) -> Frame:
     """The view of a camera before the chosen background; what no picture showed is filled where --fill asks for it."""
     splats = {} if args.antialias is None else {"antialias": args.antialias}
     frame = renderer.render(camera, **background_option(args), **splats)
-    if not args.fill or frame.reveal is None:
+    if not args.fill or frame.reveal is None or isinstance(renderer, Stage):
         return frame
     field = renderer.field if isinstance(renderer, Deformer) else renderer
     return fill_unseen(frame, require_voxels(field, "--fill"), camera)

@@ -31,6 +31,7 @@ from ..cage.up_axis import UpAxis, load_standing
 from ..core.checks import listed, warn_caller
 from ..core.files import PathLike, atomic_path, path_from, read_json, require_file
 from ..core.names import EASINGS, counted, edit_words
+from ..edits.place import PlaceFile
 from ..edits.words import EditWords, held_walls
 from ..errors import InputError
 from ..view.camera_path import timed_keys
@@ -159,7 +160,7 @@ def note_jumps(file: PoseFile, path: str) -> None:
         )
 
 
-def set_frames(args: argparse.Namespace, film: PoseFile | None, given: set[str]) -> list[float] | None:
+def set_frames(args: argparse.Namespace, film: PoseFile | PlaceFile | None, given: set[str]) -> list[float] | None:
     """Set number, rate and loop of the frames in `args` by the keys of a film; given: names of the options given.
     Returns the times of the frames, seconds; None, the frames being as they were asked for, without a film."""
     if film is None:
@@ -354,6 +355,16 @@ def parse_edit(text: str) -> EditWords:
         return EditWords(cage, rest or None, **words)
     except (ValueError, argparse.ArgumentTypeError) as error:
         raise InputError(f"--edit {text!r}: {error}") from None
+
+
+def parse_add(text: str) -> tuple[str, str | None, str | None]:
+    """Field, place file and edits file of a word of --add: FIELD, FIELD:PLACE or FIELD:PLACE:EDITS; "" is none."""
+    # the colon of a Windows drive (C:\field.npz) separates nothing
+    parts = re.split(r":(?![\\/])|(?<!^[A-Za-z])(?<!:[A-Za-z]):", text)
+    if len(parts) > 3 or not parts[0]:
+        raise InputError(f"--add {text!r} must be FIELD, FIELD:PLACE.json or FIELD:PLACE.json:EDITS.json")
+    field, place, edits = (*parts, "", "")[:3]
+    return field, place or None, edits or None
 
 
 def read_edits_file(path: PathLike) -> list[EditWords]:

@@ -84,6 +84,7 @@ class Deformer:
         resolution: Cells of the lattices, or None.
         density: "opacity" or "paper".
         store: "map" or "weights".
+        map: "forward", "backward", or None for the field's own way.
         deformed: The posed cages, one per edit, None for an edit that removes; None before the first pose.
         lock: Held while buffers are in use. Hold it around several calls that must see the same pose, and around what
             reads `posed_edits()`.
@@ -138,6 +139,7 @@ class Deformer:
         self.coordinates: Coordinates = coordinates
         self.density: Density = density
         self.store: Store = store
+        self.map: SplatMap | None = map
         self.resolution = resolution
         self.deformed: list[Cage | None] | None = None
         self.lock = owner_lock(self.device)

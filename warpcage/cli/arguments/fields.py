@@ -140,6 +140,7 @@ command(
     """\
   warpcage bake lego.npz --cage cage.obj --posed posed.obj -o bent.npz
   warpcage bake lego.npz --cage cage.obj --posed twist:60 -o twisted.npz --format svox2 --voxels 512
+  warpcage bake both.stage.json -o both.npz
   warpcage bake lego.npz --edits lego.edits.json -o parts.npz
   warpcage bake scene.ply --cage cage.obj --posed bend:40:x:z -o bent.ply
   warpcage bake scene.ply --cage cage.obj --posed bend:40:x:z -o bend_####.ply --frames 30

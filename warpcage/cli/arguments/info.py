@@ -12,7 +12,7 @@ SHEET_PICTURES, SHEET_SIDE = 100, 160
 command(
     "info",
     "info",
-    "describe a field, a cage, poses, edits, cameras or a scene; without a file: versions and devices",
+    "describe a field, a cage, poses, edits, cameras, places, a stage or a scene; without a file: versions and devices",
     """\
   warpcage info
   warpcage info lego.npz
@@ -22,7 +22,8 @@ command(
   warpcage info place --seen seen.png                        from where it was seen
 """,
     f"""
-field  field (.npz), splats ({" ".join(SPLATS_READ)}), cage ({CAGES}), poses, edits or cameras (.json) or scene folder
+field  field (.npz), splats ({" ".join(SPLATS_READ)}), cage ({CAGES}), poses, edits, cameras, places
+    or stages (.json) or scene folder
 --split  split of a scene (default: %(default)s)
 --format
 --sheet PICTURE  write a contact sheet of a scene's pictures, at most {SHEET_PICTURES} of them (.png)

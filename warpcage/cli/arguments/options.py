@@ -289,6 +289,7 @@ SHARED_VALUES: dict[str, Any] = {
     "coordinates": {"choices": COORDINATES, "default": FIELD_COORDINATES},
     "density": {"choices": DENSITIES, "default": "opacity"},
     "downscale": 1,
+    "add": {"action": "append"},
     "edit": {"action": "append"},
     "fill": {"action": "store_true", "default": None},
     "fragments": positive_float,
@@ -409,6 +410,15 @@ deformation (--cage and --posed, or --edit, or --edits; without them the field i
 --posed-up
 --coordinates  kind of coordinates (default: %(default)s)
 """
+
+
+def things(more: str = "") -> str:
+    """What is shown beside the field, in one scene; more: other rows of the group."""
+    return f"""
+several things in one scene (FIELD may be a stage file, .stage.json, too):
+--add FIELD[:PLACE[:EDITS]]  also show another field, where a place file (.json) says, posed by an edits file (.json) of
+    its own; repeat it for more. A place file: {{"position": [1, 0, 0], "turn": [0, 0, 90], "scale": 0.5}}
+{more}"""
 
 
 def add_rows(parser: argparse.ArgumentParser, *texts: str, **values: Any) -> None:

@@ -17,6 +17,7 @@ from .options import (
     command,
     deformation,
     shutter,
+    things,
 )
 
 #: Pictures of --cameras interpolate from each camera to the next where --frames is not given.
@@ -34,6 +35,7 @@ command(
   warpcage render lego.npz --cage cage.obj --posed twist:60 -o twisted.png
   warpcage render lego.npz --cage cage.obj -o caged.png --overlay
   warpcage render lego.npz --edit arm.obj:arm_up.obj:keep --edit cab.obj:remove -o parts.png
+  warpcage render lego.npz --add mic.npz:beside.json -o both.png --save-stage both.stage.json
   warpcage render lego.npz -o lego.exr --background transparent
   warpcage render lego.npz --cage cage.obj --posed bend:20 bend:40 bend:60 -o bends/
   warpcage render lego.npz -o views/ --cameras interpolate --scene data/lego:test --frames 60
@@ -58,6 +60,7 @@ options:
 --antialias
 """,
     deformation("POSED...", ". Several, or all keyframes of a pose file, make a picture each, in a folder"),
+    things("--save-stage FILE  also write the scene as one file (.stage.json)"),
     VIEW,
     SCALE_AND_DEVICE,
     cameras=("interpolate", "given"),
@@ -96,6 +99,7 @@ command(
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o frames/ --frames 240 --cameras data/lego:test
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mov --background transparent
   warpcage animate lego.npz --edits lego.edits.json -o parts.mp4
+  warpcage animate lego.npz --add mic.npz:around.json -o both.mp4
   warpcage animate lego.npz --session lego.session.json -o film.mp4 --size 800 600
   warpcage animate lego.npz --cage cage.obj --posed posed.obj --frames 240 --jobs film.jsonl
   warpcage run film.jsonl -o frames
@@ -151,6 +155,7 @@ options:
 --antialias
 """,
     deformation("POSED...", FOLLOWING),
+    things(),
     VIEW,
     SCALE_AND_DEVICE,
     "--quiet",

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .contents import SplatContents
 
@@ -50,6 +52,35 @@ def turned(contents: SplatContents, matrix: np.ndarray) -> SplatContents:
 def turned_over(contents: SplatContents) -> SplatContents:
     """Splats with the signs of y and z changed, which is half a turn about x; twice gives the same bits."""
     return turned(dataclasses.replace(contents, layout=None), axes_matrix(SPZ_AXES))
+
+
+def placed(contents: SplatContents, rotation: np.ndarray, offset: ArrayLike, scale: float) -> SplatContents:
+    """Splats scaled, turned (3, 3) and moved; those that stay are as they were."""
+    shift = np.asarray(offset, np.float64)
+    if scale == 1.0 and not shift.any() and np.array_equal(rotation, np.eye(3)):
+        return contents
+    whole = turned(contents, rotation)
+    centers = scale * (contents.centers.astype(np.float64) @ rotation.T) + shift
+    log_scales = contents.log_scales.astype(np.float64) + np.log(scale)
+    return dataclasses.replace(
+        whole,
+        centers=centers.astype(contents.centers.dtype),
+        log_scales=log_scales.astype(contents.log_scales.dtype),
+        layout=None,
+    )
+
+
+def joined(parts: Sequence[SplatContents]) -> SplatContents:
+    """Splats of several lists in one, harmonics of lower degrees with zeros."""
+    if len(parts) == 1:
+        return parts[0]
+    most = max(part.harmonics.shape[1] for part in parts)
+    harmonics = [np.pad(part.harmonics, ((0, 0), (0, most - part.harmonics.shape[1]), (0, 0))) for part in parts]
+    centers, log_scales, quaternions, logits = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("centers", "log_scales", "quaternions", "logits")
+    )
+    return SplatContents(centers, log_scales, quaternions, logits, np.concatenate(harmonics))
 
 
 def harmonics_matrix(matrix: np.ndarray, count: int) -> np.ndarray:

@@ -1,0 +1,611 @@
+"""Stage: several fields in one scene, each in a place of its own, rendered together, kept in one file, and merged."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import pathlib
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from ..cage.cage import Cage
+from ..core.arrays import empty_array
+from ..core.checks import checked_flag, checked_number, checked_path, checked_whole, listed, require_type
+from ..core.devices import launch, resolve_device
+from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
+from ..core.locks import in_turn
+from ..edits.edits import CageEdit
+from ..edits.place import Place, PlaceFile, as_places, require_version
+from ..edits.words import Checker, EditWords, anything, checked_words
+from ..errors import InputError
+from ..field.mixing import mixed_field
+from ..field.render import picture_arrays
+from ..field.voxel_field import VoxelField
+from ..kernels.view.compose import compose_things
+from ..splats.io.axes import joined, placed
+from ..splats.splat_field import SplatField, load_field
+from ..view.camera import Camera
+from ..view.frame import (
+    MASK_NAMES,
+    PART_NAMES,
+    Frame,
+    average_frame,
+    checked_supersampling,
+    finer_camera,
+    part_type,
+    view_background,
+)
+from .bake import MAX_RESOLUTION, STAND_IN_RESOLUTION, bake
+from .deformer import Deformer, SplatDeformer
+
+#: What a stage holds.
+Thing: TypeAlias = VoxelField | SplatField | Deformer
+
+_FORMAT, _VERSION = "warpcage stage", 1
+
+#: How its file ends.
+STAGE_ENDING = ".stage.json"
+
+#: Cells of the lattice on which a field without edits is moved: a similarity is exact on any.
+PLACING_CELLS = 16
+
+#: Options of Deformers that the file keeps.
+_OPTIONS: dict[str, Checker] = dict.fromkeys(("coordinates", "resolution", "density", "store", "map"), anything)
+
+#: How far the cage that moves a field stands off from all that it holds, as a share of its size.
+STAND_OFF = 0.05
+
+
+@dataclasses.dataclass
+class StageItem:
+    """One thing of a stage; see `Stage.add`."""
+
+    thing: Thing
+    places: PlaceFile
+    path: pathlib.Path | None  # the file of its field, None where that is not known
+    hidden: bool = False
+
+    @property
+    def field(self) -> VoxelField | SplatField:
+        """Its field, without cages."""
+        return self.thing.field if isinstance(self.thing, Deformer) else self.thing
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) box of what it shows, cages too, in its own coordinates."""
+        field = self.field
+        boxes = [field.shown_bounds if isinstance(field, SplatField) else field.bounds]
+        posed = self.thing.deformed if isinstance(self.thing, Deformer) else None
+        boxes += [cage.bounds for cage in posed or [] if cage is not None]
+        return np.stack([np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)])
+
+
+class Stage:
+    """Several things in one scene: fields of voxels or splats, posed by cages or not, each in a place of its own.
+
+    Each is rendered from where the camera stands in its own coordinates, and the pictures are put together ray by ray
+    by depth. That is right where a thing is solid, or clear of the others along the ray. Haze of two things in one
+    place is not mixed: what is nearer on average, by the depth of each, comes first (`merged` mixes voxels).
+
+    What lies around a field, layers or an outer field, is taken of the first thing that has it, and the colour behind
+    all of the first thing. One thread at a time uses a Stage.
+
+    References: Porter and Duff, "Compositing Digital Images" (SIGGRAPH 1984).
+
+    Example::
+
+        stage = Stage().add("room", "room.npz").add("cup", "cup.ply", place=Place((0.4, 0, 0), turn=(0, 0, 90)))
+        frame = stage.render(camera)
+
+    Args:
+        device: Warp device. None is that of the first thing, or for files CUDA where there is one.
+
+    Attributes:
+        device: Warp device, None before there is a thing.
+        items: What it holds, by name, in the order in which it was added.
+        time: Seconds at which places that move are taken.
+    """
+
+    def __init__(self, *, device: wp.DeviceLike = None):
+        self.device: wp.Device | None = None if device is None else resolve_device(device)
+        self.items: dict[str, StageItem] = {}
+        self.time = 0.0
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __repr__(self) -> str:
+        return f"Stage({listed(self.items, none='empty')})"
+
+    def __getitem__(self, name: str) -> Thing:
+        return self._item(name).thing
+
+    def add(
+        self,
+        name: str,
+        thing: Thing | PathLike,
+        *,
+        place: Place | PlaceFile | ArrayLike | PathLike | None = None,
+        path: PathLike | None = None,
+    ) -> Stage:
+        """Put a thing on the stage.
+
+        Args:
+            name: Its name, which no other thing has.
+            thing: A VoxelField, a SplatField or a Deformer of one, whose pose may change later; or the file of a field.
+            place: Where it stands: a Place, a PlaceFile, a similarity (4, 4), or a place file. None is where it is.
+            path: The file of the field, for `save`. None is `thing` where that is a file.
+
+        Returns:
+            This Stage.
+
+        Raises:
+            FileNotFoundError: If there is no such file.
+            ValueError: For a name that is there already or empty, another kind of thing, a place that is none, or a
+                Deformer on another device.
+        """
+        if not isinstance(name, str) or not name.strip():
+            raise InputError(f"a thing of a stage needs a name, got {name!r}")
+        if name in self.items:
+            raise InputError(f"the stage has a thing {name!r} already: remove it first, or take another name")
+        places = as_places(place)
+        if not isinstance(thing, VoxelField | SplatField | Deformer):
+            path = require_file(checked_path(thing, "a thing of a stage"), "field file")
+            thing = load_field(path, device=self.device)
+        self.items[name] = StageItem(self._here(name, thing), places, None if path is None else pathlib.Path(path))
+        return self
+
+    def replace(self, name: str, thing: Thing) -> Stage:
+        """Put another thing in the place of one, such as a Deformer in that of its field.
+
+        Args:
+            name: Name of the thing.
+            thing: The other thing. Where its field is another one too, the stage does not know its file.
+
+        Returns:
+            This Stage.
+
+        Raises:
+            ValueError: As `add`, and for a name that is not there.
+        """
+        item = self._item(name)
+        field = thing.field if isinstance(thing, Deformer) else thing
+        kept = item.path if field is item.field else None
+        self.items[name] = dataclasses.replace(item, thing=self._here(name, thing), path=kept)
+        return self
+
+    def remove(self, name: str) -> Stage:
+        """Take a thing off the stage.
+
+        Args:
+            name: Name of the thing.
+
+        Returns:
+            This Stage.
+
+        Raises:
+            ValueError: For a name that is not there.
+        """
+        self._item(name)
+        del self.items[name]
+        return self
+
+    def place(self, name: str, place: Place | PlaceFile | ArrayLike | PathLike | None) -> Stage:
+        """Put a thing elsewhere.
+
+        Args:
+            name: Name of the thing.
+            place: As for `add`.
+
+        Returns:
+            This Stage.
+
+        Raises:
+            ValueError: For a name that is not there, or a place that is none.
+        """
+        self._item(name).places = as_places(place)
+        return self
+
+    def hide(self, name: str, hidden: bool = True) -> Stage:
+        """Show a thing no more, or again: it is neither rendered nor merged.
+
+        Args:
+            name: Name of the thing.
+            hidden: False shows it again.
+
+        Returns:
+            This Stage.
+
+        Raises:
+            ValueError: For a name that is not there.
+        """
+        self._item(name).hidden = checked_flag(hidden, "hidden")
+        return self
+
+    @property
+    def length(self) -> float:
+        """Seconds from 0 to the last key of a place, 0 where nothing moves."""
+        return max((item.places.length for item in self.items.values()), default=0.0)
+
+    @property
+    def shown_points(self) -> np.ndarray:
+        """(n, 3) float64 corners of the boxes of all that is shown, at `time`, cages too; world units of the stage."""
+        return np.concatenate([self._placed(item).moved(_corners(item.bounds)) for item in self._shown().values()])
+
+    @property
+    def up(self) -> np.ndarray:
+        """(3,) unit vector: what is up for the first thing."""
+        item = next(iter(self._shown().values()))
+        return self._placed(item).rotation @ item.field.up
+
+    def render(
+        self,
+        camera: Camera,
+        *,
+        background: str | ArrayLike | None = None,
+        supersampling: int | None = None,
+        antialias: bool | None = None,
+    ) -> Frame:
+        """The view of a camera of all that is not hidden, at `time`.
+
+        Args:
+            camera: The camera, in the coordinates of the stage.
+            background: Colour behind the scene, a name or (3,) in [0, 1]. None is what lies around the first thing that
+                has surroundings, or else the first thing's own colour.
+            supersampling: Rays along each side of a pixel. None is that of the field which takes most.
+            antialias: Of splats only; see `SplatField.render`. None is each field's own.
+
+        Returns:
+            The frame, its arrays on the device. Depth is in world units of the stage, the mean of what is seen, each
+            thing by the light that comes from it; masks are those of Deformers, dimmed by what is before them.
+
+        Raises:
+            ValueError: For a stage that shows nothing, and as `Deformer.render`.
+        """
+        require_type(camera, Camera, "render needs")
+        items = list(self._shown().values())
+        own = [each.field.supersampling for each in items if isinstance(each.field, VoxelField)]
+        side = checked_supersampling(max(own, default=1) if supersampling is None else supersampling)
+        fine = finer_camera(camera, side)
+        around = next((each for each in items if each.field.background_model is not None), None)
+        model = None if around is None or background is not None else around.field.background_model
+        if background is not None:
+            color = view_background(background)
+        else:
+            color = items[0].field.background if model is None else np.zeros(3, np.float32)
+        frames = [self._view(item, fine, antialias) for item in items]
+        scales = [self._placed(item).scale for item in items]
+        unit = None if around is None or model is None else self._placed(around).scale
+        frame, depth = self._composed(frames, scales, color, unit)
+        if around is not None and model is not None:
+            masks = [array for name, array in frame.arrays.items() if name not in PART_NAMES]
+            view, (rgb, alpha) = self._seen_from(around, fine), (frame.arrays["rgb"], frame.arrays["alpha"])
+            model.add_around(view, rgb, alpha, depth, masks)
+        return average_frame(frame, side).seen_by(camera, None if model else color, background)
+
+    def _view(self, item: StageItem, camera: Camera, antialias: bool | None) -> Frame:
+        """What a camera of the stage sees of a thing alone, on black."""
+        splats: dict[str, Any] = {"antialias": antialias} if isinstance(item.field, SplatField) else {}
+        return item.thing.render(self._seen_from(item, camera), background="transparent", supersampling=1, **splats)
+
+    def _seen_from(self, item: StageItem, camera: Camera) -> Camera:
+        """The camera in the coordinates of a thing: its rays are the same, its depths shorter by the scale."""
+        place, pose = self._placed(item), np.eye(4)
+        if place == Place():
+            return camera
+        pose[:3, :3] = place.rotation.T @ camera.rotation
+        pose[:3, 3] = place.rotation.T @ (camera.center - place.position) / place.scale
+        return dataclasses.replace(camera, camera_to_world=pose)
+
+    @in_turn
+    def _composed(
+        self, frames: Sequence[Frame], scales: Sequence[float], color: np.ndarray, unit: float | None
+    ) -> tuple[Frame, wp.array]:
+        """Frames of several things as one before a colour, and its depth in units; an empty array for None of them."""
+        assert self.device is not None
+        device, count, things = self.device, frames[0].width * frames[0].height, len(frames)
+        names = [name for name in MASK_NAMES if any(name in frame.arrays for frame in frames)]
+        seen = {name: empty_array(things * count, part_type(name), device) for name in PART_NAMES}
+        masks = wp.zeros(len(names) * things * count, dtype=wp.float32, device=device)
+        for index, frame in enumerate(frames):
+            for name, array in seen.items():
+                wp.copy(array, frame.arrays[name], dest_offset=index * count, count=count)
+            for place, name in enumerate(names):
+                if name in frame.arrays:
+                    offset = (place * things + index) * count
+                    wp.copy(masks, frame.arrays[name], dest_offset=offset, count=count)
+        made = picture_arrays(count, PART_NAMES, device)
+        around = empty_array(0 if unit is None else count, wp.float32, device)
+        mask = empty_array((len(names), count), wp.float32, device)
+        sizes = wp.array(np.asarray(scales, np.float32), dtype=wp.float32, device=device)
+        behind, stacked = wp.vec3(*map(float, color)), [array.reshape((things, count)) for array in seen.values()]
+        inputs = [sizes, behind, unit or 1.0, *stacked, masks.reshape((len(names), things, count))]
+        launch(compose_things, count, inputs, [*(made[name] for name in PART_NAMES), around, mask], device=device)
+        made |= {name: mask[place] for place, name in enumerate(names)}
+        return Frame(frames[0].width, frames[0].height, **made), around
+
+    def save(self, path: PathLike) -> None:
+        """Write the stage as one file: places, cages and poses in it, fields by the names of theirs.
+
+        Args:
+            path: The file; it must end in .stage.json. Fields are named relative to its folder.
+
+        Raises:
+            ValueError: For another ending, an empty stage, or a field whose file is not known.
+        """
+        path = checked_path(path, "the stage file")
+        if not path.name.lower().endswith(STAGE_ENDING):
+            raise InputError(f"a stage file ends in {STAGE_ENDING}, got {path.name!r}")
+        if not self.items:
+            raise InputError("an empty stage is not written: add a thing first")
+        folder = path.absolute().parent
+        things = [json.dumps(_item_json(name, item, folder)) for name, item in self.items.items()]
+        head = (
+            f'{{"format": "{_FORMAT}", "version": {_VERSION}, "things": [\n '  # a line a thing, to be read and changed
+        )
+        with atomic_path(path) as temporary:
+            temporary.write_text(head + ",\n ".join(things) + "]}\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: PathLike, *, device: wp.DeviceLike = None) -> Stage:
+        """Read a stage file, and the fields that it names.
+
+        Args:
+            path: The file.
+            device: Warp device. None is CUDA where there is one.
+
+        Returns:
+            The stage.
+
+        Raises:
+            FileNotFoundError: If the file, or one that it names, is not there.
+            ValueError: What is wrong in which file.
+        """
+        path, stage = require_file(path, "stage file"), cls(device=resolve_device(device))
+        for entry in read_stage_file(path):
+            thing: Thing = load_field(path.parent / entry["field"], device=stage.device)
+            if "deformation" in entry:
+                try:
+                    thing = _deformer(thing, entry["deformation"])
+                except ValueError as error:
+                    raise InputError(f"{path}: thing {entry['name']!r}: {error}") from None
+            stage.add(entry["name"], thing, place=entry["place"], path=path.parent / entry["field"])
+            stage.hide(entry["name"], entry.get("hidden", False))
+        return stage
+
+    def merged(
+        self, *, resolution: int | None = None, convert: Callable[[VoxelField], SplatField] | None = None
+    ) -> VoxelField | SplatField:
+        """All that is not hidden, at `time`, as one field in the coordinates of the stage.
+
+        Voxels are looked up anew on one grid, as `bake` does it: densities add up, and colours are their mean by
+        density. Splats are moved and put into one list, those of lower degrees with zeros. The rest, what lies around
+        too, is the first thing's that has surroundings, or else the first thing's.
+
+        Args:
+            resolution: Of voxels: how many along the longest side of all. None takes voxels as small as the smallest.
+            convert: What makes splats of voxels where the stage holds both, such as `warpcage.to_splats`. None refuses
+                such a stage.
+
+        Returns:
+            The field, on the stage's device.
+
+        Raises:
+            ValueError: For a stage that shows nothing, voxels and splats without `convert`, surroundings of a thing
+                that is not in its own place, or a grid that memory does not hold.
+        """
+        items = list(self._shown().values())
+        main = next((each for each in items if each.field.background_model is not None), items[0])
+        kinds = {isinstance(each.field, SplatField) for each in items}
+        if len(kinds) > 1 and convert is None:
+            raise InputError("a stage of voxels and splats is merged as splats: give convert=warpcage.to_splats")
+        if True in kinds:
+            if resolution is not None:
+                raise InputError("splats are merged one by one: leave resolution out")
+            return self._merged_splats(items, main, convert)
+        place = self._placed(main)
+        options = main.field.view_options()
+        if place != Place():
+            if options["background_model"] is not None:
+                raise InputError("what lies around a field cannot be moved: leave that thing in place, and move others")
+            options = {**options, "up": place.rotation @ main.field.up, "straightening": None}
+        return self._merged_voxels(items, options, resolution)
+
+    def _merged_splats(self, items: list[StageItem], main: StageItem, convert: Any) -> SplatField:
+        """`merged` as splats."""
+        fields: list[SplatField] = []
+        for item in items:
+            thing: Any = item.thing
+            if isinstance(item.field, VoxelField):
+                thing = convert(bake(thing) if isinstance(thing, Deformer) else thing)
+                require_type(thing, SplatField, "convert must make")
+            fields.append(thing.baked() if isinstance(thing, SplatDeformer) else thing)
+        places = [self._placed(item) for item in items]
+        moved = [
+            placed(field.contents, place.rotation, place.position, place.scale)
+            for field, place in zip(fields, places, strict=True)
+        ]
+        own = next((item.field for item in items if isinstance(item.field, SplatField)), None)
+        options = {
+            "background": main.field.background,
+            "up": self._placed(main).rotation @ main.field.up,
+            "antialias": own is not None and own.antialias,
+        }
+        return SplatField.from_contents(joined(moved), device=self.device, **options)
+
+    def _merged_voxels(self, items: list[StageItem], options: dict[str, Any], resolution: int | None) -> VoxelField:
+        """`merged` as voxels; options: of views of it."""
+        boxes = [self._placed(item).moved(_corners(_reached(item.thing))) for item in items]
+        low, high = np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))
+        longest = float((high - low).max())
+        side = min(self._placed(item).scale * float(item.field.voxel_size.min()) for item in items)
+        if resolution is not None:
+            side = longest / checked_whole(resolution, "resolution", 2, MAX_RESOLUTION)
+        elif longest / side > MAX_RESOLUTION:
+            raise InputError(
+                f"voxels of {side:.3g} along {longest:.4g} units are more than {MAX_RESOLUTION}: give a resolution"
+            )
+        shape = np.maximum(np.ceil((high - low) / side - 1e-6), 2).astype(int).tolist()
+        baked = [self._baked(item, low, side) for item in items]
+        assert self.device is not None
+        return mixed_field(baked, low, side, shape, self.device, **options)
+
+    def _baked(self, item: StageItem, origin: np.ndarray, side: float) -> VoxelField:
+        """A thing of voxels where it stands, on the grid of all of them. origin: (3,) its lower corner."""
+        thing, place = item.thing, self._placed(item)
+        reached = _reached(thing)
+        pad = STAND_OFF * float((reached[1] - reached[0]).max())
+        cage = Cage.box(reached[0] - pad, reached[1] + pad)
+        edits: list[CageEdit] = []
+        poses: list[Cage | None] = []
+        options: dict[str, Any] = {"coordinates": "mean_value", "resolution": PLACING_CELLS}
+        if isinstance(thing, Deformer):  # the move is one more edit, so that voxels are looked up once
+            edits, poses = thing.edits, _poses(thing)
+            options = {"coordinates": thing.coordinates, "resolution": thing.resolution or STAND_IN_RESOLUTION}
+            options["density"] = thing.density
+        deformer = Deformer(item.field, [*edits, CageEdit(cage)], device=self.device, **options)
+        deformer.pose([*poses, cage.with_vertices(place.moved(cage.vertices))])
+        box = place.moved(_corners(reached))
+        begin, end = _cells(np.stack([box.min(axis=0), box.max(axis=0)]), origin, side)
+        baked = bake(deformer, int((end - begin).max()), np.stack([origin + side * begin, origin + side * end]))
+        if options.get("density") == "paper" and place.scale != 1.0:  # a thing looks the same at any size
+            opaque = baked.grid.density.numpy() / np.float32(place.scale)
+            return VoxelField(baked.bounds, baked.grid.links, opaque, baked.grid.sh, device=self.device)
+        return baked
+
+    def _here(self, name: str, thing: Any) -> Thing:
+        """A thing on the stage's device, which the first one decides."""
+        if not isinstance(thing, VoxelField | SplatField | Deformer):
+            raise InputError(
+                f"a stage holds VoxelFields, SplatFields, Deformers and files of fields, got {type(thing).__name__}"
+            )
+        if self.device is None:
+            self.device = thing.device
+        if not isinstance(thing, Deformer):
+            return thing.to(self.device)
+        if thing.device != self.device:
+            raise InputError(f"thing {name!r} is a Deformer on {thing.device}, the stage is on {self.device}")
+        return thing
+
+    def _item(self, name: str) -> StageItem:
+        if name not in self.items:
+            raise InputError(f"the stage has no {name!r}, only {listed(self.items, none='nothing')}")
+        return self.items[name]
+
+    def _placed(self, item: StageItem) -> Place:
+        return item.places.at(checked_number(self.time, "the time of a stage"))
+
+    def _shown(self) -> dict[str, StageItem]:
+        """What is not hidden, at least one."""
+        shown = {name: item for name, item in self.items.items() if not item.hidden}
+        if not shown:
+            raise InputError("the stage shows nothing: add a thing, or show one again")
+        return shown
+
+
+def _corners(box: np.ndarray) -> np.ndarray:
+    """(8, 3) corners of a box (2, 3)."""
+    return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, box[1], box[0])
+
+
+def _reached(thing: Thing) -> np.ndarray:
+    """(2, 3) box of all voxels of a thing, posed, in its own coordinates."""
+    return thing.reached_bounds if isinstance(thing, Deformer) else thing.bounds
+
+
+def _cells(box: np.ndarray, origin: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
+    """First and last (exclusive) cell, (3,) each, of a grid that a box (2, 3) reaches into."""
+    first, last = np.floor((box[0] - origin) / side + 1e-6), np.ceil((box[1] - origin) / side - 1e-6)
+    return first.astype(int), np.maximum(last, first + 2).astype(int)
+
+
+def _poses(deformer: Deformer) -> list[Cage | None]:
+    """The posed cages of a Deformer, at rest where it was not posed."""
+    return deformer.deformed or [None if edit.remove else edit.cage for edit in deformer.edits]
+
+
+def _item_json(name: str, item: StageItem, folder: pathlib.Path) -> dict[str, Any]:
+    """A thing as the file has it."""
+    if item.path is None:
+        raise InputError(f"the file of {name!r} is not known: save its field, and add it with path=FILE")
+    try:
+        field = pathlib.PurePath(os.path.relpath(item.path, folder)).as_posix()
+    except ValueError:  # on another drive
+        field = str(item.path.absolute())
+    content: dict[str, Any] = {"name": name, "field": field, "place": item.places.to_json()}
+    if item.hidden:
+        content["hidden"] = True
+    if isinstance(thing := item.thing, Deformer):
+        options = {name: getattr(thing, name) for name in ("coordinates", "resolution", "density", "store")}
+        if isinstance(thing, SplatDeformer):
+            options["map"] = thing.map
+        edits = [_edit_json(edit, posed) for edit, posed in zip(thing.edits, _poses(thing), strict=True)]
+        content["deformation"] = {**options, "edits": edits}
+    return content
+
+
+def _edit_json(edit: CageEdit, posed: Cage | None) -> dict[str, Any]:
+    cage = {"vertices": edit.cage.vertices.tolist(), "faces": edit.cage.faces.tolist()}
+    return EditWords(
+        cage,
+        None if posed is None else posed.vertices.tolist(),
+        keep=edit.keep_source,
+        remove=edit.remove,
+        falloff=edit.falloff,
+        held=edit.held,
+        fragments=edit.fragments,
+    ).to_json()
+
+
+def _deformer(field: Any, content: Any) -> Deformer:
+    """The posed Deformer of a thing of a file."""
+    try:
+        options = {name: value for name, value in content.items() if name != "edits"}
+        words = [EditWords.from_json(entry, f"edit {number}") for number, entry in enumerate(content["edits"], 1)]
+        checked_words(options, _OPTIONS, "it")
+        edits = [
+            CageEdit(
+                Cage(each.cage["vertices"], each.cage["faces"]),
+                each.keep,
+                each.remove,
+                each.falloff or 0.0,
+                each.held,
+                each.fragments or 0.0,
+            )
+            for each in words
+        ]
+        vertices = [None if each.posed is None else np.asarray(each.posed) for each in words]
+        poses = [
+            None if own is None else edit.cage.with_vertices(own) for edit, own in zip(edits, vertices, strict=True)
+        ]
+        return Deformer(field, edits, **options).pose(poses)
+    except DAMAGED as error:
+        raise InputError(damage("stage file", error)) from None
+
+
+def read_stage_file(path: PathLike) -> list[dict[str, Any]]:
+    """The things of a stage file, with a PlaceFile each as "place"; no field is read."""
+    path = require_file(path, "stage file")
+    known: dict[str, Checker] = dict.fromkeys(("name", "field", "place", "hidden", "deformation"), anything)
+    try:
+        content = read_json(path, "stage file")
+        if content.get("format") != _FORMAT:
+            raise InputError(f"its format is {str(content.get('format'))[:40]!r}, not {_FORMAT!r}")
+        require_version(content.get("version"), _VERSION)
+        things = content.get("things")
+        if not isinstance(things, list) or not things or not all(isinstance(thing, dict) for thing in things):
+            raise InputError("its things must be a list of at least one object")
+        entries = [checked_words(thing, known, f"thing {number}") for number, thing in enumerate(things, 1)]
+        for number, entry in enumerate(entries, 1):
+            for word in ("name", "field"):
+                if not isinstance(entry.get(word), str) or not entry[word].strip():
+                    raise InputError(f"thing {number} needs a {word}")
+            entry["place"] = PlaceFile.from_json(entry.get("place", {}))
+        return entries
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
