@@ -7,7 +7,7 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "commands": "COMMANDS moved_keys moved_rest preset_pose replace_cage run_command",
+        "commands": "COMMANDS moved_keys moved_rest preset_pose replace_cage run_command slide",
         "demo": "demo_files",
         "document": (
             "Document Key MAX_ID MAX_PLACE Selection Settings Timeline View checked_view frozen_vertices "

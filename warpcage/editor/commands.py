@@ -24,6 +24,7 @@ from .document import (
     Edit,
     Key,
     Selection,
+    Sliders,
     checked_between,
     checked_choice,
     checked_flag,
@@ -107,6 +108,24 @@ def preset_pose(edit: Edit, chosen: Sequence[int] | None, message: Message) -> n
         raise InputError("nothing is selected: select vertices, or let the slider act on all")
     vertices[rows] = getattr(poses, name)(vertices[rows], amount, **options)
     return frozen_vertices(vertices)
+
+
+def slide(edit: Edit, chosen: tuple[int, ...] | None, message: Message) -> Edit:
+    """The edit with a preset at another amount; see `preset_pose`. Presets that were set before keep theirs, where they
+    have the same vertices, axis and limits and nothing else has changed the pose."""
+    way = {"axis": message.get("axis", "z"), "towards": message.get("towards"), "limits": message.get("limits", [0, 1])}
+    kept = edit.sliders
+    if kept is None or (kept.chosen, kept.way) != (chosen, way):
+        kept = Sliders(edit.posed, edit.posed, chosen, way, {})
+    amounts = {**kept.amounts, str(message["preset"]): message["amount"]}
+    given = {name: value for name, value in way.items() if value is not None}
+    posed = kept.before
+    for preset, amount in amounts.items():
+        posed = preset_pose(
+            dataclasses.replace(edit, posed=posed), chosen, {"preset": preset, "amount": amount, **given}
+        )
+    moved = dataclasses.replace(kept, posed=posed, amounts=amounts)
+    return dataclasses.replace(edit, posed=posed, moved_sliders=moved)
 
 
 # -- Edits

@@ -238,6 +238,17 @@ LARGEST_LENGTH = 1e9
 
 
 @dataclasses.dataclass(frozen=True)
+class Sliders:
+    """What sliders have made of a cage: they go on from it as long as the edit has this very pose."""
+
+    before: np.ndarray  # (v, 3) float64, the pose that they started from, world units
+    posed: np.ndarray  # (v, 3) what became of it
+    chosen: tuple[int, ...] | None  # vertices that they act on, None for all
+    way: Mapping[str, Any]  # axis, towards and limits
+    amounts: Mapping[str, float]  # by preset, in the order in which they act
+
+
+@dataclasses.dataclass(frozen=True)
 class Edit:
     """One cage and what becomes of its content."""
 
@@ -251,6 +262,12 @@ class Edit:
     falloff: float = 0.0  # width of the band at held walls in which the edit fades to rest, world units; see `CageEdit`
     held: str = "cut"  # the walls that are held: "cut" or "still"
     fragments: float = 0.0  # size of the fragments that go with the part, world units
+    moved_sliders: Sliders | None = dataclasses.field(default=None, compare=False)  # the last ones; not in files
+
+    @property
+    def sliders(self) -> Sliders | None:
+        """The sliders that the pose comes from, or None where something else has changed it since."""
+        return self.moved_sliders if self.moved_sliders and self.moved_sliders.posed is self.posed else None
 
     @property
     def rest_cage(self) -> Cage:
