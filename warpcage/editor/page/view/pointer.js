@@ -66,7 +66,7 @@ function onDown(event) {
     requestDraw();
     return;
   }
-  if (event.button === 1 || (event.button === 0 && event.altKey)) {
+  if (event.button > 0 || event.altKey) {
     const kind = event.shiftKey ? "pan" : event.ctrlKey || event.metaKey ? "zoom" : "turn";
     gesture = { kind, at, id: event.pointerId };
   } else if (event.button === 0) press(event, at);
