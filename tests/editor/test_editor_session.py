@@ -113,7 +113,9 @@ def test_sliders_keep_their_amounts_and_go_on_from_them():
     assert session.section("edits")[0]["sliders"]["amounts"]["twist"] == 40.0
     assert slide("twist", 0.0)["amounts"] == {"twist": 0.0, "stretch": 2.0}
     expected(("stretch", 2.0))
-    assert slide("twist", 30.0, axis=[0.0, 0.0, -1.0])["amounts"] == {"twist": 30.0}  # another way: from the pose as it is
+    assert slide("twist", 30.0, axis=[0.0, 0.0, -1.0])["amounts"] == {
+        "twist": 30.0
+    }  # another way: from the pose as it is
     expected(("stretch", 2.0), ("twist", 30.0, "-z"))
     assert slide("stretch", 3.0, chosen=(0, 1, 6, 7))["vertices"] == (0, 1, 6, 7)
     session.begin_gesture(ME, 1, "move")

@@ -160,6 +160,10 @@ class View:
     fov: float = 40.0  # vertical, degrees
 
 
+#: The colour behind a scene: a name, three numbers in [0, 1], or None for the field's own.
+Background = str | Sequence[float] | None
+
+
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """How the scene is deformed and shown."""
@@ -167,7 +171,7 @@ class Settings:
     coordinates: str = FIELD_COORDINATES
     resolution: int = 64  # cells of the map's lattice along the longest side of a cage, in pictures that rest
     density: str = "opacity"  # see `Deformer`
-    background: str | tuple[float, float, float] | None = None  # a name, three numbers in [0, 1]; None: the field's own
+    background: Background = None  # a name, three numbers in [0, 1]; None: the field's own
     supersampling: int = 1  # rays along each side of a pixel, in pictures that rest
     show: str = "rgb"  # one of SHOWN
     mode: str = "pose"  # "pose": the posed cage and deformed scene; "rest": the cage at rest and the scene as captured
@@ -198,7 +202,7 @@ def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings
     good: dict[str, Any] = {}
     for name, value in changes.items():
         if name == "background":
-            good[name] = _background(value)
+            good[name] = checked_background(value)
         elif name == "fill":
             good[name] = checked_flag(value, name)
         elif name == "resolution":
@@ -211,7 +215,7 @@ def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings
     return dataclasses.replace(settings, **good)
 
 
-def _background(value: Any) -> str | tuple[float, float, float] | None:
+def checked_background(value: Any) -> Background:
     if value is None:
         return None
     if isinstance(value, str):

@@ -27,7 +27,7 @@ function backgroundField() {
   const kind = choice({
     id: "background",
     label: "Background",
-    title: "What is behind the scene",
+    title: "What is behind the scene. The field's own, where it is one colour, gives way to the page's in the dark theme; not in films",
     options: [
       ["", "The field's own"],
       ["white", "White"],
