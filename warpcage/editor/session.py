@@ -342,9 +342,9 @@ class Session:
         if name == "edits":
             return [edit_json(edit) | {"sliders": _sliders_json(edit.sliders)} for edit in document.edits]
         if name == "timeline":
-            film = document.timeline
+            film, ways = document.timeline, timeline.ways(document)
             keys = [
-                {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing}
+                {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing, "way": ways.get(key.id)}
                 | {"pose": key.poses is not None, "camera": key.view is not None}
                 for key in film.keys
             ]
