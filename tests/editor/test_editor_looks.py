@@ -111,6 +111,19 @@ def test_the_view_is_dark_in_the_dark_theme_unless_a_background_is_chosen(window
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
+def test_the_ground_is_drawn_as_a_grid_that_matter_hides(window: Window) -> None:
+    window.rest()
+    bare = window.canvas()
+    window.press("Shift+D")
+    until(lambda: not np.array_equal(window.canvas(), bare), "there is a grid")
+    changed = (window.canvas() != bare).any(axis=2)
+    rows = len(changed)
+    assert changed[rows // 2 :].sum() > 5 * changed[: rows // 2].sum()  # below the ball
+    window.unfold("view")
+    window.click("#grid")
+    until(lambda: np.array_equal(window.canvas(), bare), "the grid is gone")
+
+
 def test_the_help_scrolls_in_one_place(window: Window) -> None:
     window.press("?")
     scrolled = """

@@ -8,6 +8,7 @@ import * as C from "./cages.js";
 import * as D from "./draw.js";
 import * as drag from "./drag.js";
 import { drawCompass, drawGizmo, drawGuides, makeCompass, makeGizmo } from "./gizmo.js";
+import { drawGrid } from "./grid.js";
 import * as operation from "./operation.js";
 
 const MAX_LATENCIES = 1000;
@@ -158,6 +159,8 @@ function draw() {
   context.clearRect(0, 0, width, height);
   const now = camera();
   if (picture?.bitmap) context.drawImage(picture.bitmap, ...pictureBox(now));
+  const field = store.sections.session?.field;
+  if (store.tools.grid && field) drawGrid(context, now, field, picture);
   if (store.tools.cage) drawCages(now);
   drawCompass(context, compass(), overlay.ball);
   if (overlay.region) D.drawRegion(context, overlay.region.shape, overlay.region.path);
