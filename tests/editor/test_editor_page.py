@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import shlex
 import urllib.request
 from pathlib import Path
@@ -13,10 +14,11 @@ import pytest
 from editor_browser import CAGE, CELLS, Window, below, editor, looks_cheap, posed, settle, tunnel, until, window
 from editor_pages import layered_field, tiny_field
 from page_probe import projected
+from scenes import LAMP, TableScene
 
 import warpcage
 from warpcage.cli import main
-from warpcage.editor import View, checked_view
+from warpcage.editor import View, checked_view, view_camera
 from warpcage.field import harmonics_on_host
 
 __all__ = ["editor", "window"]  # fixtures
@@ -394,6 +396,31 @@ def test_sliders_pose_what_is_selected_upwards_and_keep_their_value(window: Wind
     assert not np.allclose(posed(editor)[chosen], bent[chosen])
     window.press("Ctrl+I")
     until(lambda: amount() == 0, "of something else sliders say nothing")
+
+
+@functools.cache
+def table() -> TableScene:
+    return TableScene(degrees=8.0, floor=False, fragments=False)
+
+
+@pytest.mark.parametrize("editor", [lambda: table().field], indirect=True, ids=["table"])
+def test_a_cage_around_a_click_and_one_on_the_other_side(window: Window, editor: Any) -> None:
+    window.click("#cage-mirror")
+    window.fill("#ask-place", "2")
+    window.click("#dialog-confirm")
+    until(lambda: len(editor.document.edits) == 2, "there is a mirrored edit")
+    np.testing.assert_allclose(editor.document.edits[1].rest, CAGE.vertices * [-1, 1, 1] + [4, 0, 0], atol=1e-12)
+    box = window.box
+    seen = view_camera(editor.document.view, round(box["width"]), round(box["height"]))
+    lamp = seen.project(table().world((-0.05, 0.0, 0.4))[None])[0][0] + [box["left"], box["top"]]
+    window.click("#cage-click")
+    window.drag([lamp, lamp])
+    job = window.job(1)
+    assert job["state"] == "done", job
+    until(lambda: len(editor.document.edits) == 3, "there is a cage around the lamp")
+    inside = editor.document.edits[2].rest_cage.contains(table().cells)
+    assert inside[(table().labels == LAMP) & (table().heights() > 0.09)].all()
+    assert not inside[(table().labels != LAMP) & (table().labels > 0)].any()
 
 
 def test_walls_and_fragments_are_set_on_the_page(window: Window, editor: Any) -> None:

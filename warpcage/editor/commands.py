@@ -11,12 +11,15 @@ import numpy as np
 from ..cage import poses
 from ..cage.cage import Cage
 from ..coordinates.coordinates import deform_points
+from ..core.checks import AXES
 from ..core.names import EASINGS, FRAGMENTS_WORD, LOOPS
 from ..edits.edits import MAX_EDITS
 from ..errors import InputError
 from .document import (
     KINDS,
     MAX_KEYS,
+    MAX_NAME,
+    MAX_PLACE,
     MAX_RATE,
     MAX_SECONDS,
     MAX_VERTICES,
@@ -159,6 +162,31 @@ def box_selection(document: Document, message: Message) -> Step:
     size = float(np.ptp(edit.rest, axis=0).max())
     margin = checked_between(message.get("margin", 0.02), 0.0, 1.0, "margin") * size
     return with_new_edit(document, Cage.box(low - max(margin, 1e-4 * size), high + max(margin, 1e-4 * size)), "move")
+
+
+def mirror_edit(document: Document, message: Message) -> Step:
+    """A new edit that mirrors another one, its pose and those in keys, across the plane where an axis has a value."""
+    edit = document.edit(message["edit"])
+    axis = AXES.index(checked_choice(message["axis"], list(AXES), "axis"))
+    place = checked_between(message["place"], -MAX_PLACE, MAX_PLACE, "place")
+
+    def mirrored(vertices: np.ndarray) -> np.ndarray:
+        turned = vertices.copy()
+        turned[:, axis] = 2.0 * place - turned[:, axis]
+        return frozen_vertices(turned)
+
+    name = f"{edit.name[: MAX_NAME - 10]} mirrored"
+    _, document = with_new_edit(document, Cage(mirrored(edit.rest), edit.faces[:, ::-1]), edit.kind, name)
+    number = document.edits[-1].id
+    keys = [
+        dataclasses.replace(key, poses={**key.poses, number: mirrored(key.poses[edit.id])})
+        if key.poses is not None and edit.id in key.poses
+        else key
+        for key in document.timeline.keys
+    ]
+    kept = {"visible": edit.visible, "falloff": edit.falloff, "held": edit.held, "fragments": edit.fragments}
+    fresh = dataclasses.replace(document.edits[-1], posed=mirrored(edit.posed), **kept)
+    return "mirror an edit", document.with_edit(fresh).with_timeline(keys=tuple(keys))
 
 
 def with_new_edit(document: Document, cage: Cage, kind: str = "move", name: str | None = None) -> Step:
@@ -328,6 +356,7 @@ COMMANDS: dict[str, Callable[[Document, Message], Step]] = {
     "edit.order": order_edits,
     "cage.subdivide": subdivide_cage,
     "cage.box": box_selection,
+    "cage.mirror": mirror_edit,
     "key.add": add_key,
     "key.change": change_key,
     "key.delete": delete_key,

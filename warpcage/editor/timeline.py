@@ -27,6 +27,9 @@ PICTURE = (800, 600)
 #: Parts of a drawn way from key to key; a smooth one is a cubic, for which few do.
 PARTS, SMOOTH_PARTS = 32, 8
 
+#: Keys whose ways are drawn: more lie too close to be told apart, and take long.
+MAX_DRAWN = 200
+
 #: Fields of view, degrees: a smooth way may swing beyond those of its keys.
 LEAST_FOV, LARGEST_FOV = 1.0, 150.0
 
@@ -50,6 +53,8 @@ def ways(document: Document) -> dict[int, tuple[float, list[float]]]:
     farthest: dict[int, float] = {}
     found = {}
     for track in _pose_tracks(document).values():
+        if len(track) > MAX_DRAWN:
+            continue
         times, values = [key.time for key, _ in track], [value for _, value in track]
         easings, closed = [key.easing for key, _ in track], _closes(document.timeline, track)
         for (key, begin), (after, end) in itertools.pairwise(track):
