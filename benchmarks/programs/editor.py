@@ -327,6 +327,7 @@ def photograph(window, out: pathlib.Path) -> None:
     from editor_browser import until
 
     window.rest()
+    window.click("#turn-hint-close")
     window.click("#time-add")
     window.wait("warpcage.store.sections.timeline.keys.length === 1")
     arm = select_right(window)
@@ -364,8 +365,7 @@ def photograph(window, out: pathlib.Path) -> None:
     features = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
     window.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", features)
     resize(window, 1280, 800)
-    window.choose("#background", "black")
-    window.wait('warpcage.store.sections.settings.background === "black"')
+    window.press("Shift+D")
     window.click("#tool-rotate")
     keep(window, out / "editor_dark.png")
     window.click("#panel-toggle")

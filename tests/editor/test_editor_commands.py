@@ -230,6 +230,26 @@ def test_a_box_goes_about_what_is_selected():
 # -- Film
 
 
+@pytest.mark.parametrize(("axis", "place"), [("x", 0.4), ("z", -1.5)])
+def test_a_mirrored_edit_is_the_other_one_on_the_other_side_with_its_keys(axis, place):
+    before = done(document(), do="pose.set", edit=1, vertices=moved(REST).tolist())
+    before = done(before, do="key.add", time=0.5, pose=True)
+    before = done(before, do="edit.change", id=1, name="Arm", kind="copy", falloff=0.2)
+    after = done(before, do="cage.mirror", edit=1, axis=axis, place=place)
+    first, second = after.edits
+    k, middle = "xyz".index(axis), np.zeros(3)
+    middle["xyz".index(axis)] = place
+    sides = np.where(np.arange(3) == k, -1.0, 1.0)
+    for one, two in ((first.rest, second.rest), (first.posed, second.posed)):
+        np.testing.assert_allclose((two - middle) * sides, one - middle, atol=1e-12)
+    (key,) = after.timeline.keys
+    np.testing.assert_array_equal(key.poses[second.id], second.posed)
+    assert (second.kind, second.falloff, second.name) == ("copy", 0.2, "Arm mirrored")
+    assert second.rest_cage.volume == pytest.approx(first.rest_cage.volume)  # not inside out
+    assert after.selection.edit == second.id and first is before.edits[0]
+    assert "place" in refused(after, do="cage.mirror", edit=1, axis=axis, place="far")
+
+
 def test_keys_hold_copies_by_time_and_fill_those_of_the_same_time():
     start = document()
     one = done(start, do="key.add", time=1.0, pose=True)

@@ -422,12 +422,13 @@ def test_fingers_turn_zoom_and_pan(stage: Stage) -> None:
     assert next(it["moving"] for it in stage.sent("view")) is True
 
 
-def test_wheel_middle_button_and_keys_move_the_view(stage: Stage) -> None:
+def test_wheel_other_buttons_and_keys_move_the_view(stage: Stage) -> None:
     eyes = []
     for do in (
         lambda: pointer(stage.driver, "mouseWheel", 300, 200, deltaX=0, deltaY=120),
         lambda: drag(stage.driver, [(300, 200), (340, 220)], button="middle"),
         lambda: drag(stage.driver, [(300, 200), (340, 220)], button="middle", keys=8),
+        lambda: drag(stage.driver, [(300, 200), (340, 220)], button="right"),
         lambda: drag(stage.driver, [(5, 200), (45, 220)], keys=1),
         lambda: press(stage.driver, "Shift+1"),
         lambda: press(stage.driver, "Home"),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
+import numpy as np
 import pytest
 from editor_browser import Window, editor, until, window
 
@@ -72,10 +74,8 @@ def test_everything_can_be_seen_in_light_and_dark(window: Window, browser: Any, 
         window.click("#snap")
         window.press("K")
         window.wait("warpcage.store.sections.timeline.keys.length === 1")
-        for scheme in ("light", "dark"):
-            features = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-            browser.execute_cdp_cmd("Emulation.setEmulatedMedia", features)
-            window.wait("matchMedia(`(prefers-color-scheme: ${arguments[0]})`).matches", scheme, scheme)
+        for name in ("light", "dark"):
+            scheme(browser, window, name)
             until(lambda: not window.get("document.getAnimations().length"), "nothing fades any more")
             found = browser.execute_script(LAYOUT)
             assert "\n".join(found["bad"]) == "" and found["texts"] > 40
@@ -85,3 +85,70 @@ def test_everything_can_be_seen_in_light_and_dark(window: Window, browser: Any, 
         browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
         metrics |= {"width": 1024, "height": 768}
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+
+def scheme(browser: Any, window: Window, name: str) -> None:
+    browser.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": name}]}
+    )
+    window.wait("matchMedia(`(prefers-color-scheme: ${arguments[0]})`).matches", name, name)
+
+
+def test_the_view_is_dark_in_the_dark_theme_unless_a_background_is_chosen(window: Window, browser: Any) -> None:
+    def corner(color: tuple[int, int, int]) -> None:
+        until(lambda: np.abs(window.canvas()[-4, 4].astype(int) - color).max() <= 4, f"the view's corner is {color}")
+
+    try:
+        corner((255, 255, 255))  # the field's own
+        scheme(browser, window, "dark")
+        ground = window.get("getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
+        assert max(ground) < 60
+        corner(tuple(ground))
+        window.unfold("view")
+        window.choose("#background", "white")
+        corner((255, 255, 255))
+    finally:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_the_ground_is_drawn_as_a_grid_that_matter_hides(window: Window) -> None:
+    window.rest()
+    bare = window.canvas()
+    window.press("Shift+D")
+    until(lambda: not np.array_equal(window.canvas(), bare), "there is a grid")
+    changed = (window.canvas() != bare).any(axis=2)
+    rows = len(changed)
+    assert changed[rows // 2 :].sum() > 5 * changed[: rows // 2].sum()  # below the ball
+    window.unfold("view")
+    window.click("#grid")
+    until(lambda: np.array_equal(window.canvas(), bare), "the grid is gone")
+
+
+def test_the_help_scrolls_in_one_place(window: Window) -> None:
+    window.press("?")
+    scrolled = """
+    [document.querySelector("dialog"), ...document.querySelectorAll("dialog *")].filter((it) =>
+      it.scrollHeight > it.clientHeight + 1 && /auto|scroll/.test(getComputedStyle(it).overflowY)).length
+    """
+    assert window.wait('document.querySelector("dialog[open]")') and window.get(scrolled.strip()) == 1
+    dialog = window.get('document.querySelector("dialog").getBoundingClientRect().toJSON()')
+    close = window.get('document.getElementById("dialog-close").getBoundingClientRect().toJSON()')
+    assert close["bottom"] < dialog["bottom"] <= window.get("innerHeight")
+    window.press("Escape")
+
+
+@pytest.mark.parametrize("way", ["turned", "closed"])
+def test_new_users_are_told_once_how_the_view_turns(window: Window, way: str) -> None:
+    shown = 'document.getElementById("turn-hint")?.textContent'
+    assert "right button" in window.get(shown)
+    before, box = window.section("view"), window.box
+    place = np.array([box["left"] + 100, box["bottom"] - 60])
+    if way == "turned":
+        for kind, x in (("mousePressed", 0), ("mouseMoved", 40), ("mouseReleased", 40)):
+            window.point(kind, place + [x, 0], button="right")
+        window.wait("JSON.stringify(warpcage.store.sections.view) !== arguments[0]", "", json.dumps(before))
+    else:
+        window.click("#turn-hint-close")
+    window.wait(f"!({shown})")
+    window.reload()
+    assert window.get(shown) is None

@@ -100,6 +100,7 @@ GOOD = [
     {"do": "cage.subdivide", "edit": 1},
     {"do": "cage.simplify", "edit": 1, "count": 8},
     {"do": "cage.box", "edit": 1, "vertices": [0, 7], "margin": 0.1},
+    {"do": "cage.mirror", "edit": 1, "axis": "x", "place": 0.5},
     {"do": "cage.load", "file": "no.obj", "edit": None, "up": "z"},
     {"do": "pose.load", "file": "no.obj", "edit": 1, "up": "z"},
     {"do": "settings", "coordinates": "green", "resolution": 16, "density": "paper", "background": "#102030",

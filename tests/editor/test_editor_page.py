@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import shlex
 import urllib.request
@@ -14,10 +15,12 @@ import pytest
 from editor_browser import CAGE, CELLS, Window, below, editor, looks_cheap, posed, settle, tunnel, until, window
 from editor_pages import layered_field, tiny_field
 from page_probe import projected
+from scenes import LAMP, TableScene
 
 import warpcage
 from warpcage.cli import main
-from warpcage.editor import View, checked_view
+from warpcage.editor import View, checked_view, view_camera
+from warpcage.field import harmonics_on_host
 
 __all__ = ["editor", "window"]  # fixtures
 
@@ -170,12 +173,21 @@ def test_keys_a_film_and_its_files(window: Window, editor: Any, tmp_path: Path, 
     film = iio.imread(tmp_path / "film.mp4", plugin="pyav")
     assert film.shape == (5, 32, 48, 3)  # 0, 1/8, ... 1/2 s
     assert np.abs(film[0].astype(float) - film[-1]).mean() > 0.3
-    link = window.get('document.querySelector(".job a[download]").href')
+    # over the view, wherever the panel is scrolled to
+    link = window.wait('document.querySelector("#work .job a[download]:not([hidden])")?.href')
     assert urllib.request.urlopen(link).read() == (tmp_path / "film.mp4").read_bytes()
 
     window.click("#export-cage")
     window.click("#dialog-confirm")
     assert window.job(2)["state"] == "done"
+    names = "[...document.querySelectorAll(arguments[0])].map((it) => it.textContent)"
+    newest_first = ["Write posed.obj", "Write film.mp4"]
+    window.wait(f"String({names}) === arguments[1]", "", "#work .row-name", ",".join(newest_first))
+    assert window.get(names, "#job-list .row-name") == newest_first
+    for _ in newest_first:
+        window.click("#work .job .button.flat:not([hidden])")
+    window.wait("!document.querySelector('#work .job')")
+    assert len(window.section("jobs")) == 2
     cage = warpcage.Cage.load(tmp_path / "posed.obj")
     np.testing.assert_allclose(cage.vertices, bent, atol=1e-8)
     assert np.array_equal(cage.faces, CAGE.faces)
@@ -334,6 +346,82 @@ def test_the_keyboard_alone_poses_keys_and_exports(window: Window, editor: Any, 
     assert window.job(1)["state"] == "done", window.section("jobs")
     assert iio.imread(tmp_path / "mine.gif").shape[1:3] == (30, 40)
     assert window.get("document.activeElement.id") == "export-gif"  # where the person was
+
+
+def lying_field() -> warpcage.VoxelField:
+    """The ball in a world whose y axis points down, as in captures of splats."""
+    ball = tiny_field()
+    sh = harmonics_on_host(ball.grid.sh)
+    return warpcage.VoxelField(ball.bounds, ball.grid.links, ball.grid.density, sh, up=(0, -1, 0))
+
+
+@pytest.mark.parametrize("editor", [lying_field], indirect=True)
+def test_sliders_pose_what_is_selected_upwards_and_keep_their_value(window: Window, editor: Any) -> None:
+    rest, upper = CAGE.vertices, CAGE.vertices[:, 1] < 0
+
+    def amount() -> float:
+        return float(window.get('document.getElementById("preset-twist-amount").value'))
+
+    def twist(degrees: int, count: int) -> None:
+        window.fill("#preset-twist-amount", f"{degrees}\n")
+        settle(editor, count)
+        until(lambda: amount() == degrees, "the slider keeps its value")
+
+    window.fill("#preset-from", "50\n")  # the upper half
+    twist(40, 1)
+    np.testing.assert_allclose(posed(editor), CAGE.twist(40, axis="-y", limits=(0.5, 1)).vertices, atol=1e-9)
+    assert not np.allclose(posed(editor)[upper], rest[upper]) and np.allclose(posed(editor)[~upper], rest[~upper])
+    place = window.get('document.getElementById("preset-twist").getBoundingClientRect().toJSON()')
+    start = np.array([place["left"] + place["width"] * (0.5 + 40 / 720), place["top"] + place["height"] / 2])
+    window.drag([start, start + [20, 0], start + [35, 0]])  # goes on from there
+    settle(editor, 2)
+    until(lambda: amount() > 45, "the field shows where the slider is")
+    reached = window.wait("warpcage.store.sections.edits[0].sliders?.amounts.twist")
+    assert amount() == reached
+    wanted = CAGE.twist(reached, axis="-y", limits=(0.5, 1)).vertices
+    np.testing.assert_allclose(posed(editor), wanted, atol=1e-9)
+    window.press("Ctrl+Z")
+    until(lambda: amount() == 40, "the slider goes back with the pose")
+
+    bent = posed(editor)
+    window.fill("#preset-from", "0\n")
+    until(lambda: amount() == 0, "other limits begin anew")
+    box, middle = window.box, np.median(window.places()[:, 0])
+    window.drag([(box["right"] - 5, box["bottom"] - 5), (middle + 40, box["top"] + 100), (middle, box["top"] + 60)])
+    chosen = np.array(until(lambda: editor.document.selection.vertices, "some are selected"))
+    assert 5 < len(chosen) < 40
+    window.wait('document.getElementById("preset-on").textContent.includes(arguments[0])', "", f"({len(chosen)})")
+    twist(25, 3)  # the undone step is gone, the selection is one
+    others = np.setdiff1d(np.arange(len(rest)), chosen)
+    np.testing.assert_array_equal(posed(editor)[others], bent[others])
+    assert not np.allclose(posed(editor)[chosen], bent[chosen])
+    window.press("Ctrl+I")
+    until(lambda: amount() == 0, "of something else sliders say nothing")
+
+
+@functools.cache
+def table() -> TableScene:
+    return TableScene(degrees=8.0, floor=False, fragments=False)
+
+
+@pytest.mark.parametrize("editor", [lambda: table().field], indirect=True, ids=["table"])
+def test_a_cage_around_a_click_and_one_on_the_other_side(window: Window, editor: Any) -> None:
+    window.click("#cage-mirror")
+    window.fill("#ask-place", "2")
+    window.click("#dialog-confirm")
+    until(lambda: len(editor.document.edits) == 2, "there is a mirrored edit")
+    np.testing.assert_allclose(editor.document.edits[1].rest, CAGE.vertices * [-1, 1, 1] + [4, 0, 0], atol=1e-12)
+    box = window.box
+    seen = view_camera(editor.document.view, round(box["width"]), round(box["height"]))
+    lamp = seen.project(table().world((-0.05, 0.0, 0.4))[None])[0][0] + [box["left"], box["top"]]
+    window.click("#cage-click")
+    window.drag([lamp, lamp])
+    job = window.job(1)
+    assert job["state"] == "done", job
+    until(lambda: len(editor.document.edits) == 3, "there is a cage around the lamp")
+    inside = editor.document.edits[2].rest_cage.contains(table().cells)
+    assert inside[(table().labels == LAMP) & (table().heights() > 0.09)].all()
+    assert not inside[(table().labels != LAMP) & (table().labels > 0)].any()
 
 
 def test_walls_and_fragments_are_set_on_the_page(window: Window, editor: Any) -> None:

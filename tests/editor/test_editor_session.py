@@ -20,6 +20,7 @@ from editor_pages import BOX, WAIT, new_session, pages, tiny_field, with_pages
 from runs import SUPPORT
 
 from warpcage import VoxelField, edit
+from warpcage.cage import poses
 from warpcage.editor import file_stamp, free_session_path, read_session, session_path, write_session
 from warpcage.editor import session as session_module
 
@@ -85,6 +86,44 @@ def test_only_the_owner_goes_on_with_a_gesture_and_anything_else_ends_it():
         assert not session.move(ME, 1, REST * 2) and not session.move_preset(ME, {})
         np.testing.assert_array_equal(posed(session), REST * 1.1)
         assert labels(session)[0] == "move"
+
+
+def test_sliders_keep_their_amounts_and_go_on_from_them():
+    session = new_session()
+
+    def slide(preset, amount, **way):
+        session.begin_gesture(ME, 1, "preset", way.pop("chosen", None))
+        session.move_preset(ME, {"preset": preset, "amount": 1, "axis": "z", "limits": [0, 1], **way})
+        session.move_preset(ME, {"preset": preset, "amount": amount, "axis": "z", "limits": [0, 1], **way})
+        session.end_gesture(ME)
+        return session.section("edits")[0]["sliders"]
+
+    def expected(*steps):
+        vertices = REST
+        for preset, amount, *axis in steps:
+            vertices = getattr(poses, preset)(vertices, amount, axis=axis[0] if axis else "z")
+        np.testing.assert_allclose(posed(session), vertices, atol=1e-12)
+
+    slide("twist", 40.0)
+    assert slide("stretch", 2.0)["amounts"] == {"twist": 40.0, "stretch": 2.0}
+    expected(("twist", 40.0), ("stretch", 2.0))
+    slide("twist", 60.0)  # the sum is 60, not 100, and what came after it still does
+    expected(("twist", 60.0), ("stretch", 2.0))
+    session.undo()
+    assert session.section("edits")[0]["sliders"]["amounts"]["twist"] == 40.0
+    assert slide("twist", 0.0)["amounts"] == {"twist": 0.0, "stretch": 2.0}
+    expected(("stretch", 2.0))
+    assert slide("twist", 30.0, axis=[0.0, 0.0, -1.0])["amounts"] == {
+        "twist": 30.0
+    }  # another way: from the pose as it is
+    expected(("stretch", 2.0), ("twist", 30.0, "-z"))
+    assert slide("stretch", 3.0, chosen=(0, 1, 6, 7))["vertices"] == (0, 1, 6, 7)
+    session.begin_gesture(ME, 1, "move")
+    session.move(ME, 1, REST * 1.5)
+    session.end_gesture(ME)
+    assert session.section("edits")[0]["sliders"] is None
+    slide("twist", 90.0)
+    np.testing.assert_allclose(posed(session), poses.twist(REST * 1.5, 90.0, axis="z"), atol=1e-12)
 
 
 def test_undo_in_the_middle_of_a_drag_undoes_the_drag():

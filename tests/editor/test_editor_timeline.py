@@ -27,6 +27,7 @@ from warpcage.editor import (
     pose_file,
     state_at,
     view_camera,
+    ways,
     with_pose_file,
 )
 
@@ -76,6 +77,36 @@ def test_the_easing_of_the_earlier_key_decides(easing, share):
     for s in (0.1, 0.25, 0.5, 0.9):
         expected = (1 - share(s)) * POSES[0] + share(s) * POSES[1]
         np.testing.assert_allclose(pose_at(document, 1.0 + 2.0 * s), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("easing", EASINGS)
+def test_drawn_ways_are_those_that_poses_go(easing):
+    document = film((0, "smooth", POSES[0], None), (1, easing, POSES[1], None), (3, "linear", POSES[2], None))
+    drawn = ways(document)
+    assert list(drawn) == [100, 101]  # from the last key nothing moves
+    until, shares = drawn[101]
+    assert until == 3 and shares[0] == 0.0 and shares[-1] == pytest.approx(1.0)
+    step = POSES[2] - POSES[1]
+    for time, share in zip(np.linspace(1, 3, len(shares)), shares, strict=True):
+        left = pose_at(document, time) - POSES[1] - share * step
+        assert np.vdot(left, step) == pytest.approx(0.0, abs=1e-9)  # what is left is beside the way
+
+
+def test_the_drawn_way_is_that_of_the_edit_that_moves_most():
+    edits = (new_edit(1, CAGE, "one"), new_edit(2, CAGE, "two"), new_edit(3, CAGE, "still"))
+    rest = frozen_vertices(CAGE.vertices)
+    first = {1: rest, 2: rest, 3: rest}
+    keys = [
+        (0, "smooth", first, None),
+        (1, "smooth", {1: frozen_vertices(rest * 1.1), 2: frozen_vertices(rest * 3), 3: rest}, None),
+        (2, "smooth", {1: rest, 3: rest}, None),
+        (4, "bounce", {1: rest, 2: rest, 3: rest}, None),
+    ]
+    alone = [(time, easing, {2: poses[2]}, None) for time, easing, poses, _ in keys if 2 in poses]
+    drawn = ways(film(*keys, edits=edits))
+    assert drawn[100] == ways(film(*alone, edits=edits))[100] and drawn[101] == ways(film(*alone, edits=edits))[101]
+    assert drawn[101][0] == 4.0  # past a key that does not hold it
+    assert 102 not in drawn and ways(film()) == {}
 
 
 def test_a_held_pose_is_exactly_still_and_then_jumps():

@@ -94,6 +94,31 @@ def test_a_framed_view_shows_all_points(page: Modules, points: np.ndarray, aspec
 # topology ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0), (1, 0, 0), (0.1, -0.9, 0.2)])
+@pytest.mark.parametrize("scale", [1.0, 37.0, 2e-3])
+def test_the_grid_is_the_ground_beneath_the_field(page: Modules, up: tuple[float, ...], scale: float) -> None:
+    bounds = scale * np.array([[-1.3, 0.2, -0.4], [0.9, 1.7, 2.6]])
+    lines = page.call("view/grid", "groundLines", bounds.tolist(), list(up))
+    corners = bounds[np.indices((2, 2, 2)).reshape(3, 8).T, np.arange(3)]
+    high, ends = np.divide(up, np.linalg.norm(up)), np.array([line["ends"] for line in lines])
+    np.testing.assert_allclose(ends @ high, (corners @ high).min(), atol=1e-9 * scale)
+    ways = ends[:, 1] - ends[:, 0]
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    steps = set()
+    for way in (ways[0], ways[-1]):  # two families of lines, at right angles
+        own = [i for i in range(len(lines)) if abs(ways[i] @ way) > 0.5]
+        places = ends[own, 0] @ (across := np.cross(high, way))
+        reach = corners @ across
+        assert places.min() <= reach.min() and reach.max() <= places.max() and 4 <= len(own) <= 12
+        np.testing.assert_allclose(np.abs(places), np.abs([lines[i]["value"] for i in own]), atol=1e-9 * scale)
+        steps.add(f"{np.diff(np.sort(places)).mean():.6e}")
+        ours = {lines[i]["axis"] for i in own if lines[i]["value"] == 0}
+        named = [k for k in range(3) if abs(way[k]) > 1 - 1e-6]
+        assert ours <= {*named, -1} and (not named or ours <= set(named))
+    (step,) = steps
+    assert step.startswith(("1.000000e", "2.000000e", "5.000000e"))
+
+
 @pytest.fixture(scope="module")
 def two_parts(page: Modules) -> tuple[np.ndarray, np.ndarray, Any]:
     first, faces = hull(30, 1)

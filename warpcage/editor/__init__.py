@@ -7,7 +7,7 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "commands": "COMMANDS moved_keys moved_rest preset_pose replace_cage run_command",
+        "commands": "COMMANDS moved_keys moved_rest preset_pose replace_cage run_command slide",
         "demo": "demo_files",
         "document": (
             "Document Key MAX_ID MAX_PLACE Selection Settings Timeline View checked_view frozen_vertices "
@@ -27,6 +27,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
             "DEPTH History Session file_stamp free_session_path new_document read_session session_path write_session"
         ),
         "tasks": "Cancelled Jobs MAX_JOBS MAX_UNFINISHED Outcome",
-        "timeline": "document_at frame_rate frame_times load_poses looped_time pose_file state_at with_pose_file",
+        "timeline": "document_at frame_rate frame_times load_poses looped_time pose_file state_at ways with_pose_file",
     },
 )

@@ -14,6 +14,7 @@ import numpy as np
 from aiohttp import WSCloseCode, web
 
 from ..errors import InputError
+from .document import Background, checked_background, checked_whole
 
 #: Frames that may be on their way to a page.
 FRAMES_UNDER_WAY = 2
@@ -44,6 +45,7 @@ class Client:
     def __init__(self, number: int, socket: web.WebSocketResponse):
         self.number, self.sequence = number, 0  # sequence: the number of its newest pose or view
         self.size: tuple[int, int] | None = None  # width and height of its viewport, pixels
+        self.ground: Background = None  # behind the scene in its viewport, in place of a field's one colour
         self.mistakes, self.strayed = 0, False  # wrong messages in a row; whether told that its gesture has ended
         self.slow: set[asyncio.Task] = set()  # its commands that are under way
         self._socket, self._closed = socket, False
@@ -55,6 +57,11 @@ class Client:
         self._news, self._written = asyncio.Event(), asyncio.Event()
         self._allowed = {"messages": MESSAGE_BURST, "bytes": BYTE_BURST}
         self._counted = time.monotonic()
+
+    def resize(self, message: dict[str, Any]) -> None:
+        """Take what the page says of its viewport."""
+        width, height = (checked_whole(message[name], 1, 16384, name) for name in ("width", "height"))
+        self.size, self.ground = (width, height), checked_background(message.get("ground"))
 
     # -- To the page
 

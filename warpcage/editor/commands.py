@@ -11,12 +11,15 @@ import numpy as np
 from ..cage import poses
 from ..cage.cage import Cage
 from ..coordinates.coordinates import deform_points
+from ..core.checks import AXES
 from ..core.names import EASINGS, FRAGMENTS_WORD, LOOPS
 from ..edits.edits import MAX_EDITS
 from ..errors import InputError
 from .document import (
     KINDS,
     MAX_KEYS,
+    MAX_NAME,
+    MAX_PLACE,
     MAX_RATE,
     MAX_SECONDS,
     MAX_VERTICES,
@@ -24,6 +27,7 @@ from .document import (
     Edit,
     Key,
     Selection,
+    Sliders,
     checked_between,
     checked_choice,
     checked_flag,
@@ -109,6 +113,24 @@ def preset_pose(edit: Edit, chosen: Sequence[int] | None, message: Message) -> n
     return frozen_vertices(vertices)
 
 
+def slide(edit: Edit, chosen: tuple[int, ...] | None, message: Message) -> Edit:
+    """The edit with a preset at another amount; see `preset_pose`. Presets that were set before keep theirs, where they
+    have the same vertices, axis and limits and nothing else has changed the pose."""
+    way = {"axis": message.get("axis", "z"), "towards": message.get("towards"), "limits": message.get("limits", [0, 1])}
+    kept = edit.sliders
+    if kept is None or (kept.chosen, kept.way) != (chosen, way):
+        kept = Sliders(edit.posed, edit.posed, chosen, way, {})
+    amounts = {**kept.amounts, str(message["preset"]): message["amount"]}
+    given = {name: value for name, value in way.items() if value is not None}
+    posed = kept.before
+    for preset, amount in amounts.items():
+        posed = preset_pose(
+            dataclasses.replace(edit, posed=posed), chosen, {"preset": preset, "amount": amount, **given}
+        )
+    moved = dataclasses.replace(kept, posed=posed, amounts=amounts)
+    return dataclasses.replace(edit, posed=posed, moved_sliders=moved)
+
+
 # -- Edits
 
 
@@ -140,6 +162,31 @@ def box_selection(document: Document, message: Message) -> Step:
     size = float(np.ptp(edit.rest, axis=0).max())
     margin = checked_between(message.get("margin", 0.02), 0.0, 1.0, "margin") * size
     return with_new_edit(document, Cage.box(low - max(margin, 1e-4 * size), high + max(margin, 1e-4 * size)), "move")
+
+
+def mirror_edit(document: Document, message: Message) -> Step:
+    """A new edit that mirrors another one, its pose and those in keys, across the plane where an axis has a value."""
+    edit = document.edit(message["edit"])
+    axis = AXES.index(checked_choice(message["axis"], list(AXES), "axis"))
+    place = checked_between(message["place"], -MAX_PLACE, MAX_PLACE, "place")
+
+    def mirrored(vertices: np.ndarray) -> np.ndarray:
+        turned = vertices.copy()
+        turned[:, axis] = 2.0 * place - turned[:, axis]
+        return frozen_vertices(turned)
+
+    name = f"{edit.name[: MAX_NAME - 10]} mirrored"
+    _, document = with_new_edit(document, Cage(mirrored(edit.rest), edit.faces[:, ::-1]), edit.kind, name)
+    number = document.edits[-1].id
+    keys = [
+        dataclasses.replace(key, poses={**key.poses, number: mirrored(key.poses[edit.id])})
+        if key.poses is not None and edit.id in key.poses
+        else key
+        for key in document.timeline.keys
+    ]
+    kept = {"visible": edit.visible, "falloff": edit.falloff, "held": edit.held, "fragments": edit.fragments}
+    fresh = dataclasses.replace(document.edits[-1], posed=mirrored(edit.posed), **kept)
+    return "mirror an edit", document.with_edit(fresh).with_timeline(keys=tuple(keys))
 
 
 def with_new_edit(document: Document, cage: Cage, kind: str = "move", name: str | None = None) -> Step:
@@ -309,6 +356,7 @@ COMMANDS: dict[str, Callable[[Document, Message], Step]] = {
     "edit.order": order_edits,
     "cage.subdivide": subdivide_cage,
     "cage.box": box_selection,
+    "cage.mirror": mirror_edit,
     "key.add": add_key,
     "key.change": change_key,
     "key.delete": delete_key,

@@ -160,6 +160,10 @@ class View:
     fov: float = 40.0  # vertical, degrees
 
 
+#: The colour behind a scene: a name, three numbers in [0, 1], or None for the field's own.
+Background = str | Sequence[float] | None
+
+
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """How the scene is deformed and shown."""
@@ -167,7 +171,7 @@ class Settings:
     coordinates: str = FIELD_COORDINATES
     resolution: int = 64  # cells of the map's lattice along the longest side of a cage, in pictures that rest
     density: str = "opacity"  # see `Deformer`
-    background: str | tuple[float, float, float] | None = None  # a name, three numbers in [0, 1]; None: the field's own
+    background: Background = None  # a name, three numbers in [0, 1]; None: the field's own
     supersampling: int = 1  # rays along each side of a pixel, in pictures that rest
     show: str = "rgb"  # one of SHOWN
     mode: str = "pose"  # "pose": the posed cage and deformed scene; "rest": the cage at rest and the scene as captured
@@ -198,7 +202,7 @@ def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings
     good: dict[str, Any] = {}
     for name, value in changes.items():
         if name == "background":
-            good[name] = _background(value)
+            good[name] = checked_background(value)
         elif name == "fill":
             good[name] = checked_flag(value, name)
         elif name == "resolution":
@@ -211,7 +215,7 @@ def checked_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings
     return dataclasses.replace(settings, **good)
 
 
-def _background(value: Any) -> str | tuple[float, float, float] | None:
+def checked_background(value: Any) -> Background:
     if value is None:
         return None
     if isinstance(value, str):
@@ -238,6 +242,17 @@ LARGEST_LENGTH = 1e9
 
 
 @dataclasses.dataclass(frozen=True)
+class Sliders:
+    """What sliders have made of a cage: they go on from it as long as the edit has this very pose."""
+
+    before: np.ndarray  # (v, 3) float64, the pose that they started from, world units
+    posed: np.ndarray  # (v, 3) what became of it
+    chosen: tuple[int, ...] | None  # vertices that they act on, None for all
+    way: Mapping[str, Any]  # axis, towards and limits
+    amounts: Mapping[str, float]  # by preset, in the order in which they act
+
+
+@dataclasses.dataclass(frozen=True)
 class Edit:
     """One cage and what becomes of its content."""
 
@@ -251,6 +266,12 @@ class Edit:
     falloff: float = 0.0  # width of the band at held walls in which the edit fades to rest, world units; see `CageEdit`
     held: str = "cut"  # the walls that are held: "cut" or "still"
     fragments: float = 0.0  # size of the fragments that go with the part, world units
+    moved_sliders: Sliders | None = dataclasses.field(default=None, compare=False)  # the last ones; not in files
+
+    @property
+    def sliders(self) -> Sliders | None:
+        """The sliders that the pose comes from, or None where something else has changed it since."""
+        return self.moved_sliders if self.moved_sliders and self.moved_sliders.posed is self.posed else None
 
     @property
     def rest_cage(self) -> Cage:

@@ -33,7 +33,7 @@ from ..splats.splat_field import AnyField
 from ..view.camera import Camera
 from ..view.frame import Frame
 from ..view.frame_parts import mask_shares, picture
-from .document import Document, Edit, View
+from .document import Background, Document, Edit, View
 
 #: Seconds that a picture may take while the hand moves, on a CPU and on CUDA.
 MOVING_SECONDS = {"cpu": 0.05, "cuda": 0.022}
@@ -204,9 +204,6 @@ def packed_frame(header: dict[str, Any], pixels: Pixels | None, quality: int) ->
 #: Deformers that are kept for one set of edits, one per resolution: a moving hand and a resting one may have two.
 KEPT_DEFORMERS = 2
 
-#: The colour behind a scene: a name, three numbers in [0, 1], or None for the field's own.
-Background = str | Sequence[float] | None
-
 
 def view_camera(view: View, width: int, height: int) -> Camera:
     """The camera of a view, with square pixels, for a picture of so many pixels."""
@@ -350,6 +347,7 @@ class Request:
     height: int
     moving: bool  # whether the hand moves: the picture should come soon rather than be sharp
     applied: Mapping[int, int]  # the newest message of each page that it shows
+    ground: Background = None  # in place of a field's own background of one colour, here and not in films
 
 
 class Superseded(Exception):
@@ -506,7 +504,7 @@ class Renderer:
             if effort.sharp and self._wanted is not None:
                 raise Superseded
             last = min(first + rows, effort.height)
-            frame = self._frame(document, band_camera(whole, first, last), effort)
+            frame = self._frame(request, band_camera(whole, first, last), effort)
             # bands together have as many rows of depths as the whole: a page takes them for those of one picture
             rows_of_depths = round(last * depths / effort.height) - round(first * depths / effort.height)
             bands.append(frame_pixels(frame, document.settings.show, near, far, columns, rows_of_depths))
@@ -518,11 +516,14 @@ class Renderer:
             name: sum(count * share[name] for count, share in shares) / effort.height for name in names
         }
 
-    def _frame(self, document: Document, seen: Any, effort: Effort) -> Frame:
-        field = self._field
+    def _frame(self, request: Request, seen: Any, effort: Effort) -> Frame:
+        field, document = self._field, request.document
+        background = document.settings.background
+        if background is None and field.background_model is None:
+            background = request.ground
         step = effort.step * field.step if effort.step != 1.0 and isinstance(field, VoxelField) else None
         fill = effort.sharp and self._fills(document)
-        return self._scene.render(seen, document.settings.background, step, effort.supersampling, fill)
+        return self._scene.render(seen, background, step, effort.supersampling, fill)
 
     def _fills(self, document: Document) -> bool:
         """Whether background is filled in sharp pictures of a document."""

@@ -403,10 +403,7 @@ class Server:
         """Carry out a page's command and return what its reply says, or a coroutine that does."""
         do, session = message["do"], self.session
         if do == "size":
-            client.size = (
-                checked_whole(message["width"], 1, 16384, "width"),
-                checked_whole(message["height"], 1, 16384, "height"),
-            )
+            client.resize(message)
             self._touched(client)
             self._on_change({"view"})
             return None
@@ -470,7 +467,7 @@ class Server:
         self.session.look(view)
 
     def _touched(self, client: Client) -> None:
-        """The page that was touched last says how large pictures are."""
+        """The page that was touched last says how large pictures are, and what is behind the scene in them."""
         if client.size is not None:
             self._sizer = client
 
@@ -554,6 +551,7 @@ class Server:
                 max(1, round(height * share)),
                 self._moving or bool(self.lookers),
                 {client.number: client.sequence for client in self.clients.values()},
+                self._sizer.ground,
             )
         )
 

@@ -30,6 +30,7 @@ from .document import (
     Edit,
     Selection,
     Settings,
+    Sliders,
     Timeline,
     View,
     edit_json,
@@ -264,14 +265,13 @@ class Session:
         return True
 
     def move_preset(self, owner: object, message: dict[str, Any]) -> bool:
-        """Bend, twist, taper or stretch the cage of a gesture, from how it was at the beginning; see `move`."""
+        """Bend, twist, taper or stretch the cage of a gesture; see `move` and `commands.slide`."""
         if not self.is_moved_by(owner):
             return False
         gesture = self._gesture
         assert gesture is not None
-        vertices = commands.preset_pose(gesture.edit, gesture.chosen, message)
+        edit = commands.slide(gesture.edit, gesture.chosen, message)
         gesture.label = str(message["preset"])
-        edit = dataclasses.replace(self.document.edit(gesture.edit.id), posed=vertices)
         self._take(self.document.with_edit(edit))
         return True
 
@@ -316,7 +316,10 @@ class Session:
             if edit.id in poses:
                 posed = frozen_vertices(poses[edit.id], len(edit.rest))
                 document = document.with_edit(dataclasses.replace(edit, posed=posed))
-        self._take(document, told, without={"edits"})
+        if not any(edit.sliders for edit in self.document.edits):  # pages show where sliders are
+            self._take(document, told, without={"edits"})
+        else:
+            self._take(document, told)
 
     def _take(self, document: Document, more: Iterable[str] = (), without: Iterable[str] = ()) -> None:
         """Take a document as the newest one and tell listeners what changed."""
@@ -337,11 +340,11 @@ class Session:
         """One section of the document or the history, as JSON takes it."""
         document = self.document
         if name == "edits":
-            return [edit_json(edit) for edit in document.edits]
+            return [edit_json(edit) | {"sliders": _sliders_json(edit.sliders)} for edit in document.edits]
         if name == "timeline":
-            film = document.timeline
+            film, ways = document.timeline, timeline.ways(document)
             keys = [
-                {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing}
+                {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing, "way": ways.get(key.id)}
                 | {"pose": key.poses is not None, "camera": key.view is not None}
                 for key in film.keys
             ]
@@ -419,6 +422,13 @@ def new_document(field: AnyField, cages: Iterable[Cage] = (), resolution: int = 
     return Document(edits, selection, Settings(resolution=resolution), view, Timeline(), next_id=len(edits) + 1)
 
 
+def _sliders_json(sliders: Sliders | None) -> dict[str, Any] | None:
+    """Where sliders are, as pages are told."""
+    if sliders is None:
+        return None
+    return {"vertices": sliders.chosen, "amounts": dict(sliders.amounts), **sliders.way}
+
+
 def _iso(moment: datetime.datetime) -> str:
     return moment.isoformat(timespec="seconds")
 
@@ -446,8 +456,10 @@ def _same_film(one: Timeline, two: Timeline) -> bool:
     )
 
 
-#: What an edit holds besides arrays.
-_PLAIN = tuple(field.name for field in dataclasses.fields(Edit) if field.name not in ("faces", "rest", "posed"))
+#: What an edit holds besides arrays and where sliders are.
+_PLAIN = tuple(
+    field.name for field in dataclasses.fields(Edit) if field.compare and field.name not in ("faces", "rest", "posed")
+)
 
 
 def _same_edit(one: Edit, two: Edit) -> bool:

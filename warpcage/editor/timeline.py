@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from fractions import Fraction
@@ -23,6 +24,12 @@ from .renderer import view_camera
 #: Width and height of the pictures of cameras in pose files, pixels.
 PICTURE = (800, 600)
 
+#: Parts of a drawn way from key to key; a smooth one is a cubic, for which few do.
+PARTS, SMOOTH_PARTS = 32, 8
+
+#: Keys whose ways are drawn: more lie too close to be told apart, and take long.
+MAX_DRAWN = 200
+
 #: Fields of view, degrees: a smooth way may swing beyond those of its keys.
 LEAST_FOV, LARGEST_FOV = 1.0, 150.0
 
@@ -31,17 +38,35 @@ def state_at(document: Document, time: float) -> tuple[dict[int, np.ndarray], Vi
     """Posed vertices (v, 3), read-only, by the number of the edit, and the view of a film at a time, seconds.
     Edits that no key holds are left out; the view is None where there is no key of cameras."""
     # The earlier key's easing says the way (`view.motion.value_at`); a loop does not stop where its ends are equal.
-    moments = document.timeline.keys
-    poses = {}
-    for edit in document.edits:
-        # a key may be older than the cage and hold vertices that it no longer has
-        track = [(key, key.poses[edit.id]) for key in moments if key.poses is not None and edit.id in key.poses]
-        track = [(key, vertices) for key, vertices in track if vertices.shape == edit.posed.shape]
-        if track:
-            poses[edit.id] = _value_at(track, time, _closes(document.timeline, track))
-    views = _view_track(moments)
+    poses = {
+        number: _value_at(track, time, _closes(document.timeline, track))
+        for number, track in _pose_tracks(document).items()
+    }
+    views = _view_track(document.timeline.keys)
     closed = bool(views) and _closes(document.timeline, views)
     return poses, _view_at(views, time, closed) if views else None
+
+
+def ways(document: Document) -> dict[int, tuple[float, list[float]]]:
+    """By the number of a key with poses: the time of the next ones, and how far they have gone to these, 0 to 1, at
+    even times. That of the edit that moves most; keys from which nothing moves are left out."""
+    farthest: dict[int, float] = {}
+    found = {}
+    for track in _pose_tracks(document).values():
+        if len(track) > MAX_DRAWN:
+            continue
+        times, values = [key.time for key, _ in track], [value for _, value in track]
+        easings, closed = [key.easing for key, _ in track], _closes(document.timeline, track)
+        for (key, begin), (after, end) in itertools.pairwise(track):
+            step = end - begin
+            far = float(np.vdot(step, step))
+            if far <= farthest.get(key.id, 0.0):
+                continue
+            farthest[key.id] = far
+            moments = np.linspace(key.time, after.time, SMOOTH_PARTS + 1 if key.easing == "smooth" else PARTS + 1)
+            places = [between.value_at(times, values, float(time), easings, closed=closed) for time in moments]
+            found[key.id] = (after.time, [float(np.vdot(place - begin, step)) / far for place in places])
+    return found
 
 
 def document_at(document: Document, time: float) -> Document:
@@ -177,6 +202,18 @@ def _without_pose(key: Key, number: int) -> Key:
         return key
     rest = {other: vertices for other, vertices in key.poses.items() if other != number}
     return dataclasses.replace(key, poses=rest or None)
+
+
+def _pose_tracks(document: Document) -> dict[int, list[tuple[Key, np.ndarray]]]:
+    """Keys and the poses (v, 3) that they hold, by the number of the edit; edits that no key holds are left out."""
+    tracks = {}
+    for edit in document.edits:
+        # a key may be older than the cage and hold vertices that it no longer has
+        held = [(key, (key.poses or {}).get(edit.id)) for key in document.timeline.keys]
+        track = [(key, pose) for key, pose in held if pose is not None and pose.shape == edit.posed.shape]
+        if track:
+            tracks[edit.id] = track
+    return tracks
 
 
 def _value_at(track: Sequence[tuple[Key, np.ndarray]], time: float, closed: bool = False) -> np.ndarray:

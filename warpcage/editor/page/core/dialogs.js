@@ -137,7 +137,7 @@ const MOUSE = [
   ["Click", "Select; with Shift add or take away"],
   ["Drag beside it", "Rectangle or lasso; Shift adds, Ctrl takes away"],
   ["Drag a vertex", "Move it, or the selection that it belongs to"],
-  ["Middle button, Alt+drag", "Turn the view; with Shift pan, with Ctrl zoom"],
+  ["Right drag", "Turn the view; with Shift pan, with Ctrl zoom. So do the middle button and Alt+drag"],
   ["Wheel", "Zoom; while moving: the radius of proportional editing"],
   ["One finger, two", "Turn the view; pan and zoom"],
 ];

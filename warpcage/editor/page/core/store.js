@@ -15,6 +15,7 @@ const defaults = {
   snap: false,
   step: 0.05, // share of the cage's size; a rotation snaps to 100 times as many degrees (5)
   cage: true, // whether the cage is drawn
+  grid: false, // whether the ground is drawn as a grid
 };
 
 /** What tools can be chosen to be: [value, label]. */

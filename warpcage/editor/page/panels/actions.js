@@ -91,4 +91,5 @@ register("falloff", { label: "Next falloff", keys: ["Shift+O"], group: "Tools", 
 register("axes", { label: "Next axes: world, view, local", keys: [","], group: "Tools", run: cycle("axes") });
 register("symmetry", { label: "Next plane of symmetry: none, x, y, z", keys: ["M"], group: "Tools", run: cycle("symmetry") });
 register("snap", { label: "Snap to steps", keys: ["N"], group: "Tools", run: toggle("snap") });
+register("grid", { label: "Show the ground as a grid", keys: ["Shift+D"], group: "View", run: toggle("grid") });
 register("cage", { label: "Show the cage", keys: ["Alt+Shift+Z"], group: "View", run: toggle("cage") });

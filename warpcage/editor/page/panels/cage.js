@@ -5,6 +5,7 @@ import { attempt, request } from "../core/connection.js";
 import { askFor, toast } from "../core/dialogs.js";
 import { nextPlace } from "../view/pointer.js";
 import { button, el, group, setText } from "../core/controls.js";
+import { AXIS_NAMES } from "../geometry/vectors.js";
 
 const METHODS = [
   ["auto", "Whichever fits better"],
@@ -57,6 +58,30 @@ async function generate() {
     click = { ...place, plane: around };
   }
   await request({ do: "cage.generate", ...options, click, edit: given.edit === "new" ? null : given.edit, count: Math.round(given.count) });
+}
+
+/** Makes a cage around the object that is clicked, as a new edit. */
+async function generateAround() {
+  toast("Click the object in the picture; Escape leaves it.");
+  const place = await nextPlace();
+  if (place) await request({ do: "cage.generate", edit: null, count: 100, click: { ...place, plane: "any" } });
+}
+
+async function mirror(edit) {
+  const { bounds } = store.sections.session.field;
+  const axes = AXIS_NAMES.map((name) => [name, `Across ${name}`]);
+  const given = await askFor({
+    title: "Mirror the edit",
+    text: `A new edit: the cage of "${edit.name}" on the other side of a plane, with its pose and those of keys.`,
+    fields: [
+      { name: "axis", label: "Plane", type: "choice", value: "x", choices: axes },
+      { name: "place", label: "At", type: "number", value: null, step: 0.05, unit: "units", optional: true, help: "Where the plane meets that axis. Empty: in the middle of the field." },
+    ],
+    confirm: "Mirror",
+  });
+  if (!given) return;
+  const k = AXIS_NAMES.indexOf(given.axis);
+  request({ do: "cage.mirror", edit: edit.id, axis: given.axis, place: given.place ?? (bounds[0][k] + bounds[1][k]) / 2 });
 }
 
 async function simplify(edit) {
@@ -147,6 +172,7 @@ export function cageGroup() {
     button({ id: "cage-simplify", label: "Simplify…", title: "Fewer vertices, about the same shape", onClick: withActiveEdit(simplify) }),
     button({ id: "cage-box", label: "Box…", title: "A new edit: a box around the selected vertices", onClick: withActiveEdit(box) }),
   );
+  const copy = button({ id: "cage-mirror", label: "Mirror…", title: "A new edit: this one on the other side of a plane, such as a second arm", onClick: withActiveEdit(mirror) });
   const verdict = el("p", { id: "check-verdict", class: "verdict" });
   const found = el("ul", { id: "check-lines", class: "check-lines", "aria-label": "What the check found" });
   const check = el("div", { id: "check", "aria-live": "polite", "aria-atomic": "true" }, verdict, found);
@@ -164,12 +190,19 @@ export function cageGroup() {
     ),
     upload,
     refine,
+    el(
+      "div",
+      { class: "grid" },
+      button({ id: "cage-click", label: "Around a click…", title: "A cage around the object that is clicked, on the ground, a table or a wall, as a new edit", onClick: generateAround }),
+      copy,
+    ),
     check,
   );
   const showCage = () => {
     const edit = activeEdit();
     for (const element of refine.children) element.disabled = !edit;
     setText(size, edit ? `${edit.rest.length} vertices, ${edit.faces.length} faces` : "No cage is chosen.");
+    copy.disabled = !edit;
     document.getElementById("cage-box").disabled = !edit || !selectedVertices().length;
   };
   const showCheck = () => {

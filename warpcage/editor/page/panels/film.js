@@ -124,7 +124,7 @@ const EXPORTS = [
 ];
 
 const HELP = {
-  file: "Is written into the session's folder; the group Jobs offers it for download.",
+  file: "Is written into the session's folder; it can be downloaded when it is done.",
   png: "A new folder for the pictures, in the session's folder.",
 };
 
@@ -138,7 +138,6 @@ async function exportAs([what, label, , usual, fields]) {
   if (!given) return;
   const { ending } = given;
   if (ending && !given.file.endsWith(ending)) given.file += ending;
-  document.getElementById("group-jobs").open = true;
   await request({ do: "export", what, ...given });
 }
 
@@ -179,21 +178,22 @@ export function filmGroup() {
   return { root: made.root, start };
 }
 
-function makeJobRow({ id }) {
+/** Makes rows of jobs: `place` begins their ids, `clear` takes one off. */
+const jobRows = (place, clearing, clear) => ({ id }) => {
   const name = el("span", { class: "row-name" });
   const note = el("span", { class: "job-text", role: "status" });
   const bar = el("progress", { max: 1, "aria-label": "Progress" });
   const cancel = button({ label: "Cancel", title: "Stop this work", kind: "flat", onClick: () => request({ do: "job.cancel", id }) });
-  const clear = button({ label: "Take off the list", icon: "close", kind: "flat", onClick: () => request({ do: "job.clear", id }) });
+  const close = button({ label: clearing, icon: "close", kind: "flat", onClick: () => clear(id) });
   const download = el("a", { class: "button primary", download: true }, icon("download"), el("span", {}, "Download"));
-  const root = el("li", { id: `job-${id}`, class: "job" }, el("div", { class: "row" }, name, cancel, clear), bar, note, download);
+  const root = el("li", { id: `${place}-${id}`, class: "job" }, el("div", { class: "row" }, name, cancel, close), bar, note, download);
   const update = (job) => {
     root.dataset.state = job.state;
     setText(name, job.name);
     name.title = job.name;
     const isRunning = job.state === "running";
     bar.hidden = cancel.hidden = !isRunning;
-    clear.hidden = isRunning;
+    close.hidden = isRunning;
     if (job.share === null || job.share === undefined) bar.removeAttribute("value");
     else bar.value = job.share;
     bar.setAttribute("aria-label", `Progress of ${job.name}`);
@@ -207,18 +207,26 @@ function makeJobRow({ id }) {
     }
   };
   return { root, update };
-}
+};
 
-/** The group of the work that runs or ran: {root, start()}. */
+/** The group of the work that runs or ran: {root, start()}. What runs is shown over the view too, and what came of it. */
 export function jobsGroup() {
   const list = el("ul", { id: "job-list", class: "jobs", "aria-label": "Jobs" });
   const empty = el("p", { class: "note" }, "Nothing runs. Cages and exports that take a while are shown here.");
   const made = group("jobs", "Jobs", false, list, empty);
-  const showRows = rows(list, makeJobRow);
+  const showRows = rows(list, jobRows("job", "Take off the list", (id) => request({ do: "job.clear", id })));
+  const leave = (id) => {
+    watched.delete(id);
+    show();
+  };
+  const showWork = rows(document.getElementById("work"), jobRows("work", "Hide; the group Jobs keeps it", leave));
+  const watched = new Set(); // what this page has seen run
   let before = 0;
   const show = () => {
-    const { jobs = [] } = store.sections;
+    const jobs = (store.sections.jobs ?? []).toReversed(); // the newest first
     showRows(jobs);
+    for (const { id, state } of jobs) if (state === "running") watched.add(id);
+    showWork(jobs.filter(({ id, state, download }) => watched.has(id) && (state === "running" || state === "failed" || download)));
     empty.hidden = jobs.length > 0;
     const running = jobs.filter(({ state }) => state === "running").length;
     setText(made.note, running ? `${running} running` : jobs.length ? String(jobs.length) : "");

@@ -27,7 +27,7 @@ function backgroundField() {
   const kind = choice({
     id: "background",
     label: "Background",
-    title: "What is behind the scene",
+    title: "What is behind the scene. The field's own, where it is one colour, gives way to the page's in the dark theme; not in films",
     options: [
       ["", "The field's own"],
       ["white", "White"],
@@ -133,6 +133,13 @@ export function viewGroup() {
     value: store.tools.cage,
     onChange: (on) => store.setTool("cage", on),
   });
+  const grid = check({
+    id: "grid",
+    label: "Draw the ground as a grid",
+    title: titleOf("A grid beneath the field, with the axes through its middle and lengths in its units", "grid"),
+    value: store.tools.grid,
+    onChange: (on) => store.setTool("grid", on),
+  });
   const fill = check({
     id: "fill",
     label: "Fill what nobody saw",
@@ -142,7 +149,7 @@ export function viewGroup() {
   const viewButton = ([name, label]) =>
     button({ id: name.replace(".", "-"), label, title: titleOf(actions.get(name).label, name), onClick: () => run(name) });
   const views = el("div", { class: "grid quarters", role: "group", "aria-label": "Look from" }, ...VIEWS.map(viewButton));
-  const made = group("view", "Picture", false, shown.root, masks.root, overlay.root, coordinates.root, resolution.root, density.root, background.root, fill.root, supersampling.root, views);
+  const made = group("view", "Picture", false, shown.root, masks.root, overlay.root, grid.root, coordinates.root, resolution.root, density.root, background.root, fill.root, supersampling.root, views);
   const show = () => {
     const { settings } = store.sections;
     if (!settings) return;
@@ -164,7 +171,10 @@ export function viewGroup() {
     store.on("settings", show);
     store.on("session", show); // of its field: whether there is something to fill
     store.on("status", masks.show);
-    store.on("tools", ({ cage }) => overlay.set(cage));
+    store.on("tools", (tools) => {
+      overlay.set(tools.cage);
+      grid.set(tools.grid);
+    });
     show();
   };
   return { root: made.root, start };

@@ -1,11 +1,12 @@
-// Posing with sliders and typed numbers: bend, twist, taper and stretch of all or of the selection. A slider poses live
-// while it is dragged, makes one undo step when it is let go, and goes back to the middle for the next one.
+// Posing with sliders and typed numbers: bend, twist, taper and stretch of the selection, or of the whole cage where nothing
+// is selected. A slider poses live while it is dragged, makes one undo step when it is let go, and keeps its value until
+// something else changes the pose.
 
 import { activeEdit, run, selectedVertices, store } from "../core/store.js";
 import { ask, request, sendVertices } from "../core/connection.js";
 import { toast } from "../core/dialogs.js";
-import { button, choice, el, group, number, perPicture, row, segments, setText, short, titleOf } from "../core/controls.js";
-import { AXIS_NAMES, mean } from "../geometry/vectors.js";
+import { button, choice, el, group, number, perPicture, row, setText, short, titleOf } from "../core/controls.js";
+import { AXIS_NAMES, dot, mean, point } from "../geometry/vectors.js";
 import { activeCage, places, placesName, whenChanged } from "../view/cages.js";
 import { loadFrom } from "./cage.js";
 
@@ -18,32 +19,54 @@ const PRESETS = [
   { name: "stretch", label: "Stretch", ...factor, min: -1, max: 1, step: 0.01, unit: "×", limit: [0.01, 100] },
 ];
 
-/** What all sliders share: which vertices, along which axis, between which limits. */
-const ways = { on: "all", axis: "z", towards: "x", limits: [0, 1], isAxisChosen: false };
-let opened = null; // the preset whose slider is out of the middle
+/** What all sliders share: along which axis, between which limits. */
+const ways = { axis: "up", towards: "x", limits: [0, 1] };
+let opened = null; // the preset whose slider is being moved
+let isEnding = false; // whether what it reached is on its way to the server
 let refused = false; // whether the slider that is held cannot pose: it says so once
 
-const message = ({ name }, amount) => ({ do: "preset.set", preset: name, amount, axis: ways.axis, towards: ways.towards, limits: ways.limits });
+const up = () => store.sections.session?.field?.up ?? [0, 0, 1];
+const direction = () => (ways.axis === "up" ? up() : AXIS_NAMES.map((name) => Number(name === ways.axis)));
+
+/** The axis of the world that sliders act along, or nearly so. */
+function nearestAxis() {
+  const sizes = direction().map(Math.abs);
+  return AXIS_NAMES[sizes.indexOf(Math.max(...sizes))];
+}
+
+const wayNow = () => ({ axis: ways.axis === "up" ? up() : ways.axis, towards: ways.towards, limits: ways.limits });
+const message = ({ name }, amount) => ({ do: "preset.set", preset: name, amount, ...wayNow() });
+
+/** The vertices that sliders act on: those selected, or null for all. */
+function chosenVertices() {
+  const vertices = selectedVertices();
+  return vertices.length && vertices.length < activeEdit()?.rest.length ? vertices : null;
+}
+
+/** How far a slider has posed what it acts on now. */
+function amountOf({ name, neutral }) {
+  const { vertices, axis, towards, limits, amounts } = activeEdit()?.sliders ?? {};
+  const isSame = amounts && JSON.stringify([vertices, { axis, towards, limits }]) === JSON.stringify([chosenVertices(), wayNow()]);
+  return (isSame && amounts[name]) || neutral;
+}
 
 /** Whether the vertices that sliders act on lie in one plane across the axis: no slider can tell them apart. */
-function isFlat(vertices) {
+function isFlat() {
   const cage = activeCage();
-  const chosen = ways.on === "selection" ? vertices : [...Array(places(cage).length / 3).keys()];
-  const along = chosen.map((vertex) => places(cage)[3 * vertex + AXIS_NAMES.indexOf(ways.axis)]);
+  const chosen = chosenVertices() ?? [...Array(places(cage).length / 3).keys()];
+  const along = chosen.map((vertex) => dot(point(places(cage), vertex), direction()));
   return Math.max(...along) - Math.min(...along) <= 1e-9 * cage.size;
 }
 
 /** Begins a preset; false, and a word about it, where it has nothing to act on. */
 function begin(preset) {
   const edit = activeEdit();
-  const vertices = selectedVertices();
   if (!edit) toast("There is no cage to pose: generate one first.", "warning");
   else if (store.sections.settings?.mode === "rest") toast("Sliders pose the cage: change to Pose first (Q).", "warning");
-  else if (ways.on === "selection" && !vertices.length) toast("Nothing is selected: select vertices, or let the slider act on all.", "warning");
-  else if (isFlat(vertices)) toast(`What is selected is flat along ${ways.axis}: select more vertices, or choose another axis.`, "warning");
+  else if (isFlat()) toast(`What is selected is flat along the axis ${ways.axis}: select more, nothing for the whole cage (Alt+A), or choose another axis.`, "warning");
   else {
     opened = preset;
-    request({ do: "preset.begin", edit: edit.id, vertices: ways.on === "selection" ? vertices : null });
+    request({ do: "preset.begin", edit: edit.id, vertices: chosenVertices() });
     return true;
   }
   return false;
@@ -67,40 +90,45 @@ async function end(amount, cancel) {
   const preset = opened;
   if (!preset) return;
   opened = null;
+  isEnding = true;
   if (!cancel) await request(message(preset, amount));
   await request({ do: "preset.end", cancel });
+  isEnding = false;
+  showAmounts();
 }
+
+const shown = []; // what shows the amount of each preset
+const showAmounts = perPicture(() => {
+  if (!opened && !isEnding) for (const show of shown) show();
+});
 
 /** One preset: a slider to drag and a number to type. */
 function presetRow(preset) {
-  const { name, label, neutral, min, max, step, unit, limit } = preset;
+  const { name, label, min, max, step, unit, limit } = preset;
   const id = `preset-${name}`;
   const slider = el("input", { id, type: "range", min, max, step, "aria-label": label, title: `${label}: drag; with the arrow keys, Enter keeps it; Escape takes it back` });
-  const shown = el("output", { class: "amount", for: id, hidden: true });
   let isDragged = false;
   const amountNow = () => preset.read(slider.valueAsNumber);
-  const rest = () => {
-    slider.value = preset.place(neutral);
-    slider.setAttribute("aria-valuetext", preset.tell(neutral));
-    typed.input.hidden = false;
-    shown.hidden = true;
+  const tell = (amount) => {
+    slider.setAttribute("aria-valuetext", preset.tell(amount));
+    typed.set(amount);
+  };
+  const show = () => {
+    slider.value = preset.place(amountOf(preset));
+    tell(amountOf(preset));
   };
   const finish = (cancel) => {
     isDragged = refused = false;
-    if (opened === preset) end(amountNow(), cancel || amountNow() === neutral);
-    rest();
+    if (opened === preset) end(amountNow(), cancel);
   };
   slider.addEventListener("pointerdown", () => (isDragged = true));
   slider.addEventListener("input", () => {
     if (opened !== preset && (refused || !begin(preset))) {
       refused = true;
-      return rest();
+      return show();
     }
     const amount = amountNow();
-    slider.setAttribute("aria-valuetext", preset.tell(amount));
-    setText(shown, preset.tell(amount));
-    shown.hidden = false;
-    typed.input.hidden = true;
+    tell(amount);
     sendAmount(preset, amount);
   });
   // keys change step by step: what they reach is kept by Enter, or when the focus goes on
@@ -122,16 +150,16 @@ function presetRow(preset) {
     title: `${label}: type an amount (${unit}) and press Enter`,
     min: limit[0],
     max: limit[1],
-    value: neutral,
     bare: true,
     onChange: async (amount) => {
-      if (amount !== neutral && begin(preset)) await end(amount, false);
-      typed.set(neutral);
+      if (begin(preset)) await end(amount, false);
+      else show();
     },
   });
-  rest();
+  show();
+  shown.push(show);
   const name_ = el("label", { for: id }, label);
-  return el("div", { class: "preset" }, name_, slider, el("span", { class: "value" }, typed.input, shown, el("span", { class: "unit" }, unit)));
+  return el("div", { class: "preset" }, name_, slider, el("span", { class: "value" }, typed.input, el("span", { class: "unit" }, unit)));
 }
 
 /** Where the middle of the selection is: three numbers that can be typed. */
@@ -173,47 +201,39 @@ function placeFields() {
 
 /** The group of the pose: {root, start()}. */
 export function poseGroup() {
-  const on = segments({
-    id: "preset-on",
-    label: "What the sliders act on",
-    options: [
-      ["all", "All", "Sliders act on the whole cage"],
-      ["selection", "Selection", "Sliders act on the selected vertices"],
-    ],
-    value: ways.on,
-    onChange: (value) => (ways.on = value),
-  });
-  const others = () => AXIS_NAMES.filter((axis) => axis !== ways.axis).flatMap((axis) => [[axis, axis], [`-${axis}`, `−${axis}`]]);
+  const on = el("p", { id: "preset-on", class: "note", title: "Select vertices to pose these alone; nothing (Alt+A) or all (A) for the whole cage" });
+  const others = () => AXIS_NAMES.filter((axis) => axis !== nearestAxis()).flatMap((axis) => [[axis, axis], [`-${axis}`, `−${axis}`]]);
   const towards = choice({
     id: "preset-towards",
     label: "Towards",
     title: "The direction that Bend bends to",
     options: others(),
     value: ways.towards,
-    onChange: (value) => (ways.towards = value),
+    onChange: (value) => {
+      ways.towards = value;
+      showAmounts();
+    },
   });
   const setAxis = (value) => {
     ways.axis = value;
     towards.fill(others());
-    if (ways.towards.endsWith(value)) ways.towards = AXIS_NAMES.find((axis) => axis !== value);
+    if (ways.towards.endsWith(nearestAxis())) ways.towards = AXIS_NAMES.find((axis) => axis !== nearestAxis());
     towards.set(ways.towards);
+    showAmounts();
   };
   const axis = choice({
     id: "preset-axis",
     label: "Axis",
     title: "The axis along which the sliders act",
-    options: AXIS_NAMES.map((name) => [name, name]),
+    options: [["up", "Up"], ...AXIS_NAMES.map((name) => [name, name])],
     value: ways.axis,
-    onChange: (value) => {
-      ways.isAxisChosen = true;
-      setAxis(value);
-    },
+    onChange: setAxis,
   });
   const limits = ["from", "to"].map((name, i) =>
     number({
       id: `preset-${name}`,
       label: `Limits: ${name}`,
-      title: `Where along the axis it ${i ? "ends" : "begins"}, in percent of the cage's box`,
+      title: `Where along the axis it ${i ? "ends" : "begins"}, in percent of what is posed; upwards, 0 is its lowest place`,
       min: 0,
       max: 100,
       step: 5,
@@ -223,6 +243,7 @@ export function poseGroup() {
         const kept = i ? Math.max(value, 100 * ways.limits[0] + 1) : Math.min(value, 100 * ways.limits[1] - 1);
         ways.limits[i] = kept / 100;
         limits[i].set(kept);
+        showAmounts();
       },
     }),
   );
@@ -234,20 +255,22 @@ export function poseGroup() {
     button({ id: "reset-all", label: "Reset all", title: titleOf("Bring the whole cage back to rest", "pose.reset.all"), onClick: () => run("pose.reset.all") }),
     button({ id: "pose-load", label: "Load…", title: "Load a posed cage, with the faces of this one, from the session's folder", onClick: () => loadFrom("cage", "Load a pose", "pose.load") }),
   );
-  const made = group("pose", "Pose", true, el("div", { class: "field" }, el("span", { class: "label" }, "Acts on"), on.root), ...PRESETS.map(presetRow), axis.root, towards.root, between, ...place.nodes, resets);
+  const made = group("pose", "Pose", true, on, ...PRESETS.map(presetRow), axis.root, towards.root, between, ...place.nodes, resets);
   const show = () => {
     place.show();
+    showAmounts();
+    setText(on, chosenVertices() ? `Sliders pose what is selected (${chosenVertices().length}).` : "Sliders pose the whole cage.");
     document.getElementById("reset-all").disabled = !activeEdit();
     document.getElementById("reset-selection").disabled = !selectedVertices().length;
   };
   const start = () => {
     whenChanged(show);
-    store.on("session", ({ field }) => {
-      if (ways.isAxisChosen || !field?.up) return;
-      const sizes = field.up.map(Math.abs);
-      axis.set(AXIS_NAMES[sizes.indexOf(Math.max(...sizes))]);
-      setAxis(axis.input.value);
+    let before = up();
+    store.on("session", () => {
+      if (before.join() !== up().join()) setAxis(ways.axis); // towards what is across it
+      before = up();
     });
+    store.on("edits", showAmounts);
     // a lost connection has ended the preset
     store.on("status", ({ connected }) => connected || (opened = null));
     show();

@@ -2,7 +2,7 @@
 
 import { run, store } from "../core/store.js";
 import { request } from "../core/connection.js";
-import { button, choice, el, followKey, number, rows, setIcon, setText, short, titleOf } from "../core/controls.js";
+import { button, choice, el, followKey, number, rows, setIcon, setText, short, svg, titleOf } from "../core/controls.js";
 import { EASINGS, LOOPS, add, change, choose, chosenKey, film, goTo, holds, jump, keyAt, now, onChosen, onFrame, remove, seconds, step } from "./keys.js";
 
 const NEAR = 4; // pixels that a press may slip before it is a drag
@@ -27,6 +27,20 @@ function makeMark(kind) {
     };
     return { root, update };
   };
+}
+
+/** The graph of the way from a key of poses to the next: how far it has gone, below at the key and above at the next. */
+function makeWay({ id }) {
+  const root = svg("svg", { class: "way", viewBox: "0 0 1 1", preserveAspectRatio: "none", "aria-hidden": "true" });
+  const line = svg("polyline", {});
+  root.append(line);
+  root.dataset.key = id;
+  const update = ({ time, way: [until, shares] }) => {
+    root.style.left = shareOf(time);
+    root.style.width = shareOf(until - time);
+    line.setAttribute("points", shares.map((share, i) => `${i / (shares.length - 1)},${0.9 - 0.6 * share}`).join(" "));
+  };
+  return { root, update };
 }
 
 function timeAt(event) {
@@ -165,7 +179,9 @@ function bar() {
 export function start() {
   const { root: top, show: showBar } = bar();
   const ruler = el("div", { class: "ruler" });
-  const poses = el("div", { class: "lane" });
+  const graphs = el("div");
+  const marks = el("div");
+  const poses = el("div", { class: "lane tall" }, graphs, marks);
   const cameras = el("div", { class: "lane" });
   const head = el("div", { class: "head" });
   area = el("div", { class: "track-area" }, ruler, poses, cameras, head);
@@ -182,10 +198,11 @@ export function start() {
     },
     area,
   );
-  const labels = el("div", { class: "lane-labels", "aria-hidden": "true" }, el("span", {}, "s"), el("span", {}, "Pose"), el("span", {}, "Camera"));
+  const labels = el("div", { class: "lane-labels", "aria-hidden": "true" }, el("span", {}, "s"), el("span", { class: "tall" }, "Pose"), el("span", {}, "Camera"));
   document.getElementById("timeline").append(top, el("div", { class: "time-body" }, labels, track));
 
-  const showPoses = rows(poses, makeMark("pose"));
+  const showWays = rows(graphs, makeWay);
+  const showPoses = rows(marks, makeMark("pose"));
   const showCameras = rows(cameras, makeMark("camera"));
   let drawn = "";
   const showKeys = () => {
@@ -194,6 +211,7 @@ export function start() {
     if (drawn !== `${length} ${width}`) ruler.replaceChildren(...ticks(width));
     drawn = `${length} ${width}`;
     showPoses(keys.filter(({ pose }) => pose));
+    showWays(keys.filter(({ way }) => way));
     showCameras(keys.filter(({ camera }) => camera));
     track.setAttribute("aria-valuemax", length);
   };

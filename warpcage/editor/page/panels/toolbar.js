@@ -2,6 +2,7 @@
 
 import { actions, choices, keep, kept, register, run, store } from "../core/store.js";
 import { request } from "../core/connection.js";
+import { tellSize } from "../view/viewport.js";
 import { choice, el, icon, number, perPicture, segments, setText, titleOf } from "../core/controls.js";
 
 const THEME = "warpcage.theme";
@@ -26,6 +27,7 @@ function nextTheme() {
   theme = THEMES[(THEMES.indexOf(theme) + 1) % THEMES.length];
   keep(THEME, theme);
   showTheme();
+  tellSize();
 }
 
 function showPanel(isOpen) {

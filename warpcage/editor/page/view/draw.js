@@ -25,7 +25,8 @@ const INK = {
   active: "#ffffff",
   hover: "#ffe9a8",
   crossing: "rgba(255, 45, 70, 0.45)",
-  leaking: "rgba(255, 120, 0, 0.35)",
+  leaking: "rgba(255, 120, 0, 0.7)",
+  leakingFace: "rgba(255, 120, 0, 0.1)",
   mirror: "rgba(120, 220, 255, 0.75)",
 };
 
@@ -95,7 +96,7 @@ function stroke(context, path, color, width, dash = []) {
   context.setLineDash([]);
 }
 
-function fillFaces(context, cage, screen, numbers, color) {
+function fillFaces(context, cage, screen, numbers, color, rim = null) {
   context.fillStyle = color;
   context.beginPath();
   for (const f of numbers) {
@@ -105,6 +106,11 @@ function fillFaces(context, cage, screen, numbers, color) {
     context.closePath();
   }
   context.fill();
+  if (!rim) return;
+  context.strokeStyle = rim;
+  context.lineWidth = 4;
+  context.lineJoin = "round";
+  context.stroke();
 }
 
 function dots(context, screen, numbers, radius, color, rim) {
@@ -165,7 +171,7 @@ export function drawCage(context, camera, cage, points, look) {
   const { screen, hidden, selected, mode, hover, check } = look;
   const isSelected = (i) => selected.has(i);
   if (check?.edit === cage.id) {
-    fillFaces(context, cage, screen, check.leaking_faces ?? [], INK.leaking);
+    fillFaces(context, cage, screen, check.leaking_faces ?? [], INK.leakingFace, INK.leaking); // what they cut stays in sight
     fillFaces(context, cage, screen, check.crossing_faces ?? [], INK.crossing);
   }
   if (mode === "face") fillFaces(context, cage, screen, facesWithin(cage.faces, selected), INK.selectedFace);

@@ -1,6 +1,7 @@
 // The pointer over the canvas: mouse, pen and fingers. One gesture at a time.
 
-import { store } from "../core/store.js";
+import { keep, kept, store } from "../core/store.js";
+import { button, el } from "../core/controls.js";
 import * as C from "./cages.js";
 import { ballAt, handleAt } from "./gizmo.js";
 import * as operation from "./operation.js";
@@ -10,6 +11,7 @@ import { camera, compass, gizmo, overlay, requestDraw } from "./viewport.js";
 const MOUSE = { reach: 11, slack: 4 }; // pixels: how near counts as on it, how far counts as a drag
 const FINGER = { reach: 24, slack: 8 };
 const TURN = 0.008; // radians per pixel
+const HINTED = "warpcage.hinted"; // whether this browser's user knows how to turn the view
 
 let canvas = null;
 let gesture = null; // {kind: "press" | "turn" | "pan" | "zoom" | "region" | "transform" | "pinch", ...}
@@ -30,6 +32,21 @@ export function nextPlace() {
       resolve(place);
     };
   });
+}
+
+/** What a new user of this browser is told: how the view turns; until it has turned, or the line is closed. */
+function showHint() {
+  const isTouch = matchMedia("(pointer: coarse)").matches;
+  const text = isTouch
+    ? "Turn the view: drag with one finger beside what is selected. Two fingers pan and zoom."
+    : "Turn the view: drag with the right button, or with Alt held. Wheel: zoom. The left button selects.";
+  const close = button({ id: "turn-hint-close", label: "Close this hint", icon: "close", kind: "flat", onClick: hideHint });
+  document.getElementById("notes")?.prepend(el("p", { id: "turn-hint", class: "hint" }, el("span", {}, text), close));
+}
+
+function hideHint() {
+  document.getElementById("turn-hint")?.remove();
+  keep(HINTED, "yes");
 }
 
 const placeOf = (event) => {
@@ -66,7 +83,7 @@ function onDown(event) {
     requestDraw();
     return;
   }
-  if (event.button === 1 || (event.button === 0 && event.altKey)) {
+  if ([1, 2].includes(event.button) || (event.button === 0 && event.altKey)) {
     const kind = event.shiftKey ? "pan" : event.ctrlKey || event.metaKey ? "zoom" : "turn";
     gesture = { kind, at, id: event.pointerId };
   } else if (event.button === 0) press(event, at);
@@ -159,6 +176,7 @@ function onUp(event) {
   gesture = null;
   if (ended.kind === "press") S.clicked(ended.element, ended.way);
   else if (ended.kind === "transform") operation.finish();
+  else if (ended.kind === "turn") hideHint();
   else if (ended.kind === "region") {
     const made = overlay.region && S.regionSelection(overlay.region);
     if (made) C.select(made.cage.id, made.vertices, { active: -1 });
@@ -273,4 +291,5 @@ export function start(element) {
   store.on("tools", () => overlay.handle && Object.assign(overlay, { handle: null }));
   canvas.style.touchAction = "none";
   if (canvas.tabIndex < 0) canvas.tabIndex = 0;
+  if (!kept(HINTED)) showHint();
 }

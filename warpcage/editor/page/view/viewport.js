@@ -8,6 +8,7 @@ import * as C from "./cages.js";
 import * as D from "./draw.js";
 import * as drag from "./drag.js";
 import { drawCompass, drawGizmo, drawGuides, makeCompass, makeGizmo } from "./gizmo.js";
+import { drawGrid } from "./grid.js";
 import * as operation from "./operation.js";
 
 const MAX_LATENCIES = 1000;
@@ -158,6 +159,8 @@ function draw() {
   context.clearRect(0, 0, width, height);
   const now = camera();
   if (picture?.bitmap) context.drawImage(picture.bitmap, ...pictureBox(now));
+  const field = store.sections.session?.field;
+  if (store.tools.grid && field) drawGrid(context, now, field, picture);
   if (store.tools.cage) drawCages(now);
   drawCompass(context, compass(), overlay.ball);
   if (overlay.region) D.drawRegion(context, overlay.region.shape, overlay.region.path);
@@ -239,10 +242,17 @@ function resize() {
   requestDraw();
 }
 
-/** Tells the server how large the picture should be. */
+/** The page's colour in the dark theme, as "#rrggbb": a field's white or black is hard on the eyes there. Else null. */
+function groundNow() {
+  const parts = getComputedStyle(document.body).backgroundColor.match(/\d+/g).slice(0, 3).map(Number);
+  return Math.max(...parts) < 128 ? `#${parts.map((part) => part.toString(16).padStart(2, "0")).join("")}` : null;
+}
+
+/** Tells the server how large the picture should be, and what is behind the scene in it. */
 export function tellSize() {
   const shrink = Math.min(1, MAX_SIDE / Math.max(canvas.width, canvas.height));
-  send({ do: "size", width: Math.round(canvas.width * shrink), height: Math.round(canvas.height * shrink) });
+  const [w, h] = [canvas.width, canvas.height].map((side) => Math.round(side * shrink));
+  send({ do: "size", width: w, height: h, ground: groundNow() });
 }
 
 /** Watches for a change of the device's pixel ratio, which no resize event tells of. */
@@ -256,6 +266,7 @@ export function start(element) {
   canvas = element;
   context = canvas.getContext("2d");
   new ResizeObserver(resize).observe(canvas);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", tellSize);
   watchRatio();
   resize();
 }
