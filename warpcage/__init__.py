@@ -12,7 +12,7 @@ from .package import find_kernels, lazy_exports, require_dependencies
 require_dependencies()
 find_kernels(__name__)
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 #: Public names by the modules that they come from.
 _HOMES = {
