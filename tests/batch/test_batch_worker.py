@@ -257,7 +257,7 @@ def test_files_that_change_are_read_again(files, tmp_path):
             worker.run(frame(**words))
             pictures.append(np.load(tmp_path / "rgb.npy"))
         assert worker.fields.read_count == 2
-    assert not any(np.array_equal(one, two) for one, two in itertools.pairwise(pictures))
+    assert not any(np.array_equal(one, two) for one, two in itertools.pairwise(pictures[:3]))
 
 
 def test_where_memory_is_short_all_else_is_let_go(files, tmp_path, monkeypatch):

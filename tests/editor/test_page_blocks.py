@@ -57,7 +57,8 @@ def folder(tmp_path_factory):
     np.save(root / "poses.npy", np.stack([cage.twist(degrees).vertices for degrees in (0, 10, 20)]))
     camera = warpcage.Camera.look_at((0, -4, 1), (0, 0, 0), width=32, height=24)
     warpcage.CameraFile([warpcage.CameraKey(camera)]).save(root / "cameras.json")
-    splats_in_box("cpu", count=30).save(root / "scene.ply")
+    for name in ("scene", "robot"):
+        splats_in_box("cpu", count=30).save(root / f"{name}.ply")
     words = "sweep room.npz --cage cage.obj --poses poses.npy --cameras cameras.json -o sweep.jsonl"
     words += " --records webdataset --items-per-shard 2 --resolution 24"
     with pytest.MonkeyPatch.context() as patch:
