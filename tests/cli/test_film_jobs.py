@@ -116,7 +116,7 @@ def test_a_job_file_that_cannot_be_leaves_nothing(files, tmp_path, capsys, words
 
 
 def test_a_pose_that_cannot_be_leaves_the_job_file_of_before(files, tmp_path, capsys, monkeypatch):
-    from warpcage.cli.render import Shot
+    from warpcage.cli.films.shot import Shot
 
     words = ["animate", "@ball.npz", *FILM, *DEFORMED, "--jobs", tmp_path / "film.jsonl"]
     succeed(files, *words)

@@ -38,6 +38,7 @@ from ..splats.splat_field import load_field
 from ..view.camera import CameraKey
 from . import shared
 from .arguments import options
+from .cameras import named_camera
 from .shared import Deformation, PosedEdit, is_session, numbered_edits, session_edits
 from .words import (
     ending,
@@ -371,7 +372,7 @@ def _add_camera(file: PoseFile, args: argparse.Namespace) -> None:
     if time is None:
         raise InputError(f"--key {args.key!r} needs --at SECONDS: a camera is reached at a time")
     easing = args.easing or (held[0].easing if held else "smooth")
-    key = CameraKey(shared.named_camera(args, args.camera), time, args.key, easing)
+    key = CameraKey(named_camera(args, args.camera), time, args.key, easing)
     same = [other for other in file.cameras if other.name != args.key and other.time == time]
     if same:
         raise InputError(f"camera {same[0].name!r} of the file is at {time:g} s too: give another time")

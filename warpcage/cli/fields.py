@@ -38,6 +38,7 @@ from ..view.motion import frame_times
 from ..view.pictures import write_png
 from . import shared
 from .arguments import options
+from .cameras import camera_file, check_saved, chosen_camera, save_cameras, scene_cameras
 from .shared import Deformation, is_deformed, read_deformation
 from .words import read_rest
 
@@ -140,7 +141,7 @@ GONE_COLOR = (0.95, 0.1, 0.1)
 def run_clean(args: argparse.Namespace) -> None:
     of_splats, output = _checked_fields(args)
     preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
-    shared.check_saved(args)
+    check_saved(args)
     if args.views is None and (args.least_views is not None or args.least_weight is not None):
         raise InputError("--least-views and --least-weight belong to --views, the cameras that must show what is kept")
     if args.largest_scale is not None and not of_splats:
@@ -155,7 +156,7 @@ def run_clean(args: argparse.Namespace) -> None:
     )
     camera = None
     if preview is not None or args.save_camera:
-        camera = shared.chosen_camera(args, shared.visible_points(field, None, None))
+        camera = chosen_camera(args, shared.visible_points(field, None, None))
     if isinstance(field, SplatField):
         cleaned = clean_splats(field, wanted, args.largest_scale)
         _write_splats(cleaned.field, output)
@@ -171,7 +172,7 @@ def run_clean(args: argparse.Namespace) -> None:
             )
             write_png(preview, tinted(field.render(camera).rgb, of_gone.render(camera), GONE_COLOR))
             print(f"wrote {preview}")
-        shared.save_cameras(args, [camera])
+        save_cameras(args, [camera])
 
 
 #: Formats that hold colours of vertices.
@@ -281,7 +282,7 @@ def _is_far(mesh: Any) -> bool:
 def run_select(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, options.SELECTION_ENDINGS, "selection file")
     preview = None if args.preview is None else options.check_output(args.preview, (".png",), "picture")
-    shared.check_saved(args)
+    check_saved(args)
     regions = (args.in_box, args.sphere, args.in_cage, args.masks, args.depth)
     if all(given is None for given in (args.point, args.pixel, *regions)):
         raise InputError(
@@ -295,7 +296,7 @@ def run_select(args: argparse.Namespace) -> None:
         raise InputError("--plane none leaves nothing out: --plane-at and --clearance belong to a plane")
     field = shared.read_field(args)
     corners = shared.visible_points(field, None, None)
-    camera = shared.chosen_camera(args, corners) if args.pixel or preview or args.save_camera else None
+    camera = chosen_camera(args, corners) if args.pixel or preview or args.save_camera else None
     chosen = select_object(
         field,
         point=args.point,
@@ -315,7 +316,7 @@ def run_select(args: argparse.Namespace) -> None:
         write_png(preview, chosen.preview(camera))
     chosen.save(output)
     if camera is not None:
-        shared.save_cameras(args, [camera])
+        save_cameras(args, [camera])
     low, high = chosen.points.min(axis=0), chosen.points.max(axis=0)
     print(
         f"wrote {output}: {_chosen_size(chosen)}, from {low.round(3).tolist()} to "
@@ -350,6 +351,6 @@ def _regions(args: argparse.Namespace, field: AnyField) -> dict:
 
 def named_views(args: argparse.Namespace) -> list[Camera]:
     """The cameras that --views names."""
-    if shared.camera_file(args.views):
+    if camera_file(args.views):
         return [key.camera for key in CameraFile.load(args.views)]
-    return shared.scene_cameras(args, args.views)
+    return scene_cameras(args, args.views)

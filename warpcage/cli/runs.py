@@ -29,6 +29,7 @@ from ..view.camera import Camera, CameraFile, framing_orbit
 from . import shared
 from .arguments import options
 from .arguments.runs import OWN, USUAL_BACKGROUNDS
+from .cameras import DEFAULT_SIZE, camera_file, file_size, fitted_to, image_size, moved_to_field, sized_cameras
 from .words import expected_ups, posed_up, read_poses, read_rest
 
 #: Lines about items that failed; the manifest has all.
@@ -154,7 +155,7 @@ ELEVATION = 20.0
 
 def run_sweep(args: argparse.Namespace) -> None:
     output = options.check_output(args.output, (".jsonl", ".json"), "job file")
-    shared.image_size(args)
+    image_size(args)
     background = _background(args)
     _check_words(args)
     field = shared.read_field(args)
@@ -292,23 +293,23 @@ def _given_cameras(args: argparse.Namespace) -> list[Camera] | None:
         return None
     if pathlib.Path(text).name.startswith("transforms") and text.lower().endswith(".json"):
         file = TransformsCameras(text)
-        found = [file.camera(str(index), shared.file_size(args)) for index in range(len(file))]
-        return [shared.fitted_to(shared.moved_to_field(args, camera), args) for camera in found]
-    named = shared.camera_file(text)
+        found = [file.camera(str(index), file_size(args)) for index in range(len(file))]
+        return [fitted_to(moved_to_field(args, camera), args) for camera in found]
+    named = camera_file(text)
     if named is None:
         options.require_folder(text if pathlib.Path(text).exists() else text.rpartition(":")[0] or text)
-        return shared.sized_cameras(args, text)
+        return sized_cameras(args, text)
     path, name = named
-    cameras = CameraFile.load(path, size=shared.file_size(args))
+    cameras = CameraFile.load(path, size=file_size(args))
     chosen = [cameras.named(name)] if name else [key.camera for key in cameras]
-    return [shared.fitted_to(camera, args) for camera in chosen]
+    return [fitted_to(camera, args) for camera in chosen]
 
 
 def _made_cameras(
     args: argparse.Namespace, points: np.ndarray, up: tuple[float, ...]
 ) -> Sequence[Camera] | RandomViews:
     """The cameras of orbit:N and random:N, which see all points (n, 3)."""
-    width, height = shared.image_size(args) or shared.DEFAULT_SIZE
+    width, height = image_size(args) or DEFAULT_SIZE
     count = _random_count(args.cameras, "--cameras")
     if count is not None:
         return RandomViews(count, points, args.seeds[0], up, args.fov, width, height)

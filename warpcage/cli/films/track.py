@@ -8,19 +8,29 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ..cage.cage import Cage
-from ..cage.pose_file import PoseFile
-from ..coordinates.coordinates import deform_points
-from ..errors import InputError
-from ..field.selection import NodeSelection
-from ..scene.coverage import within_sight
-from ..view.camera import Camera
-from ..view.camera_path import CameraMove, MovingCamera, camera_at, camera_moves, path_cameras
-from ..view.motion import cameras_along
-from . import shared
-from .arguments import options
-from .shared import Deformation
-from .words import read_rest
+from ...cage.cage import Cage
+from ...cage.pose_file import PoseFile
+from ...coordinates.coordinates import deform_points
+from ...errors import InputError
+from ...field.selection import NodeSelection
+from ...scene.coverage import within_sight
+from ...view.camera import Camera
+from ...view.camera_path import CameraMove, MovingCamera, camera_at, camera_moves, path_cameras
+from ...view.motion import cameras_along
+from .. import shared
+from ..arguments import options
+from ..cameras import (
+    camera_file,
+    camera_keys,
+    chosen_camera,
+    chosen_target,
+    fitted_to,
+    middle,
+    seen_cameras,
+    sized_cameras,
+)
+from ..shared import Deformation
+from ..words import read_rest
 
 #: Frames of a film, or places between them, counted from 0, to the camera of each.
 CameraTrack = Callable[[Sequence[float]], list[Camera]]
@@ -38,7 +48,7 @@ def camera_track(
     """The camera of a film; that of the film's keys where no option names another."""
     named = (args.cameras, args.turn, args.camera, args.view, args.eye, args.target)
     if film is not None and time_of is not None and all(one is None for one in named):
-        return lambda frames: [shared.fitted_to(film.camera_at(time_of(frame)), args) for frame in frames]
+        return lambda frames: [fitted_to(film.camera_at(time_of(frame)), args) for frame in frames]
     moves = None if args.cameras is None else camera_moves(args.cameras)
     if args.cameras is None or moves is not None:
         if moves is not None and args.turn is not None:
@@ -47,10 +57,10 @@ def camera_track(
         axis = np.asarray(args.up, np.float64)
         if np.linalg.norm(axis) == 0:
             raise InputError("--up must not be 0 0 0")
-        camera, pivot = shared.chosen_camera(args, points), shared.chosen_target(args, points)
+        camera, pivot = chosen_camera(args, points), chosen_target(args, points)
         moving = MovingCamera(camera, pivot, axis / np.linalg.norm(axis), moves, args.frames, float(args.fps))
         anywhere = all(one is None for one in (args.camera, args.view, args.eye, args.target))
-        moving, notes = within_sight(moving, shared.seen_cameras(args, field), anywhere=anywhere)
+        moving, notes = within_sight(moving, seen_cameras(args, field), anywhere=anywhere)
         for note in notes:
             print(f"warpcage: {note}", file=sys.stderr)
         followed = {move.part: Followed(move.part, field, deformation) for move in moves if move.kind == "follow"}
@@ -59,13 +69,13 @@ def camera_track(
         ]
     if any(given is not None for given in (args.turn, args.camera, args.view, args.frame, args.eye, args.target)):
         raise InputError("--cameras cannot be combined with --turn, --camera, --view, --frame, --eye or --target")
-    if shared.camera_file(args.cameras):
-        keys = shared.camera_keys(args, args.cameras)
+    if camera_file(args.cameras):
+        keys = camera_keys(args, args.cameras)
         if time_of is not None and all(key.time is not None for key in keys):
             # of one film with the keys of the poses
             return lambda frames: [camera_at(keys, time_of(frame)) for frame in frames]
         return lambda frames: path_cameras(keys, args.frames, frames)
-    cameras = shared.sized_cameras(args, args.cameras)
+    cameras = sized_cameras(args, args.cameras)
     return lambda frames: cameras_along(cameras, args.frames, args.interpolation, frames)
 
 
@@ -89,10 +99,10 @@ class Followed:
         """(3,) its middle, where the cages are posed so."""
         if self._points is None:
             posed = cages[self._number] if cages else None
-            return shared.middle((self._edits[self._number].cage if posed is None else posed).vertices)
+            return middle((self._edits[self._number].cage if posed is None else posed).vertices)
         points = self._points.copy()
         for edit, posed in zip(self._edits, cages, strict=True):
             inside = edit.cage.contains(self._points)
             if posed is not None and inside.any():
                 points[inside] = deform_points(self._points[inside], edit.cage, posed)
-        return shared.middle(points)
+        return middle(points)

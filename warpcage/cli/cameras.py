@@ -1,0 +1,213 @@
+"""The camera of a picture, and its size, by the options that say them."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import functools
+import pathlib
+import sys
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from ..errors import InputError
+from ..scene.load import load_scene
+from ..splats.splat_field import AnyField
+from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
+from .arguments import options
+from .shared import Deformation
+from .words import file_and_name
+
+#: Width and height of a picture where none is given.
+DEFAULT_SIZE = (400, 400)
+
+#: Where a camera stands for each --view, degrees: above the ground, and around from +x to +y where z is up. Not quite
+#: straight above, so that what is behind the object is above it in the picture.
+SIDES = {
+    "corner": (25.0, -60.0),
+    "front": (0.0, -90.0),
+    "right": (0.0, 0.0),
+    "back": (0.0, 90.0),
+    "left": (0.0, 180.0),
+    "top": (89.99, -90.0),
+    "bottom": (-89.99, -90.0),
+}
+
+#: An array of Warp holds as many.
+MOST_PIXELS = 2**31 - 1
+
+
+def image_size(args: argparse.Namespace) -> tuple[int, int] | None:
+    """Width and height of --size, None where it is not given."""
+    if args.size is None:
+        return None
+    width, height = args.size.of(*DEFAULT_SIZE)
+    if width * height > MOST_PIXELS:
+        raise InputError(f"--size: {width}x{height} is too large, a picture has at most {MOST_PIXELS:,} pixels")
+    return width, height
+
+
+def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
+    """The camera of the view options. Where none is given, it sees all points (n, 3)."""
+    size = image_size(args)
+    if args.camera is not None:
+        if any(given is not None for given in (args.eye, args.target, args.view, args.frame)):
+            raise InputError("--camera cannot be combined with --eye, --target, --view or --frame")
+        if named := camera_file(args.camera):
+            return fitted_to(Camera.load(*named, size=file_size(args)), args)
+        return fitted_to(scene_camera(args, args.camera), args)
+    width, height = size or DEFAULT_SIZE
+    view = {"up": args.up, "fov_degrees": args.fov, "width": width, "height": height}
+    elevation, azimuth = SIDES[args.view or "corner"]
+    framed = framing_orbit(points, 1, elevation_degrees=elevation, start_degrees=azimuth, **view)[0]
+    if args.eye is None and args.target is None:
+        return framed
+    if args.eye is not None and args.view is not None:
+        raise InputError("--view cannot be combined with --eye: both say where the camera stands")
+    target = chosen_target(args, points)
+    eye = framed.center + target - middle(points) if args.eye is None else args.eye
+    return Camera.look_at(eye, target, **view)
+
+
+def named_camera(args: argparse.Namespace, text: str) -> Camera:
+    """The camera that FILE[:NAME] or SCENE:[SPLIT:]INDEX names, at its own size."""
+    if named := camera_file(text):
+        return Camera.load(*named)
+    return scene_camera(args, text)
+
+
+def camera_file(text: str) -> tuple[str, str] | None:
+    """File and name of a camera ("" for all) where a word names a camera file, None for other words."""
+    return file_and_name(text, "json|glb|gltf")
+
+
+def camera_keys(args: argparse.Namespace, text: str) -> list[CameraKey]:
+    """The cameras of a file as keys, at --size where it is given."""
+    path, name = camera_file(text) or (text, "")
+    cameras = CameraFile.load(path, size=file_size(args))
+    keys = cameras.path(name)
+    return [dataclasses.replace(key, camera=fitted_to(key.camera, args)) for key in keys]
+
+
+def check_saved(args: argparse.Namespace) -> None:
+    """Check the path of --save-camera before any long work."""
+    if args.save_camera is not None:
+        options.check_output(args.save_camera, (".json",), "camera file")
+
+
+def save_cameras(args: argparse.Namespace, cameras: Sequence[Camera], fps: float | Fraction | None = None) -> None:
+    """Write the file of --save-camera, if it was asked for; those of a film at the times of their frames."""
+    if args.save_camera is None:
+        return
+    times = [None] * len(cameras) if fps is None else [float(index / Fraction(fps)) for index in range(len(cameras))]
+    keys = [CameraKey(camera, time) for camera, time in zip(cameras, times, strict=True)]
+    CameraFile(keys, fps=None if fps is None else float(fps)).save(args.save_camera)
+
+
+def warn_of_edges(args: argparse.Namespace, camera: Camera, deformation: Deformation | None) -> None:
+    """Say on stderr where a posed cage reaches out of a picture that is framed by the field at rest."""
+    chosen = (args.frame, args.camera, args.eye, args.target, args.cameras)
+    if deformation is None or deformation.is_still or any(given is not None for given in chosen):
+        return
+    posed = [cage.vertices for cage in deformation.posed if cage is not None]
+    pixels, depth = camera.project(np.concatenate(posed or [np.zeros((0, 3))]))
+    beyond = (pixels < 0.0) | (pixels > (camera.width, camera.height))
+    if (beyond.any(axis=1) | (depth <= 0.0)).any():
+        print(
+            "warpcage: the cage reaches out of the picture, which is framed by the object at rest: --frame posed shows "
+            "all of it",
+            file=sys.stderr,
+        )
+
+
+def chosen_target(args: argparse.Namespace, points: np.ndarray) -> np.ndarray:
+    """(3,) what the camera looks at, or turns around. Where it is not given, the middle of the points (n, 3)."""
+    return middle(points) if args.target is None else np.asarray(args.target, np.float64)
+
+
+def middle(points: np.ndarray) -> np.ndarray:
+    """(3,) middle of the bounding box of points (n, 3)."""
+    return (points.min(axis=0) + points.max(axis=0)) / 2
+
+
+def fitted_to(camera: Camera, args: argparse.Namespace) -> Camera:
+    """A camera at the size of --size, at its own where it is not given; see `fitted`."""
+    image_size(args)  # refuses others
+    if args.size is None:
+        return camera
+    if not args.size.is_shaped:
+        return fitted(camera, (args.size.width,))
+    size = args.size.of(camera.width, camera.height)
+    found = fitted(camera, size, widen=args.size.widen)
+    aside, above = found.fx * camera.width / camera.fx - size[0], found.fy * camera.height / camera.fy - size[1]
+    if max(aside, above) > 1.5 and not getattr(args, "has_said_cut", False):
+        args.has_said_cut = True
+        cut = "left and right" if aside > above else "top and bottom"
+        print(
+            f"warpcage: {size[0]}x{size[1]} cuts the camera's {camera.width}x{camera.height} picture at {cut}: --size "
+            f"{size[0]}x{size[1]} widen shows all of it, and more at the other sides",
+            file=sys.stderr,
+        )
+    return found
+
+
+def file_size(args: argparse.Namespace) -> tuple[int, int] | None:
+    """The size of pictures from cameras of files that have none. None is that of the file."""
+    size = image_size(args)
+    return size if size is not None and args.size.height is not None and not args.size.widen else None
+
+
+def scene_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
+    """The cameras that SCENE[:SPLIT] names, in the order of the pictures."""
+    path, split = text, "train"
+    if not pathlib.Path(path).exists() and ":" in path:
+        path, _, split = path.rpartition(":")
+    return [moved_to_field(args, camera) for camera in _loaded_cameras(path, split)]
+
+
+def seen_cameras(args: argparse.Namespace, field: AnyField) -> list[Camera]:
+    """The cameras that saw what a field shows, as far as they are known: those that its fit refined, or else those of
+    the scene that --camera names; none where nobody says."""
+    refined = getattr(field, "refined_cameras", None)
+    if refined is not None:
+        return refined.cameras
+    text = args.camera or ""
+    named = "" if camera_file(text) else text.rpartition(":")[0]
+    if not named or pathlib.Path(named).exists():
+        return scene_cameras(args, named) if named else []
+    try:
+        return scene_cameras(args, named.rpartition(":")[0])  # of SCENE:SPLIT; fits take the training pictures
+    except (ValueError, FileNotFoundError):  # a scene may have that split alone
+        return scene_cameras(args, named)
+
+
+@functools.lru_cache(maxsize=2)
+def _loaded_cameras(path: str, split: str) -> list[Camera]:
+    """The cameras of a scene, without its pictures; a command may ask for them twice."""
+    return load_scene(path, split=split).cameras
+
+
+def moved_to_field(args: argparse.Namespace, camera: Camera) -> Camera:
+    """A camera of a scene in the world of the field, which may have been straightened."""
+    motion = getattr(args, "straightening", None)  # of the field that was read
+    return camera if motion is None else camera.moved(motion)
+
+
+def sized_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
+    """The cameras that SCENE[:SPLIT] names, at --size where it is given."""
+    return [fitted_to(camera, args) for camera in scene_cameras(args, text)]
+
+
+def scene_camera(args: argparse.Namespace, text: str) -> Camera:
+    """The camera that SCENE:[SPLIT:]INDEX names."""
+    path, separator, index = text.rpartition(":")
+    if not separator or not index.isdigit():
+        raise InputError(
+            f"--camera must be a camera file (.json, .glb, .gltf), SCENE:INDEX or SCENE:SPLIT:INDEX, got {text!r}"
+        )
+    cameras = scene_cameras(args, path)
+    if int(index) >= len(cameras):
+        raise InputError(f"{path!r} has pictures 0 to {len(cameras) - 1}, got {index}")
+    return cameras[int(index)]

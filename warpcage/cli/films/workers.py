@@ -1,0 +1,187 @@
+"""Films that workers make: frames in a folder, and the film of them as they come."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from ... import __version__
+from ...batch.run import RunProgress, RunReport, run_jobs
+from ...core.names import counted
+from ...core.reports import bar, say_above_bar
+from ...errors import InputError, StateError
+from ...view.camera import Camera
+from ...view.film import CLEAR_ENDINGS, read_film_frame, write_film
+from .folder import frame_files, frame_path, make_folder
+from .jobs import FilmFrame, FilmJob
+
+#: Folder in that of the frames in which workers write; a run that is over leaves none.
+WORKPLACE = ".run"
+
+#: Seconds between looks for a frame where nobody tells of one.
+LOOK_SECONDS = 0.2
+
+
+class FilmWorkers:
+    """Workers that make the frames of a film."""
+
+    def __init__(
+        self,
+        job: FilmJob,
+        frames: Sequence[FilmFrame],
+        settings: dict[str, Any],  # all that decides how they look, as JSON has it; "format" is their ending
+        *,
+        workers: int,
+        device: str | None,
+        quiet: bool,
+        overwrite: bool = False,  # replace frames of another film in the folder
+    ):
+        self.job, self.frames, self.settings = job, frames, settings
+        self.workers, self.device, self.quiet, self.overwrite = workers, device, quiet, overwrite
+
+    @property
+    def cameras(self) -> list[Camera]:
+        return [frame.camera for frame in self.frames]
+
+    def make_frames(self, folder: pathlib.Path, told: Callable[[], None] = lambda: None) -> int:
+        """Make the frames of a folder that are not there yet; returns how many were there.
+        told: called now and then, in this thread; what it raises ends the run."""
+        _collect(folder / WORKPLACE, folder)  # of a run that was killed
+
+        def make(missing: list[int], begin: Callable[[], None]) -> None:
+            begin()
+            with tempfile.TemporaryDirectory(prefix="warpcage-") as temporary:
+                path = pathlib.Path(temporary) / "film.jsonl"
+                self.job.write(path, (self.frames[index] for index in missing))
+                try:
+                    _require_all(self._run(path, folder / WORKPLACE, len(missing), told))
+                finally:
+                    _collect(folder / WORKPLACE, folder)
+
+        return make_folder(folder, self.cameras, make, self.settings, overwrite=self.overwrite)
+
+    def make_film(self, output: pathlib.Path, rate: Fraction, *, loop: bool) -> None:
+        """Make the frames in a folder beside a film, and the film of them, in order, as they come.
+        The folder is removed at the end; after an error or an interrupt it stays, and the next run goes on with it."""
+        folder = output.with_name(f".{output.name}.frames")
+        self.settings, self.overwrite = self.settings | {"version": __version__}, True  # that folder is ours
+        encoder = FilmEncoder(output, rate, loop, [self._places(folder, frame) for frame in self.frames])
+        try:
+            with encoder:
+                self.make_frames(folder, encoder.told)
+        except BaseException:
+            if made := frame_files(folder):
+                print(
+                    f"warpcage: {counted(len(made), 'frame')} kept in {folder}: run it again to go on", file=sys.stderr
+                )
+            raise
+        shutil.rmtree(folder)
+
+    def _places(self, folder: pathlib.Path, frame: FilmFrame) -> list[pathlib.Path]:
+        """Where a frame may be found once it is whole."""
+        place = frame_path(folder, frame.index, self.settings["format"])
+        return [place, folder / WORKPLACE / place.name]
+
+    def _run(self, path: pathlib.Path, out: pathlib.Path, missing: int, told: Callable[[], None]) -> RunReport:
+        count = len(self.frames)
+        with bar(count, "animate", done=count - missing, shown=not self.quiet) as shown:
+
+            def show(state: RunProgress) -> None:
+                told()
+                if state.stage == "make":
+                    shown.update(count - missing + state.kept + state.done + state.failed - shown.n)
+
+            return run_jobs(path, out, workers=self.workers, device=self.device, progress=show, warn=say_above_bar)
+
+
+def frame_outputs(output: pathlib.Path, show: str, kind: str | None) -> tuple[dict[str, str], str]:
+    """The words "outputs" of frames that become a film or a folder, and their ending; kind: --format of a folder."""
+    if output.suffix.lower() in CLEAR_ENDINGS:
+        if show != "rgb":
+            raise InputError(f"--workers makes {output.suffix} films of colours alone: leave out --show, or --workers")
+        return {"film": "{id}.npz"}, "npz"  # as many bits as they hold
+    return {show: "{id}." + (kind or "png")}, kind or "png"
+
+
+def _require_all(report: RunReport) -> None:
+    if report.failed:
+        name, line = next(iter(report.failed.items()))
+        more = f" ({counted(len(report.failed), 'frame')} failed)" if len(report.failed) > 1 else ""
+        raise StateError(f"{name}: {line}{more}")
+    if report.halt is not None:
+        raise StateError(report.halt)
+
+
+def _collect(workplace: pathlib.Path, folder: pathlib.Path) -> None:
+    """Put the frames of a run in their places, and remove what else it wrote."""
+    for path in frame_files(workplace):
+        os.replace(path, folder / path.name)
+    shutil.rmtree(workplace, ignore_errors=True)
+
+
+class FilmEncoder:
+    """Writes a film of frames that others write, in another thread (`with`). The block ends when it is written."""
+
+    def __init__(self, output: pathlib.Path, rate: Fraction, loop: bool, places: list[list[pathlib.Path]]):
+        self._output, self._rate, self._loop, self._places = output, rate, loop, places
+        self._news, self._ended = threading.Event(), threading.Event()
+        self._stopped = False
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._encode, name="warpcage-film")
+
+    def told(self) -> None:
+        """There may be frames. Raises the error of the encoder, if it has one."""
+        self._news.set()
+        if self._error is not None:
+            raise self._error
+
+    def __enter__(self) -> FilmEncoder:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self._news.set()
+                self._ended.wait()
+        finally:
+            self._stopped = True
+            self._news.set()
+            self._ended.wait()
+        if kind is None and self._error is not None:
+            raise self._error
+
+    def _encode(self) -> None:
+        try:
+            write_film(self._output, self._frames(), self._rate, loop=self._loop)
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._ended.set()
+
+    def _frames(self) -> Iterator[np.ndarray]:
+        for places in self._places:
+            yield self.frame(places)
+
+    def frame(self, places: list[pathlib.Path]) -> np.ndarray:
+        """The frame that comes to one of some places, once it is there."""
+        while not self._stopped:
+            for path in filter(pathlib.Path.exists, places):  # one that comes only now is looked for again
+                try:
+                    return read_film_frame(path)
+                except (FileNotFoundError, ValueError):
+                    if path.exists():
+                        raise
+                    # it was moved just now
+            self._news.wait(LOOK_SECONDS)
+            self._news.clear()
+        raise InterruptedError("the film was given up")
