@@ -24,7 +24,7 @@ from ..core.overlap import SPARE, TASK_THREADS, Gate
 from ..core.threads import cpu_threads
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
-from ..edits.edits import CageEdit, picture_cells
+from ..edits.edits import edit_of_words, picture_cells
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..fitting.cameras import tuned_scene
@@ -137,10 +137,7 @@ class FrameMaker:
 
         def bind() -> Bound:
             rests = [self.references.rest_cage(edit, field) for edit in item.edits]
-            edits = [
-                CageEdit(cage.cage, edit.keep, edit.remove, edit.falloff or 0.0, edit.held, edit.fragments or 0.0)
-                for cage, edit in zip(rests, item.edits, strict=True)
-            ]
+            edits = [edit_of_words(edit, rest.cage) for edit, rest in zip(item.edits, rests, strict=True)]
             self.counts.deformers += 1
             resolution = None if cells == "precise" else int(cells)
             options: dict[str, Any] = {"coordinates": item.coordinates, "density": item.density, "map": item.map}

@@ -18,8 +18,8 @@ from ..core.kernel_files import copy_kernel, find_kernel, kernel_groups, kernel_
 from ..core.modules import start_warp
 from ..core.names import counted
 from ..core.threads import cpu_threads
-from ..deform.stage import read_stage_file
 from ..edits.place import PLACE_WORDS, PlaceFile
+from ..edits.stage_file import read_stage_file
 from ..errors import InputError, MissingFileError
 from ..field.surroundings import LayeredBackground, OuterField
 from ..fitting.silhouettes import Silhouettes

@@ -14,7 +14,7 @@ import numpy as np
 from ..core.names import counted
 from ..core.overlap import BackgroundWriter
 from ..deform.deformer import Deformer
-from ..deform.stage import STAGE_ENDING
+from ..edits.stage_file import STAGE_ENDING
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from ..view import frame_parts

@@ -22,10 +22,11 @@ from ..core.files import read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
-from ..deform.stage import STAGE_ENDING, Stage
+from ..deform.stage import Stage
 from ..editor.session import FORMAT as SESSION_FORMAT
 from ..editor.session import read_session
 from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
+from ..edits.stage_file import STAGE_ENDING
 from ..edits.words import EditWords
 from ..errors import InputError
 from ..field.voxel_field import VoxelField

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import pathlib
 from collections.abc import Callable, Sequence
@@ -17,11 +16,11 @@ from ..cage.cage import Cage
 from ..core.arrays import empty_array
 from ..core.checks import checked_flag, checked_number, checked_path, checked_whole, listed, require_type
 from ..core.devices import launch, resolve_device
-from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
+from ..core.files import PathLike, require_file
 from ..core.locks import in_turn
 from ..edits.edits import CageEdit
-from ..edits.place import Place, PlaceFile, as_places, require_version
-from ..edits.words import Checker, EditWords, anything, checked_words
+from ..edits.place import Place, PlaceFile, as_places
+from ..edits.stage_file import deformation_json, read_deformation, read_stage_file, write_stage_file
 from ..errors import InputError
 from ..field.mixing import mixed_field
 from ..field.render import picture_arrays
@@ -46,16 +45,8 @@ from .deformer import Deformer, SplatDeformer
 #: What a stage holds.
 Thing: TypeAlias = VoxelField | SplatField | Deformer
 
-_FORMAT, _VERSION = "warpcage stage", 1
-
-#: How its file ends.
-STAGE_ENDING = ".stage.json"
-
 #: Cells of the lattice on which a field without edits is moved: a similarity is exact on any.
 PLACING_CELLS = 16
-
-#: Options of Deformers that the file keeps.
-_OPTIONS: dict[str, Checker] = dict.fromkeys(("coordinates", "resolution", "density", "store", "map"), anything)
 
 #: How far the cage that moves a field stands off from all that it holds, as a share of its size.
 STAND_OFF = 0.05
@@ -339,17 +330,8 @@ class Stage:
             ValueError: For another ending, an empty stage, or a field whose file is not known.
         """
         path = checked_path(path, "the stage file")
-        if not path.name.lower().endswith(STAGE_ENDING):
-            raise InputError(f"a stage file ends in {STAGE_ENDING}, got {path.name!r}")
-        if not self.items:
-            raise InputError("an empty stage is not written: add a thing first")
         folder = path.absolute().parent
-        things = [json.dumps(_item_json(name, item, folder)) for name, item in self.items.items()]
-        head = (
-            f'{{"format": "{_FORMAT}", "version": {_VERSION}, "things": [\n '  # a line a thing, to be read and changed
-        )
-        with atomic_path(path) as temporary:
-            temporary.write_text(head + ",\n ".join(things) + "]}\n", encoding="utf-8")
+        write_stage_file(path, (_item_json(name, item, folder) for name, item in self.items.items()))
 
     @classmethod
     def load(cls, path: PathLike, *, device: wp.DeviceLike = None) -> Stage:
@@ -371,7 +353,8 @@ class Stage:
             thing: Thing = load_field(path.parent / entry["field"], device=stage.device)
             if "deformation" in entry:
                 try:
-                    thing = _deformer(thing, entry["deformation"])
+                    options, edits, poses = read_deformation(entry["deformation"])
+                    thing = Deformer(thing, edits, **options).pose(poses)
                 except ValueError as error:
                     raise InputError(f"{path}: thing {entry['name']!r}: {error}") from None
             stage.add(entry["name"], thing, place=entry["place"], path=path.parent / entry["field"])
@@ -544,68 +527,5 @@ def _item_json(name: str, item: StageItem, folder: pathlib.Path) -> dict[str, An
         options = {name: getattr(thing, name) for name in ("coordinates", "resolution", "density", "store")}
         if isinstance(thing, SplatDeformer):
             options["map"] = thing.map
-        edits = [_edit_json(edit, posed) for edit, posed in zip(thing.edits, _poses(thing), strict=True)]
-        content["deformation"] = {**options, "edits": edits}
+        content["deformation"] = deformation_json(options, thing.edits, _poses(thing))
     return content
-
-
-def _edit_json(edit: CageEdit, posed: Cage | None) -> dict[str, Any]:
-    cage = {"vertices": edit.cage.vertices.tolist(), "faces": edit.cage.faces.tolist()}
-    return EditWords(
-        cage,
-        None if posed is None else posed.vertices.tolist(),
-        keep=edit.keep_source,
-        remove=edit.remove,
-        falloff=edit.falloff,
-        held=edit.held,
-        fragments=edit.fragments,
-    ).to_json()
-
-
-def _deformer(field: Any, content: Any) -> Deformer:
-    """The posed Deformer of a thing of a file."""
-    try:
-        options = {name: value for name, value in content.items() if name != "edits"}
-        words = [EditWords.from_json(entry, f"edit {number}") for number, entry in enumerate(content["edits"], 1)]
-        checked_words(options, _OPTIONS, "it")
-        edits = [
-            CageEdit(
-                Cage(each.cage["vertices"], each.cage["faces"]),
-                each.keep,
-                each.remove,
-                each.falloff or 0.0,
-                each.held,
-                each.fragments or 0.0,
-            )
-            for each in words
-        ]
-        vertices = [None if each.posed is None else np.asarray(each.posed) for each in words]
-        poses = [
-            None if own is None else edit.cage.with_vertices(own) for edit, own in zip(edits, vertices, strict=True)
-        ]
-        return Deformer(field, edits, **options).pose(poses)
-    except DAMAGED as error:
-        raise InputError(damage("stage file", error)) from None
-
-
-def read_stage_file(path: PathLike) -> list[dict[str, Any]]:
-    """The things of a stage file, with a PlaceFile each as "place"; no field is read."""
-    path = require_file(path, "stage file")
-    known: dict[str, Checker] = dict.fromkeys(("name", "field", "place", "hidden", "deformation"), anything)
-    try:
-        content = read_json(path, "stage file")
-        if content.get("format") != _FORMAT:
-            raise InputError(f"its format is {str(content.get('format'))[:40]!r}, not {_FORMAT!r}")
-        require_version(content.get("version"), _VERSION)
-        things = content.get("things")
-        if not isinstance(things, list) or not things or not all(isinstance(thing, dict) for thing in things):
-            raise InputError("its things must be a list of at least one object")
-        entries = [checked_words(thing, known, f"thing {number}") for number, thing in enumerate(things, 1)]
-        for number, entry in enumerate(entries, 1):
-            for word in ("name", "field"):
-                if not isinstance(entry.get(word), str) or not entry[word].strip():
-                    raise InputError(f"thing {number} needs a {word}")
-            entry["place"] = PlaceFile.from_json(entry.get("place", {}))
-        return entries
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None

@@ -14,6 +14,7 @@ from ..core.checks import checked_number, renamed, warn_caller
 from ..errors import InputError
 from ..mesh.validity import require_usable
 from ..view.camera import Camera
+from .words import EditWords
 
 #: Walls that a falloff may hold: those that cut matter, and those that a pose leaves in place.
 HELD = ("cut", "still")
@@ -107,3 +108,8 @@ def picture_cells(camera: Camera) -> int:
     """Cells along the longest side of a cage that suit a camera's picture, a multiple of 16."""
     cells = 16 * math.ceil(max(camera.width, camera.height) / (16 * PIXELS_PER_CELL))
     return min(max(cells, FEWEST_CELLS), MOST_CELLS)
+
+
+def edit_of_words(words: EditWords, cage: Cage) -> CageEdit:
+    """The edit that words describe, of their cage at rest."""
+    return CageEdit(cage, words.keep, words.remove, words.falloff or 0.0, words.held, words.fragments or 0.0)

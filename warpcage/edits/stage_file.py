@@ -1,0 +1,95 @@
+"""Stage files: the things of a scene, where they stand, their cages and poses, and the names of their fields' files."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..cage.cage import Cage
+from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
+from ..errors import InputError
+from .edits import CageEdit, edit_of_words
+from .place import PlaceFile, require_version
+from .words import Checker, EditWords, anything, checked_words
+
+_FORMAT, _VERSION = "warpcage stage", 1
+
+#: How a stage file ends.
+STAGE_ENDING = ".stage.json"
+
+#: Words of a thing, and options of Deformers that the file keeps.
+_THING: dict[str, Checker] = dict.fromkeys(("name", "field", "place", "hidden", "deformation"), anything)
+_OPTIONS: dict[str, Checker] = dict.fromkeys(("coordinates", "resolution", "density", "store", "map"), anything)
+
+
+def write_stage_file(path: pathlib.Path, things: Iterable[Mapping[str, Any]]) -> None:
+    """Write things, as JSON has them, a line each, to be read and changed; whole or not at all."""
+    if not path.name.lower().endswith(STAGE_ENDING):
+        raise InputError(f"a stage file ends in {STAGE_ENDING}, got {path.name!r}")
+    lines = [json.dumps(thing) for thing in things]
+    if not lines:
+        raise InputError("an empty stage is not written: add a thing first")
+    head = f'{{"format": "{_FORMAT}", "version": {_VERSION}, "things": [\n '
+    with atomic_path(path) as temporary:
+        temporary.write_text(head + ",\n ".join(lines) + "]}\n", encoding="utf-8")
+
+
+def read_stage_file(path: PathLike) -> list[dict[str, Any]]:
+    """The things of a stage file, with a PlaceFile each as "place"; no field is read."""
+    path = require_file(path, "stage file")
+    try:
+        content = read_json(path, "stage file")
+        if content.get("format") != _FORMAT:
+            raise InputError(f"its format is {str(content.get('format'))[:40]!r}, not {_FORMAT!r}")
+        require_version(content.get("version"), _VERSION)
+        things = content.get("things")
+        if not isinstance(things, list) or not things or not all(isinstance(thing, dict) for thing in things):
+            raise InputError("its things must be a list of at least one object")
+        entries = [checked_words(thing, _THING, f"thing {number}") for number, thing in enumerate(things, 1)]
+        for number, entry in enumerate(entries, 1):
+            for word in ("name", "field"):
+                if not isinstance(entry.get(word), str) or not entry[word].strip():
+                    raise InputError(f"thing {number} needs a {word}")
+            entry["place"] = PlaceFile.from_json(entry.get("place", {}))
+        return entries
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def deformation_json(
+    options: Mapping[str, Any], edits: Sequence[CageEdit], poses: Sequence[Cage | None]
+) -> dict[str, Any]:
+    """The options of a Deformer, its edits and their poses, as the file has them."""
+    words = [
+        EditWords(
+            {"vertices": edit.cage.vertices.tolist(), "faces": edit.cage.faces.tolist()},
+            None if posed is None else posed.vertices.tolist(),
+            keep=edit.keep_source,
+            remove=edit.remove,
+            falloff=edit.falloff,
+            held=edit.held,
+            fragments=edit.fragments,
+        )
+        for edit, posed in zip(edits, poses, strict=True)
+    ]
+    return {**options, "edits": [each.to_json() for each in words]}
+
+
+def read_deformation(content: Any) -> tuple[dict[str, Any], list[CageEdit], list[Cage | None]]:
+    """Options, edits and poses of what `deformation_json` made."""
+    try:
+        options = {name: value for name, value in content.items() if name != "edits"}
+        words = [EditWords.from_json(entry, f"edit {number}") for number, entry in enumerate(content["edits"], 1)]
+        checked_words(options, _OPTIONS, "it")
+        edits = [edit_of_words(each, Cage(each.cage["vertices"], each.cage["faces"])) for each in words]
+        poses = [
+            None if each.posed is None else edit.cage.with_vertices(np.asarray(each.posed))
+            for edit, each in zip(edits, words, strict=True)
+        ]
+        return options, edits, poses
+    except DAMAGED as error:
+        raise InputError(damage("stage file", error)) from None
