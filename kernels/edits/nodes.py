@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..core.gradients import forward, forward_only_in
-from ..lattice.cage_map import corner_share
+from ..lattice.cage_map import corner_share, nearest_side
 from .structs import LOOK_SKIP
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -258,16 +258,8 @@ def share_slope(corner: int, offset: wp.vec3, rate: wp.vec3):
 @wp.func(inline=False)  # rare
 def side_slope(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3, rate: wp.vec3):
     """Derivative of lattice/cage_map.side_position where the offset moves at `rate`."""
-    lowest = float(1.0e30)
-    chosen = int(0)
-    for side in range(entry % 8):
-        distance = float(0.0)
-        for corner in range(8):
-            distance += corner_share(corner, offset) * sides[entry / 8 + side, corner][3]
-        if distance < lowest:
-            lowest = distance
-            chosen = side
+    row = wp.max(nearest_side(sides, entry, offset), entry / 8)
     total = wp.vec4(0.0, 0.0, 0.0, 0.0)
     for corner in range(8):
-        total += share_slope(corner, offset, rate) * sides[entry / 8 + chosen, corner]
+        total += share_slope(corner, offset, rate) * sides[row, corner]
     return wp.vec3(total[0], total[1], total[2])

@@ -82,6 +82,21 @@ def side_position(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3)
     return position
 
 
+@wp.func
+def nearest_side(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3):
+    """Row of `sides` that holds the side on which a place is, in a cell with an entry that is not 0; -1: on none."""
+    lowest = float(1.0e30)
+    row = int(-1)
+    for side in range(entry % 8):
+        distance = float(0.0)
+        for corner in range(8):
+            distance += corner_share(corner, offset) * sides[entry / 8 + side, corner][3]
+        if distance < lowest:
+            lowest = distance
+            row = entry / 8 + side
+    return row
+
+
 @wp.func_native("wp::adj_address(sides, row, corner, slopes, 0, 0, value);")
 def add_side_slope(
     sides: wp.array2d(dtype=wp.vec4), slopes: wp.array2d(dtype=wp.vec4), row: int, corner: int, value: wp.vec4
@@ -93,15 +108,7 @@ def add_side_slope(
 @wp.func_grad(side_position)
 def grad_side_position(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3, grad: wp.vec3):
     """Slopes by the place and by the positions of its side, at the corners."""
-    lowest = float(1.0e30)
-    row = int(-1)
-    for side in range(entry % 8):
-        distance = float(0.0)
-        for corner in range(8):
-            distance += corner_share(corner, offset) * sides[entry / 8 + side, corner][3]
-        if distance < lowest:
-            lowest = distance
-            row = entry / 8 + side
+    row = nearest_side(sides, entry, offset)
     if row >= 0:
         slope = wp.vec3(0.0, 0.0, 0.0)
         for corner in range(8):

@@ -17,7 +17,7 @@ import warp as wp
 
 from warpcage.core import kernel_names, kernel_source
 from warpcage.kernels.coordinates import mean_value
-from warpcage.kernels.edits import bake, inverse
+from warpcage.kernels.edits import bake, extension, inverse, structs, trace
 from warpcage.kernels.edits import nodes as map_nodes
 from warpcage.kernels.field import background, outer
 from warpcage.kernels.fitting import splat_growth as growth
@@ -116,7 +116,6 @@ OTHERS = {
     "lattice/cage_map:side_position": "its own gradient",
     "coordinates/mean_value:clear_row": "writes zeros",
     "fitting/splat_growth:clear_means": "writes zeros",
-    "edits/nodes:side_slope": "the loop chooses; share_slope speaks",
     "lattice/crossings:cross_face": "insert_crossing speaks",
     "lattice/rings:shared_extrapolation": "sum_of_lanes speaks",
     "splats/splats:nearest_wall_of_lanes": "from_lane and least_of_lanes speak",
@@ -273,11 +272,13 @@ def shape_on(device, vertices, faces, requires_grad=False):
 
 
 def filled(kind, device):
-    """A struct whose arrays hold one zero: a wp.Tape asks each for its gradient."""
+    """A struct whose arrays, those of structs in it too, hold one zero: a wp.Tape asks each for its gradient."""
     struct = kind()
     for name, var in kind.vars.items():
         if isinstance(var.type, wp.array):
             setattr(struct, name, wp.zeros((1,) * var.type.ndim, dtype=var.type.dtype, device=device))
+        elif hasattr(var.type, "vars"):
+            setattr(struct, name, filled(var.type, device))
     return struct
 
 
@@ -446,3 +447,73 @@ def test_those_that_go_back_do(which, device):
             any_slope |= abs(expected) > 1e-3
             assert abs((slope * step).sum() - expected) < 0.01 * abs(expected) + 2e-5
     assert any_slope
+
+
+@wp.kernel
+def carry_back(
+    which: int,
+    x: wp.array(dtype=wp.vec3),
+    walls: extension.WallMap,
+    edit: structs.ExactEdit,
+    along: wp.array(dtype=wp.vec3),
+    found: wp.array(dtype=float),
+):
+    n = wp.tid()
+    if which == 0:
+        found[n] = wp.dot(along[n], extension.forward_position(walls, x[n]))
+    elif which == 1 or which == 2:
+        found[n] = wp.dot(along[n], trace.edit_position(edit, x[n]))
+    elif which == 3:
+        found[n] = wp.dot(along[n], extension.continued_position(walls, x[n]))
+
+
+@pytest.mark.parametrize("which", range(4))
+def test_maps_of_edits_go_back(which, device):
+    """By central differences, of the place and of both cages; the map that goes on beyond a wall refuses."""
+    random = np.random.default_rng(which)
+    count = 6
+    vertices, faces = oracles.cage("box")
+    hosts = [
+        random.uniform(0.05, 0.15, (count, 3)),
+        vertices,
+        1.2 * vertices + 0.1 * random.normal(size=vertices.shape),
+    ]
+    hosts.append(random.normal(size=(len(faces), 3)))  # normals of the other cage, stretched
+    along = random.normal(size=(count, 3))
+
+    def outcome(x, ours, theirs, normals, requires_grad=False):
+        def numbers(values):
+            return wp.array(values, dtype=wp.vec3, device=device, requires_grad=requires_grad)
+
+        given, found = list(map(numbers, (x, ours, theirs, normals))), wp.zeros(count, dtype=float, device=device)
+        found.requires_grad = requires_grad
+        walls, edit = filled(extension.WallMap, device), filled(structs.ExactEdit, device)
+        walls.faces = edit.faces = wp.array(faces, dtype=wp.vec3i, device=device)
+        walls.rest = edit.deformed_vertices = given[1]
+        walls.posed = edit.rest_vertices = given[2]
+        edit.rest_normals = given[3]
+        walls.rest_size = walls.posed_size = edit.size = 1.0
+        walls.rest_fans = edit.fans = prepared_fans(given[1], walls.faces, 1.0)
+        walls.posed_fans = prepared_fans(given[2], walls.faces, 1.0)
+        edit.is_green = int(which == 2)
+        inputs = [which, given[0], walls, edit, wp.array(along, dtype=wp.vec3, device=device), found]
+        if not requires_grad:
+            wp.launch(carry_back, count, inputs, device=device)
+            return found.numpy().sum(dtype=np.float64)
+        with wp.Tape() as tape:
+            wp.launch(carry_back, count, inputs, device=device)
+        tape.backward(grads={found: wp.ones(count, dtype=float, device=device)})
+        return [each.grad.numpy() for each in given]
+
+    slopes = outcome(*hosts, requires_grad=True)
+    if which == 3:
+        assert np.isnan(slopes[0]).any(axis=-1).all()
+        return
+    for k, (host, slope) in enumerate(zip(hosts, slopes, strict=True)):
+        for _ in range(3):
+            step = random.normal(size=host.shape) * 4e-3
+            low, high = list(hosts), list(hosts)
+            low[k], high[k] = host - step, host + step
+            expected = (outcome(*high) - outcome(*low)) / 2
+            assert (abs(expected) > 1e-5) == (k < 3 or which == 2)
+            assert abs((slope * step).sum() - expected) < 0.01 * abs(expected) + 2e-5

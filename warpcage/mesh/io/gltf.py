@@ -11,6 +11,7 @@ import pathlib
 import struct
 import urllib.parse
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from ...core.files import JSON_ROOM, read_limited
 from ...core.memory import require_host_memory
 from ...errors import InputError
 from ..faces import joined_rows
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack  # of the type checker
 
 #: Kinds of the chunks of a .glb file.
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -331,19 +335,20 @@ class Texture:
     png: bytes
 
 
+class Shown(TypedDict, total=False):
+    """How a mesh is shown besides its colours."""
+
+    name: str  # of the mesh; "cage"
+    frames: np.ndarray | None  # (n, v, 3), an animation of shapes (morph targets), fps a second
+    fps: float
+    texture: Texture | None
+
+
 def write_glb(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    colors: np.ndarray | None = None,
-    *,
-    name: str = "cage",
-    frames: np.ndarray | None = None,
-    fps: float = 24.0,
-    texture: Texture | None = None,
+    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None, **options: Unpack[Shown]
 ) -> bytes:
-    """A .glb file of one mesh, vertices (v, 3) with y up; colors: (v, 3) in [0, 1], sRGB, shown without light.
-    frames: (n, v, 3), an animation of shapes (morph targets), fps a second."""
-    document, body = _document(vertices, faces, colors, name, frames, fps, texture)
+    """A .glb file of one mesh, vertices (v, 3) with y up; colors: (v, 3) in [0, 1], sRGB, shown without light."""
+    document, body = _document(vertices, faces, colors, **options)
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     size = 12 + 8 + len(text) + 8 + len(body)
@@ -357,17 +362,10 @@ def write_glb(
 
 
 def write_gltf(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    colors: np.ndarray | None = None,
-    *,
-    name: str = "cage",
-    frames: np.ndarray | None = None,
-    fps: float = 24.0,
-    texture: Texture | None = None,
+    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None, **options: Unpack[Shown]
 ) -> bytes:
     """The same as a .gltf file: text with the buffer in it."""
-    document, body = _document(vertices, faces, colors, name, frames, fps, texture)
+    document, body = _document(vertices, faces, colors, **options)
     document["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(body).decode()
     return (json.dumps(document, indent=1) + "\n").encode()
 
@@ -448,10 +446,11 @@ def _document(
     vertices: np.ndarray,
     faces: np.ndarray,
     colors: np.ndarray | None,
-    name: str,
-    frames: np.ndarray | None,
-    fps: float,
-    texture: Texture | None,
+    *,
+    name: str = "cage",
+    frames: np.ndarray | None = None,
+    fps: float = 24.0,
+    texture: Texture | None = None,
 ) -> tuple[dict, bytes]:
     """The JSON document and the buffer that it describes."""
     middle, body = middle_of(vertices), _Body()  # the node holds the middle
