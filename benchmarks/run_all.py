@@ -63,8 +63,7 @@ QUICK = {
     "page_fits_of_captures": "pages fits-of-captures --results {out} --page {out}/fits_of_captures.md",
     "page_frames": "pages frames --results {out} --page {out}/frames.md",
     "page_captures": "pages captures --results {out} --page {out}/captures.md",
-    "by_turns": "frames by-turns --other {tree} {of} --size 40 --resolution 16 --runs 2 --most 9"
-    " --json {out}/trend.json",
+    "by_turns": "by-turns --other {tree} {of} --size 40 --resolution 16 --runs 2 --most 9 --json {out}/trend.json",
     "page_trends": "pages trends --results {out} --page {out}/trends.md",
     "same_bits": "same-bits {tree} --only pose mesh",
     "soak": "memory soak --poses 20 --fits 4 --refused 200 --json {out}/soak.json",

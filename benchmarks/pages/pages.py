@@ -127,13 +127,13 @@ def compared_fits(run: dict) -> str:
 
 @command(*page_options("trends"))
 def trends(args) -> None:
-    """Write docs/trends.md from the results of `frames by-turns`, one of each release beside the one before.
+    """Write docs/trends.md from the results of `by-turns`, one of each release beside the one before.
 
         python benchmarks pages trends --results docs/results --page docs/trends.md
 
     Files are those of the folder whose names begin with "trend", in the order of their names.
     """
-    write_page(args, [texts("trends")["introduction"]], {"trend*.json": trend_parts}, "frames by-turns")
+    write_page(args, [texts("trends")["introduction"]], {"trend*.json": trend_parts}, "by-turns")
 
 
 def trend_parts(files: list[dict], pictures: pathlib.Path) -> list[str]:

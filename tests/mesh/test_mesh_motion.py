@@ -241,14 +241,14 @@ def written_stage(path, *, up="Y", orientation="rightHanded"):
     stage = usd.Stage.CreateNew(str(path))
     geometry.SetStageUpAxis(stage, up)
     stage.SetTimeCodesPerSecond(25)
-    root = geometry.Xform.Define(stage, "/root")
+    root = geometry.Xform.Define(stage, "/set")
     stage.SetDefaultPrim(root.GetPrim())
-    place = geometry.Xform.Define(stage, "/root/Body")
+    place = geometry.Xform.Define(stage, "/set/Body")
     place.AddTranslateOp().Set((0, 3, 0))
     turn = place.AddRotateYOp()
     for code, angle in ((0, 0.0), (4, 60.0)):
         turn.Set(angle, code)
-    mesh = geometry.Mesh.Define(stage, "/root/Body/Cube_001")
+    mesh = geometry.Mesh.Define(stage, "/set/Body/Cube_001")
     corners = [(x, y, z) for x in (0, 1) for y in (0, 2) for z in (0, 4)]
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     if orientation == "leftHanded":
