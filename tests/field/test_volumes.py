@@ -102,7 +102,7 @@ def test_commands_write_volumes_as_they_are_and_deformed(tmp_path, capsys):
 def test_without_its_module_openvdb_says_how_to_get_it(tmp_path, monkeypatch):
     for name in ("openvdb", "pyopenvdb"):
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ValueError, match="conda-forge"):
+    with pytest.raises(ImportError, match="conda-forge"):
         field().save(tmp_path / "a.vdb")
     assert not list(tmp_path.iterdir())
 

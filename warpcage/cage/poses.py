@@ -8,7 +8,7 @@ from typing import Any, TypeGuard, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.arrays import PointsLike, as_host_points
+from ..core.arrays import PointsLike, as_host_points, box_corners
 from ..core.checks import AXES, axis_index, checked_number, checked_positive, checked_vector, real_array, renamed, shown
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh, own_axis, principal_axes
@@ -245,7 +245,7 @@ def _along(
     frame = frame_along(axis, towards)
     points = rest if bounds is None else np.asarray(bounds, dtype=np.float64)
     if bounds is not None and len(points) == 2:
-        points = box[np.indices((2, 2, 2)).reshape(3, 8).T, np.arange(3)]  # its corners
+        points = box_corners(box)
     local = points @ frame.T
     extent = np.stack([local.min(axis=0), local.max(axis=0)])
     across = {} if towards is None else {"towards": "x"}

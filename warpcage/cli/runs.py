@@ -19,6 +19,7 @@ from ..batch.run import RunProgress, RunReport, run_jobs
 from ..batch.sweeps import GivenSource, PoseSource, RandomSource, RandomViews, write_sweep
 from ..cage.cage import Cage
 from ..cage.random_poses import RandomPoses
+from ..core.arrays import box_corners
 from ..core.files import NpyFile
 from ..core.names import BACKGROUNDS, TRANSPARENT, counted
 from ..core.reports import bar, say_above_bar
@@ -184,7 +185,7 @@ def run_sweep(args: argparse.Namespace) -> None:
         cage=args.cage,
         rest=rest,
         sources=sources,
-        cameras=given or (lambda bounds: _made_cameras(args, _box_corners(np.concatenate([shown, bounds])), up)),
+        cameras=given or (lambda bounds: _made_cameras(args, np.concatenate([shown, bounds]), up)),
         coordinates=args.coordinates,
         views=args.views,
         seed=args.seeds[0],
@@ -280,12 +281,6 @@ def _array_source(text: str, rest: Cage) -> GivenSource:
     return GivenSource(file.read().reshape(shape), text)
 
 
-def _box_corners(points: np.ndarray) -> np.ndarray:
-    """(8, 3) corners of the bounding box of points (n, 3)."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
-
-
 def _given_cameras(args: argparse.Namespace) -> list[Camera] | None:
     """The cameras of files that --cameras names; None for those that are made."""
     text = args.cameras
@@ -308,7 +303,8 @@ def _given_cameras(args: argparse.Namespace) -> list[Camera] | None:
 def _made_cameras(
     args: argparse.Namespace, points: np.ndarray, up: tuple[float, ...]
 ) -> Sequence[Camera] | RandomViews:
-    """The cameras of orbit:N and random:N, which see all points (n, 3)."""
+    """The cameras of orbit:N and random:N, which see the bounding box of points (n, 3)."""
+    points = box_corners([points.min(axis=0), points.max(axis=0)])
     width, height = image_size(args) or DEFAULT_SIZE
     count = _random_count(args.cameras, "--cameras")
     if count is not None:

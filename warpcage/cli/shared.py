@@ -17,6 +17,7 @@ from ..cage.axes import with_up
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile, cage_hash, is_preset
 from ..cage.up_axis import object_points
+from ..core.arrays import box_corners
 from ..core.devices import resolve_device
 from ..core.files import read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
@@ -364,8 +365,7 @@ def visible_points(field: AnyField, deformation: Deformation | None, frame: str 
             staying = staying[~inside_mesh(staying, edit.cage)]
         few = len(staying) <= LEAST_STAYING * len(seen)
         return deformation.vertices if few else np.concatenate([deformation.vertices, staying])
-    low, high = field.shown_bounds if isinstance(field, SplatField) else field.bounds
-    return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
+    return box_corners(field.shown_bounds if isinstance(field, SplatField) else field.bounds)
 
 
 def make_deformer(field: AnyField, deformation: Deformation, args: argparse.Namespace) -> Deformer:

@@ -54,6 +54,12 @@ def local_points(points: ArrayLike, origin: ArrayLike, device: wp.DeviceLike) ->
     return wp.array((np.asarray(points) - origin).astype(np.float32), dtype=wp.vec3, device=device)
 
 
+def box_corners(box: ArrayLike) -> np.ndarray:
+    """(8, 3) float64 corners of a box (2, 3), the z of the lower corner first, then its y."""
+    low, high = np.asarray(box, np.float64)
+    return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
+
+
 def empty_array(shape: int | tuple[int, ...], dtype: Any, device: wp.DeviceLike, *, pinned: bool = False) -> wp.array:
     """A Warp array whose values are not set yet; pinned memory of the CPU is page-locked."""
     return wp.empty(shape, dtype=dtype, device=device, pinned=pinned)  # whose annotations know float alone

@@ -13,7 +13,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.arrays import empty_array
+from ..core.arrays import box_corners, empty_array
 from ..core.checks import checked_flag, checked_number, checked_path, checked_whole, listed, require_type
 from ..core.devices import launch, resolve_device
 from ..core.files import PathLike, require_file
@@ -226,7 +226,7 @@ class Stage:
     @property
     def shown_points(self) -> np.ndarray:
         """(n, 3) float64 corners of the boxes of all that is shown, at `time`, cages too; world units of the stage."""
-        return np.concatenate([self._placed(item).moved(_corners(item.bounds)) for item in self._shown().values()])
+        return np.concatenate([self._placed(item).moved(box_corners(item.bounds)) for item in self._shown().values()])
 
     @property
     def up(self) -> np.ndarray:
@@ -423,7 +423,7 @@ class Stage:
 
     def _merged_voxels(self, items: list[StageItem], options: dict[str, Any], resolution: int | None) -> VoxelField:
         """`merged` as voxels; options: of views of it."""
-        boxes = [self._placed(item).moved(_corners(_reached(item.thing))) for item in items]
+        boxes = [self._placed(item).moved(box_corners(_reached(item.thing))) for item in items]
         low, high = np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))
         longest = float((high - low).max())
         side = min(self._placed(item).scale * float(item.field.voxel_size.min()) for item in items)
@@ -453,7 +453,7 @@ class Stage:
             options["density"] = thing.density
         deformer = Deformer(item.field, [*edits, CageEdit(cage)], device=self.device, **options)
         deformer.pose([*poses, cage.with_vertices(place.moved(cage.vertices))])
-        box = place.moved(_corners(reached))
+        box = place.moved(box_corners(reached))
         begin, end = _cells(np.stack([box.min(axis=0), box.max(axis=0)]), origin, side)
         baked = bake(deformer, int((end - begin).max()), np.stack([origin + side * begin, origin + side * end]))
         if options.get("density") == "paper" and place.scale != 1.0:  # a thing looks the same at any size
@@ -489,11 +489,6 @@ class Stage:
         if not shown:
             raise InputError("the stage shows nothing: add a thing, or show one again")
         return shown
-
-
-def _corners(box: np.ndarray) -> np.ndarray:
-    """(8, 3) corners of a box (2, 3)."""
-    return np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, box[1], box[0])
 
 
 def _reached(thing: Thing) -> np.ndarray:

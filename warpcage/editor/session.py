@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..cage.cage import Cage
+from ..core.arrays import box_corners
 from ..core.checks import listed
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..core.names import error_line
@@ -413,9 +414,9 @@ def new_document(field: AnyField, cages: Iterable[Cage] = (), resolution: int = 
     """The document of a new session, with an edit for each cage; it looks at the whole field."""
     edits = tuple(new_edit(number, cage, f"Move {number}") for number, cage in enumerate(cages, start=1))
     low, high = field.bounds
-    points = np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, high, low)
     up = np.asarray(field.up, np.float64)
-    camera = framing_orbit(points, 1, up=up, elevation_degrees=ELEVATION, start_degrees=AZIMUTH, fov_degrees=FOV)[0]
+    angles: dict[str, Any] = {"elevation_degrees": ELEVATION, "start_degrees": AZIMUTH, "fov_degrees": FOV}
+    camera = framing_orbit(box_corners(field.bounds), 1, up=up, **angles)[0]
     target = (low + high) / 2
     view = View(_triple(camera.center), _triple(target), _triple(up / np.linalg.norm(up)), FOV)
     selection = Selection(edits[0].id if edits else None)

@@ -25,14 +25,12 @@ from ..mesh.mesh import ClosedMesh
 from ..mesh.queries import inside_mesh
 from ..view.camera import Camera
 from ..view.frame import Frame
+from .io.field_file import Y0
 from .io.selection_file import SelectionContents, load_selection, occupancy_digest, same_box, save_selection
 from .planes import Plane
 from .sparse import harmonics_on_host
 from .surface import DensityField, node_grid
 from .voxel_field import VoxelField
-
-#: The harmonic of degree 0, the same in all directions.
-SH_MEAN = 0.28209479177387814
 
 #: Optical depth of a voxel that counts as empty.
 RIM_DEPTH = 0.01
@@ -95,7 +93,7 @@ def painted_voxels(field: VoxelField, mask: np.ndarray) -> VoxelField:
     rows[rim] = field.grid.density.numpy()[rim] * field.voxel_size.max() < RIM_DEPTH
     rows[links[mask & (links >= 0)]] = True
     shown = np.zeros((field.voxel_count, 9, 3), np.float32)
-    shown[:, 0] = np.where(rows, 0.5, -0.5)[:, None] / SH_MEAN
+    shown[:, 0] = np.where(rows, 0.5, -0.5)[:, None] / Y0
     return VoxelField(
         field.bounds, links, field.grid.density, shown, background="black", up=field.up, device=field.device
     )

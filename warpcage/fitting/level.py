@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..core.arrays import array_view, empty_array
 from ..core.devices import lane_count, launch
 from ..errors import InputError
-from ..field.io.field_file import LUMINANCE_NUMBERS
+from ..field.io.field_file import LUMINANCE_NUMBERS, Y0
 from ..field.render import STOP_TRANSMITTANCE
 from ..field.sparse import gathered, link_mask, place_grid
 from ..field.voxel_field import VoxelField
@@ -67,9 +67,6 @@ VARIATION_SIDE = 256.0
 
 #: Optical depth of half the box at the start.
 START_DEPTH = 0.1
-
-#: The harmonic of degree 0.
-CONSTANT_HARMONIC = 0.28209479177387814
 
 #: Keeps a step finite where the second moment is almost zero.
 EPSILON = 1e-12
@@ -155,7 +152,7 @@ class Level:
 
     def paint(self, color: np.ndarray) -> None:
         """Give all rows one colour (3,), from all directions."""
-        red, green, blue = (np.asarray(color, np.float64) - 0.5) / CONSTANT_HARMONIC
+        red, green, blue = (np.asarray(color, np.float64) - 0.5) / Y0
         orange, difference = 0.5 * (red - blue), (green - 0.5 * (red + blue)) / 1.5
         row = np.zeros(COEFFICIENTS, np.float32)
         row[[0, 16, 20]] = green - difference, orange, difference

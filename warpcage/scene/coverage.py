@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.arrays import box_corners
 from ..core.names import MOVES
 from ..view.camera import Camera
 from ..view.camera_path import MovingCamera, turned
@@ -205,9 +206,8 @@ def draw_coverage(coverage: Coverage, cameras: Sequence[Camera], bounds: np.ndar
         across = (math.degrees(math.atan2(y, x)) - begin) % 360 / 360
         _dot(draw, (across * 2 * SIDE, (0.5 - math.asin(min(max(z, -1.0), 1.0)) / math.pi) * SIDE))
 
-    corners = np.where(np.indices((2, 2, 2)).reshape(3, 8).T == 1, bounds[1], bounds[0])
     eyes = np.stack([camera.center for camera in cameras])
-    local = [(points - coverage.middle) @ coverage.frame for points in (corners, eyes)]
+    local = [(points - coverage.middle) @ coverage.frame for points in (box_corners(bounds), eyes)]
     half = 1.1 * max(np.abs(local[0][:, :2]).max(), np.percentile(np.abs(local[1][:, :2]).max(axis=1), 98))
     x, y = np.meshgrid(_middles(SIDE, -half, half), _middles(SIDE, half, -half))
     level = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3) @ coverage.frame.T + coverage.middle

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.arrays import box_corners
 from ..core.checks import checked_bounds, real_array
 from ..core.files import PathLike
 from ..errors import InputError
@@ -273,7 +274,7 @@ class Scene:
             found = find_box(cameras, points)
             bounds = found.bounds
         elif bounds is not None:
-            corners = bounds[np.indices((2, 2, 2)).reshape(3, 8).T, np.arange(3)] @ motion[:3, :3].T + motion[:3, 3]
+            corners = box_corners(bounds) @ motion[:3, :3].T + motion[:3, 3]
             bounds = np.stack([corners.min(axis=0), corners.max(axis=0)])
         before, source = (np.eye(4) if each is None else each for each in (self.straightening, self.to_source))
         return dataclasses.replace(

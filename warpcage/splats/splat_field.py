@@ -21,7 +21,7 @@ from ..core.names import counted
 from ..core.reports import Progress, hears, tell
 from ..errors import InputError, UseError
 from ..field.io import load_field as load_voxels
-from ..field.io.field_file import FieldContents
+from ..field.io.field_file import Y0, FieldContents
 from ..field.voxel_field import VoxelField
 from ..kernels.splats.splats import Splats
 from ..view.camera import Camera
@@ -29,7 +29,6 @@ from ..view.frame import Frame, parse_background
 from .io import is_splat_file, read_splats, write_splats
 from .io.contents import (
     LEAST_OPACITY,
-    Y0,
     PlyLayout,
     SplatContents,
     checked_contents,

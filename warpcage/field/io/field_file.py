@@ -22,6 +22,9 @@ from ...view.camera_path import RefinedCameras
 #: Voxels that a grid may have, empty ones included: kernels count them in int32.
 MAX_VOXELS = 2**31 - 1
 
+#: The harmonic of degree 0: a colour is 0.5 and this times its coefficient.
+Y0 = 0.28209479177387814
+
 #: Harmonics of degree 0 to 2, which each channel of an RGB row has.
 BASIS_COUNT = 9
 

@@ -11,12 +11,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...errors import InputError
+from ...errors import InputError, MissingPackageError, StateError
 from ...mesh.io.gltf import linear_light
-from .field_file import FieldContents, rgb_harmonics
-
-#: The harmonic of degree 0.
-_Y0 = 0.28209479177387814
+from .field_file import Y0, FieldContents, rgb_harmonics
 
 #: Voxels along a side of a tile, the least part of a volume that is held.
 _SIDE = 8
@@ -52,7 +49,7 @@ def _tiles(field: FieldContents) -> _Tiles:
     density = np.zeros((len(numbers), _SIDE, _SIDE, _SIDE), np.float32)
     density[inside] = field.density[rows]
     color = np.zeros((*density.shape, 3), np.float32)
-    color[inside] = linear_light(_Y0 * np.asarray(rgb_harmonics(field.sh[rows]), np.float32)[:, 0, :] + 0.5)
+    color[inside] = linear_light(Y0 * np.asarray(rgb_harmonics(field.sh[rows]), np.float32)[:, 0, :] + 0.5)
     voxel_size = (field.bounds[1] - field.bounds[0]) / shape
     origins = _SIDE * np.stack(np.unravel_index(numbers, tuple(counts)), axis=1).astype(np.int32)
     return _Tiles(origins, density, color, voxel_size, field.bounds[0] + 0.5 * voxel_size)
@@ -94,7 +91,7 @@ def _nanovdb_grid(tiles: _Tiles, values: np.ndarray, background: Any) -> np.ndar
     begin, size = _TREE + int(data[_TREE : _TREE + 8].view("<i8")[0]), _LEAF_BYTES[width]
     count = int(data[_TREE + _LEAF_COUNT : _TREE + _LEAF_COUNT + 4].view("<u4")[0])
     if count != len(tiles.origins) or begin + count * size != len(data):
-        raise InputError("this Warp lays NanoVDB out in another way than is known: write .vdb, or take Warp 1.19")
+        raise StateError("this Warp lays NanoVDB out in another way than is known: write .vdb, or take Warp 1.19")
     leaves = data[begin:].reshape(count, size)
     origins = np.ascontiguousarray(leaves[:, :12]).view("<i4")
     order = np.empty(count, np.int64)
@@ -126,7 +123,7 @@ def _openvdb() -> Any:
             return importlib.import_module(name)
         except ImportError:
             continue
-    raise InputError(
+    raise MissingPackageError(
         "OpenVDB needs its Python module, which PyPI does not have: conda install -c conda-forge openvdb, or take "
         "Blender's (docs/blender.md); NanoVDB (.nvdb) needs none"
     )

@@ -18,12 +18,13 @@ from ...core.locks import device_turn, in_turn
 from ...core.modules import load_modules
 from ...core.names import counted
 from ...errors import InputError
+from ...field.io.field_file import Y0
 from ...kernels.fitting import splat_growth, splat_step
 from ...kernels.fitting.batches import Pictures
 from ...kernels.splats import composite, composite_cpu, fit, project, tiles
 from ...scene.scene import Scene
 from ...splats.fit import SplatGradients
-from ...splats.io.contents import LEAST_OPACITY, Y0, SplatContents, logits_of, opacities_of
+from ...splats.io.contents import LEAST_OPACITY, SplatContents, logits_of, opacities_of
 from ...splats.render import IMAGE_BLUR, MOST_ENTRIES, PROJECT_WORK, splat_lens
 from ...splats.splat_field import SplatField
 from ...view.camera import Camera

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.memory import require_host_memory
 from ...core.names import counted
-from ...errors import InputError
+from ...errors import InputError, MissingPackageError
 from .gltf import linear_light, middle_of
 from .gltf_animation import MAX_FRAMES, GltfMotion
 from .obj_off import Polygons
@@ -30,7 +30,7 @@ def _library() -> Any:
             importlib.import_module(f"pxr.{part}")
         return importlib.import_module("pxr")
     except ImportError as error:
-        raise InputError('USD needs its library: pip install "warpcage[usd]"') from error
+        raise MissingPackageError('USD needs its library: pip install "warpcage[usd]"') from error
 
 
 # -- Reading

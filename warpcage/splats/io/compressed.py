@@ -8,7 +8,8 @@ import numpy as np
 
 from ...core.checks import listed
 from ...errors import InputError
-from .contents import Y0, SplatContents, byte_logits, opacities_of, unit_quaternions
+from ...field.io.field_file import Y0
+from .contents import SplatContents, byte_logits, opacities_of, unit_quaternions
 from .ply import PlyParts
 
 #: Splats of a chunk.

@@ -12,9 +12,7 @@ from ...core.arrays import as_host_array
 from ...core.checks import float32_spacing, listed, real_array, warn_caller
 from ...core.names import agreed, counted
 from ...errors import InputError
-
-#: The first of the real harmonics, Y_0.
-Y0 = 0.28209479177387814
+from ...field.io.field_file import Y0
 
 #: Harmonics of degree 0 to 3, by the numbers of a colour channel.
 DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}

@@ -13,9 +13,10 @@ from ...core.checks import shown, warn_caller
 from ...core.files import JSON_ROOM
 from ...core.memory import require_host_memory
 from ...errors import InputError
+from ...field.io.field_file import Y0
 from ...mesh.io.gltf import BINARY_CHUNK, JSON_CHUNK, errors_of_file, mesh_nodes, opened, read_buffers, values_of
 from .axes import GLTF_AXES, axes_matrix, turned
-from .contents import Y0, SplatContents, joined, logits_of, logs_of, opacities_of, unit_quaternions
+from .contents import SplatContents, joined, logits_of, logs_of, opacities_of, unit_quaternions
 from .spz import read_spz_data
 
 EXTENSION = "KHR_gaussian_splatting"

@@ -10,7 +10,8 @@ import numpy as np
 from ...core.files import read_limited
 from ...core.memory import require_host_memory
 from ...errors import InputError
-from .contents import Y0, SplatContents, byte_logits, joined, logs_of, opacities_of, unit_quaternions
+from ...field.io.field_file import Y0
+from .contents import SplatContents, byte_logits, joined, logs_of, opacities_of, unit_quaternions
 
 _ROW = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
 
