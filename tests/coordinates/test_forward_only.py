@@ -272,11 +272,11 @@ def shape_on(device, vertices, faces, requires_grad=False):
 
 
 def filled(kind, device):
-    """A struct whose arrays, those of structs in it too, hold one zero: a wp.Tape asks each for its gradient."""
+    """A struct whose arrays, those of structs in it too, hold two zeros a side, which is a lattice of one cell."""
     struct = kind()
     for name, var in kind.vars.items():
         if isinstance(var.type, wp.array):
-            setattr(struct, name, wp.zeros((1,) * var.type.ndim, dtype=var.type.dtype, device=device))
+            setattr(struct, name, wp.zeros((2,) * var.type.ndim, dtype=var.type.dtype, device=device))
         elif hasattr(var.type, "vars"):
             setattr(struct, name, filled(var.type, device))
     return struct
