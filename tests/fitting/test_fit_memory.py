@@ -2,6 +2,7 @@
 
 import dataclasses
 import gc
+import re
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from warpcage.fitting import (
     row_bytes,
     save_progress,
     scaled_shape,
+    schedule,
 )
 from warpcage.reference import synthetic_scene
 
@@ -392,3 +394,67 @@ def test_a_refinement_by_a_fraction_keeps_the_picture(scene, device):
     optimizer.current.resample(wp.ones(shape, dtype=wp.uint8, device=device))
     views = dataclasses.replace(scene, images=np.clip([field.render(c).rgb for c in scene.cameras], 0, 1))
     assert mean_psnr(evaluate(optimizer.field, Scene(views.images, None, scene.cameras))) > 28
+
+
+# How long it takes, said after the first steps
+
+
+def stepping(scene, device, monkeypatch, seconds_of, **options):
+    """A fit whose clock goes as `seconds_of(level)` says for each step, timed up to where its time is known."""
+    optimizer, now = FieldOptimizer(scene, device=device, **options), [0.0]
+    monkeypatch.setattr(schedule.time, "perf_counter", lambda: now[0])
+    pace = optimizer.pace()
+
+    def step():
+        optimizer.step()
+        now[0] += seconds_of(optimizer.level)
+
+    while not pace.time(step):
+        pass
+    return optimizer, pace, step
+
+
+@pytest.mark.parametrize("supersampling", [1, 2])
+def test_steps_to_come_follow_from_the_first_ones(scene, device, monkeypatch, supersampling):
+    power = 1.2 if wp.get_device(device).is_cpu else 0.42
+    options = {"resolution": 32, "levels": 3, "least_steps": 120, "supersampling": supersampling}
+
+    def seconds_of(level):
+        rays = supersampling**2 if level == 2 else 1
+        return 0.5 * rays * 2 ** (power * level)
+
+    optimizer, pace, step = stepping(scene, device, monkeypatch, seconds_of, **options)
+    assert optimizer.level == 0
+    while optimizer.step_count < optimizer.total_steps:
+        left = list(optimizer.level_steps)
+        for level in range(3):
+            done = min(max(optimizer.step_count - sum(optimizer.level_steps[:level]), 0), left[level])
+            left[level] -= done
+        assert pace.left() == pytest.approx(sum(n * seconds_of(level) for level, n in enumerate(left)), rel=1e-6)
+        pace.time(step)
+    assert pace.left() == 0
+
+
+def test_a_level_that_takes_longer_than_foretold_is_believed(scene, device, monkeypatch):
+    options = {"resolution": 32, "levels": 3, "least_steps": 120}
+    optimizer, pace, step = stepping(scene, device, monkeypatch, lambda level: (1.0, 20.0, 20.0)[level], **options)
+    foretold = pace.left()
+    while optimizer.level < 1 or optimizer.step_count < optimizer.level_steps[0] + 3:
+        pace.time(step)
+    assert pace.left() > 3 * foretold
+
+
+def test_a_fit_says_what_it_will_take(scene, device, capsys, monkeypatch):
+    fit(scene, device=device, least_steps=60)
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("fit: about")]
+    assert len(said) == 1 and " s and " in said[0] and said[0].endswith(("MB", "GB"))
+    assert "fast" not in said[0]
+    monkeypatch.setattr(schedule.Pace, "left", lambda pace: 1000.0)  # on a CPU a quicker fit is named
+    fit(scene, device=device, least_steps=60)
+    said = re.findall(
+        r"a fast fit of pictures shrunk \d+ times takes about (\d+) (s|min)$", capsys.readouterr().err, re.M
+    )
+    if wp.get_device(device).is_cpu:
+        assert [int(count) * {"s": 1, "min": 60}[unit] <= 600 for count, unit in said] == [True]
+    else:
+        assert not said

@@ -22,7 +22,7 @@ from ..cage.random_poses import RandomPoses
 from ..core.arrays import box_corners
 from ..core.files import NpyFile
 from ..core.names import BACKGROUNDS, TRANSPARENT, counted
-from ..core.reports import bar, say_above_bar
+from ..core.reports import bar, say_above_bar, span_text
 from ..core.threads import cpu_threads
 from ..errors import InputError
 from ..scene.formats.transforms import TransformsCameras
@@ -130,7 +130,7 @@ def _say(forecast: Forecast) -> int:
         )
         print(f"one {kind} takes {each.seconds:.3g} s{first} (measured: {each.source})")
     if forecast.measured:
-        print(f"about {_duration(forecast.seconds)} by {counted(forecast.workers, 'worker')}")
+        print(f"about {span_text(forecast.seconds)} by {counted(forecast.workers, 'worker')}")
     if forecast.unpaid is not None:
         print(forecast.unpaid)
     wrong = forecast.errors | forecast.missing
@@ -140,14 +140,6 @@ def _say(forecast: Forecast) -> int:
         count = counted(forecast.missing_count, "item")
         print(f"warpcage: error: what {count} would read is not there", file=sys.stderr)
     return 1 if wrong else 0
-
-
-def _duration(seconds: float) -> str:
-    """Such as "2 h 5 min", of whole units."""
-    if seconds < 120:
-        return f"{max(1, round(seconds))} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
 
 
 #: Degrees above the horizon of the cameras of orbit:N.

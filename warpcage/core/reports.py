@@ -102,6 +102,14 @@ def bar(total: int | None, what: str, *, done: int = 0, shown: bool = True, stay
     return kind(file=sys.stderr, **how, **options)
 
 
+def span_text(seconds: float) -> str:
+    """Such as "2 h 5 min", of whole units."""
+    if seconds < 120:
+        return f"{max(1, round(seconds))} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
+
+
 def say_above_bar(line: str) -> None:
     """Print a warning on stderr, above a bar that may be shown."""
     from tqdm import tqdm

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..core.checks import checked_path
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
-from ..core.reports import Progress, hears, is_heard, tell
+from ..core.reports import Progress, hears, is_heard, span_text, tell
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..scene.box_picture import box_text, draw_box
@@ -25,8 +25,10 @@ from ..view.pictures import side_by_side, write_png
 from . import checkpoint as voxel_checkpoint
 from .checkpoint import require_writable
 from .evaluation import comparison
+from .memory import memory_text
 from .optimizer import FieldOptimizer
-from .options import FitNames
+from .options import FitNames, checked_options
+from .schedule import Pace
 from .splats import checkpoint as splat_checkpoint
 from .splats.optimizer import SplatFit
 from .splats.options import SplatFitNames
@@ -123,17 +125,23 @@ def fit(
         _say(f"box {box_text(optimizer.found.bounds)}, {optimizer.found.reason}", progress)
         if picture is not None:
             write_png(picture, draw_box(scene.cameras, scene.points, optimizer.found))
-    shown = saved = pictured = time.monotonic()
+    start = shown = saved = pictured = time.monotonic()
     words, looked = "fit", isinstance(optimizer, SplatFit) or optimizer.camera_errors is not None
+    pace = optimizer.pace() if isinstance(optimizer, FieldOptimizer) else None
     while optimizer.step_count < optimizer.total_steps:
         tell(optimizer.step_count, optimizer.total_steps, words)
-        optimizer.step()
+        if pace is None:
+            optimizer.step()
+        elif pace.time(optimizer.step):
+            _say(_forecast(optimizer, pace, time.monotonic() - start), progress)
         if not looked and isinstance(optimizer, FieldOptimizer) and optimizer.camera_errors is not None:
             looked = True
             _say(str(optimizer.camera_errors), progress)
         if is_heard() and time.monotonic() - shown > SHOWN_EVERY:
             shown = time.monotonic()
             words = f"fit: {optimizer.measure_psnr():.2f} dB, {optimizer.size_text}"
+            if pace is not None and pace.is_known:
+                words += f", about {span_text(pace.left())} left"
         if held is not None and time.monotonic() - saved > checkpoint_seconds:
             with turn:
                 kept.save_progress(optimizer, held)
@@ -152,6 +160,18 @@ def fit(
     if picture is not None:
         _write_preview(picture, field, scene)
     return field
+
+
+def _forecast(optimizer: FieldOptimizer, pace: Pace, taken: float) -> str:
+    """What a fit will take, in words; taken: seconds so far."""
+    seconds = pace.left() + taken
+    words = f"about {span_text(seconds)} and {memory_text(optimizer.peak_bytes(pace.rows))}"
+    rays, pixels = optimizer.total_steps * optimizer.batch_rays, optimizer.scene.images[..., 0].size
+    if (found := pace.quicker(seconds, rays, pixels, checked_options({"quality": "fast"}))) is None:
+        return words
+    factor, shorter = found
+    shrunk = f" of pictures shrunk {factor} times" if factor > 1 else ""
+    return f"{words}; a fast fit{shrunk} takes about {span_text(shorter)}"
 
 
 def _say(words: str, progress: bool | Progress) -> None:

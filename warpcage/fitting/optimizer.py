@@ -29,7 +29,7 @@ from .cameras import CAMERA_RAYS, HALF_LOOKS, CameraErrors, CameraRefinement, Ca
 from .level import Level, Look, level_memory
 from .memory import FitMemory, children_count, finer_shapes, finest, memory_limit, memory_text
 from .options import VIEW_OPTIONS, checked_options, checked_seed
-from .schedule import Schedule, least_weight, outer_side, plan_batches, plan_grid
+from .schedule import Pace, Schedule, least_weight, outer_side, plan_batches, plan_grid
 from .silhouettes import Silhouettes, possible_voxels
 from .surroundings import (
     MEMORY_SHARE,
@@ -294,6 +294,15 @@ class FieldOptimizer:
         """What levels of the fit take, as their owners state it."""
         fixed = self.batches.held_bytes if isinstance(self.background, OuterOptimizer) else self._fixed_bytes()
         return self.current.memory(fixed, self.batches.mark_bytes)  # outer fields have a limit of their own
+
+    def peak_bytes(self, rows: int) -> int:
+        """Device memory of the last level, if so many of its voxels hold values: the most that the fit takes."""
+        around = self.background.held_bytes if isinstance(self.background, OuterOptimizer) else 0
+        return around + min(self.memory().level_bytes(rows, self.shapes[-1]), self.memory_limit)
+
+    def pace(self) -> Pace:
+        """A measure of how long the fit takes, which counts no step yet."""
+        return Pace(self.schedule, [max(shape) for shape in self.shapes], self.has_around, self.device)
 
     @property
     def coarser(self) -> str | None:

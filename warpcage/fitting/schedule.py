@@ -1,11 +1,14 @@
-"""What a fit plans before it starts (grid, levels, batches, rates) and how many steps each level takes."""
+"""What a fit plans before it starts (grid, levels, batches, rates), how many steps each level takes, and how long."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import time
+from collections.abc import Callable
 
 import numpy as np
+import warp as wp
 
 from ..field.io.field_file import MAX_OUTER_SIDE
 from ..scene.scene import Scene
@@ -338,6 +341,74 @@ class Schedule:
         if self.scarcity <= 1 or self.step_count % SHRINK_EVERY:
             return 1.0
         return max(0.0, 1.0 - rate * self.options.shrink_sh * (self.scarcity - 1.0)) ** SHRINK_EVERY
+
+
+#: Steps of the first level by which a fit times itself, at most; its first step compiles kernels and does not count.
+TRIAL_STEPS = 24
+
+#: A step goes with this power of the voxels along the longest side, measured (benchmarks/NOTES-fit.md).
+CPU_POWER, GPU_POWER = 1.2, 0.42
+
+#: Voxels of the last level for each square of its longest side, before those that no view shows go: where what is
+#: around the box is fitted too, and of an object alone; measured likewise.
+PLACE_ROWS, OBJECT_ROWS = 80.0, 29.0
+
+#: Seconds that a fit on a CPU may take before a quicker one is named, and the most by which its pictures are shrunk.
+PATIENCE, MOST_SHRUNK = 600.0, 16
+
+
+class Pace:
+    """How long a fit will take, by what the steps of its levels took so far.
+    sides: voxels along the longest side of each level; has_around: whether what is around the box is fitted too."""
+
+    def __init__(self, schedule: Schedule, sides: list[int], has_around: bool, device: wp.Device):
+        self.schedule, self.sides, self.device = schedule, sides, device
+        self.rows = round((PLACE_ROWS if has_around else OBJECT_ROWS) * sides[-1] ** 2)  # of the last level, about
+        self.is_known = False  # whether enough steps were timed
+        self._taken: list[list[float]] = [[] for _ in sides]  # seconds of the steps of each level
+
+    def time(self, step: Callable[[], None]) -> bool:
+        """Take a step, and time it; True for the one from which on `left` is known."""
+        begin = time.perf_counter()
+        step()
+        level = self.schedule.level
+        taken, trial = self._taken[level], min(TRIAL_STEPS, self.schedule.level_steps[level])
+        is_last = not self.is_known and len(taken) + 1 >= max(trial, 2)
+        if not taken or is_last:  # what was launched is not done
+            wp.synchronize_device(self.device)
+        taken.append(time.perf_counter() - begin)
+        self.is_known |= is_last
+        return is_last
+
+    def left(self) -> float:
+        """Seconds until the last step is done, at the pace so far."""
+        seconds, done = 0.0, self.schedule.step_count
+        for level, steps in enumerate(self.schedule.level_steps):
+            seconds += max(steps - done, 0) * self._step_seconds(level)
+            done = max(done - steps, 0)
+        return seconds
+
+    def _step_seconds(self, level: int) -> float:
+        """Seconds of a step of a level."""
+        counted = [each for each, taken in enumerate(self._taken) if len(taken) > 1]
+        known = max((each for each in counted if each <= level), default=counted[0])
+        measured = float(np.mean(self._taken[known][1:]))  # the first compiles, or makes the level
+        last, power = len(self.sides) - 1, CPU_POWER if self.device.is_cpu else GPU_POWER
+        rays = self.schedule.options.supersampling ** (2 * ((level == last) - (known == last)))
+        return measured * rays * (self.sides[level] / self.sides[known]) ** power
+
+    def quicker(self, seconds: float, rays: float, pixels: int, fast: FitOptions) -> tuple[int, float] | None:
+        """By what to shrink pictures so that a fit on a CPU that takes so many seconds takes PATIENCE at most by the
+        options `fast`, and how long then. None where it does, or none would. rays: of all steps; pixels: of all
+        pictures."""
+        if not self.device.is_cpu or seconds <= PATIENCE:
+            return None
+        rays *= self.schedule.options.supersampling**2
+        for factor in range(1, MOST_SHRUNK + 1):
+            fewer = max(fast.epochs * pixels / factor**2, fast.least_steps * SMALLEST_BATCH) / rays
+            if (shorter := seconds * fewer * factor**-CPU_POWER) <= PATIENCE:
+                return factor, shorter
+        return None
 
 
 def _log_interpolate(start: float, end: float, progress: float) -> float:
