@@ -53,7 +53,7 @@ _HOMES = {
 }
 
 _ROOMS = (
-    "batch cage captures cli coordinates core deform editor edits examples field "
+    "batch cage captures cli coordinates core deform editor edits examples field films "
     "fitting kernels lattice mesh reference render scene splats view"
 ).split()
 

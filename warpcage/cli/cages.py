@@ -31,21 +31,10 @@ from ..errors import InputError
 from ..field.closer import is_splats, matter_around
 from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
-from ..mesh.io import ALL_OBJECTS, read_object
-from ..mesh.io.formats import mesh_endings
-from ..splats.io import splat_path
-from ..splats.splat_field import load_field
-from ..view.camera import CameraKey
-from . import shared
-from .arguments import options
-from .cameras import named_camera
-from .shared import Deformation, PosedEdit, is_session, numbered_edits, session_edits
-from .words import (
+from ..films.words import (
     ending,
     note_jumps,
-    parse_edit,
     pose_file,
-    posed_up,
     read_edits_file,
     read_film,
     read_pose,
@@ -54,6 +43,15 @@ from .words import (
     say_standing,
     write_edits_file,
 )
+from ..mesh.io import ALL_OBJECTS, read_object
+from ..mesh.io.formats import mesh_endings
+from ..splats.io import splat_path
+from ..splats.splat_field import load_field
+from ..view.camera import CameraKey
+from . import shared
+from .arguments import options
+from .cameras import named_camera
+from .shared import Deformation, PosedEdit, is_session, numbered_edits, parse_edit, posed_up, session_edits
 
 if TYPE_CHECKING:
     import trimesh

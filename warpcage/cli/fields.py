@@ -27,6 +27,7 @@ from ..field.selection import NodeSelection, painted_voxels, splat_matter, tinte
 from ..field.surface import color_vertices
 from ..field.texture import simplified, textured
 from ..field.voxel_field import VoxelField
+from ..films.words import read_rest
 from ..fitting.splats.from_voxels import to_splats
 from ..mesh.io import write_shown_mesh
 from ..mesh.io.ply import write_ply
@@ -40,7 +41,6 @@ from . import shared
 from .arguments import options
 from .cameras import camera_file, check_saved, chosen_camera, save_cameras, scene_cameras
 from .shared import Deformation, is_deformed, read_deformation
-from .words import read_rest
 
 
 def _checked_fields(args: argparse.Namespace, volumes: tuple[str, ...] = ()) -> tuple[bool, pathlib.Path]:

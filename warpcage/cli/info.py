@@ -22,6 +22,7 @@ from ..edits.place import PLACE_WORDS, PlaceFile
 from ..edits.stage_file import read_stage_file
 from ..errors import InputError, MissingFileError
 from ..field.surroundings import LayeredBackground, OuterField
+from ..films.words import read_edits_file
 from ..fitting.silhouettes import Silhouettes
 from ..mesh.io import object_names
 from ..mesh.io.formats import mesh_endings, mesh_formats
@@ -39,7 +40,6 @@ from ..view.pictures import contact_sheet, shrink, write_png
 from . import shared
 from .arguments import options
 from .arguments.info import SHEET_PICTURES, SHEET_SIDE
-from .words import read_edits_file
 
 #: Names and values, one per printed line.
 Rows = list[tuple[str, object]]

@@ -6,6 +6,8 @@ import argparse
 import contextlib
 import dataclasses
 import hashlib
+import pathlib
+import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -18,6 +20,7 @@ from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile, cage_hash, is_preset
 from ..cage.up_axis import object_points
 from ..core.arrays import box_corners
+from ..core.checks import warn_caller
 from ..core.devices import resolve_device
 from ..core.files import read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
@@ -28,9 +31,10 @@ from ..editor.session import FORMAT as SESSION_FORMAT
 from ..editor.session import read_session
 from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
 from ..edits.stage_file import STAGE_ENDING
-from ..edits.words import EditWords
+from ..edits.words import EditWords, held_walls
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
+from ..films.words import Keyframes, only_pose, read_edits_file, read_rest
 from ..mesh.queries import inside_mesh
 from ..scene.load import load_scene
 from ..scene.scene import Scene
@@ -40,7 +44,7 @@ from ..splats.splat_field import AnyField, SplatField, load_field
 from ..view.camera import Camera
 from ..view.frame import Frame
 from .arguments import options
-from .words import Keyframes, only_pose, parse_edit, posed_up, read_edits_file, read_rest
+from .arguments.options import CAGE_ENDINGS, positive_float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,6 +171,68 @@ def numbered_edits(
             texts = [] if edit.posed is None else [edit.posed]
             parts.append(_read_edit(edit, texts, args, interpolation, field, part=True))
     return Deformation(parts)
+
+
+def posed_up(args: argparse.Namespace) -> str | None:
+    """The axis that points up in posed cage files, None where it is to be found."""
+    return getattr(args, "posed_up", None) or args.cage_up
+
+
+#: How an edit is written in one word.
+EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remove"
+
+#: Words after the cages.
+_LAST_WORD = re.compile(r"(keep|remove)|(falloff|fragments|crumbs|held|object)=([^:]*)")
+
+#: A word that is none of them, after a posed cage: only glTF and pose files hold things with names.
+_SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)
+
+#: The cage is what goes up to the first ending of a cage file that a colon or the end follows: so the colon of a
+#: Windows drive (C:\cage.obj) separates nothing.
+_CAGE = re.compile(rf"(.+?(?:{'|'.join(map(re.escape, CAGE_ENDINGS))}))(?::(.*))?", re.IGNORECASE | re.DOTALL)
+
+
+def parse_edit(text: str) -> EditWords:
+    """An edit of --edit: CAGE:POSED, then ":keep", ":remove", ":falloff=WIDTH", ":held=WALLS", ":fragments=SIZE",
+    ":object=NAME"."""
+    found = _CAGE.fullmatch(text)
+    if found is None:
+        raise InputError(f"--edit {text!r} names no cage file ({' '.join(CAGE_ENDINGS)}): write {EDIT_SHAPE}")
+    cage, rest = found[1], found[2]
+    words: dict[str, Any] = {}
+    while rest is not None:
+        before, _, last = rest.rpartition(":")
+        word = _LAST_WORD.fullmatch(last)
+        if word is None or pathlib.Path(rest).exists():
+            break
+        name = word[1] or word[2]
+        if name == "crumbs":
+            warn_caller("crumbs= is called fragments= now: the next version knows that name alone")
+            name = "fragments"
+        words[name] = word[3] if word[2] else True
+        rest = before or None
+    try:
+        if rest is not None and (slip := _SLIP.fullmatch(rest)) and not pathlib.Path(rest).exists():
+            raise InputError(
+                f"{slip[1]!r} is no word of an edit, only keep, remove, falloff=, held=, fragments= and object="
+            )
+        words |= {name: positive_float(words[name]) for name in ("falloff", "fragments") if name in words}
+        words |= {"held": held_walls(words["held"], "held")} if "held" in words else {}
+        if not rest and not words.get("remove"):
+            raise InputError(f"there is no posed cage: write {EDIT_SHAPE}")
+        return EditWords(cage, rest or None, **words)
+    except (ValueError, argparse.ArgumentTypeError) as error:
+        raise InputError(f"--edit {text!r}: {error}") from None
+
+
+def parse_add(text: str) -> tuple[str, str | None, str | None]:
+    """Field, place file and edits file of a word of --add: FIELD, FIELD:PLACE or FIELD:PLACE:EDITS; "" is none."""
+    # the colon of a Windows drive (C:\field.npz) separates nothing
+    parts = re.split(r":(?![\\/])|(?<!^[A-Za-z])(?<!:[A-Za-z]):", text)
+    if len(parts) > 3 or not parts[0]:
+        raise InputError(f"--add {text!r} must be FIELD, FIELD:PLACE.json or FIELD:PLACE.json:EDITS.json")
+    field, place, edits = (*parts, "", "")[:3]
+    return field, place or None, edits or None
 
 
 def is_deformed(args: argparse.Namespace) -> bool:

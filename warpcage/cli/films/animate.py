@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from ...cage.motion import USUAL_RATE
 from ...cage.pose_file import PoseFile
 from ...core.files import require_file
 from ...core.names import TRANSPARENT, counted
@@ -22,6 +23,8 @@ from ...editor.session import read_session
 from ...editor.timeline import frame_times
 from ...edits.place import PlaceFile
 from ...errors import InputError
+from ...films.folder import frame_path, make_folder
+from ...view import motion
 from ...view.camera import Camera
 from ...view.film import FILM_ENDINGS, checked_rate, write_film
 from .. import shared
@@ -30,8 +33,6 @@ from ..arguments.render import OF_SESSIONS, Default
 from ..cameras import check_saved, image_size, save_cameras, warn_of_edges
 from ..render import checked_opacity, size_text
 from ..shared import Deformation, read_deformation
-from ..words import set_frames
-from .folder import frame_path, make_folder
 from .jobs import FilmJob, checked_jobs_path, film_words, session_job
 from .shot import Shot
 from .staging import read_things, staging_of
@@ -102,6 +103,23 @@ def run_animate(args: argparse.Namespace) -> None:
     else:
         kept = team.make_frames(output)
     _say(shot, output, kept)
+
+
+def set_frames(args: argparse.Namespace, film: PoseFile | PlaceFile | None, given: set[str]) -> list[float] | None:
+    """Set number, rate and loop of the frames in `args` by the keys of a film; given: names of the options given.
+    Returns the times of the frames, seconds; None, the frames being as they were asked for, without a film."""
+    if film is None:
+        if args.loop is not None:
+            raise InputError("--loop is for keys at times (a pose file with times, an animation): see --motion")
+        return None
+    if "frames" in given:
+        raise InputError("--frames does not go with keys at times, which say how long the film is: see --fps")
+    args.loop = args.loop or film.loop or "once"
+    if "fps" not in given:
+        args.fps = motion.frame_rate(USUAL_RATE if film.fps is None else film.fps)
+    times = motion.frame_times(film.length, args.fps, args.loop)
+    args.frames = len(times)
+    return times
 
 
 def _check(args: argparse.Namespace, output: pathlib.Path) -> None:

@@ -20,7 +20,6 @@ from ...errors import InputError
 from ...splats.io import splat_path
 from ...splats.splat_field import load_field
 from .. import shared
-from ..words import parse_add
 
 
 class Staging:
@@ -36,7 +35,7 @@ class Staging:
         self.main = next(iter(self.stage.items))
         self.moving: list[tuple[Deformer, shared.Deformation]] = []
         for text in args.add or ():
-            path, place, edits = parse_add(text)
+            path, place, edits = shared.parse_add(text)
             name = free_name(pathlib.Path(path).stem, self.stage.items)
             path = require_file(splat_path(path), "field file")
             thing: Any = load_field(path, device=field.device)

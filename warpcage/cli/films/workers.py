@@ -19,9 +19,9 @@ from ...batch.run import RunProgress, RunReport, run_jobs
 from ...core.names import counted
 from ...core.reports import bar, say_above_bar
 from ...errors import InputError, StateError
+from ...films.folder import frame_files, frame_path, make_folder
 from ...view.camera import Camera
 from ...view.film import CLEAR_ENDINGS, read_film_frame, write_film
-from .folder import frame_files, frame_path, make_folder
 from .jobs import FilmFrame, FilmJob
 
 #: Folder in that of the frames in which workers write; a run that is over leaves none.

@@ -1,8 +1,7 @@
-"""What words name: presets, files, keys and random poses, what is up; and edits, in words and in edits files."""
+"""What words name: presets, files and keys of poses, what is up; and edits files."""
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import itertools
 import json
@@ -28,15 +27,14 @@ from ..cage.motion import (
 )
 from ..cage.pose_file import PoseFile, Preset, is_preset
 from ..cage.up_axis import UpAxis, load_standing
-from ..core.checks import listed, warn_caller
+from ..core.checks import listed
 from ..core.files import PathLike, atomic_path, path_from, read_json, require_file
 from ..core.names import EASINGS, counted, edit_words
-from ..edits.place import PlaceFile
-from ..edits.words import EditWords, held_walls
+from ..edits.words import EditWords
 from ..errors import InputError
+from ..mesh.io import ENDINGS
 from ..view.camera_path import timed_keys
-from ..view.motion import frame_rate, frame_times, pose_along, value_along
-from .arguments.options import CAGE_ENDINGS, positive_float
+from ..view.motion import pose_along, value_along
 
 
 def read_rest(
@@ -50,11 +48,6 @@ def read_rest(
     if standing.turned or standing.doubtful or standing.likelier or not part:
         say_standing(path, standing, "--cage-up")
     return rest, {ending(path): standing.up}
-
-
-def posed_up(args: argparse.Namespace) -> str | None:
-    """The axis that points up in posed cage files, None where it is to be found."""
-    return getattr(args, "posed_up", None) or args.cage_up
 
 
 def say_standing(name: str, standing: UpAxis, option: str) -> None:
@@ -105,7 +98,7 @@ def read_film(
             return file if file is not None and file.times else None
         files = numbered_files(text)
     else:
-        cages = all(ending(text) in CAGE_ENDINGS for text in texts)
+        cages = all(ending(text) in ENDINGS for text in texts)
         files = [pathlib.Path(text) for text in texts] if cages and are_numbered(texts) else None
         if files:
             print(
@@ -158,23 +151,6 @@ def note_jumps(file: PoseFile, path: str) -> None:
             + (f", and at {counted(more, 'other time')}" if more else ""),
             file=sys.stderr,
         )
-
-
-def set_frames(args: argparse.Namespace, film: PoseFile | PlaceFile | None, given: set[str]) -> list[float] | None:
-    """Set number, rate and loop of the frames in `args` by the keys of a film; given: names of the options given.
-    Returns the times of the frames, seconds; None, the frames being as they were asked for, without a film."""
-    if film is None:
-        if args.loop is not None:
-            raise InputError("--loop is for keys at times (a pose file with times, an animation): see --motion")
-        return None
-    if "frames" in given:
-        raise InputError("--frames does not go with keys at times, which say how long the film is: see --fps")
-    args.loop = args.loop or film.loop or "once"
-    if "fps" not in given:
-        args.fps = frame_rate(USUAL_RATE if film.fps is None else film.fps)
-    times = frame_times(film.length, args.fps, args.loop)
-    args.frames = len(times)
-    return times
 
 
 def read_poses(
@@ -254,7 +230,7 @@ def matched(rest: Cage, posed: Cage, name: str) -> Cage:
 def expected_ups(rest: Cage, texts: Sequence[str], expected: Mapping[str, str] | None = None) -> dict[str, str]:
     """The axis that points up in files of poses, by ending: what is sure of one holds for those that say nothing."""
     found = dict(expected or {})
-    files = [text for text in texts if pathlib.Path(text).is_file() and ending(text) in CAGE_ENDINGS]
+    files = [text for text in texts if pathlib.Path(text).is_file() and ending(text) in ENDINGS]
     for text in files if len(files) > 1 else ():
         standing = load_standing(Cage, text, reference=rest, expected=found.get(ending(text)))[1]
         if standing.turned:
@@ -309,62 +285,6 @@ class Keyframes:
 
 
 FORMAT, VERSION = "warpcage edits", 1
-
-#: How an edit is written in one word.
-EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remove"
-
-#: Words after the cages.
-_LAST_WORD = re.compile(r"(keep|remove)|(falloff|fragments|crumbs|held|object)=([^:]*)")
-
-#: A word that is none of them, after a posed cage: only glTF and pose files hold things with names.
-_SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)
-
-#: The cage is what goes up to the first ending of a cage file that a colon or the end follows: so the colon of a
-#: Windows drive (C:\cage.obj) separates nothing.
-_CAGE = re.compile(rf"(.+?(?:{'|'.join(map(re.escape, CAGE_ENDINGS))}))(?::(.*))?", re.IGNORECASE | re.DOTALL)
-
-
-def parse_edit(text: str) -> EditWords:
-    """An edit of --edit: CAGE:POSED, then ":keep", ":remove", ":falloff=WIDTH", ":held=WALLS", ":fragments=SIZE",
-    ":object=NAME"."""
-    found = _CAGE.fullmatch(text)
-    if found is None:
-        raise InputError(f"--edit {text!r} names no cage file ({' '.join(CAGE_ENDINGS)}): write {EDIT_SHAPE}")
-    cage, rest = found[1], found[2]
-    words: dict[str, Any] = {}
-    while rest is not None:
-        before, _, last = rest.rpartition(":")
-        word = _LAST_WORD.fullmatch(last)
-        if word is None or pathlib.Path(rest).exists():
-            break
-        name = word[1] or word[2]
-        if name == "crumbs":
-            warn_caller("crumbs= is called fragments= now: the next version knows that name alone")
-            name = "fragments"
-        words[name] = word[3] if word[2] else True
-        rest = before or None
-    try:
-        if rest is not None and (slip := _SLIP.fullmatch(rest)) and not pathlib.Path(rest).exists():
-            raise InputError(
-                f"{slip[1]!r} is no word of an edit, only keep, remove, falloff=, held=, fragments= and object="
-            )
-        words |= {name: positive_float(words[name]) for name in ("falloff", "fragments") if name in words}
-        words |= {"held": held_walls(words["held"], "held")} if "held" in words else {}
-        if not rest and not words.get("remove"):
-            raise InputError(f"there is no posed cage: write {EDIT_SHAPE}")
-        return EditWords(cage, rest or None, **words)
-    except (ValueError, argparse.ArgumentTypeError) as error:
-        raise InputError(f"--edit {text!r}: {error}") from None
-
-
-def parse_add(text: str) -> tuple[str, str | None, str | None]:
-    """Field, place file and edits file of a word of --add: FIELD, FIELD:PLACE or FIELD:PLACE:EDITS; "" is none."""
-    # the colon of a Windows drive (C:\field.npz) separates nothing
-    parts = re.split(r":(?![\\/])|(?<!^[A-Za-z])(?<!:[A-Za-z]):", text)
-    if len(parts) > 3 or not parts[0]:
-        raise InputError(f"--add {text!r} must be FIELD, FIELD:PLACE.json or FIELD:PLACE.json:EDITS.json")
-    field, place, edits = (*parts, "", "")[:3]
-    return field, place or None, edits or None
 
 
 def read_edits_file(path: PathLike) -> list[EditWords]:

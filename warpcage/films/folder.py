@@ -9,12 +9,12 @@ import pathlib
 import re
 from collections.abc import Callable, Iterator
 
-from ...core.files import atomic_path
-from ...errors import InputError
-from ...view.camera import Camera
-from ...view.exr import read_exr
-from ...view.film import read_film_frame
-from ...view.pictures import read_image
+from ..core.files import atomic_path
+from ..errors import InputError
+from ..view.camera import Camera
+from ..view.exr import read_exr
+from ..view.film import read_film_frame
+from ..view.pictures import read_image
 
 #: The note beside the frames that says which film they are of.
 SETTINGS_NAME = "animation.json"
