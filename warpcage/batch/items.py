@@ -7,7 +7,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from ..core.checks import checked_bounds, shown
 from ..core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, edit_fields
@@ -15,6 +15,9 @@ from ..edits import words
 from ..edits.words import EDIT_WORDS, Checker, EditWords, checked_words, one_of, plain, safe_name, text
 from ..errors import InputError
 from ..splats.io import SPLAT_ENDINGS
+
+if TYPE_CHECKING:
+    from ..films.render import Look
 
 #: Names in the folder of a run that no output may have, in any case of letters.
 RESERVED = ("manifest.jsonl",)
@@ -278,6 +281,13 @@ class FrameItem(Item):
     @property
     def pose(self) -> str:
         return digest([edit.posed for edit in self.edits]) if self.edits else ""
+
+    @property
+    def look(self) -> Look:
+        """How it is rendered, and what its picture in colours shows."""
+        from ..films.render import Look  # which needs Warp
+
+        return Look(self.background, self.fill, self.supersampling, self.antialias, overlay=self.overlay)
 
     @property
     def version(self) -> int:

@@ -31,6 +31,7 @@ from ..errors import InputError
 from ..field.closer import is_splats, matter_around
 from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
+from ..films.render import require_voxels
 from ..films.words import (
     ending,
     note_jumps,
@@ -71,7 +72,7 @@ def run_cage(args: argparse.Namespace) -> None:
     if args.snap is not None:
         if not is_field:
             raise InputError(f"--snap needs a field (.npz), got {args.field!r}")
-        _snap(shared.require_voxels(thing, "--snap"), args, output)
+        _snap(require_voxels(thing, "--snap"), args, output)
         return
     if any(value is not None for value in _selection(args).values()):
         thing = _selected(thing, is_field, args)

@@ -27,6 +27,7 @@ from ..field.selection import NodeSelection, painted_voxels, splat_matter, tinte
 from ..field.surface import color_vertices
 from ..field.texture import simplified, textured
 from ..field.voxel_field import VoxelField
+from ..films.render import require_voxels
 from ..films.words import read_rest
 from ..fitting.splats.from_voxels import to_splats
 from ..mesh.io import write_shown_mesh
@@ -197,7 +198,7 @@ def run_mesh(args: argparse.Namespace) -> None:
             )
     if not moves and len(args.posed or ()) > 1:
         raise InputError(f"{ending} holds one pose: give one --posed, or a file that holds motion")
-    field = shared.require_voxels(shared.read_field(args), "mesh")
+    field = require_voxels(shared.read_field(args), "mesh")
     args.timed = moves and args.frames is None
     deformation = read_deformation(args, field, "smooth" if moves else None)
     colored = moves and args.texture is None if args.colors is None else args.colors

@@ -22,6 +22,7 @@ from ..edits.place import PLACE_WORDS, PlaceFile
 from ..edits.stage_file import read_stage_file
 from ..errors import InputError, MissingFileError
 from ..field.surroundings import LayeredBackground, OuterField
+from ..films.render import require_voxels
 from ..films.words import read_edits_file
 from ..fitting.silhouettes import Silhouettes
 from ..mesh.io import object_names
@@ -107,7 +108,7 @@ def device_line(device: wp.Device) -> str:
 
 
 def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
-    field = shared.require_voxels(shared.read_field(args), "info")
+    field = require_voxels(shared.read_field(args), "info")
     cameras = None if field.refined_cameras is None else field.refined_cameras.cameras
     share = field.voxel_count / (field.resolution[0] * field.resolution[1] * field.resolution[2])
     density = field.grid.density.numpy()

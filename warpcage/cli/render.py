@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import os
 import pathlib
 import sys
@@ -16,16 +15,15 @@ from ..core.overlap import BackgroundWriter
 from ..deform.deformer import Deformer
 from ..edits.stage_file import STAGE_ENDING
 from ..errors import InputError
-from ..mesh.mesh import ClosedMesh
+from ..films.render import finished, picture_task, require_voxels
 from ..view import frame_parts
 from ..view.camera import Camera
 from ..view.camera_path import path_cameras
-from ..view.exr import require_openexr, write_picture
+from ..view.exr import require_openexr
 from ..view.film import FILM_ENDINGS, film_size, require_clear_film, write_film
-from ..view.frame import Frame, depth_along_view
-from ..view.frame_parts import MASKS, picture
+from ..view.frame import Frame
+from ..view.frame_parts import MASKS
 from ..view.motion import cameras_along
-from ..view.opacity import rgba_picture
 from ..view.pictures import write_png
 from . import shared
 from .arguments import options
@@ -33,19 +31,6 @@ from .arguments.render import STEPS
 from .cameras import camera_file, camera_keys, check_saved, chosen_camera, save_cameras, sized_cameras, warn_of_edges
 from .films.staging import Staging, read_things, staging_of
 from .shared import Deformation, read_deformation
-
-
-def colors(frame: Frame, camera: Camera, cages: Sequence[ClosedMesh], transparent: bool) -> np.ndarray:
-    """The colours of a frame, (h, w, 3), or with straight opacity (h, w, 4); the edges of cages are drawn into it."""
-    if transparent:
-        return rgba_picture(frame, camera, cages)
-    return picture(frame, "rgb", camera, cages)
-
-
-def finished(image: np.ndarray) -> np.ndarray:
-    """A picture that nobody changes any more: a film takes it without a copy."""
-    image.flags.writeable = False
-    return image
 
 
 def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
@@ -63,15 +48,6 @@ def require_format(path: str | os.PathLike[str]) -> None:
     """Raises ValueError for an OpenEXR file where its library is not installed, before any long work."""
     if os.fspath(path).lower().endswith("exr"):
         require_openexr()
-
-
-def picture_task(
-    path: str | os.PathLike[str], image: np.ndarray, frame: Frame, camera: Camera
-) -> tuple[Callable[[], None], int]:
-    """What writes a picture of a frame, .png, or .exr with its depth, in any thread, and the bytes that it holds."""
-    # It needs neither the frame any more, nor what that has on a device.
-    depth = depth_along_view(frame, camera) if os.fspath(path).lower().endswith(".exr") else None
-    return functools.partial(write_picture, path, image, depth), image.nbytes + (0 if depth is None else depth.nbytes)
 
 
 def size_text(width: int, height: int, output: pathlib.Path) -> str:
@@ -110,11 +86,11 @@ def pictures_of(
     staging: Staging | None = None,  # what stands beside it
 ) -> Iterator[Picture]:
     """The pictures of some cameras, one after the other."""
+    look = shared.chosen_look(args)
     for index, camera in enumerate(cameras):
         pose(index)
-        frame = shared.render_view(renderer if staging is None else staging.with_main(renderer), camera, args)
-        drawn = shared.drawn_cages(renderer, deformation) if args.overlay else ()
-        yield colors(frame, camera, drawn, shared.is_transparent(args)), frame, camera
+        frame = look.render(renderer if staging is None else staging.with_main(renderer), camera)
+        yield look.picture(frame, camera, shared.drawn_cages(renderer, deformation)), frame, camera
 
 
 def run_flight(args: argparse.Namespace) -> None:
@@ -245,7 +221,7 @@ def run_render(args: argparse.Namespace) -> None:
         raise InputError(f"--save-stage writes a file that ends in {STAGE_ENDING}, got {args.save_stage!r}")
     field, stage = read_things(args)
     if args.masks is not None:
-        shared.require_voxels(field, "--masks")
+        require_voxels(field, "--masks")
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field)
     staging = staging_of(args, field, stage)

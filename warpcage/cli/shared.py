@@ -25,8 +25,6 @@ from ..core.devices import resolve_device
 from ..core.files import read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
 from ..deform.deformer import Deformer
-from ..deform.fill import fill_unseen
-from ..deform.stage import Stage
 from ..editor.session import FORMAT as SESSION_FORMAT
 from ..editor.session import read_session
 from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
@@ -34,6 +32,8 @@ from ..edits.stage_file import STAGE_ENDING
 from ..edits.words import EditWords, held_walls
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
+from ..films import render
+from ..films.render import Look
 from ..films.words import Keyframes, only_pose, read_edits_file, read_rest
 from ..mesh.queries import inside_mesh
 from ..scene.load import load_scene
@@ -42,7 +42,6 @@ from ..splats.io import is_splat_file, splat_path
 from ..splats.io.formats import endings_written
 from ..splats.splat_field import AnyField, SplatField, load_field
 from ..view.camera import Camera
-from ..view.frame import Frame
 from .arguments import options
 from .arguments.options import CAGE_ENDINGS, positive_float
 
@@ -385,13 +384,6 @@ def is_stage(path: str) -> bool:
     return path.lower().endswith(STAGE_ENDING)
 
 
-def require_voxels(field: AnyField, what: str) -> VoxelField:
-    """A field of voxels. Raises ValueError for splats; what: what is asked for, as the message begins."""
-    if isinstance(field, SplatField):
-        raise InputError(f"{what} is for fields of voxels (.npz), this one is of splats")
-    return field
-
-
 def scene_masks(path: str, field: AnyField) -> dict[str, Any]:
     """The masks of a scene's object and their cameras, as `select_nodes` takes them: of its training pictures, in the
     world of a field."""
@@ -471,14 +463,11 @@ def is_transparent(args: argparse.Namespace) -> bool:
     return args.transparent or args.background == TRANSPARENT
 
 
-def render_view(renderer: AnyField | Deformer | Stage, camera: Camera, args: argparse.Namespace) -> Frame:
-    """The view of a camera before the chosen background; what no picture showed is filled where --fill asks for it."""
-    splats = {} if args.antialias is None else {"antialias": args.antialias}
-    frame = renderer.render(camera, **background_option(args), **splats)
-    if not args.fill or frame.reveal is None or isinstance(renderer, Stage):
-        return frame
-    field = renderer.field if isinstance(renderer, Deformer) else renderer
-    return fill_unseen(frame, require_voxels(field, "--fill"), camera)
+def chosen_look(args: argparse.Namespace) -> Look:
+    """How the options have frames rendered."""
+    background = TRANSPARENT if is_transparent(args) else args.background
+    show = getattr(args, "show", "rgb")
+    return Look(background, bool(args.fill), None, args.antialias, show, bool(args.overlay))
 
 
 def require_fillable(args: argparse.Namespace, field: AnyField) -> None:
@@ -488,20 +477,11 @@ def require_fillable(args: argparse.Namespace, field: AnyField) -> None:
     require_deformation(args, "--fill")
     if args.background is not None or args.transparent:
         raise InputError("--fill continues the field's own background: it cannot be combined with --background")
-    if field.background_model is None:
-        raise InputError("--fill: behind this field there is one colour, so that nothing is missing where it shows")
+    render.require_fillable(field, "--fill")
 
 
 def drawn_cages(renderer: AnyField | Deformer, deformation: Deformation | None) -> list[Cage]:
     """The cages that an overlay shows: as the Deformer has them, whose held walls stay at rest."""
     if deformation is None:
         return []
-    posed = renderer.deformed if isinstance(renderer, Deformer) else None
-    return deformation.drawn(deformation.posed if posed is None else posed)
-
-
-def background_option(args: argparse.Namespace) -> dict:
-    """The option `background` of a render, empty where the field's own is taken."""
-    if is_transparent(args):
-        return {"background": TRANSPARENT}
-    return {} if args.background is None else {"background": args.background}
+    return render.drawn_cages(renderer) if isinstance(renderer, Deformer) else deformation.drawn(deformation.posed)

@@ -21,11 +21,10 @@ from ..core.names import TRANSPARENT
 from ..core.overlap import BackgroundWriter
 from ..deform.bake import bake
 from ..errors import InputError
+from ..films.render import Look
 from ..splats.io.formats import format_to_write
 from ..splats.splat_field import AnyField, SplatField, field_size
 from ..view.film import FILM_ENDINGS, checked_rate, require_clear_film, write_film
-from ..view.opacity import rgba_picture
-from ..view.overlay import draw_cage
 from ..view.pictures import write_png
 from .document import Document, checked_flag
 from .renderer import PosedScene, view_camera
@@ -200,17 +199,10 @@ def _picture(scene: PosedScene, document: Document, film: Film) -> np.ndarray:
     looking = view_camera(document.view, film.width, film.height)
     scene.prepare(document)
     background = TRANSPARENT if film.transparent else settings.background
-    fill = settings.fill and background is None
-    frame = scene.render(looking, background, supersampling=settings.supersampling, fill=fill)
-    cages = (
-        [edit.posed_cage for edit in document.edits if edit.visible and edit.kind != "remove"] if film.overlay else []
-    )
-    if film.transparent:
-        return rgba_picture(frame, looking, cages)
-    shown = np.clip(frame.rgb, 0.0, 1.0)
-    for cage in cages:
-        shown = draw_cage(shown, looking, cage)
-    return shown
+    look = Look(background, settings.fill and background is None, settings.supersampling, overlay=film.overlay)
+    frame = look.render(scene.deformer or scene.field, looking)
+    cages = [edit.posed_cage for edit in document.edits if edit.visible and edit.kind != "remove"]
+    return np.clip(look.picture(frame, looking, cages), 0.0, 1.0)
 
 
 def requested_film(message: dict[str, Any]) -> Film:

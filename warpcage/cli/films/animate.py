@@ -24,6 +24,7 @@ from ...editor.timeline import frame_times
 from ...edits.place import PlaceFile
 from ...errors import InputError
 from ...films.folder import frame_path, make_folder
+from ...films.render import require_voxels
 from ...view import motion
 from ...view.camera import Camera
 from ...view.film import FILM_ENDINGS, checked_rate, write_film
@@ -67,7 +68,7 @@ def run_animate(args: argparse.Namespace) -> None:
         raise InputError("--workers and --jobs render a field alone: leave them out where several things are shown")
     field, stage = read_things(args)
     if args.show == "masks":
-        shared.require_voxels(field, "--show masks")
+        require_voxels(field, "--show masks")
     args.timed, args.film_rate = not given & {"motion", "interpolation"}, args.fps if "fps" in given else None
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field, args.interpolation)
@@ -210,7 +211,7 @@ def _run_session(args: argparse.Namespace) -> None:
     film = Film(width, height, args.overlay, transparent)
     if jobs is not None:
         args.device = "cpu"  # nothing is rendered
-    field = shared.require_voxels(shared.read_field(args), "--session")
+    field = require_voxels(shared.read_field(args), "--session")
     document = read_session(args.session, field)
     if jobs is not None:
         job, frames = session_job(document, field, film, args.field, args.scene_scale)

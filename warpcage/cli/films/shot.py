@@ -14,13 +14,14 @@ from ...deform.deformer import Deformer
 from ...deform.stage import Stage
 from ...edits.place import PlaceFile
 from ...errors import InputError
+from ...films.render import HeldPose, drawn_cages, finished, picture_task
 from ...view import frame_parts
 from ...view.camera import Camera
 from ...view.exr import mean_picture
 from ...view.frame import Frame
 from ...view.motion import frame_places, frame_rate, time_at
 from .. import shared
-from ..render import colors, finished, picture_task, seen_points, warn_of_masks
+from ..render import seen_points, warn_of_masks
 from ..shared import Deformation
 from .jobs import FilmFrame
 from .staging import Staging
@@ -40,19 +41,19 @@ class Shot:
     ):
         self.staging = staging
         self.field, self.deformation, self.args, self.film = field, deformation, args, film
-        self.deformer: Deformer | None = None  # None where the field is shown as it is, or where others render
+        self.look = shared.chosen_look(args)
+        self.posed: HeldPose | None = None  # None where the field is shown as it is, or where others render
         keys = None if film is None or deformation is None else deformation.camera_film
         points, time_of = seen_points(field, deformation, args, staging), None if film is None else self.time
         self.track = camera_track(args, field, deformation, points, keys, time_of, self.cages)
         self.cameras = self.track(range(args.frames))  # one a frame
-        self.held: float | None = None  # the place that the deformer is posed at
         self.shares: dict[str, list[float]] = {}
         self.scale: tuple[float, float] | None = None  # low and high disparity
 
     def prepare(self) -> None:
         """Make what renders here."""
         if self.deformation is not None:
-            self.deformer = shared.make_deformer(self.field, self.deformation, self.args)
+            self.posed = HeldPose(shared.make_deformer(self.field, self.deformation, self.args))
         self.scale = self._scale() if self.args.show in ("depth", "disparity") else None
 
     def is_still(self) -> bool:
@@ -90,17 +91,15 @@ class Shot:
 
     def frame(self, frame: float, camera: Camera) -> tuple[Frame, list[Cage]]:
         """A frame, or what is between two, and the cages that it shows."""
-        if self.deformer is None or self.deformation is None:
-            return shared.render_view(self._scene(self.field, frame), camera, self.args), []
-        place, cages = self.place(frame), self.cages(frame)
+        if self.posed is None:
+            return self.look.render(self._scene(self.field, frame), camera), []
+        cages = self.cages(frame)
         try:
-            if place != self.held:
-                self.deformer.pose(cages)
-                self.held = place
+            self.posed.pose(cages)
         except ValueError as error:
             raise InputError(f"frame {frame:g}, between the poses: {error}") from error
-        found = shared.render_view(self._scene(self.deformer, frame), camera, self.args)
-        return found, self.deformation.drawn(self.deformer.deformed or cages)
+        deformer = self.posed.deformer
+        return self.look.render(self._scene(deformer, frame), camera), drawn_cages(deformer)
 
     def _scene(self, renderer: shared.AnyField | Deformer, frame: float) -> shared.AnyField | Deformer | Stage:
         """What a frame shows: what renders the field, alone or among others as they are then."""
@@ -137,10 +136,7 @@ class Shot:
         if self.args.show == "masks":
             for name, share in frame_parts.mask_shares(frame).items():
                 self.shares.setdefault(name, []).append(share)
-        drawn = cages if self.args.overlay else ()
-        if self.args.show == "rgb":
-            return colors(frame, camera, drawn, shared.is_transparent(self.args))
-        return frame_parts.picture(frame, self.args.show, camera, drawn, self.scale)
+        return self.look.picture(frame, camera, cages, self.scale)
 
     def _scale(self) -> tuple[float, float]:
         """From a few frames, always the same ones, so that a folder that is continued keeps its colours."""
