@@ -13,12 +13,12 @@ from fractions import Fraction
 import numpy as np
 
 from ..errors import InputError
+from ..films.edits import Deformation
 from ..films.words import file_and_name
 from ..scene.load import load_scene
 from ..splats.splat_field import AnyField
 from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
 from .arguments import options
-from .shared import Deformation
 
 #: Width and height of a picture where none is given.
 DEFAULT_SIZE = (400, 400)

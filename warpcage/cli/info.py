@@ -22,8 +22,8 @@ from ..edits.place import PLACE_WORDS, PlaceFile
 from ..edits.stage_file import read_stage_file
 from ..errors import InputError, MissingFileError
 from ..field.surroundings import LayeredBackground, OuterField
+from ..films.edits import read_edits_file
 from ..films.render import require_voxels
-from ..films.words import read_edits_file
 from ..fitting.silhouettes import Silhouettes
 from ..mesh.io import object_names
 from ..mesh.io.formats import mesh_endings, mesh_formats

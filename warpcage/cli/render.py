@@ -15,6 +15,7 @@ from ..core.overlap import BackgroundWriter
 from ..deform.deformer import Deformer
 from ..edits.stage_file import STAGE_ENDING
 from ..errors import InputError
+from ..films.edits import Deformation
 from ..films.render import finished, picture_task, require_voxels
 from ..view import frame_parts
 from ..view.camera import Camera
@@ -30,7 +31,7 @@ from .arguments import options
 from .arguments.render import STEPS
 from .cameras import camera_file, camera_keys, check_saved, chosen_camera, save_cameras, sized_cameras, warn_of_edges
 from .films.staging import Staging, read_things, staging_of
-from .shared import Deformation, read_deformation
+from .shared import read_deformation
 
 
 def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
@@ -174,7 +175,7 @@ def run_many_poses(args: argparse.Namespace) -> None:
     check_saved(args)
     field, stage = read_things(args)
     shared.require_fillable(args, field)
-    deformation = read_deformation(args, field, "linear")
+    deformation = read_deformation(args, field, shared.edit_reader(args, "linear"))
     assert deformation is not None
     staging = staging_of(args, field, stage)
     camera = chosen_camera(args, seen_points(field, deformation, args, staging))

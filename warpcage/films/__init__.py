@@ -5,7 +5,9 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
+        "edits": "Deformation EditReader Keyframes PosedEdit read_edits_file write_edits_file",
         "folder": "frame_files frame_path make_folder",
-        "words": "Keyframes read_edits_file read_pose read_poses write_edits_file",
+        "render": "Look",
+        "words": "read_pose read_poses",
     },
 )

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
-import json
-import os
 import pathlib
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
@@ -28,13 +24,10 @@ from ..cage.motion import (
 from ..cage.pose_file import PoseFile, Preset, is_preset
 from ..cage.up_axis import UpAxis, load_standing
 from ..core.checks import listed
-from ..core.files import PathLike, atomic_path, path_from, read_json, require_file
-from ..core.names import EASINGS, counted, edit_words
-from ..edits.words import EditWords
+from ..core.names import EASINGS, counted
 from ..errors import InputError
 from ..mesh.io import ENDINGS
 from ..view.camera_path import timed_keys
-from ..view.motion import pose_along, value_along
 
 
 def read_rest(
@@ -236,102 +229,3 @@ def expected_ups(rest: Cage, texts: Sequence[str], expected: Mapping[str, str] |
         if standing.turned:
             found[ending(text)] = standing.up
     return found
-
-
-class Keyframes:
-    """A cage at rest, the poses that follow it, and all poses between them."""
-
-    def __init__(
-        self,
-        rest: Cage,
-        texts: list[str],  # words of --posed, in order
-        interpolation: str,  # "smooth" or "linear"
-        up: str | None = None,  # "y" or "z"; None finds it from the rest cage, file by file
-        expected: Mapping[str, str] | None = None,  # axis by ending of cage files where nothing speaks for another
-        *,
-        timed: bool = False,  # words that say when each pose is reached make a film of their own: see `read_film`
-        fps: Fraction | None = None,  # rate of numbered cage files in such a film; None is the usual one
-    ):
-        self.rest, self.interpolation = rest, interpolation
-        self.preset: Preset | None = None  # whose amount is interpolated
-        self.amounts: list[tuple[float, ...]] = []  # one per cage
-        self.film = read_film(rest, texts, up, expected, fps) if timed else None  # None: the poses follow evenly
-        if self.film is not None:
-            self.cages = [rest, *(self.film[name] for name in self.film.timed)]
-            for name in self.film.timed:
-                self.film[name].require_usable(f"keyframe {name!r} of {texts[0]!r}")
-            return
-        likely = expected_ups(rest, texts, expected) if up is None else None
-        self.cages = [rest] + [pose for text in texts for pose in read_poses(rest, text, up, expected=likely)]
-        presets = [Preset(text) for text in texts if is_preset(text)]
-        moving = [preset for preset in presets if preset.kind != "rest"]
-        if len(presets) == len(texts) and len({preset.family for preset in moving}) == 1:
-            self.preset = moving[0]
-            still = (self.preset.neutral,) * len(self.preset.amount)
-            self.amounts = [still] + [still if preset.kind == "rest" else preset.amount for preset in presets]
-
-    def at(self, place: float) -> Cage:
-        """The cage at a place: 0 at rest, 1 the first pose, and so on, or between them."""
-        # Each vertex by itself; of one preset with different amounts the amount, so that a bend stays an arc.
-        if self.preset is None:
-            return pose_along(self.cages, place, self.interpolation)
-        amount = value_along([np.array(amount) for amount in self.amounts], place, self.interpolation)
-        return self.preset.at(self.rest, amount.tolist())
-
-    @property
-    def vertices(self) -> np.ndarray:
-        """(n, 3) vertices of all cages, world units."""
-        return np.concatenate([cage.vertices for cage in self.cages])
-
-
-FORMAT, VERSION = "warpcage edits", 1
-
-
-def read_edits_file(path: PathLike) -> list[EditWords]:
-    """The edits of an edits file in their order; paths, relative to its folder there, as this process opens them."""
-    path = require_file(path, "edits file")
-    try:
-        content = read_json(path, "edits file")
-        if content.get("format") != FORMAT:
-            raise InputError(f"its format is {str(content.get('format'))[:40]!r}, not {FORMAT!r}")
-        version, edits = content.get("version"), content.get("edits")
-        if type(version) is not int or version < 1:
-            raise InputError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
-        if version > VERSION:
-            raise InputError(f"its version is {version}, this warpcage reads up to {VERSION}: upgrade")
-        if not isinstance(edits, list) or not edits:
-            raise InputError("its edits must be a list of at least one edit")
-        return [_words(edit, number, path.parent) for number, edit in enumerate(edits, 1)]
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def write_edits_file(path: PathLike, edits: list[EditWords]) -> None:
-    """Write an edits file, whole or not at all; paths are kept relative to its folder where there is a way."""
-    folder = pathlib.Path(path).absolute().parent
-    content = {"format": FORMAT, "version": VERSION, "edits": [_json(edit, folder) for edit in edits]}
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-
-
-def _words(entry: Any, number: int, folder: pathlib.Path) -> EditWords:
-    """One edit of a file."""
-    # what a later version adds has a higher version: an unknown word is a slip, and would be lost in silence
-    edit = EditWords.from_json(entry, f"edit {number}")
-    if not isinstance(edit.cage, str) or not isinstance(edit.posed, str | None):
-        raise InputError(f"edit {number}: its cage and its pose must be named in a text, as for --edit")
-    return _replaced(edit, lambda path: os.path.join(folder, path))
-
-
-def _json(edit: EditWords, folder: pathlib.Path) -> dict[str, Any]:
-    """An edit as JSON takes it: what differs from the default, a width of 0 too."""
-    words = edit_words({name: getattr(edit, name) for name in ("falloff", "fragments")})
-    content = _replaced(edit, lambda path: path_from(folder, path)).to_json()
-    content |= {name: value for name, value in words.items() if value is not None}
-    return content | ({"held": edit.held_text} if "held" in content else {})
-
-
-def _replaced(edit: EditWords, named: Callable[[str], str]) -> EditWords:
-    """An edit whose files have other names."""
-    posed = edit.posed if edit.posed is None or is_preset(edit.posed) else named(edit.posed)
-    return dataclasses.replace(edit, cage=named(edit.cage), posed=posed)

@@ -23,6 +23,7 @@ from ...editor.session import read_session
 from ...editor.timeline import frame_times
 from ...edits.place import PlaceFile
 from ...errors import InputError
+from ...films.edits import Deformation
 from ...films.folder import frame_path, make_folder
 from ...films.render import require_voxels
 from ...view import motion
@@ -33,7 +34,7 @@ from ..arguments import options
 from ..arguments.render import OF_SESSIONS, Default
 from ..cameras import check_saved, image_size, save_cameras, warn_of_edges
 from ..render import checked_opacity, size_text
-from ..shared import Deformation, read_deformation
+from ..shared import read_deformation
 from .jobs import FilmJob, checked_jobs_path, film_words, session_job
 from .shot import Shot
 from .staging import read_things, staging_of
@@ -69,10 +70,11 @@ def run_animate(args: argparse.Namespace) -> None:
     field, stage = read_things(args)
     if args.show == "masks":
         require_voxels(field, "--show masks")
-    args.timed, args.film_rate = not given & {"motion", "interpolation"}, args.fps if "fps" in given else None
     shared.require_fillable(args, field)
-    deformation = read_deformation(args, field, args.interpolation)
-    staging = staging_of(args, field, stage, args.interpolation)
+    rate = args.fps if "fps" in given else None
+    reader = shared.edit_reader(args, args.interpolation, timed=not given & {"motion", "interpolation"}, fps=rate)
+    deformation = read_deformation(args, field, reader)
+    staging = staging_of(args, field, stage, reader)
     timed: PoseFile | PlaceFile | None = None if deformation is None else deformation.film
     if staging is not None and (timed is not None or deformation is None):  # poses without times keep to --frames
         timed = staging.longest(timed)

@@ -14,6 +14,7 @@ from ...deform.deformer import Deformer
 from ...deform.stage import Stage
 from ...edits.place import PlaceFile
 from ...errors import InputError
+from ...films.edits import Deformation
 from ...films.render import HeldPose, drawn_cages, finished, picture_task
 from ...view import frame_parts
 from ...view.camera import Camera
@@ -22,7 +23,6 @@ from ...view.frame import Frame
 from ...view.motion import frame_places, frame_rate, time_at
 from .. import shared
 from ..render import seen_points, warn_of_masks
-from ..shared import Deformation
 from .jobs import FilmFrame
 from .staging import Staging
 from .track import camera_track

@@ -17,6 +17,7 @@ from ...deform.deformer import Deformer
 from ...deform.stage import Stage
 from ...edits.place import Place, PlaceFile
 from ...errors import InputError
+from ...films.edits import Deformation, EditReader
 from ...splats.io import splat_path
 from ...splats.splat_field import load_field
 from .. import shared
@@ -26,21 +27,21 @@ class Staging:
     """What stands beside a command's field, in one scene: of --add, or of a stage file; with what moves in films."""
 
     def __init__(
-        self, args: argparse.Namespace, field: shared.AnyField, stage: Stage | None, interpolation: str | None = None
+        self, args: argparse.Namespace, field: shared.AnyField, stage: Stage | None, reader: EditReader | None = None
     ):
         self.stage = Stage(device=field.device) if stage is None else stage
         self.of_file = stage is not None
         if stage is None:
             self.stage.add(pathlib.Path(args.field).stem, field, path=args.field)
         self.main = next(iter(self.stage.items))
-        self.moving: list[tuple[Deformer, shared.Deformation]] = []
+        self.moving: list[tuple[Deformer, Deformation]] = []
         for text in args.add or ():
             path, place, edits = shared.parse_add(text)
             name = free_name(pathlib.Path(path).stem, self.stage.items)
             path = require_file(splat_path(path), "field file")
             thing: Any = load_field(path, device=field.device)
             if edits is not None:
-                deformation = shared.edits_of_file(edits, args, interpolation, thing)
+                deformation = shared.edits_of_file(edits, reader or shared.edit_reader(args), thing)
                 thing = shared.make_deformer(thing, deformation, args).pose(deformation.posed)
                 self.moving.append((thing, deformation))
             self.stage.add(name, thing, place=place, path=path)
@@ -98,11 +99,11 @@ def read_things(args: argparse.Namespace) -> tuple[shared.AnyField, Stage | None
 
 
 def staging_of(
-    args: argparse.Namespace, field: shared.AnyField, stage: Stage | None, interpolation: str | None = None
+    args: argparse.Namespace, field: shared.AnyField, stage: Stage | None, reader: EditReader | None = None
 ) -> Staging | None:
     """What stands beside the field of a command, None where it is alone."""
     several = stage is not None or args.add or getattr(args, "save_stage", None)
-    return Staging(args, field, stage, interpolation) if several else None
+    return Staging(args, field, stage, reader) if several else None
 
 
 def free_name(name: str, taken: Collection[str]) -> str:

@@ -13,6 +13,7 @@ from ...cage.pose_file import PoseFile
 from ...coordinates.coordinates import deform_points
 from ...errors import InputError
 from ...field.selection import NodeSelection
+from ...films.edits import Deformation
 from ...films.words import read_rest
 from ...scene.coverage import within_sight
 from ...view.camera import Camera
@@ -30,7 +31,6 @@ from ..cameras import (
     seen_cameras,
     sized_cameras,
 )
-from ..shared import Deformation
 
 #: Frames of a film, or places between them, counted from 0, to the camera of each.
 CameraTrack = Callable[[Sequence[float]], list[Camera]]
