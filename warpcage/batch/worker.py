@@ -7,7 +7,7 @@ import gc
 import json
 import os
 import pathlib
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -23,25 +23,26 @@ from ..core.overlap import SPARE, TASK_THREADS, Gate
 from ..core.threads import cpu_threads
 from ..deform.deformer import Deformer
 from ..edits.edits import edit_of_words, picture_cells
+from ..edits.words import canonical
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..films.render import HeldPose, drawn_cages, require_fillable
+from ..films.words import References, RestCage
 from ..fitting.cameras import tuned_scene
 from ..fitting.evaluation import evaluation_report, in_world_of, moved_scene, refined_cameras_of
 from ..fitting.fit import fit
 from ..scene.formats.parsing import TO_OPENCV
 from ..scene.load import load_scene
 from ..scene.scene import Scene
-from ..splats.splat_field import AnyField
+from ..splats.splat_field import AnyField, read_field
 from ..view.camera import Camera, CameraKey, camera_json
 from ..view.exr import write_picture
 from ..view.film import write_film_frame
 from ..view.frame import RGB_BYTES, Frame, depth_along_view
 from ..view.frame_parts import picture
-from .items import EvaluateItem, FitItem, FrameItem, Item, canonical, digest
+from .items import EvaluateItem, FitItem, FrameItem, Item, digest
 from .job_file import Fingerprints
 from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, write_array, write_outputs
-from .references import MEMORY_SHARE, LoadedFields, References, RestCage
 
 #: Most deformers that stay bound to a field.
 MOST_DEFORMERS = 4
@@ -82,6 +83,32 @@ class Bound(HeldPose):
         self.rests = rests
 
 
+#: Most fields that stay loaded, and the share of the memory that is free at first for them and what is bound to them.
+MOST_FIELDS, MEMORY_SHARE = 8, 0.5
+
+
+class LoadedFields:
+    """Fields by their files, of which those stay loaded that were used last.
+    memory: bytes that they may take together, but one stays whatever it takes; None is a quarter of what is free."""
+
+    def __init__(self, references: References, device: wp.Device, memory: int | None = None):
+        self.references, self.device, self.read_count = references, device, 0
+        self.dropped: Callable[[AnyField], Any] = lambda field: None  # called with a field that is let go, before it is
+        limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
+        self.kept: LRUCache[AnyField] = LRUCache(MOST_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
+
+    def get(self, name: str, scene_scale: float) -> tuple[Hashable, AnyField]:
+        """A key that is another where the file has changed, and the field; scene_scale: as `VoxelField.load` has it."""
+        path, stamp = self.references.stamped(name, "field file")
+
+        def load() -> AnyField:
+            self.read_count += 1
+            return read_field(path, scene_scale=scene_scale)(self.device)
+
+        key = path, stamp, scene_scale
+        return key, self.kept.get(key, load)
+
+
 class FrameMaker:
     """Renders frames, and keeps what the next ones need: fields, deformers, and the map of the last pose.
     memory: bytes of deformers beside their fields, one stays whatever it takes; None is a quarter of what is free."""
@@ -101,7 +128,7 @@ class FrameMaker:
     def make(self, item: FrameItem) -> MadeItem:
         """Render a frame; what is made writes its outputs."""
         field_key, field = self.fields.get(item.field, item.scene_scale)
-        camera = self.references.camera(item, field)
+        camera = self.references.camera(item.camera, item.size, field)
         posed: list[Cage | None] = []
         if item.edits:
             bound_key, bound = self._deformer(item, field_key, field, camera)

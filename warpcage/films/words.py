@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import itertools
+import json
+import os
 import pathlib
 import re
+import stat
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from fractions import Fraction
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from ..cage.axes import with_up
 from ..cage.cage import Cage
 from ..cage.motion import (
     MOVING_ENDINGS,
@@ -21,12 +28,19 @@ from ..cage.motion import (
     numbered_files,
     sequence_poses,
 )
-from ..cage.pose_file import PoseFile, Preset, is_preset
+from ..cage.pose_file import PoseFile, Preset, cage_hash, is_preset
+from ..cage.random_poses import PoseProbe, RandomPoses
 from ..cage.up_axis import UpAxis, load_standing
-from ..core.checks import listed
+from ..core.checks import shown
+from ..core.files import DAMAGED, NpyFile, file_stamp, require_file
+from ..core.memory import LRUCache
 from ..core.names import EASINGS, counted
+from ..edits.words import RANDOM, EditWords, canonical, split_reference
 from ..errors import InputError
 from ..mesh.io import ENDINGS
+from ..scene.formats.transforms import TransformsCameras
+from ..splats.splat_field import AnyField
+from ..view.camera import Camera, CameraFile, camera_from_json, fitted
 from ..view.camera_path import timed_keys
 
 
@@ -160,9 +174,7 @@ def read_poses(
         file = PoseFile.load(path, rest)
         if not len(file):
             raise InputError(f"pose file {path!r} holds no keyframes")
-        if name and name not in file:
-            raise InputError(f"pose file {path!r}: there is no keyframe {name!r}, only {listed(file)}")
-        poses = [file[name] for name in ([name] if name else file.names)]
+        poses = [_keyframe(file, path, name)] if name else [file[each] for each in file.names]
     elif moving := _moving_poses(rest, text, up, expected):
         poses = moving
     else:
@@ -209,12 +221,17 @@ def _moving_poses(rest: Cage, text: str, up: str | None, expected: Mapping[str, 
     return [] if file is None else [file[name] for name in file.names]
 
 
-def matched(rest: Cage, posed: Cage, name: str) -> Cage:
-    """A posed cage in the order of the cage at rest, vertices and faces; a line on stderr says where it was another."""
+def in_order(rest: Cage, posed: Cage, name: str) -> Cage:
+    """A posed cage in the order of the cage at rest, vertices and faces."""
     try:
-        found = rest.match(posed)
+        return rest.match(posed)
     except ValueError as error:
         raise InputError(f"cage {name!r} does not fit its rest cage: {error}") from None
+
+
+def matched(rest: Cage, posed: Cage, name: str) -> Cage:
+    """The same; a line on stderr says where the order was another."""
+    found = in_order(rest, posed, name)
     if not np.array_equal(posed.faces, rest.faces) or len(posed.vertices) != len(rest.vertices):
         print(f"warpcage: cage {name!r} has another order than its rest cage: matched", file=sys.stderr)
     return found
@@ -229,3 +246,219 @@ def expected_ups(rest: Cage, texts: Sequence[str], expected: Mapping[str, str] |
         if standing.turned:
             found[ending(text)] = standing.up
     return found
+
+
+#: What is kept at most of items, which name the same things again and again: files that are open to view, cages whose
+#: poses can be measured at once, drawn poses, and cameras of numbers.
+MAX_FILES, MAX_PROBES, MAX_POSES, MAX_CAMERAS = 32, 8, 16, 64
+
+Thing = TypeVar("Thing")
+
+
+class RestCage(NamedTuple):
+    """A cage at rest, its hash, and the axis that points up in files of its ending, as it was found for its own."""
+
+    cage: Cage
+    hash: str
+    ups: dict[str, str]
+
+
+class References:
+    """Reads what items refer to. What was read from a file is kept while the file stays as it is."""
+
+    def __init__(self, base: str | os.PathLike[str]):
+        self.base = pathlib.Path(base)
+        self._files: LRUCache[Any] = LRUCache(MAX_FILES)
+        self._probes: LRUCache[PoseProbe] = LRUCache(MAX_PROBES)
+        self._drawn: LRUCache[np.ndarray] = LRUCache(MAX_POSES)
+
+    def path(self, name: str) -> pathlib.Path:
+        return self.base / name
+
+    def stamped(self, name: str, what: str) -> tuple[str, tuple[int, int]]:
+        """A file and its stamp, by which what was made of it is known. Raises FileNotFoundError."""
+        path = os.path.join(self.base, name)
+        with contextlib.suppress(OSError):  # one look at each file of each item
+            status = os.stat(path)
+            if stat.S_ISREG(status.st_mode):
+                return path, (status.st_size, status.st_mtime_ns)
+        return path, file_stamp(require_file(path, what))
+
+    def array(self, value: Any, what: str) -> np.ndarray:
+        """The numbers of an array as they are in its file: "file.npy", "file.npy#17" (its row 17), or nested lists.
+        what: how messages call it."""
+        if not isinstance(value, str):
+            try:
+                found = np.asarray(value)
+            except ValueError:
+                found = np.empty(0, object)
+            if found.dtype.kind not in "fiu":
+                raise InputError(f"{what} must hold numbers, in lists of equal length, got {shown(value)}")
+            return found
+        name, place = split_reference(value)
+        if not name.lower().endswith(".npy"):
+            raise InputError(f"{what} must be an .npy file, a row of one (file.npy#17) or nested lists, got {value!r}")
+        file = self._kept(name, "array file", NpyFile)
+        if not place:
+            return file.read()
+        if not place.isdigit():
+            raise InputError(f"{what}: {value!r} names no row: write {name}#17")
+        return file.row(int(place))
+
+    def rest_cage(self, edit: EditWords, field: AnyField) -> RestCage:
+        """The cage at rest of an edit, usable; field: by which the axis of its file is found."""
+        if isinstance(edit.cage, str):
+            path = self.path(edit.cage)
+            file = require_file(path, "cage file")
+            cage, standing = load_standing(Cage, file, up=edit.up, reference=field, object=edit.object)
+            ups = {path.suffix.lower(): standing.up}
+        else:
+            vertices = self.array(edit.cage["vertices"], "'vertices' of 'cage'")
+            faces = self.array(edit.cage["faces"], "'faces' of 'cage'")
+            cage, ups = Cage(vertices, faces), {}
+        cage.require_usable(f"cage {edit.cage!r}" if isinstance(edit.cage, str) else "'cage'")
+        return RestCage(cage, cage_hash(cage), ups)
+
+    def posed_cage(self, edit: EditWords, rest_cage: RestCage, field: AnyField) -> Cage | None:
+        """The posed cage of an edit, in the order of the cage at rest; None for an edit that removes.
+        field: says what is up in the words of a preset."""
+        if edit.remove:
+            return None
+        value, rest = edit.posed, rest_cage.cage
+        if edit.is_drawn:
+            return rest.with_vertices(self._drawn_pose(value, rest_cage))
+        if not isinstance(value, str) or split_reference(value)[0].lower().endswith(".npy"):
+            vertices = self.array(value, "'posed'")
+            if vertices.shape != rest.vertices.shape:
+                raise InputError(
+                    f"'posed' must be {rest.vertices.shape} as the cage at rest, got {vertices.shape} of "
+                    f"{shown(value)}{_row_hint(value, vertices, rest)}"
+                )
+            return rest.with_vertices(vertices)
+        if is_preset(value, self.base):
+            preset = Preset(with_up(value, field.up.tolist()))
+            return preset.at(rest, preset.amount)
+        name, place = split_reference(value)
+        if name.lower().endswith(".json"):
+            file = self._kept(name, "pose file", lambda path: PoseFile.load(path, rest), rest_cage.hash)
+            return _keyframe(file, name, place)
+        if name.lower().endswith(MOVING_ENDINGS):
+            if (moving := self._moving(name, place, edit, rest_cage)) is not None:
+                return moving
+        return self._kept(name, "cage file", lambda path: _posed_file(path, edit, rest_cage), (rest_cage.hash, edit.up))
+
+    def _drawn_pose(self, posed: dict[str, Any], rest_cage: RestCage) -> np.ndarray:
+        """The vertices (v, 3) float64, world units, of a pose that is drawn: those of `RandomPoses`, to the bit."""
+        words = dict(posed[RANDOM])
+        number = words.pop("number")
+
+        def draw() -> np.ndarray:
+            probe = self._probes.get(rest_cage.hash, lambda: PoseProbe(rest_cage.cage))
+            return RandomPoses(probe.rest, **words, probe=probe).vertices(number)
+
+        return self._drawn.get((rest_cage.hash, canonical(posed)), draw)
+
+    def _moving(self, name: str, place: str, edit: EditWords, rest_cage: RestCage) -> Cage | None:
+        """The keyframe or shape that is named of a file that moves, or what its shapes show. None for a still one."""
+
+        def read(path: pathlib.Path) -> tuple[PoseFile | None, Cage | None]:
+            rest = rest_cage.cage
+            return file_poses(path, rest, up=edit.up), gltf_shown(path, rest, up=edit.up)
+
+        moving, shown_pose = self._kept(name, "cage file", read, ("moving", rest_cage.hash, edit.up))
+        if moving is None:
+            if place:
+                raise InputError(f"{name}: there is no keyframe {place!r}: nothing moves in it")
+            return None
+        return shown_pose if shown_pose is not None and not place else _keyframe(moving, name, place)
+
+    # -- cameras
+
+    def camera(self, value: Any, size: Sequence[int], field: AnyField) -> Camera:
+        """The camera that a word or numbers name, in the world of a field.
+        size: its width, or width and height; its own where it is empty."""
+        try:
+            camera = self._camera(value, size, field)  # that of a scene is turned with a straightened field
+            return fitted(camera, tuple(size))
+        except DAMAGED as error:
+            raise InputError(f"'camera' cannot be used: {error}") from None
+
+    def _camera(self, value: Any, size: Sequence[int], field: AnyField) -> Camera:
+        if isinstance(value, dict):
+            return _read_inline(canonical(value))
+        name, place = split_reference(value)
+        own = (size[0], size[1]) if len(size) == 2 else None
+        if not name.lower().endswith(".json"):
+            cameras = self._kept(name, "camera file", lambda path: CameraFile.load(path, size=own), own)
+            return _named(cameras, place, name)
+        cameras = self._kept(name, "camera file", _read_cameras)
+        if isinstance(cameras, CameraFile):
+            return _named(cameras, place, name)
+        if not place:
+            raise InputError(f"{name} holds {len(cameras)} cameras: name one, {name}#0")
+        camera = cameras.camera(place, own)
+        return camera if field.straightening is None else camera.moved(field.straightening)
+
+    def _kept(self, name: str, what: str, read: Callable[[pathlib.Path], Thing], more: Hashable = None) -> Thing:
+        """What was read from a file, read again where the file has changed."""
+        path, stamp = self.stamped(name, what)
+        return self._files.get((path, stamp, what, more), lambda: read(pathlib.Path(path)))
+
+
+def _posed_file(path: pathlib.Path, edit: EditWords, rest_cage: RestCage) -> Cage:
+    """The posed cage of a cage file, in the order of the cage at rest."""
+    expected = rest_cage.ups.get(path.suffix.lower())
+    posed = load_standing(Cage, path, up=edit.up, reference=rest_cage.cage, expected=expected)[0]
+    return in_order(rest_cage.cage, posed, str(edit.posed))
+
+
+def inline_camera(value: dict[str, Any]) -> Camera:
+    """A camera of an object of numbers: fx, fy, cx, cy, width, height and camera_to_world, as camera files have them;
+    or eye, target, width and height, and up and fov_degrees if they are not usual."""
+    if "eye" in value:
+        return Camera.look_at(**value)
+    try:
+        return camera_from_json(value, 0).camera
+    except KeyError as error:
+        raise InputError(f"'camera' lacks {error.args[0]!r}") from None
+    except DAMAGED as error:
+        raise InputError(f"'camera' cannot be used: {error}") from None
+
+
+@functools.lru_cache(maxsize=MAX_CAMERAS)
+def _read_inline(value: str) -> Camera:
+    """`inline_camera` of JSON text: many frames have the same."""
+    return inline_camera(json.loads(value))
+
+
+def _read_cameras(path: pathlib.Path) -> CameraFile | TransformsCameras:
+    """The cameras of a JSON file of ours, or of a scene."""
+    with path.open("rb") as file:
+        is_ours = b'"warpcage cameras"' in file.read(1 << 12)
+    return CameraFile.load(path) if is_ours else TransformsCameras(path)
+
+
+def _named(cameras: CameraFile, place: str, name: str) -> Camera:
+    try:
+        return cameras.named(place)
+    except ValueError as error:
+        raise InputError(f"{name}: {error}") from None
+
+
+def _keyframe(file: PoseFile, name: str, place: str) -> Cage:
+    if place.isdigit() and place not in file and int(place) < len(file):
+        return file[file.names[int(place)]]
+    if not place and len(file) == 1:
+        return file[file.names[0]]
+    if not place:
+        raise InputError(f"{name} holds {len(file)} poses: name one, {name}#{file.names[0]}")
+    try:
+        return file[place]
+    except ValueError as error:
+        raise InputError(f"{name!r}: {error}") from None
+
+
+def _row_hint(value: Any, vertices: np.ndarray, rest: Cage) -> str:
+    if isinstance(value, str) and vertices.ndim == 3 and vertices.shape[1:] == rest.vertices.shape:
+        return f": it holds {len(vertices)} poses, write {value}#0 for the first"
+    return ""
