@@ -6,23 +6,23 @@ import argparse
 import os
 import pathlib
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
+from ..cage.cage import Cage
 from ..core.names import counted
-from ..core.overlap import BackgroundWriter
-from ..deform.deformer import Deformer
 from ..edits.stage_file import STAGE_ENDING
 from ..errors import InputError
 from ..films.edits import Deformation
-from ..films.render import finished, picture_task, require_voxels
+from ..films.film import Film, Moment
+from ..films.render import Scene, drawn_cages, picture_task, require_voxels
+from ..films.timeline import Things
 from ..view import frame_parts
 from ..view.camera import Camera
 from ..view.camera_path import path_cameras
 from ..view.exr import require_openexr
-from ..view.film import FILM_ENDINGS, film_size, require_clear_film, write_film
-from ..view.frame import Frame
+from ..view.film import FILM_ENDINGS, film_size, require_clear_film
 from ..view.frame_parts import MASKS
 from ..view.motion import cameras_along
 from ..view.pictures import write_png
@@ -30,8 +30,7 @@ from . import shared
 from .arguments import options
 from .arguments.render import STEPS
 from .cameras import camera_file, camera_keys, check_saved, chosen_camera, save_cameras, sized_cameras, warn_of_edges
-from .films.staging import Staging, read_things, staging_of
-from .shared import read_deformation
+from .shared import read_deformation, read_things, things_of
 
 
 def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
@@ -74,24 +73,20 @@ SINGLE_POSE = ("disparity", "depth", "alpha", "masks")
 SINGLE_CAMERA = (*SINGLE_POSE, "camera", "view", "frame", "eye", "target")
 
 
-#: A picture, and the frame and the camera that it is of.
-Picture = tuple[np.ndarray, Frame, Camera]
-
-
-def pictures_of(
-    args: argparse.Namespace,
-    renderer: shared.AnyField | Deformer,
-    deformation: Deformation | None,
-    cameras: Sequence[Camera],
-    pose: Callable[[int], object] = lambda index: None,  # called before each with its number
-    staging: Staging | None = None,  # what stands beside it
-) -> Iterator[Picture]:
+def film_of(args: argparse.Namespace, cameras: Sequence[Camera], moment: Moment) -> Film:
     """The pictures of some cameras, one after the other."""
-    look = shared.chosen_look(args)
-    for index, camera in enumerate(cameras):
-        pose(index)
-        frame = look.render(renderer if staging is None else staging.with_main(renderer), camera)
-        yield look.picture(frame, camera, shared.drawn_cages(renderer, deformation)), frame, camera
+    return Film(
+        len(cameras), lambda frames: [cameras[int(frame)] for frame in frames], moment, shared.chosen_look(args)
+    )
+
+
+def posed_moment(
+    args: argparse.Namespace, field: shared.AnyField, deformation: Deformation | None, things: Things | None
+) -> Moment:
+    """The scene in its last pose at all times."""
+    renderer = shared.posed_renderer(field, deformation, args)
+    cages = shared.drawn_cages(renderer, deformation)
+    return lambda frame: (renderer if things is None else things.with_main(renderer), cages)
 
 
 def run_flight(args: argparse.Namespace) -> None:
@@ -112,16 +107,15 @@ def run_flight(args: argparse.Namespace) -> None:
     shared.require_fillable(args, field)
     cameras = chosen_cameras(args)
     deformation = read_deformation(args, field)
-    staging = staging_of(args, field, stage)
+    things = things_of(args, field, stage)
     shared.set_lattice(args, cameras[0])
-    renderer = shared.posed_renderer(field, deformation, args)
-    pictures = pictures_of(args, renderer, deformation, cameras, staging=staging)
+    film = film_of(args, cameras, posed_moment(args, field, deformation, things))
     save_cameras(args, cameras)
     if output.suffix:
         rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
-        write_film(output, (finished(image) for image, _, _ in pictures), rate)
+        film.write(output, rate, loop=True)
     else:
-        _write_pictures(output, pictures, (f"view_{index:04d}" for index in range(len(cameras))), args)
+        film.write_pictures(output / f"view_{index:04d}.{args.format or 'png'}" for index in range(len(cameras)))
     size = size_text(cameras[0].width, cameras[0].height, output)
     print(f"wrote {output}: {counted(len(cameras), 'picture')} of {size}")
 
@@ -148,21 +142,12 @@ def _new_folder(text: str, what: str) -> pathlib.Path:
     return path
 
 
-def _write_pictures(
-    folder: pathlib.Path, pictures: Iterable[Picture], names: Iterable[str], args: argparse.Namespace
-) -> None:
-    """Write pictures into a folder under a name each."""
-    with BackgroundWriter() as beside:
-        for name, (image, frame, camera) in zip(names, pictures, strict=True):
-            beside.run(*picture_task(folder / f"{name}.{args.format or 'png'}", image, frame, camera))
-
-
 def seen_points(
-    field: shared.AnyField, deformation: Deformation | None, args: argparse.Namespace, staging: Staging | None
+    field: shared.AnyField, deformation: Deformation | None, args: argparse.Namespace, things: Things | None
 ) -> np.ndarray:
     """(n, 3) points around what a picture shows, world units."""
     points = shared.visible_points(field, deformation, args.frame)
-    return points if staging is None else staging.points(points)
+    return points if things is None else things.points(points)
 
 
 def run_many_poses(args: argparse.Namespace) -> None:
@@ -177,22 +162,24 @@ def run_many_poses(args: argparse.Namespace) -> None:
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field, shared.edit_reader(args, "linear"))
     assert deformation is not None
-    staging = staging_of(args, field, stage)
-    camera = chosen_camera(args, seen_points(field, deformation, args, staging))
+    things = things_of(args, field, stage)
+    camera = chosen_camera(args, seen_points(field, deformation, args, things))
     shared.set_lattice(args, camera)
     deformer = shared.make_deformer(field, deformation, args)
     count = max(1, deformation.pose_count - 1)
 
-    def pose(index: int) -> None:
-        cages = deformation.at(float(min(index + 1, deformation.pose_count - 1)))
+    def moment(index: float) -> tuple[Scene, list[Cage]]:
+        number = int(index) + 1
         try:
-            deformer.pose(cages)
+            deformer.pose(deformation.at(float(min(number, deformation.pose_count - 1))))
         except ValueError as error:
-            raise InputError(f"pose {index + 1} of {count}: {error}") from error
+            raise InputError(f"pose {number} of {count}: {error}") from error
+        return deformer if things is None else things.with_main(deformer), drawn_cages(deformer)
 
-    pictures = pictures_of(args, deformer, deformation, [camera] * count, pose, staging)
-    digits = max(4, len(str(count)))
-    _write_pictures(folder, pictures, (f"pose_{number:0{digits}d}" for number in range(1, count + 1)), args)
+    digits, ending = max(4, len(str(count))), args.format or "png"
+    film_of(args, [camera] * count, moment).write_pictures(
+        folder / f"pose_{number:0{digits}d}.{ending}" for number in range(1, count + 1)
+    )
     save_cameras(args, [camera])
     print(f"wrote {folder}: {counted(count, 'picture')} of {camera.width}x{camera.height}")
 
@@ -225,20 +212,20 @@ def run_render(args: argparse.Namespace) -> None:
         require_voxels(field, "--masks")
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field)
-    staging = staging_of(args, field, stage)
+    things = things_of(args, field, stage)
 
-    camera = chosen_camera(args, seen_points(field, deformation, args, staging))
+    camera = chosen_camera(args, seen_points(field, deformation, args, things))
     warn_of_edges(args, camera, deformation)
     shared.set_lattice(args, camera)
-    renderer = shared.posed_renderer(field, deformation, args)
-    image, frame, _ = next(pictures_of(args, renderer, deformation, [camera], staging=staging))
+    film = film_of(args, [camera], posed_moment(args, field, deformation, things))
+    image, frame, _ = film.taken(0)
     write, _ = picture_task(output, image, frame, camera)
     write()
     for kind, path in extra.items():
         write_png(path, frame_parts.picture(frame, kind))
     save_cameras(args, [camera])
-    if args.save_stage is not None and staging is not None:
-        staging.stage.save(args.save_stage)
+    if args.save_stage is not None and things is not None:
+        things.stage.save(args.save_stage)
     names = " and ".join(map(str, [output, *extra.values()]))
     print(f"wrote {names}: {frame.width}x{frame.height}, {100 * float(frame.alpha.mean()):.1f} % covered")
     if args.masks is not None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import pathlib
 import re
+from collections.abc import Collection
 from fractions import Fraction
 from typing import Any
 
@@ -20,15 +22,18 @@ from ..core.devices import resolve_device
 from ..core.files import read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
 from ..deform.deformer import Deformer
+from ..deform.stage import Stage
 from ..editor.session import FORMAT as SESSION_FORMAT
 from ..editor.session import read_session
 from ..edits.edits import MOST_CELLS, picture_cells
+from ..edits.place import Place
 from ..edits.stage_file import STAGE_ENDING
 from ..edits.words import EditWords, held_walls
 from ..errors import InputError
 from ..films import render
 from ..films.edits import Deformation, EditReader, Keyframes, PosedEdit, named, read_edits_file
 from ..films.render import Look
+from ..films.timeline import Things
 from ..mesh.queries import inside_mesh
 from ..scene.load import load_scene
 from ..scene.scene import Scene
@@ -324,3 +329,47 @@ def drawn_cages(renderer: AnyField | Deformer, deformation: Deformation | None) 
     if deformation is None:
         return []
     return render.drawn_cages(renderer) if isinstance(renderer, Deformer) else deformation.drawn(deformation.posed)
+
+
+def read_things(args: argparse.Namespace) -> tuple[AnyField, Stage | None]:
+    """The field of a command that may show several things, and the stage where its file is one of a stage."""
+    if args.fill and (args.add or is_stage(args.field)):
+        raise InputError("--fill is for a field alone: leave it out where several things are shown")
+    if not is_stage(args.field):
+        return read_field(args), None
+    if is_deformed(args):
+        raise InputError("the things of a stage file have cages of their own: leave --cage, --edit and --edits out")
+    require_field_scale(args)
+    stage = Stage.load(args.field, device=chosen_device(args))
+    first = next(iter(stage.items.values()))
+    args.up = tuple(stage.up) if args.up is None else args.up
+    args.straightening = first.field.straightening if first.places.at(0.0) == Place() else None
+    return first.field, stage
+
+
+def things_of(
+    args: argparse.Namespace, field: AnyField, stage: Stage | None, reader: EditReader | None = None
+) -> Things | None:
+    """What stands beside the field of a command, None where it is alone."""
+    if stage is None and not args.add and not getattr(args, "save_stage", None):
+        return None
+    of_file, moving = stage is not None, []
+    if stage is None:
+        stage = Stage(device=field.device).add(pathlib.Path(args.field).stem, field, path=args.field)
+    for text in args.add or ():
+        path, place, edits = parse_add(text)
+        name = free_name(pathlib.Path(path).stem, stage.items)
+        path = require_file(splat_path(path), "field file")
+        thing: Any = load_field(path, device=field.device)
+        if edits is not None:
+            deformation = edits_of_file(edits, reader or edit_reader(args), thing)
+            thing = make_deformer(thing, deformation, args).pose(deformation.posed)
+            moving.append((thing, deformation))
+        stage.add(name, thing, place=place, path=path)
+    return Things(stage, of_file=of_file, moving=moving)
+
+
+def free_name(name: str, taken: Collection[str]) -> str:
+    """A name that is not taken: the same, or with the first number from 2 that makes it one."""
+    names = itertools.chain([name], (f"{name} {number}" for number in itertools.count(2)))
+    return next(each for each in names if each not in taken)

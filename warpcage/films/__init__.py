@@ -1,4 +1,4 @@
-"""Films: what words of poses and edits name, and folders of frames."""
+"""Films: what words of poses, cameras and edits name, a timeline of them, their frames, files and folders."""
 
 from ..package import lazy_exports
 
@@ -6,8 +6,10 @@ __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "edits": "Deformation EditReader Keyframes PosedEdit read_edits_file write_edits_file",
-        "folder": "frame_files frame_path make_folder",
+        "film": "Film",
+        "folder": "atomic_folder checked_film_path frame_files frame_path make_folder",
         "render": "Look",
+        "timeline": "MovingScene Things Timeline",
         "words": "read_pose read_poses",
     },
 )

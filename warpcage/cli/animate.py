@@ -8,37 +8,42 @@ import json
 import pathlib
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from ...cage.motion import USUAL_RATE
-from ...cage.pose_file import PoseFile
-from ...core.files import require_file
-from ...core.names import TRANSPARENT, counted
-from ...core.overlap import BackgroundWriter
-from ...core.reports import bar
-from ...editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
-from ...editor.renderer import view_camera
-from ...editor.session import read_session
-from ...editor.timeline import frame_times
-from ...edits.place import PlaceFile
-from ...errors import InputError
-from ...films.edits import Deformation
-from ...films.folder import frame_path, make_folder
-from ...films.render import require_voxels
-from ...view import motion
-from ...view.camera import Camera
-from ...view.film import FILM_ENDINGS, checked_rate, write_film
-from .. import shared
-from ..arguments import options
-from ..arguments.render import OF_SESSIONS, Default
-from ..cameras import check_saved, image_size, save_cameras, warn_of_edges
-from ..render import checked_opacity, size_text
-from ..shared import read_deformation
-from .jobs import FilmJob, checked_jobs_path, film_words, session_job
-from .shot import Shot
-from .staging import read_things, staging_of
-from .workers import FilmWorkers, frame_outputs
+from ..batch.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs
+from ..batch.items import ID
+from ..cage.motion import USUAL_RATE
+from ..cage.pose_file import PoseFile
+from ..core.files import require_file
+from ..core.names import TRANSPARENT, counted
+from ..core.reports import bar
+from ..editor.document import Document
+from ..editor.exports import DEFAULT_SIZE, export_film
+from ..editor.exports import Film as SessionFilm
+from ..editor.renderer import view_camera
+from ..editor.session import read_session
+from ..editor.timeline import document_at, frame_rate, frame_times
+from ..edits.place import PlaceFile
+from ..errors import InputError
+from ..field.voxel_field import VoxelField
+from ..films.edits import Deformation
+from ..films.film import Film
+from ..films.folder import checked_film_path
+from ..films.render import require_voxels
+from ..films.timeline import MovingScene, Things, Timeline
+from ..view import motion
+from ..view.camera import Camera
+from ..view.film import FILM_ENDINGS, checked_rate
+from . import shared
+from .arguments import options
+from .arguments.render import OF_SESSIONS, Default
+from .cameras import camera_track, check_saved, image_size, save_cameras, warn_of_edges
+from .render import checked_opacity, seen_points, size_text, warn_of_masks
+from .shared import read_deformation, read_things, things_of
+
+#: Endings of job files.
+JOB_ENDINGS = (".jsonl", ".json")
 
 #: Stands for the folder of frames that a job file leaves to `warpcage run`.
 FRAMES = pathlib.Path("frames")
@@ -74,38 +79,47 @@ def run_animate(args: argparse.Namespace) -> None:
     rate = args.fps if "fps" in given else None
     reader = shared.edit_reader(args, args.interpolation, timed=not given & {"motion", "interpolation"}, fps=rate)
     deformation = read_deformation(args, field, reader)
-    staging = staging_of(args, field, stage, reader)
+    things = things_of(args, field, stage, reader)
     timed: PoseFile | PlaceFile | None = None if deformation is None else deformation.film
-    if staging is not None and (timed is not None or deformation is None):  # poses without times keep to --frames
-        timed = staging.longest(timed)
+    if things is not None and (timed is not None or deformation is None):  # poses without times keep to --frames
+        timed = things.longest(timed)
     if set_frames(args, timed, given) is None:
         timed = None
-    shot = Shot(field, deformation, args, timed, staging)
-    cameras = shot.cameras
+    timeline = Timeline(args.frames, args.fps, deformation, timed, args.loop, args.motion, args.interpolation)
+    track = camera_track(args, field, timeline, seen_points(field, deformation, args, things))
+    film = Film(args.frames, track, MovingScene(field, timeline, things), shared.chosen_look(args), args.shutter)
+    cameras = film.cameras
     warn_of_edges(args, cameras[0], deformation)
     shared.set_lattice(args, cameras[0])
-    if here or scaled:
-        shot.prepare()
+    if deformation is not None and (here or scaled):
+        film.moment = MovingScene(shared.make_deformer(field, deformation, args), timeline, things)
 
     save_cameras(args, cameras, args.fps)
     if here:
-        _render(shot, output)
+        _render(args, film, timeline, things, output)
         return
-    words = film_words(args, scale=shot.scale, deformed=deformation is not None) | {"outputs": parts}
+    words = film_words(args, scale=film.scale, deformed=deformation is not None) | {"outputs": parts}
     rate = {"frames": args.frames, "fps": str(args.fps)}
     job = FilmJob(args.field, words, [] if deformation is None else deformation.edits, {"film": rate})
     if jobs is not None:
-        _say_jobs(jobs, job.write(jobs, shot.described()), cameras[0])
+        _say_jobs(jobs, job.write(jobs, _described(film, timeline)), cameras[0])
         return
     settings = _settings(args, cameras, deformation) | {"format": kind}
-    options = {"workers": args.workers, "device": device, "quiet": args.quiet, "overwrite": bool(args.overwrite)}
-    team = FilmWorkers(job, list(shot.described()), settings, **options)
+    workers = {"workers": args.workers, "device": device, "quiet": args.quiet, "overwrite": bool(args.overwrite)}
+    team = FilmWorkers(job, list(_described(film, timeline)), settings, **workers)
     kept = 0
     if output.suffix:
         team.make_film(output, args.fps, loop=args.loop != "once")
     else:
         kept = team.make_frames(output)
-    _say(shot, output, kept)
+    _say(args, film, timeline, things, output, kept)
+
+
+def _described(film: Film, timeline: Timeline) -> Iterator[FilmFrame]:
+    """The frames as items of a job describe them."""
+    for index, camera in enumerate(film.cameras):
+        poses = [None if cage is None else cage.vertices for cage in timeline.cages(index)]
+        yield FilmFrame(index, camera, poses)
 
 
 def set_frames(args: argparse.Namespace, film: PoseFile | PlaceFile | None, given: set[str]) -> list[float] | None:
@@ -146,47 +160,40 @@ def _check(args: argparse.Namespace, output: pathlib.Path) -> None:
         raise InputError(f"--shutter blurs colours: leave it out, or --show {args.show}")
 
 
-def _render(shot: Shot, output: pathlib.Path) -> None:
+def _render(
+    args: argparse.Namespace, film: Film, timeline: Timeline, things: Things | None, output: pathlib.Path
+) -> None:
     """Render the film or the folder here."""
-    args, cameras, kept = shot.args, shot.cameras, 0
+    kept = 0
 
-    def make(missing: list[int], begin: Callable[[], None]) -> None:
-        with _told(args, missing) as frames, BackgroundWriter() as beside:
-            for index in frames:
-                task = shot.task(index, frame_path(output, index, settings["format"]))
-                if index == missing[0]:
-                    begin()
-                beside.run(*task)
-                del task  # what is rendered next may take its place
+    def told(numbers: Sequence[int]) -> Any:  # with a bar, which ends before an error is said
+        done = film.count - len(numbers)
+        return bar(film.count, "animate", done=done, shown=not args.quiet, iterable=numbers)
 
     if output.suffix:
-        with _told(args, range(args.frames)) as frames:
-            write_film(output, map(shot.picture, frames), args.fps, loop=args.loop != "once")
+        with told(range(film.count)) as numbers:
+            film.write(output, args.fps, loop=args.loop != "once", numbers=numbers)
     else:
-        settings = _settings(args, cameras, shot.deformation)
-        if shot.staging is not None:
-            settings["things"] = shot.staging.fingerprints()
-        kept = make_folder(output, cameras, make, settings, overwrite=bool(args.overwrite))
-    _say(shot, output, kept)
-    shot.warn()
+        settings = _settings(args, film.cameras, timeline.deformation)
+        if things is not None:
+            settings["things"] = things.fingerprints()
+        kept = film.write_folder(output, settings, overwrite=bool(args.overwrite), told=told)
+    _say(args, film, timeline, things, output, kept)
+    warn_of_masks(film.mask_shares, "the film")
 
 
-def _told(args: argparse.Namespace, numbers: Sequence[int]) -> Any:
-    """Numbers of frames with a bar, which ends before an error is said."""
-    done = args.frames - len(numbers)
-    return bar(args.frames, "animate", done=done, shown=not args.quiet, iterable=numbers)
-
-
-def _say(shot: Shot, output: pathlib.Path, kept: int) -> None:
+def _say(
+    args: argparse.Namespace, film: Film, timeline: Timeline, things: Things | None, output: pathlib.Path, kept: int
+) -> None:
     """Say what was written, a film or a folder in which some frames were kept."""
-    args, cameras = shot.args, shot.cameras
     if not output.suffix:
-        print(f"wrote {output}: {counted(args.frames - kept, 'frame')}, {kept} were there already")
+        print(f"wrote {output}: {counted(film.count - kept, 'frame')}, {kept} were there already")
         return
-    size = size_text(cameras[0].width, cameras[0].height, output)
-    print(f"wrote {output}: {counted(args.frames, 'frame')} of {size}, {output.stat().st_size / 1e6:.2f} MB")
-    if shot.is_still():
-        print(f"warpcage: nothing moves in this film: its {args.frames} frames are equal", file=sys.stderr)
+    size = size_text(film.cameras[0].width, film.cameras[0].height, output)
+    print(f"wrote {output}: {counted(film.count, 'frame')} of {size}, {output.stat().st_size / 1e6:.2f} MB")
+    moves = things is not None and things.longest(None) is not None
+    if film.count > 1 and film.stands and timeline.is_still() and not moves:
+        print(f"warpcage: nothing moves in this film: its {film.count} frames are equal", file=sys.stderr)
 
 
 def _say_jobs(path: pathlib.Path, count: int, camera: Camera) -> None:
@@ -210,7 +217,7 @@ def _run_session(args: argparse.Namespace) -> None:
     transparent = checked_opacity(args, output)
     if args.background is not None and not transparent:
         raise InputError("--session cannot be combined with --background: the session decides that")
-    film = Film(width, height, args.overlay, transparent)
+    film = SessionFilm(width, height, args.overlay, transparent)
     if jobs is not None:
         args.device = "cpu"  # nothing is rendered
     field = require_voxels(shared.read_field(args), "--session")
@@ -271,3 +278,68 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
     settings["field"] = hashlib.sha256(pathlib.Path(args.field).read_bytes()).hexdigest()
     settings |= {"cage": [], "posed": []} if deformation is None else deformation.fingerprints()
     return json.loads(json.dumps(settings))  # tuples as lists, as they come back from the file
+
+
+def film_words(args: argparse.Namespace, *, scale: tuple[float, float] | None, deformed: bool) -> dict[str, Any]:
+    """The words of items for the options of `warpcage animate`, but "outputs"; the lattice of `args` is chosen already.
+    scale: low and high disparity of pictures of depth and disparity."""
+    if args.overlay and args.show != "rgb":
+        raise InputError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
+    words: dict[str, Any] = {
+        "background": TRANSPARENT if shared.is_transparent(args) else args.background,
+        "antialias": args.antialias,
+        "disparity_scale": scale,
+        "scene_scale": None if args.scene_scale == 1.0 else args.scene_scale,
+    }
+    if deformed:
+        cells = shared.lattice_cells(args)
+        words |= {
+            "coordinates": args.coordinates,
+            "resolution": "precise" if cells is None else cells,
+            "density": args.density,
+            "map": args.map,
+            "fill": args.fill or None,
+            "overlay": args.overlay or None,
+        }
+    return {name: value for name, value in words.items() if value is not None}
+
+
+def checked_jobs_path(text: str) -> pathlib.Path:
+    """The path of a job file, once it is clear that one can be written there. Raises ValueError otherwise."""
+    return options.check_output(text, JOB_ENDINGS, "job file")
+
+
+def session_job(
+    document: Document, field: VoxelField, film: SessionFilm, path: str, scene_scale: float = 1.0
+) -> tuple[FilmJob, Iterator[FilmFrame]]:
+    """The job of a session's film, and its frames, which are those of `editor.exports.film_pictures`.
+    path: the field's file; scene_scale: as the field was loaded."""
+    if film.overlay:
+        raise InputError("--jobs of a session draws no cages: leave --overlay out")
+    settings, rate = document.settings, frame_rate(document.timeline)
+    edits = [edit for edit in document.edits if edit.visible]
+    words = {
+        "background": TRANSPARENT if film.transparent else settings.background,
+        "supersampling": settings.supersampling,
+        "scene_scale": None if scene_scale == 1.0 else scene_scale,
+        "outputs": {"rgb": f"{ID}.png"},
+    }
+    if edits:
+        fills = settings.fill and words["background"] is None and field.background_model is not None
+        words |= {
+            "coordinates": settings.coordinates,
+            "resolution": settings.resolution,
+            "density": settings.density,
+            "fill": fills or None,
+        }
+    times = frame_times(document.timeline)
+
+    def frames() -> Iterator[FilmFrame]:
+        for index, time in enumerate(times):
+            moment = document_at(document, time)
+            poses = [None if edit.kind == "remove" else edit.posed for edit in moment.edits if edit.visible]
+            yield FilmFrame(index, view_camera(moment.view, film.width, film.height), poses)
+
+    given = {name: value for name, value in words.items() if value is not None}
+    extra = {"film": {"frames": len(times), "fps": str(rate)}}
+    return FilmJob(path, given, [edit.cage_edit for edit in edits], extra), frames()

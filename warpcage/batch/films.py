@@ -1,34 +1,170 @@
-"""Films that workers make: frames in a folder, and the film of them as they come."""
+"""Films that workers make: their frames as items of job files, in a folder, and the film of them as they come."""
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import hashlib
 import os
 import pathlib
 import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
-from ... import __version__
-from ...batch.run import RunProgress, RunReport, run_jobs
-from ...core.names import counted
-from ...core.reports import bar, say_above_bar
-from ...errors import InputError, StateError
-from ...films.folder import frame_files, frame_path, make_folder
-from ...view.camera import Camera
-from ...view.film import CLEAR_ENDINGS, read_film_frame, write_film
-from .jobs import FilmFrame, FilmJob
+from .. import __version__
+from ..core.files import PathLike, atomic_path
+from ..core.names import FRAGMENTS_WORD, counted
+from ..core.reports import bar, say_above_bar
+from ..edits.edits import CageEdit
+from ..errors import InputError, StateError
+from ..films.folder import frame_files, frame_path, make_folder
+from ..view.camera import Camera, CameraKey, camera_json
+from ..view.film import CLEAR_ENDINGS, read_film_frame, write_film
+from .job_file import write_jobs
+from .run import RunProgress, RunReport, run_jobs
 
 #: Folder in that of the frames in which workers write; a run that is over leaves none.
 WORKPLACE = ".run"
 
 #: Seconds between looks for a frame where nobody tells of one.
 LOOK_SECONDS = 0.2
+
+
+@dataclasses.dataclass(frozen=True)
+class FilmFrame:
+    """A frame of a film."""
+
+    index: int
+    camera: Camera
+    poses: Sequence[np.ndarray | None] = ()  # of each edit the posed vertices, (v, 3) world units; None: it removes
+
+    @property
+    def name(self) -> str:
+        """The id of its item, and the name of its picture without an ending."""
+        return f"frame_{self.index:04d}"
+
+
+@dataclasses.dataclass(frozen=True)
+class FilmJob:
+    """What all frames of a film share."""
+
+    field: PathLike
+    words: dict[str, Any]  # of items, for all frames: how they are rendered, and "outputs"
+    edits: Sequence[CageEdit] = ()
+    extra: Any = None  # any JSON, kept in the header of the job file
+
+    def write(self, path: PathLike, frames: Iterable[FilmFrame]) -> int:
+        """Write the job file, and beside it arrays of each cage at rest, its faces and poses; returns how many frames.
+        They are taken one by one, equal poses are written once; a field in the job's folder is named from there."""
+        path = pathlib.Path(path)
+        with contextlib.ExitStack() as files:  # arrays take their places after the job file, or not at all
+            cages = [
+                _EditArrays(edit, path.with_name(f"{path.stem}{number}"), files)
+                for edit, number in zip(self.edits, _numbers(len(self.edits)), strict=True)
+            ]
+            usual = {"kind": "frame", "field": _reference(self.field, path.parent), **self.words}
+            alone = len(cages) == 1
+            defaults = usual | (cages[0].words if alone else {})
+
+            def items() -> Iterator[dict[str, Any]]:
+                for frame in frames:
+                    posed = [cage.posed(pose) for cage, pose in zip(cages, frame.poses, strict=True)]
+                    edits = {"edits": [cage.words | pose for cage, pose in zip(cages, posed, strict=True)]}
+                    yield {
+                        "id": frame.name,
+                        **((posed[0] if alone else edits) if posed else {}),
+                        "camera": camera_json(CameraKey(frame.camera)),
+                        "extra": {"frame": frame.index},
+                    }
+                for cage in cages:
+                    cage.close()
+
+            return write_jobs(path, items(), defaults=defaults, extra=self.extra)
+
+
+def _numbers(count: int) -> list[str]:
+    return [""] if count == 1 else [f".{number}" for number in range(1, count + 1)]
+
+
+def _reference(file: PathLike, folder: pathlib.Path) -> str:
+    """A file as a job file in a folder names it: both can be moved together where one is below the other."""
+    path, base = (pathlib.Path(os.path.abspath(each)) for each in (file, folder))
+    return str(path.relative_to(base)) if path.is_relative_to(base) else str(path)
+
+
+class _EditArrays:
+    """The arrays of an edit: its cage at rest, and its poses, each of which is written once."""
+
+    def __init__(self, edit: CageEdit, stem: pathlib.Path, files: contextlib.ExitStack):
+        rest, faces, poses = (stem.with_name(f"{stem.name}.{part}.npy") for part in ("rest", "faces", "poses"))
+        for path, array in ((rest, edit.cage.vertices), (faces, edit.cage.faces)):
+            np.save(files.enter_context(atomic_path(path)), array, allow_pickle=False)
+        self._poses = poses.name
+        self._rows = None if edit.remove else _Rows(files.enter_context(atomic_path(poses)), edit.cage.vertices.shape)
+        if self._rows is not None:
+            files.callback(self._rows.close)
+        self._known: dict[bytes, int] = {}
+        self.words = {"cage": {"vertices": rest.name, "faces": faces.name}} | _edit_words(edit)
+
+    def posed(self, vertices: np.ndarray | None) -> dict[str, str]:
+        """The words of a pose."""
+        if self._rows is None:
+            return {}
+        assert vertices is not None
+        row = np.ascontiguousarray(vertices, np.float64)
+        key = hashlib.blake2b(row.tobytes(), digest_size=16).digest()
+        if key not in self._known:
+            self._known[key] = self._rows.append(row)
+        return {"posed": f"{self._poses}#{self._known[key]}"}
+
+    def close(self) -> None:
+        """Finish the file of poses."""
+        if self._rows is not None:
+            self._rows.close()
+
+
+def _edit_words(edit: CageEdit) -> dict[str, Any]:
+    """The words of an edit besides its cage and its pose, those that say nothing left out."""
+    walls = edit.held if isinstance(edit.held, str) else list(edit.held)
+    fading = {} if edit.remove or not edit.falloff else {"falloff": edit.falloff, "held": walls}
+    words = {"keep": edit.keep_source, "remove": edit.remove, FRAGMENTS_WORD: edit.fragments, **fading}
+    return {name: value for name, value in words.items() if value and value != "cut"}
+
+
+class _Rows:
+    """An .npy file of float64 that grows by a row at a time; its header is written again at the end."""
+
+    def __init__(self, path: pathlib.Path, shape: tuple[int, ...]):
+        self._shape, self._count = shape, 0
+        self._file: IO[bytes] = path.open("r+b")
+        self._start = self._write_header()
+
+    def append(self, row: np.ndarray) -> int:
+        """Write a row. Returns its number."""
+        self._file.write(row.tobytes())
+        self._count += 1
+        return self._count - 1
+
+    def close(self) -> None:
+        """Say in the header how many rows there are."""
+        if self._file.closed:
+            return
+        with self._file:
+            self._file.seek(0)
+            if self._write_header() != self._start:
+                raise StateError("NumPy wrote a header of another length")
+
+    def _write_header(self) -> int:
+        # with room for the digits of a first axis that grows
+        header = {"descr": "<f8", "fortran_order": False, "shape": (self._count, *self._shape)}
+        np.lib.format.write_array_header_1_0(self._file, header)
+        return self._file.tell()
 
 
 class FilmWorkers:
