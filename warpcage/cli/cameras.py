@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..films.edits import Deformation
-from ..films.timeline import CameraTrack, Followed, Timeline, keyed_track, middle, moving_track
+from ..films.timeline import CameraTrack, Timeline, keyed_track, middle, moving_track
 from ..films.words import file_and_name
 from ..scene.coverage import within_sight
 from ..scene.load import load_scene
@@ -238,8 +238,7 @@ def camera_track(
         moving, notes = within_sight(moving, seen_cameras(args, field), anywhere=anywhere)
         for note in notes:
             print(f"warpcage: {note}", file=sys.stderr)
-        followed = {move.part: Followed(move.part, field, deformation) for move in moves if move.kind == "follow"}
-        return moving_track(moving, followed, timeline.cages)
+        return moving_track(moving, field, [] if deformation is None else deformation.edits, timeline.cages)
     if any(given is not None for given in (args.turn, args.camera, args.view, args.frame, args.eye, args.target)):
         raise InputError("--cameras cannot be combined with --turn, --camera, --view, --frame, --eye or --target")
     if camera_file(args.cameras):

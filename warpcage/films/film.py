@@ -2,25 +2,46 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import os
 import pathlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
+from ..cage.motion import USUAL_RATE, posed_cage
+from ..cage.pose_file import PoseFile
+from ..core.arrays import box_corners
+from ..core.checks import checked_path, checked_positive, checked_whole, require_type, shown
 from ..core.files import PathLike
+from ..core.names import MOVE_HELP, counted, require_name
 from ..core.overlap import BackgroundWriter
+from ..core.reports import Progress, hears, tell
+from ..deform.deformer import Deformer
+from ..deform.posed import PoseLike
 from ..deform.stage import Stage
+from ..edits.edits import CageEdit
+from ..edits.place import PlaceFile
+from ..errors import InputError
+from ..field.voxel_field import VoxelField
+from ..mesh.mesh import ClosedMesh
+from ..splats.splat_field import SplatField
 from ..view import frame_parts
-from ..view.camera import Camera
-from ..view.exr import mean_picture
-from ..view.film import write_film
+from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
+from ..view.camera_path import CameraMove, MovingCamera, camera_at, camera_moves, path_cameras
+from ..view.exr import mean_picture, require_openexr
+from ..view.film import checked_rate, require_clear_film, write_film
 from ..view.frame import Frame
-from .folder import frame_path, make_folder
-from .render import Look, Scene, finished, picture_task
-from .timeline import CameraTrack
+from ..view.motion import frame_rate, frame_times
+from .folder import checked_film_path, frame_path, make_folder
+from .render import Look, Scene, drawn_cages, finished, picture_task
+from .timeline import CameraTrack, middle, moving_track
 
 #: What renders a frame, or what is between two, and the cages that an overlay shows then.
 Moment = Callable[[float], tuple[Scene, Sequence[Cage]]]
@@ -43,6 +64,12 @@ class Film:
         self._scale: tuple[float, float] | None = None
         self._seen: tuple[Any, ...] | None = None  # what `picture` showed last, and that
         self._picture: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        return map(self.picture, range(self.count))
 
     @property
     def stands(self) -> bool:
@@ -71,12 +98,12 @@ class Film:
         if self.shutter is None:
             return self._shown(index, camera)
         share, count = self.shutter
-        moments = index + share * ((np.arange(count) + 0.5) / count - 0.5)  # the frame is in the middle of them
+        moments = (index + share * ((np.arange(count) + 0.5) / count - 0.5)).tolist()  # the frame is in their middle
         pictures, middle = [], None
         for number, (moment, moved) in enumerate(zip(moments, self.track(moments), strict=True)):
-            image, *taken = self._shown(float(moment), moved)
+            image, frame, _ = self._shown(moment, moved)
             pictures.append(image)
-            middle = taken if number == count // 2 else middle
+            middle = (frame, moved) if number == count // 2 else middle
         assert middle is not None
         return mean_picture(pictures), *middle
 
@@ -112,7 +139,7 @@ class Film:
 
     def write(self, path: PathLike, fps: float | Fraction, *, loop: bool, numbers: Iterable[int] | None = None) -> None:
         """Write a film, whole or not at all; loop: of a GIF; numbers: those of its frames, for a bar."""
-        write_film(path, map(self.picture, range(self.count) if numbers is None else numbers), fps, loop=loop)
+        write_film(path, self if numbers is None else map(self.picture, numbers), fps, loop=loop)
 
     def write_pictures(self, paths: Iterable[pathlib.Path]) -> None:
         """Write the frames to a file each."""
@@ -142,3 +169,302 @@ class Film:
                     del task  # what is rendered next may take its place
 
         return make_folder(folder, self.cameras, make, settings, overwrite=overwrite)
+
+
+#: Width and height of pictures, and frames of a camera that moves, where nothing says others.
+DEFAULT_SIZE, DEFAULT_FRAMES = (400, 400), 48
+
+#: Where the camera stands that nobody names, degrees: above the ground, and around from +x to +y where z is up.
+CORNER = (25.0, -60.0)
+
+
+@hears
+def render_film(
+    scene: VoxelField | SplatField | Deformer | Stage,
+    path: PathLike,
+    *,
+    poses: PoseFile | PathLike | Iterable[PoseLike | Sequence[PoseLike | None]] | None = None,
+    camera: Camera | CameraFile | PathLike | Sequence[Camera] | Sequence[CameraKey] | None = None,
+    move: str | None = None,
+    frames: int | None = None,
+    fps: float | Fraction | None = None,
+    size: int | tuple[int, int] | None = None,
+    background: str | ArrayLike | None = None,
+    supersampling: int | None = None,
+    overlay: bool = False,
+    format: str = "png",
+    overwrite: bool = False,
+    progress: bool | Progress = False,
+) -> list[pathlib.Path]:
+    """Render a film of a scene, and write it to a file, or to a folder which goes on after an interrupt.
+
+    Each frame is, to the bit, what `scene.render(camera)` shows in its pose. Poses and cameras come one a frame, or as
+    keys at times, which say how long the film is. It is written while the next frames are rendered, whole or not at
+    all; of a folder each frame is, and a call with the same scene, poses and cameras makes those that are missing.
+
+    Example::
+
+        deformer = Deformer(field, cage)
+        render_film(deformer, "bend.mp4", poses=[cage.bend(degrees) for degrees in range(0, 60, 2)], move="turn:90")
+
+    Args:
+        scene: What is shown. Of a Stage, things are where their places are at the time of each frame.
+        path: The film, .mp4, .gif, .mov or .webm; or a folder of pictures, which has no ending.
+        poses: Of a Deformer, one a frame, each as `Deformer.pose` takes it; or a PoseFile of its one cage, or the file:
+            its keys at times, or else a keyframe a frame. None stays in the pose that the Deformer has, which poses of
+            a film do not change.
+        camera: A camera that stands still, or one a frame; or the keys of a path, which are reached at their times, or
+            else evenly: a CameraFile, its file, or a list of CameraKey. None are the cameras of the PoseFile, or one
+            that sees all, from a corner.
+        move: How a camera that stands moves: "turn", "dolly", "crane", "hand-held", "follow", with a number behind a
+            colon and joined by "+" as in "turn:90+crane:20" (docs/films.md).
+        frames: Number of frames. None is that of poses or cameras, that of keys at times, or else 48 of a camera that
+            moves and 1 of one that does not.
+        fps: Frames per second. None is what the PoseFile or the CameraFile says, or 24.
+        size: Width, or width and height of the pictures, pixels. None is that of the camera, 400 x 400 where none is
+            given. Another shape is cut from the middle of the camera's picture.
+        background: Colour behind the scene, a name or (3,) in [0, 1]; "transparent" for .mov, .webm and folders. None
+            is the scene's own.
+        supersampling: Rays along a pixel's side. None is the field's.
+        overlay: Draw the edges of the cages.
+        format: Of a folder: "png"; "exr", with depth; or "npz", 16 bits a channel (`warpcage.view.film`).
+        overwrite: Replace the frames of another film that are in the folder.
+        progress: True shows a bar on stderr. A function is told (done, total, words) of frames, and ends the film by
+            returning False or by raising; frames of a folder stay.
+
+    Returns:
+        What was written: the film, or all frames of the folder in their order.
+
+    Raises:
+        FileNotFoundError: If there is no such file of poses or cameras.
+        ValueError: For poses of no Deformer, a pose or a camera that cannot be used, numbers of frames that differ, a
+            film that cannot hold opacity or has another ending, or a folder that holds another film.
+        Cancelled: Where `progress` returned False.
+    """
+    if not isinstance(scene, VoxelField | SplatField | Deformer | Stage):
+        raise InputError(f"render_film needs a field, a Deformer or a Stage, got {type(scene).__name__}")
+    target = checked_film_path(checked_path(path, "the path of a film"), new=False)
+    ending = target.suffix.lower()
+    require_name(format, ("png", "exr", "npz"), "format")
+    look = Look(background, supersampling=supersampling, overlay=overlay)
+    if look.is_clear:
+        require_clear_film(target)
+    if format == "exr" and not ending:
+        require_openexr()
+    shot = _Shot(scene, poses, camera, move, frames, fps, size)
+    rate = checked_rate(shot.fps, ending or ".mp4")
+    before = scene.time if isinstance(scene, Stage) else 0.0
+    try:
+        film = Film(len(shot.times), shot.track, shot.moment, look)
+        numbers = range(film.count)
+        if ending:
+            film.write(target, rate, loop=shot.loop != "once")
+            return [target]
+        settings = {
+            "frames": film.count,
+            "fps": str(rate),
+            "size": [film.cameras[0].width, film.cameras[0].height],
+            "format": format,
+            "background": background if isinstance(background, str | None) else np.asarray(background).tolist(),
+            "supersampling": supersampling,
+            "overlay": overlay,
+            "camera": _digest([vars(each) for each in film.cameras]),
+            "field": _digest(scene),
+            "posed": _digest([shot.pose(number) for number in numbers]),
+        }
+
+        def told(missing: Sequence[int]) -> Any:
+            return contextlib.nullcontext(_telling(missing, film.count))
+
+        film.write_folder(target, settings, overwrite=overwrite, told=told)
+        return [frame_path(target, number, format) for number in numbers]
+    finally:
+        if isinstance(scene, Stage):
+            scene.time = before
+
+
+class _Shot:
+    """What `render_film` was asked for: its frames in time, and the pose and the camera of each."""
+
+    def __init__(self, scene: Any, poses: Any, camera: Any, move: Any, frames: Any, fps: Any, size: Any):
+        self.scene, self._held = scene, (b"", None)
+        self._rows, self._keys = _poses(scene, poses)
+        file: Any = CameraFile.load(camera) if isinstance(camera, str | os.PathLike) else camera
+        if file is None and move is None and self._keys is not None and self._keys.cameras:
+            file = CameraFile(self._keys.cameras)
+        self._path, self._each = _all_of(CameraKey, file), _all_of(Camera, file)
+        self._size = () if size is None else tuple(size) if isinstance(size, Sequence) else (size,)
+        for side in self._size:
+            checked_whole(side, "a side of a picture", 1)
+        if self._path is None and self._each is None:
+            file = self._framed() if file is None else file
+            require_type(file, Camera, "the camera of a film must be one, a list of them or of camera keys:")
+        elif move is not None:
+            raise InputError("move is for one camera, which stands still without it: leave it out, or the others")
+        self._start: Any = file
+        said = [each for each in (self._keys, file) if isinstance(each, PoseFile | CameraFile)]
+        self.fps = next((each.fps for each in said if each.fps is not None), USUAL_RATE) if fps is None else fps
+        self.loop = next((each.loop for each in said if each.loop is not None), "once")
+        moves = [] if move is None else camera_moves(move)
+        if moves is None:
+            raise InputError(f"move {shown(move)} is no move of a camera: {MOVE_HELP}")
+        self.times = self._times(frames, bool(moves))
+        self.track: CameraTrack = self._moving(moves) if moves else self._placed
+
+    def _times(self, frames: int | None, moves: bool) -> list[float]:
+        """Seconds of each frame."""
+        counts = {"poses": self._rows, "cameras": self._each}
+        known = {name: len(each) for name, each in counts.items() if each is not None}
+        known |= {} if frames is None else {"frames": checked_whole(frames, "frames", 1)}
+        if len(set(known.values())) > 1:
+            numbers = ", ".join(f"{count} {name}" for name, count in known.items())
+            raise InputError(f"poses and cameras come one a frame, got {numbers}")
+        rate = frame_rate(checked_positive(self.fps, "fps") if not isinstance(self.fps, Fraction) else self.fps)
+        places = self.scene.items.values() if isinstance(self.scene, Stage) else ()
+        lengths = [item.places.length for item in places] + [key.time or 0.0 for key in self._path or ()]
+        length = max(lengths + ([] if self._keys is None else [self._keys.length]), default=0.0)
+        if not known and length > 0.0:
+            return frame_times(length, rate, self.loop)
+        count = next(iter(known.values()), DEFAULT_FRAMES if moves or self._path else 1)
+        return [float(number / rate) for number in range(count)]
+
+    def _framed(self) -> Camera:
+        """A camera from a corner that sees all."""
+        width, height = (*self._size, *self._size)[:2] if self._size else DEFAULT_SIZE
+        view = {"up": _field(self.scene).up, "width": width, "height": height}
+        return framing_orbit(self._points(), 1, elevation_degrees=CORNER[0], start_degrees=CORNER[1], **view)[0]
+
+    def _points(self) -> np.ndarray:
+        """(n, 3) points around what is seen, world units."""
+        if isinstance(self.scene, Stage):
+            return self.scene.shown_points
+        field = _field(self.scene)
+        return box_corners(field.shown_bounds if isinstance(field, SplatField) else field.bounds)
+
+    def _moving(self, moves: Sequence[CameraMove]) -> CameraTrack:
+        camera, field = fitted(self._start, self._size), _field(self.scene)
+        rate = float(self.fps)
+        moving = MovingCamera(camera, middle(self._points()), field.up, moves, len(self.times), rate)
+        edits = self.scene.edits if isinstance(self.scene, Deformer) else []
+        return moving_track(moving, _field(self.scene), edits, lambda frame: self.pose(int(frame)))
+
+    def _placed(self, numbers: Sequence[float]) -> list[Camera]:
+        """The cameras of frames that stand, come one a frame, or lie on a path."""
+        if self._each is not None:
+            cameras = [self._each[int(number)] for number in numbers]
+        elif self._path is None:
+            cameras = [self._start] * len(numbers)
+        elif all(key.time is not None for key in self._path):
+            cameras = [camera_at(self._path, self.times[int(number)]) for number in numbers]
+        else:
+            cameras = path_cameras(self._path, len(self.times), numbers)
+        return [fitted(camera, self._size) for camera in cameras]
+
+    def pose(self, number: int) -> list[Cage | None]:
+        """The cages of a frame, one an edit, None for what is removed; none where the scene stays as it is."""
+        if self._keys is not None:
+            return [self._keys.at_time(self.times[number])]
+        if self._rows is not None:
+            return self._rows[number]
+        return list(self.scene.deformed or []) if isinstance(self.scene, Deformer) else []
+
+    def moment(self, frame: float) -> tuple[Scene, Sequence[Cage]]:
+        """What renders a frame, and the cages that an overlay shows; the Deformer's own pose stays."""
+        number = int(frame)
+        if isinstance(self.scene, Stage):
+            self.scene.time = self.times[number]
+        if not isinstance(self.scene, Deformer):
+            return self.scene, []
+        if self._keys is None and self._rows is None:
+            return self.scene, drawn_cages(self.scene)
+        cages = self.pose(number)
+        pose = b"".join(b"" if cage is None else cage.vertices.tobytes() for cage in cages)
+        if self._held[1] is None or pose != self._held[0]:
+            try:
+                self._held = pose, self.scene.posed(cages)
+            except ValueError as error:
+                raise InputError(f"frame {number}: {error}") from error
+        return self._held[1], drawn_cages(self.scene, self._held[1].deformed)
+
+
+def _all_of(kind: type, things: Any) -> list[Any] | None:
+    """A list that holds things of one kind, and some of them; None for another."""
+    found = list(things) if isinstance(things, Sequence) else []
+    return found if found and all(isinstance(each, kind) for each in found) else None
+
+
+def _field(scene: Any) -> Any:
+    """The field of what is shown; of a stage that says what is up for it, the stage."""
+    return scene.field if isinstance(scene, Deformer) else scene
+
+
+def _poses(scene: Any, poses: Any) -> tuple[list[list[Cage | None]] | None, PoseFile | None]:
+    """The cages of each frame, or keys at times; neither where the scene stays as it is."""
+    if poses is None:
+        return None, None
+    if not isinstance(scene, Deformer):
+        raise InputError(f"poses move the cages of a Deformer, got a {type(scene).__name__}")
+    if isinstance(poses, str | os.PathLike | PoseFile):
+        if len(scene.edits) != 1:
+            raise InputError(f"a pose file moves one cage, got {len(scene.edits)} edits: give poses as lists of cages")
+        file = poses if isinstance(poses, PoseFile) else PoseFile.load(poses, scene.edits[0].cage)
+        if file.times:
+            return None, file
+        poses = [file[name] for name in file.names]
+    if not isinstance(poses, Iterable):
+        raise InputError(f"poses must be one a frame, or a pose file, got {type(poses).__name__}")
+    rows = []
+    for number, pose in enumerate(poses):
+        given = pose if isinstance(pose, list | tuple) else [pose]
+        if len(given) != len(scene.edits):
+            raise InputError(f"pose {number} has {counted(len(given), 'cage')}, the Deformer {len(scene.edits)}")
+        pairs = zip(scene.edits, given, strict=True)
+        rows.append([None if one is None else posed_cage(edit.cage, one, "a pose must be") for edit, one in pairs])
+    if not rows:
+        raise InputError("a film needs at least one pose")
+    return rows, None
+
+
+def _telling(numbers: Sequence[int], total: int) -> Iterator[int]:
+    """Numbers of frames, said as they are done."""
+    for done, number in enumerate(numbers, total - len(numbers) + 1):
+        yield number
+        tell(done, total, "film")
+
+
+def _digest(thing: Any) -> str:
+    """sha256 of all that a scene, poses and cameras show, by which a film is known again."""
+    digest = hashlib.sha256()
+
+    def feed(each: Any) -> None:
+        if isinstance(each, Stage):
+            poses = [getattr(item.thing, "deformed", None) for item in each.items.values()]
+            feed([*((name, vars(item)) for name, item in each.items.items()), poses])
+        elif isinstance(each, Deformer):
+            feed([each.field, each.edits, each.coordinates, each.resolution, each.density, each.map])
+        elif isinstance(each, SplatField):
+            feed([vars(each.contents), each.view_options()])
+        elif isinstance(each, VoxelField):
+            model = None if each.background_model is None else vars(each.background_model.contents())
+            parts = each.grid.links, each.grid.density, each.grid.sh
+            feed([each.bounds, *parts, each.background, each.supersampling, model])
+        elif isinstance(each, ClosedMesh):
+            feed([each.vertices, each.faces])
+        elif isinstance(each, PlaceFile):
+            feed(each.to_json())
+        elif isinstance(each, dict):
+            feed(list(each.items()))
+        elif isinstance(each, list | tuple):
+            for part in each:
+                feed(part)
+        elif isinstance(each, CageEdit):
+            feed(vars(each))
+        elif isinstance(each, np.ndarray | wp.array):
+            values = np.ascontiguousarray(each if isinstance(each, np.ndarray) else each.numpy())
+            digest.update(f"{values.dtype} {values.shape}".encode())
+            digest.update(values.tobytes())
+        else:
+            digest.update(f"{each!r};".encode())
+
+    feed(thing)
+    return digest.hexdigest()

@@ -138,17 +138,21 @@ def _picture_shape(path: pathlib.Path) -> tuple[int, ...]:
     return read_image(path).shape[:2]
 
 
-def checked_film_path(path: PathLike) -> pathlib.Path:
-    """The path of a film, or of a folder without an ending, once it is clear that one can be written there."""
+def checked_film_path(path: PathLike, *, new: bool = True) -> pathlib.Path:
+    """The path of a film, or of a folder without an ending, once it is clear that one can be written there.
+    new: whether the folder may not hold anything."""
     target = pathlib.Path(path)
     if target.suffix.lower() in FILM_ENDINGS:
         if target.is_dir():
             raise InputError(f"film {str(target)!r} is a folder")
     elif target.suffix:
         endings = ", ".join(FILM_ENDINGS)
-        raise InputError(f"film {str(target)!r} must end in {endings}, or have no ending: a folder of PNG files")
-    elif target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(f"film {str(target)!r} must end in {endings}, or have no ending: a folder of pictures")
+    elif new and target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{str(target)!r} holds something already: give the name of a new folder")
+    elif target.exists() and not target.is_dir():
+        endings = ", ".join(FILM_ENDINGS)
+        raise InputError(f"film {str(target)!r} is a file without an ending: give {endings} or a folder")
     return target
 
 

@@ -11,9 +11,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ..cage.cage import Cage
+from ..core.files import PathLike, atomic_path
 from ..core.names import TRANSPARENT
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
+from ..deform.posed import PosedDeformer
 from ..deform.stage import Stage
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
@@ -22,11 +24,12 @@ from ..splats.splat_field import AnyField, SplatField
 from ..view import frame_parts
 from ..view.camera import Camera
 from ..view.exr import write_picture
+from ..view.film import write_film_frame
 from ..view.frame import Frame, depth_along_view
 from ..view.opacity import rgba_picture
 
 #: What renders frames.
-Scene: TypeAlias = AnyField | Deformer | Stage
+Scene: TypeAlias = AnyField | Deformer | PosedDeformer | Stage
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +54,8 @@ class Look:
         frame = scene.render(camera, **{name: value for name, value in given.items() if value is not None}, **options)
         if not self.fill or frame.reveal is None or isinstance(scene, Stage):
             return frame
-        field = scene.field if isinstance(scene, Deformer) else scene
+        field = scene.deformer if isinstance(scene, PosedDeformer) else scene
+        field = field.field if isinstance(field, Deformer) else field
         return fill_unseen(frame, require_voxels(field, "fill"), camera)
 
     def picture(
@@ -83,9 +87,10 @@ class HeldPose:
         return True
 
 
-def drawn_cages(deformer: Deformer) -> list[Cage]:
-    """The cages that an overlay shows: posed ones, with held walls at rest; at rest those whose content is removed."""
-    posed = deformer.deformed or [None] * len(deformer.edits)
+def drawn_cages(deformer: Deformer, posed: Sequence[Cage | None] | None = None) -> list[Cage]:
+    """The cages that an overlay shows: posed ones, with held walls at rest; at rest those whose content is removed.
+    posed: those of a pose that is not its own."""
+    posed = posed or deformer.deformed or [None] * len(deformer.edits)
     return [edit.cage if cage is None else cage for edit, cage in zip(deformer.edits, posed, strict=True)]
 
 
@@ -111,7 +116,15 @@ def finished(image: np.ndarray) -> np.ndarray:
 def picture_task(
     path: str | os.PathLike[str], image: np.ndarray, frame: Frame, camera: Camera
 ) -> tuple[Callable[[], None], int]:
-    """What writes a picture of a frame, .png, or .exr with its depth, in any thread, and the bytes that it holds."""
+    """What writes a picture of a frame, .png, .npz, or .exr with its depth, in any thread, and the bytes it holds."""
     # It needs neither the frame any more, nor what that has on a device.
+    if os.fspath(path).lower().endswith(".npz"):
+        return functools.partial(_write_film_frame, path, image), image.nbytes
     depth = depth_along_view(frame, camera) if os.fspath(path).lower().endswith(".exr") else None
     return functools.partial(write_picture, path, image, depth), image.nbytes + (0 if depth is None else depth.nbytes)
+
+
+def _write_film_frame(path: PathLike, image: np.ndarray) -> None:
+    """The frame of a film with 16 bits, whole or not at all."""
+    with atomic_path(path) as temporary:
+        write_film_frame(temporary, image)

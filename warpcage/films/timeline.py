@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -15,6 +15,7 @@ from ..cage.pose_file import PoseFile
 from ..coordinates.coordinates import deform_points
 from ..deform.deformer import Deformer
 from ..deform.stage import Stage
+from ..edits.edits import CageEdit
 from ..edits.place import PlaceFile
 from ..errors import InputError
 from ..field.io.selection_file import SELECTION_ENDINGS
@@ -142,9 +143,13 @@ class MovingScene:
 
 
 def moving_track(
-    moving: MovingCamera, followed: Mapping[str, Followed], cages_at: Callable[[float], Sequence[Cage | None]]
+    moving: MovingCamera,
+    field: AnyField,
+    edits: Sequence[CageEdit],
+    cages_at: Callable[[float], Sequence[Cage | None]],  # posed cages of a frame, one an edit
 ) -> CameraTrack:
-    """The track of a camera that moves; followed: the parts that it follows; cages_at: posed cages of a frame."""
+    """The track of a camera that moves; it may follow the edits and what they carry."""
+    followed = {move.part: Followed(move.part, field, edits) for move in moving.moves if move.kind == "follow"}
     return lambda frames: [
         moving.at(frame, lambda part, frame=frame: followed[part].at(cages_at(frame))) for frame in frames
     ]
@@ -160,8 +165,8 @@ def keyed_track(keys: Sequence[CameraKey], timeline: Timeline) -> CameraTrack:
 class Followed:
     """Where a part is that a film's camera follows: the cage of an edit, or a region that cages carry."""
 
-    def __init__(self, part: str, field: AnyField, deformation: Deformation | None):
-        self._edits = [] if deformation is None else deformation.edits
+    def __init__(self, part: str, field: AnyField, edits: Sequence[CageEdit]):
+        self._edits = edits
         self._number = 0
         self._points: np.ndarray | None = None  # (n, 3) of a region at rest
         if part == "" or part.isdigit():
