@@ -173,6 +173,7 @@ def test_frames_that_are_equal_are_rendered_once(deformer, tmp_path, monkeypatch
         ({"frames": 0}, "frames must be a whole number"),
         ({"fps": 0}, "fps must be positive"),
         ({"size": "large"}, "a side of a picture"),
+        ({"size": (8, 8, 3)}, "size must be a width"),
         ({"format": "jpg"}, "format must be one of png, exr, npz"),
         ({"poses": []}, "at least one pose"),
         ({"poses": BOX}, "poses must be one a frame"),

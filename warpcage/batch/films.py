@@ -11,7 +11,7 @@ import shutil
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from typing import IO, Any
 
@@ -21,9 +21,10 @@ from .. import __version__
 from ..core.files import PathLike, atomic_path
 from ..core.names import FRAGMENTS_WORD, counted
 from ..core.reports import bar, say_above_bar
-from ..edits.edits import CageEdit
+from ..edits.edits import CageEdit, words_of_edit
 from ..errors import InputError, StateError
 from ..films.folder import frame_files, frame_path, make_folder
+from ..films.render import Look
 from ..view.camera import Camera, CameraKey, camera_json
 from ..view.film import CLEAR_ENDINGS, read_film_frame, write_film
 from .job_file import write_jobs
@@ -31,6 +32,9 @@ from .run import RunProgress, RunReport, run_jobs
 
 #: Folder in that of the frames in which workers write; a run that is over leaves none.
 WORKPLACE = ".run"
+
+#: The words of an edit in the order in which job files have them.
+EDIT_ORDER = ("cage", "keep", "remove", FRAGMENTS_WORD, "falloff", "held")
 
 #: Seconds between looks for a frame where nobody tells of one.
 LOOK_SECONDS = 0.2
@@ -88,6 +92,27 @@ class FilmJob:
             return write_jobs(path, items(), defaults=defaults, extra=self.extra)
 
 
+def frame_words(
+    look: Look,
+    deformer: Mapping[str, Any] | None,  # options of the Deformer, None where nothing is deformed
+    *,
+    scale: tuple[float, float] | None = None,  # low and high disparity of pictures of depth and disparity
+    scene_scale: float = 1.0,
+) -> dict[str, Any]:
+    """The words of items for how the frames of a film look, but "outputs"."""
+    words: dict[str, Any] = {
+        "background": look.background,
+        "supersampling": look.supersampling,
+        "antialias": look.antialias,
+        "disparity_scale": scale,
+        "scene_scale": None if scene_scale == 1.0 else scene_scale,
+    }
+    if deformer is not None:
+        words |= {**deformer, "fill": look.fill or None, "overlay": look.overlay or None}
+        words["resolution"] = words["resolution"] or "precise"
+    return {name: value for name, value in words.items() if value is not None}
+
+
 def _numbers(count: int) -> list[str]:
     return [""] if count == 1 else [f".{number}" for number in range(1, count + 1)]
 
@@ -110,7 +135,9 @@ class _EditArrays:
         if self._rows is not None:
             files.callback(self._rows.close)
         self._known: dict[bytes, int] = {}
-        self.words = {"cage": {"vertices": rest.name, "faces": faces.name}} | _edit_words(edit)
+        cage = {"vertices": rest.name, "faces": faces.name}
+        words = words_of_edit(edit, cage, None if edit.remove else self._poses).rest
+        self.words = {name: words[name] for name in EDIT_ORDER if name in words}
 
     def posed(self, vertices: np.ndarray | None) -> dict[str, str]:
         """The words of a pose."""
@@ -127,14 +154,6 @@ class _EditArrays:
         """Finish the file of poses."""
         if self._rows is not None:
             self._rows.close()
-
-
-def _edit_words(edit: CageEdit) -> dict[str, Any]:
-    """The words of an edit besides its cage and its pose, those that say nothing left out."""
-    walls = edit.held if isinstance(edit.held, str) else list(edit.held)
-    fading = {} if edit.remove or not edit.falloff else {"falloff": edit.falloff, "held": walls}
-    words = {"keep": edit.keep_source, "remove": edit.remove, FRAGMENTS_WORD: edit.fragments, **fading}
-    return {name: value for name, value in words.items() if value and value != "cut"}
 
 
 class _Rows:

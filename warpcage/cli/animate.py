@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from ..batch.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs
+from ..batch.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs, frame_words
 from ..batch.items import ID
 from ..cage.motion import USUAL_RATE
 from ..cage.pose_file import PoseFile
@@ -19,7 +19,7 @@ from ..core.files import require_file
 from ..core.names import TRANSPARENT, counted
 from ..core.reports import bar
 from ..editor.document import Document
-from ..editor.exports import DEFAULT_SIZE, export_film
+from ..editor.exports import DEFAULT_SIZE, export_film, film_look
 from ..editor.exports import Film as SessionFilm
 from ..editor.renderer import view_camera
 from ..editor.session import read_session
@@ -31,10 +31,10 @@ from ..films.edits import Deformation
 from ..films.film import Film
 from ..films.folder import checked_film_path
 from ..films.render import require_voxels
-from ..films.timeline import MovingScene, Things, Timeline
+from ..films.timeline import MovingScene, Timeline
 from ..view import motion
 from ..view.camera import Camera
-from ..view.film import FILM_ENDINGS, checked_rate
+from ..view.film import checked_rate
 from . import shared
 from .arguments import options
 from .arguments.render import OF_SESSIONS, Default
@@ -62,7 +62,8 @@ def run_animate(args: argparse.Namespace) -> None:
     for name in OF_SESSIONS:
         default = getattr(args, name)
         setattr(args, name, default.value if isinstance(default, Default) else default)
-    output = FRAMES if args.jobs is not None else _checked_output(args.output)
+    output = FRAMES if args.jobs is not None else checked_film_path(args.output, new=False)
+    options.check_parent(output)
     jobs = None if args.jobs is None else checked_jobs_path(args.jobs)
     here = jobs is None and args.workers is None
     parts, kind = ({}, "") if here else frame_outputs(output, args.show, args.format)
@@ -83,22 +84,25 @@ def run_animate(args: argparse.Namespace) -> None:
     timed: PoseFile | PlaceFile | None = None if deformation is None else deformation.film
     if things is not None and (timed is not None or deformation is None):  # poses without times keep to --frames
         timed = things.longest(timed)
-    if set_frames(args, timed, given) is None:
-        timed = None
+    set_frames(args, timed, given)
+    points = seen_points(field, deformation, args, things)
     timeline = Timeline(args.frames, args.fps, deformation, timed, args.loop, args.motion, args.interpolation)
-    track = camera_track(args, field, timeline, seen_points(field, deformation, args, things))
-    film = Film(args.frames, track, MovingScene(field, timeline, things), shared.chosen_look(args), args.shutter)
+    track, scene = camera_track(args, field, timeline, points), MovingScene(field, timeline, things)
+    film = Film(args.frames, track, scene, shared.chosen_look(args), args.shutter)
     cameras = film.cameras
     warn_of_edges(args, cameras[0], deformation)
     shared.set_lattice(args, cameras[0])
     if deformation is not None and (here or scaled):
-        film.moment = MovingScene(shared.make_deformer(field, deformation, args), timeline, things)
+        scene.render_by(shared.make_deformer(field, deformation, args))
 
     save_cameras(args, cameras, args.fps)
     if here:
-        _render(args, film, timeline, things, output)
+        _render(args, film, scene, output)
         return
-    words = film_words(args, scale=film.scale, deformed=deformation is not None) | {"outputs": parts}
+    if args.overlay and args.show != "rgb":
+        raise InputError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
+    deformer = None if deformation is None else shared.deformer_options(args)
+    words = frame_words(film.look, deformer, scale=film.scale, scene_scale=args.scene_scale) | {"outputs": parts}
     rate = {"frames": args.frames, "fps": str(args.fps)}
     job = FilmJob(args.field, words, [] if deformation is None else deformation.edits, {"film": rate})
     if jobs is not None:
@@ -112,7 +116,7 @@ def run_animate(args: argparse.Namespace) -> None:
         team.make_film(output, args.fps, loop=args.loop != "once")
     else:
         kept = team.make_frames(output)
-    _say(args, film, timeline, things, output, kept)
+    _say(film, scene, output, kept)
 
 
 def _described(film: Film, timeline: Timeline) -> Iterator[FilmFrame]:
@@ -122,21 +126,19 @@ def _described(film: Film, timeline: Timeline) -> Iterator[FilmFrame]:
         yield FilmFrame(index, camera, poses)
 
 
-def set_frames(args: argparse.Namespace, film: PoseFile | PlaceFile | None, given: set[str]) -> list[float] | None:
-    """Set number, rate and loop of the frames in `args` by the keys of a film; given: names of the options given.
-    Returns the times of the frames, seconds; None, the frames being as they were asked for, without a film."""
+def set_frames(args: argparse.Namespace, film: PoseFile | PlaceFile | None, given: set[str]) -> None:
+    """Set number, rate and loop of the frames in `args` by the keys of a film, None leaves them as they were asked for.
+    given: names of the options given."""
     if film is None:
         if args.loop is not None:
             raise InputError("--loop is for keys at times (a pose file with times, an animation): see --motion")
-        return None
+        return
     if "frames" in given:
         raise InputError("--frames does not go with keys at times, which say how long the film is: see --fps")
     args.loop = args.loop or film.loop or "once"
     if "fps" not in given:
         args.fps = motion.frame_rate(USUAL_RATE if film.fps is None else film.fps)
-    times = motion.frame_times(film.length, args.fps, args.loop)
-    args.frames = len(times)
-    return times
+    args.frames = len(motion.frame_times(film.length, args.fps, args.loop))
 
 
 def _check(args: argparse.Namespace, output: pathlib.Path) -> None:
@@ -160,9 +162,7 @@ def _check(args: argparse.Namespace, output: pathlib.Path) -> None:
         raise InputError(f"--shutter blurs colours: leave it out, or --show {args.show}")
 
 
-def _render(
-    args: argparse.Namespace, film: Film, timeline: Timeline, things: Things | None, output: pathlib.Path
-) -> None:
+def _render(args: argparse.Namespace, film: Film, scene: MovingScene, output: pathlib.Path) -> None:
     """Render the film or the folder here."""
     kept = 0
 
@@ -174,25 +174,22 @@ def _render(
         with told(range(film.count)) as numbers:
             film.write(output, args.fps, loop=args.loop != "once", numbers=numbers)
     else:
-        settings = _settings(args, film.cameras, timeline.deformation)
-        if things is not None:
-            settings["things"] = things.fingerprints()
+        settings = _settings(args, film.cameras, scene.timeline.deformation)
+        if scene.things is not None:
+            settings["things"] = scene.things.fingerprints()
         kept = film.write_folder(output, settings, overwrite=bool(args.overwrite), told=told)
-    _say(args, film, timeline, things, output, kept)
+    _say(film, scene, output, kept)
     warn_of_masks(film.mask_shares, "the film")
 
 
-def _say(
-    args: argparse.Namespace, film: Film, timeline: Timeline, things: Things | None, output: pathlib.Path, kept: int
-) -> None:
+def _say(film: Film, scene: MovingScene, output: pathlib.Path, kept: int) -> None:
     """Say what was written, a film or a folder in which some frames were kept."""
     if not output.suffix:
         print(f"wrote {output}: {counted(film.count - kept, 'frame')}, {kept} were there already")
         return
     size = size_text(film.cameras[0].width, film.cameras[0].height, output)
     print(f"wrote {output}: {counted(film.count, 'frame')} of {size}, {output.stat().st_size / 1e6:.2f} MB")
-    moves = things is not None and things.longest(None) is not None
-    if film.count > 1 and film.stands and timeline.is_still() and not moves:
+    if film.count > 1 and film.stands and scene.is_still():
         print(f"warpcage: nothing moves in this film: its {film.count} frames are equal", file=sys.stderr)
 
 
@@ -252,16 +249,6 @@ def _given_besides(args: argparse.Namespace) -> list[str]:
     ]
 
 
-def _checked_output(text: str) -> pathlib.Path:
-    path = pathlib.Path(text)
-    if path.suffix:
-        return options.check_output(text, FILM_ENDINGS, "film (a folder has no ending)")
-    if path.exists() and not path.is_dir():
-        raise InputError(f"film {text!r} is a file without an ending: give {', '.join(FILM_ENDINGS)} or a folder")
-    options.check_parent(path)
-    return path
-
-
 def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Deformation | None) -> dict:
     """All that decides how frames look, so that a folder never mixes two films."""
     names = (
@@ -280,30 +267,6 @@ def _settings(args: argparse.Namespace, cameras: list[Camera], deformation: Defo
     return json.loads(json.dumps(settings))  # tuples as lists, as they come back from the file
 
 
-def film_words(args: argparse.Namespace, *, scale: tuple[float, float] | None, deformed: bool) -> dict[str, Any]:
-    """The words of items for the options of `warpcage animate`, but "outputs"; the lattice of `args` is chosen already.
-    scale: low and high disparity of pictures of depth and disparity."""
-    if args.overlay and args.show != "rgb":
-        raise InputError(f"items of jobs draw cages into colours alone: leave out --overlay, or --show {args.show}")
-    words: dict[str, Any] = {
-        "background": TRANSPARENT if shared.is_transparent(args) else args.background,
-        "antialias": args.antialias,
-        "disparity_scale": scale,
-        "scene_scale": None if args.scene_scale == 1.0 else args.scene_scale,
-    }
-    if deformed:
-        cells = shared.lattice_cells(args)
-        words |= {
-            "coordinates": args.coordinates,
-            "resolution": "precise" if cells is None else cells,
-            "density": args.density,
-            "map": args.map,
-            "fill": args.fill or None,
-            "overlay": args.overlay or None,
-        }
-    return {name: value for name, value in words.items() if value is not None}
-
-
 def checked_jobs_path(text: str) -> pathlib.Path:
     """The path of a job file, once it is clear that one can be written there. Raises ValueError otherwise."""
     return options.check_output(text, JOB_ENDINGS, "job file")
@@ -316,22 +279,11 @@ def session_job(
     path: the field's file; scene_scale: as the field was loaded."""
     if film.overlay:
         raise InputError("--jobs of a session draws no cages: leave --overlay out")
-    settings, rate = document.settings, frame_rate(document.timeline)
-    edits = [edit for edit in document.edits if edit.visible]
-    words = {
-        "background": TRANSPARENT if film.transparent else settings.background,
-        "supersampling": settings.supersampling,
-        "scene_scale": None if scene_scale == 1.0 else scene_scale,
-        "outputs": {"rgb": f"{ID}.png"},
-    }
-    if edits:
-        fills = settings.fill and words["background"] is None and field.background_model is not None
-        words |= {
-            "coordinates": settings.coordinates,
-            "resolution": settings.resolution,
-            "density": settings.density,
-            "fill": fills or None,
-        }
+    settings, edits = document.settings, [edit for edit in document.edits if edit.visible]
+    options = {name: getattr(settings, name) for name in ("coordinates", "resolution", "density")}
+    look, outputs = film_look(document, field, film), {"outputs": {"rgb": f"{ID}.png"}}
+    words = frame_words(look, None, scene_scale=scene_scale) | outputs  # these first: files stay as they were
+    words |= frame_words(look, options if edits else None, scene_scale=scene_scale)
     times = frame_times(document.timeline)
 
     def frames() -> Iterator[FilmFrame]:
@@ -340,6 +292,5 @@ def session_job(
             poses = [None if edit.kind == "remove" else edit.posed for edit in moment.edits if edit.visible]
             yield FilmFrame(index, view_camera(moment.view, film.width, film.height), poses)
 
-    given = {name: value for name, value in words.items() if value is not None}
-    extra = {"film": {"frames": len(times), "fps": str(rate)}}
-    return FilmJob(path, given, [edit.cage_edit for edit in edits], extra), frames()
+    extra = {"film": {"frames": len(times), "fps": str(frame_rate(document.timeline))}}
+    return FilmJob(path, words, [edit.cage_edit for edit in edits], extra), frames()

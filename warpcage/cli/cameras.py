@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..films.edits import Deformation
-from ..films.timeline import CameraTrack, Timeline, keyed_track, middle, moving_track
+from ..films.timeline import SIDES, CameraTrack, Timeline, keyed_track, middle, moving_track
 from ..films.words import file_and_name
 from ..scene.coverage import within_sight
 from ..scene.load import load_scene
@@ -26,18 +26,6 @@ from .arguments import options
 
 #: Width and height of a picture where none is given.
 DEFAULT_SIZE = (400, 400)
-
-#: Where a camera stands for each --view, degrees: above the ground, and around from +x to +y where z is up. Not quite
-#: straight above, so that what is behind the object is above it in the picture.
-SIDES = {
-    "corner": (25.0, -60.0),
-    "front": (0.0, -90.0),
-    "right": (0.0, 0.0),
-    "back": (0.0, 90.0),
-    "left": (0.0, 180.0),
-    "top": (89.99, -90.0),
-    "bottom": (-89.99, -90.0),
-}
 
 #: An array of Warp holds as many.
 MOST_PIXELS = 2**31 - 1

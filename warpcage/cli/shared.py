@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..cage.up_axis import object_points
-from ..core.arrays import box_corners
 from ..core.checks import warn_caller
 from ..core.devices import resolve_device
 from ..core.files import read_json, require_file
@@ -33,13 +32,13 @@ from ..errors import InputError
 from ..films import render
 from ..films.edits import Deformation, EditReader, Keyframes, PosedEdit, named, read_edits_file
 from ..films.render import Look
-from ..films.timeline import Things
+from ..films.timeline import Things, shown_corners
 from ..mesh.queries import inside_mesh
 from ..scene.load import load_scene
 from ..scene.scene import Scene
 from ..splats.io import is_splat_file, splat_path
 from ..splats.io.formats import endings_written
-from ..splats.splat_field import AnyField, SplatField, load_field
+from ..splats.splat_field import AnyField, load_field
 from ..view.camera import Camera
 from .arguments import options
 from .arguments.options import CAGE_ENDINGS, positive_float
@@ -267,13 +266,18 @@ def visible_points(field: AnyField, deformation: Deformation | None, frame: str 
             staying = staying[~inside_mesh(staying, edit.cage)]
         few = len(staying) <= LEAST_STAYING * len(seen)
         return deformation.vertices if few else np.concatenate([deformation.vertices, staying])
-    return box_corners(field.shown_bounds if isinstance(field, SplatField) else field.bounds)
+    return shown_corners(field)
 
 
 def make_deformer(field: AnyField, deformation: Deformation, args: argparse.Namespace) -> Deformer:
     """The Deformer of the deformation options, not posed yet."""
-    options = {"coordinates": args.coordinates, "resolution": lattice_cells(args), "density": args.density}
-    return Deformer(field, deformation.edits, **options, map=args.map)
+    return Deformer(field, deformation.edits, **deformer_options(args))
+
+
+def deformer_options(args: argparse.Namespace) -> dict[str, Any]:
+    """The options of a Deformer by its names."""
+    names = ("coordinates", "resolution", "density", "map")
+    return {name: getattr(args, name) for name in names} | {"resolution": lattice_cells(args)}
 
 
 def lattice_cells(args: argparse.Namespace) -> int | None:

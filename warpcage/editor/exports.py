@@ -83,6 +83,14 @@ def export_film(
     return len(times)
 
 
+def film_look(document: Document, field: AnyField, film: Film) -> Look:
+    """How the frames of a document's film look."""
+    settings = document.settings
+    background = TRANSPARENT if film.transparent else settings.background
+    fill = settings.fill and background is None and field.background_model is not None
+    return Look(background, fill, settings.supersampling, overlay=film.overlay)
+
+
 def film_pictures(document: Document, field: AnyField, film: Film, report: Report = _silent) -> Iterator[np.ndarray]:
     """The pictures of a film, each rendered when it is asked for: (height, width, 3 or 4) float32, read-only.
     Colours are not multiplied by opacity. A moment that looks like the one before is the same array."""
@@ -91,8 +99,13 @@ def film_pictures(document: Document, field: AnyField, film: Film, report: Repor
     scene = PosedScene(field)  # with a Deformer of its own: the session's is in use
 
     def moment(frame: float) -> tuple[Scene, list[Cage]]:
-        now = document_at(document, times[int(frame)])
-        scene.prepare(now)
+        number = int(frame)
+        report(number / len(times), f"frame {number + 1} of {len(times)}")
+        now = document_at(document, times[number])
+        try:
+            scene.prepare(now)
+        except ValueError as error:
+            raise InputError(f"at {times[number]:.3f} s of the film: {error}") from error
         shown = [edit.posed_cage for edit in now.edits if edit.visible and edit.kind != "remove"]
         return scene.deformer or field, shown
 
@@ -100,16 +113,7 @@ def film_pictures(document: Document, field: AnyField, film: Film, report: Repor
         views = (document_at(document, times[int(frame)]).view for frame in frames)
         return [view_camera(view, film.width, film.height) for view in views]
 
-    background = TRANSPARENT if film.transparent else settings.background
-    look = Look(background, settings.fill and background is None, settings.supersampling, overlay=film.overlay)
-    pictures = films.Film(len(times), track, moment, look)
-    for index, time in enumerate(times):
-        report(index / len(times), f"frame {index + 1} of {len(times)}")
-        try:
-            picture = pictures.picture(index)
-        except ValueError as error:
-            raise InputError(f"at {time:.3f} s of the film: {error}") from error
-        yield picture
+    yield from films.Film(len(times), track, moment, film_look(document, field, film))
     report(1.0, "writes the end")
 
 

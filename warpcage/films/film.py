@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 import os
 import pathlib
@@ -17,7 +18,6 @@ from numpy.typing import ArrayLike
 from ..cage.cage import Cage
 from ..cage.motion import USUAL_RATE, posed_cage
 from ..cage.pose_file import PoseFile
-from ..core.arrays import box_corners
 from ..core.checks import checked_path, checked_positive, checked_whole, require_type, shown
 from ..core.files import PathLike
 from ..core.names import MOVE_HELP, counted, require_name
@@ -26,7 +26,6 @@ from ..core.reports import Progress, hears, tell
 from ..deform.deformer import Deformer
 from ..deform.posed import PoseLike
 from ..deform.stage import Stage
-from ..edits.edits import CageEdit
 from ..edits.place import PlaceFile
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
@@ -41,7 +40,7 @@ from ..view.frame import Frame
 from ..view.motion import frame_rate, frame_times
 from .folder import checked_film_path, frame_path, make_folder
 from .render import Look, Scene, drawn_cages, finished, picture_task
-from .timeline import CameraTrack, middle, moving_track
+from .timeline import SIDES, CameraTrack, middle, moving_track, shown_corners
 
 #: What renders a frame, or what is between two, and the cages that an overlay shows then.
 Moment = Callable[[float], tuple[Scene, Sequence[Cage]]]
@@ -59,17 +58,29 @@ class Film:
         shutter: tuple[float, int] | None = None,  # share of a frame that it is open for, and moments of it
     ):
         self.count, self.track, self.moment, self.look, self.shutter = count, track, moment, look, shutter
-        self.cameras = track(range(count))  # one a frame
+        self._cameras: list[Camera] | None = None
         self._shares: dict[str, list[float]] = {}  # what each mask marked of the frames so far
         self._scale: tuple[float, float] | None = None
         self._seen: tuple[Any, ...] | None = None  # what `picture` showed last, and that
         self._picture: np.ndarray | None = None
+        self._now: tuple[float, Scene, Sequence[Cage]] | None = None
 
     def __len__(self) -> int:
         return self.count
 
     def __iter__(self) -> Iterator[np.ndarray]:
         return map(self.picture, range(self.count))
+
+    @property
+    def cameras(self) -> list[Camera]:
+        """The cameras of all frames."""
+        if self._cameras is None:
+            self._cameras = self.track(range(self.count))
+        return self._cameras
+
+    def camera(self, index: int) -> Camera:
+        """The camera of a frame; long films begin before all are known."""
+        return self.track([index])[0] if self._cameras is None else self._cameras[index]
 
     @property
     def stands(self) -> bool:
@@ -94,7 +105,7 @@ class Film:
 
     def taken(self, index: int) -> tuple[np.ndarray, Frame, Camera]:
         """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4), and the frame itself."""
-        camera = self.cameras[index]
+        camera = self.camera(index)
         if self.shutter is None:
             return self._shown(index, camera)
         share, count = self.shutter
@@ -118,16 +129,23 @@ class Film:
         """All that decides how a frame looks, None where that is not known, or where each is to be looked at."""
         if self.shutter is not None or self.look.show == "masks":
             return None
-        scene, cages = self.moment(index)
+        scene, cages = self._at(index)
         if isinstance(scene, Stage):
             return None
-        camera = self.cameras[index]
+        camera = self.camera(index)
         lens = camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
         return id(scene), lens, camera.camera_to_world.tobytes(), *(cage.vertices.tobytes() for cage in cages)
 
     def _frame(self, frame: float, camera: Camera) -> tuple[Frame, Sequence[Cage]]:
-        scene, cages = self.moment(frame)
+        scene, cages = self._at(frame)
         return self.look.render(scene, camera), cages
+
+    def _at(self, frame: float) -> tuple[Scene, Sequence[Cage]]:
+        """The moment of a frame, found once where it is asked for again."""
+        if self._now is None or self._now[0] != frame:
+            self._now = None  # should this fail, what is held is of another
+            self._now = frame, *self.moment(frame)
+        return self._now[1:]
 
     def _shown(self, number: float, camera: Camera) -> tuple[np.ndarray, Frame, Camera]:
         scale = self.scale
@@ -173,9 +191,6 @@ class Film:
 
 #: Width and height of pictures, and frames of a camera that moves, where nothing says others.
 DEFAULT_SIZE, DEFAULT_FRAMES = (400, 400), 48
-
-#: Where the camera stands that nobody names, degrees: above the ground, and around from +x to +y where z is up.
-CORNER = (25.0, -60.0)
 
 
 @hears
@@ -268,7 +283,7 @@ def render_film(
             "background": background if isinstance(background, str | None) else np.asarray(background).tolist(),
             "supersampling": supersampling,
             "overlay": overlay,
-            "camera": _digest([vars(each) for each in film.cameras]),
+            "camera": _digest(film.cameras),
             "field": _digest(scene),
             "posed": _digest([shot.pose(number) for number in numbers]),
         }
@@ -294,8 +309,8 @@ class _Shot:
             file = CameraFile(self._keys.cameras)
         self._path, self._each = _all_of(CameraKey, file), _all_of(Camera, file)
         self._size = () if size is None else tuple(size) if isinstance(size, Sequence) else (size,)
-        for side in self._size:
-            checked_whole(side, "a side of a picture", 1)
+        if not all(checked_whole(side, "a side of a picture", 1) for side in self._size) or len(self._size) > 2:
+            raise InputError(f"size must be a width, or a width and a height, got {shown(size)}")
         if self._path is None and self._each is None:
             file = self._framed() if file is None else file
             require_type(file, Camera, "the camera of a film must be one, a list of them or of camera keys:")
@@ -332,14 +347,13 @@ class _Shot:
         """A camera from a corner that sees all."""
         width, height = (*self._size, *self._size)[:2] if self._size else DEFAULT_SIZE
         view = {"up": _field(self.scene).up, "width": width, "height": height}
-        return framing_orbit(self._points(), 1, elevation_degrees=CORNER[0], start_degrees=CORNER[1], **view)[0]
+        elevation, azimuth = SIDES["corner"]
+        return framing_orbit(self._points(), 1, elevation_degrees=elevation, start_degrees=azimuth, **view)[0]
 
     def _points(self) -> np.ndarray:
         """(n, 3) points around what is seen, world units."""
-        if isinstance(self.scene, Stage):
-            return self.scene.shown_points
-        field = _field(self.scene)
-        return box_corners(field.shown_bounds if isinstance(field, SplatField) else field.bounds)
+        scene = _field(self.scene)
+        return scene.shown_points if isinstance(scene, Stage) else shown_corners(scene)
 
     def _moving(self, moves: Sequence[CameraMove]) -> CameraTrack:
         camera, field = fitted(self._start, self._size), _field(self.scene)
@@ -408,7 +422,7 @@ def _poses(scene: Any, poses: Any) -> tuple[list[list[Cage | None]] | None, Pose
         if len(scene.edits) != 1:
             raise InputError(f"a pose file moves one cage, got {len(scene.edits)} edits: give poses as lists of cages")
         file = poses if isinstance(poses, PoseFile) else PoseFile.load(poses, scene.edits[0].cage)
-        if file.times:
+        if file.times or (file.cameras and not len(file)):
             return None, file
         poses = [file[name] for name in file.names]
     if not isinstance(poses, Iterable):
@@ -434,37 +448,35 @@ def _telling(numbers: Sequence[int], total: int) -> Iterator[int]:
 
 def _digest(thing: Any) -> str:
     """sha256 of all that a scene, poses and cameras show, by which a film is known again."""
-    digest = hashlib.sha256()
-
-    def feed(each: Any) -> None:
-        if isinstance(each, Stage):
-            poses = [getattr(item.thing, "deformed", None) for item in each.items.values()]
-            feed([*((name, vars(item)) for name, item in each.items.items()), poses])
-        elif isinstance(each, Deformer):
-            feed([each.field, each.edits, each.coordinates, each.resolution, each.density, each.map])
-        elif isinstance(each, SplatField):
-            feed([vars(each.contents), each.view_options()])
-        elif isinstance(each, VoxelField):
-            model = None if each.background_model is None else vars(each.background_model.contents())
-            parts = each.grid.links, each.grid.density, each.grid.sh
-            feed([each.bounds, *parts, each.background, each.supersampling, model])
-        elif isinstance(each, ClosedMesh):
-            feed([each.vertices, each.faces])
-        elif isinstance(each, PlaceFile):
-            feed(each.to_json())
-        elif isinstance(each, dict):
-            feed(list(each.items()))
-        elif isinstance(each, list | tuple):
-            for part in each:
-                feed(part)
-        elif isinstance(each, CageEdit):
-            feed(vars(each))
-        elif isinstance(each, np.ndarray | wp.array):
+    digest, left = hashlib.sha256(), [thing]
+    while left:
+        each = left.pop()
+        if isinstance(each, np.ndarray | wp.array):
             values = np.ascontiguousarray(each if isinstance(each, np.ndarray) else each.numpy())
-            digest.update(f"{values.dtype} {values.shape}".encode())
-            digest.update(values.tobytes())
-        else:
+            digest.update(f"{values.dtype} {values.shape}".encode() + values.tobytes())
+        elif (parts := _parts(each)) is None:
             digest.update(f"{each!r};".encode())
-
-    feed(thing)
+        else:
+            left += [*parts, len(parts)]
     return digest.hexdigest()
+
+
+def _parts(thing: Any) -> list[Any] | None:
+    """What a thing is made of; None for a number or a word."""
+    if isinstance(thing, Stage):
+        return [*thing.items, *thing.items.values(), *(getattr(thing[name], "deformed", None) for name in thing.items)]
+    if isinstance(thing, Deformer):
+        return [thing.field, thing.edits, thing.coordinates, thing.resolution, thing.density, thing.map]
+    if isinstance(thing, SplatField):
+        return [thing.contents, thing.view_options()]
+    if isinstance(thing, VoxelField):
+        behind = None if thing.background_model is None else thing.background_model.contents()
+        values = thing.grid.links, thing.grid.density, thing.grid.sh
+        return [thing.bounds, *values, thing.background, thing.supersampling, behind]
+    if isinstance(thing, ClosedMesh):
+        return [thing.vertices, thing.faces]
+    if isinstance(thing, dict | PlaceFile):
+        return [*(thing if isinstance(thing, dict) else thing.to_json()).items()]
+    if isinstance(thing, list | tuple):
+        return list(thing)
+    return list(vars(thing).values()) if dataclasses.is_dataclass(thing) else None

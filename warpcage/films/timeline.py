@@ -13,6 +13,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..coordinates.coordinates import deform_points
+from ..core.arrays import box_corners
 from ..deform.deformer import Deformer
 from ..deform.stage import Stage
 from ..edits.edits import CageEdit
@@ -20,13 +21,25 @@ from ..edits.place import PlaceFile
 from ..errors import InputError
 from ..field.io.selection_file import SELECTION_ENDINGS
 from ..field.selection import NodeSelection
-from ..splats.splat_field import AnyField
+from ..splats.splat_field import AnyField, SplatField
 from ..view.camera import Camera, CameraKey
 from ..view.camera_path import MovingCamera, camera_at, path_cameras
 from ..view.motion import frame_places, frame_rate, time_at
 from .edits import Deformation
 from .render import HeldPose, Scene, drawn_cages
 from .words import read_rest
+
+#: Where a camera stands for each side that it looks from, degrees: above the ground, and around from +x to +y where z
+#: is up. Not quite straight above, so that what is behind the object is above it in the picture.
+SIDES = {
+    "corner": (25.0, -60.0),
+    "front": (0.0, -90.0),
+    "right": (0.0, 0.0),
+    "back": (0.0, 90.0),
+    "left": (0.0, 180.0),
+    "top": (89.99, -90.0),
+    "bottom": (-89.99, -90.0),
+}
 
 #: Frames of a film, or places between them, counted from 0, to the camera of each.
 CameraTrack = Callable[[Sequence[float]], list[Camera]]
@@ -122,9 +135,18 @@ class Things:
 class MovingScene:
     """What renders the frames of a film: a field, or a Deformer of it that a timeline poses, alone or among things."""
 
-    def __init__(self, renderer: AnyField | Deformer, timeline: Timeline, things: Things | None = None):
-        self.renderer, self.timeline, self.things = renderer, timeline, things
-        self._posed = HeldPose(renderer) if isinstance(renderer, Deformer) else None
+    def __init__(self, field: AnyField, timeline: Timeline, things: Things | None = None):
+        self.timeline, self.things = timeline, things
+        self._renderer: AnyField | Deformer = field
+        self._posed: HeldPose | None = None
+
+    def render_by(self, deformer: Deformer) -> None:
+        """Have the field rendered by a Deformer, which may be made late: for other frames than these none is needed."""
+        self._renderer, self._posed = deformer, HeldPose(deformer)
+
+    def is_still(self) -> bool:
+        """Whether nothing moves but the camera."""
+        return self.timeline.is_still() and (self.things is None or self.things.longest(None) is None)
 
     def __call__(self, frame: float) -> tuple[Scene, list[Cage]]:
         """What renders a frame, or what is between two, and the cages that an overlay shows."""
@@ -137,9 +159,9 @@ class MovingScene:
                 raise InputError(f"frame {frame:g}, between the poses: {error}") from error
             cages = drawn_cages(self._posed.deformer)
         if self.things is None:
-            return self.renderer, cages
+            return self._renderer, cages
         self.things.at(self.timeline.time(frame))
-        return self.things.with_main(self.renderer), cages
+        return self.things.with_main(self._renderer), cages
 
 
 def moving_track(
@@ -194,3 +216,8 @@ class Followed:
 def middle(points: np.ndarray) -> np.ndarray:
     """(3,) middle of the bounding box of points (n, 3)."""
     return (points.min(axis=0) + points.max(axis=0)) / 2
+
+
+def shown_corners(field: AnyField) -> np.ndarray:
+    """(8, 3) corners of the box of what a field shows, world units."""
+    return box_corners(field.shown_bounds if isinstance(field, SplatField) else field.bounds)

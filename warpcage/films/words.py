@@ -339,12 +339,14 @@ class References:
             preset = Preset(with_up(value, field.up.tolist()))
             return preset.at(rest, preset.amount)
         name, place = split_reference(value)
-        if name.lower().endswith(".json"):
-            file = self._kept(name, "pose file", lambda path: PoseFile.load(path, rest), rest_cage.hash)
-            return _keyframe(file, name, place)
-        if name.lower().endswith(MOVING_ENDINGS):
-            if (moving := self._moving(name, place, edit, rest_cage)) is not None:
-                return moving
+        if name.lower().endswith((".json", *MOVING_ENDINGS)):
+            file, shown_pose = self._keyframes(name, edit, rest_cage)
+            if shown_pose is not None and not place:
+                return shown_pose
+            if file is not None:
+                return _keyframe(file, name, place)
+            if place:
+                raise InputError(f"{name}: there is no keyframe {place!r}: nothing moves in it")
         return self._kept(name, "cage file", lambda path: _posed_file(path, edit, rest_cage), (rest_cage.hash, edit.up))
 
     def _drawn_pose(self, posed: dict[str, Any], rest_cage: RestCage) -> np.ndarray:
@@ -358,19 +360,17 @@ class References:
 
         return self._drawn.get((rest_cage.hash, canonical(posed)), draw)
 
-    def _moving(self, name: str, place: str, edit: EditWords, rest_cage: RestCage) -> Cage | None:
-        """The keyframe or shape that is named of a file that moves, or what its shapes show. None for a still one."""
+    def _keyframes(self, name: str, edit: EditWords, rest_cage: RestCage) -> tuple[PoseFile | None, Cage | None]:
+        """The keyframes of a file, None where nothing moves in it, and what its shapes show together."""
+        rest = rest_cage.cage
 
         def read(path: pathlib.Path) -> tuple[PoseFile | None, Cage | None]:
-            rest = rest_cage.cage
+            if ending(name) == ".json":
+                return PoseFile.load(path, rest), None
             return file_poses(path, rest, up=edit.up), gltf_shown(path, rest, up=edit.up)
 
-        moving, shown_pose = self._kept(name, "cage file", read, ("moving", rest_cage.hash, edit.up))
-        if moving is None:
-            if place:
-                raise InputError(f"{name}: there is no keyframe {place!r}: nothing moves in it")
-            return None
-        return shown_pose if shown_pose is not None and not place else _keyframe(moving, name, place)
+        what = "pose file" if ending(name) == ".json" else "cage file"
+        return self._kept(name, what, read, ("moving", rest_cage.hash, edit.up))
 
     # -- cameras
 
