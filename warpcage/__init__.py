@@ -35,6 +35,7 @@ _HOMES = {
     "field.objects": ["select_object"],
     "field.selection": ["NodeSelection", "select_nodes"],
     "field.voxel_field": ["VoxelField"],
+    "films.film": ["render_film"],
     "fitting.evaluation": ["evaluate", "mean_psnr", "psnr"],
     "fitting.fit": ["fit"],
     "fitting.optimizer": ["FieldOptimizer"],
@@ -53,7 +54,7 @@ _HOMES = {
 }
 
 _ROOMS = (
-    "batch cage captures cli coordinates core deform editor edits examples field "
+    "batch cage captures cli coordinates core deform editor edits examples field films "
     "fitting kernels lattice mesh reference render scene splats view"
 ).split()
 

@@ -27,6 +27,7 @@ from .field.objects import select_object as select_object
 from .field.selection import NodeSelection as NodeSelection
 from .field.selection import select_nodes as select_nodes
 from .field.voxel_field import VoxelField as VoxelField
+from .films.film import render_film as render_film
 from .fitting.evaluation import evaluate as evaluate
 from .fitting.evaluation import mean_psnr as mean_psnr
 from .fitting.evaluation import psnr as psnr
@@ -96,6 +97,7 @@ __all__ = [
     "mean_psnr",
     "mean_value_coordinates",
     "psnr",
+    "render_film",
     "run_jobs",
     "select_nodes",
     "select_object",

@@ -89,9 +89,9 @@ def preview(args) -> None:
         return
     import warpcage
     from warpcage import deform_points, psnr
-    from warpcage.cli.words import read_pose
     from warpcage.core import resolve_device
     from warpcage.editor import demo_files
+    from warpcage.films import read_pose
     from warpcage.mesh import write_glb
     from warpcage.reference import InverseMap
     from warpcage.view import contact_sheet, read_image, write_png

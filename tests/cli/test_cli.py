@@ -96,7 +96,7 @@ BAD = {
     "render: sizes": (["render", "@ball.npz", "-o", "@new.png", "--size", "40", "20", "10"], "a width and a height"),
     "render: no shape": (["render", "@ball.npz", "-o", "@new.png", "--size", "16:0"], "two numbers such as 16:9"),
     "render: widened by nothing": (["render", "@ball.npz", "-o", "@new.png", "--size", "widen"], "or a shape"),
-    "animate: ending": (["animate", "@ball.npz", "-o", "@new.avi"], ".mp4 or .gif"),
+    "animate: ending": (["animate", "@ball.npz", "-o", "@new.avi"], ".mp4, .gif"),
     "animate: rate": (["animate", "@ball.npz", "-o", "@new.mp4", "--fps", "1e30"], "must be from 0.01 to 1000"),
     "animate: slow rate": (["animate", "@ball.npz", "-o", "@new.mp4", "--fps", "0.001"], "must be from 0.01 to 1000"),
     "animate: rate of a GIF": (["animate", "@ball.npz", "-o", "@new.gif", "--fps", "60"], "must be from 0.01 to 50"),

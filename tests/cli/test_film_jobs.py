@@ -116,19 +116,19 @@ def test_a_job_file_that_cannot_be_leaves_nothing(files, tmp_path, capsys, words
 
 
 def test_a_pose_that_cannot_be_leaves_the_job_file_of_before(files, tmp_path, capsys, monkeypatch):
-    from warpcage.cli.films.shot import Shot
+    from warpcage.films import Timeline
 
     words = ["animate", "@ball.npz", *FILM, *DEFORMED, "--jobs", tmp_path / "film.jsonl"]
     succeed(files, *words)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    cages = Shot.cages
+    cages = Timeline.cages
 
     def fails(self, index):
         if index == 3:
             raise ValueError("frame 3, between the poses: it is flat")
         return cages(self, index)
 
-    monkeypatch.setattr(Shot, "cages", fails)
+    monkeypatch.setattr(Timeline, "cages", fails)
     assert run(files, *words, "--frames", 7) == 2
     assert "frame 3, between the poses" in capsys.readouterr().err
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

@@ -9,7 +9,7 @@ import pytest
 from messages import MESSAGES
 from runs import DEFORMED, SMALL, run, succeed, write_files
 
-import warpcage.cli.films.workers as films
+import warpcage.batch.films as films
 from warpcage import Deformer
 from warpcage.view import deep_pixels, read_film_frame, write_film_frame, write_png
 

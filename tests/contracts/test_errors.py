@@ -25,7 +25,7 @@ CLASSES = [each for each in vars(errors).values() if isinstance(each, type) and 
 MADE = {
     "package.py": {"AttributeError", "ImportError"},
     "captures/colmap.py": {"InterruptedError"},
-    "cli/films/workers.py": {"InterruptedError"},
+    "batch/films.py": {"InterruptedError"},
     "batch/manifest.py": {"OSError"},  # for `file_error`
 }
 

@@ -14,6 +14,7 @@ from warpcage import Cage, Cancelled, Deformer
 from warpcage.view import write_film
 
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (50, 3))
+POSES = [BOX, BOX.bend(5), BOX.bend(10)]
 FIT = {"device": "cpu", "resolution": 16, "levels": 1, "epochs": 1, "batch_rays": 256}
 SPLAT_FIT = {"representation": "splats", "device": "cpu", "steps": 4, "most_splats": 80}
 
@@ -80,6 +81,11 @@ WORK = {
     ),
     "splats bound": lambda t, **options: (
         Deformer(t["splats"], BOX, coordinates="green", **options).pose(BOX.bend(20)).baked().contents.centers.std()
+    ),
+    "film": lambda t, **options: (
+        warpcage.render_film(t["deformer"], t["folder"] / "film.gif", poses=POSES, camera=t["cameras"][0], **options)[0]
+        .stat()
+        .st_size
     ),
     "mp4": lambda t, **options: film(t, ".mp4", **options),
     "gif": lambda t, **options: film(t, ".gif", **options),

@@ -13,8 +13,8 @@ from runs import DEFORMED, SMALL, run, succeed, write_files
 
 import warpcage.view.film as film
 from warpcage import Deformer
-from warpcage.cli import render as commands
 from warpcage.core import SPARE, BackgroundWriter, stream
+from warpcage.films import render as commands
 from warpcage.view import write_film
 
 #: Seconds until a test that hangs fails.

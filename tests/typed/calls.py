@@ -49,6 +49,11 @@ def seen(deformer: Deformer, camera: warpcage.Camera) -> NDArray[np.float32]:
     assert_type(frames, Frames)
     assert_type(frames[0], Frame)
     assert_type(deformer.render_poses([np.zeros((8, 3))], camera, flow_poses=[np.zeros((8, 3))]), Frames)
+    made = warpcage.render_film(
+        deformer, "a.mp4", poses=[deformer.edits[0].cage, np.zeros((8, 3))], camera=[camera] * 2
+    )
+    assert_type(made, list[pathlib.Path])
+    warpcage.render_film(deformer.field, pathlib.Path("frames"), camera="cameras.json", move=None, size=(16, 9))
     return frame.rgba
 
 

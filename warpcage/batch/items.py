@@ -5,16 +5,18 @@ from __future__ import annotations
 import abc
 import dataclasses
 import hashlib
-import json
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from ..core.checks import checked_bounds, shown
 from ..core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT, edit_fields
 from ..edits import words
-from ..edits.words import EDIT_WORDS, Checker, EditWords, checked_words, one_of, plain, safe_name, text
+from ..edits.words import EDIT_WORDS, Checker, EditWords, canonical, checked_words, one_of, plain, safe_name, text
 from ..errors import InputError
 from ..splats.io import SPLAT_ENDINGS
+
+if TYPE_CHECKING:
+    from ..films.render import Look
 
 #: Names in the folder of a run that no output may have, in any case of letters.
 RESERVED = ("manifest.jsonl",)
@@ -118,11 +120,6 @@ class Defaults:
 
 def _default(field: dataclasses.Field) -> Any:
     return field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
-
-
-def canonical(value: Any) -> str:
-    """The one text of a JSON value: sorted words and no spaces."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
 
 
 def digest(value: Any) -> str:
@@ -278,6 +275,13 @@ class FrameItem(Item):
     @property
     def pose(self) -> str:
         return digest([edit.posed for edit in self.edits]) if self.edits else ""
+
+    @property
+    def look(self) -> Look:
+        """How it is rendered, and what its picture in colours shows."""
+        from ..films.render import Look  # which needs Warp
+
+        return Look(self.background, self.fill, self.supersampling, self.antialias, overlay=self.overlay)
 
     @property
     def version(self) -> int:

@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from ..cage.pose_file import is_preset
 from ..core.checks import listed, shown
 from ..core.files import JSON_ROOM, NpyFile, PathLike, atomic_path, file_stamp, require_file
 from ..core.memory import LRUCache, require_host_memory
-from ..edits.words import checked_words, one_of, split_reference, truth, whole
+from ..edits.words import canonical, checked_words, one_of, split_reference, truth, whole
 from ..errors import InputError
 from .items import (
     KINDS,
@@ -28,7 +29,6 @@ from .items import (
     FitItem,
     FrameItem,
     Item,
-    canonical,
     record_outputs,
     require_frame,
     require_recordable,
@@ -451,3 +451,40 @@ def _gltf_files(path: pathlib.Path) -> list[pathlib.Path]:
     except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
         return []
     return [path.parent / name for name in names if (path.parent / name).is_file()]
+
+
+#: Files that are remembered: each is looked at once, however many items name it.
+MOST_KNOWN = 100_000
+
+
+class Missing:
+    """Looks for files and rows that items name; base: folder that their paths are relative to."""
+
+    def __init__(self, base: PathLike):
+        self.base = base
+        self._files: LRUCache[NpyFile | str | None] = LRUCache(MOST_KNOWN)
+
+    def of(self, item: Item) -> str | None:
+        """One line on the first that an item names and is not there; None where all is there."""
+        found = (self._wrong(reference) for reference in references_of(item))  # whether it can be used shows later
+        return next((line for line in found if line), None)
+
+    def _wrong(self, reference: str) -> str | None:
+        name, place = split_reference(reference)
+        file = self._files.get(name, lambda: self._looked_at(name))
+        if isinstance(file, str) or file is None or not place:
+            return file if isinstance(file, str) else None
+        rows = file.shape[0] if file.shape else 0
+        if place.isdigit() and int(place) >= rows:
+            return f"{file.path} has rows 0 to {rows - 1}, got {place}" if rows else f"{file.path} has no rows"
+        return None
+
+    def _looked_at(self, name: str) -> NpyFile | str | None:
+        """The array in a .npy file, None for another that is there, or a line on what is wrong."""
+        path = os.path.join(self.base, name)
+        try:
+            if os.path.isdir(path) or is_preset(name, self.base):
+                return None
+            return NpyFile(path) if name.lower().endswith(".npy") else require_file(path, "file") and None
+        except (OSError, ValueError) as error:
+            return str(error)

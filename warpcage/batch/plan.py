@@ -172,7 +172,7 @@ def foresee(
     """Look at a job and at what is there of it, and make up to three items of each kind that earlier runs do not know.
     workers: by how many it would be made, on the CPU they share the cores. Nothing is written to `out`."""
     # A process of several workers is started, to see how long that takes, unless a cluster would make the items.
-    from .references import Missing  # here, as a driver of processes needs nothing of them
+    from .job_file import Missing  # here, as a driver of processes needs nothing of them
     from .worker import Worker
 
     with JobFile(path) as job, tempfile.TemporaryDirectory() as temporary:

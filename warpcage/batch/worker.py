@@ -7,7 +7,7 @@ import gc
 import json
 import os
 import pathlib
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -19,31 +19,30 @@ from ..cage.cage import Cage
 from ..core.arrays import array_bytes
 from ..core.devices import resolve_device
 from ..core.memory import LRUCache, free_bytes, is_shortage
-from ..core.names import TRANSPARENT
 from ..core.overlap import SPARE, TASK_THREADS, Gate
 from ..core.threads import cpu_threads
 from ..deform.deformer import Deformer
-from ..deform.fill import fill_unseen
 from ..edits.edits import edit_of_words, picture_cells
+from ..edits.words import canonical
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
+from ..films.render import HeldPose, drawn_cages, require_fillable
+from ..films.words import References, RestCage
 from ..fitting.cameras import tuned_scene
 from ..fitting.evaluation import evaluation_report, in_world_of, moved_scene, refined_cameras_of
 from ..fitting.fit import fit
 from ..scene.formats.parsing import TO_OPENCV
 from ..scene.load import load_scene
 from ..scene.scene import Scene
-from ..splats.splat_field import AnyField
+from ..splats.splat_field import AnyField, read_field
 from ..view.camera import Camera, CameraKey, camera_json
 from ..view.exr import write_picture
 from ..view.film import write_film_frame
 from ..view.frame import RGB_BYTES, Frame, depth_along_view
 from ..view.frame_parts import picture
-from ..view.opacity import rgba_picture
-from .items import EvaluateItem, FitItem, FrameItem, Item, canonical, digest
+from .items import EvaluateItem, FitItem, FrameItem, Item, digest
 from .job_file import Fingerprints
 from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, write_array, write_outputs
-from .references import MEMORY_SHARE, LoadedFields, References, RestCage
 
 #: Most deformers that stay bound to a field.
 MOST_DEFORMERS = 4
@@ -76,13 +75,38 @@ class Counts:
     frames: int = 0
 
 
-@dataclasses.dataclass
-class Bound:
-    """A Deformer and the pose that it holds."""
+class Bound(HeldPose):
+    """A Deformer, the pose that it holds, and its cages at rest."""
 
-    deformer: Deformer
-    rests: list[RestCage]
-    pose: Hashable = None
+    def __init__(self, deformer: Deformer, rests: list[RestCage]):
+        super().__init__(deformer)
+        self.rests = rests
+
+
+#: Most fields that stay loaded, and the share of the memory that is free at first for them and what is bound to them.
+MOST_FIELDS, MEMORY_SHARE = 8, 0.5
+
+
+class LoadedFields:
+    """Fields by their files, of which those stay loaded that were used last.
+    memory: bytes that they may take together, but one stays whatever it takes; None is a quarter of what is free."""
+
+    def __init__(self, references: References, device: wp.Device, memory: int | None = None):
+        self.references, self.device, self.read_count = references, device, 0
+        self.dropped: Callable[[AnyField], Any] = lambda field: None  # called with a field that is let go, before it is
+        limit = int(MEMORY_SHARE * free_bytes(device)) // 2 if memory is None else memory
+        self.kept: LRUCache[AnyField] = LRUCache(MOST_FIELDS, limit, array_bytes, lambda field: self.dropped(field))
+
+    def get(self, name: str, scene_scale: float) -> tuple[Hashable, AnyField]:
+        """A key that is another where the file has changed, and the field; scene_scale: as `VoxelField.load` has it."""
+        path, stamp = self.references.stamped(name, "field file")
+
+        def load() -> AnyField:
+            self.read_count += 1
+            return read_field(path, scene_scale=scene_scale)(self.device)
+
+        key = path, stamp, scene_scale
+        return key, self.kept.get(key, load)
 
 
 class FrameMaker:
@@ -104,19 +128,19 @@ class FrameMaker:
     def make(self, item: FrameItem) -> MadeItem:
         """Render a frame; what is made writes its outputs."""
         field_key, field = self.fields.get(item.field, item.scene_scale)
-        camera = self.references.camera(item, field)
+        camera = self.references.camera(item.camera, item.size, field)
         posed: list[Cage | None] = []
         if item.edits:
             bound_key, bound = self._deformer(item, field_key, field, camera)
             posed = self._pose(bound, item)
-            renderer, drawn = bound.deformer, _drawn(bound) if item.overlay else []
+            renderer, drawn = bound.deformer, drawn_cages(bound.deformer)
         else:
             bound_key, renderer, drawn = None, field, []
         if item.antialias is not None and isinstance(field, VoxelField):
             raise InputError("'antialias' is for files of splats, this field is one of voxels (.npz)")
-        frame = renderer.render(camera, **_render_options(item))
         if item.fill:
-            frame = _filled(frame, field, camera)
+            require_fillable(field, "'fill'")
+        frame = item.look.render(renderer, camera)
         self.counts.frames += 1
         needed = needed_arrays(item, frame)
         frame.begin_copies(*needed)  # on their way to the host when this returns
@@ -149,13 +173,7 @@ class FrameMaker:
         """Move the cages of a Deformer, if they are not there; returns them."""
         field, edits = bound.deformer.field, zip(item.edits, bound.rests, strict=True)
         cages = [self.references.posed_cage(edit, rest, field) for edit, rest in edits]
-        pose = tuple(None if cage is None else cage.vertices.tobytes() for cage in cages)
-        if pose == bound.pose:
-            return cages
-        bound.pose = None  # should this fail, the next frame poses anew
-        bound.deformer.pose(cages)
-        bound.pose = pose
-        self.counts.poses += 1
+        self.counts.poses += bound.pose(cages)
         return cages
 
 
@@ -163,32 +181,9 @@ def _bound_bytes(bound: Bound) -> int:
     return array_bytes(bound.deformer, leave=(bound.deformer.field,))
 
 
-def _drawn(bound: Bound) -> list[Cage]:
-    """The cages that an overlay shows: posed ones, and at rest those whose content is removed."""
-    posed = bound.deformer.deformed or []
-    return [rest.cage if cage is None else cage for rest, cage in zip(bound.rests, posed, strict=True)]
-
-
-def _render_options(item: FrameItem) -> dict[str, Any]:
-    options: dict[str, Any] = {} if item.supersampling is None else {"supersampling": item.supersampling}
-    if item.antialias is not None:
-        options["antialias"] = item.antialias
-    if item.background is None:
-        return options
-    return options | {"background": item.background}
-
-
-def _filled(frame: Frame, field: AnyField, camera: Camera) -> Frame:
-    if not isinstance(field, VoxelField):
-        raise InputError("'fill' is for fields of voxels (.npz), this one is of splats")
-    if field.background_model is None:
-        raise InputError("'fill': behind this field there is one colour, so that nothing is missing where it shows")
-    return fill_unseen(frame, field, camera)
-
-
 def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
     """Names of the arrays of a frame that its outputs are made of: to copy all takes longer than a frame on a GPU."""
-    needed = {"alpha"} if item.background == TRANSPARENT else set()
+    needed = {"alpha"} if item.look.is_clear else set()
     for part, path in item.outputs.items():
         if part not in OF_RECORDS:
             needed.update([RGB_BYTES] if is_bytes(item, part, path) else ARRAYS_OF_PARTS.get(part, frame.arrays))
@@ -197,7 +192,7 @@ def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
 
 def is_bytes(item: FrameItem, part: str, path: str) -> bool:
     """Whether an output is made of the colours of a frame as bytes, with nothing done to them."""
-    plain = part == "rgb" and item.background != TRANSPARENT and not item.overlay
+    plain = part == "rgb" and not item.look.is_clear and not item.overlay
     return plain and pathlib.PurePosixPath(path).suffix.lower() in BYTE_ENDINGS
 
 
@@ -256,8 +251,7 @@ def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera,
         if is_bytes(item, part, path):
             return frame.rgb_bytes
         if part in ("rgb", "film"):
-            clear = item.background == TRANSPARENT
-            return rgba_picture(frame, camera, drawn) if clear else picture(frame, "rgb", camera, drawn)
+            return item.look.picture(frame, camera, drawn)
         if part in ("reveal", "fold"):
             return np.clip(getattr(frame, part), 0.0, 1.0)
         return picture(frame, part, scale=item.disparity_scale)

@@ -31,6 +31,9 @@ from ..errors import InputError
 from ..field.closer import is_splats, matter_around
 from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
+from ..films.edits import Deformation, PosedEdit, read_edits_file, write_edits_file
+from ..films.render import require_voxels
+from ..films.words import ending, note_jumps, pose_file, read_film, read_pose, read_poses, read_rest, say_standing
 from ..mesh.io import ALL_OBJECTS, read_object
 from ..mesh.io.formats import mesh_endings
 from ..splats.io import splat_path
@@ -39,21 +42,7 @@ from ..view.camera import CameraKey
 from . import shared
 from .arguments import options
 from .cameras import named_camera
-from .shared import Deformation, PosedEdit, is_session, numbered_edits, session_edits
-from .words import (
-    ending,
-    note_jumps,
-    parse_edit,
-    pose_file,
-    posed_up,
-    read_edits_file,
-    read_film,
-    read_pose,
-    read_poses,
-    read_rest,
-    say_standing,
-    write_edits_file,
-)
+from .shared import is_session, parse_edit, posed_up, session_edits
 
 if TYPE_CHECKING:
     import trimesh
@@ -73,7 +62,7 @@ def run_cage(args: argparse.Namespace) -> None:
     if args.snap is not None:
         if not is_field:
             raise InputError(f"--snap needs a field (.npz), got {args.field!r}")
-        _snap(shared.require_voxels(thing, "--snap"), args, output)
+        _snap(require_voxels(thing, "--snap"), args, output)
         return
     if any(value is not None for value in _selection(args).values()):
         thing = _selected(thing, is_field, args)
@@ -277,7 +266,7 @@ def run_edits(args: argparse.Namespace) -> None:
         return
     words = [] if args.file is None else read_edits_file(args.file)
     words += [parse_edit(text) for text in args.edit or ()]
-    deformation = numbered_edits(words, args, "smooth")
+    deformation = shared.edit_reader(args, "smooth").edits(words)
     if output is not None:
         # each says which axis points up in its cages, and which object they are, where that was said for all
         said = ((edit, edit.up or args.cage_up, edit.object or args.cage_object) for edit in words)

@@ -13,27 +13,19 @@ from fractions import Fraction
 import numpy as np
 
 from ..errors import InputError
+from ..films.edits import Deformation
+from ..films.timeline import SIDES, CameraTrack, Timeline, keyed_track, middle, moving_track
+from ..films.words import file_and_name
+from ..scene.coverage import within_sight
 from ..scene.load import load_scene
 from ..splats.splat_field import AnyField
 from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
+from ..view.camera_path import CameraMove, MovingCamera, camera_moves
+from ..view.motion import cameras_along
 from .arguments import options
-from .shared import Deformation
-from .words import file_and_name
 
 #: Width and height of a picture where none is given.
 DEFAULT_SIZE = (400, 400)
-
-#: Where a camera stands for each --view, degrees: above the ground, and around from +x to +y where z is up. Not quite
-#: straight above, so that what is behind the object is above it in the picture.
-SIDES = {
-    "corner": (25.0, -60.0),
-    "front": (0.0, -90.0),
-    "right": (0.0, 0.0),
-    "back": (0.0, 90.0),
-    "left": (0.0, 180.0),
-    "top": (89.99, -90.0),
-    "bottom": (-89.99, -90.0),
-}
 
 #: An array of Warp holds as many.
 MOST_PIXELS = 2**31 - 1
@@ -127,11 +119,6 @@ def chosen_target(args: argparse.Namespace, points: np.ndarray) -> np.ndarray:
     return middle(points) if args.target is None else np.asarray(args.target, np.float64)
 
 
-def middle(points: np.ndarray) -> np.ndarray:
-    """(3,) middle of the bounding box of points (n, 3)."""
-    return (points.min(axis=0) + points.max(axis=0)) / 2
-
-
 def fitted_to(camera: Camera, args: argparse.Namespace) -> Camera:
     """A camera at the size of --size, at its own where it is not given; see `fitted`."""
     image_size(args)  # refuses others
@@ -211,3 +198,38 @@ def scene_camera(args: argparse.Namespace, text: str) -> Camera:
     if int(index) >= len(cameras):
         raise InputError(f"{path!r} has pictures 0 to {len(cameras) - 1}, got {index}")
     return cameras[int(index)]
+
+
+def camera_track(
+    args: argparse.Namespace,
+    field: AnyField,
+    timeline: Timeline,
+    points: np.ndarray,  # (n, 3) around what the film shows, world units
+) -> CameraTrack:
+    """The camera of a film; that of the film's keys where no option names another."""
+    named = (args.cameras, args.turn, args.camera, args.view, args.eye, args.target)
+    deformation = timeline.deformation
+    film = None if timeline.keys is None or deformation is None else deformation.camera_film
+    if film is not None and all(one is None for one in named):
+        return lambda frames: [fitted_to(film.camera_at(timeline.time(frame)), args) for frame in frames]
+    moves = None if args.cameras is None else camera_moves(args.cameras)
+    if args.cameras is None or moves is not None:
+        if moves is not None and args.turn is not None:
+            raise InputError("--cameras turn:DEGREES says how far the camera turns: leave --turn and --full-turn out")
+        moves = moves or [CameraMove("turn", args.turn)]
+        axis = np.asarray(args.up, np.float64)
+        if np.linalg.norm(axis) == 0:
+            raise InputError("--up must not be 0 0 0")
+        camera, pivot = chosen_camera(args, points), chosen_target(args, points)
+        moving = MovingCamera(camera, pivot, axis / np.linalg.norm(axis), moves, args.frames, float(args.fps))
+        anywhere = all(one is None for one in (args.camera, args.view, args.eye, args.target))
+        moving, notes = within_sight(moving, seen_cameras(args, field), anywhere=anywhere)
+        for note in notes:
+            print(f"warpcage: {note}", file=sys.stderr)
+        return moving_track(moving, field, [] if deformation is None else deformation.edits, timeline.cages)
+    if any(given is not None for given in (args.turn, args.camera, args.view, args.frame, args.eye, args.target)):
+        raise InputError("--cameras cannot be combined with --turn, --camera, --view, --frame, --eye or --target")
+    if camera_file(args.cameras):
+        return keyed_track(camera_keys(args, args.cameras), timeline)
+    cameras = sized_cameras(args, args.cameras)
+    return lambda frames: cameras_along(cameras, args.frames, args.interpolation, frames)

@@ -27,6 +27,9 @@ from ..field.selection import NodeSelection, painted_voxels, splat_matter, tinte
 from ..field.surface import color_vertices
 from ..field.texture import simplified, textured
 from ..field.voxel_field import VoxelField
+from ..films.edits import Deformation
+from ..films.render import require_voxels
+from ..films.words import read_rest
 from ..fitting.splats.from_voxels import to_splats
 from ..mesh.io import write_shown_mesh
 from ..mesh.io.ply import write_ply
@@ -39,8 +42,7 @@ from ..view.pictures import write_png
 from . import shared
 from .arguments import options
 from .cameras import camera_file, check_saved, chosen_camera, save_cameras, scene_cameras
-from .shared import Deformation, is_deformed, read_deformation
-from .words import read_rest
+from .shared import is_deformed, read_deformation
 
 
 def _checked_fields(args: argparse.Namespace, volumes: tuple[str, ...] = ()) -> tuple[bool, pathlib.Path]:
@@ -197,9 +199,9 @@ def run_mesh(args: argparse.Namespace) -> None:
             )
     if not moves and len(args.posed or ()) > 1:
         raise InputError(f"{ending} holds one pose: give one --posed, or a file that holds motion")
-    field = shared.require_voxels(shared.read_field(args), "mesh")
-    args.timed = moves and args.frames is None
-    deformation = read_deformation(args, field, "smooth" if moves else None)
+    field = require_voxels(shared.read_field(args), "mesh")
+    reader = shared.edit_reader(args, "smooth" if moves else None, timed=moves and args.frames is None)
+    deformation = read_deformation(args, field, reader)
     colored = moves and args.texture is None if args.colors is None else args.colors
 
     selection = None if args.selection is None else NodeSelection.load(args.selection, field)

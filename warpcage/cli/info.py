@@ -22,6 +22,8 @@ from ..edits.place import PLACE_WORDS, PlaceFile
 from ..edits.stage_file import read_stage_file
 from ..errors import InputError, MissingFileError
 from ..field.surroundings import LayeredBackground, OuterField
+from ..films.edits import read_edits_file
+from ..films.render import require_voxels
 from ..fitting.silhouettes import Silhouettes
 from ..mesh.io import object_names
 from ..mesh.io.formats import mesh_endings, mesh_formats
@@ -39,7 +41,6 @@ from ..view.pictures import contact_sheet, shrink, write_png
 from . import shared
 from .arguments import options
 from .arguments.info import SHEET_PICTURES, SHEET_SIDE
-from .words import read_edits_file
 
 #: Names and values, one per printed line.
 Rows = list[tuple[str, object]]
@@ -107,7 +108,7 @@ def device_line(device: wp.Device) -> str:
 
 
 def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
-    field = shared.require_voxels(shared.read_field(args), "info")
+    field = require_voxels(shared.read_field(args), "info")
     cameras = None if field.refined_cameras is None else field.refined_cameras.cameras
     share = field.voxel_count / (field.resolution[0] * field.resolution[1] * field.resolution[2])
     density = field.grid.density.numpy()

@@ -3,49 +3,34 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import os
 import pathlib
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
+from ..cage.cage import Cage
 from ..core.names import counted
-from ..core.overlap import BackgroundWriter
-from ..deform.deformer import Deformer
 from ..edits.stage_file import STAGE_ENDING
 from ..errors import InputError
-from ..mesh.mesh import ClosedMesh
+from ..films.edits import Deformation
+from ..films.film import Film, Moment
+from ..films.render import Scene, drawn_cages, picture_task, require_voxels
+from ..films.timeline import Things
 from ..view import frame_parts
 from ..view.camera import Camera
 from ..view.camera_path import path_cameras
-from ..view.exr import require_openexr, write_picture
-from ..view.film import FILM_ENDINGS, film_size, require_clear_film, write_film
-from ..view.frame import Frame, depth_along_view
-from ..view.frame_parts import MASKS, picture
+from ..view.exr import require_openexr
+from ..view.film import FILM_ENDINGS, film_size, require_clear_film
+from ..view.frame_parts import MASKS
 from ..view.motion import cameras_along
-from ..view.opacity import rgba_picture
 from ..view.pictures import write_png
 from . import shared
 from .arguments import options
 from .arguments.render import STEPS
 from .cameras import camera_file, camera_keys, check_saved, chosen_camera, save_cameras, sized_cameras, warn_of_edges
-from .films.staging import Staging, read_things, staging_of
-from .shared import Deformation, read_deformation
-
-
-def colors(frame: Frame, camera: Camera, cages: Sequence[ClosedMesh], transparent: bool) -> np.ndarray:
-    """The colours of a frame, (h, w, 3), or with straight opacity (h, w, 4); the edges of cages are drawn into it."""
-    if transparent:
-        return rgba_picture(frame, camera, cages)
-    return picture(frame, "rgb", camera, cages)
-
-
-def finished(image: np.ndarray) -> np.ndarray:
-    """A picture that nobody changes any more: a film takes it without a copy."""
-    image.flags.writeable = False
-    return image
+from .shared import read_deformation, read_things, things_of
 
 
 def checked_opacity(args: argparse.Namespace, output: pathlib.Path) -> bool:
@@ -63,15 +48,6 @@ def require_format(path: str | os.PathLike[str]) -> None:
     """Raises ValueError for an OpenEXR file where its library is not installed, before any long work."""
     if os.fspath(path).lower().endswith("exr"):
         require_openexr()
-
-
-def picture_task(
-    path: str | os.PathLike[str], image: np.ndarray, frame: Frame, camera: Camera
-) -> tuple[Callable[[], None], int]:
-    """What writes a picture of a frame, .png, or .exr with its depth, in any thread, and the bytes that it holds."""
-    # It needs neither the frame any more, nor what that has on a device.
-    depth = depth_along_view(frame, camera) if os.fspath(path).lower().endswith(".exr") else None
-    return functools.partial(write_picture, path, image, depth), image.nbytes + (0 if depth is None else depth.nbytes)
 
 
 def size_text(width: int, height: int, output: pathlib.Path) -> str:
@@ -97,24 +73,20 @@ SINGLE_POSE = ("disparity", "depth", "alpha", "masks")
 SINGLE_CAMERA = (*SINGLE_POSE, "camera", "view", "frame", "eye", "target")
 
 
-#: A picture, and the frame and the camera that it is of.
-Picture = tuple[np.ndarray, Frame, Camera]
-
-
-def pictures_of(
-    args: argparse.Namespace,
-    renderer: shared.AnyField | Deformer,
-    deformation: Deformation | None,
-    cameras: Sequence[Camera],
-    pose: Callable[[int], object] = lambda index: None,  # called before each with its number
-    staging: Staging | None = None,  # what stands beside it
-) -> Iterator[Picture]:
+def film_of(args: argparse.Namespace, cameras: Sequence[Camera], moment: Moment) -> Film:
     """The pictures of some cameras, one after the other."""
-    for index, camera in enumerate(cameras):
-        pose(index)
-        frame = shared.render_view(renderer if staging is None else staging.with_main(renderer), camera, args)
-        drawn = shared.drawn_cages(renderer, deformation) if args.overlay else ()
-        yield colors(frame, camera, drawn, shared.is_transparent(args)), frame, camera
+    return Film(
+        len(cameras), lambda frames: [cameras[int(frame)] for frame in frames], moment, shared.chosen_look(args)
+    )
+
+
+def posed_moment(
+    args: argparse.Namespace, field: shared.AnyField, deformation: Deformation | None, things: Things | None
+) -> Moment:
+    """The scene in its last pose at all times."""
+    renderer = shared.posed_renderer(field, deformation, args)
+    cages = shared.drawn_cages(renderer, deformation)
+    return lambda frame: (renderer if things is None else things.with_main(renderer), cages)
 
 
 def run_flight(args: argparse.Namespace) -> None:
@@ -135,16 +107,15 @@ def run_flight(args: argparse.Namespace) -> None:
     shared.require_fillable(args, field)
     cameras = chosen_cameras(args)
     deformation = read_deformation(args, field)
-    staging = staging_of(args, field, stage)
+    things = things_of(args, field, stage)
     shared.set_lattice(args, cameras[0])
-    renderer = shared.posed_renderer(field, deformation, args)
-    pictures = pictures_of(args, renderer, deformation, cameras, staging=staging)
+    film = film_of(args, cameras, posed_moment(args, field, deformation, things))
     save_cameras(args, cameras)
     if output.suffix:
         rate = GIF_RATE if output.suffix.lower() == ".gif" else VIDEO_RATE
-        write_film(output, (finished(image) for image, _, _ in pictures), rate)
+        film.write(output, rate, loop=True)
     else:
-        _write_pictures(output, pictures, (f"view_{index:04d}" for index in range(len(cameras))), args)
+        film.write_pictures(output / f"view_{index:04d}.{args.format or 'png'}" for index in range(len(cameras)))
     size = size_text(cameras[0].width, cameras[0].height, output)
     print(f"wrote {output}: {counted(len(cameras), 'picture')} of {size}")
 
@@ -171,21 +142,12 @@ def _new_folder(text: str, what: str) -> pathlib.Path:
     return path
 
 
-def _write_pictures(
-    folder: pathlib.Path, pictures: Iterable[Picture], names: Iterable[str], args: argparse.Namespace
-) -> None:
-    """Write pictures into a folder under a name each."""
-    with BackgroundWriter() as beside:
-        for name, (image, frame, camera) in zip(names, pictures, strict=True):
-            beside.run(*picture_task(folder / f"{name}.{args.format or 'png'}", image, frame, camera))
-
-
 def seen_points(
-    field: shared.AnyField, deformation: Deformation | None, args: argparse.Namespace, staging: Staging | None
+    field: shared.AnyField, deformation: Deformation | None, args: argparse.Namespace, things: Things | None
 ) -> np.ndarray:
     """(n, 3) points around what a picture shows, world units."""
     points = shared.visible_points(field, deformation, args.frame)
-    return points if staging is None else staging.points(points)
+    return points if things is None else things.points(points)
 
 
 def run_many_poses(args: argparse.Namespace) -> None:
@@ -198,24 +160,26 @@ def run_many_poses(args: argparse.Namespace) -> None:
     check_saved(args)
     field, stage = read_things(args)
     shared.require_fillable(args, field)
-    deformation = read_deformation(args, field, "linear")
+    deformation = read_deformation(args, field, shared.edit_reader(args, "linear"))
     assert deformation is not None
-    staging = staging_of(args, field, stage)
-    camera = chosen_camera(args, seen_points(field, deformation, args, staging))
+    things = things_of(args, field, stage)
+    camera = chosen_camera(args, seen_points(field, deformation, args, things))
     shared.set_lattice(args, camera)
     deformer = shared.make_deformer(field, deformation, args)
     count = max(1, deformation.pose_count - 1)
 
-    def pose(index: int) -> None:
-        cages = deformation.at(float(min(index + 1, deformation.pose_count - 1)))
+    def moment(index: float) -> tuple[Scene, list[Cage]]:
+        number = int(index) + 1
         try:
-            deformer.pose(cages)
+            deformer.pose(deformation.at(float(min(number, deformation.pose_count - 1))))
         except ValueError as error:
-            raise InputError(f"pose {index + 1} of {count}: {error}") from error
+            raise InputError(f"pose {number} of {count}: {error}") from error
+        return deformer if things is None else things.with_main(deformer), drawn_cages(deformer)
 
-    pictures = pictures_of(args, deformer, deformation, [camera] * count, pose, staging)
-    digits = max(4, len(str(count)))
-    _write_pictures(folder, pictures, (f"pose_{number:0{digits}d}" for number in range(1, count + 1)), args)
+    digits, ending = max(4, len(str(count))), args.format or "png"
+    film_of(args, [camera] * count, moment).write_pictures(
+        folder / f"pose_{number:0{digits}d}.{ending}" for number in range(1, count + 1)
+    )
     save_cameras(args, [camera])
     print(f"wrote {folder}: {counted(count, 'picture')} of {camera.width}x{camera.height}")
 
@@ -245,23 +209,23 @@ def run_render(args: argparse.Namespace) -> None:
         raise InputError(f"--save-stage writes a file that ends in {STAGE_ENDING}, got {args.save_stage!r}")
     field, stage = read_things(args)
     if args.masks is not None:
-        shared.require_voxels(field, "--masks")
+        require_voxels(field, "--masks")
     shared.require_fillable(args, field)
     deformation = read_deformation(args, field)
-    staging = staging_of(args, field, stage)
+    things = things_of(args, field, stage)
 
-    camera = chosen_camera(args, seen_points(field, deformation, args, staging))
+    camera = chosen_camera(args, seen_points(field, deformation, args, things))
     warn_of_edges(args, camera, deformation)
     shared.set_lattice(args, camera)
-    renderer = shared.posed_renderer(field, deformation, args)
-    image, frame, _ = next(pictures_of(args, renderer, deformation, [camera], staging=staging))
+    film = film_of(args, [camera], posed_moment(args, field, deformation, things))
+    image, frame, _ = film.taken(0)
     write, _ = picture_task(output, image, frame, camera)
     write()
     for kind, path in extra.items():
         write_png(path, frame_parts.picture(frame, kind))
     save_cameras(args, [camera])
-    if args.save_stage is not None and staging is not None:
-        staging.stage.save(args.save_stage)
+    if args.save_stage is not None and things is not None:
+        things.stage.save(args.save_stage)
     names = " and ".join(map(str, [output, *extra.values()]))
     print(f"wrote {names}: {frame.width}x{frame.height}, {100 * float(frame.alpha.mean()):.1f} % covered")
     if args.masks is not None:

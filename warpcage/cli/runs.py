@@ -25,13 +25,13 @@ from ..core.names import BACKGROUNDS, TRANSPARENT, counted
 from ..core.reports import bar, say_above_bar, span_text
 from ..core.threads import cpu_threads
 from ..errors import InputError
+from ..films.words import expected_ups, read_poses, read_rest
 from ..scene.formats.transforms import TransformsCameras
 from ..view.camera import Camera, CameraFile, framing_orbit
 from . import shared
 from .arguments import options
 from .arguments.runs import OWN, USUAL_BACKGROUNDS
 from .cameras import DEFAULT_SIZE, camera_file, file_size, fitted_to, image_size, moved_to_field, sized_cameras
-from .words import expected_ups, posed_up, read_poses, read_rest
 
 #: Lines about items that failed; the manifest has all.
 MOST_LINES = 10
@@ -243,7 +243,7 @@ def _random_count(text: str, option: str) -> int | None:
 
 def _pose_sources(args: argparse.Namespace, rest: Cage, expected: dict[str, str]) -> list[PoseSource]:
     """The poses of --poses in their order."""
-    up, sources = posed_up(args), []
+    up, sources = shared.posed_up(args), []
     files = [text for text in args.poses if _random_count(text, "--poses") is None and not _is_array(text)]
     likely = expected_ups(rest, files, expected) if up is None else None
     for text in args.poses:

@@ -10,6 +10,7 @@ from ..core.files import atomic_path
 from ..core.names import FIT_BACKGROUNDS, counted
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
+from ..films.render import require_voxels
 from ..fitting.cameras import tuned_scene
 from ..fitting.evaluation import (
     comparison,
@@ -53,7 +54,7 @@ def run_evaluate(args: argparse.Namespace) -> None:
     scene = shared.read_scene(args, background)
     scene, given = in_world_of(field, scene), None
     if args.tune_cameras:
-        scene = tuned_scene(shared.require_voxels(field, "--tune-cameras"), scene)
+        scene = tuned_scene(require_voxels(field, "--tune-cameras"), scene)
         print("the poses of these views were fitted to the field: the figures say how good it is, not where they are")
     elif refined_cameras_of(field) is not None and not args.given_cameras:
         scene, given = moved_scene(field, scene), scene

@@ -3,128 +3,59 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import dataclasses
-import hashlib
-from collections.abc import Iterator, Sequence
+import itertools
+import pathlib
+import re
+from collections.abc import Collection
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..cage.axes import with_up
 from ..cage.cage import Cage
-from ..cage.pose_file import PoseFile, cage_hash, is_preset
 from ..cage.up_axis import object_points
-from ..core.arrays import box_corners
+from ..core.checks import warn_caller
 from ..core.devices import resolve_device
 from ..core.files import read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
 from ..deform.deformer import Deformer
-from ..deform.fill import fill_unseen
 from ..deform.stage import Stage
 from ..editor.session import FORMAT as SESSION_FORMAT
 from ..editor.session import read_session
-from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
+from ..edits.edits import MOST_CELLS, picture_cells
+from ..edits.place import Place
 from ..edits.stage_file import STAGE_ENDING
-from ..edits.words import EditWords
+from ..edits.words import EditWords, held_walls
 from ..errors import InputError
-from ..field.voxel_field import VoxelField
+from ..films import render
+from ..films.edits import Deformation, EditReader, Keyframes, PosedEdit, named, read_edits_file
+from ..films.render import Look
+from ..films.timeline import Things, shown_corners
 from ..mesh.queries import inside_mesh
 from ..scene.load import load_scene
 from ..scene.scene import Scene
 from ..splats.io import is_splat_file, splat_path
 from ..splats.io.formats import endings_written
-from ..splats.splat_field import AnyField, SplatField, load_field
+from ..splats.splat_field import AnyField, load_field
 from ..view.camera import Camera
-from ..view.frame import Frame
 from .arguments import options
-from .words import Keyframes, only_pose, parse_edit, posed_up, read_edits_file, read_rest
+from .arguments.options import CAGE_ENDINGS, positive_float
 
 
-@dataclasses.dataclass(frozen=True)
-class PosedEdit:
-    """One edit, and the poses that its cage goes through (None for an edit that removes)."""
-
-    edit: CageEdit
-    keyframes: Keyframes | None
-
-    def at(self, place: float) -> Cage | None:
-        """The cage at a place, 0 at rest and 1 the first pose; after its last pose it stays. None: it is removed."""
-        if self.keyframes is None:
-            return None
-        return self.keyframes.at(min(place, len(self.keyframes.cages) - 1.0))
-
-    @property
-    def film(self) -> PoseFile | None:
-        """Keys at times, None where the poses follow one another evenly."""
-        return None if self.keyframes is None else self.keyframes.film
+def edit_reader(
+    args: argparse.Namespace, interpolation: str | None = None, *, timed: bool = False, fps: Fraction | None = None
+) -> EditReader:
+    """What reads the edits of a command."""
+    all_edits = {name: getattr(args, name, None) or 0.0 for name in ("falloff", "fragments")}
+    return EditReader(interpolation, args.cage_up, posed_up(args), args.cage_object, **all_edits, timed=timed, fps=fps)
 
 
-class Deformation:
-    """Edits in the order in which they act, at least one, each with its poses."""
-
-    def __init__(self, parts: Sequence[PosedEdit]):
-        self.parts = list(parts)
-        self.edits = [part.edit for part in self.parts]
-        # The cage at rest and the poses of the edit that has most of them.
-        self.pose_count = max((len(part.keyframes.cages) for part in self.parts if part.keyframes), default=1)
-
-    @property
-    def posed(self) -> list[Cage | None]:
-        """The last pose of each edit, None for one that removes."""
-        return self.at(self.pose_count - 1.0)
-
-    def at(self, place: float) -> list[Cage | None]:
-        """The cages at a place between the poses: 0 at rest, 1 the first pose, and so on."""
-        return [part.at(place) for part in self.parts]
-
-    @property
-    def film(self) -> PoseFile | None:
-        """The keys at times that last longest, None where no edit has any."""
-        films = [part.film for part in self.parts if part.film is not None]
-        return max(films, key=lambda film: film.length, default=None)
-
-    @property
-    def camera_film(self) -> PoseFile | None:
-        """The first keys at times that hold cameras too, None where none do."""
-        return next((part.film for part in self.parts if part.film is not None and part.film.cameras), None)
-
-    def at_time(self, seconds: float) -> list[Cage | None]:
-        """The cages at a time of the film. Those without keys at times stay at their last pose."""
-        return [
-            part.at(self.pose_count - 1.0) if part.film is None else part.film.at_time(seconds) for part in self.parts
-        ]
-
-    @property
-    def is_still(self) -> bool:
-        """Whether nothing moves: the scene is the field as it is."""
-        return not any(part.edit.remove or _moves(part) for part in self.parts)
-
-    def drawn(self, cages: Sequence[Cage | None]) -> list[Cage]:
-        """The cages that an overlay shows: posed ones, and at rest those whose content is removed."""
-        return [edit.cage if cage is None else cage for edit, cage in zip(self.edits, cages, strict=True)]
-
-    @property
-    def vertices(self) -> np.ndarray:
-        """(n, 3) vertices of all cages, at rest and posed, world units."""
-        cages = [part.edit.cage for part in self.parts]
-        cages += [cage for part in self.parts if part.keyframes for cage in part.keyframes.cages]
-        return np.concatenate([cage.vertices for cage in cages])
-
-    def fingerprints(self) -> dict[str, list[str]]:
-        """Hashes of the edits, "cage", and of their poses, "posed": all that decides how the scene moves."""
-        words = ([e.keep_source, e.remove, e.falloff, e.held, e.fragments] for e in self.edits)
-        cages = [_hash([cage_hash(edit.cage), *each]) for edit, each in zip(self.edits, words, strict=True)]
-        return {"cage": cages, "posed": [_pose_hash(part) for part in self.parts]}
-
-
-def read_deformation(
-    args: argparse.Namespace, field: VoxelField | SplatField, interpolation: str | None = None
-) -> Deformation | None:
+def read_deformation(args: argparse.Namespace, field: AnyField, reader: EditReader | None = None) -> Deformation | None:
     """The deformation that a command's options name, None where nothing is deformed; the field tells the axes of cage
-    files. interpolation: "smooth" or "linear", between several poses of an edit; None takes one pose an edit."""
+    files. reader: None takes one pose an edit."""
+    reader = reader or edit_reader(args)
     ways = [f"--{name}" for name in ("cage", "edit", "edits") if getattr(args, name) is not None]
     if len(ways) > 1:
         raise InputError(f"{ways[0]} and {ways[1]} do not go together: name each cage of several by --edit")
@@ -136,37 +67,80 @@ def read_deformation(
                 "--cage and --posed go together: the cage at rest and the same cage posed (--overlay shows it at rest)"
             )
         texts = args.posed if isinstance(args.posed, list) else [args.posed or "rest"]
-        return Deformation([_read_edit(EditWords(args.cage, texts[0]), texts, args, interpolation, field)])
+        return Deformation([reader.edit(EditWords(args.cage, texts[0]), texts, field)])
     if args.edits is not None:
-        return edits_of_file(args.edits, args, interpolation, field)
+        return edits_of_file(args.edits, reader, field)
     words = [parse_edit(text) for text in args.edit or ()]
-    return numbered_edits(words, args, interpolation, field) if words else None
+    return reader.edits(words, field) if words else None
 
 
-def edits_of_file(
-    path: str, args: argparse.Namespace, interpolation: str | None, field: VoxelField | SplatField
-) -> Deformation:
+def edits_of_file(path: str, reader: EditReader, field: AnyField) -> Deformation:
     """The deformation of an edits file, or of a session of the editor."""
     if is_session(path):
-        return session_edits(path, interpolation)[0]
-    return numbered_edits(read_edits_file(path), args, interpolation, field)
+        return session_edits(path, reader.interpolation)[0]
+    return reader.edits(read_edits_file(path), field)
 
 
-def numbered_edits(
-    words: Sequence[EditWords],
-    args: argparse.Namespace,
-    interpolation: str | None,
-    field: VoxelField | SplatField | None = None,
-) -> Deformation:
-    """The deformation of several edits; messages say which is wrong. Without a field axes are those of the formats."""
-    if len(words) > MAX_EDITS:
-        raise InputError(f"a scene takes at most {MAX_EDITS} edits, got {len(words)}")
-    parts = []
-    for number, edit in enumerate(words, 1):
-        with _named(f"edit {number} of {len(words)}"):
-            texts = [] if edit.posed is None else [edit.posed]
-            parts.append(_read_edit(edit, texts, args, interpolation, field, part=True))
-    return Deformation(parts)
+def posed_up(args: argparse.Namespace) -> str | None:
+    """The axis that points up in posed cage files, None where it is to be found."""
+    return getattr(args, "posed_up", None) or args.cage_up
+
+
+#: How an edit is written in one word.
+EDIT_SHAPE = "CAGE:POSED, CAGE:POSED:keep, CAGE:POSED:falloff=WIDTH or CAGE:remove"
+
+#: Words after the cages.
+_LAST_WORD = re.compile(r"(keep|remove)|(falloff|fragments|crumbs|held|object)=([^:]*)")
+
+#: A word that is none of them, after a posed cage: only glTF and pose files hold things with names.
+_SLIP = re.compile(r".+\.(?:obj|ply|off):([^:/\\]+)", re.IGNORECASE | re.DOTALL)
+
+#: The cage is what goes up to the first ending of a cage file that a colon or the end follows: so the colon of a
+#: Windows drive (C:\cage.obj) separates nothing.
+_CAGE = re.compile(rf"(.+?(?:{'|'.join(map(re.escape, CAGE_ENDINGS))}))(?::(.*))?", re.IGNORECASE | re.DOTALL)
+
+
+def parse_edit(text: str) -> EditWords:
+    """An edit of --edit: CAGE:POSED, then ":keep", ":remove", ":falloff=WIDTH", ":held=WALLS", ":fragments=SIZE",
+    ":object=NAME"."""
+    found = _CAGE.fullmatch(text)
+    if found is None:
+        raise InputError(f"--edit {text!r} names no cage file ({' '.join(CAGE_ENDINGS)}): write {EDIT_SHAPE}")
+    cage, rest = found[1], found[2]
+    words: dict[str, Any] = {}
+    while rest is not None:
+        before, _, last = rest.rpartition(":")
+        word = _LAST_WORD.fullmatch(last)
+        if word is None or pathlib.Path(rest).exists():
+            break
+        name = word[1] or word[2]
+        if name == "crumbs":
+            warn_caller("crumbs= is called fragments= now: the next version knows that name alone")
+            name = "fragments"
+        words[name] = word[3] if word[2] else True
+        rest = before or None
+    try:
+        if rest is not None and (slip := _SLIP.fullmatch(rest)) and not pathlib.Path(rest).exists():
+            raise InputError(
+                f"{slip[1]!r} is no word of an edit, only keep, remove, falloff=, held=, fragments= and object="
+            )
+        words |= {name: positive_float(words[name]) for name in ("falloff", "fragments") if name in words}
+        words |= {"held": held_walls(words["held"], "held")} if "held" in words else {}
+        if not rest and not words.get("remove"):
+            raise InputError(f"there is no posed cage: write {EDIT_SHAPE}")
+        return EditWords(cage, rest or None, **words)
+    except (ValueError, argparse.ArgumentTypeError) as error:
+        raise InputError(f"--edit {text!r}: {error}") from None
+
+
+def parse_add(text: str) -> tuple[str, str | None, str | None]:
+    """Field, place file and edits file of a word of --add: FIELD, FIELD:PLACE or FIELD:PLACE:EDITS; "" is none."""
+    # the colon of a Windows drive (C:\field.npz) separates nothing
+    parts = re.split(r":(?![\\/])|(?<!^[A-Za-z])(?<!:[A-Za-z]):", text)
+    if len(parts) > 3 or not parts[0]:
+        raise InputError(f"--add {text!r} must be FIELD, FIELD:PLACE.json or FIELD:PLACE.json:EDITS.json")
+    field, place, edits = (*parts, "", "")[:3]
+    return field, place or None, edits or None
 
 
 def is_deformed(args: argparse.Namespace) -> bool:
@@ -183,39 +157,6 @@ def is_session(path: str) -> bool:
         raise InputError(f"{file}: {error}") from None
 
 
-def _own_or_all(own: float | None, args: argparse.Namespace, name: str) -> float:
-    """What an edit says for itself, or else what an option says for all edits."""
-    return (getattr(args, name, None) or 0.0) if own is None else own
-
-
-def _read_edit(
-    words: EditWords,
-    texts: list[str],
-    args: argparse.Namespace,
-    interpolation: str | None,
-    field: VoxelField | SplatField | None,
-    part: bool = False,
-) -> PosedEdit:
-    """An edit with the cages that its words name. texts: words of --posed; part: whether it is one of several."""
-    name = words.object or args.cage_object
-    rest, expected = read_rest(words.cage, words.up or args.cage_up, field, part=part, name=name)
-    texts = [with_up(text, None if field is None else field.up.tolist()) if is_preset(text) else text for text in texts]
-    falloff = 0.0 if words.remove else _own_or_all(words.falloff, args, "falloff")
-    if words.held != "cut" and not falloff and not words.remove:
-        raise InputError("held names the walls that an edit fades towards: give it a falloff=WIDTH, or leave held out")
-    size = _own_or_all(words.fragments, args, "fragments")
-    edit = CageEdit(rest, words.keep, words.remove, falloff, words.held, size)
-    if words.remove:
-        return PosedEdit(edit, None)
-    up, timed = words.up or posed_up(args), getattr(args, "timed", False)
-    keyframes = Keyframes(
-        rest, texts, interpolation or "smooth", up, expected, timed=timed, fps=getattr(args, "film_rate", None)
-    )
-    if interpolation is None and len(keyframes.cages) > 2:
-        keyframes.cages[1:] = [only_pose(rest, texts[0], up, keyframes.cages[1:])]
-    return PosedEdit(edit, keyframes)
-
-
 def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformation, list[str]]:
     """The visible edits of a session of the editor, in the poses that it was left in, and a line on each edit."""
     visible = [edit for edit in read_session(path).edits if edit.visible]
@@ -223,7 +164,7 @@ def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformat
         raise InputError(f"{path}: the session has no visible edit")
     parts = []
     for edit in visible:
-        with _named(f"{path}: edit {edit.name!r}"):
+        with named(f"{path}: edit {edit.name!r}"):
             cage_edit, keyframes = edit.cage_edit, None
             if not cage_edit.remove:
                 keyframes = Keyframes(cage_edit.cage, [], interpolation or "smooth")
@@ -232,39 +173,6 @@ def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformat
                 keyframes.cages.append(posed)
             parts.append(PosedEdit(cage_edit, keyframes))
     return Deformation(parts), [f"{edit.name}: {edit.kind}" for edit in visible]
-
-
-@contextlib.contextmanager
-def _named(what: str) -> Iterator[None]:
-    """Put a name before what is wrong."""
-    try:
-        yield
-    except ValueError as error:
-        raise InputError(f"{what}: {error}") from error
-
-
-def _moves(part: PosedEdit) -> bool:
-    """Whether a cage has a pose that is another than the cage at rest."""
-    cages = [] if part.keyframes is None else part.keyframes.cages
-    return any(
-        cage is not part.edit.cage and not np.array_equal(cage.vertices, part.edit.cage.vertices) for cage in cages
-    )
-
-
-def _pose_hash(part: PosedEdit) -> str:
-    """A hash of the poses of an edit."""
-    keyframes = part.keyframes
-    if keyframes is None:
-        return ""
-    preset = None if keyframes.preset is None else (keyframes.preset.family, keyframes.amounts)
-    film = keyframes.film
-    moments = None if film is None else (sorted(film.times.items()), sorted(film.easings.items()))
-    return _hash([*map(cage_hash, keyframes.cages), preset, moments])
-
-
-def _hash(parts: Sequence[object]) -> str:
-    """sha256 of the texts of some values."""
-    return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
 
 
 def chosen_device(args: argparse.Namespace) -> wp.Device:
@@ -319,13 +227,6 @@ def is_stage(path: str) -> bool:
     return path.lower().endswith(STAGE_ENDING)
 
 
-def require_voxels(field: AnyField, what: str) -> VoxelField:
-    """A field of voxels. Raises ValueError for splats; what: what is asked for, as the message begins."""
-    if isinstance(field, SplatField):
-        raise InputError(f"{what} is for fields of voxels (.npz), this one is of splats")
-    return field
-
-
 def scene_masks(path: str, field: AnyField) -> dict[str, Any]:
     """The masks of a scene's object and their cameras, as `select_nodes` takes them: of its training pictures, in the
     world of a field."""
@@ -365,13 +266,18 @@ def visible_points(field: AnyField, deformation: Deformation | None, frame: str 
             staying = staying[~inside_mesh(staying, edit.cage)]
         few = len(staying) <= LEAST_STAYING * len(seen)
         return deformation.vertices if few else np.concatenate([deformation.vertices, staying])
-    return box_corners(field.shown_bounds if isinstance(field, SplatField) else field.bounds)
+    return shown_corners(field)
 
 
 def make_deformer(field: AnyField, deformation: Deformation, args: argparse.Namespace) -> Deformer:
     """The Deformer of the deformation options, not posed yet."""
-    options = {"coordinates": args.coordinates, "resolution": lattice_cells(args), "density": args.density}
-    return Deformer(field, deformation.edits, **options, map=args.map)
+    return Deformer(field, deformation.edits, **deformer_options(args))
+
+
+def deformer_options(args: argparse.Namespace) -> dict[str, Any]:
+    """The options of a Deformer by its names."""
+    names = ("coordinates", "resolution", "density", "map")
+    return {name: getattr(args, name) for name in names} | {"resolution": lattice_cells(args)}
 
 
 def lattice_cells(args: argparse.Namespace) -> int | None:
@@ -405,14 +311,11 @@ def is_transparent(args: argparse.Namespace) -> bool:
     return args.transparent or args.background == TRANSPARENT
 
 
-def render_view(renderer: AnyField | Deformer | Stage, camera: Camera, args: argparse.Namespace) -> Frame:
-    """The view of a camera before the chosen background; what no picture showed is filled where --fill asks for it."""
-    splats = {} if args.antialias is None else {"antialias": args.antialias}
-    frame = renderer.render(camera, **background_option(args), **splats)
-    if not args.fill or frame.reveal is None or isinstance(renderer, Stage):
-        return frame
-    field = renderer.field if isinstance(renderer, Deformer) else renderer
-    return fill_unseen(frame, require_voxels(field, "--fill"), camera)
+def chosen_look(args: argparse.Namespace) -> Look:
+    """How the options have frames rendered."""
+    background = TRANSPARENT if is_transparent(args) else args.background
+    show = getattr(args, "show", "rgb")
+    return Look(background, bool(args.fill), None, args.antialias, show, bool(args.overlay))
 
 
 def require_fillable(args: argparse.Namespace, field: AnyField) -> None:
@@ -422,20 +325,55 @@ def require_fillable(args: argparse.Namespace, field: AnyField) -> None:
     require_deformation(args, "--fill")
     if args.background is not None or args.transparent:
         raise InputError("--fill continues the field's own background: it cannot be combined with --background")
-    if field.background_model is None:
-        raise InputError("--fill: behind this field there is one colour, so that nothing is missing where it shows")
+    render.require_fillable(field, "--fill")
 
 
 def drawn_cages(renderer: AnyField | Deformer, deformation: Deformation | None) -> list[Cage]:
     """The cages that an overlay shows: as the Deformer has them, whose held walls stay at rest."""
     if deformation is None:
         return []
-    posed = renderer.deformed if isinstance(renderer, Deformer) else None
-    return deformation.drawn(deformation.posed if posed is None else posed)
+    return render.drawn_cages(renderer) if isinstance(renderer, Deformer) else deformation.drawn(deformation.posed)
 
 
-def background_option(args: argparse.Namespace) -> dict:
-    """The option `background` of a render, empty where the field's own is taken."""
-    if is_transparent(args):
-        return {"background": TRANSPARENT}
-    return {} if args.background is None else {"background": args.background}
+def read_things(args: argparse.Namespace) -> tuple[AnyField, Stage | None]:
+    """The field of a command that may show several things, and the stage where its file is one of a stage."""
+    if args.fill and (args.add or is_stage(args.field)):
+        raise InputError("--fill is for a field alone: leave it out where several things are shown")
+    if not is_stage(args.field):
+        return read_field(args), None
+    if is_deformed(args):
+        raise InputError("the things of a stage file have cages of their own: leave --cage, --edit and --edits out")
+    require_field_scale(args)
+    stage = Stage.load(args.field, device=chosen_device(args))
+    first = next(iter(stage.items.values()))
+    args.up = tuple(stage.up) if args.up is None else args.up
+    args.straightening = first.field.straightening if first.places.at(0.0) == Place() else None
+    return first.field, stage
+
+
+def things_of(
+    args: argparse.Namespace, field: AnyField, stage: Stage | None, reader: EditReader | None = None
+) -> Things | None:
+    """What stands beside the field of a command, None where it is alone."""
+    if stage is None and not args.add and not getattr(args, "save_stage", None):
+        return None
+    of_file, moving = stage is not None, []
+    if stage is None:
+        stage = Stage(device=field.device).add(pathlib.Path(args.field).stem, field, path=args.field)
+    for text in args.add or ():
+        path, place, edits = parse_add(text)
+        name = free_name(pathlib.Path(path).stem, stage.items)
+        path = require_file(splat_path(path), "field file")
+        thing: Any = load_field(path, device=field.device)
+        if edits is not None:
+            deformation = edits_of_file(edits, reader or edit_reader(args), thing)
+            thing = make_deformer(thing, deformation, args).pose(deformation.posed)
+            moving.append((thing, deformation))
+        stage.add(name, thing, place=place, path=path)
+    return Things(stage, of_file=of_file, moving=moving)
+
+
+def free_name(name: str, taken: Collection[str]) -> str:
+    """A name that is not taken: the same, or with the first number from 2 that makes it one."""
+    names = itertools.chain([name], (f"{name} {number}" for number in itertools.count(2)))
+    return next(each for each in names if each not in taken)

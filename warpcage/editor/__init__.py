@@ -14,9 +14,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
             "new_edit parsed_json"
         ),
         "edit": "Editor",
-        "exports": (
-            "Film atomic_folder export_baked export_cage export_command export_film export_poses film_pictures"
-        ),
+        "exports": ("Film export_baked export_cage export_command export_film export_poses film_pictures"),
         "inspection": "Inspector inspect inspector",
         "renderer": (
             "COARSE_CELLS FRAME LEAST_SIDE Pace PosedScene Renderer Request band_camera depth_size "

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import os
 import pathlib
 import shlex
-import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,11 +19,13 @@ from ..core.names import TRANSPARENT
 from ..core.overlap import BackgroundWriter
 from ..deform.bake import bake
 from ..errors import InputError
+from ..films import film as films
+from ..films.folder import atomic_folder, checked_film_path
+from ..films.render import Look, Scene
 from ..splats.io.formats import format_to_write
 from ..splats.splat_field import AnyField, SplatField, field_size
-from ..view.film import FILM_ENDINGS, checked_rate, require_clear_film, write_film
-from ..view.opacity import rgba_picture
-from ..view.overlay import draw_cage
+from ..view.camera import Camera
+from ..view.film import checked_rate, require_clear_film, write_film
 from ..view.pictures import write_png
 from .document import Document, checked_flag
 from .renderer import PosedScene, view_camera
@@ -83,62 +83,38 @@ def export_film(
     return len(times)
 
 
+def film_look(document: Document, field: AnyField, film: Film) -> Look:
+    """How the frames of a document's film look."""
+    settings = document.settings
+    background = TRANSPARENT if film.transparent else settings.background
+    fill = settings.fill and background is None and field.background_model is not None
+    return Look(background, fill, settings.supersampling, overlay=film.overlay)
+
+
 def film_pictures(document: Document, field: AnyField, film: Film, report: Report = _silent) -> Iterator[np.ndarray]:
-    """The pictures of a film, each rendered when it is asked for: (height, width, 3 or 4) float32 in [0, 1], read-only.
+    """The pictures of a film, each rendered when it is asked for: (height, width, 3 or 4) float32, read-only.
     Colours are not multiplied by opacity. A moment that looks like the one before is the same array."""
-    times = frame_times(document.timeline)
-    settings = dataclasses.replace(document.settings, mode="pose")
+    times, settings = frame_times(document.timeline), dataclasses.replace(document.settings, mode="pose")
     document = dataclasses.replace(document, settings=settings)
     scene = PosedScene(field)  # with a Deformer of its own: the session's is in use
-    shown: Document | None = None
-    picture = np.zeros(0, np.float32)
-    for index, time in enumerate(times):
-        report(index / len(times), f"frame {index + 1} of {len(times)}")
-        moment = document_at(document, time)
-        if shown is None or not _look_alike(moment, shown):
-            try:
-                picture = _picture(scene, moment, film)
-            except ValueError as error:
-                raise InputError(f"at {time:.3f} s of the film: {error}") from error
-            picture.flags.writeable = False
-            shown = moment
-        yield picture
-    report(1.0, "writes the end")
 
-
-def checked_film_path(path: PathLike) -> pathlib.Path:
-    """The path of a film, or of a folder without an ending, once it is clear that one can be written there."""
-    target = pathlib.Path(path)
-    if target.suffix.lower() in FILM_ENDINGS:
-        if target.is_dir():
-            raise InputError(f"film {str(target)!r} is a folder")
-    elif target.suffix:
-        endings = ", ".join(FILM_ENDINGS)
-        raise InputError(f"film {str(target)!r} must end in {endings}, or have no ending: a folder of PNG files")
-    elif target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(f"{str(target)!r} holds something already: give the name of a new folder")
-    return target
-
-
-@contextlib.contextmanager
-def atomic_folder(path: PathLike) -> Iterator[pathlib.Path]:
-    """A temporary folder that becomes `path`, which is not there or empty, when the block ends without an error."""
-    target = pathlib.Path(path).absolute()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{target.name[:60]}-{os.urandom(8).hex()}")
-    temporary.mkdir()
-    try:
-        yield temporary
+    def moment(frame: float) -> tuple[Scene, list[Cage]]:
+        number = int(frame)
+        report(number / len(times), f"frame {number + 1} of {len(times)}")
+        now = document_at(document, times[number])
         try:
-            with contextlib.suppress(FileNotFoundError):
-                target.rmdir()  # an empty folder alone lets itself be removed
-            os.rename(temporary, target)
-        except OSError as error:
-            if os.path.lexists(target):
-                raise InputError(f"{str(path)!r} holds something already: give the name of a new folder") from error
-            raise
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+            scene.prepare(now)
+        except ValueError as error:
+            raise InputError(f"at {times[number]:.3f} s of the film: {error}") from error
+        shown = [edit.posed_cage for edit in now.edits if edit.visible and edit.kind != "remove"]
+        return scene.deformer or field, shown
+
+    def track(frames: Sequence[float]) -> list[Camera]:
+        views = (document_at(document, times[int(frame)]).view for frame in frames)
+        return [view_camera(view, film.width, film.height) for view in views]
+
+    yield from films.Film(len(times), track, moment, film_look(document, field, film))
+    report(1.0, "writes the end")
 
 
 def export_cage(document: Document, number: int, path: PathLike, *, rest: bool = False) -> None:
@@ -186,31 +162,6 @@ def export_command(
     words += ["--overlay"] * film.overlay + ["--transparent"] * film.transparent
     words += ["--scene-scale", repr(float(scene_scale))] * (scene_scale != 1.0)
     return shlex.join(words)
-
-
-def _look_alike(one: Document, other: Document) -> bool:
-    """Whether two moments of a film have the same picture. What is still shares its arrays."""
-    poses = zip(one.edits, other.edits, strict=True)
-    return one.view == other.view and all(a.posed is b.posed or np.array_equal(a.posed, b.posed) for a, b in poses)
-
-
-def _picture(scene: PosedScene, document: Document, film: Film) -> np.ndarray:
-    """What a film shows of a moment."""
-    settings = document.settings
-    looking = view_camera(document.view, film.width, film.height)
-    scene.prepare(document)
-    background = TRANSPARENT if film.transparent else settings.background
-    fill = settings.fill and background is None
-    frame = scene.render(looking, background, supersampling=settings.supersampling, fill=fill)
-    cages = (
-        [edit.posed_cage for edit in document.edits if edit.visible and edit.kind != "remove"] if film.overlay else []
-    )
-    if film.transparent:
-        return rgba_picture(frame, looking, cages)
-    shown = np.clip(frame.rgb, 0.0, 1.0)
-    for cage in cages:
-        shown = draw_cage(shown, looking, cage)
-    return shown
 
 
 def requested_film(message: dict[str, Any]) -> Film:

@@ -23,10 +23,10 @@ from ..core.devices import launch
 from ..core.locks import device_turn
 from ..core.names import chosen
 from ..deform.deformer import Deformer
-from ..deform.fill import fill_unseen
 from ..edits.edits import CageEdit
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
+from ..films.render import Look
 from ..kernels.view import pictures
 from ..mesh.validity import require_usable
 from ..splats.splat_field import AnyField
@@ -271,17 +271,12 @@ class PosedScene:
     ) -> Frame:
         """The view of a camera of the scene that was prepared last, or of the field itself, which has no masks.
         None is the field's own; `step` is world units (splats have none); for `fill` see `fill_unseen`."""
-        options: dict[str, Any] = {"background": background, "supersampling": supersampling}
-        if isinstance(self.field, VoxelField):
-            options["step"] = step
-        frame = (self.field if self.deformer is None else self.deformer).render(camera, **options)
-        if not fill or self.deformer is None or not isinstance(self.field, VoxelField):
-            return frame
-        filled = fill_unseen(frame, self.field, camera)
-        device = frame.arrays["rgb"].device
-        rgb = wp.array(filled.rgb.reshape(-1, 3), dtype=wp.vec3, device=device)
-        filled.arrays["rgb"] = rgb  # where the others are
-        return filled
+        options = {"step": step} if isinstance(self.field, VoxelField) else {}
+        frame = Look(background, fill, supersampling).render(self.deformer or self.field, camera, **options)
+        if "filled" in frame.arrays:
+            device = frame.arrays["alpha"].device
+            frame.arrays["rgb"] = wp.array(frame.rgb.reshape(-1, 3), dtype=wp.vec3, device=device)  # as the others
+        return frame
 
     def _cage_edits(self, edits: Sequence[Edit], rest: Sequence[Cage]) -> list[CageEdit]:
         """The edits as a Deformer takes them."""

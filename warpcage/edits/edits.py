@@ -113,3 +113,9 @@ def picture_cells(camera: Camera) -> int:
 def edit_of_words(words: EditWords, cage: Cage) -> CageEdit:
     """The edit that words describe, of their cage at rest."""
     return CageEdit(cage, words.keep, words.remove, words.falloff or 0.0, words.held, words.fragments or 0.0)
+
+
+def words_of_edit(edit: CageEdit, cage: Any, posed: Any) -> EditWords:
+    """The words of an edit; cage and posed: what names its cage at rest and its pose, None for one that removes."""
+    held = edit.held if edit.falloff else "cut"
+    return EditWords(cage, posed, edit.keep_source, edit.remove, edit.falloff, held, edit.fragments)

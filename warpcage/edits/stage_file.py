@@ -12,7 +12,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..errors import InputError
-from .edits import CageEdit, edit_of_words
+from .edits import CageEdit, edit_of_words, words_of_edit
 from .place import PlaceFile, require_version
 from .words import Checker, EditWords, anything, checked_words
 
@@ -64,18 +64,10 @@ def deformation_json(
     options: Mapping[str, Any], edits: Sequence[CageEdit], poses: Sequence[Cage | None]
 ) -> dict[str, Any]:
     """The options of a Deformer, its edits and their poses, as the file has them."""
-    words = [
-        EditWords(
-            {"vertices": edit.cage.vertices.tolist(), "faces": edit.cage.faces.tolist()},
-            None if posed is None else posed.vertices.tolist(),
-            keep=edit.keep_source,
-            remove=edit.remove,
-            falloff=edit.falloff,
-            held=edit.held,
-            fragments=edit.fragments,
-        )
-        for edit, posed in zip(edits, poses, strict=True)
-    ]
+    words = []
+    for edit, posed in zip(edits, poses, strict=True):
+        cage = {"vertices": edit.cage.vertices.tolist(), "faces": edit.cage.faces.tolist()}
+        words.append(words_of_edit(edit, cage, None if posed is None else posed.vertices.tolist()))
     return {**options, "edits": [each.to_json() for each in words]}
 
 

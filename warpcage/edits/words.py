@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 import re
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, get_type_hints
@@ -146,6 +147,11 @@ def plain(value: Any) -> Any:
     if hasattr(value, "to_json"):
         return value.to_json()
     return [plain(each) for each in value] if isinstance(value, tuple) else value
+
+
+def canonical(value: Any) -> str:
+    """The one text of a JSON value: sorted words and no spaces."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
 
 
 #: The word of a pose that is drawn.

@@ -87,7 +87,7 @@ def _leave_to_sessions(parser: argparse.ArgumentParser) -> None:
 
 command(
     "animate",
-    "films.animate",
+    "animate",
     "render a film from rest through the poses and back, with the camera turning around the object",
     """\
   warpcage animate lego.npz --cage cage.obj --posed posed.obj -o bend.mp4

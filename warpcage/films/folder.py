@@ -7,14 +7,15 @@ import json
 import os
 import pathlib
 import re
+import shutil
 from collections.abc import Callable, Iterator
 
-from ...core.files import atomic_path
-from ...errors import InputError
-from ...view.camera import Camera
-from ...view.exr import read_exr
-from ...view.film import read_film_frame
-from ...view.pictures import read_image
+from ..core.files import PathLike, atomic_path
+from ..errors import InputError
+from ..view.camera import Camera
+from ..view.exr import read_exr
+from ..view.film import FILM_ENDINGS, read_film_frame
+from ..view.pictures import read_image
 
 #: The note beside the frames that says which film they are of.
 SETTINGS_NAME = "animation.json"
@@ -135,3 +136,42 @@ def _picture_shape(path: pathlib.Path) -> tuple[int, ...]:
         if file.read() != PNG_END:  # all pixels may be there before
             raise InputError(f"{path} is cut off")
     return read_image(path).shape[:2]
+
+
+def checked_film_path(path: PathLike, *, new: bool = True) -> pathlib.Path:
+    """The path of a film, or of a folder without an ending, once it is clear that one can be written there.
+    new: whether the folder may not hold anything."""
+    target = pathlib.Path(path)
+    if target.suffix.lower() in FILM_ENDINGS:
+        if target.is_dir():
+            raise InputError(f"film {str(target)!r} is a folder")
+    elif target.suffix:
+        endings = ", ".join(FILM_ENDINGS)
+        raise InputError(f"film {str(target)!r} must end in {endings}, or have no ending: a folder of pictures")
+    elif new and target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(f"{str(target)!r} holds something already: give the name of a new folder")
+    elif target.exists() and not target.is_dir():
+        endings = ", ".join(FILM_ENDINGS)
+        raise InputError(f"film {str(target)!r} is a file without an ending: give {endings} or a folder")
+    return target
+
+
+@contextlib.contextmanager
+def atomic_folder(path: PathLike) -> Iterator[pathlib.Path]:
+    """A temporary folder that becomes `path`, which is not there or empty, when the block ends without an error."""
+    target = pathlib.Path(path).absolute()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f".{target.name[:60]}-{os.urandom(8).hex()}")
+    temporary.mkdir()
+    try:
+        yield temporary
+        try:
+            with contextlib.suppress(FileNotFoundError):
+                target.rmdir()  # an empty folder alone lets itself be removed
+            os.rename(temporary, target)
+        except OSError as error:
+            if os.path.lexists(target):
+                raise InputError(f"{str(path)!r} holds something already: give the name of a new folder") from error
+            raise
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
