@@ -20,7 +20,7 @@ from ..edits.structs import (
     entry_of_sides,
     rest_distance,
 )
-from ..field.densities import early_density, late_density
+from ..field.densities import row_density
 from ..field.grid import VoxelGrid, exit_of_cell, grid_position, grid_span, safe_inverse
 from ..field.harmonics import sh_basis
 from ..field.march import PENDING_WEIGHT
@@ -72,10 +72,9 @@ def matter_at(table: RowTable, grid: VoxelGrid, g: wp.vec3, layer: int, step: fl
     if not is_cell(grid, i, j, k):
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
     offset = g - wp.vec3(float(i), float(j), float(k))
-    early = early_density(table.laid, table.unit, table.columns, i, j, k, offset)
     if cell_byte(grid.skip, i, j, k) > 0:
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    sigma = late_density(early, grid.density, table.columns, i, j, k, offset)
+    sigma = row_density(table.laid, table.unit, grid.density, table.columns, i, j, k, offset)
     return wp.vec4(0.0, 0.0, 0.0, sigma * step)
 
 
