@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 
 from ..core.gradients import forward_only_in
-from ..core.loads import byte_entry, cell_byte, near_exp, near_reciprocal, near_root, unset_number
+from ..core.loads import byte_entry, cell_byte, near_exp, near_reciprocal, near_root
 from ..edits.nodes import cell_place_slope, node_blend_slope, node_distance, side_slope
 from ..edits.structs import (
     CELL_FOLDED,
@@ -466,12 +466,7 @@ def make_edit_march(has_sides: bool) -> Any:
     def found_matter(edit: EditData, grid: VoxelGrid, table: Any, line: EditLine, at: LatticePlace, step: float):
         """What a sample holds."""
         found = FoundMatter()
-        if is_empty(at):  # which is asked again before any of it is read
-            unset = unset_number()
-            found.slope = wp.vec3(unset, unset, unset)
-            found.distance = unset
-            found.g = wp.vec3(unset, unset, unset)
-            found.matter = wp.vec4(unset, unset, unset, unset)
+        if is_empty(at):
             return found
         point = mapped_place(edit, at, line)
         found.mapped = point.mapped
