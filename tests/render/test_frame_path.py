@@ -132,7 +132,7 @@ def posed(scene, device, **options):
 
 
 DENSITIES, AIM = ["occupancy.note_densities"], ["shading.find_view_directions"]
-SHADES = ["shading.shade_carried_rows", "shading.shade_wall_rows"]
+SHADES = ["shading.shade_carried_rows"]
 STARTS, STARTS_OF_EDITS = ["beams.find_tile_starts"], ["beams.find_tile_starts_of_edits"]
 EMPTY = ["cell_tables.mark_edit_cells", *3 * ["occupancy.spread_lines"]]
 JOINED = ["cell_tables.join_cell_tables", "cell_tables.join_nodes"]

@@ -93,7 +93,6 @@ class PosedScene(PosedEdits):
         self._look_ahead(seen)
         if self.plan.is_shaded:
             self.carried_shades.aim(center)
-            self.carried_shades.walls(seen.grid, field.marching.columns)
         self.seen = seen  # by which the first pose goes
 
     def _look_ahead(self, seen: SeenView) -> None:
