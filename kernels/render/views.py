@@ -28,14 +28,13 @@ from .rays import (
 )
 from .volume import ShadedVolume
 
-#: Measured (H200): parts and sides wait less with more registers; with fewer, large pictures have more rays in flight.
+#: Measured (H200): parts and sides wait less with more registers.
 MAX_REGISTERS = {
     "rows": 96,
     "rows+sides": 128,
     "rows+part": 128,
     "rows+sides+part": 128,
     "shades": 80,
-    "shades+large": 72,
     "shades+sides": 96,
     "shades+part": 96,
     "shades+sides+part": 96,
@@ -53,10 +52,10 @@ def declaration(variant: str) -> dict[str, Any]:
     return {"name": name, "module": module, "cuda_max_registers": MAX_REGISTERS[variant]}
 
 
-def view_name(shaded: bool, has_sides: bool, part: bool = False, large: bool = False) -> str:
+def view_name(shaded: bool, has_sides: bool, part: bool = False) -> str:
     """The variant's name, such as "shades+part"."""
     table = "shades" if shaded else "rows"
-    return "+".join([table, *["sides"] * has_sides, *["part"] * part, *["large"] * large])
+    return "+".join([table, *["sides"] * has_sides, *["part"] * part])
 
 
 @wp.func
@@ -68,8 +67,8 @@ def advance_ray(state: RayState, picture: Picture, item: int):
 
 
 @declared_once
-def view_kernel(shaded: bool, has_sides: bool, *, large: bool = False) -> Any:
-    """The kernel for one edit, by a RowTable or ShadedVolume. has_sides: of make_edit_march; large: for many pixels."""
+def view_kernel(shaded: bool, has_sides: bool) -> Any:
+    """The kernel for one edit, by a RowTable or ShadedVolume. has_sides: of make_edit_march."""
     table_type = ShadedVolume if shaded else RowTable
     march = make_edit_march(has_sides)
 
@@ -94,7 +93,7 @@ def view_kernel(shaded: bool, has_sides: bool, *, large: bool = False) -> Any:
             fill_pixel(picture, row * camera.width + column, finished(ray), background)
             note_ticks(picture.order, place, begin)
 
-    @wp.kernel(**declaration(view_name(shaded, has_sides, large=large)))
+    @wp.kernel(**declaration(view_name(shaded, has_sides)))
     def render(
         first: int,
         grid: VoxelGrid,
@@ -220,5 +219,5 @@ def exact_kernel() -> Any:
 def variants() -> list[Any]:
     """All kernels that factories of this file declare."""
     pairs = [(shaded, has_sides) for shaded in (False, True) for has_sides in (False, True)]
-    single = [*(view_kernel(*pair) for pair in pairs), view_kernel(True, False, large=True)]
-    return [*single, *(part_kernel(*pair) for pair in pairs), stack_kernel(True), stack_kernel(False), exact_kernel()]
+    single = [make(*pair) for make in (view_kernel, part_kernel) for pair in pairs]
+    return [*single, stack_kernel(True), stack_kernel(False), exact_kernel()]

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 import warp as wp
-from fields import BOX, box_around, marches, shiny_field, two_balls, use_march, view
+from fields import BOX, box_around, shiny_field, two_balls, use_march, view
 
 from warpcage import Cage, CageEdit, Camera, Deformer
-from warpcage.core import recorded_launches
 from warpcage.kernels.edits.structs import LOOK_SKIP
 from warpcage.kernels.render.beams import NEVER
 from warpcage.kernels.view.rays import TILE_HEIGHT, TILE_WIDTH
-from warpcage.render import TileStarts, plan
+from warpcage.render import TileStarts
 
 SLAB = Cage.box([-0.3, -0.9, -0.9], [0.9, 0.9, 0.9], segments=2)
 CASES = {
@@ -134,23 +133,6 @@ def compare(deformer, camera, monkeypatch):
         whole = deformer.render(camera)
     for name in ("rgb", "alpha", "depth", "reveal", "fold", "outside"):
         assert np.array_equal(getattr(frame, name), getattr(whole, name), equal_nan=True), name
-
-
-def test_large_pictures_are_those_of_small_ones(device, monkeypatch):
-    """Another kernel marches them."""
-    use_march("shaded", device, monkeypatch)
-    deformer = Deformer(shiny_field(device, resolution=48), BOX, resolution=10).pose(
-        BOX.bend(70, axis="x", towards="z")
-    )
-    pictures = []
-    for least in (plan.LARGE_PICTURE, 64):
-        monkeypatch.setattr(plan, "LARGE_PICTURE", least)
-        deformer.render(view())
-        with recorded_launches() as launched:
-            pictures.append(deformer.render(view()))
-        assert marches(launched) == ["views.shades+large" if least == 64 else "views.shades"]
-    for name in ("rgb", "alpha", "depth", "reveal", "fold", "outside"):
-        assert np.array_equal(*(getattr(picture, name) for picture in pictures), equal_nan=True), name
 
 
 def test_tiles_beside_everything_never_begin(march, device, monkeypatch):

@@ -61,7 +61,7 @@ def edit_kernel(plan: FramePlan, edit: PlannedEdit) -> Any:
     if plan.lanes == "tile":
         return render_edit_tiles
     if plan.march == "edit":
-        return view_kernel(plan.is_shaded, edit.has_sides, large=plan.is_large)
+        return view_kernel(plan.is_shaded, edit.has_sides)
     return part_kernel(plan.is_shaded, edit.has_sides)
 
 

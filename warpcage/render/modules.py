@@ -60,8 +60,6 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_fragments: bool =
     if device.is_cpu and not tables.SHADES_ON_CPU:
         return [*march_modules, *by_rows]
     shaded = [kernel_of(True, has_sides) for has_sides in (False, True)]
-    if not several:
-        shaded.append(view_kernel(True, False, large=True))
     # poses that turn matter over are marched by rows, and no hand that moves a cage is to wait for a compiler
     frame_modules = [columns, densities, rows, texels, tile_order]
     return [*march_modules, inverse, shading, *shaded, *by_rows, *frame_modules]

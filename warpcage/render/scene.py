@@ -131,7 +131,6 @@ class PosedScene(PosedEdits):
             and tables.most_nodes < MOST_LATTICE_NODES
             and shade_texture_bytes(marching.columns) <= self.most_shades,
             is_folded=shades.is_known_folded if shades.is_posed else None,
-            rays=view.threads if isinstance(view, FieldView) else 0,
         )
 
     def _begin(self, view: FieldView) -> FrameFacts:
