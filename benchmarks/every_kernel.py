@@ -47,7 +47,7 @@ CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "fie
              "field.occupancy.spread_distance", "field.shades.",
              "field.march.rows.", "field.march.shades.", "render.views.rows", "render.views.shades",
              "render.shading.", "edits.fine_cells.", "edits.inverse.", "core.texels.",
-             "edits.nodes.", "render.beams.", "view.tile_order.",
+             "edits.nodes.", "view.tile_order.",
              "fitting.splat_step.check_room", "fitting.splat_loss.find_slopes_of_tiles",
              "fitting.splat_loss.find_window_slopes_of_tiles",
              "splats.composite.", "splats.packed_rows.", "view.pictures.round_colors"}  # fmt: skip

@@ -8,7 +8,7 @@ from ..core.variants import declared_once, variant_module
 from ..edits.structs import EditData, ExactEdit
 from ..field.grid import VoxelGrid
 from ..field.rows import RowTable
-from ..view.rays import TILE_SIZE, PinholeCamera, pixel_direction, tile_pixel
+from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
 from ..view.tile_order import clock_ticks, note_ticks, ordered_item
 from .march import make_edit_march
 from .march_exact import march_deformed
@@ -17,7 +17,6 @@ from .rays import (
     RAY_END,
     MarchOptions,
     Picture,
-    RayState,
     ScenePart,
     fill_pixel,
     finished,
@@ -58,14 +57,6 @@ def view_name(shaded: bool, has_sides: bool, part: bool = False) -> str:
     return "+".join([table, *["sides"] * has_sides, *["part"] * part])
 
 
-@wp.func
-def advance_ray(state: RayState, picture: Picture, item: int):
-    """A ray of an item that has passed what holds nothing for all rays of its tile."""
-    if picture.begins.shape[0] > 0:
-        state.reached = wp.max(state.reached, picture.begins[item // TILE_SIZE])
-    return state
-
-
 @declared_once
 def view_kernel(shaded: bool, has_sides: bool) -> Any:
     """The kernel for one edit, by a RowTable or ShadedVolume. has_sides: of make_edit_march."""
@@ -88,8 +79,7 @@ def view_kernel(shaded: bool, has_sides: bool) -> Any:
         column, row = tile_pixel(place, camera.width)
         if column < camera.width and row < camera.height:
             direction = pixel_direction(camera, column, row)
-            start = advance_ray(ray_start(), picture, place)
-            ray = march(edit, grid, table, camera.center, direction, options, start, RAY_END)
+            ray = march(edit, grid, table, camera.center, direction, options, ray_start(), RAY_END)
             fill_pixel(picture, row * camera.width + column, finished(ray), background)
             note_ticks(picture.order, place, begin)
 
@@ -138,7 +128,6 @@ def part_kernel(shaded: bool, has_sides: bool) -> Any:
             if end > 0.0:
                 ray = ray_state(part, pixel)
                 if ray.seen.transmittance > options.stop:
-                    ray = advance_ray(ray, picture, place)
                     ray = march(edit, grid, table, camera.center, direction, options, ray, end)
                     if part.is_last == 0:
                         store_ray(part, pixel, ray)

@@ -124,7 +124,6 @@ def posed(scene, device, **options):
 
 DENSITIES, AIM = ["occupancy.note_densities"], ["shading.find_view_directions"]
 SHADES = ["shading.shade_carried_rows"]
-STARTS, STARTS_OF_EDITS = ["beams.find_tile_starts"], ["beams.find_tile_starts_of_edits"]
 EMPTY = ["cell_tables.mark_edit_cells", *3 * ["occupancy.spread_lines"]]
 JOINED = ["cell_tables.join_cell_tables", "cell_tables.join_nodes"]
 PLACES = ["inverse.scatter_cells", "inverse.gather_inverse"]
@@ -133,21 +132,21 @@ PLACES = ["inverse.scatter_cells", "inverse.gather_inverse"]
 LAUNCHES = {
     ("one edit", "tiles"): ([*DENSITIES, TILES], [*DENSITIES, *EMPTY, *JOINED, TILES]),
     ("one edit", "rows"): (
-        [*DENSITIES, *STARTS, "views.rows"],
-        [*DENSITIES, *EMPTY, *JOINED, "nodes.expand_map_cells", *STARTS, "views.rows"],
+        [*DENSITIES, "views.rows"],
+        [*DENSITIES, *EMPTY, *JOINED, "nodes.expand_map_cells", "views.rows"],
     ),
     ("one edit", "shaded"): (
-        [*AIM, *DENSITIES, *SHADES, *STARTS, "views.shades"],
+        [*AIM, *DENSITIES, *SHADES, "views.shades"],
         [
-            *(*DENSITIES, *EMPTY, *JOINED, "nodes.expand_map_cells", *STARTS),
+            *(*DENSITIES, *EMPTY, *JOINED, "nodes.expand_map_cells"),
             *(*PLACES, "shading.keep_cage", *AIM, *SHADES, "views.shades"),
         ],
     ),
     ("edits apart", "tiles"): ([*DENSITIES, *2 * [TILES]], [*DENSITIES, *2 * EMPTY, *2 * JOINED, *2 * [TILES]]),
     ("edits apart", "shaded"): (
-        [*AIM, *DENSITIES, *SHADES, *STARTS_OF_EDITS, *2 * ["views.shades+part"]],
+        [*AIM, *DENSITIES, *SHADES, *2 * ["views.shades+part"]],
         [
-            *(*DENSITIES, *2 * EMPTY, *2 * JOINED, *2 * ["nodes.expand_map_cells"], *STARTS_OF_EDITS),
+            *(*DENSITIES, *2 * EMPTY, *2 * JOINED, *2 * ["nodes.expand_map_cells"]),
             *(*2 * PLACES, *2 * ["shading.keep_cage"], *AIM, *SHADES, *2 * ["views.shades+part"]),
         ],
     ),

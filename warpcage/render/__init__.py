@@ -9,7 +9,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "launch": "FrameLauncher FrameTables FrameTarget",
         "plan": "FrameFacts FramePlan PlannedEdit plan_frame",
         "shading": "CarriedShades",
-        "tables": "FineCells TileStarts",
+        "tables": "FineCells",
         "tile_order": "BalancedTiles",
     },
 )
