@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import math
 import sys
 
 import numpy as np
@@ -34,7 +33,6 @@ from warpcage.kernels.reference.sample_count import count_samples
 from warpcage.lattice import HarmonicSolver, PoseGraph
 from warpcage.mesh import prepared_fans
 from warpcage.reference import CarriedMesh, InverseMap, synthetic_scene
-from warpcage.render import LARGE_PICTURE
 from warpcage.splats import SplatDensity
 from warpcage.view import RGB_BYTES, camera_array
 
@@ -49,7 +47,7 @@ CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "fie
              "field.occupancy.spread_distance", "field.shades.",
              "field.march.rows.", "field.march.shades.", "render.views.rows", "render.views.shades",
              "render.shading.", "edits.fine_cells.", "edits.inverse.", "core.texels.",
-             "edits.nodes.", "render.beams.", "view.tile_order.",
+             "edits.nodes.", "view.tile_order.",
              "fitting.splat_step.check_room", "fitting.splat_loss.find_slopes_of_tiles",
              "fitting.splat_loss.find_window_slopes_of_tiles",
              "splats.composite.", "splats.packed_rows.", "view.pictures.round_colors"}  # fmt: skip
@@ -203,9 +201,6 @@ def frames(device) -> None:
     warpcage.Deformer(field, slotted(0.5), resolution=16, device=device).pose(slotted(0.03)).render(camera())
     for rest, pose in ((CAGE, POSE), (slotted(0.5), slotted(0.03))):  # cells so wide that their parts are told apart
         warpcage.Deformer(field, rest, resolution=8, device=device).pose(pose).render(camera())
-    if field.device.is_cuda:  # a picture that counts as large
-        side = math.isqrt(LARGE_PICTURE) + 1
-        warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE).render(camera(side))
 
 
 def edits(device) -> None:

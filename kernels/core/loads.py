@@ -163,20 +163,6 @@ def near_exp(x: wp.float32) -> wp.float32:
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    float number;
-    asm("" : "=f"(number));
-    return number;
-#else
-    return 0.0f;
-#endif
-""")
-def unset_number() -> wp.float32:
-    """A number that nobody reads, which CUDA takes no instruction for; 0 on a CPU."""
-    ...
-
-
 @wp.func_native(
     """
 #if defined(__CUDA_ARCH__)

@@ -11,8 +11,9 @@ from .columns import CELL_PLACE, COLUMN_ENTRY, Columns
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
-#: C++ of the density at a place, 0 to 1, in a cell: of densities that are laid out, and of rows.
-LAID_DENSITY = """
+@forward.func_native(
+    """
+#if defined(__CUDA_ARCH__)
     const int nz = columns.node_counts.c[2], nyz = columns.node_counts.c[1] * nz;
     const unsigned short* low = reinterpret_cast<const unsigned short*>(laid.data)
         + ((size_t)(unsigned)i * (unsigned)nyz + (unsigned)(j * nz + k));
@@ -33,9 +34,9 @@ LAID_DENSITY = """
     const float begin_sum = v[0] + offset.c[1] * (v[1] - v[0]);
     const float end_sum = v[2] + offset.c[1] * (v[3] - v[2]);
     return unit * (begin_sum + offset.c[0] * (end_sum - begin_sum));
+#else
 """
-DENSITY_OF_ROWS = (
-    CELL_PLACE
+    + CELL_PLACE
     + """    const int* order = columns.order.data;
     float sums[4];
     for (int column = 0; column < 4; ++column)
@@ -53,19 +54,7 @@ DENSITY_OF_ROWS = (
     const float begin_sum = sums[0] + offset.c[1] * (sums[1] - sums[0]);
     const float end_sum = sums[2] + offset.c[1] * (sums[3] - sums[2]);
     return begin_sum + offset.c[0] * (end_sum - begin_sum);
-"""
-)
-
-
-@forward.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-"""
-    + LAID_DENSITY
-    + """#else
-"""
-    + DENSITY_OF_ROWS
-    + """#endif
+#endif
 """
 )
 def row_density(
@@ -80,53 +69,6 @@ def row_density(
 ) -> wp.float32:
     """Trilinear density before the ReLU, at a place, 0 to 1, in the cell above node (i, j, k).
     laid: (nodes,) of lay_densities, in `unit`, read on CUDA; density: (rows,) of the grid, read on a CPU."""
-    ...
-
-
-@forward.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-"""
-    + LAID_DENSITY
-    + """#else
-    return 0.0f;
-#endif
-"""
-)
-def early_density(
-    laid: wp.array(dtype=wp.float16),
-    unit: wp.float32,
-    columns: Columns,
-    i: wp.int32,
-    j: wp.int32,
-    k: wp.int32,
-    offset: wp.vec3,
-) -> wp.float32:
-    """row_density on CUDA, for a march that does not know yet whether it needs it, so that its reads are under way with
-    others; nothing on a CPU."""
-    ...
-
-
-@forward.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    return early;
-#else
-"""
-    + DENSITY_OF_ROWS
-    + """#endif
-"""
-)
-def late_density(
-    early: wp.float32,
-    density: wp.array(dtype=wp.float32),
-    columns: Columns,
-    i: wp.int32,
-    j: wp.int32,
-    k: wp.int32,
-    offset: wp.vec3,
-) -> wp.float32:
-    """row_density: what early_density found on CUDA, looked up on a CPU."""
     ...
 
 

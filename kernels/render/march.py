@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 
 from ..core.gradients import forward_only_in
-from ..core.loads import byte_entry, cell_byte, near_exp, near_reciprocal, near_root, unset_number
+from ..core.loads import byte_entry, cell_byte, near_exp, near_reciprocal, near_root
 from ..edits.nodes import cell_place_slope, node_blend_slope, node_distance, side_slope
 from ..edits.structs import (
     CELL_FOLDED,
@@ -20,7 +20,7 @@ from ..edits.structs import (
     entry_of_sides,
     rest_distance,
 )
-from ..field.densities import early_density, late_density
+from ..field.densities import row_density
 from ..field.grid import VoxelGrid, exit_of_cell, grid_position, grid_span, safe_inverse
 from ..field.harmonics import sh_basis
 from ..field.march import PENDING_WEIGHT
@@ -72,10 +72,9 @@ def matter_at(table: RowTable, grid: VoxelGrid, g: wp.vec3, layer: int, step: fl
     if not is_cell(grid, i, j, k):
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
     offset = g - wp.vec3(float(i), float(j), float(k))
-    early = early_density(table.laid, table.unit, table.columns, i, j, k, offset)
     if cell_byte(grid.skip, i, j, k) > 0:
         return wp.vec4(0.0, 0.0, 0.0, 0.0)
-    sigma = late_density(early, grid.density, table.columns, i, j, k, offset)
+    sigma = row_density(table.laid, table.unit, grid.density, table.columns, i, j, k, offset)
     return wp.vec4(0.0, 0.0, 0.0, sigma * step)
 
 
@@ -467,12 +466,7 @@ def make_edit_march(has_sides: bool) -> Any:
     def found_matter(edit: EditData, grid: VoxelGrid, table: Any, line: EditLine, at: LatticePlace, step: float):
         """What a sample holds."""
         found = FoundMatter()
-        if is_empty(at):  # which is asked again before any of it is read
-            unset = unset_number()
-            found.slope = wp.vec3(unset, unset, unset)
-            found.distance = unset
-            found.g = wp.vec3(unset, unset, unset)
-            found.matter = wp.vec4(unset, unset, unset, unset)
+        if is_empty(at):
             return found
         point = mapped_place(edit, at, line)
         found.mapped = point.mapped

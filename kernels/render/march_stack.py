@@ -24,7 +24,7 @@ from ..edits.structs import (
     in_fragments,
     rest_distance,
 )
-from ..field.densities import early_density, late_density
+from ..field.densities import row_density
 from ..field.grid import (
     VoxelGrid,
     empty_distance,
@@ -380,13 +380,9 @@ def make_stack_march(is_simple: bool) -> Any:
             sigma = float(0.0)
             if point.vacant == 0 and (point.cleared == 0 or seen.cleared_transmittance > FAINT):
                 if gi >= 0 and gj >= 0 and gk >= 0 and gi < cells[0] and gj < cells[1] and gk < cells[2]:
-                    # both are waited for at once
                     empty = cell_byte(grid.skip, gi, gj, gk)
-                    sigma = early_density(table.laid, table.unit, table.columns, gi, gj, gk, offset)
             if empty == 0:
-                sigma = late_density(sigma, grid.density, table.columns, gi, gj, gk, offset)
-            else:
-                sigma = float(0.0)
+                sigma = row_density(table.laid, table.unit, grid.density, table.columns, gi, gj, gk, offset)
             mapped = point.path != 0 and point.cleared == 0
             asks_length = mapped and count == 0 and (point.flags & CELL_STEEP) != 0
             slope = direction

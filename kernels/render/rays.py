@@ -53,7 +53,6 @@ class Picture:
     reveal: wp.array(dtype=wp.float32)
     fold: wp.array(dtype=wp.float32)
     outside: wp.array(dtype=wp.float32)
-    begins: wp.array(dtype=wp.float32)  # (tiles,) distance before which the rays of a tile meet nothing; or none
     order: TileOrder  # in which marches of one edit or of a part of the scene follow its tiles
 
 

@@ -4,12 +4,12 @@ and its optical depth."""
 import warp as wp
 
 from ..core.gradients import forward_only_in
+from ..core.lanes import ballot
 from ..edits.nodes import node_blend, node_slope, side_slope
 from ..field.grid import VoxelGrid
 from ..field.harmonics import sh_basis
 from ..field.shades import ShadedGrid, own_row, row_place, shade_color
-from ..lattice.cage_map import CageMap, map_distance
-from .volume import CARRIED_LAYER, PLAIN_LAYER, ShadedVolume, write_shaded_volume
+from .volume import CARRIED_LAYER, PLAIN_LAYER, SHADE_LAYERS, ShadedVolume, write_shaded_volume
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -31,6 +31,8 @@ class ViewDirectionCage:
     aims: wp.array(dtype=wp.vec4)  # (nodes,) canonical view direction or 0, and signed distance to the rest cage
     depth: float  # rows up to so deep in the rest cage are read by samples of both layers
     height: float  # and those up to so far out of it
+    wall_depth: float  # up to so deep and so far out each layer has a colour of its own
+    wall_height: float
     posed_lower: wp.vec3  # of the lattice over the posed cage, as edits/structs has it
     posed_inverse_spacing: float
     posed_counts: wp.vec3i
@@ -88,6 +90,7 @@ class RowView:
     carried: int  # 1: it lies in a rest cage
     is_plain: int  # 1: samples of the plain layer may read it
     is_carried: int  # 1: and those of the other one
+    is_wall: int  # 1: and the two see it differently
 
 
 @wp.func
@@ -112,15 +115,19 @@ def row_view(cages: wp.array(dtype=ViewDirectionCage), x: wp.vec3, plain: wp.vec
         cage = cages[index]
         g = (x - cage.lower) * cage.inverse_spacing
         top = wp.vec3(float(cage.node_counts[0] - 1), float(cage.node_counts[1] - 1), float(cage.node_counts[2] - 1))
-        if wp.min(g) >= 0.0 and wp.min(top - g) >= 0.0:
+        away = wp.length(g - wp.max(wp.min(g, top), wp.vec3(0.0, 0.0, 0.0)))
+        if away == 0.0:
             aim = aim_at(cage, g)
             turned = wp.vec3(aim[0], aim[1], aim[2])
             seen.is_plain = wp.where(aim[3] < -cage.depth, 0, seen.is_plain)
             seen.is_carried = wp.where(aim[3] < cage.height, 1, seen.is_carried)
+            seen.is_wall = wp.where(aim[3] > -cage.wall_depth and aim[3] < cage.wall_height, 1, seen.is_wall)
             if aim[3] <= 0.0:
                 seen.carried = 1
                 if wp.length_sq(turned) > 1.0e-6:
                     seen.along = wp.normalize(turned)
+        elif away + LATTICE_MARGIN < cage.wall_height * cage.inverse_spacing:
+            seen.is_wall = int(1)
     seen.along = forward_only(seen.along, x)
     return seen
 
@@ -154,7 +161,11 @@ def nearest_view(cages: wp.array(dtype=ViewDirectionCage), x: wp.vec3, plain: wp
     return forward_only(along, x)
 
 
-@wp.kernel
+#: With more registers too few warps wait for rows.
+MAX_REGISTERS = 64
+
+
+@wp.kernel(cuda_max_registers=MAX_REGISTERS)
 def shade_carried_rows(
     first: int,
     grid: VoxelGrid,
@@ -163,87 +174,28 @@ def shade_carried_rows(
     shaded: ShadedGrid,
     laid: ShadedVolume,
 ):
-    """Shades of rows as they are seen, in the layers of samples that may read them; a thread per row, in whole warps.
-    nodes: (rows,); cages: (edits,) that do not meet; shaded: tells the camera and how long a step is."""
+    """Shades of rows as they are seen, in the layers of samples that may read them; of rows near a rest cage as samples
+    on either side of it see them, each in its layer. A thread per row, in whole warps."""
+    # nodes: (rows,); cages: (edits,) that do not meet; shaded: tells the camera and how long a step is
     item = first + wp.tid()
     n = wp.min(item, nodes.shape[0] - 1)
     row = own_row(shaded, n)
     x = row_place(grid, shaded.columns.node_counts, nodes[n])
-    seen = row_view(cages, x, wp.normalize(x - shaded.center))
+    plain = wp.normalize(x - shaded.center)
+    seen = row_view(cages, x, plain)
+    own_layer = wp.where(seen.carried == 1, CARRIED_LAYER, PLAIN_LAYER)
     color = shade_color(grid.sh, row, sh_basis(seen.along))
     if item < nodes.shape[0]:
         shade = wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step)
-        if seen.is_plain == 1:
+        if seen.is_plain == 1 and (seen.is_wall == 0 or own_layer == PLAIN_LAYER):
             write_shaded_volume(laid, nodes[n], PLAIN_LAYER, shade)
-        if seen.is_carried == 1:
+        if seen.is_carried == 1 and (seen.is_wall == 0 or own_layer == CARRIED_LAYER):
             write_shaded_volume(laid, nodes[n], CARRIED_LAYER, shade)
-
-
-@wp.kernel
-def shade_wall_rows(
-    first: int,
-    grid: VoxelGrid,
-    nodes: wp.array(dtype=wp.int32),
-    wall_rows: wp.array(dtype=wp.int32),
-    cages: wp.array(dtype=ViewDirectionCage),
-    shaded: ShadedGrid,
-    laid: ShadedVolume,
-):
-    """Of rows near a rest cage, how samples on the other side of it see them, in the layer of those. One thread for
-    each of wall_rows (m,), in whole warps."""
-    item = first + wp.tid()
-    n = wall_rows[wp.min(item, wall_rows.shape[0] - 1)]
-    row = own_row(shaded, n)
-    x = row_place(grid, shaded.columns.node_counts, nodes[n])
-    plain = wp.normalize(x - shaded.center)
-    along = plain
-    layer = PLAIN_LAYER
-    if row_view(cages, x, plain).carried == 0:
-        along = nearest_view(cages, x, plain)
-        layer = CARRIED_LAYER
-    color = shade_color(grid.sh, row, sh_basis(along))
-    if item < wall_rows.shape[0]:
-        shade = wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step)
-        write_shaded_volume(laid, nodes[n], layer, shade)
-
-
-@wp.func
-def least_distance(rest: CageMap, x: wp.vec3):
-    """map_distance in the lattice of a cage, and beyond it at most what the distance is."""
-    counts = rest.distance.shape
-    g = (x - rest.lower) * rest.inverse_spacing
-    top = wp.vec3(float(counts[0] - 1), float(counts[1] - 1), float(counts[2] - 1))
-    distance = map_distance(rest, x)
-    if wp.min(g) < 0.0 or wp.min(top - g) <= 0.0:
-        near = wp.max(wp.min(g, top), wp.vec3(0.0, 0.0, 0.0))
-        distance = (wp.length(g - near) + LATTICE_MARGIN) * rest.spacing
-    return distance
-
-
-@wp.kernel
-def mark_wall_rows(
-    first: int,
-    grid: VoxelGrid,
-    nodes: wp.array(dtype=wp.int32),
-    node_counts: wp.vec3i,
-    rest: CageMap,
-    depth: float,
-    height: float,
-    marks: wp.array(dtype=wp.int32),
-):
-    """1 for rows that lie up to `depth` within a rest cage, or up to `height` out of it. marks: (rows,), 0 before."""
-    n = first + wp.tid()
-    distance = least_distance(rest, row_place(grid, node_counts, nodes[n]))
-    if distance > -depth and distance < height:
-        marks[n] = 1
-
-
-@wp.kernel
-def list_rows(first: int, running_count: wp.array(dtype=wp.int32), rows: wp.array(dtype=wp.int32)):
-    """The marked rows in their order. running_count: (rows,) inclusive scan of their marks."""
-    n = first + wp.tid()
-    before = int(0)
-    if n > 0:
-        before = running_count[n - 1]
-    if running_count[n] > before:
-        rows[before] = n
+    if ballot(seen.is_wall) != 0:  # a warp reads its rows together
+        along = plain
+        if seen.is_wall == 1 and seen.carried == 0:
+            along = nearest_view(cages, x, plain)
+        color = shade_color(grid.sh, row, sh_basis(along))
+        if item < nodes.shape[0] and seen.is_wall == 1:
+            shade = wp.vec4(color[0], color[1], color[2], grid.density[row] * shaded.step)
+            write_shaded_volume(laid, nodes[n], SHADE_LAYERS - 1 - own_layer, shade)

@@ -8,7 +8,7 @@ from ..core.variants import declared_once, variant_module
 from ..edits.structs import EditData, ExactEdit
 from ..field.grid import VoxelGrid
 from ..field.rows import RowTable
-from ..view.rays import TILE_SIZE, PinholeCamera, pixel_direction, tile_pixel
+from ..view.rays import PinholeCamera, pixel_direction, tile_pixel
 from ..view.tile_order import clock_ticks, note_ticks, ordered_item
 from .march import make_edit_march
 from .march_exact import march_deformed
@@ -17,7 +17,6 @@ from .rays import (
     RAY_END,
     MarchOptions,
     Picture,
-    RayState,
     ScenePart,
     fill_pixel,
     finished,
@@ -28,14 +27,13 @@ from .rays import (
 )
 from .volume import ShadedVolume
 
-#: Measured (H200): parts and sides wait less with more registers; with fewer, large pictures have more rays in flight.
+#: Measured (H200): parts and sides wait less with more registers.
 MAX_REGISTERS = {
     "rows": 96,
     "rows+sides": 128,
     "rows+part": 128,
     "rows+sides+part": 128,
     "shades": 80,
-    "shades+large": 72,
     "shades+sides": 96,
     "shades+part": 96,
     "shades+sides+part": 96,
@@ -53,23 +51,15 @@ def declaration(variant: str) -> dict[str, Any]:
     return {"name": name, "module": module, "cuda_max_registers": MAX_REGISTERS[variant]}
 
 
-def view_name(shaded: bool, has_sides: bool, part: bool = False, large: bool = False) -> str:
+def view_name(shaded: bool, has_sides: bool, part: bool = False) -> str:
     """The variant's name, such as "shades+part"."""
     table = "shades" if shaded else "rows"
-    return "+".join([table, *["sides"] * has_sides, *["part"] * part, *["large"] * large])
-
-
-@wp.func
-def advance_ray(state: RayState, picture: Picture, item: int):
-    """A ray of an item that has passed what holds nothing for all rays of its tile."""
-    if picture.begins.shape[0] > 0:
-        state.reached = wp.max(state.reached, picture.begins[item // TILE_SIZE])
-    return state
+    return "+".join([table, *["sides"] * has_sides, *["part"] * part])
 
 
 @declared_once
-def view_kernel(shaded: bool, has_sides: bool, *, large: bool = False) -> Any:
-    """The kernel for one edit, by a RowTable or ShadedVolume. has_sides: of make_edit_march; large: for many pixels."""
+def view_kernel(shaded: bool, has_sides: bool) -> Any:
+    """The kernel for one edit, by a RowTable or ShadedVolume. has_sides: of make_edit_march."""
     table_type = ShadedVolume if shaded else RowTable
     march = make_edit_march(has_sides)
 
@@ -89,12 +79,11 @@ def view_kernel(shaded: bool, has_sides: bool, *, large: bool = False) -> Any:
         column, row = tile_pixel(place, camera.width)
         if column < camera.width and row < camera.height:
             direction = pixel_direction(camera, column, row)
-            start = advance_ray(ray_start(), picture, place)
-            ray = march(edit, grid, table, camera.center, direction, options, start, RAY_END)
+            ray = march(edit, grid, table, camera.center, direction, options, ray_start(), RAY_END)
             fill_pixel(picture, row * camera.width + column, finished(ray), background)
             note_ticks(picture.order, place, begin)
 
-    @wp.kernel(**declaration(view_name(shaded, has_sides, large=large)))
+    @wp.kernel(**declaration(view_name(shaded, has_sides)))
     def render(
         first: int,
         grid: VoxelGrid,
@@ -139,7 +128,6 @@ def part_kernel(shaded: bool, has_sides: bool) -> Any:
             if end > 0.0:
                 ray = ray_state(part, pixel)
                 if ray.seen.transmittance > options.stop:
-                    ray = advance_ray(ray, picture, place)
                     ray = march(edit, grid, table, camera.center, direction, options, ray, end)
                     if part.is_last == 0:
                         store_ray(part, pixel, ray)
@@ -220,5 +208,5 @@ def exact_kernel() -> Any:
 def variants() -> list[Any]:
     """All kernels that factories of this file declare."""
     pairs = [(shaded, has_sides) for shaded in (False, True) for has_sides in (False, True)]
-    single = [*(view_kernel(*pair) for pair in pairs), view_kernel(True, False, large=True)]
-    return [*single, *(part_kernel(*pair) for pair in pairs), stack_kernel(True), stack_kernel(False), exact_kernel()]
+    single = [make(*pair) for make in (view_kernel, part_kernel) for pair in pairs]
+    return [*single, stack_kernel(True), stack_kernel(False), exact_kernel()]

@@ -10,7 +10,7 @@ from fields import BOX, MARCHES, TILES, box_around, two_balls, use_march, view
 import warpcage
 from warpcage import Deformer
 from warpcage.core import recorded_launches
-from warpcage.render import LARGE_PICTURE, FrameFacts, FramePlan, PlannedEdit, plan_frame
+from warpcage.render import FrameFacts, FramePlan, PlannedEdit, plan_frame
 
 ONE, SIDES, TWO = (False,), (True,), (False, True)
 WHOLE, GENERAL = (PlannedEdit(0, False),), (PlannedEdit(0, True),)
@@ -24,19 +24,10 @@ PLANS = {
     "that lies right": (FrameFacts(ONE, is_far=True, is_folded=False), FramePlan("edit", table="shades", edits=WHOLE)),
     "turned over": (FrameFacts(ONE, is_far=True, is_folded=True), FramePlan("edit", edits=WHOLE)),
     "too little memory": (FrameFacts(ONE, is_far=True, shades_fit=False), FramePlan("edit", edits=WHOLE)),
-    "many rays": (
-        FrameFacts(ONE, is_far=True, rays=LARGE_PICTURE),
-        FramePlan("edit", table="shades", edits=WHOLE, is_large=True),
-    ),
-    "fewer": (FrameFacts(ONE, is_far=True, rays=LARGE_PICTURE - 1), FramePlan("edit", table="shades", edits=WHOLE)),
-    "many rays of rows": (FrameFacts(ONE, rays=LARGE_PICTURE), FramePlan("edit", edits=WHOLE)),
-    "many rays, corner values": (
-        FrameFacts(SIDES, is_far=True, rays=LARGE_PICTURE),
-        FramePlan("edit", table="shades", edits=GENERAL),
-    ),
+    "seen from afar, corner values": (FrameFacts(SIDES, is_far=True), FramePlan("edit", table="shades", edits=GENERAL)),
     "on a CPU": (FrameFacts(ONE, by_tiles=True), FramePlan("parts", "tile", edits=WHOLE)),
     "on a CPU, seen from afar": (
-        FrameFacts(SIDES, by_tiles=True, is_far=True, rays=LARGE_PICTURE),
+        FrameFacts(SIDES, by_tiles=True, is_far=True),
         FramePlan("parts", "tile", edits=GENERAL),
     ),
     "one that takes fragments": (FrameFacts(ONE, has_fragments=True, is_far=True), FramePlan("stack")),
@@ -45,8 +36,8 @@ PLANS = {
     "two with gaps that may meet": (FrameFacts(TWO, has_gaps=True), FramePlan("stack")),
     "two on a CPU that may meet": (FrameFacts(TWO, by_tiles=True), FramePlan("stack", is_simple=True)),
     "two apart, near": (FrameFacts(TWO, order=(1, 0)), FramePlan("parts", edits=BACKWARD)),
-    "two apart, many rays": (
-        FrameFacts(TWO, order=(1, 0), is_far=True, rays=LARGE_PICTURE),
+    "two apart, seen from afar": (
+        FrameFacts(TWO, order=(1, 0), is_far=True),
         FramePlan("parts", table="shades", edits=BACKWARD),
     ),
     "two apart, turned over": (
@@ -132,8 +123,7 @@ def posed(scene, device, **options):
 
 
 DENSITIES, AIM = ["occupancy.note_densities"], ["shading.find_view_directions"]
-SHADES = ["shading.shade_carried_rows", "shading.shade_wall_rows"]
-STARTS, STARTS_OF_EDITS = ["beams.find_tile_starts"], ["beams.find_tile_starts_of_edits"]
+SHADES = ["shading.shade_carried_rows"]
 EMPTY = ["cell_tables.mark_edit_cells", *3 * ["occupancy.spread_lines"]]
 JOINED = ["cell_tables.join_cell_tables", "cell_tables.join_nodes"]
 PLACES = ["inverse.scatter_cells", "inverse.gather_inverse"]
@@ -142,21 +132,21 @@ PLACES = ["inverse.scatter_cells", "inverse.gather_inverse"]
 LAUNCHES = {
     ("one edit", "tiles"): ([*DENSITIES, TILES], [*DENSITIES, *EMPTY, *JOINED, TILES]),
     ("one edit", "rows"): (
-        [*DENSITIES, *STARTS, "views.rows"],
-        [*DENSITIES, *EMPTY, *JOINED, "nodes.expand_map_cells", *STARTS, "views.rows"],
+        [*DENSITIES, "views.rows"],
+        [*DENSITIES, *EMPTY, *JOINED, "nodes.expand_map_cells", "views.rows"],
     ),
     ("one edit", "shaded"): (
-        [*AIM, *DENSITIES, *SHADES, *STARTS, "views.shades"],
+        [*AIM, *DENSITIES, *SHADES, "views.shades"],
         [
-            *(*DENSITIES, *EMPTY, *JOINED, "nodes.expand_map_cells", *STARTS),
+            *(*DENSITIES, *EMPTY, *JOINED, "nodes.expand_map_cells"),
             *(*PLACES, "shading.keep_cage", *AIM, *SHADES, "views.shades"),
         ],
     ),
     ("edits apart", "tiles"): ([*DENSITIES, *2 * [TILES]], [*DENSITIES, *2 * EMPTY, *2 * JOINED, *2 * [TILES]]),
     ("edits apart", "shaded"): (
-        [*AIM, *DENSITIES, *SHADES, *STARTS_OF_EDITS, *2 * ["views.shades+part"]],
+        [*AIM, *DENSITIES, *SHADES, *2 * ["views.shades+part"]],
         [
-            *(*DENSITIES, *2 * EMPTY, *2 * JOINED, *2 * ["nodes.expand_map_cells"], *STARTS_OF_EDITS),
+            *(*DENSITIES, *2 * EMPTY, *2 * JOINED, *2 * ["nodes.expand_map_cells"]),
             *(*2 * PLACES, *2 * ["shading.keep_cage"], *AIM, *SHADES, *2 * ["views.shades+part"]),
         ],
     ),

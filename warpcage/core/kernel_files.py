@@ -53,7 +53,6 @@ _FORMER = {  # kernel files by the names that they, or parts of them, had before
     "lattice/gaps": "lattice/narrow_gaps lattice/gap_sides",
     "mesh/triangle": "mesh/walls",
     "reference/mesh_raycast": "reference/mesh_distance",
-    "render/beams": "deform/tile_begins",
     "render/march": "deform/march_single deform/matter_rows",
     "render/march_cpu": "deform/render_cpu deform/cpu_map",
     "render/march_exact": "deform/march",

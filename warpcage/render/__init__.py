@@ -7,9 +7,9 @@ __getattr__, __dir__, __all__ = lazy_exports(
     {
         "modules": "load_pose_modules render_modules",
         "launch": "FrameLauncher FrameTables FrameTarget",
-        "plan": "FrameFacts FramePlan LARGE_PICTURE PlannedEdit plan_frame",
+        "plan": "FrameFacts FramePlan PlannedEdit plan_frame",
         "shading": "CarriedShades",
-        "tables": "FineCells TileStarts",
+        "tables": "FineCells",
         "tile_order": "BalancedTiles",
     },
 )

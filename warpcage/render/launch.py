@@ -40,7 +40,6 @@ class FrameTables(NamedTuple):
 
     field: list[Any]  # the VoxelGrid, its rows or shades, and its matter cells for lanes of tiles
     edits: Sequence[Any]  # EditData of those that are marched by themselves, front to back
-    starts: Sequence[wp.array | None]  # (tiles,) of each, before which rays meet nothing; None where nobody asks
     boxes: Sequence[list[list[float]]]  # of each, (2, 3) from the field's origin; none where one is marched whole
     stack: wp.array | None  # (edits,) EditData of a stack
 
@@ -61,7 +60,7 @@ def edit_kernel(plan: FramePlan, edit: PlannedEdit) -> Any:
     if plan.lanes == "tile":
         return render_edit_tiles
     if plan.march == "edit":
-        return view_kernel(plan.is_shaded, edit.has_sides, large=plan.is_large)
+        return view_kernel(plan.is_shaded, edit.has_sides)
     return part_kernel(plan.is_shaded, edit.has_sides)
 
 
@@ -84,8 +83,6 @@ class FrameLauncher:
         parts = self._scene_parts(tables.boxes, target.pinhole.width * target.pinhole.height)
         for number, (planned, edit) in enumerate(zip(plan.edits, tables.edits, strict=True)):
             target.picture.order = orders[number]
-            if (starts := tables.starts[number]) is not None:
-                target.picture.begins = starts
             inputs = [*tables.field, edit, *parts[number : number + 1]]
             self.march(edit_kernel(plan, planned), inputs, target, number=number, item_rays=item_rays)
         self._tiles.end()

@@ -28,7 +28,7 @@ from ..kernels.lattice import (
     side_values,
 )
 from ..kernels.mesh import fans
-from ..kernels.render import beams, march_cpu, shading
+from ..kernels.render import march_cpu, shading
 from ..kernels.render.views import part_kernel, stack_kernel, view_kernel
 from ..kernels.view import tile_order
 
@@ -54,14 +54,12 @@ def render_modules(device: wp.Device, edit_count: int = 1, has_fragments: bool =
     several = [stack_kernel(True), stack_kernel(False)] if edit_count > 1 else []
     if device.is_cpu and tables.TILES_ON_CPU:
         return [march_cpu, columns, *several]
-    march_modules = [fine_cells, map_cells, beams, *several]
+    march_modules = [fine_cells, map_cells, *several]
     kernel_of = part_kernel if several else view_kernel
     by_rows = [kernel_of(False, has_sides) for has_sides in (False, True)]
     if device.is_cpu and not tables.SHADES_ON_CPU:
         return [*march_modules, *by_rows]
     shaded = [kernel_of(True, has_sides) for has_sides in (False, True)]
-    if not several:
-        shaded.append(view_kernel(True, False, large=True))
     # poses that turn matter over are marched by rows, and no hand that moves a cage is to wait for a compiler
     frame_modules = [columns, densities, rows, texels, tile_order]
     return [*march_modules, inverse, shading, *shaded, *by_rows, *frame_modules]

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-#: Rays from which on a view is one of many pixels.
-LARGE_PICTURE = 1 << 20
-
 
 class FrameFacts(NamedTuple):
     """What decides how a frame is marched."""
@@ -19,7 +16,6 @@ class FrameFacts(NamedTuple):
     is_far: bool = False  # whether the camera sees each voxel from one direction only
     shades_fit: bool = True  # whether there is memory for the shades of all voxels
     is_folded: bool | None = None  # whether the pose turns matter over; None: nobody has asked the device yet
-    rays: int = 0
 
 
 class PlannedEdit(NamedTuple):
@@ -37,7 +33,6 @@ class FramePlan(NamedTuple):
     table: Literal["rows", "shades"] = "rows"  # what samples read of the field
     edits: tuple[PlannedEdit, ...] = ()  # those that are marched by themselves, front to back
     is_simple: bool = False  # a stack without fragments and narrow gaps
-    is_large: bool = False  # whether many rays are in flight
 
     @property
     def is_shaded(self) -> bool:
@@ -56,7 +51,4 @@ def plan_frame(facts: FrameFacts) -> FramePlan:
         return FramePlan("parts", "tile", edits=edits)
     # a pose that turns matter over shows a voxel in several places, and from several directions
     is_shaded = facts.is_far and facts.shades_fit and not facts.is_folded
-    is_large = is_single and is_shaded and facts.rays >= LARGE_PICTURE and not edits[0].has_sides
-    return FramePlan(
-        "edit" if is_single else "parts", "ray", "shades" if is_shaded else "rows", edits, is_large=is_large
-    )
+    return FramePlan("edit" if is_single else "parts", "ray", "shades" if is_shaded else "rows", edits)

@@ -93,7 +93,6 @@ class PosedScene(PosedEdits):
         self._look_ahead(seen)
         if self.plan.is_shaded:
             self.carried_shades.aim(center)
-            self.carried_shades.walls(seen.grid, field.marching.columns)
         self.seen = seen  # by which the first pose goes
 
     def _look_ahead(self, seen: SeenView) -> None:
@@ -105,7 +104,7 @@ class PosedScene(PosedEdits):
         if self.plan.is_shaded:
             self._find_places(seen.grid)
         if has_begun:
-            self.tables.join(has_begun)
+            self.tables.join()
 
     def prepare(self, grid: Any, step: float) -> None:
         if self.lattices.mark_empty(grid, step) or not self.tables.edits:
@@ -132,7 +131,6 @@ class PosedScene(PosedEdits):
             and tables.most_nodes < MOST_LATTICE_NODES
             and shade_texture_bytes(marching.columns) <= self.most_shades,
             is_folded=shades.is_known_folded if shades.is_posed else None,
-            rays=view.threads if isinstance(view, FieldView) else 0,
         )
 
     def _begin(self, view: FieldView) -> FrameFacts:
@@ -159,7 +157,6 @@ class PosedScene(PosedEdits):
     def render(self, view: FieldView, arc_opacity: int) -> Frame:
         # The device is at work before the host waits or allocates, and what it is asked comes behind what it is told.
         marching, lattices, tables = view.field.marching, self.lattices, self.tables
-        tables.mark()
         facts = self._begin(view) if tables.edits else None  # None: where a new pose leads to is not known yet
         if not view.is_again:
             marching.begin()
@@ -168,15 +165,14 @@ class PosedScene(PosedEdits):
         grid = marching.marched if view.is_again else marching.grid()
         self.prepare(grid, view.step)
         if facts is None or rows is None or (self.plan.is_shaded and not self.carried_shades.is_posed):
-            tables.mark()
             facts = self._begin(view)
             rows = self._field_tables(view)
         has_begun = tables.begin_cells(self.plan, grid, lattices.marked_step)
-        starts = tables.find_starts(self.plan, grid, target.pinhole, target.threads)
         if rows is None:
             self._find_places(grid)
             rows = self._field_tables(view)
-        tables.join(has_begun)
+        if has_begun:
+            tables.join()
         # asked behind all that is launched for others
         is_folded = self.carried_shades.has_inverted_cells() if self.plan.is_shaded else facts.is_folded
         was_shaded = self.plan.is_shaded
@@ -185,11 +181,11 @@ class PosedScene(PosedEdits):
             rows = self._field_tables(view)
         if self.looks_ahead:
             self.seen = SeenView(view.field, grid, view.center, view.step)
-        self.launcher.launch_frame(self.plan, self._frame_tables(view, grid, rows, starts), target)
+        self.launcher.launch_frame(self.plan, self._frame_tables(view, grid, rows), target)
         self.carried_shades.release()
         return finish_frame(view, target.arrays)
 
-    def _frame_tables(self, view: FieldView, grid: Any, rows: Any, starts: Sequence[wp.array | None]) -> FrameTables:
+    def _frame_tables(self, view: FieldView, grid: Any, rows: Any) -> FrameTables:
         """What the planned march of a view reads."""
         plan, cells = self.plan, [view.field.marching.cells(grid)] if self.plan.lanes == "tile" else []
         edits = [self.tables.edits[edit.number] for edit in plan.edits]
@@ -198,4 +194,4 @@ class PosedScene(PosedEdits):
             around = [NOWHERE] if self.boxes is None else self.boxes.reaching(0.5 * view.step)
             boxes = [around[edit.number].tolist() for edit in plan.edits]
         stack = self.tables.stack() if plan.march == "stack" else None
-        return FrameTables([grid, *rows, *cells], edits, starts, boxes, stack)
+        return FrameTables([grid, *rows, *cells], edits, boxes, stack)

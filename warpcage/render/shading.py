@@ -9,18 +9,10 @@ from typing import Any
 import warp as wp
 
 from ..core.arrays import empty_array
-from ..core.devices import HALF_TEXEL_BYTES, MOST_TEXELS, HostFlag, RecordedLaunches, launch
+from ..core.devices import HALF_TEXEL_BYTES, MOST_TEXELS, HostFlag, RecordedLaunches
 from ..field.tables import ColumnTable, whole_warps
 from ..kernels.edits.inverse import NO_CELL, gather_inverse, scatter_cells
-from ..kernels.render.shading import (
-    ViewDirectionCage,
-    find_view_directions,
-    keep_cage,
-    list_rows,
-    mark_wall_rows,
-    shade_carried_rows,
-    shade_wall_rows,
-)
+from ..kernels.render.shading import ViewDirectionCage, find_view_directions, keep_cage, shade_carried_rows
 from ..kernels.render.volume import SHADE_LAYERS, ShadedVolume
 from ..lattice.buffers import BufferPool
 
@@ -50,7 +42,6 @@ class CarriedShades:
         # EditData, (nx, ny, nz) vec4 where rest nodes are taken and whether, ViewDirectionCage of edits that move
         self.posed: list[tuple[Any, wp.array, Any]] = []
         self._cages: wp.array | None = None
-        self._walls: tuple[ColumnTable, wp.array] | None = None
         self._aimed: wp.vec3 | None = None
         self._folds = HostFlag(device)
         self._is_folded: bool | None = None
@@ -96,8 +87,10 @@ class CarriedShades:
             cage.lower, cage.inverse_spacing = edit.rest.lower, edit.rest.inverse_spacing
             cage.node_counts, cage.distance = wp.vec3i(*places.shape), edit.rest.distance.flatten()
             cage.places, cage.aims = places.flatten(), self._aims[number].take(places.size)
-        reach = STEEPEST * math.hypot(*grid.voxel_size)
-        cage.depth = math.inf if edit.keeps_source else reach
+        diagonal = math.hypot(*grid.voxel_size)
+        reach = STEEPEST * diagonal
+        cage.depth, cage.wall_depth = 2 * [math.inf] if edit.keeps_source else (reach, diagonal)
+        cage.wall_height = edit.slack + diagonal
         cage.height = edit.slack + edit.rest.spacing + reach  # a cell that stays in the cage may bulge out of it
         cage.posed_lower, cage.posed_inverse_spacing = edit.lower, edit.inverse_spacing
         cage.posed_counts, cage.posed_nodes = edit.node_counts, edit.nodes
@@ -126,15 +119,13 @@ class CarriedShades:
     def shades(self, grid: Any, table: ColumnTable, center: wp.vec3, step: float) -> Any:
         """The ShadedVolume of a field, of the values that its VoxelGrid has now, as a camera sees them in the pose.
         table: of the grid's links; centre: relative to the grid's origin; step: of the march, world units."""
-        device, rows, walls = self._device, table.nodes.shape[0], self.walls(grid, table)
+        rows = table.nodes.shape[0]
         if self._aimed is not center:
             self.aim(center)
         self._aimed = None
         shaded, laid = table.shaded(center, step), self.shaded_volume(table)
         inputs = [grid, table.nodes, self._cages, shaded, laid]
-        self._launch(shade_carried_rows, whole_warps(rows, device), inputs)
-        inputs = [grid, table.nodes, walls, self._cages, shaded, laid]
-        self._launch(shade_wall_rows, whole_warps(walls.shape[0], device), inputs)
+        self._launch(shade_carried_rows, whole_warps(rows, self._device), inputs)
         return laid
 
     def shaded_volume(self, table: ColumnTable) -> Any:
@@ -154,19 +145,3 @@ class CarriedShades:
     def release(self) -> None:
         """Let a frame's shades go once its march is launched. What the field does not keep waits for the GPU."""
         self._texture = None
-
-    def walls(self, grid: Any, table: ColumnTable) -> wp.array:
-        """Rows (m,) int32, ascending, that poses may show on both sides of a rest cage; found once, behind `pose`."""
-        if self._walls is None or self._walls[0] is not table:
-            device, rows = self._device, table.nodes.shape[0]
-            marks = wp.zeros(rows, dtype=wp.int32, device=device)  # those near it; all of a cage that keeps its source
-            diagonal = math.hypot(*grid.voxel_size)
-            for edit, _, _ in self.posed:
-                depth = math.inf if edit.keeps_source else diagonal
-                inputs = [grid, table.nodes, table.columns.node_counts, edit.rest, depth, edit.slack + diagonal]
-                launch(mark_wall_rows, rows, inputs, [marks], device=device)
-            wp.utils.array_scan(marks, marks, inclusive=True)
-            found = empty_array(int(marks[-1:].numpy()[0]) if rows else 0, wp.int32, device)
-            launch(list_rows, rows, [marks], [found], device=device)
-            self._walls = table, found
-        return self._walls[1]

@@ -1,4 +1,4 @@
-"""Tables of a posed scene that marches read: its edits, fine cells, polynomials of cells, begins of tiles."""
+"""Tables of a posed scene that marches read."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ from ..kernels.edits.cell_tables import join_cell_tables, join_nodes
 from ..kernels.edits.fine_cells import FINE_COUNT, FINE_SIDE, FINE_WORDS, mark_fine_cells, spread_fine_cells
 from ..kernels.edits.nodes import CELL_WORDS, expand_map_cells
 from ..kernels.edits.structs import CELL_OUTSIDE, EditData
-from ..kernels.render.beams import find_tile_starts, find_tile_starts_of_edits
-from ..kernels.view.rays import TILE_SIZE
 from ..lattice.buffers import Buffer, BufferPool, SideStream
 from .plan import FramePlan
 
@@ -154,63 +152,6 @@ def needs_general_map(edit: Any) -> bool:
     return bool(edit.has_sides or edit.by_nodes)
 
 
-#: Streams whose buffers are kept.
-MOST_KEPT = 4
-
-#: Bytes of a distance.
-DISTANCE_BYTES = wp.types.type_size_in_bytes(wp.float32)
-
-
-class TileStarts:
-    """Looks once for each tile of a view how far its rays go through what is empty.
-    It looks on the stream `side`, beside what is launched until that joins."""
-
-    def __init__(self, side: SideStream):
-        self._side, self._launch = side, RecordedLaunches(side.device)
-        self._kept: dict[int, Buffer] = {}
-        self._edits: tuple[list[Any], wp.array] | None = None
-        self._ready: tuple[wp.array | None, wp.array | None] = None, None
-
-    def find(self, edits: Sequence[Any], grid: Any, pinhole: Any, tiles: int) -> list[wp.array]:
-        """(tiles,) float of each EditData: distance before which a tile's rays meet nothing, until the stream's next
-        view. Fine cells are told by now, or forked; it looks after what came before the side stream's mark."""
-        is_single = len(edits) == 1  # an argument takes the host less time than an array
-        needed = self._buffer().take(len(edits) * tiles), None if is_single else self._array_of(edits)
-        if any(array is not before for array, before in zip(needed, self._ready, strict=True)):
-            self._side.mark()  # what is new was made behind the mark
-            self._ready = needed
-        begins, array = needed
-        stream = self._side.behind_mark()
-        if is_single:
-            self._launch(find_tile_starts, tiles, [grid, edits[0], pinhole], [begins], stream=stream)
-            return [begins]
-        inputs = [tiles, grid, array, pinhole]
-        self._launch(find_tile_starts_of_edits, begins.size, inputs, [begins], stream=stream)
-        return [
-            array_view(begins, wp.float32, tiles, offset=number * tiles * DISTANCE_BYTES)
-            for number in range(len(edits))
-        ]
-
-    def _array_of(self, edits: Sequence[Any]) -> wp.array:
-        """The edits on the device, once for those of a pose in their order."""
-        kept = self._edits
-        if kept is None or [id(edit) for edit in kept[0]] != [id(edit) for edit in edits]:
-            self._edits = kept = list(edits), struct_array(edits, EditData, self._side.device)
-        return kept[1]
-
-    def _buffer(self) -> Buffer:
-        """Of the current stream: frames of one follow each other, those of several need not."""
-        device = self._side.device
-        key = int(device.stream.cuda_stream or 0) if device.is_cuda else 0
-        kept = self._kept.pop(key, None)
-        if kept is None:
-            kept = BufferPool(device).buffer(wp.float32)
-            while len(self._kept) >= MOST_KEPT:
-                del self._kept[next(iter(self._kept))]  # used longest ago
-        self._kept[key] = kept
-        return kept
-
-
 class EditTables:
     """The EditData of posed edits with all their tables, which are filled beside each other on two streams."""
 
@@ -226,7 +167,6 @@ class EditTables:
         self._buffers = [(pool.buffer(wp.uint8), pool.buffer(wp.vec4)) for _ in range(edit_count)]
         self._side, self._join = SideStream(device, priority=-1), RecordedLaunches(device)
         self._fine, self._polynomials = FineCells(edit_count, self._side), MapPolynomials(edit_count, device)
-        self._starts = TileStarts(self._side)
 
     def clear(self) -> None:
         """Forget the pose."""
@@ -261,10 +201,6 @@ class EditTables:
     def _tell_maps(self) -> None:
         self.general_maps = tuple([needs_general_map(edit) for edit in self.edits])
 
-    def mark(self) -> None:
-        """Remember what came before, which the second stream waits for."""
-        self._side.mark()
-
     def begin_cells(self, plan: FramePlan, grid: Any, step: float) -> bool:
         """Launch the tables of fine cells and the polynomials of cells, where the march knows them. Returns whether
         they are new: they are there behind `join`. step: the longest of a march, world units."""
@@ -274,17 +210,8 @@ class EditTables:
         self._polynomials.expand(self.edits)  # on the program's stream, which has less to do meanwhile
         return True
 
-    def find_starts(self, plan: FramePlan, grid: Any, pinhole: Any, threads: int) -> list[wp.array | None]:
-        """How far the rays of each tile go before they may meet anything, for each planned edit; None where its kernel
-        does not ask."""
-        if plan.lanes == "tile" or not plan.edits:
-            return [None for _ in plan.edits]
-        planned = [self.edits[edit.number] for edit in plan.edits]
-        return [*self._starts.find(planned, grid, pinhole, threads // TILE_SIZE)]
-
-    def join(self, has_begun: bool) -> None:
-        """Let what follows wait for the second stream. has_begun: what `begin_cells` said."""
+    def join(self) -> None:
+        """Let what follows wait for the tables that `begin_cells` launched."""
         self._side.join()
-        if has_begun:
-            self._has_cells = True
-            self._tell_maps()
+        self._has_cells = True
+        self._tell_maps()
