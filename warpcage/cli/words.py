@@ -26,11 +26,11 @@ from ..cage.motion import (
     numbered_files,
     sequence_poses,
 )
-from ..cage.pose_file import PoseFile, Preset, is_preset
+from ..cage.pose_file import PoseFile, Preset, is_preset, known_easing
 from ..cage.up_axis import UpAxis, load_standing
 from ..core.checks import listed, warn_caller
 from ..core.files import PathLike, atomic_path, path_from, read_json, require_file
-from ..core.names import EASINGS, counted, edit_words
+from ..core.names import counted, edit_words
 from ..edits.place import PlaceFile
 from ..edits.words import EditWords, held_walls
 from ..errors import InputError
@@ -133,16 +133,13 @@ def _timed(file: PoseFile, path: str) -> PoseFile | None:
         raise InputError(
             f"{path}: keyframe {file.timed[0]!r} is at {file.times[file.timed[0]]:g} s: a film begins at 0"
         )
-    for name, easing in file.easings.items():
-        if easing not in EASINGS:
-            raise InputError(
-                f"{path}: keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}"
-            )
-    if file.cameras:
-        try:
+    try:
+        for name, easing in file.easings.items():
+            known_easing(name, easing)
+        if file.cameras:
             timed_keys(file.cameras)
-        except ValueError as error:
-            raise InputError(f"{path}: {error}") from None
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
     note_jumps(file, path)
     return file
 

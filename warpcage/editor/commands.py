@@ -11,8 +11,8 @@ import numpy as np
 from ..cage import poses
 from ..cage.cage import Cage
 from ..coordinates.coordinates import deform_points
-from ..core.checks import AXES
-from ..core.names import EASINGS, FRAGMENTS_WORD, LOOPS
+from ..core.checks import AXES, checked_easing
+from ..core.names import FRAGMENTS_WORD, LOOPS
 from ..edits.edits import MAX_EDITS
 from ..errors import InputError
 from .document import (
@@ -306,7 +306,7 @@ def change_key(document: Document, message: Message) -> Step:
     if "time" in message:
         changes["time"] = checked_between(message["time"], 0.0, MAX_SECONDS, "time")
     if "easing" in message:
-        changes["easing"] = checked_choice(message["easing"], EASINGS, "easing")
+        changes["easing"] = checked_easing(message["easing"], "easing")
     if "name" in message:
         changes["name"] = checked_name(message["name"])
     key = _filled(document, dataclasses.replace(key, **changes) if changes else key, message)

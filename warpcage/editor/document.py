@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.checks import checked_number, shown
-from ..core.names import COORDINATES, DENSITIES, EASINGS, FIELD_COORDINATES, FRAGMENTS_WORD, LOOPS, edit_fields
+from ..core.checks import checked_easing, checked_number, shown
+from ..core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, FRAGMENTS_WORD, LOOPS, Easing, edit_fields
 from ..edits.edits import HELD, MAX_EDITS, CageEdit
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
@@ -317,7 +317,7 @@ class Key:
     id: int  # that no other key of the session has had
     time: float  # seconds from the film's start
     name: str
-    easing: str = "smooth"  # how the way from here to the next key goes, one of EASINGS
+    easing: Easing = "smooth"  # how the way from here to the next key goes
     poses: Mapping[int, np.ndarray] | None = None  # posed vertices (v, 3) by the number of the edit
     view: View | None = None
 
@@ -507,7 +507,7 @@ def _key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:
         checked_id(content["id"], "id"),
         checked_between(content["time"], 0.0, MAX_SECONDS, "time"),
         checked_name(content["name"]),
-        checked_choice(content["easing"], EASINGS, "easing"),
+        checked_easing(content["easing"], "easing"),
         poses,
         None if view is None else checked_view(view),
     )
