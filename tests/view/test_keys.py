@@ -110,8 +110,8 @@ def test_a_curve_of_one_line_is_linear_and_known_by_its_points():
     [
         ({"bezier": [0.1, 0.2, 0.3]}, "must have four numbers"),
         ({"bezier": "ease"}, "must have four numbers"),
-        ({"bezier": [1.2, 0, 0.5, 1]}, "x1 of it must be a share of the time, 0 to 1, got 1.2"),
-        ({"bezier": [0.2, 0, -0.5, 1]}, "x2 of it must be a share of the time, 0 to 1, got -0.5"),
+        ({"bezier": [1.2, 0, 0.5, 1]}, "x1 of it must be a share, 0 to 1"),
+        ({"bezier": [0.2, 0, -0.5, 1]}, "x2 of it must be a share, 0 to 1"),
         ({"bezier": [0.2, float("nan"), 0.5, 1]}, "y1 of it must be one finite number"),
         ({"bezier": [0.2, 0, 0.5, "far"]}, "y2 of it must be one finite number"),
         ({"steps": 3}, "it must be one of smooth"),

@@ -64,7 +64,7 @@ def checked_easing(value: Any, what: str) -> Easing:
     for name, value in zip(("x1", "y1", "x2", "y2"), given, strict=True):
         numbers[name] = number = checked_number(value, f"{name} of {what}")
         if name in ("x1", "x2") and not 0.0 <= number <= 1.0:
-            raise InputError(f"{name} of {what} must be a share of the time, 0 to 1, got {number:g}")
+            raise InputError(f"{name} of {what} must be a share, 0 to 1, got {number:g}")
     return {"bezier": [*numbers.values()]}
 
 
