@@ -137,6 +137,32 @@ def test_where_nothing_is_seen_a_box_stands_on_the_ground(window: Window, editor
     assert sides[2] == pytest.approx(sides[:2].min())
 
 
+def test_a_finger_draws_a_box_and_a_second_one_leaves_it(window: Window, editor: Any) -> None:
+    def touch(kind: str, *places: Any) -> None:
+        points = [{"x": float(x), "y": float(y), "id": i} for i, (x, y) in enumerate(places)]
+        window.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    looks_cheap(window)
+    window.click("#tool-box")
+    window.wait('warpcage.store.sections.settings.mode === "rest"')
+    window.rest()
+    middle = on_page(window, (0, 0, 0))
+    touch("touchStart", middle - 80)
+    touch("touchMove", middle)
+    touch("touchStart", middle, middle + 60)
+    touch("touchMove", middle, middle + 90)
+    touch("touchEnd")
+    window.rest()
+    assert len(editor.document.edits) == 1  # a pinch is no box
+    middle = on_page(window, (0, 0, 0))
+    touch("touchStart", middle - 80)
+    for share in (0.3, 0.6, 1.0):
+        touch("touchMove", middle - 80 + 160 * share)
+    touch("touchEnd")
+    until(lambda: len(editor.document.edits) == 2, "there is a box")
+    assert len(editor.document.edits[-1].rest) == 8
+
+
 # the ruler ---------------------------------------------------------------------------------------------------------
 
 
