@@ -71,7 +71,10 @@ def value_at(
 
 def eased_share(easing: Easing, share: float) -> float:
     """The share of the way that is gone at a share of the time, 0 to 1; `easing`: another one than smooth and hold."""
-    return _EASED[easing](share) if isinstance(easing, str) else _curved(*easing["bezier"], share)
+    if isinstance(easing, str):
+        return _EASED[easing](share)
+    x1, y1, x2, y2 = easing["bezier"]
+    return _curved(x1, y1, x2, y2, share)
 
 
 def _curved(x1: float, y1: float, x2: float, y2: float, share: float) -> float:

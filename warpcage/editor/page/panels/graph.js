@@ -15,14 +15,14 @@ let bent = null; // {id, numbers}: the curve that is dragged
 const isCurve = (key) => Boolean(key?.easing?.bezier);
 
 /** Whether the lane has room for handles: where any key has a curve, so that it keeps its height from key to key. */
-const isTall = () => film().keys.some(isCurve);
+const hasHandles = () => film().keys.some(isCurve);
 
 const share = (time) => time / Math.max(film().length, 1e-6);
 const percent = (value) => `${short(100 * value)}%`;
 
 /** Where a share of the way is, as a share of the lane's height from its top. */
 function heightOf(gone) {
-  const { zero, one } = isTall() ? TALL : FLAT;
+  const { zero, one } = hasHandles() ? TALL : FLAT;
   return zero + (one - zero) * gone;
 }
 
@@ -122,7 +122,7 @@ export function graphs(lane) {
   const handles = [0, 1].map((number) => el("span", { id: `curve-handle-${number + 1}`, class: "bend", "aria-hidden": "true" }));
   const showWays = rows(lines, makeWay);
   const show = () => {
-    lane.closest(".time-body")?.classList.toggle("curved", isTall());
+    lane.closest(".time-body")?.classList.toggle("curved", hasHandles());
     showWays(film().keys.filter(({ way }) => way));
     const numbers = curveNow();
     for (const part of [drawn, ...handles]) part.toggleAttribute("hidden", !numbers);
