@@ -314,3 +314,45 @@ def test_handles_of_a_curve_are_dragged_in_the_graph(window: Window, editor: Any
     window.choose("#key-easing", "linear")
     until(lambda: editor.document.timeline.keys[0].easing == "linear", "a word again")
     window.wait('document.getElementById("curve-handle-1").hidden')
+
+
+def test_keys_of_cameras_alone_have_curves_and_escape_leaves_a_drag(window: Window, editor: Any) -> None:
+    looks_cheap(window)
+    window.unfold("keys")
+    window.click("#key-add-camera")
+    until(lambda: len(editor.document.timeline.keys) == 1, "there is a key")
+    window.fill("#time", "2\n")
+    window.click("#view")
+    window.press("Shift+1")
+    window.wait("warpcage.viewport.picture?.sharp")
+    until(lambda: abs(editor.document.view.eye[0] - editor.document.view.target[0]) < 1e-6, "it looks from the front")
+    window.click("#key-add-camera")
+    until(lambda: len(editor.document.timeline.keys) == 2, "there are two keys")
+    window.click("#time-first")
+    window.choose("#time-easing", "bezier")
+    window.wait('!document.getElementById("curve-handle-1").hidden')
+    before = editor.document.timeline.keys[0].easing
+    box = window.get('document.getElementById("curve-handle-1").getBoundingClientRect().toJSON()')
+    at = np.array([box["left"] + box["width"] / 2, box["top"] + box["height"] / 2])
+    window.point("mouseMoved", at)
+    window.point("mousePressed", at, button="left")
+    window.point("mouseMoved", at + [60, -20], button="left")
+    moved = 'document.getElementById("curve-handle-1").getBoundingClientRect().left'
+    window.wait(f"{moved} > arguments[0] + 40", "the handle follows", box["left"])
+    window.press("Escape")
+    window.wait(f"Math.abs({moved} - arguments[0]) < 1", "it is back", box["left"])
+    window.point("mouseReleased", at + [60, -20], button="left")
+    assert editor.document.timeline.keys[0].easing == before
+    window.drag(line(at, at + [60, -20]))
+    until(lambda: editor.document.timeline.keys[0].easing != before, "a whole drag is kept")
+    curve = editor.document.timeline.keys[0].easing
+    (first, last) = (key.view for key in editor.document.timeline.keys)
+    window.fill("#time", "1\n")
+    gone = eased_share(curve, 0.5)
+    assert abs(gone - 0.5) > 0.02
+
+    def angle(view: Any) -> float:
+        return float(np.arctan2(*np.subtract(view.eye, view.target)[[1, 0]]))
+
+    turn = (angle(last) - angle(first) + np.pi) % (2 * np.pi) - np.pi
+    until(lambda: abs(angle(editor.document.view) - angle(first) - gone * turn) < 1e-6, "the camera goes by the curve")
