@@ -372,6 +372,39 @@ def photograph(window, out: pathlib.Path) -> None:
     resize(window, 820, 1180)
     keep(window, out / "editor_tablet.png")
 
+    window.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    window.click("#panel-toggle")
+    resize(window, 1280, 800)
+    window.press("Shift+D")
+    make_parts(window)
+    keep(window, out / "editor_parts.png")
+
+
+def make_parts(window) -> None:
+    """Draws a box around the excavator's arm, drags its upper face, and bends the way from the first key."""
+    window.click("#time-first")
+    window.choose("#time-easing", "bezier")
+    window.wait('!document.getElementById("curve-handle-2").hidden')
+    handle = window.get('document.getElementById("curve-handle-2").getBoundingClientRect().toJSON()')
+    place = np.array([handle["left"] + handle["width"] / 2, handle["top"] + handle["height"] / 2])
+    window.drag([place + np.array([-90.0, -14.0]) * share for share in np.linspace(0, 1, 8)])
+    window.click("#tool-box")
+    window.wait('warpcage.store.sections.settings.mode === "rest"')
+    window.rest()
+    count, box = len(window.section("edits")), window.box
+    shares = np.array([[0.52, 0.2], [0.74, 0.52]])
+    begin, end = shares * [box["width"], box["height"]] + [box["left"], box["top"]]
+    window.drag([begin + (end - begin) * share for share in np.linspace(0, 1, 8)])
+    window.wait("warpcage.store.sections.edits.length === arguments[0]", "", count + 1)
+    edit = window.section("edits")[-1]
+    rest, places = np.array(edit["rest"]), window.places(edit["id"])
+    upper = rest[:, 2] > rest[:, 2].mean()
+    way = (places[upper].mean(axis=0) - places[~upper].mean(axis=0)) * 0.2
+    window.drag([places[upper].mean(axis=0) + way * share for share in np.linspace(0, 1, 8)])
+    window.wait(
+        "warpcage.store.sections.edits.at(-1).rest.some(([, , z]) => z > arguments[0])", "", rest[:, 2].max() + 1e-3
+    )
+
 
 def select_right(window) -> int:
     """Selects the upper right of the cage with a rectangle; gives its highest vertex."""

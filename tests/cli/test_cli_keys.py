@@ -11,7 +11,7 @@ from runs import run, succeed, write_files
 from scene_writers import GltfWriter
 
 from warpcage import Cage, CameraKey, PoseFile, load_scene
-from warpcage.view import read_image
+from warpcage.view import eased_share, read_image
 
 LOOK = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, "--size", 24, "--coordinates", "mean_value", "--resolution", 16]
 FILM = ["--cage", "@cage.obj", *LOOK, "--turn", 0, "--quiet"]
@@ -272,6 +272,24 @@ def test_two_cameras_at_one_time_are_named_with_their_file(files, tmp_path, caps
     file.save(poses)
     assert run(files, "animate", "@ball.npz", *FILM, "--posed", poses, "-o", tmp_path / "film") == 2
     assert f"{poses}: two cameras of a path ('near' and 'far') are at 0.5 s" in capsys.readouterr().err
+
+
+def test_a_film_by_a_curve_is_that_of_the_straight_way_at_other_times(files, tmp_path, capsys):
+    curve, poses = {"bezier": [0.9, 0.0, 0.9, 0.3]}, tmp_path / "poses.json"
+    file = PoseFile(Cage.load(files / "cage.obj"))
+    for name, time, up in (("a", 0.0, 0.0), ("b", 1.0, 0.6)):
+        file[name], file.times[name] = file.rest.translate([0, 0, up]), time
+    file.fps, file.easings["a"] = 4.0, curve
+    file.save(poses)
+    succeed(files, "animate", "@ball.npz", *FILM, "--posed", poses, "-o", tmp_path / "film")
+    found = frames_of(tmp_path / "film")
+    for frame, share in zip(found, (0.0, 0.25, 0.5, 0.75, 1.0), strict=True):
+        one = tmp_path / "one.obj"
+        file.rest.translate([0, 0, 0.6 * eased_share(curve, share)]).save(one)
+        words = ["--cage", "@cage.obj", *LOOK, "--posed", one, "-o", tmp_path / "one.png"]
+        succeed(files, "render", "@ball.npz", *words)
+        np.testing.assert_allclose(frame, read_image(tmp_path / "one.png"), atol=2 / 255)
+    assert np.abs(found[2] - found[0]).mean() < 0.2 * np.abs(found[4] - found[0]).mean()  # the curve's late start
 
 
 def test_an_unknown_easing_is_named_with_its_file(files, tmp_path, capsys):

@@ -11,6 +11,7 @@ from splat_scenes import splats_in_box
 import warpcage
 from warpcage import Cage, CageEdit, Camera, Deformer, Place, PlaceFile, SplatField, Stage, VoxelField
 from warpcage.field import harmonics_on_host
+from warpcage.view import eased_share
 
 RED, BLUE = plain([0.9, 0.2, 0.1]), plain([0.1, 0.3, 0.9])
 NEAR, FAR = np.array([-0.4, 0.0, 0.0]), np.array([0.4, 0.1, 0.0])
@@ -239,6 +240,13 @@ def test_places_at_times(tmp_path):
     places.save(tmp_path / "again.json")
     again = PlaceFile.load(tmp_path / "again.json")
     assert (again.places, again.easings, again.loop) == (places.places, {**places.easings, 3: "smooth"}, "once")
+    curve = {"bezier": [0.9, 0, 0.9, 0.2]}
+    keys[0]["easing"] = curve
+    (tmp_path / "curved.json").write_text(json.dumps({"keys": keys}))
+    curved = PlaceFile.load(tmp_path / "curved.json")
+    assert curved.easings[0] == curve and curved.to_json()["keys"][0]["easing"] == curve
+    gone = eased_share(curve, 0.25)
+    assert 0.0 < gone < 0.1 and curved.at(0.5).position[0] == pytest.approx(4 * gone)
     PlaceFile(PLACE).save(tmp_path / "one.json")
     assert PlaceFile.load(tmp_path / "one.json").at(1) == PLACE
 
@@ -253,6 +261,7 @@ WRONG = {
     "no time": ({"keys": [{"scale": 2}]}, "key 1 must be an object with a 'time'"),
     "one time": ({"keys": [{"time": 1}, {"time": 1}]}, "two keys are at 1 s"),
     "before": ({"keys": [{"time": -1}]}, "a film begins at 0"),
+    "curve": ({"keys": [{"time": 0, "easing": {"bezier": [2, 0, 0, 1]}}]}, "x1 of the easing of a place"),
     "easing": ({"keys": [{"time": 0, "easing": "bouncy"}]}, "the easing of a place"),
     "newer": ({"version": 9}, "its version is 9"),
     "format": ({"format": "warpcage poses"}, "its format is 'warpcage poses'"),

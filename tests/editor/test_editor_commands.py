@@ -11,6 +11,7 @@ from editor_pages import BOX, new_session
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages import MESSAGES
+from scipy.spatial.transform import Rotation
 
 from warpcage import Cage
 from warpcage.core import error_line
@@ -120,6 +121,29 @@ def test_a_new_edit_is_active_and_its_cage_lies_about_the_corners(shape):
     assert np.ptp(edit.rest, axis=0)[2] >= 2.5
     edit.rest_cage.require_usable("it")
     assert "lower corner" in refused(after, do="edit.add", lower=[0, 0, 0], upper=[1, 0, 1])
+
+
+def test_a_box_may_have_eight_corners_and_axes_of_its_own():
+    low, high, turn = [0.1, 0.2, 0.3], [1, 2, 3], Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix()
+    plain = done(document(), do="edit.add", lower=low, upper=high, segments=1).edits[-1]
+    np.testing.assert_array_equal(plain.rest, Cage.box(low, high).vertices)
+    turned = done(document(), do="edit.add", lower=low, upper=high, segments=1, axes=turn.T.tolist()).edits[-1]
+    np.testing.assert_allclose(turned.rest, plain.rest @ turn.T, atol=1e-12)
+    turned.rest_cage.require_usable("it")
+    mirrored, skewed = np.diag([1, 1, -1]).tolist(), [[1, 0, 0], [0.1, 1, 0], [0, 0, 1]]
+    for axes in (
+        mirrored,
+        skewed,
+        [],
+        [[1, 0, 0]] * 3,
+        np.eye(2).tolist(),
+        np.eye(4).tolist(),
+        "xyz",
+        [[None] * 3] * 3,
+    ):
+        refused(document(), do="edit.add", lower=low, upper=high, axes=axes)
+    for segments in (0, 9, 1.5, True, None):
+        refused(document(), do="edit.add", lower=low, upper=high, segments=segments)
 
 
 def test_deleting_an_edit_takes_its_poses_out_of_all_keys():
@@ -264,6 +288,12 @@ def test_keys_hold_copies_by_time_and_fill_those_of_the_same_time():
     np.testing.assert_array_equal(keys[1].poses[1], REST)
     later = done(three, do="key.change", id=keys[1].id, time=9.0, easing="hold", name="last")
     assert later.timeline.length == 9.0 and later.timeline.keys[-1].easing == "hold"
+    curved = done(later, do="key.change", id=keys[1].id, easing={"bezier": [0.3, -1, 1, 2]})
+    assert curved.timeline.keys[-1].easing == {"bezier": [0.3, -1.0, 1.0, 2.0]}
+    again = Document.from_json(json.loads(json.dumps(curved.to_json())))
+    assert again.timeline.keys[-1].easing == curved.timeline.keys[-1].easing
+    for easing in ({"bezier": [1.1, 0, 0, 1]}, {"bezier": [0, 0, 1]}, {"bezier": None}, {}, [0, 0, 1, 1], 3, "bezier"):
+        refused(later, do="key.change", id=keys[1].id, easing=easing)
     assert len({key.id for key in keys}) == 2 and three.next_id == 4
     refused(three, do="key.add", time=2.0)
     refused(later, do="timeline", length=8.9)

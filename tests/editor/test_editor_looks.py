@@ -87,6 +87,52 @@ def test_everything_can_be_seen_in_light_and_dark(window: Window, browser: Any, 
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
 
+@pytest.mark.parametrize("touch", [False, True], ids=["mouse", "touch"])
+@pytest.mark.parametrize(("width", "height"), [(800, 600), (1440, 900), (820, 1180)])
+def test_tools_that_draw_have_room(window: Window, browser: Any, width: int, height: int, touch: bool) -> None:
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 0.5, "mobile": touch}
+    browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": touch})
+    try:
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        window.wait("innerWidth === arguments[0]", "the window is resized", width)
+        assert window.get('matchMedia("(pointer: coarse)").matches') is touch
+        if not window.get('document.body.classList.contains("panel-closed")'):
+            window.click("#panel-toggle")
+        window.press("K", "A", "G", "X", "1", "Enter")
+        window.wait("warpcage.store.sections.timeline.keys.length === 1")
+        window.fill("#time", "3\n")
+        window.click("#time-add")
+        window.wait("warpcage.store.sections.timeline.keys.length === 2")
+        window.click("#time-first")
+        window.choose("#time-easing", "bezier")
+        window.wait('!document.getElementById("curve-handle-2").hidden')
+        window.wait('!document.getElementById("toasts").children.length')
+        for tool in ("tool-box", "tool-ruler", "tool-select", "pick-brush"):
+            window.click(f"#{tool}")
+            until(lambda: not window.get("document.getAnimations().length"), "nothing fades any more")
+            assert "\n".join(browser.execute_script(LAYOUT)["bad"]) == "", tool
+            boxes = {
+                name: window.get(f'document.querySelector("{name}").getBoundingClientRect().toJSON()')
+                for name in ("#view", "#tools", "#tool-options .chip:not([hidden])", "#tool-options")
+                if window.get(f'Boolean(document.querySelector("{name}"))')
+            }
+            view, tools, options = boxes["#view"], boxes["#tools"], boxes["#tool-options"]
+            assert tools["bottom"] <= view["bottom"] and tools["right"] < options["left"], (tool, boxes)
+            chip = boxes.get("#tool-options .chip:not([hidden])")
+            assert (chip is None) == (tool == "tool-select"), tool
+            assert chip is None or (chip["right"] < view["right"] - 88 and chip["bottom"] < view["bottom"]), boxes
+        for number in (1, 2):  # handles of the curve can be taken
+            script = """
+            const box = document.getElementById(arguments[0]).getBoundingClientRect();
+            return document.elementFromPoint(box.left + box.width / 2, box.top + box.height / 2).id;
+            """
+            assert browser.execute_script(script, f"curve-handle-{number}") == f"curve-handle-{number}"
+    finally:
+        browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
+        metrics |= {"width": 1024, "height": 768, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+
 def scheme(browser: Any, window: Window, name: str) -> None:
     browser.execute_cdp_cmd(
         "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": name}]}

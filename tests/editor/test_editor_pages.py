@@ -346,6 +346,14 @@ def test_a_cage_around_the_object_that_is_clicked(tmp_path):
         await page.do(do="cage.generate", edit=None, count=40, click={**click, "across": 0.01, "down": 0.01})
         await page.until(lambda: page.sections["jobs"][-1]["state"] == "failed")
         assert "is on nothing" in str(page.sections["jobs"][-1])
+        place = seen.project(scene.world((-0.05, 0.0, 0.36))[None])[0][0] / [300, 200]
+        stroke = {"places": [[across, down], place.tolist()], "aspect": 1.5, "plane": "ground"}
+        await page.do(do="cage.generate", edit=None, count=40, click=stroke)
+        await page.until(lambda: page.sections["jobs"][-1]["state"] == "done")
+        inside = host.session.document.edits[-1].rest_cage.contains(scene.cells)
+        assert inside[(scene.labels == LAMP) & (scene.heights() > 0.09)].all()
+        await page.refused(do="cage.generate", count=40, click={**stroke, "places": [[0.5]]})
+        await page.refused(do="cage.generate", count=40, click={**stroke, "places": [[0.5, 0.5]] * 65})
         for wrong in ([], {}, {**click, "plane": "sky"}, {**click, "aspect": 0}, {**click, "down": 2}):
             await page.refused(do="cage.generate", count=40, click=wrong)
 

@@ -274,14 +274,14 @@ def test_depths_of_a_sharp_picture_are_as_many_in_bands_as_in_one(document, seco
     field, scene = document
     shown = Shown()
     renderer = Renderer(field, shown)
-    wanted = Request(scene, 150, 110, False, {1: 1})
+    wanted = Request(scene, 300, 220, False, {1: 1})
     try:
         renderer.pace.sharp_seconds = lambda effort, coordinates: seconds  # bands are cut by what it is thought to take
         renderer.request(wanted)
         header = shown.wait(lambda header: header["sharp"])
     finally:
         renderer.close()
-    columns, rows = depth_size(150, 110, 128)
+    columns, rows = depth_size(300, 220, 256)
     assert (header["depth"]["width"], header["depth"]["height"]) == (columns, rows)
     message = shown.messages[shown.headers.index(header)]
     depths = np.frombuffer(message[-2 * rows * columns :], "<u2").reshape(rows, columns)

@@ -51,7 +51,10 @@ def pose_at(document, time):
     return state_at(document, time)[0][1]
 
 
-@pytest.mark.parametrize("easing", EASINGS)
+CURVE = {"bezier": [0.9, -0.4, 0.2, 1.3]}
+
+
+@pytest.mark.parametrize("easing", [*EASINGS, CURVE], ids=str)
 def test_keys_are_met_to_the_bit_and_ends_are_still(easing):
     times = (0.5, 1.0, 2.25)
     document = film(*((time, easing, pose, None) for time, pose in zip(times, POSES, strict=False)))
@@ -79,7 +82,7 @@ def test_the_easing_of_the_earlier_key_decides(easing, share):
         np.testing.assert_allclose(pose_at(document, 1.0 + 2.0 * s), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("easing", EASINGS)
+@pytest.mark.parametrize("easing", [*EASINGS, CURVE], ids=str)
 def test_drawn_ways_are_those_that_poses_go(easing):
     document = film((0, "smooth", POSES[0], None), (1, easing, POSES[1], None), (3, "linear", POSES[2], None))
     drawn = ways(document)
@@ -283,12 +286,17 @@ def test_times_and_easings_of_pose_files_are_checked_and_older_files_have_none(t
     file.save(tmp_path / "poses.json")
     again = PoseFile.load(tmp_path / "poses.json")
     assert again.times == {"a": 1.0} and again.easings == {"b": "hold"}
+    file.easings["b"] = CURVE
+    file.save(tmp_path / "curved.json")
+    assert PoseFile.load(tmp_path / "curved.json").easings == {"b": CURVE}
+    assert with_pose_file(film(), 1, PoseFile.load(tmp_path / "curved.json")).timeline.keys[-1].easing == CURVE
     content = json.loads((tmp_path / "poses.json").read_text())
     assert content["version"] == 1 and list(content["keyframes"][0]) == ["name", "vertices", "time"]
     for key, value, message in (
         ("time", "soon", MESSAGES["cage.key_time"]),
         ("time", float("inf"), MESSAGES["cage.key_time"]),
         ("easing", 3, MESSAGES["cage.key_easing"]),
+        ("easing", {"bezier": [0, 0, 3, 1]}, "x2 of the easing of keyframe 'a'"),
     ):
         changed = json.loads(json.dumps(content))
         changed["keyframes"][0][key] = value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+import warpcage
 from warpcage.cage import move
+from warpcage.view import eased_share
 
 
 @pytest.fixture(scope="module")
@@ -206,6 +209,22 @@ def test_rectangle_and_lasso(page: Modules) -> None:
     assert 20 < sum(inside) < 180
 
 
+def test_a_brush_takes_what_is_near_its_path(page: Modules) -> None:
+    rng = np.random.default_rng(10)
+    screen = np.column_stack([rng.uniform(0, 100, (300, 2)), rng.choice([-1.0, 2.0], 300, p=[0.1, 0.9])])
+    path, radius = np.array([[20, 30], [70, 35], [60, 80.0]]), 12.0
+    away = np.full(300, np.inf)
+    for share in np.linspace(0, 1, 4001):
+        for begin, end in itertools.pairwise(path):
+            away = np.minimum(away, np.linalg.norm(screen[:, :2] - begin - share * (end - begin), axis=1))
+    sure = np.abs(away - radius) > 0.05
+    found = np.array(page.call("geometry/pick", "inBrush", flat(screen), path.ravel().tolist(), radius))
+    assert np.array_equal(found[sure], ((away <= radius) & (screen[:, 2] > 0))[sure]) and 40 < found.sum() < 200
+    dab = np.array(page.call("geometry/pick", "inBrush", flat(screen), [50, 50], radius))
+    near = np.linalg.norm(screen[:, :2] - 50, axis=1) <= radius
+    assert np.array_equal(dab, near & (screen[:, 2] > 0))
+
+
 def test_what_is_under_the_pointer(page: Modules) -> None:
     screen = np.array([[10, 10, 5.0], [12, 10, 2.0], [60, 10, 1.0], [10, 60, 1.0], [10, 12, -1.0]])
     assert page.call("geometry/pick", "vertexAt", flat(screen), 11, 10, 8) == 1  # of two alike, the nearer to the eye
@@ -260,6 +279,12 @@ def test_hidden_is_what_lies_behind_matter(page: Modules) -> None:
     read = page.call("geometry/pick", "depthAt", map_, 80.4, 60.9)
     assert np.isclose(read, depth[60, 80], rtol=2e-4)
     assert page.call("geometry/pick", "depthAt", map_, 0.5, 0.5) is None  # JSON's way of saying infinity
+    seen_by = page.call("geometry/camera", "makeCamera", view, width, height)
+    for x, y in ((80.4, 60.9), (71.2, 48.7), (93.0, 66.1)):
+        place = np.array(page.call("geometry/pick", "surfacePoint", map_, seen_by, x, y))
+        assert np.isclose(np.linalg.norm(place), 1.0, atol=4e-3)  # on the ball
+        np.testing.assert_allclose(projected(view, place, width, height)[:2], [x, y], atol=1e-6)
+    assert page.call("geometry/pick", "surfacePoint", map_, seen_by, 3.0, 3.0) is None
 
     points = np.random.default_rng(4).uniform(-2, 2, (300, 3))
     rays = (points - eye) / np.linalg.norm(points - eye, axis=1)[:, None]
@@ -459,3 +484,67 @@ def test_a_scaling_follows_the_pointer(page: Modules) -> None:
         end = at(PIVOT) + np.multiply([30, 40], factor)
         args = (PIVOT.tolist(), start.tolist(), end.tolist())
         assert np.isclose(page.call("geometry/transform", "factorOf", camera(page), *args), factor)
+
+
+# boxes and curves --------------------------------------------------------------------------------------------------
+
+
+def test_a_box_is_that_of_what_is_near(page: Modules) -> None:
+    """A slab seen from the front, a wall far behind it: the wall is left out, and the hidden side goes back."""
+    rng = np.random.default_rng(3)
+    slab = np.column_stack([rng.uniform(-1, 1, 600), np.full(600, -0.4), rng.uniform(-0.5, 0.5, 600)])
+    wall = np.column_stack([rng.uniform(-3, 3, 600), np.full(600, 9.0), rng.uniform(-2, 2, 600)])
+    eye = {"eye": [0, -5, 0], "forward": [0, 1, 0], "focal": 500}
+    bounds = [[-4, -4, -4], [4, 4, 4]]
+    found = page.call("tools/box", "boxAround", np.vstack([slab, wall]).tolist(), np.eye(3).tolist(), eye, 250, bounds)
+    low, high = np.array(found["lower"]), np.array(found["upper"])
+    np.testing.assert_allclose(low, [-1, -0.4, -0.5], atol=0.08)
+    np.testing.assert_allclose(high, [1, 0.6, 0.5], atol=0.08)  # as deep as it is high: it is flat along the view
+    near = page.call(
+        "tools/box", "boxAround", slab.tolist(), np.eye(3).tolist(), eye, 250, [[-4, -4, -4], [4, -0.1, 4]]
+    )
+    assert near["upper"][1] == pytest.approx(-0.1, abs=0.05)  # not beyond the field
+
+
+def test_faces_of_boxes_and_of_nothing_else(page: Modules) -> None:
+    turn = Rotation.from_euler("xyz", [0.5, 0.2, -1.0]).as_matrix()
+    cage = warpcage.Cage.box((-1, -0.5, 0), (1, 0.7, 0.4))
+    rest = cage.vertices @ turn.T
+    topology = {"count": 8}
+    given = {"faces": cage.faces.ravel().tolist(), "topology": topology, "rest": flat(rest)["float64"], "sense": 1}
+    faces = page.call("tools/box", "boxFaces", given)
+    normals = np.array([face["normal"] for face in faces])
+    assert len(faces) == 6
+    for sign in (1, -1):
+        for axis in turn.T:
+            assert (np.linalg.norm(normals - sign * axis, axis=1) < 1e-9).sum() == 1
+    for face in faces:
+        np.testing.assert_allclose(face["middle"], rest[face["corners"]].mean(axis=0), atol=1e-12)
+        assert np.dot(face["middle"] - rest.mean(axis=0), face["normal"]) > 0
+        pulled = np.reshape(page.call("tools/box", "pulledFace", flat(rest), face, 0.3, 2.0), (-1, 3))
+        expected = rest.copy()
+        expected[face["corners"]] += 0.3 * np.array(face["normal"])
+        np.testing.assert_allclose(pulled, expected, atol=1e-12)
+        thin = np.reshape(page.call("tools/box", "pulledFace", flat(rest), face, -9.0, 2.0), (-1, 3))
+        assert np.ptp(thin @ face["normal"]) == pytest.approx(0.04)
+    sheared = rest + 0.3 * rest[:, [2]] * [1.0, 0, 0]
+    assert (
+        page.call("tools/box", "boxFaces", given | {"rest": flat(sheared)["float64"]}) != []
+    )  # a slanted box has faces
+    broken = rest.copy()
+    broken[0] += 0.2
+    assert page.call("tools/box", "boxFaces", given | {"rest": flat(broken)["float64"]}) == []
+    assert page.call("tools/box", "boxFaces", given | {"topology": {"count": 9}}) == []
+
+
+@pytest.mark.parametrize("numbers", [(0.25, 0.1, 0.25, 1.0), (0.9, -0.5, 0.1, 1.5)])
+def test_drawn_curves_are_those_of_the_library(page: Modules, numbers: tuple[float, ...]) -> None:
+    places = np.array(page.call("panels/graph", "curvePlaces", list(numbers)))
+    assert places[0].tolist() == [0, 0] and places[-1].tolist() == [1, 1] and (np.diff(places[:, 0]) > 0).all()
+    gone = [eased_share({"bezier": list(numbers)}, share) for share in places[1:-1, 0]]
+    np.testing.assert_allclose(places[1:-1, 1], gone, atol=1e-9)
+
+
+def test_measures_are_in_words(page: Modules) -> None:
+    long, parts = page.call("tools/ruler", "measured", [1, 2, 3], [4, 2, -1])
+    assert long == "5 units" and parts == ["x 3", "y 0", "z -4"]

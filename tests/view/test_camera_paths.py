@@ -8,7 +8,7 @@ import pytest
 from messages import MESSAGES
 
 from warpcage import Camera, CameraFile, CameraKey, camera_at, turntable
-from warpcage.view import MovingCamera, axis_rotation, camera_moves, path_cameras, timed_keys
+from warpcage.view import MovingCamera, axis_rotation, camera_moves, eased_share, path_cameras, timed_keys
 
 LENS = {"fov_degrees": 50, "width": 60, "height": 40}
 
@@ -67,6 +67,7 @@ def test_files_that_cannot_be_read_are_refused_in_one_line(tmp_path):
         "camera 0: camera_to_world must be a finite": with_camera(camera_to_world=[[1, 2], [3, 4]]),
         "from 0 on, got -1": with_camera(time=-1),
         "easing must be one of": with_camera(easing="wobble"),
+        "easing must have four numbers": with_camera(easing={"bezier": [1, 2]}),
         "must be a text": with_camera(name=3),
         "target of a camera must be 3 finite numbers": with_camera(target=[1, 2]),
         "the rate of a camera file must be": good | {"fps": 0},
@@ -137,6 +138,18 @@ def test_the_way_is_smooth_and_holds_hold():
         np.testing.assert_allclose((here - before) / step, (after - here) / step, atol=5e-3)
     held = [dataclasses.replace(key, easing="hold") for key in keys]
     assert camera_at(held, 0.99) is not cameras[1] and same(camera_at(held, 0.99), cameras[0], 1e-12)
+
+
+def test_a_curve_of_ones_own_is_the_straight_way_at_other_times(tmp_path):
+    curve = {"bezier": [0.8, -0.2, 0.1, 1.2]}
+    one, two = some_cameras(2)
+    CameraFile([CameraKey(one, 0.0, easing=curve), CameraKey(two, 2.0)]).save(tmp_path / "path.json")
+    curved = CameraFile.load(tmp_path / "path.json")
+    assert curved[0].easing == curve
+    straight = [dataclasses.replace(key, easing="linear") for key in curved]
+    for share in (0.3, 0.55, 0.7):
+        gone = eased_share(curve, share)
+        assert abs(gone - share) > 0.1 and same(camera_at(curved, 2 * share), camera_at(straight, 2 * gone), 1e-9)
 
 
 def test_paths_that_cannot_be():

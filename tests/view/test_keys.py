@@ -1,15 +1,16 @@
 """Keys in time: what is held stays, nothing overshoots, turned scenes move alike, loops close."""
 
+import re
 from fractions import Fraction
 
 import av
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from warpcage.core import EASINGS
-from warpcage.view import frame_rate, frame_times, limited_velocity, value_at, write_film
+from warpcage.core import EASINGS, checked_easing
+from warpcage.view import eased_share, frame_rate, frame_times, limited_velocity, value_at, write_film
 
 STEPS = st.floats(0.05, 3.0)
 HEIGHTS = st.sampled_from([-1.0, 0.0, 0.0, 0.3, 1.0, 1.0, 7.0])
@@ -50,6 +51,79 @@ def test_what_bounces_falls_with_one_gravity_and_never_beyond():
     parts = np.split(found, [800, 1600, 2000])  # at 1, 2 and 2.5 of 2.75 times that of the fall
     np.testing.assert_allclose([1.0 - part.min() for part in parts], [1.0, 1 / 4, 1 / 16, 1 / 64], atol=1e-6)
     np.testing.assert_allclose(found[[800, 1600, 2000]], 1.0, atol=1e-12)
+
+
+def bisected(x1, y1, x2, y2, share):
+    """The height of a cubic-bezier above a share of the time, by halving alone."""
+
+    def cubic(first, second, place):
+        corners = np.array([0.0, first, second, 1.0])
+        while len(corners) > 1:  # de Casteljau
+            corners = corners[:-1] + place * np.diff(corners)
+        return corners[0]
+
+    low, high = 0.0, 1.0
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if cubic(x1, x2, middle) < share else (low, middle)
+    return cubic(y1, y2, 0.5 * (low + high))
+
+
+CURVES = [(0.25, 0.1, 0.25, 1.0), (0.42, 0.0, 0.58, 1.0), (0.0, 0.0, 1.0, 1.0), (0.3, -0.6, 0.7, 1.8), (0.9, 0, 1, 0.2)]
+STEEP = [(1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0), (1.0, 0.0, 1.0, 0.0), (0.0, -2.0, 1.0, 3.0), (1.0, 2.0, 0.0, -1.0)]
+
+
+@pytest.mark.parametrize("numbers", CURVES + STEEP)
+def test_curves_are_those_of_css(numbers):
+    shares = np.linspace(0.0, 1.0, 101)
+    expected = [bisected(*numbers, share) for share in shares[1:-1]]
+    found = way({"bezier": numbers}, 101)
+    assert found[0] == 0.0 and found[-1] == 1.0
+    np.testing.assert_allclose(np.delete(found[1:-1], 49), np.delete(expected, 49), atol=1e-12)
+    # (1, 0, 0, 1) stands upright in its middle, where 1e-16 of the time is 1e-5 of the way
+    np.testing.assert_allclose(found[50], expected[49], atol=1e-4 if numbers[0] > numbers[2] else 1e-12)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.tuples(*[st.floats(0, 1), st.floats(-2, 3)] * 2), st.floats(0.001, 0.999))
+def test_any_curve_is_met_at_the_time_of_its_place(numbers, share):
+    (x1, y1, x2, y2), place = numbers, share
+    x, y = (
+        3 * (1 - place) ** 2 * place * a + 3 * (1 - place) * place**2 * b + place**3 for a, b in ((x1, x2), (y1, y2))
+    )
+    slope = 3 * ((1 - place) ** 2 * x1 + 2 * (1 - place) * place * (x2 - x1) + place**2 * (1 - x2))
+    assume(slope > 1e-3)
+    assert eased_share({"bezier": list(numbers)}, x) == pytest.approx(y, abs=1e-9)
+
+
+def test_a_curve_of_one_line_is_linear_and_known_by_its_points():
+    np.testing.assert_allclose(way({"bezier": [0.2, 0.2, 0.7, 0.7]}), way("linear"), atol=1e-12)
+    # CSS's "ease" as browsers have it, to the digits that they print
+    ease = {"bezier": [0.25, 0.1, 0.25, 1.0]}
+    assert [eased_share(ease, share) for share in (0.25, 0.5, 0.75)] == pytest.approx(
+        [0.408511, 0.802403, 0.960459], abs=5e-7
+    )
+
+
+@pytest.mark.parametrize(
+    ("easing", "said"),
+    [
+        ({"bezier": [0.1, 0.2, 0.3]}, "must have four numbers"),
+        ({"bezier": "ease"}, "must have four numbers"),
+        ({"bezier": [1.2, 0, 0.5, 1]}, "x1 of it must be a share, 0 to 1"),
+        ({"bezier": [0.2, 0, -0.5, 1]}, "x2 of it must be a share, 0 to 1"),
+        ({"bezier": [0.2, float("nan"), 0.5, 1]}, "y1 of it must be one finite number"),
+        ({"bezier": [0.2, 0, 0.5, "far"]}, "y2 of it must be one finite number"),
+        ({"steps": 3}, "it must be one of smooth"),
+        ({"bezier": [0, 0, 1, 1], "steps": 3}, "it must be one of smooth"),
+        (3, 'or {"bezier": [x1, y1, x2, y2]}, got 3'),
+        ("wobble", "it must be one of smooth"),
+    ],
+)
+def test_easings_that_cannot_be_are_told_in_one_line(easing, said):
+    with pytest.raises(ValueError, match=re.escape(said)) as caught:
+        checked_easing(easing, "it")
+    assert "\n" not in str(caught.value)
 
 
 def test_what_is_elastic_swings_in_around_the_next_key():
@@ -141,7 +215,7 @@ def test_velocities_by_hand():
     assert limited_velocity(np.array([1.0, 1.0]), np.array([3.0, -3.0]), 1.0, 3.0).tolist() == [2.5, 0.0]
 
 
-@pytest.mark.parametrize("easing", EASINGS)
+@pytest.mark.parametrize("easing", [*EASINGS, {"bezier": [0.3, 0.1, 0.2, 1.0]}], ids=str)
 def test_values_are_read_only_and_keys_are_their_own(easing):
     values = [np.zeros((2, 3)), np.ones((2, 3))]
     for value in values:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_number, checked_path, checked_positive, listed, shown
+from ..core.checks import checked_easing, checked_number, checked_path, checked_positive, listed, shown
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
-from ..core.names import EASINGS, LOOPS, require_name
+from ..core.names import CURVE, EASINGS, LOOPS, Easing, require_name
 from ..errors import InputError
 from ..mesh.io import ENDINGS, MOTION_ENDINGS, write_shown_mesh
 from ..mesh.io.vertex_cache import CACHE_ENDINGS, write_vertex_cache
@@ -48,7 +48,8 @@ class PoseFile:
     Attributes:
         rest: The cage that is posed.
         times: When a keyframe is reached, by name, seconds. A keyframe need not have one, and `at` does not ask for it.
-        easings: How the way from a keyframe to the next goes, by name: a word such as "smooth", "linear" or "hold".
+        easings: How the way from a keyframe to the next goes, by name: a word such as "smooth", "linear" or "hold", or
+            {"bezier": [x1, y1, x2, y2]}.
         fps: Frames per second of its film. None leaves it open.
         loop: What its film does at its end, "once", "loop" or "ping-pong". None leaves it open.
         cameras: Keys of the camera of its film, each with a time; there may be none.
@@ -59,7 +60,7 @@ class PoseFile:
         self.rest = rest
         self._poses: dict[str, Cage] = {}
         self.times: dict[str, float] = {}
-        self.easings: dict[str, str] = {}
+        self.easings: dict[str, Easing] = {}
         self.fps: float | None = None
         self.loop: str | None = None
         self.cameras: list[CameraKey] = []
@@ -171,8 +172,7 @@ class PoseFile:
         times, values = [self.times[name] for name in names], [self._poses[name].vertices for name in names]
         easings = [self.easings.get(name, "smooth") for name in names]
         for name, easing in zip(names, easings, strict=True):
-            if easing not in EASINGS:
-                raise InputError(f"keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}")
+            known_easing(name, easing)
         whole = times[0] == 0.0 and times[-1] == self.length
         closed = self.loop == "loop" and whole and np.array_equal(values[0], values[-1])
         return self.rest.with_vertices(value_at(times, values, seconds, easings, closed=closed))
@@ -250,8 +250,10 @@ class PoseFile:
             self[name]
         self.times = {name: checked_number(time, f"the time of keyframe {name!r}") for name, time in self.times.items()}
         for name, easing in self.easings.items():
-            if not isinstance(easing, str) or not easing.strip():
-                raise InputError(f"the easing of keyframe {name!r} must be a word, got {easing!r}")
+            if isinstance(easing, Mapping):
+                self.easings[name] = known_easing(name, easing)
+            elif not isinstance(easing, str) or not easing.strip():
+                raise InputError(f"the easing of keyframe {name!r} must be a word or {CURVE}, got {easing!r}")
         if self.fps is not None:
             self.fps = checked_positive(self.fps, "fps")
         if self.loop is not None:
@@ -329,6 +331,14 @@ class PoseFile:
             raise InputError(f"{path}: {damage('pose file', error)}") from None
         except ValueError as error:
             raise InputError(f"{path}: {error}") from None
+
+
+def known_easing(name: str, easing: Easing) -> Easing:
+    """The easing of a keyframe, which films know; files of a later version may have words that none knows."""
+    if isinstance(easing, str) and easing not in EASINGS:
+        known = f"{', '.join(EASINGS)} and {CURVE}"
+        raise InputError(f"keyframe {name!r} has the easing {easing[:40]!r}, known are {known}")
+    return checked_easing(easing, f"the easing of keyframe {name!r}")
 
 
 def cage_hash(cage: Cage) -> str:

@@ -7,7 +7,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
     {
         "arrays": "array_bytes array_view as_points",
         "checks": (
-            "axis_index checked_bounds checked_margin checked_number checked_positive checked_step "
+            "axis_index checked_bounds checked_easing checked_margin checked_number checked_positive checked_step "
             "checked_vector checked_whole listed warn_caller"
         ),
         "devices": (

@@ -10,14 +10,14 @@ import os
 import pathlib
 import sys
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError, UseError
-from .names import error_line
+from .names import CURVE, EASINGS, Easing, error_line, require_name
 
 #: Most samples that a caller may ask for along the diagonal of a field: with more a picture takes minutes, and no pixel
 #: differs.
@@ -49,6 +49,23 @@ def checked_number(value: Any, name: str) -> float:
     if not math.isfinite(number):
         raise InputError(f"{name} must be one finite number, got {shown(value)}")
     return number
+
+
+def checked_easing(value: Any, what: str) -> Easing:
+    """One of EASINGS, or a curve of one's own with its four numbers as floats; x1 and x2 are times from 0 to 1."""
+    if isinstance(value, str):
+        return require_name(value, EASINGS, what)
+    if not isinstance(value, Mapping) or set(value) != {"bezier"}:
+        raise InputError(f"{what} must be one of {', '.join(EASINGS)}, or {CURVE}, got {shown(value)}")
+    given = value["bezier"]
+    if not isinstance(given, list | tuple) or len(given) != 4:
+        raise InputError(f"{what} must have four numbers, {CURVE}, got {shown(given)}")
+    numbers = {}
+    for name, value in zip(("x1", "y1", "x2", "y2"), given, strict=True):
+        numbers[name] = number = checked_number(value, f"{name} of {what}")
+        if name in ("x1", "x2") and not 0.0 <= number <= 1.0:
+            raise InputError(f"{name} of {what} must be a share, 0 to 1, got {number:g}")
+    return {"bezier": [*numbers.values()]}
 
 
 def checked_positive(value: Any, name: str) -> float:

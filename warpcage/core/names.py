@@ -52,8 +52,11 @@ TRANSPARENT = "transparent"
 #: background layers that are fitted too, the scene's one colour, or whichever of these the pictures suggest.
 FIT_BACKGROUNDS = ("auto", "outer", "layers", "random", "constant")
 
-#: How the way from a key of a film to the next one goes.
+#: How the way from a key of a film to the next one goes: one of these words, or a curve of one's own, `CURVE`, whose
+#: numbers are those of CSS's cubic-bezier (`core.checks.checked_easing`).
 EASINGS = ("smooth", "linear", "hold", "ease-in", "ease-out", "ease-in-out", "bounce", "elastic")
+CURVE = '{"bezier": [x1, y1, x2, y2]}'
+Easing: TypeAlias = str | Mapping[str, Sequence[float]]
 
 #: Moves of a film's camera by name with their amounts where none is given, and how words have them.
 MOVES = {"turn": 360.0, "dolly": 0.6, "crane": 25.0, "hand-held": 0.0, "follow": 0.0}

@@ -11,8 +11,8 @@ import numpy as np
 from ..cage import poses
 from ..cage.cage import Cage
 from ..coordinates.coordinates import deform_points
-from ..core.checks import AXES
-from ..core.names import EASINGS, FRAGMENTS_WORD, LOOPS
+from ..core.checks import AXES, checked_easing
+from ..core.names import FRAGMENTS_WORD, LOOPS
 from ..edits.edits import MAX_EDITS
 from ..errors import InputError
 from .document import (
@@ -35,8 +35,10 @@ from .document import (
     checked_name,
     checked_selection,
     checked_settings,
+    checked_triple,
     checked_vertices,
     checked_walls,
+    checked_whole,
     frozen_vertices,
     new_edit,
 )
@@ -135,14 +137,15 @@ def slide(edit: Edit, chosen: tuple[int, ...] | None, message: Message) -> Edit:
 
 
 def add_edit(document: Document, message: Message) -> Step:
-    """A new edit with a simple cage between two corners."""
+    """A new edit with a simple cage between two corners; a box may have axes of its own, in which its corners are."""
     kind = checked_choice(message.get("kind", "move"), KINDS, "kind")
     low, high = (frozen_vertices([message[name]])[0] for name in ("lower", "upper"))
     shape, center, size = message.get("shape", "box"), (low + high) / 2, high - low
     if not (size > 0).all():
         raise InputError("a cage needs a lower corner below its upper corner")
     if shape == "box":
-        cage = Cage.box(low, high, segments=2)
+        cage = Cage.box(low, high, segments=checked_whole(message.get("segments", 2), 1, 8, "segments"))
+        cage = cage.with_vertices(cage.vertices @ _checked_axes(message.get("axes", np.eye(3).tolist())))
     elif shape == "cylinder":
         cage = Cage.cylinder(center, 0.5 * float(np.hypot(size[0], size[1])), float(size[2]), rings=3)
     elif shape == "icosphere":
@@ -150,6 +153,14 @@ def add_edit(document: Document, message: Message) -> Step:
     else:
         raise InputError("shape must be one of box, cylinder, icosphere")
     return with_new_edit(document, cage, kind)
+
+
+def _checked_axes(rows: Any) -> np.ndarray:
+    """(3, 3) unit vectors at right angles to each other, right-handed, one a row."""
+    axes = np.array([checked_triple(row, "axes") for row in checked_items(rows, 3, "axes")])
+    if axes.shape != (3, 3) or np.abs(axes @ axes.T - np.eye(3)).max() > 1e-6 or np.linalg.det(axes) < 0.0:
+        raise InputError("axes must be three unit vectors at right angles to each other, right-handed")
+    return axes
 
 
 def box_selection(document: Document, message: Message) -> Step:
@@ -306,7 +317,7 @@ def change_key(document: Document, message: Message) -> Step:
     if "time" in message:
         changes["time"] = checked_between(message["time"], 0.0, MAX_SECONDS, "time")
     if "easing" in message:
-        changes["easing"] = checked_choice(message["easing"], EASINGS, "easing")
+        changes["easing"] = checked_easing(message["easing"], "easing")
     if "name" in message:
         changes["name"] = checked_name(message["name"])
     key = _filled(document, dataclasses.replace(key, **changes) if changes else key, message)

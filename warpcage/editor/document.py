@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.checks import checked_number, shown
-from ..core.names import COORDINATES, DENSITIES, EASINGS, FIELD_COORDINATES, FRAGMENTS_WORD, LOOPS, edit_fields
+from ..core.checks import checked_easing, checked_number, shown
+from ..core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, FRAGMENTS_WORD, LOOPS, PLANES, Easing, edit_fields
 from ..edits.edits import HELD, MAX_EDITS, CageEdit
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
@@ -33,8 +33,8 @@ MAX_PLACE = 1e12
 #: Largest number of an edit or a key: a message holds it in 32 bits. New ones are given up to half of it.
 MAX_ID = 2**32 - 1
 
-#: Letters of an error's line.
-MAX_LINE = 500
+#: Letters of an error's line, and places of a stroke of the brush.
+MAX_LINE, MAX_PLACES = 500, 64
 
 
 def frozen_vertices(vertices: Any, count: int | None = None) -> np.ndarray:
@@ -125,6 +125,22 @@ def checked_items(values: Any, most: int, what: str) -> list[Any]:
     if not isinstance(values, list | tuple) or len(values) > most:
         raise InputError(f"{what} must be a list of at most {most}")
     return list(values)
+
+
+def checked_click(content: Any) -> tuple[list[tuple[float, float]], float, str | None]:
+    """Where a person clicked or painted: places (shares of the picture across and down), its aspect, and the plane."""
+    if not isinstance(content, dict):
+        raise InputError("click must hold across, down, aspect and plane")
+    given = content.get("places", [[content.get("across"), content.get("down")]])
+    places = []
+    for place in checked_items(given, MAX_PLACES, "places"):
+        if len(checked_items(place, 2, "a place")) != 2:
+            raise InputError("a place in the picture must be two numbers, across and down")
+        across, down = place
+        places.append((checked_between(across, 0.0, 1.0, "across"), checked_between(down, 0.0, 1.0, "down")))
+    aspect = checked_between(content.get("aspect"), 0.05, 20.0, "aspect")
+    plane = checked_choice(content.get("plane"), (*PLANES, "none"), "plane")
+    return places, aspect, None if plane == "none" else plane
 
 
 def parsed_json(text: str) -> Any:
@@ -317,7 +333,7 @@ class Key:
     id: int  # that no other key of the session has had
     time: float  # seconds from the film's start
     name: str
-    easing: str = "smooth"  # how the way from here to the next key goes, one of EASINGS
+    easing: Easing = "smooth"  # how the way from here to the next key goes
     poses: Mapping[int, np.ndarray] | None = None  # posed vertices (v, 3) by the number of the edit
     view: View | None = None
 
@@ -507,7 +523,7 @@ def _key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:
         checked_id(content["id"], "id"),
         checked_between(content["time"], 0.0, MAX_SECONDS, "time"),
         checked_name(content["name"]),
-        checked_choice(content["easing"], EASINGS, "easing"),
+        checked_easing(content["easing"], "easing"),
         poses,
         None if view is None else checked_view(view),
     )

@@ -132,7 +132,7 @@ def _mixed(known: float | None, seen: float) -> float:
 FRAME = 10
 
 #: Depths along the longest side of a picture, while the hand moves and when it rests.
-DEPTHS_MOVING, DEPTHS_SHARP = 64, 128
+DEPTHS_MOVING, DEPTHS_SHARP = 64, 256
 
 #: Pixels of less opacity hide nothing.
 HIDING_ALPHA = 0.5

@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 from ..cage.cage import Cage
 from ..cage.up_axis import UpAxis, load_standing
 from ..core.files import atomic_path
-from ..core.names import PLANES, counted, error_line
+from ..core.names import counted, error_line
 from ..errors import InputError
 from ..field.objects import select_object
 from ..field.selection import NodeSelection
@@ -30,7 +30,7 @@ from ..splats.io import SPLAT_ENDINGS
 from ..splats.splat_field import AnyField, field_size
 from . import commands, exports, timeline
 from .commands import Step
-from .document import Document, checked_between, checked_choice, checked_flag, checked_id, checked_whole
+from .document import Document, checked_between, checked_choice, checked_click, checked_flag, checked_id, checked_whole
 from .exports import requested_film
 from .renderer import view_camera
 from .session import ENDING, Session, Stamp, file_stamp
@@ -391,20 +391,15 @@ class Tasks:
         return self.jobs.start(f"Cage of {count} vertices", "cage", work)
 
     def _clicked(self, click: Any) -> Callable[[], AnyField | NodeSelection]:
-        """What finds what a cage goes around: the object at a place in a page's picture, or for None all of the field.
-        `click`: across and down (shares of the picture), aspect (width over height) and plane, of PLANES or "none"."""
+        """What finds what a cage goes around: what is at places of a picture (`checked_click`), or all of the field."""
         field = self.session.field
         if click is None:
             return lambda: field
-        if not isinstance(click, dict):
-            raise InputError("click must hold across, down, aspect and plane")
-        across, down = (checked_between(click.get(name), 0.0, 1.0, name) for name in ("across", "down"))
-        aspect = checked_between(click.get("aspect"), 0.05, 20.0, "aspect")
-        plane = checked_choice(click.get("plane"), (*PLANES, "none"), "plane")
+        places, aspect, plane = checked_click(click)
         width, height = round(CLICK_ROWS * aspect), CLICK_ROWS
         seen = view_camera(self.session.document.view, width, height)
-        pixel = min(int(across * width), width - 1), min(int(down * height), height - 1)
-        return lambda: select_object(field, pixel=pixel, camera=seen, plane=None if plane == "none" else plane)
+        pixels = [(min(int(x * width), width - 1), min(int(y * height), height - 1)) for x, y in places]
+        return lambda: select_object(field, pixel=pixels, camera=seen, plane=plane)
 
     def _simplify(self, message: dict[str, Any]) -> int:
         edit = self.session.document.edit(message["edit"])

@@ -12,8 +12,7 @@ from fractions import Fraction
 import numpy as np
 
 from ..cage.cage import Cage
-from ..cage.pose_file import PoseFile
-from ..core.names import EASINGS
+from ..cage.pose_file import PoseFile, known_easing
 from ..errors import InputError
 from ..view import motion as between
 from ..view.camera import CameraKey
@@ -137,9 +136,7 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
         time = file.times.get(name, evenly)
         if not 0.0 <= time <= MAX_SECONDS:
             raise InputError(f"keyframe {name!r} is at {time:g} s: a film goes from 0 to {MAX_SECONDS:g} s")
-        easing = file.easings.get(name, "smooth")
-        if easing not in EASINGS:
-            raise InputError(f"keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}")
+        easing = known_easing(name, file.easings.get(name, "smooth"))
         held = by_time.get(time)
         if held is None or number in (held.poses or {}):  # two keyframes of one time: a jump
             held = Key(next_id, time, "", easing)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_number, checked_positive, checked_vector, real_array, shown
+from ..core.checks import checked_easing, checked_number, checked_positive, checked_vector, real_array, shown
 from ..core.files import PathLike, atomic_path, read_json, require_file
-from ..core.names import EASINGS, LOOPS, require_name
+from ..core.names import LOOPS, Easing, require_name
 from ..errors import InputError
 from ..view.motion import axis_rotation, value_at
 from .words import Checker, anything, checked_words
@@ -108,8 +108,8 @@ class PlaceFile:
 
     Args:
         places: A Place, or Places by their times, seconds.
-        easings: How the way from a key to the next goes, by its time: a word of pose files. A key without one has
-            "smooth".
+        easings: How the way from a key to the next goes, by its time: a word or a curve, as in pose files. A key
+            without one has "smooth".
         loop: What the film does at its end, "once", "loop" or "ping-pong". None leaves it open.
 
     Raises:
@@ -125,7 +125,10 @@ class PlaceFile:
     fps: float | None = None
 
     def __init__(
-        self, places: Place | Mapping[float, Place], easings: Mapping[float, str] | None = None, loop: str | None = None
+        self,
+        places: Place | Mapping[float, Place],
+        easings: Mapping[float, Easing] | None = None,
+        loop: str | None = None,
     ):
         given = {0.0: places} if isinstance(places, Place) else places
         if not isinstance(given, Mapping) or not given or not all(isinstance(each, Place) for each in given.values()):
@@ -138,7 +141,7 @@ class PlaceFile:
         for time, easing in self.easings.items():
             if time not in self.places:
                 raise InputError(f"an easing is of {time!r} s, at which there is no place")
-            require_name(easing, EASINGS, "the easing of a place")
+            self.easings[time] = checked_easing(easing, "the easing of a place")
         self.loop = None if loop is None else require_name(loop, LOOPS, "loop")
 
     @property

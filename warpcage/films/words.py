@@ -28,13 +28,13 @@ from ..cage.motion import (
     numbered_files,
     sequence_poses,
 )
-from ..cage.pose_file import PoseFile, Preset, cage_hash, is_preset
+from ..cage.pose_file import PoseFile, Preset, cage_hash, is_preset, known_easing
 from ..cage.random_poses import PoseProbe, RandomPoses
 from ..cage.up_axis import UpAxis, load_standing
 from ..core.checks import shown
 from ..core.files import DAMAGED, NpyFile, file_stamp, require_file
 from ..core.memory import LRUCache
-from ..core.names import EASINGS, counted
+from ..core.names import counted
 from ..edits.words import RANDOM, EditWords, canonical, split_reference
 from ..errors import InputError
 from ..mesh.io import ENDINGS
@@ -133,16 +133,13 @@ def _timed(file: PoseFile, path: str) -> PoseFile | None:
         raise InputError(
             f"{path}: keyframe {file.timed[0]!r} is at {file.times[file.timed[0]]:g} s: a film begins at 0"
         )
-    for name, easing in file.easings.items():
-        if easing not in EASINGS:
-            raise InputError(
-                f"{path}: keyframe {name!r} has the easing {easing[:40]!r}, known are {', '.join(EASINGS)}"
-            )
-    if file.cameras:
-        try:
+    try:
+        for name, easing in file.easings.items():
+            known_easing(name, easing)
+        if file.cameras:
             timed_keys(file.cameras)
-        except ValueError as error:
-            raise InputError(f"{path}: {error}") from None
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
     note_jumps(file, path)
     return file
 

@@ -13,8 +13,8 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "frame": "RGB_BYTES average_frame depth_along_view finer_camera",
         "frame_parts": "mask_picture mask_shares",
         "motion": (
-            "axis_rotation cameras_along frame_places frame_rate frame_times limited_velocity pose_along pose_between "
-            "pose_weights value_along value_at"
+            "axis_rotation cameras_along eased_share frame_places frame_rate frame_times limited_velocity pose_along "
+            "pose_between pose_weights value_along value_at"
         ),
         "opacity": "rgba_picture with_spread_colors",
         "overlay": "draw_cage",

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_points
 from ..core.checks import (
+    checked_easing,
     checked_number,
     checked_positive,
     checked_vector,
@@ -25,7 +26,7 @@ from ..core.checks import (
     warn_caller,
 )
 from ..core.files import DAMAGED, PathLike, damage, require_file
-from ..core.names import EASINGS, LOOPS, require_name
+from ..core.names import LOOPS, Easing, require_name
 from ..errors import InputError
 from ..kernels.view.rays import TILE_HEIGHT, TILE_SIZE, TILE_WIDTH, PinholeCamera
 from .camera_file import CAMERA_NUMBERS, read_camera_document, write_camera_document
@@ -405,7 +406,7 @@ class CameraKey:
         time: When it is reached, seconds from the film's start. None leaves it open.
         name: A name, empty for none.
         easing: How the way to the next key goes: "smooth", "linear", "hold", "ease-in", "ease-out", "ease-in-out",
-            "bounce" or "elastic".
+            "bounce", "elastic", or {"bezier": [x1, y1, x2, y2]} as CSS has it.
         target: (3,) the point ahead that the camera turns about, world units. None takes what all keys look at.
 
     Raises:
@@ -415,7 +416,7 @@ class CameraKey:
     camera: Camera
     time: float | None = None
     name: str = ""
-    easing: str = "smooth"
+    easing: Easing = "smooth"
     target: np.ndarray | None = None
 
     def __post_init__(self) -> None:
@@ -425,7 +426,7 @@ class CameraKey:
             if time < 0.0:
                 raise InputError(f"the time of a camera must be from 0 on, got {time:g}")
             object.__setattr__(self, "time", time)
-        require_name(self.easing, EASINGS, "easing")
+        object.__setattr__(self, "easing", checked_easing(self.easing, "easing"))
         if self.target is not None:
             object.__setattr__(self, "target", checked_vector(self.target, "the target of a camera"))
 

@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.names import Easing
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from .camera import Camera
@@ -25,6 +26,9 @@ TELEVISION, ROUNDED = (15, 24, 30, 48, 60, 120, 240), Fraction(1, 200)
 #: Most frames that a film may have.
 MAX_FRAMES = 1_000_000
 
+#: Most steps to the parameter of a curve at a time: half an interval each, at worst.
+MAX_STEPS = 100
+
 Time = TypeVar("Time", float, Fraction)
 
 
@@ -32,7 +36,7 @@ def value_at(
     times: Sequence[float],
     values: Sequence[np.ndarray],
     time: float,
-    easings: Sequence[str] | None = None,
+    easings: Sequence[Easing] | None = None,
     *,
     still_ends: bool = True,
     closed: bool = False,
@@ -42,8 +46,8 @@ def value_at(
     # "smooth" is a cubic without jumps of velocity at keys; nothing swings beyond its keys, and what two keys share
     # stays still: velocities are limited (`limited_velocity`) along vectors, so that a turned scene moves alike. "hold"
     # stays until the next key; "ease-in" sets out gently, "ease-out" arrives so; "bounce" falls onto the next key and
-    # comes back three times, "elastic" alone goes beyond it and swings in. `still_ends`: smooth ways begin and
-    # end at rest. `closed`: the last key is the first again, passed without stopping.
+    # comes back three times, "elastic" goes beyond it and swings in; a curve may too. `still_ends`: smooth ways begin
+    # and end at rest. `closed`: the last key is the first again, passed without stopping.
     index = bisect.bisect_right(times, time) - 1
     if index < 0 or index == len(times) - 1:
         return values[max(index, 0)]
@@ -60,9 +64,41 @@ def value_at(
         value += length * share * (1.0 - share) ** 2 * velocities.at(index)
         value -= length * share * share * (1.0 - share) * velocities.at(index + 1)
     else:
-        value = begin + _EASED[easing](share) * (end - begin)
+        value = begin + eased_share(easing, share) * (end - begin)
     value.setflags(write=False)
     return value
+
+
+def eased_share(easing: Easing, share: float) -> float:
+    """The share of the way that is gone at a share of the time, 0 to 1; `easing`: another one than smooth and hold."""
+    if isinstance(easing, str):
+        return _EASED[easing](share)
+    x1, y1, x2, y2 = easing["bezier"]
+    return _curved(x1, y1, x2, y2, share)
+
+
+def _curved(x1: float, y1: float, x2: float, y2: float, share: float) -> float:
+    """The height of the cubic from (0, 0) by (x1, y1) and (x2, y2) to (1, 1) above a share of the time."""
+    # Newton's steps from the share itself; where one leaves what is known to hold the place, and x1 = 1, x2 = 0 has
+    # no slope in its middle, half of that is taken instead. x rises with its parameter, as x1 and x2 are 0 to 1.
+    low, high, place = 0.0, 1.0, share
+    for _ in range(MAX_STEPS):
+        error = _cubic(x1, x2, place) - share
+        low, high = (low, place) if error > 0.0 else (place, high)
+        slope = 3.0 * ((1.0 - place) ** 2 * x1 + 2.0 * (1.0 - place) * place * (x2 - x1) + place * place * (1.0 - x2))
+        following = place - error / slope if slope > 0.0 else low
+        if not low < following < high:
+            following = 0.5 * (low + high)
+        if error == 0.0 or following == place:
+            break
+        place = following
+    return _cubic(y1, y2, place)
+
+
+def _cubic(first: float, second: float, place: float) -> float:
+    """A coordinate of the cubic by two handles, at a parameter from 0 to 1."""
+    rest = 1.0 - place
+    return 3.0 * rest * place * (rest * first + place * second) + place**3
 
 
 def _bounced(share: float) -> float:
@@ -102,7 +138,7 @@ class _Velocities:
             return 0.0
         return limited_velocity(self._slope(before), self._slope(after), self._length(before), self._length(after))
 
-    def _easing(self, index: int) -> str:
+    def _easing(self, index: int) -> Easing:
         return "smooth" if self.easings is None else self.easings[index]
 
     def _length(self, index: int) -> float:

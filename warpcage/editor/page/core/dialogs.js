@@ -136,6 +136,9 @@ export function showText(title, intro, content) {
 const MOUSE = [
   ["Click", "Select; with Shift add or take away"],
   ["Drag beside it", "Rectangle or lasso; Shift adds, Ctrl takes away"],
+  ["Drag, with the brush", "Paint the selection; with Alt or Ctrl take away; [ and ] change the brush"],
+  ["Drag, with the box", "A box around a part; a drag of a dot moves that face"],
+  ["Click, with the ruler", "The distance between two places"],
   ["Drag a vertex", "Move it, or the selection that it belongs to"],
   ["Right drag", "Turn the view; with Shift pan, with Ctrl zoom. So do the middle button and Alt+drag"],
   ["Wheel", "Zoom; while moving: the radius of proportional editing"],
@@ -156,6 +159,7 @@ const TIMELINE = [
   [["Home", "End"], "Start and end of the film"],
   [["Enter"], "Key of pose and camera"],
   [["Delete"], "Delete the chosen key"],
+  [["Drag a ring"], "Bend the way from the chosen key, where that is a curve of its own"],
 ];
 const SIGNS = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓" };
 

@@ -4,8 +4,9 @@
 const KEPT = "warpcage.tools";
 
 const defaults = {
-  tool: "select", // select | move | rotate | scale
-  pick: "rectangle", // rectangle | lasso
+  tool: "select", // select | move | rotate | scale | box | ruler
+  pick: "rectangle", // rectangle | lasso | brush
+  brush: 24, // radius of the brush, pixels
   through: true, // select what is hidden too
   axes: "world",
   proportional: false,

@@ -1,6 +1,7 @@
 // What is under the pointer, in a rectangle or in a lasso, and what is hidden. Screen points are flat: x, y, distance.
 
-import { projectAll } from "./camera.js";
+import { projectAll, rayThrough } from "./camera.js";
+import { add, times } from "./vectors.js";
 
 const everything = () => true;
 
@@ -83,6 +84,18 @@ export function inLasso(screen, polygon) {
   });
 }
 
+/** Whether each screen point lies within a radius (pixels) of a path (flat x, y). */
+export function inBrush(screen, path, radius) {
+  const ends = path.length > 2 ? path : [...path, ...path];
+  return Array.from({ length: screen.length / 3 }, (_, i) => {
+    const [x, y, z] = [screen[3 * i], screen[3 * i + 1], screen[3 * i + 2]];
+    for (let k = 0; z > 0 && k + 3 < ends.length; k += 2) {
+      if (toSegment(x, y, ends[k], ends[k + 1], ends[k + 2], ends[k + 3])[0] <= radius) return true;
+    }
+    return false;
+  });
+}
+
 /** The vertices that a region takes: those inside; of edges with both ends inside; of faces whose middle is inside. */
 export function verticesInRegion(mode, topology, screen, inside, allowed = everything) {
   const taken = (i) => inside[i] && allowed(i);
@@ -119,6 +132,22 @@ export function depthAt(map, x, y) {
   if (i < 0 || j < 0 || i >= map.width || j >= map.height) return Infinity;
   const value = map.data[j * map.width + i];
   return value === 0 ? Infinity : map.near * (map.far / map.near) ** ((value - 1) / 65534);
+}
+
+const SAME = 0.02; // share of a distance by which neighbors of one surface may differ
+
+/** The place of the matter at a pixel of a depth map, by the camera of its size; null where there is nothing. */
+export function surfacePoint(map, camera, x, y) {
+  const here = depthAt(map, x, y);
+  if (here === Infinity) return null;
+  // Between the middles of four pixels of one surface; at its rims the pixel's own
+  const [i, j] = [Math.floor(x - 0.5), Math.floor(y - 0.5)];
+  const [s, t] = [x - 0.5 - i, y - 0.5 - j];
+  const around = [[0, 0], [1, 0], [0, 1], [1, 1]].map(([a, b]) => depthAt(map, i + a, j + b));
+  const isOne = around.every((depth) => Math.abs(depth - here) < SAME * here);
+  const [a, b, c, d] = around;
+  const depth = isOne ? (a * (1 - s) + b * s) * (1 - t) + (c * (1 - s) + d * s) * t : here;
+  return add(camera.eye, times(rayThrough(camera, x, y), depth));
 }
 
 /** Whether each of the flat points lies behind matter, by a depth map and its camera (of its size), with a tolerance. */

@@ -3,6 +3,7 @@
 import { activeEdit, selectedVertices, store, withActiveEdit } from "../core/store.js";
 import { attempt, request } from "../core/connection.js";
 import { askFor, toast } from "../core/dialogs.js";
+import { isBrush } from "../tools/brush.js";
 import { nextPlace } from "../view/pointer.js";
 import { button, el, group, setText } from "../core/controls.js";
 import { AXIS_NAMES } from "../geometry/vectors.js";
@@ -19,6 +20,8 @@ const AROUND = [
   ["wall", "The object that I click, on a wall"],
   ["none", "The object that I click, in the air"],
 ];
+
+const clickHint = () => `${isBrush() ? "Paint over" : "Click"} the object in the picture; Escape leaves it.`;
 
 const where = (edit) => [["new", "A new edit"], ...(edit ? [[edit.id, `"${edit.name}", in place of its cage`]] : [])];
 
@@ -52,7 +55,7 @@ async function generate() {
   const { around, ...options } = given;
   let click = null;
   if (around !== "all") {
-    toast("Click the object in the picture; Escape leaves it.");
+    toast(clickHint());
     const place = await nextPlace();
     if (!place) return;
     click = { ...place, plane: around };
@@ -62,7 +65,7 @@ async function generate() {
 
 /** Makes a cage around the object that is clicked, as a new edit. */
 async function generateAround() {
-  toast("Click the object in the picture; Escape leaves it.");
+  toast(clickHint());
   const place = await nextPlace();
   if (place) await request({ do: "cage.generate", edit: null, count: 100, click: { ...place, plane: "any" } });
 }

@@ -3,9 +3,9 @@
 import { store } from "../core/store.js";
 import { request } from "../core/connection.js";
 import { askFor, showText } from "../core/dialogs.js";
-import { button, choice, el, followKey, group, icon, listBox, number, row, rows, setText, text, titleOf } from "../core/controls.js";
+import { button, choice, el, followKey, group, icon, listBox, number, row, rows, setText, short, text, titleOf } from "../core/controls.js";
 import { loadFrom, uploadField } from "./cage.js";
-import { EASINGS, LOOPS, add, change, choose, chosenKey, film, goTo, holds, jump, onChosen, remove, seconds } from "./keys.js";
+import { EASINGS, LOOPS, add, change, choose, chosenKey, ease, easingWord, film, goTo, holds, jump, onChosen, remove, seconds } from "./keys.js";
 
 function makeKeyRow({ id }) {
   const time = el("span", { class: "row-note time" });
@@ -22,12 +22,12 @@ function makeKeyRow({ id }) {
   const update = (key) => {
     setText(time, seconds(key.time));
     setText(name, key.name);
-    setText(easing, EASINGS.find(([value]) => value === key.easing)?.[1] ?? key.easing);
+    setText(easing, EASINGS.find(([value]) => value === easingWord(key.easing))?.[1] ?? key.easing);
     marks.children[0].classList.toggle("off", !key.pose);
     marks.children[1].classList.toggle("off", !key.camera);
     const isChosen = chosenKey()?.id === id;
     root.setAttribute("aria-selected", String(isChosen));
-    root.setAttribute("aria-label", `${key.name} at ${seconds(key.time)}, ${holds(key)}, ${key.easing}`);
+    root.setAttribute("aria-label", `${key.name} at ${seconds(key.time)}, ${holds(key)}, ${easingWord(key.easing)}`);
   };
   return { root, update };
 }
@@ -48,13 +48,16 @@ export function keysGroup() {
   });
   const name = text({ id: "key-name", label: "Name", title: "Name of the chosen key (Enter keeps it)", maxlength: 100, onChange: (to) => change({ name: to }) });
   const time = number({ id: "key-time", label: "Time", title: "Time of the chosen key", min: 0, max: 3600, unit: "s", onChange: (to) => change({ time: to }) });
-  const easing = choice({ id: "key-easing", label: "Easing", title: "How the way to the next key goes", options: EASINGS, onChange: (to) => change({ easing: to }) });
+  const easing = choice({ id: "key-easing", label: "Easing", title: "How the way to the next key goes", options: EASINGS, onChange: ease });
+  const takeCurve = (to) => change({ easing: { bezier: to.split(/[\s,]+/).map(Number) } });
+  const curve = text({ id: "key-curve", label: "Curve", title: "The curve's handles, as CSS has them: time and way of the first, then of the second, each from 0 to 1; the way may go beyond", onChange: takeCurve });
   const details = el(
     "div",
     { id: "key-details", class: "stack" },
     name.root,
     time.root,
     easing.root,
+    curve.root,
     row(
       button({ id: "key-take-pose", label: "Take pose", title: "The chosen key takes the pose as it is now", onClick: () => change({ pose: true }) }),
       button({ id: "key-take-camera", label: "Take camera", title: "The chosen key takes the camera as it is now", onClick: () => change({ camera: true }) }),
@@ -77,7 +80,9 @@ export function keysGroup() {
     document.getElementById(`key-${key.id}`)?.scrollIntoView({ block: "nearest" });
     name.set(key.name);
     time.set(key.time);
-    easing.set(key.easing);
+    easing.set(easingWord(key.easing));
+    curve.root.hidden = !key.easing.bezier;
+    curve.set(key.easing.bezier?.map((number) => short(number)).join(", ") ?? "");
   };
   const start = () => {
     store.on("timeline", show);

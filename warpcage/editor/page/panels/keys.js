@@ -13,7 +13,14 @@ export const EASINGS = [
   ["ease-in-out", "Ease in and out"],
   ["bounce", "Bounce"],
   ["elastic", "Elastic"],
+  ["bezier", "Own curve"],
 ];
+
+/** Curves that words are, or are near to: what a curve of one's own begins with. */
+const CURVES = { linear: [1 / 3, 1 / 3, 2 / 3, 2 / 3], "ease-in": [1 / 3, 0, 2 / 3, 1 / 3], "ease-out": [1 / 3, 2 / 3, 2 / 3, 1], smooth: [1 / 3, 0, 2 / 3, 1] };
+
+/** The word of an easing: "bezier" for a curve {bezier: [x1, y1, x2, y2]}. */
+export const easingWord = (easing) => (typeof easing === "string" ? easing : "bezier");
 export const LOOPS = [
   ["once", "Once"],
   ["loop", "Loop"],
@@ -100,7 +107,14 @@ export async function add(pose, camera) {
 /** Changes the chosen key. */
 export function change(changes) {
   const key = chosenKey();
-  if (key) request({ do: "key.change", id: key.id, ...changes });
+  return key ? request({ do: "key.change", id: key.id, ...changes }) : null;
+}
+
+/** Gives the chosen key the easing of a word; a curve of one's own begins as the way was. */
+export function ease(word) {
+  const before = chosenKey()?.easing;
+  const curve = before?.bezier ?? (CURVES[before] ?? CURVES.smooth).map((number) => Math.round(100 * number) / 100);
+  change({ easing: word === "bezier" ? { bezier: curve } : word });
 }
 
 /** Deletes the chosen key; undo brings it back. */

@@ -2,8 +2,9 @@
 
 import { run, store } from "../core/store.js";
 import { request } from "../core/connection.js";
-import { button, choice, el, followKey, number, rows, setIcon, setText, short, svg, titleOf } from "../core/controls.js";
-import { EASINGS, LOOPS, add, change, choose, chosenKey, film, goTo, holds, jump, keyAt, now, onChosen, onFrame, remove, seconds, step } from "./keys.js";
+import { button, choice, el, followKey, number, rows, setIcon, setText, short, titleOf } from "../core/controls.js";
+import { graphs } from "./graph.js";
+import { EASINGS, LOOPS, add, change, choose, chosenKey, ease, easingWord, film, goTo, holds, jump, keyAt, now, onChosen, onFrame, remove, seconds, step } from "./keys.js";
 
 const NEAR = 4; // pixels that a press may slip before it is a drag
 const STEPS = [0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600];
@@ -27,20 +28,6 @@ function makeMark(kind) {
     };
     return { root, update };
   };
-}
-
-/** The graph of the way from a key of poses to the next: how far it has gone, below at the key and above at the next. */
-function makeWay({ id }) {
-  const root = svg("svg", { class: "way", viewBox: "0 0 1 1", preserveAspectRatio: "none", "aria-hidden": "true" });
-  const line = svg("polyline", {});
-  root.append(line);
-  root.dataset.key = id;
-  const update = ({ time, way: [until, shares] }) => {
-    root.style.left = shareOf(time);
-    root.style.width = shareOf(until - time);
-    line.setAttribute("points", shares.map((share, i) => `${i / (shares.length - 1)},${0.9 - 0.6 * share}`).join(" "));
-  };
-  return { root, update };
 }
 
 function timeAt(event) {
@@ -140,7 +127,7 @@ function bar() {
   const time = number({ id: "time", label: "Present time in seconds", title: "Present time: type seconds and press Enter", min: 0, max: 3600, bare: true, onChange: goTo });
   const length = el("span", { class: "unit", id: "time-length" });
   const loop = choice({ id: "time-loop", label: "At the end", title: "What the film does at its end", options: LOOPS, bare: true, onChange: (value) => request({ do: "timeline", loop: value }) });
-  const easing = choice({ id: "time-easing", label: "Easing of the chosen key", title: "How the way from the chosen key to the next goes", options: EASINGS, bare: true, onChange: (value) => change({ easing: value }) });
+  const easing = choice({ id: "time-easing", label: "Easing of the chosen key", title: "How the way from the chosen key to the next goes", options: EASINGS, bare: true, onChange: ease });
   const gone = button({ id: "time-delete", label: "Delete key", icon: "delete", title: "Delete the chosen key (Delete on the timeline)", onClick: remove });
   const name = el("span", { id: "time-key", class: "note" });
   const root = el(
@@ -169,7 +156,7 @@ function bar() {
     setText(length, `/ ${seconds(long)}, frame ${Math.round(now() * fps)}`);
     loop.set(way);
     easing.input.disabled = gone.disabled = !key;
-    if (key) easing.set(key.easing);
+    if (key) easing.set(easingWord(key.easing));
     setText(name, key ? key.name : "");
   };
   return { root, show };
@@ -179,9 +166,10 @@ function bar() {
 export function start() {
   const { root: top, show: showBar } = bar();
   const ruler = el("div", { class: "ruler" });
-  const graphs = el("div");
   const marks = el("div");
-  const poses = el("div", { class: "lane tall" }, graphs, marks);
+  const poses = el("div", { class: "lane tall" });
+  const ways = graphs(poses);
+  poses.append(...ways.roots, marks, ...ways.handles);
   const cameras = el("div", { class: "lane" });
   const head = el("div", { class: "head" });
   area = el("div", { class: "track-area" }, ruler, poses, cameras, head);
@@ -201,7 +189,6 @@ export function start() {
   const labels = el("div", { class: "lane-labels", "aria-hidden": "true" }, el("span", {}, "s"), el("span", { class: "tall" }, "Pose"), el("span", {}, "Camera"));
   document.getElementById("timeline").append(top, el("div", { class: "time-body" }, labels, track));
 
-  const showWays = rows(graphs, makeWay);
   const showPoses = rows(marks, makeMark("pose"));
   const showCameras = rows(cameras, makeMark("camera"));
   let drawn = "";
@@ -211,7 +198,7 @@ export function start() {
     if (drawn !== `${length} ${width}`) ruler.replaceChildren(...ticks(width));
     drawn = `${length} ${width}`;
     showPoses(keys.filter(({ pose }) => pose));
-    showWays(keys.filter(({ way }) => way));
+    ways.show();
     showCameras(keys.filter(({ camera }) => camera));
     track.setAttribute("aria-valuemax", length);
   };

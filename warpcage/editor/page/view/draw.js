@@ -88,7 +88,8 @@ function edgePaths(camera, cage, points, screen, hidden, front, isSelected) {
   return paths;
 }
 
-function stroke(context, path, color, width, dash = []) {
+/** A path as a line of this colour and width. */
+export function stroke(context, path, color, width, dash = []) {
   context.setLineDash(dash);
   context.strokeStyle = color;
   context.lineWidth = width;
@@ -231,9 +232,17 @@ export function drawMirror(context, camera, cage, axis) {
   stroke(context, path, INK.mirror, 1.4, [8, 4]);
 }
 
-/** The rectangle or lasso that is being drawn (flat x, y of its path). */
-export function drawRegion(context, shape, path) {
+/** The rectangle, lasso or stroke of a brush that is being drawn (flat x, y of its path). */
+export function drawRegion(context, shape, path, radius = 0) {
   const outline = new Path2D();
+  if (shape === "brush") {
+    for (let i = 0; i < path.length; i += 2) outline[i ? "lineTo" : "moveTo"](path[i], path[i + 1]);
+    outline.lineTo(...path.slice(-2)); // a dab is seen too
+    Object.assign(context, { lineCap: "round", lineJoin: "round" });
+    stroke(context, outline, "rgba(255, 154, 31, 0.28)", 2 * radius);
+    Object.assign(context, { lineCap: "butt", lineJoin: "miter" });
+    return;
+  }
   if (shape === "lasso") {
     for (let i = 0; i < path.length; i += 2) outline[i ? "lineTo" : "moveTo"](path[i], path[i + 1]);
     outline.closePath();

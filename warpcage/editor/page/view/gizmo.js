@@ -6,7 +6,8 @@ import { AXES, AXIS_NAMES, add, cross, dot, perpendicular, subtract, times, unit
 
 const SIZE = 84; // CSS pixels from the pivot to the end of an axis
 const STEPS = 64; // of a ring
-const COLORS = ["#f2495c", "#6cc644", "#4a90f2"];
+/** Of the axes x, y and z. */
+export const COLORS = ["#f2495c", "#6cc644", "#4a90f2"];
 const BRIGHT = "#ffd84d";
 const RIM = "rgba(0, 0, 0, 0.55)";
 

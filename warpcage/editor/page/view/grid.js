@@ -2,12 +2,12 @@
 
 import { namedDirections, project } from "../geometry/camera.js";
 import { hiddenPoints } from "../geometry/pick.js";
-import { AXES, add, dot, times, unit } from "../geometry/vectors.js";
+import { AXES, add, dot, times } from "../geometry/vectors.js";
+import { COLORS } from "./gizmo.js";
 
 const PIECES = 24; // of a line, each seen or hidden
 const CELLS = 8; // about so many across the field
 const ROOM = 1.3; // the grid's side by the field's
-const COLORS = ["#f2495c", "#6cc644", "#4a90f2"]; // of the axes x, y and z, as the compass has them
 const INK = "rgba(128, 138, 152, 0.6)";
 
 /** The least of 1, 2, 5, 10, 20 ... times a power of ten that is not below a length. */
@@ -16,18 +16,26 @@ export function roundStep(wanted) {
   return power * [1, 2, 5, 10].find((one) => one * power >= wanted * (1 - 1e-9));
 }
 
-/** The lines of the ground below a box: [{value, ends: [p, q], axis}]; axis: that of the world above or below which it lies, or -1. */
-export function groundLines([lower, upper], up) {
+/** The plane beneath a box, across what is up: its right-handed axes, the last one up, and its height along that one. */
+export function groundPlane([lower, upper], up) {
   const { front, right, top } = namedDirections(up);
-  const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((i) => [0, 1, 2].map((k) => ((i >> k) & 1 ? upper : lower)[k]));
-  const extent = (way) => {
-    const places = corners.map((corner) => dot(corner, way));
-    return [Math.min(...places), Math.max(...places)];
-  };
-  const level = times(unit(top[0]), extent(top[0])[0]);
+  const axes = [right[0], times(front[0], -1), top[0]];
+  return { axes, level: extentOf([lower, upper], top[0])[0] };
+}
+
+/** The least and the largest place of a box along a direction. */
+export function extentOf([lower, upper], way) {
+  const places = [0, 1, 2, 3, 4, 5, 6, 7].map((i) => dot([0, 1, 2].map((k) => ((i >> k) & 1 ? upper : lower)[k]), way));
+  return [Math.min(...places), Math.max(...places)];
+}
+
+/** The lines of the ground below a box: [{value, ends: [p, q], axis}]; axis: that of the world above or below which it lies, or -1. */
+export function groundLines(bounds, up) {
+  const { axes, level: height } = groundPlane(bounds, up);
+  const level = times(axes[2], height);
   // numbers rise along the world's axes
-  const ways = [right[0], front[0]].map((way) => (Math.max(...way) < -Math.min(...way) ? times(way, -1) : way));
-  const sides = ways.map(extent);
+  const ways = axes.slice(0, 2).map((way) => (Math.max(...way) < -Math.min(...way) ? times(way, -1) : way));
+  const sides = ways.map((way) => extentOf(bounds, way));
   const size = Math.max(...sides.map(([a, b]) => b - a)) * ROOM;
   const step = roundStep(size / CELLS);
   const [first, second] = sides.map(([a, b]) => [Math.floor(((a + b - size) / 2) / step), Math.ceil(((a + b + size) / 2) / step)]);

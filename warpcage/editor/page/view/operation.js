@@ -98,7 +98,8 @@ function turningAxis() {
   return axesNow()[single];
 }
 
-const shown = (value) => (Math.abs(value) < 5e-5 ? "0" : value.toPrecision(4).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, ""));
+/** A length or an amount in four digits. */
+export const shown = (value) => (Math.abs(value) < 5e-5 ? "0" : value.toPrecision(4).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, ""));
 
 function apply() {
   const { kind, cage, start, weights, pivot, mirror, side } = operation;

@@ -6,19 +6,30 @@ import * as C from "./cages.js";
 import { ballAt, handleAt } from "./gizmo.js";
 import * as operation from "./operation.js";
 import * as S from "./selecting.js";
-import { camera, compass, gizmo, overlay, requestDraw } from "./viewport.js";
+import { isBrush } from "../tools/brush.js";
+import { camera, compass, gizmo, overlay, requestDraw, surfaceAt } from "./viewport.js";
 
 const MOUSE = { reach: 11, slack: 4 }; // pixels: how near counts as on it, how far counts as a drag
 const FINGER = { reach: 24, slack: 8 };
 const TURN = 0.008; // radians per pixel
 const HINTED = "warpcage.hinted"; // whether this browser's user knows how to turn the view
 
+const MAX_PLACES = 24; // of a stroke that an object is looked for by
+
 let canvas = null;
-let gesture = null; // {kind: "press" | "turn" | "pan" | "zoom" | "region" | "transform" | "pinch", ...}
+let handCursor = null; // of the tool that is on, where the pointer is
+let gesture = null; // {kind: "press" | "turn" | "pan" | "zoom" | "region" | "hand" | "transform" | "pinch", ...}
 const fingers = new Map(); // pointer id -> [x, y]
 let wanted = null; // takes the place of the next press, or null where Escape ends the waiting
 
-/** The next place that is clicked: shares of the picture across and down, and its aspect; null after Escape. */
+/** Tools of their own files by their names in the store: {click(at, way), begin?(at, reach), drag?(at, details), end?(isKept),
+ *  hover?(at, reach) that gives a cursor}. One that has no `drag` turns the view by drags. */
+export const hands = new Map();
+const handNow = () => hands.get(store.tools.tool) ?? null;
+const isPainting = () => isBrush() && !handNow();
+
+/** The next place that is clicked, or with the brush the places of its next stroke that show matter: shares of the
+ *  picture across and down, and its aspect; null after Escape. */
 export function nextPlace() {
   wanted?.(null);
   return new Promise((resolve) => {
@@ -74,8 +85,8 @@ function onDown(event) {
   if (gesture) return;
   event.preventDefault();
   if (wanted && event.button === 0 && !event.altKey) {
-    const { width, height } = canvas.getBoundingClientRect();
-    return wanted({ across: at[0] / width, down: at[1] / height, aspect: width / height });
+    if (isPainting()) return beginStroke(event, at, "wanted");
+    return wanted(placesOf([...at]));
   }
   if (operation.current()) {
     if (event.button === 0) operation.finish();
@@ -83,7 +94,7 @@ function onDown(event) {
     requestDraw();
     return;
   }
-  if ([1, 2].includes(event.button) || (event.button === 0 && event.altKey)) {
+  if ([1, 2].includes(event.button) || (event.button === 0 && event.altKey && !isPainting())) {
     const kind = event.shiftKey ? "pan" : event.ctrlKey || event.metaKey ? "zoom" : "turn";
     gesture = { kind, at, id: event.pointerId };
   } else if (event.button === 0) press(event, at);
@@ -102,8 +113,42 @@ function press(event, at) {
     beginTransform(event, at, handle);
     return;
   }
+  const hand = handNow();
+  if (hand) {
+    gesture = { kind: "hand", hand, at, from: at, id: event.pointerId, way: wayOf(event) };
+    hand.begin?.(at, reach);
+    return;
+  }
+  if (isPainting()) return beginStroke(event, at, event.altKey || wayOf(event) === "remove" ? "remove" : "add");
   const element = S.elementAt(...at, reach);
   gesture = { kind: "press", at, id: event.pointerId, element, way: wayOf(event), path: [...at] };
+}
+
+/** A stroke of the brush; `way`: "add", "remove", or "wanted" where somebody waits for its places. */
+function beginStroke(event, at, way) {
+  gesture = { kind: "region", shape: "brush", at, id: event.pointerId, way, path: [...at] };
+  extendRegion(at);
+  requestDraw();
+}
+
+/** Places of a path as `nextPlace` gives them. */
+function placesOf(path) {
+  const { width, height } = canvas.getBoundingClientRect();
+  const shares = [];
+  for (let i = 0; i < path.length; i += 2) shares.push([path[i] / width, path[i + 1] / height]);
+  if (shares.length === 1) return { across: shares[0][0], down: shares[0][1], aspect: width / height };
+  const seen = shares.filter(([across, down]) => surfaceAt([across * width, down * height]));
+  const by = Math.max(1, Math.ceil(seen.length / MAX_PLACES));
+  return { places: (seen.length ? seen : shares).filter((_, i) => i % by === 0), aspect: width / height };
+}
+
+/** What a drag of a tool of its own file does. */
+function dragHand(event, at) {
+  const { hand, from } = gesture;
+  const [dx, dy] = [at[0] - from[0], at[1] - from[1]];
+  gesture.isDrag ||= Math.hypot(dx, dy) > tolerances(event).slack;
+  if (gesture.isDrag && hand.drag) hand.drag(at, details(event));
+  else if (gesture.isDrag) gesture = { ...gesture, kind: "turn", at };
 }
 
 function beginTransform(event, at, handle) {
@@ -144,6 +189,7 @@ function onMove(event) {
       operation.follow(at, details(event));
       requestDraw();
     } else if (event.pointerType !== "touch") hover(at, tolerances(event).reach);
+    showBrush(event, at);
     return;
   }
   const [dx, dy] = [at[0] - gesture.at?.[0], at[1] - gesture.at?.[1]];
@@ -153,15 +199,18 @@ function onMove(event) {
   else if (gesture.kind === "zoom") S.zoomBy(Math.exp(dy * 0.006));
   else if (gesture.kind === "transform") operation.follow(at, details(event));
   else if (gesture.kind === "region") extendRegion(at);
+  else if (gesture.kind === "hand") dragHand(event, at);
+  showBrush(event, at);
   if (["turn", "pan", "zoom"].includes(gesture.kind)) gesture.at = at;
   requestDraw();
 }
 
 function extendRegion(at) {
   const { path, shape, way } = gesture;
-  if (Math.hypot(at[0] - path.at(-2), at[1] - path.at(-1)) >= 1) path.push(...at);
+  const least = shape === "brush" ? Math.max(1, store.tools.brush / 8) : 1;
+  if (Math.hypot(at[0] - path.at(-2), at[1] - path.at(-1)) >= least) path.push(...at);
   overlay.region = { shape, path, way };
-  overlay.preview = S.regionSelection(overlay.region)?.vertices ?? null;
+  overlay.preview = way === "wanted" ? null : (S.regionSelection(overlay.region)?.vertices ?? null);
   overlay.hover = null;
 }
 
@@ -177,6 +226,10 @@ function onUp(event) {
   if (ended.kind === "press") S.clicked(ended.element, ended.way);
   else if (ended.kind === "transform") operation.finish();
   else if (ended.kind === "turn") hideHint();
+  else if (ended.kind === "hand") {
+    if (ended.isDrag) ended.hand.end(true);
+    else ended.hand.click(placeOf(event), ended.way);
+  } else if (ended.way === "wanted") wanted?.(placesOf(ended.path));
   else if (ended.kind === "region") {
     const made = overlay.region && S.regionSelection(overlay.region);
     if (made) C.select(made.cage.id, made.vertices, { active: -1 });
@@ -189,8 +242,9 @@ function onUp(event) {
 /** Leaves a gesture without its effect: the system took the pointer, Escape, or a second finger. */
 function abandon() {
   if (gesture?.kind === "transform") operation.finish(true);
+  if (gesture?.kind === "hand") gesture.hand.end?.(false);
   gesture = null;
-  Object.assign(overlay, { region: null, preview: null, hover: null });
+  Object.assign(overlay, { region: null, preview: null, hover: null, brush: null });
   requestDraw();
 }
 
@@ -228,11 +282,21 @@ function onWheel(event) {
   S.zoomBy(Math.exp(way * (event.ctrlKey ? 0.008 : 0.0015)));
 }
 
+/** Shows how large the brush is, where it would paint. */
+function showBrush(event, at) {
+  const place = isPainting() && event.pointerType !== "touch" ? at : null;
+  if (place || overlay.brush) requestDraw();
+  overlay.brush = place;
+}
+
 /** Marks what is under the pointer. */
 function hover([x, y], reach) {
   const ball = ballAt(compass(), x, y);
-  const handle = ball ? null : handleAt(gizmo(), x, y, reach);
-  const element = ball || handle ? null : S.elementAt(x, y, reach);
+  const hand = ball ? null : handNow();
+  const handle = ball || hand ? null : handleAt(gizmo(), x, y, reach);
+  const element = ball || handle || hand || isPainting() ? null : S.elementAt(x, y, reach);
+  handCursor = hand?.hover?.([x, y], reach) ?? null;
+  if (hand) showCursor();
   const before = overlay.hover;
   const isSame = before?.cage === element?.cage && before?.number === element?.number && before?.mode === element?.mode;
   if (isSame && overlay.handle?.name === handle?.name && overlay.ball === ball) return;
@@ -245,13 +309,14 @@ function showCursor() {
   const { kind } = gesture ?? {};
   const cursors = { turn: "grabbing", pan: "move", zoom: "ns-resize", transform: "grabbing", region: "crosshair" };
   const isOver = overlay.hover && overlay.hover.mode !== "face";
-  canvas.style.cursor = cursors[kind] ?? (overlay.ball || overlay.handle || isOver ? "pointer" : "default");
+  const own = isPainting() || handNow() ? (handCursor ?? "crosshair") : null;
+  canvas.style.cursor = cursors[kind] ?? own ?? (overlay.ball || overlay.handle || isOver ? "pointer" : "default");
 }
 
 function onLeave() {
   if (gesture || operation.current()) return;
   S.pointer.at = null;
-  Object.assign(overlay, { hover: null, handle: null, ball: null });
+  Object.assign(overlay, { hover: null, handle: null, ball: null, brush: null });
   requestDraw();
 }
 

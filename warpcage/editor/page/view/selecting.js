@@ -7,6 +7,7 @@ import { frameAll, lookFrom, namedDirections, orbit, pan, zoom } from "../geomet
 import * as P from "../geometry/pick.js";
 import * as topology from "../geometry/topology.js";
 import { point } from "../geometry/vectors.js";
+import { isBrush, resizeBrush } from "../tools/brush.js";
 import * as C from "./cages.js";
 import * as operation from "./operation.js";
 import { camera, getSize, getView, hiddenOf, requestDraw, screenOf, setView } from "./viewport.js";
@@ -74,14 +75,18 @@ export function clicked(element, way) {
   C.select(element.cage.id, chosen, { active: isTaken ? -1 : element.vertices[0] });
 }
 
-/** The selection that a rectangle or lasso would make of the active cage. */
+/** The selection that a rectangle, a lasso or a brush would make of the active cage. */
 export function regionSelection({ shape, path, way }) {
   const cage = cageNow();
   if (!cage?.visible || !store.tools.cage) return null;
   const screen = screenOf(cage);
   const corners = [path[0], path[1], ...path.slice(-2)];
-  const test = shape === "lasso" ? (s) => P.inLasso(s, path) : (s) => P.inRectangle(s, ...corners);
-  const inside = P.region(screen, test);
+  const tests = {
+    rectangle: (s) => P.inRectangle(s, ...corners),
+    lasso: (s) => P.inLasso(s, path),
+    brush: (s) => P.inBrush(s, path, store.tools.brush),
+  };
+  const inside = P.region(screen, tests[shape]);
   const found = P.verticesInRegion(C.pickMode(), cage.topology, screen, inside, allowedOf(cage));
   if (way === "replace") return { cage, vertices: found };
   const chosen = new Set(C.selected());
@@ -229,8 +234,9 @@ registerSelect("shrink", "Shrink", ["Ctrl+-"], choose((cage, chosen) => topology
 registerSelect("vertices", "Pick vertices", ["1"], () => pickBy("vertex"));
 registerSelect("edges", "Pick edges", ["2"], () => pickBy("edge"));
 registerSelect("faces", "Pick faces", ["3"], () => pickBy("face"));
-registerSelect("next", "Next vertex by number", ["]"], () => count(1), hasCage, true);
-registerSelect("previous", "Vertex before by number", ["["], () => count(-1), hasCage, true);
+const canCount = () => isBrush() || hasCage();
+registerSelect("next", "Next vertex by number; with the brush: a larger one", ["]"], () => (isBrush() ? resizeBrush(1.2) : count(1)), canCount, true);
+registerSelect("previous", "Vertex before by number; a smaller brush", ["["], () => (isBrush() ? resizeBrush(1 / 1.2) : count(-1)), canCount, true);
 for (const [name, dx, dy] of [["Left", -1, 0], ["Right", 1, 0], ["Up", 0, -1], ["Down", 0, 1]]) {
   const side = name.toLowerCase();
   const there = { up: "above", down: "below" }[side] ?? `to the ${side}`;

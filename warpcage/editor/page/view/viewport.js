@@ -3,6 +3,7 @@
 import { store } from "../core/store.js";
 import { ask, nextSequence, send, when } from "../core/connection.js";
 import { makeCamera, pixelAt, project, projectAll } from "../geometry/camera.js";
+import { surfacePoint } from "../geometry/pick.js";
 import { mean, point } from "../geometry/vectors.js";
 import * as C from "./cages.js";
 import * as D from "./draw.js";
@@ -35,7 +36,10 @@ const shownTimes = []; // of the last pictures
 const hiddenCache = new Map(); // edit -> {points, picture, result}
 
 /** What the pointer and its gestures ask to be drawn. */
-export const overlay = { hover: null, handle: null, ball: null, region: null, preview: null };
+export const overlay = { hover: null, handle: null, ball: null, region: null, preview: null, brush: null };
+
+/** What tools of their own files draw over the cages: functions of (context, camera). */
+export const drawings = [];
 
 export const viewport = {
   latencies: [], // ms from a pointer's event to the picture of its pose, the last 1000
@@ -114,6 +118,12 @@ function onFrame() {
 
 export const screenOf = (cage) => projectAll(camera(), C.places(cage));
 
+/** The place of the matter that the last picture shows at a pixel of the canvas, or null. */
+export function surfaceAt([x, y]) {
+  const { map, camera: seen } = picture ?? {};
+  return map ? surfacePoint(map, seen, (x / width) * map.width, (y / height) * map.height) : null;
+}
+
 /** Which vertices and pieces of edges of a cage the last picture hides. */
 export function hiddenOf(cage) {
   const points = C.places(cage);
@@ -162,8 +172,9 @@ function draw() {
   const field = store.sections.session?.field;
   if (store.tools.grid && field) drawGrid(context, now, field, picture);
   if (store.tools.cage) drawCages(now);
+  for (const drawing of drawings) drawing(context, now);
   drawCompass(context, compass(), overlay.ball);
-  if (overlay.region) D.drawRegion(context, overlay.region.shape, overlay.region.path);
+  if (overlay.region) D.drawRegion(context, overlay.region.shape, overlay.region.path, store.tools.brush);
   const running = operation.current();
   if (running) drawOperation(now, running);
   else if (!store.status.connected) D.drawHint(context, ["No connection to the server; trying again …"], height);
