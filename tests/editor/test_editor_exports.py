@@ -40,7 +40,7 @@ from warpcage.editor import (
     view_camera,
     write_session,
 )
-from warpcage.editor import renderer as scene_module
+from warpcage.editor.pictures import scene as scene_module
 
 VIEW = View((2.5, 1.2, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)
 BENT, TWISTED = BOX.bend(40, axis="x", towards="z"), BOX.twist(50, axis="x")

@@ -18,10 +18,11 @@ __getattr__, __dir__, __all__ = lazy_exports(
             "Film atomic_folder export_baked export_cage export_command export_film export_poses film_pictures"
         ),
         "inspection": "Inspector inspect inspector",
-        "renderer": (
-            "COARSE_CELLS FRAME LEAST_SIDE Pace PosedScene Renderer Request band_camera depth_size "
-            "frame_pixels joined_pixels packed_frame same_pose view_camera"
+        "pictures.renderer": (
+            "COARSE_CELLS FRAME LEAST_SIDE Pace Renderer Request band_camera depth_size frame_pixels joined_pixels "
+            "packed_frame"
         ),
+        "pictures.scene": "PosedScene same_pose view_camera",
         "server": "Server",
         "session": (
             "DEPTH History Session file_stamp free_session_path new_document read_session session_path write_session"

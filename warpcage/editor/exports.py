@@ -28,7 +28,7 @@ from ..view.opacity import rgba_picture
 from ..view.overlay import draw_cage
 from ..view.pictures import write_png
 from .document import Document, checked_flag
-from .renderer import PosedScene, view_camera
+from .pictures.scene import PosedScene, view_camera
 from .timeline import document_at, frame_rate, frame_times, pose_file
 
 #: Width and height of a film where none is given, and the largest, pixels.

@@ -32,7 +32,7 @@ from . import commands, exports, timeline
 from .commands import Step
 from .document import Document, checked_between, checked_choice, checked_flag, checked_id, checked_whole
 from .exports import requested_film
-from .renderer import view_camera
+from .pictures.scene import view_camera
 from .session import ENDING, Session, Stamp, file_stamp
 
 #: Jobs that are kept, finished ones included, and jobs that may wait or run at once.

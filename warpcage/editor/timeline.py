@@ -19,7 +19,7 @@ from ..view import motion as between
 from ..view.camera import CameraKey
 from ..view.camera_path import timed_keys
 from .document import MAX_KEYS, MAX_NAME, MAX_SECONDS, Document, Key, Timeline, View, frozen_vertices
-from .renderer import view_camera
+from .pictures.scene import view_camera
 
 #: Width and height of the pictures of cameras in pose files, pixels.
 PICTURE = (800, 600)

@@ -17,7 +17,7 @@ from ...core.names import TRANSPARENT, counted
 from ...core.overlap import BackgroundWriter
 from ...core.reports import bar
 from ...editor.exports import DEFAULT_SIZE, Film, checked_film_path, export_film
-from ...editor.renderer import view_camera
+from ...editor.pictures.scene import view_camera
 from ...editor.session import read_session
 from ...editor.timeline import frame_times
 from ...edits.place import PlaceFile

@@ -19,7 +19,7 @@ from ...core.files import PathLike, atomic_path
 from ...core.names import FRAGMENTS_WORD, TRANSPARENT
 from ...editor.document import Document
 from ...editor.exports import Film
-from ...editor.renderer import view_camera
+from ...editor.pictures.scene import view_camera
 from ...editor.timeline import document_at, frame_rate, frame_times
 from ...edits.edits import CageEdit
 from ...errors import InputError, StateError

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from aiohttp import WSCloseCode, web
 
-from ..errors import InputError
-from .document import Background, checked_background, checked_whole
+from ...errors import InputError
+from ..document import Background, checked_background, checked_whole
 
 #: Frames that may be on their way to a page.
 FRAMES_UNDER_WAY = 2

@@ -1,0 +1,164 @@
+"""The scene of a document, posed and ready to be rendered."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+
+from ...cage.cage import Cage
+from ...cage.walls import cut_faces
+from ...deform.deformer import Deformer
+from ...deform.fill import fill_unseen
+from ...edits.edits import CageEdit
+from ...errors import InputError
+from ...field.voxel_field import VoxelField
+from ...mesh.validity import require_usable
+from ...splats.splat_field import AnyField
+from ...view.camera import Camera
+from ...view.frame import Frame
+from ..document import Background, Document, Edit, View
+
+#: Deformers that are kept for one set of edits, one per resolution: a moving hand and a resting one may have two.
+KEPT_DEFORMERS = 2
+
+
+def view_camera(view: View, width: int, height: int) -> Camera:
+    """The camera of a view, with square pixels, for a picture of so many pixels."""
+    focal = 0.5 * height / math.tan(math.radians(view.fov) / 2)
+    looking = Camera.look_at(view.eye, view.target, up=view.up, width=width, height=height)
+    return dataclasses.replace(looking, fx=focal, fy=focal)
+
+
+class PosedScene:
+    """The scene of a document, posed and ready to be rendered. One thread at a time may use it.
+    A Deformer is made only when what it is made of changes; a changed pose is posed, an unchanged one left as it is."""
+
+    def __init__(self, field: AnyField):
+        self.field = field
+        self.deformer: Deformer | None = None  # of the last `prepare`; None where the field is shown as it is
+        self._edits: tuple[Edit, ...] = ()  # what the kept Deformers and cages are made of
+        self._options: tuple[str, str] = ("", "")
+        self._rest: list[Cage] = []
+        self._kept: dict[int, Deformer] = {}  # by resolution, the last used one at the end
+        self._posed: dict[int, list[np.ndarray]] = {}  # the vertices that each of them is posed with
+
+    def prepare(self, document: Document, resolution: int | None = None) -> None:
+        """Make the scene of a document's edits and settings; where that fails, the scene before stays.
+        `resolution`: cells of the lattices along the longest side of a cage, None is that of the settings."""
+        edits = tuple(edit for edit in document.edits if edit.visible)
+        if not edits or document.settings.mode == "rest":
+            self.deformer = None
+            return
+        cells = document.settings.resolution if resolution is None else resolution
+        options = (document.settings.coordinates, document.settings.density)
+        same = options == self._options and _same_rest(edits, self._edits)
+        rest = self._rest if same else [Cage(edit.rest, edit.faces) for edit in edits]
+        posed = [
+            None if edit.kind == "remove" else cage.with_vertices(edit.posed)
+            for edit, cage in zip(edits, rest, strict=True)
+        ]
+        kept = self._kept if same else {}
+        deformer = kept.get(cells)
+        vertices = [edit.posed for edit in edits]
+        if deformer is None:
+            coordinates, density = cast(tuple[Any, Any], options)  # names, which documents check
+            deformer = Deformer(
+                self.field, self._cage_edits(edits, rest), coordinates=coordinates, resolution=cells, density=density
+            )
+            _pose(deformer, edits, posed)
+        elif not _same_arrays(vertices, self._posed.get(cells, [])):
+            self._posed.pop(cells, None)
+            _pose(deformer, edits, posed)
+        if not same:
+            self._kept, self._posed = {}, {}
+        self._edits, self._options, self._rest, self.deformer = edits, options, rest, deformer
+        self._kept.pop(cells, None)
+        self._kept[cells], self._posed[cells] = deformer, vertices
+        while len(self._kept) > KEPT_DEFORMERS:
+            oldest = next(iter(self._kept))
+            del self._kept[oldest], self._posed[oldest]
+
+    def render(
+        self,
+        camera: Camera,
+        background: Background = None,
+        step: float | None = None,
+        supersampling: int | None = None,
+        fill: bool = False,
+    ) -> Frame:
+        """The view of a camera of the scene that was prepared last, or of the field itself, which has no masks.
+        None is the field's own; `step` is world units (splats have none); for `fill` see `fill_unseen`."""
+        options: dict[str, Any] = {"background": background, "supersampling": supersampling}
+        if isinstance(self.field, VoxelField):
+            options["step"] = step
+        frame = (self.field if self.deformer is None else self.deformer).render(camera, **options)
+        if not fill or self.deformer is None or not isinstance(self.field, VoxelField):
+            return frame
+        filled = fill_unseen(frame, self.field, camera)
+        device = frame.arrays["rgb"].device
+        rgb = wp.array(filled.rgb.reshape(-1, 3), dtype=wp.vec3, device=device)
+        filled.arrays["rgb"] = rgb  # where the others are
+        return filled
+
+    def _cage_edits(self, edits: Sequence[Edit], rest: Sequence[Cage]) -> list[CageEdit]:
+        """The edits as a Deformer takes them."""
+        for edit, cage in zip(edits, rest, strict=True):
+            require_usable(cage, f"the rest cage of {edit.name!r}")
+        made = [edit.edit_of(cage) for edit, cage in zip(edits, rest, strict=True)]
+        if not isinstance(self.field, VoxelField):
+            return made
+        for edit, one in zip(edits, made, strict=True):
+            if one.falloff > 0.0 and one.held == "cut" and not len(cut_faces(one.cage, self.field)):
+                raise InputError(
+                    f"{edit.name!r} fades to rest, but no wall of its cage cuts matter: nothing tears there. Set the "
+                    "width to 0, or let the walls be held that the pose leaves in place"
+                )
+        return made
+
+
+def _pose(deformer: Deformer, edits: Sequence[Edit], posed: list[Cage | None]) -> None:
+    """Pose a Deformer, or say which edit cannot be posed."""
+    for edit, cage in zip(edits, posed, strict=True):
+        if cage is not None:
+            require_usable(cage, f"the posed cage of {edit.name!r}")
+    deformer.pose(posed)
+
+
+def _same_rest(edits: Sequence[Edit], others: Sequence[Edit]) -> bool:
+    """Whether a Deformer of some edits is a Deformer of others too."""
+
+    def kinds(of: Sequence[Edit]) -> list[tuple]:
+        return [(edit.kind, edit.falloff, edit.held, edit.fragments) for edit in of]
+
+    return kinds(edits) == kinds(others) and _same_arrays(
+        [array for edit in edits for array in (edit.faces, edit.rest)],
+        [array for edit in others for array in (edit.faces, edit.rest)],
+    )
+
+
+def _same_arrays(arrays: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> bool:
+    """Whether arrays hold the same. Documents share most of them, and those need no look."""
+    return len(arrays) == len(others) and all(
+        one is two or np.array_equal(one, two) for one, two in zip(arrays, others, strict=True)
+    )
+
+
+def same_pose(one: Document, two: Document) -> bool:
+    """Whether two documents pose the scene alike. They share what did not change, so a look at each array is enough."""
+    options = ("mode", "coordinates", "density")
+    return (
+        all(getattr(one.settings, name) == getattr(two.settings, name) for name in options)
+        and len(one.edits) == len(two.edits)
+        and all(
+            a.posed is b.posed
+            and a.rest is b.rest
+            and (a.kind, a.visible, a.falloff, a.held) == (b.kind, b.visible, b.falloff, b.held)
+            and a.fragments == b.fragments
+            for a, b in zip(one.edits, two.edits, strict=True)
+        )
+    )
