@@ -24,6 +24,7 @@ from ..core.names import BACKGROUNDS, TRANSPARENT
 from ..deform.deformer import Deformer
 from ..deform.fill import fill_unseen
 from ..deform.stage import Stage
+from ..editor.document import MAIN
 from ..editor.session import FORMAT as SESSION_FORMAT
 from ..editor.session import read_session
 from ..edits.edits import MAX_EDITS, MOST_CELLS, CageEdit, picture_cells
@@ -217,8 +218,8 @@ def _read_edit(
 
 
 def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformation, list[str]]:
-    """The visible edits of a session of the editor, in the poses that it was left in, and a line on each edit."""
-    visible = [edit for edit in read_session(path).edits if edit.visible]
+    """The visible edits of a session's own field, in the poses that it was left in, and a line on each edit."""
+    visible = [edit for edit in read_session(path).edits_of(MAIN) if edit.visible]
     if not visible:
         raise InputError(f"{path}: the session has no visible edit")
     parts = []

@@ -20,15 +20,18 @@ from ..core.files import PathLike
 from ..core.names import TRANSPARENT
 from ..core.overlap import BackgroundWriter
 from ..deform.bake import bake
+from ..deform.deformer import Deformer
 from ..errors import InputError
+from ..fitting.splats.from_voxels import to_splats
 from ..splats.io.formats import format_to_write
 from ..splats.splat_field import AnyField, SplatField, field_size
 from ..view.film import FILM_ENDINGS, checked_rate, require_clear_film, write_film
 from ..view.opacity import rgba_picture
 from ..view.overlay import draw_cage
 from ..view.pictures import write_png
-from .document import Document, checked_flag
-from .pictures.scene import PosedScene, view_camera
+from .checks import checked_flag
+from .document import MAIN, Document
+from .pictures.scene import Fields, PosedScene, view_camera
 from .timeline import document_at, frame_rate, frame_times, pose_file
 
 #: Width and height of a film where none is given, and the largest, pixels.
@@ -60,7 +63,7 @@ def _silent(share: float | None, text: str) -> None:
 
 
 def export_film(
-    document: Document, field: AnyField, path: PathLike, film: Film | None = None, report: Report = _silent
+    document: Document, field: AnyField | Fields, path: PathLike, film: Film | None = None, report: Report = _silent
 ) -> int:
     """Write the film of a document (or a new folder of PNG files), whole or not at all; returns the number of frames.
     What `report` raises ends the work."""
@@ -83,7 +86,9 @@ def export_film(
     return len(times)
 
 
-def film_pictures(document: Document, field: AnyField, film: Film, report: Report = _silent) -> Iterator[np.ndarray]:
+def film_pictures(
+    document: Document, field: AnyField | Fields, film: Film, report: Report = _silent
+) -> Iterator[np.ndarray]:
     """The pictures of a film, each rendered when it is asked for: (height, width, 3 or 4) float32 in [0, 1], read-only.
     Colours are not multiplied by opacity. A moment that looks like the one before is the same array."""
     times = frame_times(document.timeline)
@@ -156,18 +161,24 @@ def export_poses(document: Document, number: int, path: PathLike) -> None:
     pose_file(document, number).save(path)
 
 
-def export_baked(document: Document, field: AnyField, path: PathLike, report: Report = _silent) -> AnyField:
+def export_baked(document: Document, field: AnyField | Fields, path: PathLike, report: Report = _silent) -> AnyField:
     """Write the scene, deformed by the poses of now, as a field of its own, whole or not at all; returns that field.
     Without visible edits it is the field. A file of voxels ends in .npz. What `report` raises ends the work."""
-    if isinstance(field, SplatField):
+    fields = Fields.of(field)
+    kinds = {type(fields.field(thing)) for thing in document.things if thing.visible}
+    if SplatField in kinds:
         format_to_write(path)
     elif pathlib.Path(path).suffix.lower() != ".npz":
         raise InputError(f"field {str(path)!r} must end in .npz")
     report(None, "poses the cages")
-    scene = PosedScene(field)
+    scene = PosedScene(fields)
     scene.prepare(dataclasses.replace(document, settings=dataclasses.replace(document.settings, mode="pose")))
     report(0.1, "resamples the deformed scene")
-    baked = field if scene.deformer is None else bake(scene.deformer)
+    if scene.stage is not None:
+        baked = scene.stage.merged(convert=to_splats)
+    else:
+        posed = scene.posed(MAIN)
+        baked = bake(posed) if isinstance(posed, Deformer) else posed
     report(0.8, f"writes {field_size(baked)}")
     baked.save(path)
     return baked
@@ -191,7 +202,11 @@ def export_command(
 def _look_alike(one: Document, other: Document) -> bool:
     """Whether two moments of a film have the same picture. What is still shares its arrays."""
     poses = zip(one.edits, other.edits, strict=True)
-    return one.view == other.view and all(a.posed is b.posed or np.array_equal(a.posed, b.posed) for a, b in poses)
+    return (
+        one.view == other.view
+        and one.things == other.things
+        and all(a.posed is b.posed or np.array_equal(a.posed, b.posed) for a, b in poses)
+    )
 
 
 def _picture(scene: PosedScene, document: Document, film: Film) -> np.ndarray:
@@ -200,11 +215,13 @@ def _picture(scene: PosedScene, document: Document, film: Film) -> np.ndarray:
     looking = view_camera(document.view, film.width, film.height)
     scene.prepare(document)
     background = TRANSPARENT if film.transparent else settings.background
-    fill = settings.fill and background is None
+    fill = settings.fill and background is None and not document.is_staged
     frame = scene.render(looking, background, supersampling=settings.supersampling, fill=fill)
-    cages = (
-        [edit.posed_cage for edit in document.edits if edit.visible and edit.kind != "remove"] if film.overlay else []
-    )
+    cages = []
+    for thing in document.things if film.overlay else ():
+        if thing.visible:
+            edits = [edit for edit in document.edits_of(thing.id) if edit.visible and edit.kind != "remove"]
+            cages += [Cage(thing.place.moved(edit.posed), edit.faces) for edit in edits]
     if film.transparent:
         return rgba_picture(frame, looking, cages)
     shown = np.clip(frame.rgb, 0.0, 1.0)

@@ -16,19 +16,18 @@ from aiohttp import WSMsgType, web
 from ..core.names import error_line
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
-from .commands import COMMANDS
-from .document import (
+from .checks import (
     MAX_LINE,
     MAX_SECONDS,
-    Edit,
     checked_between,
     checked_flag,
     checked_name,
     checked_vertices,
-    checked_view,
     checked_whole,
     parsed_json,
 )
+from .commands import COMMANDS
+from .document import Edit, checked_view
 from .inspection import Checker
 from .pictures.renderer import Renderer, Request
 from .session import PARTS, Player, Session
@@ -100,7 +99,7 @@ class Server:
             raise
         assert self._runner.addresses
         self.port = self._runner.addresses[0][1]
-        self.renderer = Renderer(self.session.field, self._deliver)
+        self.renderer = Renderer(self.session.fields, self._deliver)
         self.session.listeners.append(self._on_change)
         self._saver = asyncio.create_task(self._save_often())
         self.checker.plan()
@@ -268,6 +267,8 @@ class Server:
             if len(client.slow) >= MAX_SLOW:
                 raise InputError(f"{MAX_SLOW} commands of this page are under way already: wait for them")
             return self.tasks.handle(message)
+        if do == "thing.pick":
+            return self._pick(message)
         self._touched(client)
         if do == "view":
             self._look(client, message)
@@ -276,12 +277,14 @@ class Server:
             self.player.stop()
         if do in COMMANDS:
             session.run(message)
-        elif do in ("drag.begin", "preset.begin"):
+        elif do in ("drag.begin", "preset.begin", "place.begin"):
             self._begin(client, message)
+        elif do == "place.set":
+            self._place(client, message)
         elif do == "preset.set":
             if not session.move_preset(client, message):
                 self._stray(client)
-        elif do in ("drag.end", "preset.end"):
+        elif do in ("drag.end", "preset.end", "place.end"):
             cancel = checked_flag(message.get("cancel", False), "cancel")
             if not session.is_moved_by(client):
                 raise InputError(STRAYED)
@@ -302,8 +305,11 @@ class Server:
         return None
 
     def _begin(self, client: Client, message: dict[str, Any]) -> None:
-        """A hand begins to move a cage."""
+        """A hand begins to move a cage, or a thing."""
         client.strayed = False
+        if message["do"] == "place.begin":
+            self.session.begin_placing(client, message["thing"], checked_name(message.get("label", "move")))
+            return
         edit = self.session.document.edit(message["edit"])
         if message["do"] == "drag.begin":
             self.session.begin_gesture(client, edit.id, checked_name(message.get("label", "move")))
@@ -311,6 +317,20 @@ class Server:
         given = message.get("vertices")
         chosen = None if given is None else checked_vertices(given, len(edit.rest))
         self.session.begin_gesture(client, edit.id, "preset", chosen)
+
+    def _place(self, client: Client, message: dict[str, Any]) -> None:
+        """A hand moves a thing."""
+        if self.session.place(client, message["thing"], message["matrix"]):
+            client.sequence = checked_whole(message["seq"], 0, 2**32 - 1, "seq")
+        else:
+            self._stray(client)
+
+    async def _pick(self, message: dict[str, Any]) -> dict[str, int | None]:
+        """Which thing a click meets, in the scene of the last picture."""
+        across, down = (checked_between(message[name], 0.0, 1.0, name) for name in ("across", "down"))
+        aspect, view = checked_between(message["aspect"], 0.05, 20.0, "aspect"), self.session.document.view
+        answer = self.renderer.ask(lambda scene: scene.thing_at(view, across, down, aspect))
+        return {"thing": await asyncio.wrap_future(answer)}
 
     def _look(self, client: Client, message: dict[str, Any]) -> None:
         """A page looks from somewhere else."""
@@ -332,6 +352,11 @@ class Server:
         """Whether a hand moves a cage, or the film plays."""
         return self.session.moving or self.player.playing
 
+    @property
+    def _edits(self) -> tuple[Edit, ...]:
+        """The edits that pages know: those of the active thing."""
+        return self.session.document.edits_of(self.session.document.selection.thing)
+
     def _on_change(self, names: set[str]) -> None:
         """Collect what changed until the loop is free again."""
         self._changed |= names
@@ -344,20 +369,21 @@ class Server:
 
     def _flush_changes(self) -> None:
         self._flush, changed, self._changed = None, self._changed, set()
-        if changed & {"edits", "vertices", "settings", "view", "playback"}:
+        if changed & {"edits", "vertices", "settings", "view", "playback", "things"}:
             self._request_picture()
         if not self.clients:
             return
-        sections = {name: json.dumps(self._section(name), allow_nan=False) for name in sorted(changed - {"vertices"})}
+        named = sorted(changed - {"vertices", "places"})
+        sections = {name: json.dumps(self._section(name), allow_nan=False) for name in named}
         if "edits" in sections:
-            self._told = {key: array for edit in self.session.document.edits for key, array in _places(edit)}
+            self._told = {key: array for edit in self._edits for key, array in _places(edit)}
         if sections:
             for client in self.clients.values():
                 client.tell_sections(sections)
 
     def _send_vertices(self) -> None:
         """Tell pages where the vertices are that have moved, but for the page whose hand moves them."""
-        for edit in self.session.document.edits:
+        for edit in self._edits:
             for (kind, number), array in _places(edit):
                 if self._told.get((kind, number)) is not array:
                     self._told[kind, number] = array

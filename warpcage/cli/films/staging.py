@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import itertools
 import pathlib
-from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -16,6 +14,7 @@ from ...core.files import require_file
 from ...deform.deformer import Deformer
 from ...deform.stage import Stage
 from ...edits.place import Place, PlaceFile
+from ...edits.stage_file import free_name
 from ...errors import InputError
 from ...splats.io import splat_path
 from ...splats.splat_field import load_field
@@ -104,9 +103,3 @@ def staging_of(
     """What stands beside the field of a command, None where it is alone."""
     several = stage is not None or args.add or getattr(args, "save_stage", None)
     return Staging(args, field, stage, interpolation) if several else None
-
-
-def free_name(name: str, taken: Collection[str]) -> str:
-    """A name that is not taken: the same, or with the first number from 2 that makes it one."""
-    names = itertools.chain([name], (f"{name} {number}" for number in itertools.count(2)))
-    return next(each for each in names if each not in taken)

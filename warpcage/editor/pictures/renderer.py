@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import concurrent.futures
 import dataclasses
 import json
@@ -11,7 +12,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import warp as wp
@@ -27,7 +28,7 @@ from ...view.camera import Camera
 from ...view.frame import Frame
 from ...view.frame_parts import mask_shares, picture
 from ..document import Background, Document
-from .scene import PosedScene, same_pose, view_camera
+from .scene import HIDING_ALPHA, Fields, PosedScene, same_pose, view_camera
 
 #: Seconds that a picture may take while the hand moves, on a CPU and on CUDA.
 MOVING_SECONDS = {"cpu": 0.05, "cuda": 0.022}
@@ -128,9 +129,6 @@ FRAME = 10
 #: Depths along the longest side of a picture, while the hand moves and when it rests.
 DEPTHS_MOVING, DEPTHS_SHARP = 64, 128
 
-#: Pixels of less opacity hide nothing.
-HIDING_ALPHA = 0.5
-
 
 @dataclasses.dataclass(frozen=True)
 class Pixels:
@@ -219,6 +217,9 @@ class Request:
     ground: Background = None  # in place of a field's own background of one colour, here and not in films
 
 
+Answer = TypeVar("Answer")
+
+
 class Superseded(Exception):
     """A newer picture is wanted."""
 
@@ -227,13 +228,15 @@ class Renderer:
     """Renders documents in a thread. Only the newest request counts: others that wait are forgotten.
     `deliver`: called with the header and the message of each frame, from a thread of the renderer."""
 
-    def __init__(self, field: AnyField, deliver: Callable[[dict[str, Any], bytes], None]):
-        self._scene = PosedScene(field)
-        self._field, self._deliver = field, deliver
-        self.pace = Pace(not field.device.is_cpu)
+    def __init__(self, fields: AnyField | Fields, deliver: Callable[[dict[str, Any], bytes], None]):
+        self._fields = Fields.of(fields)
+        self._scene = PosedScene(self._fields)
+        self._field, self._deliver = self._fields.main, deliver
+        self.pace = Pace(not self._field.device.is_cpu)
         self.frames = 0  # that were delivered
         self._changed = threading.Condition()
         self._wanted: Request | None = None
+        self._questions: collections.deque[Callable[[], None]] = collections.deque()
         self._closed = False
         self._times: list[float] = []
         self._warm: set[tuple[Any, ...]] = set()
@@ -248,6 +251,21 @@ class Renderer:
         with self._changed:
             self._wanted = request
             self._changed.notify()
+
+    def ask(self, question: Callable[[PosedScene], Answer]) -> concurrent.futures.Future[Answer]:
+        """Ask the scene of the last picture something, in the renderer's thread, once the present picture is done."""
+        answer: concurrent.futures.Future[Answer] = concurrent.futures.Future()
+
+        def work() -> None:
+            try:
+                answer.set_result(question(self._scene))
+            except BaseException as error:  # goes on in the thread that asked
+                answer.set_exception(error)
+
+        with self._changed:
+            self._questions.append(work)
+            self._changed.notify()
+        return answer
 
     def close(self) -> None:
         """End the thread once its picture is done."""
@@ -283,11 +301,15 @@ class Renderer:
                 self._complain(request, error)
 
     def _next(self, timeout: float | None) -> Request | None:
-        """The newest request, once there is one; None when the time is over."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._wanted is not None or self._closed, timeout)
-            request, self._wanted = self._wanted, None
-            return request
+        """The newest request, once there is one and questions are answered; None when the time is over."""
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._wanted or self._questions or self._closed, timeout)
+                if self._closed or not self._questions:
+                    request, self._wanted = self._wanted, None
+                    return request
+                question = self._questions.popleft()
+            question()
 
     def _rest_seconds(self, request: Request) -> float:
         """How long to wait for a newer request before a sharp picture is begun."""
@@ -347,12 +369,12 @@ class Renderer:
 
     def _warm_up(self, document: Document, effort: Effort) -> None:
         """Load the kernels of a kind of coordinates before anything is timed: the first time they are compiled."""
-        kind = (document.settings.coordinates, bool(document.edits), effort.supersampling > 1)
+        kind = (document.settings.coordinates, bool(document.edits), effort.supersampling > 1, document.is_staged)
         if kind in self._warm:
             return
-        scene = PosedScene(self._field)
+        scene = PosedScene(self._fields)
         scene.prepare(document, COARSE_CELLS[0])
-        frame = scene.render(view_camera(document.view, 16, 12), None, None, effort.supersampling)
+        frame = scene.render(view_camera(document.view, 16, 12), supersampling=effort.supersampling)
         frame_pixels(frame, "rgb", *self._depth_range(document), 16, 12)
         self._warm.add(kind)
 
@@ -364,7 +386,8 @@ class Renderer:
         columns, depths = depth_size(effort.width, effort.height, DEPTHS_SHARP if effort.sharp else DEPTHS_MOVING)
         rows = effort.height
         # a band of splats takes about as long as all of the picture, and filling needs the whole picture
-        banded = isinstance(self._field, VoxelField) and not self._fills(document)
+        voxels = all(isinstance(self._fields.field(one), VoxelField) for one in document.things if one.visible)
+        banded = voxels and not self._fills(document)
         if effort.sharp and self._field.device.is_cpu and banded:
             seconds = self.pace.sharp_seconds(effort, document.settings.coordinates)
             rows = max(8, math.ceil(effort.height / max(1.0, seconds / BAND_SECONDS)))
@@ -386,22 +409,22 @@ class Renderer:
         }
 
     def _frame(self, request: Request, seen: Any, effort: Effort) -> Frame:
-        field, document = self._field, request.document
+        document = request.document
         background = document.settings.background
-        if background is None and field.background_model is None:
+        fields = [self._fields.field(thing) for thing in document.things if thing.visible]
+        if background is None and all(field.background_model is None for field in fields):
             background = request.ground
-        step = effort.step * field.step if effort.step != 1.0 and isinstance(field, VoxelField) else None
         fill = effort.sharp and self._fills(document)
-        return self._scene.render(seen, background, step, effort.supersampling, fill)
+        return self._scene.render(seen, background, effort.step, effort.supersampling, fill)
 
     def _fills(self, document: Document) -> bool:
         """Whether background is filled in sharp pictures of a document."""
-        settings = document.settings
-        return settings.fill and settings.background is None and self._field.background_model is not None
+        settings, around = document.settings, self._field.background_model
+        return settings.fill and settings.background is None and around is not None and not document.is_staged
 
     def _depth_range(self, document: Document) -> tuple[float, float]:
         """Distances between which matter is expected, world units."""
-        low, high = self._field.bounds
+        low, high = self._fields.bounds(document) if document.is_staged else self._field.bounds
         distance = float(np.linalg.norm(np.asarray(document.view.eye) - (low + high) / 2))
         reach = 2.0 * float(np.linalg.norm(high - low))
         return max(distance - reach, 1e-3 * (distance + reach)), distance + reach

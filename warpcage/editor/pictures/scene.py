@@ -12,19 +12,28 @@ import warp as wp
 
 from ...cage.cage import Cage
 from ...cage.walls import cut_faces
+from ...core.arrays import box_corners
 from ...deform.deformer import Deformer
 from ...deform.fill import fill_unseen
+from ...deform.stage import Stage
 from ...edits.edits import CageEdit
+from ...edits.place import seen_from
 from ...errors import InputError
 from ...field.voxel_field import VoxelField
 from ...mesh.validity import require_usable
 from ...splats.splat_field import AnyField
 from ...view.camera import Camera
 from ...view.frame import Frame
-from ..document import Background, Document, Edit, View
+from ..document import MAIN, Background, Document, Edit, Settings, Thing, View
 
 #: Deformers that are kept for one set of edits, one per resolution: a moving hand and a resting one may have two.
 KEPT_DEFORMERS = 2
+
+#: Rows of the picture that a click is taken in: finer than any page's.
+CLICK_ROWS = 4096
+
+#: Pixels of less opacity hide nothing.
+HIDING_ALPHA = 0.5
 
 
 def view_camera(view: View, width: int, height: int) -> Camera:
@@ -34,8 +43,102 @@ def view_camera(view: View, width: int, height: int) -> Camera:
     return dataclasses.replace(looking, fx=focal, fy=focal)
 
 
+def clicked_pixel(view: View, across: float, down: float, aspect: float) -> tuple[tuple[int, int], Camera]:
+    """The pixel of a click, and the camera that it is of; across, down: shares of a page's picture of this aspect."""
+    width, height = round(CLICK_ROWS * aspect), CLICK_ROWS
+    pixel = min(int(across * width), width - 1), min(int(down * height), height - 1)
+    return pixel, view_camera(view, width, height)
+
+
+class Fields:
+    """The fields of a session's things: its own, and others by the names of their files, which copies share."""
+
+    def __init__(self, main: AnyField):
+        self.main = main
+        self.files: dict[str, AnyField] = {}  # seen from the session's folder
+
+    @classmethod
+    def of(cls, fields: AnyField | Fields) -> Fields:
+        """Fields as they are, or of a session with one thing."""
+        return fields if isinstance(fields, Fields) else cls(fields)
+
+    def field(self, thing: Thing) -> AnyField:
+        """The field of a thing. Raises ValueError where it was not read."""
+        if thing.file is None:
+            return self.main
+        if thing.file not in self.files:
+            raise InputError(f"the field of {thing.name!r}, {thing.file}, was not read: it was added elsewhere")
+        return self.files[thing.file]
+
+    def bounds(self, document: Document) -> np.ndarray:
+        """(2, 3) box of all things where they stand, world units; of hidden ones too."""
+        boxes = [thing.place.moved(box_corners(self.field(thing).bounds)) for thing in document.things]
+        return np.stack([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))])
+
+
 class PosedScene:
-    """The scene of a document, posed and ready to be rendered. One thread at a time may use it.
+    """The scene of a document, posed and ready to be rendered. One thread at a time may use it."""
+
+    def __init__(self, fields: AnyField | Fields):
+        self.fields = Fields.of(fields)
+        self._posed: dict[int, PosedThing] = {}  # by the number of the thing
+        self.stage: Stage | None = None  # of the last `prepare`; None for the session's own field in its own place
+
+    def posed(self, number: int) -> AnyField | Deformer:
+        """A thing of the last `prepare` in which it was seen: a Deformer, or its field where that is as it is."""
+        thing = self._posed[number]
+        return thing.deformer or thing.field
+
+    def prepare(self, document: Document, resolution: int | None = None) -> None:
+        """Make the scene of a document's things, edits and settings; where that fails, the scene before stays.
+        `resolution`: cells of the lattices along the longest side of a cage, None is that of the settings."""
+        things = [thing for thing in document.things if thing.visible]
+        for thing in things:
+            field, posed = self.fields.field(thing), self._posed.get(thing.id)
+            if posed is None:
+                posed = self._posed[thing.id] = PosedThing(field)
+            posed.prepare(document.edits_of(thing.id), document.settings, resolution)
+        for gone in set(self._posed) - {thing.id for thing in document.things} - {MAIN}:
+            del self._posed[gone]
+        if things == [document.things[0]] and not document.is_staged:
+            self.stage = None
+            return
+        stage = Stage(device=self.fields.main.device)
+        for thing in things:
+            stage.add(str(thing.id), self.posed(thing.id), place=thing.place)
+        self.stage = stage
+
+    def render(
+        self,
+        camera: Camera,
+        background: Background = None,
+        coarse: float = 1.0,
+        supersampling: int | None = None,
+        fill: bool = False,
+    ) -> Frame:
+        """The view of a camera of the scene that was prepared last; a field without a Deformer has no masks.
+        `coarse`: march steps that are taken as one; for `fill`, of the session's own field alone, see `fill_unseen`."""
+        if self.stage is None:
+            return self._posed[MAIN].render(camera, background, coarse, supersampling, fill)
+        return self.stage.render(camera, background=background, supersampling=supersampling, step_scale=coarse)
+
+    def thing_at(self, view: View, across: float, down: float, aspect: float) -> int | None:
+        """The thing that a click meets first, or None; across, down: shares of a picture of this aspect."""
+        if self.stage is None:
+            return MAIN
+        (x, y), looking = clicked_pixel(view, across, down, aspect)
+        pixels = dataclasses.replace(looking, cx=looking.cx - x, cy=looking.cy - y, width=1, height=1)
+        met = []
+        for name, item in self.stage.items.items():
+            place = item.places.at(0.0)
+            frame = item.thing.render(seen_from(place, pixels), background="transparent", supersampling=1)
+            if float(frame.alpha.mean()) >= HIDING_ALPHA:
+                met.append((float(frame.depth.mean()) * place.scale, int(name)))
+        return min(met)[1] if met else None
+
+
+class PosedThing:
+    """A field and its edits, posed and ready to be rendered. One thread at a time may use it.
     A Deformer is made only when what it is made of changes; a changed pose is posed, an unchanged one left as it is."""
 
     def __init__(self, field: AnyField):
@@ -47,15 +150,14 @@ class PosedScene:
         self._kept: dict[int, Deformer] = {}  # by resolution, the last used one at the end
         self._posed: dict[int, list[np.ndarray]] = {}  # the vertices that each of them is posed with
 
-    def prepare(self, document: Document, resolution: int | None = None) -> None:
-        """Make the scene of a document's edits and settings; where that fails, the scene before stays.
-        `resolution`: cells of the lattices along the longest side of a cage, None is that of the settings."""
-        edits = tuple(edit for edit in document.edits if edit.visible)
-        if not edits or document.settings.mode == "rest":
+    def prepare(self, edits: Sequence[Edit], settings: Settings, resolution: int | None = None) -> None:
+        """Pose the field by edits; where that fails, the pose before stays; see `PosedScene.prepare`."""
+        edits = tuple(edit for edit in edits if edit.visible)
+        if not edits or settings.mode == "rest":
             self.deformer = None
             return
-        cells = document.settings.resolution if resolution is None else resolution
-        options = (document.settings.coordinates, document.settings.density)
+        cells = settings.resolution if resolution is None else resolution
+        options = (settings.coordinates, settings.density)
         same = options == self._options and _same_rest(edits, self._edits)
         rest = self._rest if same else [Cage(edit.rest, edit.faces) for edit in edits]
         posed = [
@@ -87,15 +189,14 @@ class PosedScene:
         self,
         camera: Camera,
         background: Background = None,
-        step: float | None = None,
+        coarse: float = 1.0,
         supersampling: int | None = None,
         fill: bool = False,
     ) -> Frame:
-        """The view of a camera of the scene that was prepared last, or of the field itself, which has no masks.
-        None is the field's own; `step` is world units (splats have none); for `fill` see `fill_unseen`."""
+        """The view of a camera of what was posed last, or of the field itself; see `PosedScene.render`."""
         options: dict[str, Any] = {"background": background, "supersampling": supersampling}
         if isinstance(self.field, VoxelField):
-            options["step"] = step
+            options["step"] = None if coarse == 1.0 else coarse * self.field.step
         frame = (self.field if self.deformer is None else self.deformer).render(camera, **options)
         if not fill or self.deformer is None or not isinstance(self.field, VoxelField):
             return frame

@@ -15,7 +15,7 @@ from aiohttp.http import HttpProcessingError
 
 from ...core.names import error_line
 from ...errors import InputError
-from ..document import MAX_LINE
+from ..checks import MAX_LINE
 from ..tasks import Tasks
 
 #: What a page may do: run our own modules, show pictures made of bytes, talk to us. It may be shown in a notebook.
