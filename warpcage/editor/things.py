@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..cage.cage import Cage
+from ..core.arrays import box_corners
 from ..core.checks import listed
 from ..core.names import PLANES
 from ..deform.stage import Stage
@@ -23,6 +24,7 @@ from ..field.objects import select_object
 from ..field.selection import NodeSelection
 from ..splats.io import is_splat_file
 from ..splats.splat_field import AnyField, load_field
+from ..view.motion import axis_rotation
 from .checks import (
     MAX_KEYS,
     MAX_THINGS,
@@ -39,6 +41,9 @@ from .timeline import place_files
 
 if TYPE_CHECKING:
     from .tasks import Tasks
+
+#: How far a new thing stands from the others, as a share of the larger size.
+BESIDE = 0.05
 
 Message = Mapping[str, Any]
 Step = tuple[str, Document]
@@ -182,6 +187,32 @@ def read_fields(document: Document, main: AnyField, folder: pathlib.Path) -> Fie
     return fields
 
 
+def place_beside(document: Document, fields: Fields, field: AnyField) -> Place:
+    """Where a field stands upright on the ground of all things, beside them."""
+    up, own = np.asarray(fields.main.up, np.float64), np.asarray(field.up, np.float64)
+    matrix = np.eye(4)
+    matrix[:3, :3] = _rotation_onto(own / np.linalg.norm(own), up / np.linalg.norm(up))
+    box = Place.from_matrix(matrix).moved(box_corners(field.bounds))
+    there = box_corners(fields.bounds(document))
+    side = np.eye(3)[0 if abs(up[0]) < 0.9 * np.linalg.norm(up) else 1]
+    side = side - up * (side @ up) / (up @ up)
+    side /= np.linalg.norm(side)
+    gap = BESIDE * max(np.ptp(box @ side), np.ptp(there @ side))
+    move = side * ((there @ side).max() - (box @ side).min() + gap)
+    move += up * ((there @ up).min() - (box @ up).min()) / (up @ up)
+    across = np.cross(up, side) / np.linalg.norm(up)
+    move += across * ((there @ across).mean() - (box @ across).mean())
+    return dataclasses.replace(Place.from_matrix(matrix), position=move)
+
+
+def _rotation_onto(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) that takes a unit vector (3,) to another by the shorter way."""
+    axis, cosine = np.cross(one, other), float(np.clip(one @ other, -1.0, 1.0))
+    if np.linalg.norm(axis) < 1e-9:  # alike, or opposite: about any axis across
+        axis = np.cross(one, np.eye(3)[int(np.argmin(np.abs(one)))])
+    return axis_rotation(axis / np.linalg.norm(axis), float(np.arccos(cosine)))
+
+
 def is_stage(path: str | os.PathLike[str]) -> bool:
     """Whether a file is that of a stage, by its ending."""
     return os.fspath(path).lower().endswith(STAGE_ENDING)
@@ -311,11 +342,18 @@ class ThingTasks:
         """Another field of the session's folder, in its own place or a given one."""
         tasks, session = self._tasks, self._tasks.session
         path, place = tasks.path_of(message["file"]), checked_place(message.get("place", {}))
+        beside = checked_flag(message.get("beside", False), "beside")
         name = checked_name(message.get("name") or path.name.split(".")[0])
         fields = session.fields
         if path.name not in fields.files:
             fields.files[path.name] = await tasks.read(lambda: load_field(path, device=session.field.device))
-        await tasks.change(lambda document: with_new_thing(document, name, path.name, place))
+        added = fields.files[path.name]
+
+        def add(document: Document) -> Step:
+            where = place_beside(document, fields, added) if beside else place
+            return with_new_thing(document, name, path.name, where)
+
+        await tasks.change(add)
 
     async def _save(self, message: dict[str, Any]) -> dict[str, str]:
         """Write the scene as a stage file."""

@@ -6,6 +6,7 @@ import * as C from "./cages.js";
 import { ballAt, handleAt } from "./gizmo.js";
 import * as operation from "./operation.js";
 import * as S from "./selecting.js";
+import * as things from "./things.js";
 import { camera, compass, gizmo, overlay, requestDraw } from "./viewport.js";
 
 const MOUSE = { reach: 11, slack: 4 }; // pixels: how near counts as on it, how far counts as a drag
@@ -53,6 +54,11 @@ const placeOf = (event) => {
   const box = canvas.getBoundingClientRect();
   return [event.clientX - box.left, event.clientY - box.top];
 };
+/** A place as shares of the picture across and down, and the picture's aspect. */
+function sharesOf([x, y]) {
+  const { width, height } = canvas.getBoundingClientRect();
+  return { across: x / width, down: y / height, aspect: width / height };
+}
 const wayOf = (event) => (event.shiftKey ? "add" : event.ctrlKey || event.metaKey ? "remove" : "replace");
 const tolerances = (event) => (event.pointerType === "touch" ? FINGER : MOUSE);
 const details = (event) => ({ slow: event.shiftKey, flip: event.ctrlKey || event.metaKey, time: event.timeStamp });
@@ -74,8 +80,7 @@ function onDown(event) {
   if (gesture) return;
   event.preventDefault();
   if (wanted && event.button === 0 && !event.altKey) {
-    const { width, height } = canvas.getBoundingClientRect();
-    return wanted({ across: at[0] / width, down: at[1] / height, aspect: width / height });
+    return wanted(sharesOf(at));
   }
   if (operation.current()) {
     if (event.button === 0) operation.finish();
@@ -116,6 +121,13 @@ function beginTransform(event, at, handle) {
 /** What a press becomes once the pointer has moved: a move of the selection, a turn of the view, or a region. */
 function decide(event, at) {
   const { element, way } = gesture;
+  if (things.isPlacing()) {
+    if (things.isOverBox(camera(), ...gesture.at)) {
+      beginTransform(event, gesture.at, { kind: "move", allowed: [true, true, true] });
+      if (gesture.kind === "transform") operation.follow(at, details(event));
+    } else gesture = { ...gesture, kind: "turn", at };
+    return;
+  }
   const isSelected = element && element.cage === C.activeCage() && element.vertices.every((i) => C.selected().has(i));
   // An unselected face is ground to draw a rectangle on; beneath a finger, what is not selected is ground to turn on
   const isThin = element?.mode === "vertex" && event.pointerType !== "touch";
@@ -174,7 +186,8 @@ function onUp(event) {
   if (!gesture || event.pointerId !== gesture.id) return;
   const ended = gesture;
   gesture = null;
-  if (ended.kind === "press") S.clicked(ended.element, ended.way);
+  if (ended.kind === "press" && things.isPlacing()) things.chooseAt(sharesOf(ended.at));
+  else if (ended.kind === "press") S.clicked(ended.element, ended.way);
   else if (ended.kind === "transform") operation.finish();
   else if (ended.kind === "turn") hideHint();
   else if (ended.kind === "region") {
