@@ -187,7 +187,10 @@ function onUp(event) {
   const ended = gesture;
   gesture = null;
   if (ended.kind === "press" && things.isPlacing()) things.chooseAt(sharesOf(ended.at));
-  else if (ended.kind === "press") S.clicked(ended.element, ended.way);
+  else if (ended.kind === "press") {
+    S.clicked(ended.element, ended.way);
+    if (!ended.element && ended.way === "replace") things.chooseAt(sharesOf(ended.at));
+  }
   else if (ended.kind === "transform") operation.finish();
   else if (ended.kind === "turn") hideHint();
   else if (ended.kind === "region") {
