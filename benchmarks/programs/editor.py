@@ -357,6 +357,7 @@ def pictures(args) -> None:
     out = pathlib.Path(args.out)
     with tempfile.TemporaryDirectory() as temporary:
         session = pathlib.Path(temporary) / "excavator.session.json"
+        shutil.copy(field, session.with_name("small.npz"))
         with warpcage.edit(field, warpcage.Cage.load(cage), session=session) as opened, chromium(1280, 800) as driver:
             photograph(Window(driver, opened.url), out)
 
@@ -410,6 +411,23 @@ def photograph(window, out: pathlib.Path) -> None:
     window.click("#panel-toggle")
     resize(window, 820, 1180)
     keep(window, out / "editor_tablet.png")
+
+    light = {"features": [{"name": "prefers-color-scheme", "value": "light"}]}
+    window.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", light)
+    resize(window, 1280, 800)
+    window.click("#panel-toggle")
+    window.press("Shift+D")
+    window.unfold("things")
+    window.click("#thing-add")
+    window.wait("document.getElementById('ask-file')")
+    window.click("#dialog-confirm")
+    window.wait("warpcage.store.sections.things.length === 2 && !document.querySelector('dialog')")
+    window.click("#mode label:has([value=place])")
+    window.click("#tool-move")
+    for field, number in (("turn-z", "150"), ("scale", "0.5"), ("position-y", "-0.6")):
+        window.fill(f"#thing-{field}", f"{number}\n")
+    window.press("Home")
+    keep(window, out / "editor_things.png")
 
 
 def select_right(window) -> int:
