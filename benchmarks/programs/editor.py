@@ -474,7 +474,7 @@ def keep(window, path: pathlib.Path) -> None:
     window.wait(
         "warpcage.viewport.picture.height === Math.round(arguments[0])", "a picture of this size", box["height"]
     )
-    window.wait("!warpcage.store.sections.check.pending", "the cage is checked")
+    window.wait("!warpcage.store.sections.check?.pending", "the cage is checked")
     window.rest()
     window.point("mouseMoved", [box["left"] + 5, box["bottom"] - 5])
     shot(window, path)

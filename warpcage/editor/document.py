@@ -292,7 +292,7 @@ class Document:
     @property
     def is_staged(self) -> bool:
         """Whether there is more than the session's own field in its own place."""
-        return len(self.things) > 1 or self.things[0].place != Place()
+        return [thing.place for thing in self.things] != [Place()]
 
     def key(self, number: int) -> Key:
         """A key by its number. Raises ValueError where there is none."""
