@@ -14,7 +14,7 @@ const columns = (matrix) => [0, 1, 2].map((k) => [matrix[0][k], matrix[1][k], ma
 export const axesOf = (matrix) => columns(matrix).map((column) => times(column, 1 / scaleOf(matrix)));
 
 /** A view of the scene in the coordinates of a thing. */
-export function viewIn(matrix, view) {
+export function viewWithin(matrix, view) {
   const axes = axesOf(matrix);
   const turn = (a) => axes.map((axis) => dot(axis, a));
   const place = (p) => times(turn(subtract(p, [matrix[0][3], matrix[1][3], matrix[2][3]])), 1 / scaleOf(matrix));

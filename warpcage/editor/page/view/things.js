@@ -4,7 +4,7 @@ import { store } from "../core/store.js";
 import { ask, guard, isCongested, nextSequence, request, send, when } from "../core/connection.js";
 import { toast } from "../core/dialogs.js";
 import { projectAll } from "../geometry/camera.js";
-import { BOX_EDGES, axesOf, cornersOf, followed, placedAll, viewIn } from "../geometry/place.js";
+import { BOX_EDGES, axesOf, cornersOf, followed, placedAll, viewWithin } from "../geometry/place.js";
 import { bounds, distance } from "../geometry/vectors.js";
 
 const INK = { active: "#ff9a1f", other: "rgba(190, 205, 225, 0.75)", rim: "rgba(0, 0, 0, 0.5)", label: "rgba(30, 38, 50, 0.75)" };
@@ -38,7 +38,7 @@ const isStill = (matrix) => String(matrix) === String(IDENTITY);
 /** A view of the scene in the coordinates of the active thing, in which its cages are. */
 export function viewOfActive(view) {
   const matrix = matrixOf(activeThing());
-  return isStill(matrix) ? view : viewIn(matrix, view);
+  return isStill(matrix) ? view : viewWithin(matrix, view);
 }
 
 /** Flat points of the active thing in the scene. */
