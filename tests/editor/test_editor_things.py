@@ -434,6 +434,18 @@ def test_two_pages_of_a_hand_that_has_gone(folder):
     with_pages(test, folder, count=2, session=session)
 
 
+def test_a_scene_of_which_nothing_is_shown_says_so_until_something_is(folder):
+    session = session_in(folder)
+
+    async def test(server, page):
+        await page.do(do="thing.change", id=MAIN, visible=False)
+        await page.until(lambda: page.frames and "shows nothing" in (page.frames[-1]["error"] or ""))
+        await page.do(do="thing.change", id=MAIN, visible=True)
+        await page.until(lambda: page.frames[-1]["error"] is None)
+
+    with_pages(test, folder, session=session)
+
+
 def test_a_new_session_has_one_thing():
     session = new_session()
     assert session.document.things == (Thing(MAIN, "scene"),) and session.active_field is session.field
