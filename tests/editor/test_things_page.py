@@ -97,6 +97,15 @@ def test_a_thing_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, 
     window.drag([on_page(window, editor.document.thing(number).place.position)])
     window.wait("warpcage.store.sections.selection.thing === arguments[0]", "the green one is picked", number)
 
+    window.press("T")  # where cages are posed a click beside them picks too
+    window.wait('warpcage.store.sections.settings.mode === "pose"')
+    window.drag([ball])
+    window.wait("warpcage.store.sections.selection.thing === arguments[0]", "the ball is picked", MAIN)
+    window.drag([on_page(window, editor.document.thing(number).place.position)])
+    window.wait("warpcage.store.sections.selection.thing === arguments[0]", "the green one is picked", number)
+    window.press("T")
+    window.wait('warpcage.store.sections.settings.mode === "place"')
+
     # a second key, and a film of both
     window.fill("#time", "1\n")
     until(lambda: editor.document.time == 1.0, "one second")
