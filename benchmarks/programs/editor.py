@@ -44,6 +44,8 @@ MOST_BYTES = 200_000
     option("--coordinates", default="harmonic"),
     option("--resolution", type=int, help="cells of the lattice (default: the session's)"),
     option("--seconds", type=float, default=10.0, help="of dragging (default: %(default)s)"),
+    option("--things", type=int, default=1, help="fields in the scene, each read from a file (default: %(default)s)"),
+    option("--places", action="store_true", help="drag a thing as a whole instead of a cage, without --browser"),
     option("--browser", action="store_true", help="drag with a mouse in headless Chromium"),
     option("--screenshot", help="where a picture of the page goes (.png), with --browser"),
     JSON,
@@ -62,8 +64,10 @@ def drags(args) -> None:
     """
     if (args.field is None) != (args.cage is None):
         raise UsageError("--field and --cage go together")
-    with editor(args) as url:
+    with editor(args) as (url, process):
         found = by_browser(url, args) if args.browser else asyncio.run(by_socket(url, args))
+        status = pathlib.Path(f"/proc/{process}/status").read_text()
+        found |= {"things": args.things, "memory_peak_mb": int(status.split("VmHWM:")[1].split()[0]) // 1024}
     for name, value in found.items():
         print(f"{name:22} {value}")
     if args.json:
@@ -72,16 +76,23 @@ def drags(args) -> None:
 
 @contextlib.contextmanager
 def editor(args: argparse.Namespace):
-    """The address of an editor that runs in a process of its own."""
+    """The address and the number of a process in which an editor runs."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = pathlib.Path(temporary)
         words = [sys.executable, "-X", "faulthandler", "-m", "warpcage", "edit", "--no-browser", "--port", "0"]
         words += ["--device", args.device] if args.device else []
         if args.field is None:
+            from warpcage.core import resolve_device
+            from warpcage.editor import demo_files
+
+            field = demo_files(resolve_device(args.device))[0]
             words += ["--demo", "--session", str(folder / "demo.session.json")]
         else:
-            shutil.copy(args.field, folder / "field.npz")
+            field = pathlib.Path(args.field)
+            shutil.copy(field, folder / "field.npz")
             words += [str(folder / "field.npz"), "--cage", args.cage]
+        for number in range(2, args.things + 1):
+            shutil.copy(field, folder / f"thing{number}.npz")
         server = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         try:
             assert server.stdout is not None
@@ -90,7 +101,9 @@ def editor(args: argparse.Namespace):
                 address = server.stdout.readline()
                 if not address and server.poll() is not None:
                     raise SystemExit("the editor did not start")
-            yield next(word for word in address.split() if word.startswith("http"))
+            url = next(word for word in address.split() if word.startswith("http"))
+            asyncio.run(add_things(url, args.things))
+            yield url, server.pid
         finally:
             server.terminate()  # a shell's background jobs, and what they start, do not hear Ctrl-C
             require_end(server)
@@ -104,6 +117,23 @@ def require_end(server: subprocess.Popen) -> None:
         server.send_signal(signal.SIGABRT)  # faulthandler writes the stacks to stderr
         server.wait()
         raise SystemExit(f"the editor did not end within {END_SECONDS:g} s") from None
+
+
+async def add_things(url: str, count: int) -> None:
+    """Add the other fields beside the first one, which stays the active thing."""
+    import aiohttp
+
+    async with aiohttp.ClientSession() as http, http.ws_connect(url + "socket", max_msg_size=0) as socket:
+        words = [{"do": "thing.add", "file": f"thing{number}.npz", "beside": True} for number in range(2, count + 1)]
+        for number, message in enumerate([*words, {"do": "thing.select", "id": 0}]):
+            await socket.send_str(json.dumps({**message, "n": number}))
+            while True:
+                heard = await socket.receive()
+                reply = json.loads(heard.data) if heard.type == aiohttp.WSMsgType.TEXT else {}
+                if reply.get("n") == number:
+                    break
+            if "error" in reply:
+                raise SystemExit(reply["error"])
 
 
 class Hand:
@@ -166,13 +196,22 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
             await asyncio.sleep(0.01)
             if listening.done():
                 listening.result()
-        await say(do="drag.begin", edit=edit["id"], label="drag")
+        if args.places:
+            await say(do="place.begin", thing=0, label="drag")
+        else:
+            await say(do="drag.begin", edit=edit["id"], label="drag")
         start = time.perf_counter()
         for number in range(1, int((WARM + args.seconds) * RATE) + 1):
             await asyncio.sleep(max(0.0, start + number / RATE - time.perf_counter()))
-            pose = hand.at(number / RATE).astype("<f8").tobytes()
+            pose = hand.at(number / RATE)
             sent[number] = time.perf_counter()
-            await socket.send_bytes(struct.pack("<4I", 2, number, edit["id"], vertices) + pose)
+            if args.places:
+                place = np.eye(4)
+                place[:3, 3] = (pose - hand.rest).mean(axis=0)
+                await say(do="place.set", thing=0, matrix=place.tolist(), seq=number)
+            else:
+                header = struct.pack("<4I", 2, number, edit["id"], vertices)
+                await socket.send_bytes(header + pose.astype("<f8").tobytes())
         end = time.perf_counter()
         while shown[-1][1] < number and time.perf_counter() < end + 120.0:
             await asyncio.sleep(0.01)
@@ -318,6 +357,7 @@ def pictures(args) -> None:
     out = pathlib.Path(args.out)
     with tempfile.TemporaryDirectory() as temporary:
         session = pathlib.Path(temporary) / "excavator.session.json"
+        shutil.copy(field, session.with_name("small.npz"))
         with warpcage.edit(field, warpcage.Cage.load(cage), session=session) as opened, chromium(1280, 800) as driver:
             photograph(Window(driver, opened.url), out)
 
@@ -372,10 +412,27 @@ def photograph(window, out: pathlib.Path) -> None:
     resize(window, 820, 1180)
     keep(window, out / "editor_tablet.png")
 
-    window.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
-    window.click("#panel-toggle")
+    light = {"features": [{"name": "prefers-color-scheme", "value": "light"}]}
+    window.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", light)
     resize(window, 1280, 800)
+    window.click("#panel-toggle")
     window.press("Shift+D")
+    window.unfold("things")
+    window.click("#thing-add")
+    window.wait("document.getElementById('ask-file')")
+    window.click("#dialog-confirm")
+    window.wait("warpcage.store.sections.things.length === 2 && !document.querySelector('dialog')")
+    window.click("#mode label:has([value=place])")
+    window.click("#tool-move")
+    for field, number in (("turn-z", "150"), ("scale", "0.5"), ("position-y", "-0.6")):
+        window.fill(f"#thing-{field}", f"{number}\n")
+    window.press("Home")
+    keep(window, out / "editor_things.png")
+
+    window.click("#mode label:has([value=pose])")
+    window.click("#thing-remove")
+    window.wait("warpcage.store.sections.things.length === 1")
+    window.press("Home")
     make_parts(window)
     keep(window, out / "editor_parts.png")
 
@@ -450,7 +507,7 @@ def keep(window, path: pathlib.Path) -> None:
     window.wait(
         "warpcage.viewport.picture.height === Math.round(arguments[0])", "a picture of this size", box["height"]
     )
-    window.wait("!warpcage.store.sections.check.pending", "the cage is checked")
+    window.wait("!warpcage.store.sections.check?.pending", "the cage is checked")
     window.rest()
     window.point("mouseMoved", [box["left"] + 5, box["bottom"] - 5])
     shot(window, path)

@@ -201,3 +201,33 @@ def test_an_interrupt_in_the_middle_of_a_drag_ends_it_with_the_session_saved(fil
     assert process.returncode == 130 and "Traceback" not in err, err
     (one,) = read_session(pathlib.Path(files / "ball.session.json")).edits
     np.testing.assert_allclose(one.posed, BOX.vertices * 1.3)
+
+
+def test_a_stage_file_is_opened_with_all_of_its_things_and_its_film_is_made(files, opened, capsys):
+    """`animate --session` renders what the editor has of it."""
+    moving = files / "moving.json"
+    moving.write_text('{"keys": [{"time": 0}, {"time": 1, "position": [0, 0, 1]}]}')
+    command = (
+        "render",
+        "@ball.npz",
+        "--add",
+        f"{files / 'ball.npz'}:{moving}",
+        "-o",
+        "@both.png",
+        "--size",
+        "16",
+        "12",
+    )
+    assert run(files, *command, "--save-stage", "@both.stage.json") == 0
+    assert edit(files, "@both.stage.json", "--cage", "@cage.obj") == 2
+    assert "cages of their own" in capsys.readouterr().err
+    assert edit(files, "@both.stage.json") == 130
+    (editor,) = opened
+    assert [thing.name for thing in editor.document.things] == ["ball", "ball 2"]
+    assert (files / "both.stage.session.json").is_file() and editor.session.field_path == files / "ball.npz"
+    session = ("animate", "@ball.npz", "--session", "@both.stage.session.json")
+    assert run(files, *session, "-o", "@film", "--size", "16", "12") == 0
+    assert len(list((files / "film").iterdir())) == 25
+    assert run(files, *session, "--jobs", "@film.jsonl") == 2
+    assert "goes with a field in its own place" in capsys.readouterr().err
+    assert edit(files, "@both.stage.json", "--new") == 130

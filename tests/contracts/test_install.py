@@ -220,5 +220,5 @@ def test_what_the_package_needs_at_once_is_listed():
             for name in names:
                 imported[name.split(".")[0]].add(path.parent.name)
     # the rooms of the editor's server are loaded once the extra has been looked for
-    assert imported.pop("aiohttp") == {"editor"}
+    assert imported.pop("aiohttp") == {"editor", "web"}
     assert set(imported) - set(sys.stdlib_module_names) - {"warpcage"} == set(NEEDED)

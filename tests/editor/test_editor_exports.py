@@ -39,7 +39,7 @@ from warpcage.editor import (
     view_camera,
     write_session,
 )
-from warpcage.editor import renderer as scene_module
+from warpcage.editor.pictures import scene as scene_module
 from warpcage.films import Look, atomic_folder
 
 VIEW = View((2.5, 1.2, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)

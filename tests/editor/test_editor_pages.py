@@ -17,17 +17,8 @@ from scenes import LAMP, TableScene
 
 from warpcage import Cage
 from warpcage.cage import UpAxis
-from warpcage.editor import (
-    Document,
-    Session,
-    clients,
-    inspection,
-    new_document,
-    read_session,
-    server,
-    tasks,
-    view_camera,
-)
+from warpcage.editor import Document, Session, inspection, new_document, read_session, server, tasks, view_camera
+from warpcage.editor.web import clients
 
 REST = BOX.vertices
 

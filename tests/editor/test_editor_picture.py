@@ -29,7 +29,7 @@ from warpcage.editor import (
     same_pose,
     view_camera,
 )
-from warpcage.editor import renderer as renderer_module
+from warpcage.editor.pictures import renderer as renderer_module
 
 simplejpeg = pytest.importorskip("simplejpeg")
 

@@ -250,7 +250,7 @@ UPLOADS = {
     "x" * 300 + ".obj": "x" * 120 + ".obj",
     "ä" * 200 + ".json": "ä" * 60 + ".json",
     "script.html": None,
-    "field.npz": None,
+    "field.npz": "field.npz",
     "cage": None,
     "": None,
     ".obj": None,

@@ -39,10 +39,10 @@ def test_a_pose_is_that_of_the_deformer(splats):
     document, scene = posed_document(splats, posed), PosedScene(splats)
     view = view_camera(document.view, 60, 40)
     scene.prepare(new_document(splats, [], 16))
-    assert (scene.render(view, step=3.0).rgb == splats.render(view).rgb).all()
+    assert (scene.render(view, coarse=3.0).rgb == splats.render(view).rgb).all()
     scene.prepare(document)
     expected = Deformer(splats, BOX, coordinates=document.settings.coordinates, resolution=16).pose(posed)
-    frame = scene.render(view, "white", None, 2)
+    frame = scene.render(view, "white", supersampling=2)
     assert np.allclose(frame.rgb, expected.render(view, background="white", supersampling=2).rgb, atol=1e-6)
     assert np.abs(frame.rgb - splats.render(view, background="white", supersampling=2).rgb).max() > 0.2
 

@@ -451,9 +451,8 @@ def test_a_fit_says_what_it_will_take(scene, device, capsys, monkeypatch):
     assert "fast" not in said[0]
     monkeypatch.setattr(schedule.Pace, "left", lambda pace: 1000.0)  # on a CPU a quicker fit is named
     fit(scene, device=device, least_steps=60)
-    said = re.findall(
-        r"a fast fit of pictures shrunk \d+ times takes about (\d+) (s|min)$", capsys.readouterr().err, re.M
-    )
+    quicker = re.compile(r"a fast fit of pictures shrunk \d+ times takes about (\d+) (s|min)$", re.MULTILINE)
+    said = quicker.findall(capsys.readouterr().err)
     if wp.get_device(device).is_cpu:
         assert [int(count) * {"s": 1, "min": 60}[unit] <= 600 for count, unit in said] == [True]
     else:

@@ -21,8 +21,9 @@ from ..core.reports import bar
 from ..editor.document import Document
 from ..editor.exports import DEFAULT_SIZE, export_film, film_look
 from ..editor.exports import Film as SessionFilm
-from ..editor.renderer import view_camera
+from ..editor.pictures.scene import view_camera
 from ..editor.session import read_session
+from ..editor.things import read_fields, require_alone
 from ..editor.timeline import document_at, frame_rate, frame_times
 from ..edits.place import PlaceFile
 from ..errors import InputError
@@ -219,7 +220,9 @@ def _run_session(args: argparse.Namespace) -> None:
         args.device = "cpu"  # nothing is rendered
     field = require_voxels(shared.read_field(args), "--session")
     document = read_session(args.session, field)
+    fields = read_fields(document, field, pathlib.Path(args.session).resolve().parent)
     if jobs is not None:
+        require_alone(document, "--jobs")
         job, frames = session_job(document, field, film, args.field, args.scene_scale)
         _say_jobs(jobs, job.write(jobs, frames), view_camera(document.view, width, height))
         return
@@ -229,7 +232,7 @@ def _run_session(args: argparse.Namespace) -> None:
         def report(share: float | None, text: str) -> None:
             shown.update(round((share or 0.0) * shown.total) - shown.n)
 
-        count = export_film(document, field, output, film, report)
+        count = export_film(document, fields, output, film, report)
     print(f"wrote {output}: {counted(count, 'frame')} of {size_text(width, height, output)}")
     if len(document.timeline.keys) < 2 and count > 1:
         print(

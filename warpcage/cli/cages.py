@@ -27,6 +27,7 @@ from ..core.checks import checked_bounds
 from ..core.files import require_file
 from ..core.names import counted
 from ..editor.session import free_session_path, session_path
+from ..editor.things import stage_field
 from ..errors import InputError
 from ..field.closer import is_splats, matter_around
 from ..field.selection import NodeSelection, select_nodes
@@ -519,7 +520,8 @@ def run_edit(args: argparse.Namespace) -> None:
         raise InputError(
             f"{str(kept)!r} holds a session of this field: leave {option} out to go on with it, or give --new"
         )
-    field = load_field(args.field, scene_scale=args.scene_scale, device=device)
+    own = stage_field(pathlib.Path(args.field)) if shared.is_stage(args.field) else args.field
+    field = load_field(own, scene_scale=args.scene_scale, device=device)
     cages = [read_rest(path, args.cage_up, field, part=True, name=args.cage_object)[0] for path in args.cage or ()]
     if args.selection:
         cages.append(Cage.from_field(NodeSelection.load(args.selection, field)))

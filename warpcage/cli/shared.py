@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 import pathlib
 import re
-from collections.abc import Collection
 from fractions import Fraction
 from typing import Any
 
@@ -22,11 +20,12 @@ from ..core.files import read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
 from ..deform.deformer import Deformer
 from ..deform.stage import Stage
+from ..editor.document import MAIN
 from ..editor.session import FORMAT as SESSION_FORMAT
 from ..editor.session import read_session
 from ..edits.edits import MOST_CELLS, picture_cells
 from ..edits.place import Place
-from ..edits.stage_file import STAGE_ENDING
+from ..edits.stage_file import STAGE_ENDING, free_name
 from ..edits.words import EditWords, held_walls
 from ..errors import InputError
 from ..films import render
@@ -158,8 +157,8 @@ def is_session(path: str) -> bool:
 
 
 def session_edits(path: str, interpolation: str | None = None) -> tuple[Deformation, list[str]]:
-    """The visible edits of a session of the editor, in the poses that it was left in, and a line on each edit."""
-    visible = [edit for edit in read_session(path).edits if edit.visible]
+    """The visible edits of a session's own field, in the poses that it was left in, and a line on each edit."""
+    visible = [edit for edit in read_session(path).edits_of(MAIN) if edit.visible]
     if not visible:
         raise InputError(f"{path}: the session has no visible edit")
     parts = []
@@ -371,9 +370,3 @@ def things_of(
             moving.append((thing, deformation))
         stage.add(name, thing, place=place, path=path)
     return Things(stage, of_file=of_file, moving=moving)
-
-
-def free_name(name: str, taken: Collection[str]) -> str:
-    """A name that is not taken: the same, or with the first number from 2 that makes it one."""
-    names = itertools.chain([name], (f"{name} {number}" for number in itertools.count(2)))
-    return next(each for each in names if each not in taken)

@@ -14,12 +14,20 @@ from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
 from ..core.arrays import box_corners, empty_array
-from ..core.checks import checked_flag, checked_number, checked_path, checked_whole, listed, require_type
+from ..core.checks import (
+    checked_flag,
+    checked_number,
+    checked_path,
+    checked_positive,
+    checked_whole,
+    listed,
+    require_type,
+)
 from ..core.devices import launch, resolve_device
 from ..core.files import PathLike, require_file
 from ..core.locks import in_turn
 from ..edits.edits import CageEdit
-from ..edits.place import Place, PlaceFile, as_places
+from ..edits.place import Place, PlaceFile, as_places, seen_from
 from ..edits.stage_file import deformation_json, read_deformation, read_stage_file, write_stage_file
 from ..errors import InputError
 from ..field.mixing import mixed_field
@@ -241,6 +249,7 @@ class Stage:
         background: str | ArrayLike | None = None,
         supersampling: int | None = None,
         antialias: bool | None = None,
+        step_scale: float = 1.0,
     ) -> Frame:
         """The view of a camera of all that is not hidden, at `time`.
 
@@ -250,6 +259,8 @@ class Stage:
                 has surroundings, or else the first thing's own colour.
             supersampling: Rays along each side of a pixel. None is that of the field which takes most.
             antialias: Of splats only; see `SplatField.render`. None is each field's own.
+            step_scale: Of voxels only: how many times as long as its own the march steps of each field are, above 0.
+                More than 1 is faster and coarser.
 
         Returns:
             The frame, its arrays on the device. Depth is in world units of the stage, the mean of what is seen, each
@@ -269,29 +280,24 @@ class Stage:
             color = view_background(background)
         else:
             color = items[0].field.background if model is None else np.zeros(3, np.float32)
-        frames = [self._view(item, fine, antialias) for item in items]
+        step_scale = checked_positive(step_scale, "step_scale")
+        frames = [self._view(item, fine, antialias, step_scale) for item in items]
         scales = [self._placed(item).scale for item in items]
         unit = None if around is None or model is None else self._placed(around).scale
         frame, depth = self._composed(frames, scales, color, unit)
         if around is not None and model is not None:
             masks = [array for name, array in frame.arrays.items() if name not in PART_NAMES]
-            view, (rgb, alpha) = self._seen_from(around, fine), (frame.arrays["rgb"], frame.arrays["alpha"])
+            view, (rgb, alpha) = seen_from(self._placed(around), fine), (frame.arrays["rgb"], frame.arrays["alpha"])
             model.add_around(view, rgb, alpha, depth, masks)
         return average_frame(frame, side).seen_by(camera, None if model else color, background)
 
-    def _view(self, item: StageItem, camera: Camera, antialias: bool | None) -> Frame:
+    def _view(self, item: StageItem, camera: Camera, antialias: bool | None, step_scale: float) -> Frame:
         """What a camera of the stage sees of a thing alone, on black."""
-        splats: dict[str, Any] = {"antialias": antialias} if isinstance(item.field, SplatField) else {}
-        return item.thing.render(self._seen_from(item, camera), background="transparent", supersampling=1, **splats)
-
-    def _seen_from(self, item: StageItem, camera: Camera) -> Camera:
-        """The camera in the coordinates of a thing: its rays are the same, its depths shorter by the scale."""
-        place, pose = self._placed(item), np.eye(4)
-        if place == Place():
-            return camera
-        pose[:3, :3] = place.rotation.T @ camera.rotation
-        pose[:3, 3] = place.rotation.T @ (camera.center - place.position) / place.scale
-        return dataclasses.replace(camera, camera_to_world=pose)
+        options: dict[str, Any] = {"antialias": antialias}
+        if isinstance(item.field, VoxelField):
+            options = {} if step_scale == 1.0 else {"step": step_scale * item.field.step}
+        seen = seen_from(self._placed(item), camera)
+        return item.thing.render(seen, background="transparent", supersampling=1, **options)
 
     @in_turn
     def _composed(

@@ -9,22 +9,25 @@ __getattr__, __dir__, __all__ = lazy_exports(
     {
         "commands": "COMMANDS moved_keys moved_rest preset_pose replace_cage run_command slide",
         "demo": "demo_files",
-        "document": (
-            "Document Key MAX_ID MAX_PLACE Selection Settings Timeline View checked_view frozen_vertices "
-            "new_edit parsed_json"
-        ),
+        "checks": "MAX_ID MAX_PLACE frozen_vertices parsed_json",
+        "document": "Document Key MAIN Selection Settings Thing Timeline View checked_view new_edit",
         "edit": "Editor",
         "exports": ("Film export_baked export_cage export_command export_film export_poses film_pictures"),
         "inspection": "Inspector inspect inspector",
-        "renderer": (
-            "COARSE_CELLS FRAME LEAST_SIDE Pace PosedScene Renderer Request band_camera depth_size "
-            "frame_pixels joined_pixels packed_frame same_pose view_camera"
+        "pictures.renderer": (
+            "COARSE_CELLS FRAME LEAST_SIDE Pace Renderer Request band_camera depth_size frame_pixels joined_pixels "
+            "packed_frame"
         ),
+        "pictures.scene": "Fields PosedScene same_pose view_camera",
         "server": "Server",
         "session": (
             "DEPTH History Session file_stamp free_session_path new_document read_session session_path write_session"
         ),
         "tasks": "Cancelled Jobs MAX_JOBS MAX_UNFINISHED Outcome",
-        "timeline": "document_at frame_rate frame_times load_poses looped_time pose_file state_at ways with_pose_file",
+        "things": "field_files read_fields stage_of with_new_thing with_stage",
+        "timeline": (
+            "document_at frame_rate frame_times load_poses looped_time place_files placed_at pose_file state_at ways "
+            "with_pose_file"
+        ),
     },
 )

@@ -15,31 +15,34 @@ from ..core.checks import AXES, checked_easing
 from ..core.names import FRAGMENTS_WORD, LOOPS
 from ..edits.edits import MAX_EDITS
 from ..errors import InputError
-from .document import (
-    KINDS,
+from . import things
+from .checks import (
     MAX_KEYS,
     MAX_NAME,
     MAX_PLACE,
     MAX_RATE,
     MAX_SECONDS,
     MAX_VERTICES,
-    Document,
-    Edit,
-    Key,
-    Selection,
-    Sliders,
     checked_between,
     checked_choice,
     checked_flag,
     checked_items,
     checked_name,
-    checked_selection,
-    checked_settings,
     checked_triple,
     checked_vertices,
-    checked_walls,
     checked_whole,
     frozen_vertices,
+)
+from .document import (
+    KINDS,
+    Document,
+    Edit,
+    Key,
+    Selection,
+    Sliders,
+    checked_selection,
+    checked_settings,
+    checked_walls,
     new_edit,
 )
 
@@ -55,9 +58,9 @@ PRESETS = {"bend": 0.0, "twist": 0.0, "taper": 1.0, "stretch": 1.0}
 
 
 def select(document: Document, message: Message) -> Step:
-    """Select vertices of an edit, which becomes the active one."""
-    sizes = {edit.id: len(edit.rest) for edit in document.edits}
-    return "select", dataclasses.replace(document, selection=checked_selection(message, sizes))
+    """Select vertices of an edit, which becomes the active one, as does its thing; or a thing alone."""
+    selection = checked_selection(message, document.edits, document.things, document.selection.thing)
+    return "select", dataclasses.replace(document, selection=selection)
 
 
 def change_settings(document: Document, message: Message) -> Step:
@@ -172,7 +175,8 @@ def box_selection(document: Document, message: Message) -> Step:
     low, high = edit.rest[chosen].min(axis=0), edit.rest[chosen].max(axis=0)
     size = float(np.ptp(edit.rest, axis=0).max())
     margin = checked_between(message.get("margin", 0.02), 0.0, 1.0, "margin") * size
-    return with_new_edit(document, Cage.box(low - max(margin, 1e-4 * size), high + max(margin, 1e-4 * size)), "move")
+    cage = Cage.box(low - max(margin, 1e-4 * size), high + max(margin, 1e-4 * size))
+    return with_new_edit(document, cage, thing=edit.thing)
 
 
 def mirror_edit(document: Document, message: Message) -> Step:
@@ -187,7 +191,7 @@ def mirror_edit(document: Document, message: Message) -> Step:
         return frozen_vertices(turned)
 
     name = f"{edit.name[: MAX_NAME - 10]} mirrored"
-    _, document = with_new_edit(document, Cage(mirrored(edit.rest), edit.faces[:, ::-1]), edit.kind, name)
+    _, document = with_new_edit(document, Cage(mirrored(edit.rest), edit.faces[:, ::-1]), edit.kind, name, edit.thing)
     number = document.edits[-1].id
     keys = [
         dataclasses.replace(key, poses={**key.poses, number: mirrored(key.poses[edit.id])})
@@ -200,14 +204,19 @@ def mirror_edit(document: Document, message: Message) -> Step:
     return "mirror an edit", document.with_edit(fresh).with_timeline(keys=tuple(keys))
 
 
-def with_new_edit(document: Document, cage: Cage, kind: str = "move", name: str | None = None) -> Step:
-    """A document with one more edit, which becomes the active one."""
-    if len(document.edits) >= MAX_EDITS:
+def with_new_edit(
+    document: Document, cage: Cage, kind: str = "move", name: str | None = None, thing: int | None = None
+) -> Step:
+    """A document with one more edit, which becomes the active one; thing: that it deforms, None is the active one."""
+    owner = document.thing(document.selection.thing if thing is None else thing).id
+    count = len(document.edits_of(owner))
+    if count >= MAX_EDITS:
         raise InputError(f"a scene takes at most {MAX_EDITS} edits: delete one first")
     number = document.free_id
-    edit = new_edit(number, cage, name or f"{KIND_NAMES[kind]} {len(document.edits) + 1}", kind)
-    document = dataclasses.replace(document, edits=(*document.edits, edit), next_id=number + 1)
-    return f"add {edit.name}", dataclasses.replace(document, selection=Selection(number, document.selection.mode))
+    edit = new_edit(number, cage, name or f"{KIND_NAMES[kind]} {count + 1}", kind)
+    edits = (*document.edits, dataclasses.replace(edit, thing=owner))
+    selection = Selection(number, document.selection.mode, thing=owner)
+    return f"add {edit.name}", dataclasses.replace(document, edits=edits, selection=selection, next_id=number + 1)
 
 
 def delete_edit(document: Document, message: Message) -> Step:
@@ -216,7 +225,8 @@ def delete_edit(document: Document, message: Message) -> Step:
     edits = tuple(edit for edit in document.edits if edit.id != gone.id)
     selection = document.selection
     if selection.edit == gone.id:
-        selection = Selection(edits[-1].id if edits else None, selection.mode)
+        others = [edit.id for edit in edits if edit.thing == gone.thing]
+        selection = Selection(others[-1] if others else None, selection.mode, thing=gone.thing)
     document = dataclasses.replace(document, edits=edits, selection=selection)
     return f"delete {gone.name}", _with_key_poses(document, gone.id, lambda pose: None)
 
@@ -237,11 +247,12 @@ def change_edit(document: Document, message: Message) -> Step:
 
 
 def order_edits(document: Document, message: Message) -> Step:
-    """Put the edits in another order."""
-    numbers = message["ids"]
-    if not isinstance(numbers, list) or sorted(map(repr, numbers)) != sorted(repr(edit.id) for edit in document.edits):
+    """Put the edits of the active thing in another order."""
+    numbers, own = message["ids"], document.edits_of(document.selection.thing)
+    if not isinstance(numbers, list) or sorted(map(repr, numbers)) != sorted(repr(edit.id) for edit in own):
         raise InputError("ids must name every edit once")
-    return "order edits", dataclasses.replace(document, edits=tuple(document.edit(number) for number in numbers))
+    others = tuple(edit for edit in document.edits if edit not in own)
+    return "order edits", dataclasses.replace(document, edits=(*others, *map(document.edit, numbers)))
 
 
 # -- Cages
@@ -305,7 +316,7 @@ def add_key(document: Document, message: Message) -> Step:
         key = Key(document.free_id, time, name)
         document = dataclasses.replace(document, next_id=document.next_id + 1)
     key = _filled(document, key, message)
-    if key.poses is None and key.view is None:
+    if key.is_empty:
         raise InputError("a key needs a pose, a camera or both")
     document = document.with_key(key)
     return f"key {key.name}", document.with_timeline(length=max(document.timeline.length, key.time))
@@ -372,6 +383,7 @@ COMMANDS: dict[str, Callable[[Document, Message], Step]] = {
     "key.change": change_key,
     "key.delete": delete_key,
     "timeline": change_timeline,
+    **things.COMMANDS,
 }
 
 
@@ -388,7 +400,7 @@ def run_command(document: Document, message: Message) -> Step:
 def _with_cage(document: Document, edit: Edit, cage: Cage, posed: Callable[[np.ndarray], np.ndarray]) -> Document:
     """The document with another cage for an edit; posed: carries vertices of a pose over."""
     fresh = new_edit(edit.id, cage, edit.name, edit.kind, posed(edit.posed))
-    kept = {"visible": edit.visible, "falloff": edit.falloff, "held": edit.held, "fragments": edit.fragments}
+    kept = {name: getattr(edit, name) for name in ("visible", "falloff", "held", "fragments", "thing")}
     document = document.with_edit(dataclasses.replace(fresh, **kept))
     document = _with_key_poses(document, edit.id, lambda pose: frozen_vertices(posed(pose), len(cage.vertices)))
     if document.selection.edit == edit.id:
@@ -405,7 +417,7 @@ def _with_key_poses(document: Document, number: int, change: Callable[[np.ndarra
             changed = change(key.poses[number])
             held = left if changed is None else {**left, number: changed}
             key = dataclasses.replace(key, poses=held or None)
-        if key.poses is not None or key.view is not None:
+        if not key.is_empty:
             keys.append(key)
     return document.with_timeline(keys=tuple(keys))
 
@@ -414,6 +426,8 @@ def _filled(document: Document, key: Key, message: Message) -> Key:
     """The key with the present pose and camera where the message asks for them."""
     if checked_flag(message.get("pose", False), "pose"):
         key = dataclasses.replace(key, poses={edit.id: edit.posed for edit in document.edits} or None)
+        if document.is_staged or any(one.places is not None for one in document.timeline.keys):
+            key = dataclasses.replace(key, places={thing.id: thing.place for thing in document.things})
     if checked_flag(message.get("camera", False), "camera"):
         key = dataclasses.replace(key, view=document.view)
     return key

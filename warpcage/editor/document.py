@@ -1,169 +1,44 @@
-"""What is edited: edits, poses, keys, view and settings; a command makes a new document from the old one."""
+"""What is edited: things, edits, poses, keys, view and settings; a command makes a new document from the old one."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
-import unicodedata
 from collections.abc import Mapping, Sequence
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.checks import checked_easing, checked_number, shown
-from ..core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, FRAGMENTS_WORD, LOOPS, PLANES, Easing, edit_fields
+from ..core.checks import checked_easing, shown
+from ..core.names import COORDINATES, DENSITIES, FIELD_COORDINATES, FRAGMENTS_WORD, LOOPS, Easing, edit_fields
 from ..edits.edits import HELD, MAX_EDITS, CageEdit
+from ..edits.place import Place
 from ..errors import InputError
 from ..mesh.mesh import ClosedMesh
 from ..view.frame import MAX_SUPERSAMPLING, parse_background
-
-#: Most vertices of a cage, letters of a name, keys of a timeline and seconds of a film: more is not a person's work.
-MAX_VERTICES, MAX_NAME, MAX_KEYS, MAX_SECONDS = 20_000, 100, 5_000, 3_600.0
-
-#: Frames per second that a film may have.
-MAX_RATE = 240.0
-
-#: Cells of a lattice along the longest side.
-RESOLUTIONS = (8, 512)
-
-#: Largest number of a place, world units, either way from zero: its squares and cubes can be held in float32 too.
-MAX_PLACE = 1e12
-
-#: Largest number of an edit or a key: a message holds it in 32 bits. New ones are given up to half of it.
-MAX_ID = 2**32 - 1
-
-#: Letters of an error's line, and places of a stroke of the brush.
-MAX_LINE, MAX_PLACES = 500, 64
-
-
-def frozen_vertices(vertices: Any, count: int | None = None) -> np.ndarray:
-    """Vertices (v, 3), an array or lists of numbers, as a document holds them: float64, read-only, an array of its own.
-    `count`: how many there must be; None takes any number."""
-    if not isinstance(vertices, np.ndarray):
-        if not isinstance(vertices, list | tuple) or not all(map(_is_row, vertices)):
-            raise InputError("vertices must be a list of three numbers each")
-    try:
-        array = np.array(vertices, dtype=np.float64)
-    except OverflowError:
-        raise InputError("vertices must be finite") from None
-    if array.ndim != 2 or array.shape[1:] != (3,) or (count is not None and len(array) != count):
-        wanted = "(v, 3)" if count is None else f"({count}, 3)"
-        raise InputError(f"vertices must be {wanted} numbers, got shape {array.shape}")
-    if not np.isfinite(array).all():
-        raise InputError("vertices must be finite")
-    if array.size and np.abs(array).max() > MAX_PLACE:
-        raise InputError(f"vertices must be within {MAX_PLACE:g} of zero")
-    array.setflags(write=False)
-    return array
-
-
-def checked_name(name: Any) -> str:
-    """A name in one line. Raises ValueError for another type, an empty one, a long one, or what cannot be printed."""
-    if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME:
-        raise InputError(f"a name must be 1 to {MAX_NAME} letters")
-    name = " ".join(name.split())
-    if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
-        raise InputError("a name must be letters that can be printed")
-    return name
-
-
-def checked_choice(value: Any, choices: Sequence[str], what: str) -> str:
-    """A value that is one of some words. Raises ValueError for another one."""
-    if not isinstance(value, str) or value not in choices:
-        raise InputError(f"{what} must be one of {', '.join(choices)}, got {shown(value)}")
-    return value
-
-
-def checked_whole(value: Any, low: int, high: int, what: str) -> int:
-    """A whole number in a range. Raises ValueError for another one."""
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise InputError(f"{what} must be a whole number from {low} to {high}, got {shown(value)}")
-    return value
-
-
-def checked_id(value: Any, what: str) -> int:
-    """The number of an edit, a key or a job. Raises ValueError for anything else; True is no number."""
-    return checked_whole(value, 1, MAX_ID, what)
-
-
-def checked_flag(value: Any, what: str) -> bool:
-    """True or False. Raises ValueError for anything else."""
-    if type(value) is not bool:
-        raise InputError(f"{what} must be true or false, got {shown(value)}")
-    return value
-
-
-def checked_between(value: Any, low: float, high: float, what: str) -> float:
-    """A number in a range. Raises ValueError for another one; True is no number."""
-    if isinstance(value, bool | list | dict | str | None):
-        raise InputError(f"{what} must be a number, got {shown(value)}")
-    number = checked_number(value, what)
-    if not low <= number <= high:
-        raise InputError(f"{what} must be {low:g} to {high:g}, got {number:g}")
-    return number
-
-
-def checked_vertices(numbers: Any, count: int) -> tuple[int, ...]:
-    """Numbers of vertices of a cage that has `count`, ascending, each once."""
-    given = checked_items(numbers, MAX_VERTICES, "vertices")
-    if not all(type(number) is int and 0 <= number < count for number in given):
-        raise InputError(f"vertices must be whole numbers from 0 to {count - 1}")
-    return tuple(sorted(set(given)))
-
-
-def checked_triple(values: Any, what: str) -> tuple[float, float, float]:
-    """Three numbers. Raises ValueError for anything else."""
-    if not isinstance(values, list | tuple) or len(values) != 3:
-        raise InputError(f"{what} must be three numbers")
-    x, y, z = (checked_between(value, -MAX_PLACE, MAX_PLACE, what) for value in values)
-    return x, y, z
-
-
-def checked_items(values: Any, most: int, what: str) -> list[Any]:
-    """A list of at most so many items. Raises ValueError for anything else."""
-    if not isinstance(values, list | tuple) or len(values) > most:
-        raise InputError(f"{what} must be a list of at most {most}")
-    return list(values)
-
-
-def checked_click(content: Any) -> tuple[list[tuple[float, float]], float, str | None]:
-    """Where a person clicked or painted: places (shares of the picture across and down), its aspect, and the plane."""
-    if not isinstance(content, dict):
-        raise InputError("click must hold across, down, aspect and plane")
-    given = content.get("places", [[content.get("across"), content.get("down")]])
-    places = []
-    for place in checked_items(given, MAX_PLACES, "places"):
-        if len(checked_items(place, 2, "a place")) != 2:
-            raise InputError("a place in the picture must be two numbers, across and down")
-        across, down = place
-        places.append((checked_between(across, 0.0, 1.0, "across"), checked_between(down, 0.0, 1.0, "down")))
-    aspect = checked_between(content.get("aspect"), 0.05, 20.0, "aspect")
-    plane = checked_choice(content.get("plane"), (*PLANES, "none"), "plane")
-    return places, aspect, None if plane == "none" else plane
-
-
-def parsed_json(text: str) -> Any:
-    """What a text in JSON says; NaN and Infinity, which Python writes, are no JSON."""
-    try:
-        return json.loads(text, parse_constant=_refuse_constant)
-    except RecursionError:
-        raise InputError("lists within lists within lists go too deep") from None
-
-
-def _is_row(row: Any) -> bool:
-    return isinstance(row, list | tuple | np.ndarray) and not any(
-        isinstance(x, bool | str | list | dict | None) for x in row
-    )
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    raise InputError(f"{name} is no number in JSON")
-
+from .checks import (
+    MAX_ID,
+    MAX_KEYS,
+    MAX_RATE,
+    MAX_SECONDS,
+    MAX_THINGS,
+    MAX_VERTICES,
+    RESOLUTIONS,
+    checked_between,
+    checked_choice,
+    checked_flag,
+    checked_id,
+    checked_items,
+    checked_name,
+    checked_triple,
+    checked_vertices,
+    checked_whole,
+    frozen_vertices,
+)
 
 SHOWN = ("rgb", "disparity", "alpha", "masks")
 
-MODES = ("pose", "rest")
+MODES = ("pose", "rest", "place")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -190,7 +65,8 @@ class Settings:
     background: Background = None  # a name, three numbers in [0, 1]; None: the field's own
     supersampling: int = 1  # rays along each side of a pixel, in pictures that rest
     show: str = "rgb"  # one of SHOWN
-    mode: str = "pose"  # "pose": the posed cage and deformed scene; "rest": the cage at rest and the scene as captured
+    mode: str = "pose"  # "pose": the posed cage and deformed scene; "rest": the cage at rest and the scene as captured;
+    # "place": the deformed scene, whose things are moved as wholes
     fill: bool = False  # background that no picture showed, in pictures that rest; see `fill_unseen`
 
 
@@ -253,6 +129,9 @@ KINDS = ("move", "copy", "remove")
 
 PICKS = ("vertex", "edge", "face")
 
+#: How many times as small or large a thing may be made.
+SCALES = (1e-6, 1e6)
+
 #: Largest width of a falloff and size of fragments, world units.
 LARGEST_LENGTH = 1e9
 
@@ -266,6 +145,22 @@ class Sliders:
     chosen: tuple[int, ...] | None  # vertices that they act on, None for all
     way: Mapping[str, Any]  # axis, towards and limits
     amounts: Mapping[str, float]  # by preset, in the order in which they act
+
+
+#: The number of the thing that a session begins with: the field that it is of.
+MAIN = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Thing:
+    """One field of the scene, in a place of its own; its edits are in its own coordinates."""
+
+    id: int  # that no other thing, edit or key of the session has had; MAIN for the session's own field
+    name: str
+    file: str | None = None  # of its field, seen from the session's folder; None is the session's own field
+    place: Place = dataclasses.field(default_factory=Place)
+    visible: bool = True
+    locked: bool = False  # whether its place is kept from the hand
 
 
 @dataclasses.dataclass(frozen=True)
@@ -282,6 +177,7 @@ class Edit:
     falloff: float = 0.0  # width of the band at held walls in which the edit fades to rest, world units; see `CageEdit`
     held: str = "cut"  # the walls that are held: "cut" or "still"
     fragments: float = 0.0  # size of the fragments that go with the part, world units
+    thing: int = MAIN  # the number of the thing that it deforms, in whose coordinates it is
     moved_sliders: Sliders | None = dataclasses.field(default=None, compare=False)  # the last ones; not in files
 
     @property
@@ -324,11 +220,12 @@ class Selection:
     edit: int | None = None
     mode: str = "vertex"  # what a click picks, one of PICKS
     vertices: tuple[int, ...] = ()  # numbers of those of the active edit, ascending
+    thing: int = MAIN  # the active thing, of which the edit is one
 
 
 @dataclasses.dataclass(frozen=True)
 class Key:
-    """A moment of the film; None as poses or view: it is no key of those."""
+    """A moment of the film; None as poses, view or places: it is no key of those."""
 
     id: int  # that no other key of the session has had
     time: float  # seconds from the film's start
@@ -336,6 +233,17 @@ class Key:
     easing: Easing = "smooth"  # how the way from here to the next key goes
     poses: Mapping[int, np.ndarray] | None = None  # posed vertices (v, 3) by the number of the edit
     view: View | None = None
+    places: Mapping[int, Place] | None = None  # by the number of the thing
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether it holds nothing."""
+        return self.poses is None and self.view is None and self.places is None
+
+    @property
+    def held_places(self) -> Mapping[int, Place]:
+        """The places that it holds. A pose without places is of a time when the only thing stood in its own place."""
+        return self.places if self.places is not None else {} if self.poses is None else {MAIN: Place()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -352,13 +260,14 @@ class Timeline:
 class Document:
     """All that a session edits."""
 
-    edits: tuple[Edit, ...]  # in the order in which they act
+    edits: tuple[Edit, ...]  # of all things; those of each in the order in which they act
     selection: Selection
     settings: Settings
     view: View
     timeline: Timeline
     time: float = 0.0  # where the timeline stands, seconds
-    next_id: int = 1  # of the next edit or key
+    next_id: int = 1  # of the next thing, edit or key
+    things: tuple[Thing, ...] = (Thing(MAIN, "scene"),)  # the session's own field first
 
     def edit(self, number: int) -> Edit:
         """An edit by its number. Raises ValueError where there is none."""
@@ -367,6 +276,23 @@ class Document:
             if edit.id == number:
                 return edit
         raise InputError(f"there is no edit {number!r}: it may have been deleted")
+
+    def thing(self, number: int) -> Thing:
+        """A thing by its number. Raises ValueError where there is none."""
+        checked_whole(number, MAIN, MAX_ID, "the number of a thing")
+        for thing in self.things:
+            if thing.id == number:
+                return thing
+        raise InputError(f"there is no thing {number!r}: it may have been removed")
+
+    def edits_of(self, number: int) -> tuple[Edit, ...]:
+        """The edits of a thing, in the order in which they act."""
+        return tuple(edit for edit in self.edits if edit.thing == number)
+
+    @property
+    def is_staged(self) -> bool:
+        """Whether there is more than the session's own field in its own place."""
+        return [thing.place for thing in self.things] != [Place()]
 
     def key(self, number: int) -> Key:
         """A key by its number. Raises ValueError where there is none."""
@@ -378,14 +304,18 @@ class Document:
 
     @property
     def free_id(self) -> int:
-        """The number of the next edit or key. Raises ValueError where a foreign session has used them up."""
+        """The number of the next thing, edit or key. Raises ValueError where a foreign session has used them up."""
         if self.next_id > MAX_ID // 2:
-            raise InputError("this session has no numbers left for new edits and keys: begin a new session")
+            raise InputError("this session has no numbers left for new things, edits and keys: begin a new session")
         return self.next_id
 
     def with_edit(self, edit: Edit) -> Document:
         """The document with an edit in the place of the one of the same number."""
         return dataclasses.replace(self, edits=tuple(edit if old.id == edit.id else old for old in self.edits))
+
+    def with_thing(self, thing: Thing) -> Document:
+        """The document with a thing in the place of the one of the same number."""
+        return dataclasses.replace(self, things=tuple(thing if old.id == thing.id else old for old in self.things))
 
     def with_key(self, key: Key) -> Document:
         """The document with a key added, or in the place of the one of the same number."""
@@ -411,6 +341,7 @@ class Document:
             },
             "time": self.time,
             "next_id": self.next_id,
+            "things": [dataclasses.asdict(thing) for thing in self.things],
         }
 
     @classmethod
@@ -437,6 +368,7 @@ def edit_json(edit: Edit) -> dict[str, Any]:
         "falloff": edit.falloff,
         "held": edit.held,
         FRAGMENTS_WORD: edit.fragments,
+        "thing": edit.thing,
     }
 
 
@@ -466,23 +398,29 @@ def checked_walls(content: Mapping[str, Any]) -> dict[str, Any]:
 def _key_json(key: Key) -> dict[str, Any]:
     poses = None if key.poses is None else {str(number): array.tolist() for number, array in key.poses.items()}
     view = None if key.view is None else dataclasses.asdict(key.view)
-    return {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing, "poses": poses, "view": view}
+    held = {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing, "poses": poses, "view": view}
+    if key.places is not None:
+        held["places"] = {str(number): dataclasses.asdict(place) for number, place in key.places.items()}
+    return held
 
 
 def _document(content: Mapping[str, Any]) -> Document:
     if not isinstance(content, Mapping):
         raise InputError(f"a session must be a dictionary, got {type(content).__name__}")
-    edits = tuple(_edit(one) for one in checked_items(content["edits"], MAX_EDITS, "edits"))
+    things = tuple(_thing(one) for one in checked_items(content.get("things", _ONE_THING), MAX_THINGS, "things"))
+    edits = tuple(_edit(one) for one in checked_items(content["edits"], MAX_EDITS * len(things), "edits"))
     sizes = {edit.id: len(edit.rest) for edit in edits}
+    if not things or things[0].id != MAIN or not {edit.thing for edit in edits} <= {thing.id for thing in things}:
+        raise InputError("the things of the session must begin with its own field, and hold all of its edits")
     film = content["timeline"]
     keys = tuple(_key(one, sizes) for one in checked_items(film["keys"], MAX_KEYS, "keys"))
-    numbers = [edit.id for edit in edits] + [key.id for key in keys]
+    numbers = [one.id for one in (*edits, *keys, *things)]
     if len(set(numbers)) < len(numbers):
-        raise InputError("two edits or keys of the session have the same number")
+        raise InputError("two things, edits or keys of the session have the same number")
     length = checked_between(film["length"], 0.0, MAX_SECONDS, "length")
     return Document(
         edits,
-        checked_selection(content["selection"], sizes),
+        checked_selection(content["selection"], edits, things),
         checked_settings(Settings(), content["settings"]),
         checked_view(content["view"]),
         Timeline(
@@ -493,18 +431,46 @@ def _document(content: Mapping[str, Any]) -> Document:
         ),
         checked_between(content["time"], 0.0, MAX_SECONDS, "time"),
         max([checked_whole(content["next_id"], 1, MAX_ID + 1, "next_id"), *(number + 1 for number in numbers)]),
+        things,
     )
 
 
-def checked_selection(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Selection:
-    """A selection from edit, mode and vertices; `sizes` are the vertices of each edit by its number."""
+#: The things of a session that says nothing of them.
+_ONE_THING = ({"id": MAIN, "name": "scene"},)
+
+
+def checked_selection(
+    content: Mapping[str, Any], edits: Sequence[Edit], things: Sequence[Thing], before: int = MAIN
+) -> Selection:
+    """A selection from edit, mode and vertices, and thing where there is no edit; `before` where it names none."""
     number = content["edit"]
-    if number is not None and checked_id(number, "the number of an edit") not in sizes:
-        raise InputError(f"there is no edit {number!r}: it may have been deleted")
-    size = 0 if number is None else sizes[number]
-    return Selection(
-        number, checked_choice(content["mode"], PICKS, "mode"), checked_vertices(content["vertices"], size)
-    )
+    if number is None:
+        thing, size = content.get("thing", before), 0
+        if checked_whole(thing, MAIN, MAX_ID, "the number of a thing") not in [one.id for one in things]:
+            raise InputError(f"there is no thing {thing!r}: it may have been removed")
+    else:
+        edit = next((edit for edit in edits if edit.id == checked_id(number, "the number of an edit")), None)
+        if edit is None:
+            raise InputError(f"there is no edit {number!r}: it may have been deleted")
+        thing, size = edit.thing, len(edit.rest)
+    mode = checked_choice(content["mode"], PICKS, "mode")
+    return Selection(number, mode, checked_vertices(content["vertices"], size), thing)
+
+
+def checked_place(content: Any) -> Place:
+    """A place from what JSON has of its position, turn and scale."""
+    if not isinstance(content, Mapping):
+        raise InputError(f"a place must be an object with a position, a turn or a scale, got {shown(content)}")
+    triples = {name: checked_triple(content[name], name) for name in ("position", "turn") if name in content}
+    return Place(**triples, scale=checked_between(content.get("scale", 1.0), *SCALES, "scale"))
+
+
+def _thing(content: Mapping[str, Any]) -> Thing:
+    number, file = checked_whole(content["id"], MAIN, MAX_ID, "id"), content.get("file")
+    if not isinstance(file, str | None) or (number == MAIN and file is not None):
+        raise InputError(f"the file of thing {number} of the session must be a name; its own field has none")
+    flags = {name: checked_flag(content[name], name) for name in ("visible", "locked") if name in content}
+    return Thing(number, checked_name(content["name"]), file, checked_place(content.get("place", {})), **flags)
 
 
 def _edit(content: Mapping[str, Any]) -> Edit:
@@ -512,11 +478,13 @@ def _edit(content: Mapping[str, Any]) -> Edit:
     cage = Cage(frozen_vertices(vertices), np.asarray(checked_items(content["faces"], 4 * MAX_VERTICES, "faces")))
     number = checked_id(content["id"], "id")
     edit = new_edit(number, cage, content["name"], content["kind"], content["posed"])
-    return dataclasses.replace(edit, visible=checked_flag(content["visible"], "visible"), **checked_walls(content))
+    thing = checked_whole(content.get("thing", MAIN), MAIN, MAX_ID, "the number of a thing")
+    visible = checked_flag(content["visible"], "visible")
+    return dataclasses.replace(edit, visible=visible, thing=thing, **checked_walls(content))
 
 
 def _key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:
-    poses, view = content["poses"], content["view"]
+    poses, view, places = content["poses"], content["view"], content.get("places")
     if poses is not None:
         poses = {int(number): frozen_vertices(array, sizes.get(int(number))) for number, array in poses.items()}
     return Key(
@@ -526,4 +494,5 @@ def _key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:
         checked_easing(content["easing"], "easing"),
         poses,
         None if view is None else checked_view(view),
+        None if places is None else {int(number): checked_place(place) for number, place in places.items()},
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import atexit
+import dataclasses
 import html
 import os
 import pathlib
@@ -18,7 +19,8 @@ from ..errors import InputError, MissingPackageError
 from ..field.voxel_field import VoxelField
 from ..splats.splat_field import AnyField, SplatField, load_field
 from .document import Document
-from .session import Session, file_stamp, new_document, read_session, session_path
+from .session import Session, file_stamp, new_document, read_session, session_path, thing_name, view_of_box
+from .things import is_stage, read_fields, stage_field, with_stage
 
 #: Cells of a new session's lattices along the longest side of a cage, on a CPU and on CUDA.
 RESOLUTION_CPU, RESOLUTION_CUDA = 64, 128
@@ -64,7 +66,7 @@ class Editor:
 
     @property
     def posed(self) -> list[Cage]:
-        """The posed cages, one per edit."""
+        """The posed cages, one per edit, each in the coordinates of its thing."""
         return [edit.posed_cage for edit in self.document.edits]
 
     def wait(self) -> None:
@@ -135,7 +137,7 @@ def edit(
 
     Args:
         field: The field, of voxels or of splats, or its file; then the session is kept beside it, as
-            `NAME.session.json`.
+            `NAME.session.json`. The file may be that of a stage (.stage.json), whose things are all shown.
         cage: The cage at rest, or several, one per edit. None goes on with the session that is there, or begins
             without a cage.
         session: The session's file. None is the one beside the field's file; a field from memory is not kept.
@@ -168,9 +170,14 @@ def edit(
     if isinstance(field, VoxelField | SplatField):
         path, loaded = None, field
     elif isinstance(field, str | os.PathLike):
-        path, loaded = pathlib.Path(field), load_field(field, scene_scale=scene_scale)
+        path = pathlib.Path(field)
+        loaded = load_field(stage_field(path) if is_stage(path) else path, scene_scale=scene_scale)
     else:
         raise InputError(f"the editor needs a VoxelField, a SplatField or the file of one, got {type(field).__name__}")
+    given = field_path if path is None else path
+    stage = pathlib.Path(given) if given is not None and is_stage(given) else None
+    if stage is not None:
+        given = stage_field(stage)
     cages = [] if cage is None else [cage] if isinstance(cage, Cage) else list(cage)
     kept = session_path(path) if session is None and path is not None else session
     kept = None if kept is None else pathlib.Path(kept)
@@ -187,7 +194,15 @@ def edit(
         document = read_session(kept, loaded)
     else:
         resolution = RESOLUTION_CPU if loaded.device.is_cpu else RESOLUTION_CUDA
-        document = new_document(loaded, cages, resolution)
-    folder = kept.parent if kept is not None else pathlib.Path.cwd()
-    held = Session(loaded, document, kept, field_path if path is None else path, stamp, scene_scale)
-    return Editor(held, folder.resolve(), host, port, allowed_hosts)
+        document = new_document(loaded, cages, resolution, "scene" if given is None else thing_name(given))
+    folder = (kept.parent if kept is not None else pathlib.Path.cwd()).resolve()
+    if stage is not None and stamp is None:
+        if cages:
+            raise InputError("the things of a stage file have cages of their own: leave the cages out")
+        document = with_stage(document, stage.resolve(), folder)
+    fields = read_fields(document, loaded, folder)
+    if stage is not None and stamp is None:
+        up = document.things[0].place.rotation @ loaded.up
+        document = dataclasses.replace(document, view=view_of_box(fields.bounds(document), up))
+    held = Session(fields, document, kept, given, stamp, scene_scale)
+    return Editor(held, folder, host, port, allowed_hosts)

@@ -18,17 +18,20 @@ from ..core.files import PathLike
 from ..core.names import TRANSPARENT
 from ..core.overlap import BackgroundWriter
 from ..deform.bake import bake
+from ..deform.deformer import Deformer
 from ..errors import InputError
 from ..films import film as films
 from ..films.folder import atomic_folder, checked_film_path
 from ..films.render import Look, Scene
+from ..fitting.splats.from_voxels import to_splats
 from ..splats.io.formats import format_to_write
 from ..splats.splat_field import AnyField, SplatField, field_size
 from ..view.camera import Camera
 from ..view.film import checked_rate, require_clear_film, write_film
 from ..view.pictures import write_png
-from .document import Document, checked_flag
-from .renderer import PosedScene, view_camera
+from .checks import checked_flag
+from .document import MAIN, Document
+from .pictures.scene import Fields, PosedScene, view_camera
 from .timeline import document_at, frame_rate, frame_times, pose_file
 
 #: Width and height of a film where none is given, and the largest, pixels.
@@ -60,7 +63,7 @@ def _silent(share: float | None, text: str) -> None:
 
 
 def export_film(
-    document: Document, field: AnyField, path: PathLike, film: Film | None = None, report: Report = _silent
+    document: Document, field: AnyField | Fields, path: PathLike, film: Film | None = None, report: Report = _silent
 ) -> int:
     """Write the film of a document (or a new folder of PNG files), whole or not at all; returns the number of frames.
     What `report` raises ends the work."""
@@ -84,14 +87,16 @@ def export_film(
 
 
 def film_look(document: Document, field: AnyField, film: Film) -> Look:
-    """How the frames of a document's film look."""
+    """How the frames of a document's film look; field: the session's own."""
     settings = document.settings
     background = TRANSPARENT if film.transparent else settings.background
-    fill = settings.fill and background is None and field.background_model is not None
+    fill = settings.fill and background is None and field.background_model is not None and not document.is_staged
     return Look(background, fill, settings.supersampling, overlay=film.overlay)
 
 
-def film_pictures(document: Document, field: AnyField, film: Film, report: Report = _silent) -> Iterator[np.ndarray]:
+def film_pictures(
+    document: Document, field: AnyField | Fields, film: Film, report: Report = _silent
+) -> Iterator[np.ndarray]:
     """The pictures of a film, each rendered when it is asked for: (height, width, 3 or 4) float32, read-only.
     Colours are not multiplied by opacity. A moment that looks like the one before is the same array."""
     times, settings = frame_times(document.timeline), dataclasses.replace(document.settings, mode="pose")
@@ -106,14 +111,17 @@ def film_pictures(document: Document, field: AnyField, film: Film, report: Repor
             scene.prepare(now)
         except ValueError as error:
             raise InputError(f"at {times[number]:.3f} s of the film: {error}") from error
-        shown = [edit.posed_cage for edit in now.edits if edit.visible and edit.kind != "remove"]
-        return scene.deformer or field, shown
+        cages = []
+        for thing in now.things:
+            edits = [edit for edit in now.edits_of(thing.id) if edit.visible and edit.kind != "remove"]
+            cages += [Cage(thing.place.moved(edit.posed), edit.faces) for edit in edits if thing.visible]
+        return scene.stage or scene.posed(MAIN), cages
 
     def track(frames: Sequence[float]) -> list[Camera]:
         views = (document_at(document, times[int(frame)]).view for frame in frames)
         return [view_camera(view, film.width, film.height) for view in views]
 
-    yield from films.Film(len(times), track, moment, film_look(document, field, film))
+    yield from films.Film(len(times), track, moment, film_look(document, scene.fields.main, film))
     report(1.0, "writes the end")
 
 
@@ -132,18 +140,24 @@ def export_poses(document: Document, number: int, path: PathLike) -> None:
     pose_file(document, number).save(path)
 
 
-def export_baked(document: Document, field: AnyField, path: PathLike, report: Report = _silent) -> AnyField:
+def export_baked(document: Document, field: AnyField | Fields, path: PathLike, report: Report = _silent) -> AnyField:
     """Write the scene, deformed by the poses of now, as a field of its own, whole or not at all; returns that field.
     Without visible edits it is the field. A file of voxels ends in .npz. What `report` raises ends the work."""
-    if isinstance(field, SplatField):
+    fields = Fields.of(field)
+    kinds = {type(fields.field(thing)) for thing in document.things if thing.visible}
+    if SplatField in kinds:
         format_to_write(path)
     elif pathlib.Path(path).suffix.lower() != ".npz":
         raise InputError(f"field {str(path)!r} must end in .npz")
     report(None, "poses the cages")
-    scene = PosedScene(field)
+    scene = PosedScene(fields)
     scene.prepare(dataclasses.replace(document, settings=dataclasses.replace(document.settings, mode="pose")))
     report(0.1, "resamples the deformed scene")
-    baked = field if scene.deformer is None else bake(scene.deformer)
+    if scene.stage is not None:
+        baked = scene.stage.merged(convert=to_splats)
+    else:
+        posed = scene.posed(MAIN)
+        baked = bake(posed) if isinstance(posed, Deformer) else posed
     report(0.8, f"writes {field_size(baked)}")
     baked.save(path)
     return baked

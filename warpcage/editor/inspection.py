@@ -21,7 +21,8 @@ from ..mesh.faces import column_cross, column_dot, face_edges
 from ..mesh.queries import inside_mesh, intersecting_faces
 from ..mesh.validity import first_problem
 from ..splats.splat_field import AnyField
-from .document import MAX_LINE, Document, Edit
+from .checks import MAX_LINE
+from .document import Document, Edit
 from .session import Session
 
 #: About how many samples of the map are taken in a posed cage, and of the visible nodes for the share inside: fewer
@@ -246,7 +247,7 @@ class Checker:
 
     def _look(self, document: Document, number: int) -> dict[str, Any]:
         try:
-            return inspect(document, number, self._session.field)
+            return inspect(document, number, self._session.fields.field(document.thing(document.edit(number).thing)))
         except Exception as error:
             if not isinstance(error, ValueError | MemoryError | ArithmeticError | RuntimeError):
                 _log.exception("a cage could not be checked")

@@ -4,183 +4,36 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hmac
-import ipaddress
 import json
 import logging
 import pathlib
-import secrets
-import urllib.parse
-from collections.abc import Awaitable, Callable, Coroutine, Iterable
+from collections.abc import Coroutine
 from typing import Any
 
 import numpy as np
-from aiohttp import BodyPartReader, WSMsgType, web
-from aiohttp.http import HttpProcessingError
+from aiohttp import WSMsgType, web
 
 from ..core.names import error_line
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
-from .clients import MAX_SLOW, Client, packed_vertices, unpacked_vertices
-from .commands import COMMANDS
-from .document import (
+from .checks import (
     MAX_LINE,
     MAX_SECONDS,
-    Edit,
     checked_between,
     checked_flag,
     checked_name,
     checked_vertices,
-    checked_view,
     checked_whole,
     parsed_json,
 )
+from .commands import COMMANDS
+from .document import Edit, checked_view
 from .inspection import Checker
-from .renderer import Renderer, Request
+from .pictures.renderer import Renderer, Request
 from .session import PARTS, Player, Session
 from .tasks import Jobs, Tasks
-
-#: What a page may do: run our own modules, show pictures made of bytes, talk to us. It may be shown in a notebook.
-HEADERS = {
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; connect-src 'self'; base-uri 'none'; "
-    "form-action 'none'; object-src 'none'; frame-ancestors 'self' http://localhost:* http://127.0.0.1:*",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cache-Control": "no-store",
-}
-
-
-class Access:
-    """Lets those in who know the word in the address, and pages of the same origin only.
-    `allowed_hosts`: names under which pages may come, beside those of this machine's loopback and `host`."""
-
-    # `Host` must be a name that was told: a foreign one that leads here is refused, even where the token was learned.
-
-    def __init__(self, host: str, allowed_hosts: Iterable[str] = ()):
-        self.token = secrets.token_urlsafe(24)
-        self._hosts = {"localhost", "127.0.0.1", "::1", host.lower(), *map(str.lower, allowed_hosts)}
-        self._everywhere = host in ("0.0.0.0", "::", "")
-
-    def is_welcome(self, request: web.Request) -> bool:
-        """Whether a request has the token, a host name that was told, and no foreign origin."""
-        given = request.match_info.get("token", "").encode("utf-8", "surrogateescape")
-        if not hmac.compare_digest(given, self.token.encode()):
-            return False
-        named = request.headers.get("Host", "")
-        try:
-            host = urllib.parse.urlsplit(f"//{named}").hostname or ""
-            origins = [urllib.parse.urlsplit(origin).netloc for origin in request.headers.getall("Origin", [])]
-        except ValueError:  # brackets that do not close
-            return False
-        if host not in self._hosts and not (self._everywhere and _is_address(host)):
-            return False
-        return all(origin == named for origin in origins)
-
-    @property
-    def guard(self) -> Callable[..., Awaitable[web.StreamResponse]]:
-        """The middleware that refuses all others, and says in each answer what a page may do."""
-
-        @web.middleware
-        async def guard(
-            request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
-        ) -> web.StreamResponse:
-            if not self.is_welcome(request):
-                raise web.HTTPForbidden(
-                    text="This needs the whole address that warpcage edit printed.", headers=HEADERS
-                )
-            try:
-                response = await handler(request)
-            except web.HTTPException as error:
-                error.headers.update(HEADERS)
-                raise
-            if not response.prepared:
-                response.headers.update(HEADERS)
-            return response
-
-        return guard
-
-
-def _is_address(host: str) -> bool:
-    """Whether a host is given by number: a name that somebody else owns could be made to lead here."""
-    try:
-        ipaddress.ip_address(host)
-    except ValueError:
-        return False
-    return True
-
-
-PAGE = pathlib.Path(__file__).with_name("page")
-
-KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
-
-#: Uploads that are taken at once: each is held in memory.
-UPLOADS = 2
-
-#: What a form that is not as it should be may cause: aiohttp asserts some of it.
-BROKEN = (ValueError, OSError, LookupError, AssertionError, MemoryError, HttpProcessingError)
-
-
-class Files:
-    """Handlers for files; who may ask at all is decided before, see `access`. `largest`: bytes of an upload."""
-
-    def __init__(self, tasks: Tasks, largest: int):
-        self._tasks, self._largest = tasks, largest
-        self._uploads = asyncio.Semaphore(UPLOADS)
-
-    def add_to(self, app: web.Application) -> None:
-        """Serve the files at their addresses; nothing else of this form may be added later."""
-        app.router.add_get("/{token}", self._to_page)
-        app.router.add_get("/{token}/", self._page)
-        app.router.add_get("/{token}/download/{name}", self._download)
-        app.router.add_post("/{token}/upload", self._upload)
-        app.router.add_get("/{token}/{name:.+}", self._page)
-
-    async def _to_page(self, request: web.Request) -> web.StreamResponse:
-        raise web.HTTPFound(f"/{request.match_info['token']}/")
-
-    async def _page(self, request: web.Request) -> web.StreamResponse:
-        """A file of the page. Only names that are there are looked up: no path is made of what is asked for."""
-        name = request.match_info.get("name", "index.html")
-        path = {file.relative_to(PAGE).as_posix(): file for file in PAGE.rglob("*.*") if file.suffix in KINDS}.get(name)
-        if path is None:
-            raise web.HTTPNotFound
-        return web.Response(body=path.read_bytes(), content_type=KINDS[path.suffix], charset="utf-8")
-
-    async def _download(self, request: web.Request) -> web.StreamResponse:
-        path = self._tasks.download(request.match_info["name"])
-        if path is None:
-            raise web.HTTPNotFound(text="There is no such file; it may have been moved.")
-        name = urllib.parse.quote(path.name)
-        return web.FileResponse(path, headers={"Content-Disposition": f"attachment; filename*=UTF-8''{name}"})
-
-    async def _upload(self, request: web.Request) -> web.StreamResponse:
-        if request.content_type != "multipart/form-data":
-            raise web.HTTPBadRequest(text="an upload needs one file, as a form sends it")
-        try:
-            async with self._uploads:
-                name, content = await self._received(request)
-                keep = self._tasks.keep_upload
-                kept = await asyncio.get_running_loop().run_in_executor(None, keep, name, content)
-        except BROKEN as error:
-            raise web.HTTPBadRequest(text=error_line(error, MAX_LINE, folders=False)) from None
-        return web.json_response({"file": kept})
-
-    async def _received(self, request: web.Request) -> tuple[str, bytes]:
-        """Name and content of the file in a form."""
-        form = await request.multipart()
-        part = await form.next()
-        if not isinstance(part, BodyPartReader):
-            raise InputError("an upload needs one file")
-        content = bytearray()
-        while chunk := await part.read_chunk(1 << 16):
-            content += chunk
-            if len(content) > self._largest:
-                raise web.HTTPRequestEntityTooLarge(self._largest, len(content))
-        if await form.next() is not None:  # which also raises where the form does not end
-            raise InputError("an upload needs one file, and no more")
-        return str(part.filename or ""), bytes(content)
-
+from .web.access import Access, Files
+from .web.clients import MAX_SLOW, Client, packed_vertices, unpacked_vertices
 
 #: Bytes of a message and of a file that a page may send, and pages that may be connected.
 MAX_MESSAGE, MAX_UPLOAD, MAX_PAGES = 4 << 20, 64 << 20, 32
@@ -246,7 +99,7 @@ class Server:
             raise
         assert self._runner.addresses
         self.port = self._runner.addresses[0][1]
-        self.renderer = Renderer(self.session.field, self._deliver)
+        self.renderer = Renderer(self.session.fields, self._deliver)
         self.session.listeners.append(self._on_change)
         self._saver = asyncio.create_task(self._save_often())
         self.checker.plan()
@@ -414,6 +267,8 @@ class Server:
             if len(client.slow) >= MAX_SLOW:
                 raise InputError(f"{MAX_SLOW} commands of this page are under way already: wait for them")
             return self.tasks.handle(message)
+        if do == "thing.pick":
+            return self._pick(message)
         self._touched(client)
         if do == "view":
             self._look(client, message)
@@ -422,12 +277,14 @@ class Server:
             self.player.stop()
         if do in COMMANDS:
             session.run(message)
-        elif do in ("drag.begin", "preset.begin"):
+        elif do in ("drag.begin", "preset.begin", "place.begin"):
             self._begin(client, message)
+        elif do == "place.set":
+            self._place(client, message)
         elif do == "preset.set":
             if not session.move_preset(client, message):
                 self._stray(client)
-        elif do in ("drag.end", "preset.end"):
+        elif do in ("drag.end", "preset.end", "place.end"):
             cancel = checked_flag(message.get("cancel", False), "cancel")
             if not session.is_moved_by(client):
                 raise InputError(STRAYED)
@@ -448,8 +305,11 @@ class Server:
         return None
 
     def _begin(self, client: Client, message: dict[str, Any]) -> None:
-        """A hand begins to move a cage."""
+        """A hand begins to move a cage, or a thing."""
         client.strayed = False
+        if message["do"] == "place.begin":
+            self.session.begin_placing(client, message["thing"], checked_name(message.get("label", "move")))
+            return
         edit = self.session.document.edit(message["edit"])
         if message["do"] == "drag.begin":
             self.session.begin_gesture(client, edit.id, checked_name(message.get("label", "move")))
@@ -457,6 +317,20 @@ class Server:
         given = message.get("vertices")
         chosen = None if given is None else checked_vertices(given, len(edit.rest))
         self.session.begin_gesture(client, edit.id, "preset", chosen)
+
+    def _place(self, client: Client, message: dict[str, Any]) -> None:
+        """A hand moves a thing."""
+        if self.session.place(client, message["thing"], message["matrix"]):
+            client.sequence = checked_whole(message["seq"], 0, 2**32 - 1, "seq")
+        else:
+            self._stray(client)
+
+    async def _pick(self, message: dict[str, Any]) -> dict[str, int | None]:
+        """Which thing a click meets, in the scene of the last picture."""
+        across, down = (checked_between(message[name], 0.0, 1.0, name) for name in ("across", "down"))
+        aspect, view = checked_between(message["aspect"], 0.05, 20.0, "aspect"), self.session.document.view
+        answer = self.renderer.ask(lambda scene: scene.thing_at(view, across, down, aspect))
+        return {"thing": await asyncio.wrap_future(answer)}
 
     def _look(self, client: Client, message: dict[str, Any]) -> None:
         """A page looks from somewhere else."""
@@ -478,6 +352,11 @@ class Server:
         """Whether a hand moves a cage, or the film plays."""
         return self.session.moving or self.player.playing
 
+    @property
+    def _edits(self) -> tuple[Edit, ...]:
+        """The edits that pages know: those of the active thing."""
+        return self.session.document.edits_of(self.session.document.selection.thing)
+
     def _on_change(self, names: set[str]) -> None:
         """Collect what changed until the loop is free again."""
         self._changed |= names
@@ -490,20 +369,21 @@ class Server:
 
     def _flush_changes(self) -> None:
         self._flush, changed, self._changed = None, self._changed, set()
-        if changed & {"edits", "vertices", "settings", "view", "playback"}:
+        if changed & {"edits", "vertices", "settings", "view", "playback", "things"}:
             self._request_picture()
         if not self.clients:
             return
-        sections = {name: json.dumps(self._section(name), allow_nan=False) for name in sorted(changed - {"vertices"})}
+        named = sorted(changed - {"vertices", "places"})
+        sections = {name: json.dumps(self._section(name), allow_nan=False) for name in named}
         if "edits" in sections:
-            self._told = {key: array for edit in self.session.document.edits for key, array in _places(edit)}
+            self._told = {key: array for edit in self._edits for key, array in _places(edit)}
         if sections:
             for client in self.clients.values():
                 client.tell_sections(sections)
 
     def _send_vertices(self) -> None:
         """Tell pages where the vertices are that have moved, but for the page whose hand moves them."""
-        for edit in self.session.document.edits:
+        for edit in self._edits:
             for (kind, number), array in _places(edit):
                 if self._told.get((kind, number)) is not array:
                     self._told[kind, number] = array

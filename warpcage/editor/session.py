@@ -22,22 +22,12 @@ from ..core.checks import listed
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..core.names import error_line
 from ..errors import InputError
-from ..splats.splat_field import AnyField
+from ..splats.splat_field import AnyField, field_size
 from ..view.camera import framing_orbit
-from . import commands, timeline
-from .document import (
-    MAX_LINE,
-    Document,
-    Edit,
-    Selection,
-    Settings,
-    Sliders,
-    Timeline,
-    View,
-    edit_json,
-    frozen_vertices,
-    new_edit,
-)
+from . import commands, things, timeline
+from .checks import MAX_LINE, MAX_NAME, frozen_vertices
+from .document import MAIN, Document, Edit, Selection, Settings, Sliders, Thing, Timeline, View, edit_json, new_edit
+from .pictures.scene import Fields
 
 #: Steps that can be undone.
 DEPTH = 500
@@ -89,7 +79,10 @@ def seen_as(document: Document, present: Document) -> Document:
     return dataclasses.replace(document, view=present.view, time=present.time, next_id=number)
 
 
-FORMAT, VERSION = "warpcage session", 1
+FORMAT, VERSION = "warpcage session", 2
+
+#: The version that a session is written with which has a field in its own place alone, as it was before.
+ONE_THING = 1
 
 #: How the name of a field's session ends: `lego.npz` has `lego.session.json`.
 ENDING = ".session.json"
@@ -126,7 +119,7 @@ def write_session(path: PathLike, document: Document, field: AnyField, field_nam
     """Write a session's file, whole or not at all; the name of a field without a file is None."""
     content = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSION if document.is_staged else ONE_THING,
         "field": {"name": field_name, "bounds": field.bounds.tolist()},
         "document": document.to_json(),
     }
@@ -149,15 +142,29 @@ def read_session(path: PathLike, field: AnyField | None = None) -> Document:
         if field is not None and content["field"]["bounds"] != field.bounds.tolist():
             name = listed([str(content["field"].get("name"))])
             raise InputError(f"it belongs to another field, {name}, with other bounds")
-        return Document.from_json(content["document"])
+        return _named(Document.from_json(content["document"]), content)
     except DAMAGED as error:
         raise InputError(f"{path}: {damage('session file', error)}") from None
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
 
 
+def _named(document: Document, content: Any) -> Document:
+    """The document of a file's content; one that says nothing of things names its only one as its field."""
+    name = content.get("field", {}).get("name")
+    if "things" in content["document"] or not isinstance(name, str):
+        return document
+    return document.with_thing(dataclasses.replace(document.things[0], name=thing_name(name)))
+
+
+def thing_name(path: PathLike) -> str:
+    """What a thing is called by the file of its field: its name without endings."""
+    name = pathlib.PurePath(path).name.split(".")[0][:MAX_NAME]
+    return name if name.strip() and name.isprintable() else "scene"
+
+
 #: Parts of the document that pages are told of.
-PARTS = ("edits", "selection", "settings", "view", "timeline")
+PARTS = ("edits", "selection", "settings", "view", "timeline", "things")
 
 #: Where a new session looks from, degrees, and its vertical field of view.
 ELEVATION, AZIMUTH, FOV = 25.0, -60.0, 40.0
@@ -173,14 +180,16 @@ class Session:
 
     def __init__(
         self,
-        field: AnyField,
+        field: AnyField | Fields,
         document: Document,
         path: PathLike | None = None,
         field_path: PathLike | None = None,
         stamp: Stamp | None = None,
         scene_scale: float = 1.0,
     ):
-        self.field, self.document, self.settled = field, document, document  # settled: without what a gesture moves
+        self.fields = Fields.of(field)
+        self.field = self.fields.main  # that the session is of
+        self.document, self.settled = document, document  # settled: without what a gesture moves
         self.scene_scale = scene_scale  # the factor that the field's file was loaded with
         self.field_path = None if field_path is None else pathlib.Path(field_path)
         self.path = None if path is None else pathlib.Path(path)  # changes where a program wrote there: not saved over
@@ -195,6 +204,11 @@ class Session:
         self._on_disk: tuple[Document | None, int] = (None if stamp is None else document, 0)
         if stamp is not None:
             self.saved = _iso(datetime.datetime.fromtimestamp(stamp[0] / 1e9))
+
+    @property
+    def active_field(self) -> AnyField:
+        """The field of the active thing, in whose coordinates its cages are."""
+        return self.fields.field(self.document.thing(self.document.selection.thing))
 
     # -- Changes
 
@@ -253,7 +267,7 @@ class Session:
             return False
         gesture = self._gesture
         assert gesture is not None
-        if gesture.edit.id != number:
+        if gesture.edit is None or gesture.edit.id != number:
             raise InputError(f"edit {number} is not being moved")
         if rest:
             gesture.rest = True
@@ -270,10 +284,26 @@ class Session:
         if not self.is_moved_by(owner):
             return False
         gesture = self._gesture
-        assert gesture is not None
+        if gesture is None or gesture.edit is None:
+            raise InputError("no cage is being moved")
         edit = commands.slide(gesture.edit, gesture.chosen, message)
         gesture.label = str(message["preset"])
         self._take(self.document.with_edit(edit))
+        return True
+
+    def begin_placing(self, owner: object, number: int, label: str) -> None:
+        """Begin to move a thing as a whole; see `begin_gesture`."""
+        self.end_gesture()
+        thing = self.document.thing(number)
+        if thing.locked:
+            raise things.locked_error(thing)
+        self._gesture = Gesture(owner, self.document, None, label, None)
+
+    def place(self, owner: object, number: int, matrix: Any) -> bool:
+        """Put the thing of a gesture where a similarity (4, 4) takes it; see `move`."""
+        if not self.is_moved_by(owner):
+            return False
+        self._take(things.with_place(self.document, number, matrix), {"places"})
         return True
 
     def end_gesture(self, owner: object = None, cancel: bool = False) -> None:
@@ -286,7 +316,8 @@ class Session:
             before = dataclasses.replace(gesture.before, view=self.document.view)
             self._take(before, {"edits"})
             return
-        document = commands.moved_keys(self.document, gesture.edit) if gesture.rest else self.document
+        moved = gesture.edit if gesture.rest else None
+        document = self.document if moved is None else commands.moved_keys(self.document, moved)
         if not _same(document, gesture.before):
             self.history.push(gesture.label, gesture.before)
         self._take(document, {"edits", "history"})
@@ -307,12 +338,16 @@ class Session:
         # a pose that no key holds would be lost: it becomes a step of the history first
         here, _ = timeline.state_at(self.document, self.document.time)
         edits = {edit.id: edit for edit in self.document.edits}
-        if any(number in edits and not np.array_equal(edits[number].posed, pose) for number, pose in here.items()):
+        astray = timeline.placed_at(self.document, self.document.time).things != self.document.things
+        if astray or any(
+            number in edits and not np.array_equal(edits[number].posed, pose) for number, pose in here.items()
+        ):
             if not (self.history.undo_steps and _same(self.history.undo_steps[-1][1], self.document)):
                 self.history.push("scrub", self.document)
                 told.add("history")
         poses, view = timeline.state_at(self.document, time)
-        document = dataclasses.replace(self.document, time=time, view=view or self.document.view)
+        document = timeline.placed_at(self.document, time)
+        document = dataclasses.replace(document, time=time, view=view or self.document.view)
         for edit in self.document.edits:
             if edit.id in poses:
                 posed = frozen_vertices(poses[edit.id], len(edit.rest))
@@ -327,6 +362,8 @@ class Session:
         changed = {part for part in PARTS if getattr(document, part) is not getattr(self.document, part)}
         if document.time != self.document.time:
             changed.add("playback")
+        if document.selection.thing != self.document.selection.thing:
+            changed.add("edits")  # pages are told of those of the active thing
         self.document = document
         changed = (changed - set(without)) | set(more)
         if self._gesture is None:
@@ -341,18 +378,27 @@ class Session:
         """One section of the document or the history, as JSON takes it."""
         document = self.document
         if name == "edits":
-            return [edit_json(edit) | {"sliders": _sliders_json(edit.sliders)} for edit in document.edits]
+            edits = document.edits_of(document.selection.thing)
+            return [edit_json(edit) | {"sliders": _sliders_json(edit.sliders)} for edit in edits]
+        if name == "things":
+            return [self._thing_section(thing) for thing in document.things]
         if name == "timeline":
             film, ways = document.timeline, timeline.ways(document)
             keys = [
                 {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing, "way": ways.get(key.id)}
-                | {"pose": key.poses is not None, "camera": key.view is not None}
+                | {"pose": bool(key.held_places) or key.poses is not None, "camera": key.view is not None}
                 for key in film.keys
             ]
             return {"keys": keys, "length": film.length, "fps": film.fps, "loop": film.loop}
         if name == "history":
             return self.history.summary()
         return dataclasses.asdict(getattr(document, name))
+
+    def _thing_section(self, thing: Thing) -> dict[str, Any]:
+        """A thing as pages are told of it, with the box and the kind of its field."""
+        field = self.fields.field(thing)
+        told = {"bounds": field.bounds.tolist(), "size": field_size(field), "matrix": thing.place.matrix.tolist()}
+        return dataclasses.asdict(thing) | told
 
     # -- The file
 
@@ -364,7 +410,8 @@ class Session:
             kept is not None
             and all(getattr(kept, part) is getattr(document, part) for part in ("edits", "timeline"))
             and all(
-                getattr(kept, part) == getattr(document, part) for part in ("selection", "settings", "view", "time")
+                getattr(kept, part) == getattr(document, part)
+                for part in ("selection", "settings", "view", "time", "things")
             )
         )
 
@@ -404,23 +451,26 @@ class Gesture:
 
     owner: object
     before: Document  # the document before it; so is the edit
-    edit: Edit
+    edit: Edit | None  # None where a thing is moved as a whole
     label: str  # of the step that it becomes
     chosen: tuple[int, ...] | None  # vertices that a preset acts on, None for all
     rest: bool = False  # whether the cage at rest was moved
 
 
-def new_document(field: AnyField, cages: Iterable[Cage] = (), resolution: int = 64) -> Document:
+def new_document(field: AnyField, cages: Iterable[Cage] = (), resolution: int = 64, name: str = "scene") -> Document:
     """The document of a new session, with an edit for each cage; it looks at the whole field."""
     edits = tuple(new_edit(number, cage, f"Move {number}") for number, cage in enumerate(cages, start=1))
-    low, high = field.bounds
-    up = np.asarray(field.up, np.float64)
-    angles: dict[str, Any] = {"elevation_degrees": ELEVATION, "start_degrees": AZIMUTH, "fov_degrees": FOV}
-    camera = framing_orbit(box_corners(field.bounds), 1, up=up, **angles)[0]
-    target = (low + high) / 2
-    view = View(_triple(camera.center), _triple(target), _triple(up / np.linalg.norm(up)), FOV)
+    view = view_of_box(field.bounds, np.asarray(field.up, np.float64))
     selection = Selection(edits[0].id if edits else None)
-    return Document(edits, selection, Settings(resolution=resolution), view, Timeline(), next_id=len(edits) + 1)
+    settings, own = Settings(resolution=resolution), Thing(MAIN, name)
+    return Document(edits, selection, settings, view, Timeline(), next_id=len(edits) + 1, things=(own,))
+
+
+def view_of_box(bounds: np.ndarray, up: np.ndarray) -> View:
+    """The view that a new session has of a box (2, 3), world units; up: (3,)."""
+    angles: dict[str, Any] = {"elevation_degrees": ELEVATION, "start_degrees": AZIMUTH, "fov_degrees": FOV}
+    camera = framing_orbit(box_corners(bounds), 1, up=up, **angles)[0]
+    return View(_triple(camera.center), _triple(bounds.mean(axis=0)), _triple(up / np.linalg.norm(up)), FOV)
 
 
 def _sliders_json(sliders: Sliders | None) -> dict[str, Any] | None:
@@ -442,7 +492,7 @@ def _triple(vector: np.ndarray) -> tuple[float, float, float]:
 def _same(one: Document, two: Document) -> bool:
     """Whether two documents are equal in all that the history keeps."""
     return all(getattr(one, part) is getattr(two, part) for part in PARTS if part != "view") or (
-        all(getattr(one, part) == getattr(two, part) for part in ("selection", "settings"))
+        all(getattr(one, part) == getattr(two, part) for part in ("selection", "settings", "things"))
         and len(one.edits) == len(two.edits)
         and all(map(_same_edit, one.edits, two.edits))
         and _same_film(one.timeline, two.timeline)

@@ -23,17 +23,16 @@ from ..cage.up_axis import UpAxis, load_standing
 from ..core.files import atomic_path
 from ..core.names import counted, error_line
 from ..errors import InputError
-from ..field.objects import select_object
-from ..field.selection import NodeSelection
 from ..mesh.io import ENDINGS
 from ..splats.io import SPLAT_ENDINGS
-from ..splats.splat_field import AnyField, field_size
+from ..splats.splat_field import field_size
 from . import commands, exports, timeline
+from .checks import checked_between, checked_choice, checked_flag, checked_id, checked_whole
 from .commands import Step
-from .document import Document, checked_between, checked_choice, checked_click, checked_flag, checked_id, checked_whole
+from .document import Document
 from .exports import requested_film
-from .renderer import view_camera
 from .session import ENDING, Session, Stamp, file_stamp
+from .things import ThingTasks, clicked
 
 #: Jobs that are kept, finished ones included, and jobs that may wait or run at once.
 MAX_JOBS, MAX_UNFINISHED = 40, 12
@@ -245,7 +244,12 @@ def _percent(share: float | None) -> int | None:
 
 
 #: Endings of files that pages may load, and what is in them.
-LOADABLE = {**dict.fromkeys(ENDINGS, "cage"), ".json": "poses", ".npz": "field"}
+LOADABLE = {
+    ".npz": "field",
+    **{os.path.splitext(ending)[1]: "field" for ending in SPLAT_ENDINGS if ending},
+    **dict.fromkeys(ENDINGS, "cage"),
+    ".json": "poses",
+}
 
 #: What can be exported, and the endings of its files.
 EXPORTS = {
@@ -277,9 +281,6 @@ MAX_MARGIN = 64.0
 #: How often a cage is made anew because somebody has changed the scene meanwhile, before all others must wait for it.
 ATTEMPTS = 4
 
-#: Rows of the picture that a click is taken in: finer than any page's.
-CLICK_ROWS = 4096
-
 #: Seconds between looks at whether the hand has come to rest, or the editor is being closed.
 LOOK_SECONDS = 0.1
 
@@ -307,6 +308,7 @@ class Tasks:
             "export.command": self._export_command,
             "job.cancel": lambda message: self.jobs.cancel(checked_id(message["id"], "the number of a job")),
             "job.clear": lambda message: self.jobs.clear(checked_id(message["id"], "the number of a job")),
+            **ThingTasks(self).commands,
         }
 
     def handle(self, message: dict[str, Any]) -> Any:
@@ -346,15 +348,14 @@ class Tasks:
                     found.append({"name": path.name, "kind": kind})
             return found[:MAX_FILES]
 
-        return {"files": await self._read(look)}
+        return {"files": await self.read(look)}
 
     def keep_upload(self, name: str, content: bytes) -> str:
         """Write an uploaded file into the session's folder, where it replaces none; returns the name that it got."""
         plain = re.sub(r"[^\w.\- ]", "_", pathlib.PurePosixPath(name.replace("\\", "/")).name).lstrip(". ")
         stem, ending = os.path.splitext(plain)
-        if LOADABLE.get(ending.lower()) not in ("cage", "poses") or plain.lower().endswith(ENDING):
-            endings = " ".join(ending for ending, kind in LOADABLE.items() if kind != "field")
-            raise InputError(f"{plain[:100]!r} is no cage or pose file: {endings}")
+        if ending.lower() not in LOADABLE or plain.lower().endswith(ENDING):
+            raise InputError(f"{plain[:100]!r} is no cage, pose or field file: {' '.join(LOADABLE)}")
         stem = stem.encode()[:MAX_NAME_BYTES].decode(errors="ignore")
         with self._naming:  # two pages may send files of one name
             number, path = 1, self.path_of(stem + ending)
@@ -378,28 +379,18 @@ class Tasks:
         margin = message.get("margin")
         if margin is not None:
             margin = checked_between(margin, 0.0, MAX_MARGIN, "margin")
-        choose = self._clicked(message.get("click"))
+        document, field = self.session.document, self.session.active_field
+        choose, thing = clicked(document, field, message.get("click")), document.selection.thing
 
         def work(progress: Progress) -> Outcome:
             progress(None, "looks for the surface and draws a cage around it")
             around: Any = choose()
             cage = Cage.from_field(around, count, margin=margin, method=method, symmetry=symmetry)
             progress(0.95, "puts it into the scene")
-            self._hand_over(lambda document: self._with_cage(document, number, cage, "generate cage"))
+            self._hand_over(lambda document: self._with_cage(document, number, cage, "generate cage", thing))
             return Outcome(f"a cage of {len(cage.vertices)} vertices")
 
         return self.jobs.start(f"Cage of {count} vertices", "cage", work)
-
-    def _clicked(self, click: Any) -> Callable[[], AnyField | NodeSelection]:
-        """What finds what a cage goes around: what is at places of a picture (`checked_click`), or all of the field."""
-        field = self.session.field
-        if click is None:
-            return lambda: field
-        places, aspect, plane = checked_click(click)
-        width, height = round(CLICK_ROWS * aspect), CLICK_ROWS
-        seen = view_camera(self.session.document.view, width, height)
-        pixels = [(min(int(x * width), width - 1), min(int(y * height), height - 1)) for x, y in places]
-        return lambda: select_object(field, pixel=pixels, camera=seen, plane=plane)
 
     def _simplify(self, message: dict[str, Any]) -> int:
         edit = self.session.document.edit(message["edit"])
@@ -419,44 +410,45 @@ class Tasks:
     async def _load_cage(self, message: dict[str, Any]) -> None:
         """A cage from a file, for an edit or as a new one."""
         path, number = self.path_of(message["file"]), message.get("edit")
+        field, thing = self.session.active_field, self.session.document.selection.thing
         up = _axis(message, "up", ("y", "z"))
         if number is not None:
             self.session.document.edit(number)
 
         def load() -> tuple[Cage, UpAxis]:
-            cage, standing = load_standing(Cage, path, up=up, reference=self.session.field, anywhere=True)
+            cage, standing = load_standing(Cage, path, up=up, reference=field, anywhere=True)
             cage.require_usable(f"cage {path.name!r}")
             return cage, standing
 
-        cage, standing = await self._read(load)
-        await self._change(lambda document: self._with_cage(document, number, cage, _loaded(path, standing)))
+        cage, standing = await self.read(load)
+        await self.change(lambda document: self._with_cage(document, number, cage, _loaded(path, standing), thing))
 
     async def _load_pose(self, message: dict[str, Any]) -> None:
         """A posed cage from a file, in any order that `Cage.match` takes."""
         path = self.path_of(message["file"])
         edit = self.session.document.edit(message.get("edit", self.session.document.selection.edit))
         up = _axis(message, "up", ("y", "z"))
-        loaded, standing = await self._read(lambda: load_standing(Cage, path, up=up, reference=edit.rest_cage))
+        loaded, standing = await self.read(lambda: load_standing(Cage, path, up=up, reference=edit.rest_cage))
 
         def pose(document: Document) -> Step:
             now = document.edit(edit.id)
             content = {"edit": now.id, "vertices": now.rest_cage.match(loaded).vertices}
             return _loaded(path, standing), commands.set_pose(document, content)[1]
 
-        await self._change(pose)
+        await self.change(pose)
 
     async def _load_poses(self, message: dict[str, Any]) -> None:
         path = self.path_of(message["file"])
         document = self.session.document
         number = document.edit(message.get("edit", document.selection.edit)).id
-        await self._change(lambda document: (f"load {path.name}", timeline.load_poses(document, number, str(path))))
+        await self.change(lambda document: (f"load {path.name}", timeline.load_poses(document, number, str(path))))
 
     async def _save_poses(self, message: dict[str, Any]) -> dict[str, str]:
         path = self.free_path(message["file"], (".json",))
         document = self.session.document
         number = document.edit(message.get("edit", document.selection.edit)).id
-        await self._read(lambda: timeline.pose_file(document, number).save(self.free_path(path.name, (".json",))))
-        return {"download": self._note(path)}
+        await self.read(lambda: timeline.pose_file(document, number).save(self.free_path(path.name, (".json",))))
+        return {"download": self.note(path)}
 
     # -- Exports
 
@@ -486,10 +478,10 @@ class Tasks:
         def work(progress: Progress) -> Outcome:
             self.free_path(path.name, EXPORTS[what])  # it may have waited for others
             if film is not None:
-                count = exports.export_film(document, self.session.field, path, film, progress)
+                count = exports.export_film(document, self.session.fields, path, film, progress)
                 text = f"{path.name}: {counted(count, 'frame')} of {film.width}x{film.height}"
             elif what == "bake":
-                baked = exports.export_baked(document, self.session.field, path, progress)
+                baked = exports.export_baked(document, self.session.fields, path, progress)
                 text = f"{path.name}: a field of {field_size(baked)}"
             elif what == "cage":
                 exports.export_cage(document, number, path, rest=rest)
@@ -499,7 +491,7 @@ class Tasks:
                 text = path.name
             if path.is_dir():
                 return Outcome(f"{text}, in {path}")
-            return Outcome(text, self._note(path))
+            return Outcome(text, self.note(path))
 
         return self.jobs.start(f"Write {path.name}", "film" if film or what == "bake" else "file", work)
 
@@ -511,7 +503,7 @@ class Tasks:
         film, output = requested_film(message), message.get("file") or "film.mp4"
         if not isinstance(output, str) or not output.isprintable():
             raise InputError("file must be the name of a film")
-        await self._read(session.save)
+        await self.read(session.save)
         if session.save_error:
             raise InputError(f"the session could not be saved: {session.save_error}")
         line = exports.export_command(
@@ -519,23 +511,23 @@ class Tasks:
         )
         return {"command": line}
 
-    def _note(self, path: pathlib.Path) -> str:
+    def note(self, path: pathlib.Path) -> str:
         """Note that the editor wrote a file. Returns its address."""
         self._made[path.name] = file_stamp(path)
         return f"download/{urllib.parse.quote(path.name)}"
 
-    async def _read(self, read: Callable[[], Result]) -> Result:
+    async def read(self, read: Callable[[], Result]) -> Result:
         """Work with files, in another thread so that pages are served meanwhile."""
         return await self.loop.run_in_executor(None, read)
 
-    async def _change(self, step: Callable[[Document], Step]) -> None:
+    async def change(self, step: Callable[[Document], Step]) -> None:
         """Change the document by what takes long, in another thread."""
-        await self._read(lambda: self._hand_over(step, patient=False))
+        await self.read(lambda: self._hand_over(step, patient=False))
 
     @staticmethod
-    def _with_cage(document: Document, number: int | None, cage: Cage, label: str) -> tuple[str, Document]:
+    def _with_cage(document: Document, number: int | None, cage: Cage, label: str, thing: int) -> tuple[str, Document]:
         if number is None:
-            return commands.with_new_edit(document, cage)
+            return commands.with_new_edit(document, cage, thing=thing)
         return commands.replace_cage(document, number, cage, label)
 
     def _hand_over(self, step: Callable[[Document], Step], patient: bool = True) -> None:

@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import bisect
 import dataclasses
+import functools
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
+from typing import TypeAlias
 
 import numpy as np
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile, known_easing
+from ..edits.place import PlaceFile
 from ..errors import InputError
 from ..view import motion as between
 from ..view.camera import CameraKey
 from ..view.camera_path import timed_keys
-from .document import MAX_KEYS, MAX_NAME, MAX_SECONDS, Document, Key, Timeline, View, frozen_vertices
-from .renderer import view_camera
+from .checks import MAX_KEYS, MAX_NAME, MAX_SECONDS, frozen_vertices
+from .document import Document, Key, Timeline, View
+from .pictures.scene import view_camera
+
+#: Keys and what each of them holds of one edit, thing or camera.
+_Track: TypeAlias = Sequence[tuple[Key, np.ndarray]]
 
 #: Width and height of the pictures of cameras in pose files, pixels.
 PICTURE = (800, 600)
@@ -31,6 +38,30 @@ MAX_DRAWN = 200
 
 #: Fields of view, degrees: a smooth way may swing beyond those of its keys.
 LEAST_FOV, LARGEST_FOV = 1.0, 150.0
+
+
+def place_files(document: Document) -> dict[int, PlaceFile]:
+    """The places of things that keys hold, by the number of the thing; none where all keys are of a field in its own
+    place."""
+    keys, loop = document.timeline.keys, document.timeline.loop
+    if all(key.places is None for key in keys):
+        return {}
+    found = {}
+    for thing in document.things:
+        held = [key for key in keys if thing.id in key.held_places]
+        if held:
+            places = {key.time: key.held_places[thing.id] for key in held}
+            found[thing.id] = PlaceFile(places, {key.time: key.easing for key in held}, loop)
+    return found
+
+
+def placed_at(document: Document, time: float) -> Document:
+    """The document with the places of things that its film has at a time, seconds; what is still stays as it is."""
+    for number, file in place_files(document).items():
+        thing = document.thing(number)
+        if (place := file.at(time)) != thing.place:
+            document = document.with_thing(dataclasses.replace(thing, place=place))
+    return document
 
 
 def state_at(document: Document, time: float) -> tuple[dict[int, np.ndarray], View | None]:
@@ -47,15 +78,13 @@ def state_at(document: Document, time: float) -> tuple[dict[int, np.ndarray], Vi
 
 
 def ways(document: Document) -> dict[int, tuple[float, list[float]]]:
-    """By the number of a key with poses: the time of the next ones, and how far they have gone to these, 0 to 1, at
-    even times. That of the edit that moves most; keys from which nothing moves are left out."""
+    """By the number of a key with poses or places: the time of the next ones, and how far they have gone to these, 0 to
+    1, at even times. That of the edit or thing that moves most; keys from which nothing moves are left out."""
     farthest: dict[int, float] = {}
     found = {}
-    for track in _pose_tracks(document).values():
+    for track, value_at in _moving(document):
         if len(track) > MAX_DRAWN:
             continue
-        times, values = [key.time for key, _ in track], [value for _, value in track]
-        easings, closed = [key.easing for key, _ in track], _closes(document.timeline, track)
         for (key, begin), (after, end) in itertools.pairwise(track):
             step = end - begin
             far = float(np.vdot(step, step))
@@ -63,16 +92,26 @@ def ways(document: Document) -> dict[int, tuple[float, list[float]]]:
                 continue
             farthest[key.id] = far
             moments = np.linspace(key.time, after.time, SMOOTH_PARTS + 1 if key.easing == "smooth" else PARTS + 1)
-            places = [between.value_at(times, values, float(time), easings, closed=closed) for time in moments]
-            found[key.id] = (after.time, [float(np.vdot(place - begin, step)) / far for place in places])
+            values = [value_at(float(time)) for time in moments]
+            found[key.id] = (after.time, [float(np.vdot(value - begin, step)) / far for value in values])
     return found
+
+
+def _moving(document: Document) -> Iterator[tuple[_Track, Callable[[float], np.ndarray]]]:
+    """Keys with the poses of each edit and the matrices of each thing's places, and what gives these at a time."""
+    for track in _pose_tracks(document).values():
+        yield track, functools.partial(_value_at, track, closed=_closes(document.timeline, track))
+    for number, file in place_files(document).items():
+        held = [key for key in document.timeline.keys if number in key.held_places]
+        places = [(key, key.held_places[number].matrix) for key in held]
+        yield places, lambda time, file=file: file.at(time).matrix
 
 
 def document_at(document: Document, time: float) -> Document:
     """The document with the poses and the view that its film has at a time, seconds."""
     poses, view = state_at(document, time)
     edits = tuple(dataclasses.replace(edit, posed=poses.get(edit.id, edit.posed)) for edit in document.edits)
-    return dataclasses.replace(document, edits=edits, view=view or document.view, time=time)
+    return dataclasses.replace(placed_at(document, time), edits=edits, view=view or document.view, time=time)
 
 
 def looped_time(timeline: Timeline, elapsed: float) -> float:
@@ -125,7 +164,7 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
         raise InputError("the pose file holds no keyframes")
     keys = [_without_pose(key, number) if len(file) else key for key in document.timeline.keys]
     keys = [dataclasses.replace(key, view=None) if file.cameras else key for key in keys]
-    keys = [key for key in keys if key.poses is not None or key.view is not None]
+    keys = [key for key in keys if not key.is_empty]
     count = len(keys) + len(file) + len(file.cameras)
     if count > MAX_KEYS:
         raise InputError(f"a film has at most {MAX_KEYS} keys, this one would have {count}")
@@ -213,13 +252,13 @@ def _pose_tracks(document: Document) -> dict[int, list[tuple[Key, np.ndarray]]]:
     return tracks
 
 
-def _value_at(track: Sequence[tuple[Key, np.ndarray]], time: float, closed: bool = False) -> np.ndarray:
+def _value_at(track: _Track, time: float, closed: bool = False) -> np.ndarray:
     """The value of keys at a time, read-only. At a key it is the key's own array."""
     times, easings = [key.time for key, _ in track], [key.easing for key, _ in track]
     return between.value_at(times, [value for _, value in track], time, easings, closed=closed)
 
 
-def _closes(film: Timeline, track: Sequence[tuple[Key, np.ndarray]]) -> bool:
+def _closes(film: Timeline, track: _Track) -> bool:
     """Whether a film goes on at its end as it began, so that smooth ways go through it without stopping."""
     (first, begin), (last, end) = track[0], track[-1]
     whole = first.time == 0.0 and last.time == film.length

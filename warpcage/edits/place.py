@@ -14,6 +14,7 @@ from ..core.checks import checked_easing, checked_number, checked_positive, chec
 from ..core.files import PathLike, atomic_path, read_json, require_file
 from ..core.names import LOOPS, Easing, require_name
 from ..errors import InputError
+from ..view.camera import Camera
 from ..view.motion import axis_rotation, value_at
 from .words import Checker, anything, checked_words
 
@@ -248,6 +249,23 @@ class PlaceFile:
         with atomic_path(path) as temporary:
             content = {"format": _FORMAT, "version": _VERSION, **self.to_json()}
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def seen_from(place: Place, camera: Camera) -> Camera:
+    """A camera of the stage in the coordinates of a thing there: rays are the same, depths are shorter by the scale."""
+    if place == Place():
+        return camera
+    pose = np.eye(4)
+    pose[:3, :3] = place.rotation.T @ camera.rotation
+    pose[:3, 3] = place.rotation.T @ (camera.center - place.position) / place.scale
+    return dataclasses.replace(camera, camera_to_world=pose)
+
+
+def near_turn(turn: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """(3,) the degrees of a turn that are nearest to other ones, so that what turns on goes on from there."""
+    other = np.array([turn[0] + 180.0, 180.0 - turn[1], turn[2] + 180.0])  # the same rotation
+    near = [each + 360.0 * np.round((before - each) / 360.0) for each in (turn, other)]
+    return min(near, key=lambda each: float(np.abs(each - before).sum()))
 
 
 def require_version(version: Any, newest: int) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import pathlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,12 @@ STAGE_ENDING = ".stage.json"
 #: Words of a thing, and options of Deformers that the file keeps.
 _THING: dict[str, Checker] = dict.fromkeys(("name", "field", "place", "hidden", "deformation"), anything)
 _OPTIONS: dict[str, Checker] = dict.fromkeys(("coordinates", "resolution", "density", "store", "map"), anything)
+
+
+def free_name(name: str, taken: Collection[str]) -> str:
+    """A name that is not taken: the same, or with the first number from 2 that makes it one."""
+    names = itertools.chain([name], (f"{name} {number}" for number in itertools.count(2)))
+    return next(each for each in names if each not in taken)
 
 
 def write_stage_file(path: pathlib.Path, things: Iterable[Mapping[str, Any]]) -> None:

@@ -223,6 +223,7 @@ command(
   warpcage edit --demo
   warpcage edit lego.npz --cage cage.obj
   warpcage edit scene.ply
+  warpcage edit both.stage.json                       (several things, as render --save-stage writes them)
   warpcage edit lego.npz --port 8700 --no-browser     (then, at home: ssh -L 8700:127.0.0.1:8700 HOST)
 
 What is edited is kept beside the field, as NAME.session.json, and the next call goes on with it.

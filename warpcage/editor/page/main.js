@@ -14,12 +14,13 @@ import { editsGroup } from "./panels/edits.js";
 import { filmGroup, jobsGroup, keysGroup } from "./panels/film.js";
 import { viewGroup } from "./panels/picture.js";
 import { poseGroup } from "./panels/pose.js";
+import { thingsGroup } from "./panels/things.js";
 import * as timeline from "./panels/timeline.js";
 import * as toolbar from "./panels/toolbar.js";
 
 /** Builds the side panel: its groups from top to bottom. */
 function startPanel() {
-  const groups = [editsGroup(), cageGroup(), poseGroup(), viewGroup(), keysGroup(), filmGroup(), jobsGroup()];
+  const groups = [thingsGroup(), editsGroup(), cageGroup(), poseGroup(), viewGroup(), keysGroup(), filmGroup(), jobsGroup()];
   document.getElementById("panel").append(...groups.map(({ root }) => root));
   for (const group of groups) group.start();
 }

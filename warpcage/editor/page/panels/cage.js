@@ -5,6 +5,7 @@ import { attempt, request } from "../core/connection.js";
 import { askFor, toast } from "../core/dialogs.js";
 import { isBrush } from "../tools/brush.js";
 import { nextPlace } from "../view/pointer.js";
+import { activeThing } from "../view/things.js";
 import { button, el, group, setText } from "../core/controls.js";
 import { AXIS_NAMES } from "../geometry/vectors.js";
 
@@ -71,7 +72,7 @@ async function generateAround() {
 }
 
 async function mirror(edit) {
-  const { bounds } = store.sections.session.field;
+  const { bounds } = activeThing();
   const axes = AXIS_NAMES.map((name) => [name, `Across ${name}`]);
   const given = await askFor({
     title: "Mirror the edit",

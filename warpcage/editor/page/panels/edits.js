@@ -3,6 +3,7 @@
 import { activeEdit, store, withActiveEdit } from "../core/store.js";
 import { request } from "../core/connection.js";
 import { askFor, confirmThat } from "../core/dialogs.js";
+import { activeThing } from "../view/things.js";
 import { button, choice, el, followKey, group, icon, listBox, number, setIcon, setText, text } from "../core/controls.js";
 
 const KINDS = [
@@ -48,7 +49,7 @@ async function remove(edit) {
 
 /** Asks for the first cage of a new edit: a shape around the middle of the field. */
 async function add() {
-  const { bounds } = store.sections.session?.field ?? {};
+  const { bounds } = activeThing() ?? {};
   if (!bounds) return;
   const given = await askFor({
     title: "Add an edit",

@@ -5,6 +5,7 @@ import { request } from "../core/connection.js";
 import { askFor, showText } from "../core/dialogs.js";
 import { button, choice, el, followKey, group, icon, listBox, number, row, rows, setText, short, text, titleOf } from "../core/controls.js";
 import { loadFrom, uploadField } from "./cage.js";
+import { things } from "../view/things.js";
 import { EASINGS, LOOPS, add, change, choose, chosenKey, ease, easingWord, film, goTo, holds, jump, onChosen, remove, seconds } from "./keys.js";
 
 function makeKeyRow({ id }) {
@@ -134,7 +135,8 @@ const HELP = {
 };
 
 async function exportAs([what, label, , usual, fields]) {
-  const file = what === "bake" && store.sections.session?.field.splats ? "bent.ply" : usual;
+  const hasSplats = things().some(({ visible, size }) => visible && size.endsWith("splats"));
+  const file = what === "bake" && hasSplats ? "bent.ply" : usual;
   const given = await askFor({
     title: `Export: ${label}`,
     fields: [{ name: "file", label: what === "png" ? "Folder" : "File", type: "text", value: file, help: HELP[what] ?? HELP.file }, ...fields()],

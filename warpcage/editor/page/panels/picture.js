@@ -2,6 +2,7 @@
 
 import { actions, run, store } from "../core/store.js";
 import { request } from "../core/connection.js";
+import { things } from "../view/things.js";
 import { button, check, choice, el, group, percent, perPicture, segments, setText, titleOf } from "../core/controls.js";
 
 const RESOLUTIONS = [16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512];
@@ -163,12 +164,13 @@ export function viewGroup() {
     supersampling.set(settings.supersampling);
     background.set(settings.background);
     fill.set(settings.fill);
-    fill.root.hidden = settings.background !== null || !store.sections.session?.field?.layers;
+    fill.root.hidden = settings.background !== null || !store.sections.session?.field?.layers || things().length > 1;
     shown.set(settings.show);
     masks.show();
   };
   const start = () => {
     store.on("settings", show);
+    store.on("things", show);
     store.on("session", show); // of its field: whether there is something to fill
     store.on("status", masks.show);
     store.on("tools", (tools) => {

@@ -134,6 +134,7 @@ function buildMode() {
     options: [
       ["pose", "Pose", "Pose the cage: the scene follows (Q)"],
       ["rest", "Rest", "Fit the rest cage to the scene as it was captured (Q)"],
+      ["place", "Place", "Move, turn and scale things as wholes (T)"],
     ],
     value: "pose",
     onChange: (value) => request({ do: "settings", mode: value }),
@@ -250,6 +251,12 @@ export function start() {
     keys: ["Q"],
     group: "Edit",
     run: () => request({ do: "settings", mode: store.sections.settings?.mode === "rest" ? "pose" : "rest" }),
+  });
+  register("mode.place", {
+    label: "Place things, or pose",
+    keys: ["T"],
+    group: "Edit",
+    run: () => request({ do: "settings", mode: store.sections.settings?.mode === "place" ? "pose" : "place" }),
   });
   dress();
   showTheme();

@@ -50,7 +50,7 @@ export function select(edit, vertices, { mode = pickMode(), active: vertex = act
   const before = store.sections.selection;
   const isSame = before?.edit === edit && before.mode === mode && String(before.vertices) === String(numbers);
   if (isSame) return changed();
-  store.set("selection", { edit, mode, vertices: numbers });
+  store.set("selection", { ...before, edit, mode, vertices: numbers });
   unanswered += 1;
   ask({ do: "select", edit, mode, vertices: numbers })
     .catch((error) => {

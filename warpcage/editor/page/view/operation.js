@@ -5,8 +5,9 @@ import { project } from "../geometry/camera.js";
 import { normalAround } from "../geometry/topology.js";
 import * as T from "../geometry/transform.js";
 import { AXIS_NAMES, add, dot, mean, subtract, times, unit } from "../geometry/vectors.js";
-import { activeCage, activeVertex, places, selected } from "./cages.js";
-import * as drag from "./drag.js";
+import * as drag from "./subject.js";
+import { activeCage, activeVertex, places, selected } from "./subject.js";
+import { isPlacing } from "./things.js";
 
 const LABELS = { move: "Move", rotate: "Rotate", scale: "Scale" };
 const NAMES = AXIS_NAMES.map((name) => name.toUpperCase());
@@ -16,7 +17,7 @@ let mirrors = { rest: null, axis: -1, mirror: null };
 export const current = () => operation;
 
 /** The axis across the plane of this page's symmetry (0, 1, 2), or -1. */
-export const mirrorAxis = () => AXIS_NAMES.indexOf(store.tools.symmetry);
+export const mirrorAxis = () => (isPlacing() ? -1 : AXIS_NAMES.indexOf(store.tools.symmetry));
 
 /** The mirror of a cage by this page's symmetry, or null. */
 function mirrorNow(cage) {
@@ -30,6 +31,7 @@ function mirrorNow(cage) {
 
 /** The axes that tools use now at a selection: "world", "view" or "local". */
 export function basisNow(axes, camera, cage, points, chosen) {
+  if (cage.isThing) return axes === "local" ? cage.axes : T.basisOf(axes, camera, null);
   return T.basisOf(axes, camera, axes === "local" ? normalAround(cage.faces, points, chosen) : null);
 }
 
@@ -52,7 +54,7 @@ export function begin(kind, { camera, at, allowed = [true, true, true], way = st
     offset: [0, 0, 0],
   };
   operation.typed = new T.Typed(fieldCount());
-  drag.begin(cage, `${LABELS[kind]} ${chosen.size === 1 ? "a vertex" : `${chosen.size} vertices`}`);
+  drag.begin(cage, `${LABELS[kind]} ${cage.isThing ? cage.name : chosen.size === 1 ? "a vertex" : `${chosen.size} vertices`}`);
   weigh();
   return operation;
 }
@@ -61,7 +63,7 @@ const fieldCount = () => (operation.kind === "move" ? operation.allowed.filter(B
 
 function weigh() {
   const { cage, start, chosen, mirror } = operation;
-  const radius = store.tools.proportional ? store.tools.radius * cage.size : 0;
+  const radius = store.tools.proportional && !cage.isThing ? store.tools.radius * cage.size : 0;
   const all = mirror ? T.withPartners(mirror, chosen) : chosen;
   operation.weights = T.weightsOf(start, all, radius, store.tools.falloff);
   operation.dirty = true;
@@ -228,6 +230,7 @@ export function describe() {
   const { kind, allowed, way, text } = operation;
   const names = NAMES.filter((_, k) => allowed[k]).join("");
   const along = isFree() ? "" : ` ${way} ${names}`;
+  if (operation.cage.isThing) return [`${LABELS[kind]} ${operation.cage.name}${along}   ${text}`, "X Y Z: axis, with Shift: plane  ·  numbers  ·  Enter  ·  Esc"];
   const near = store.tools.proportional ? `  ·  wheel: radius ${shown(store.tools.radius)}` : "  ·  O: proportional";
   const alone = operation.mirror ? [...operation.chosen].filter((i) => operation.mirror.partners[i] < 0).length : 0;
   const without = alone ? ` (${alone} without a partner)` : "";

@@ -7,6 +7,7 @@ import { ballAt, handleAt } from "./gizmo.js";
 import * as operation from "./operation.js";
 import * as S from "./selecting.js";
 import { isBrush } from "../tools/brush.js";
+import * as things from "./things.js";
 import { camera, compass, gizmo, overlay, requestDraw, surfaceAt } from "./viewport.js";
 
 const MOUSE = { reach: 11, slack: 4 }; // pixels: how near counts as on it, how far counts as a drag
@@ -64,6 +65,11 @@ const placeOf = (event) => {
   const box = canvas.getBoundingClientRect();
   return [event.clientX - box.left, event.clientY - box.top];
 };
+/** A place as shares of the picture across and down, and the picture's aspect. */
+function sharesOf([x, y]) {
+  const { width, height } = canvas.getBoundingClientRect();
+  return { across: x / width, down: y / height, aspect: width / height };
+}
 const wayOf = (event) => (event.shiftKey ? "add" : event.ctrlKey || event.metaKey ? "remove" : "replace");
 const tolerances = (event) => (event.pointerType === "touch" ? FINGER : MOUSE);
 const details = (event) => ({ slow: event.shiftKey, flip: event.ctrlKey || event.metaKey, time: event.timeStamp });
@@ -161,6 +167,13 @@ function beginTransform(event, at, handle) {
 /** What a press becomes once the pointer has moved: a move of the selection, a turn of the view, or a region. */
 function decide(event, at) {
   const { element, way } = gesture;
+  if (things.isPlacing()) {
+    if (things.isOverBox(camera(), ...gesture.at)) {
+      beginTransform(event, gesture.at, { kind: "move", allowed: [true, true, true] });
+      if (gesture.kind === "transform") operation.follow(at, details(event));
+    } else gesture = { ...gesture, kind: "turn", at };
+    return;
+  }
   const isSelected = element && element.cage === C.activeCage() && element.vertices.every((i) => C.selected().has(i));
   // An unselected face is ground to draw a rectangle on; beneath a finger, what is not selected is ground to turn on
   const isThin = element?.mode === "vertex" && event.pointerType !== "touch";
@@ -223,7 +236,11 @@ function onUp(event) {
   if (!gesture || event.pointerId !== gesture.id) return;
   const ended = gesture;
   gesture = null;
-  if (ended.kind === "press") S.clicked(ended.element, ended.way);
+  if (ended.kind === "press" && things.isPlacing()) things.chooseAt(sharesOf(ended.at));
+  else if (ended.kind === "press") {
+    S.clicked(ended.element, ended.way);
+    if (!ended.element && ended.way === "replace") things.chooseAt(sharesOf(ended.at));
+  }
   else if (ended.kind === "transform") operation.finish();
   else if (ended.kind === "turn") hideHint();
   else if (ended.kind === "hand") {

@@ -10,6 +10,7 @@ import { point } from "../geometry/vectors.js";
 import { isBrush, resizeBrush } from "../tools/brush.js";
 import * as C from "./cages.js";
 import * as operation from "./operation.js";
+import { inScene, isPlacing, sceneCorners, things } from "./things.js";
 import { camera, getSize, getView, hiddenOf, requestDraw, screenOf, setView } from "./viewport.js";
 
 /** Where the pointer is over the canvas (CSS pixels), or null. */
@@ -47,7 +48,7 @@ function elementOf(cage, x, y, reach) {
 
 /** The vertex, edge or face under a pixel: of the active cage, else of another one; or null. */
 export function elementAt(x, y, reach) {
-  if (!store.tools.cage) return null;
+  if (!store.tools.cage || isPlacing()) return null;
   const current = C.activeCage();
   const all = C.visibleCages();
   const others = all.filter((cage) => cage !== current);
@@ -97,7 +98,7 @@ export function regionSelection({ shape, path, way }) {
   return { cage, vertices: chosen };
 }
 
-const hasCage = () => Boolean(cageNow()?.visible);
+const hasCage = () => !isPlacing() && Boolean(cageNow()?.visible);
 const hasSelection = () => hasCage() && C.selected().size > 0;
 
 function choose(make) {
@@ -171,6 +172,7 @@ function count(way) {
 function begin(kind) {
   const begun = operation.begin(kind, { camera: camera(), at: pointer.at });
   if (begun) requestDraw();
+  else if (isPlacing()) toast("The active thing is hidden or locked: show or unlock it in the group Things.", "info");
   else toast("Select vertices of a visible cage first: click, drag a rectangle, or A for all.", "info");
 }
 
@@ -204,12 +206,13 @@ function frame(points) {
 
 function frameEverything() {
   const cages = C.visibleCages();
-  const points = cages.flatMap((cage) => [...C.places(cage)]);
-  frame(points.length ? points : (store.sections.session?.field?.bounds ?? []).flat());
+  if (things().length > 1 || isPlacing()) return frame(sceneCorners());
+  const points = cages.flatMap((cage) => [...inScene(C.places(cage))]);
+  return frame(points.length ? points : (store.sections.session?.field?.bounds ?? []).flat());
 }
 
 function frameSelection() {
-  const points = C.places(cageNow());
+  const points = inScene(C.places(cageNow()));
   const places = [...C.selected()].flatMap((i) => point(points, i));
   if (places.length > 3) frame(places);
   else {

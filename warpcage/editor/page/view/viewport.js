@@ -7,10 +7,12 @@ import { surfacePoint } from "../geometry/pick.js";
 import { mean, point } from "../geometry/vectors.js";
 import * as C from "./cages.js";
 import * as D from "./draw.js";
-import * as drag from "./drag.js";
 import { drawCompass, drawGizmo, drawGuides, makeCompass, makeGizmo } from "./gizmo.js";
 import { drawGrid } from "./grid.js";
 import * as operation from "./operation.js";
+import * as subject from "./subject.js";
+import * as things from "./things.js";
+import { scaleOf } from "../geometry/place.js";
 
 const MAX_LATENCIES = 1000;
 const MAX_SIDE = 4096; // of a picture, pixels
@@ -66,11 +68,17 @@ export const viewport = {
   handles: () => gizmo().map(({ name, line, area, disc, ring }) => ({ name, line, area, disc, ring })),
 };
 
-/** The camera that cages are drawn with: that of the hand, or the film's while it plays. */
-export function camera() {
+/** The view that is drawn: that of the hand, or the film's while it plays. */
+function viewNow() {
   const isPlaying = store.sections.playback?.playing && !viewHeld;
-  return makeCamera((isPlaying && picture?.header.view) || view || FALLBACK, width, height);
+  return (isPlaying && picture?.header.view) || view || FALLBACK;
 }
+
+/** The camera of the scene, in which things stand. */
+export const sceneCamera = () => makeCamera(viewNow(), width, height);
+
+/** The camera that what is edited is drawn with: cages in the coordinates of their thing, boxes in those of the scene. */
+export const camera = () => (things.isPlacing() ? sceneCamera() : makeCamera(things.viewOfActive(viewNow()), width, height));
 const FALLBACK = { eye: [3, 3, 3], target: [0, 0, 0], up: [0, 0, 1], fov: 45 };
 
 export const getView = () => view ?? FALLBACK;
@@ -113,7 +121,7 @@ function onFrame() {
   if (unsentView && store.status.connected) send(sendView(true));
   scheduled = false;
   draw();
-  if (drag.isWaiting()) requestDraw();
+  if (subject.isWaiting()) requestDraw();
 }
 
 export const screenOf = (cage) => projectAll(camera(), C.places(cage));
@@ -129,28 +137,39 @@ export function hiddenOf(cage) {
   const points = C.places(cage);
   const kept = hiddenCache.get(cage.id);
   if (kept?.points === points && kept.picture === picture && kept.faces === cage.faces) return kept.result;
-  const result = D.findHidden(cage, points, picture);
+  const result = D.findHidden(cage, points, pictureOfActive());
   hiddenCache.set(cage.id, { points, picture, faces: cage.faces, result });
   return result;
 }
 
-/** Where the gizmo stands: the middle of the selection; null without one. */
+/** The picture's distances in the coordinates of the active thing. */
+function pictureOfActive() {
+  if (!picture?.map) return picture;
+  const scale = scaleOf(things.matrixOf(things.activeThing()));
+  const { width: w, height: h, near, far } = picture.map;
+  const map = { ...picture.map, near: near / scale, far: far / scale };
+  return { map, camera: makeCamera(things.viewOfActive(picture.header.view), w, h) };
+}
+
+/** Where the gizmo stands: the middle of the selection, or of a thing's box; null without one. */
 function pivotNow() {
-  const cage = C.activeCage();
-  if (!cage?.visible || !C.selected().size) return null;
-  return mean(C.places(cage), [...C.selected()]);
+  const cage = subject.activeCage();
+  if (!cage?.visible || !subject.selected().size) return null;
+  return mean(subject.places(cage), [...subject.selected()]);
 }
 
 /** The handles of the present tool at the selection. */
 export function gizmo() {
-  const pivot = store.tools.cage && !operation.current() && pivotNow();
+  const isPlacing = things.isPlacing();
+  const pivot = (store.tools.cage || isPlacing) && !operation.current() && pivotNow();
   if (!pivot) return [];
-  const cage = C.activeCage();
-  const basis = operation.basisNow(store.tools.axes, camera(), cage, C.places(cage), C.selected());
-  return makeGizmo(store.tools.tool, camera(), pivot, basis);
+  const cage = subject.activeCage();
+  const basis = operation.basisNow(store.tools.axes, camera(), cage, subject.places(cage), subject.selected());
+  const { tool } = store.tools;
+  return makeGizmo(isPlacing && tool === "select" ? "move" : tool, camera(), pivot, basis);
 }
 
-export const compass = () => makeCompass(camera(), width);
+export const compass = () => makeCompass(sceneCamera(), width);
 
 /** Where the picture belongs; one of an older view goes and grows with its target, until the next one comes. */
 function pictureBox(now) {
@@ -167,11 +186,15 @@ function pictureBox(now) {
 function draw() {
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, width, height);
+  const scene = sceneCamera();
   const now = camera();
-  if (picture?.bitmap) context.drawImage(picture.bitmap, ...pictureBox(now));
+  if (picture?.bitmap) context.drawImage(picture.bitmap, ...pictureBox(scene));
   const field = store.sections.session?.field;
-  if (store.tools.grid && field) drawGrid(context, now, field, picture);
-  if (store.tools.cage) drawCages(now);
+  if (store.tools.grid && field) drawGrid(context, scene, field, picture);
+  if (things.isPlacing()) {
+    things.drawBoxes(context, scene);
+    drawGizmo(context, gizmo(), overlay.handle);
+  } else if (store.tools.cage) drawCages(now);
   for (const drawing of drawings) drawing(context, now);
   drawCompass(context, compass(), overlay.ball);
   if (overlay.region) D.drawRegion(context, overlay.region.shape, overlay.region.path, store.tools.brush);
@@ -204,7 +227,7 @@ function drawCages(now) {
 function drawOperation(now, running) {
   const pivot = pivotNow() ?? running.pivot;
   if (!running.allowed.every(Boolean)) drawGuides(context, now, running.pivot, operation.axesNow(), running.allowed);
-  if (store.tools.proportional) {
+  if (store.tools.proportional && !running.cage.isThing) {
     const [x, y] = project(now, pivot);
     D.drawCircle(context, x, y, (store.tools.radius * running.cage.size) / pixelAt(now, pivot));
   }
@@ -282,9 +305,9 @@ export function start(element) {
   resize();
 }
 
-drag.whenSent((seq, time) => pending.set(seq, time));
+subject.whenSent((seq, time) => pending.set(seq, time));
 C.whenChanged(requestDraw);
-for (const name of ["tools", "playback", "settings", "session"]) store.on(name, requestDraw);
+for (const name of ["tools", "playback", "settings", "session", "things"]) store.on(name, requestDraw);
 store.on("status", () => store.status.connected || requestDraw());
 
 store.on("view", (content) => {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import concurrent.futures
 import dataclasses
 import json
@@ -10,30 +11,24 @@ import math
 import struct
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 import warp as wp
 
-from ..cage.cage import Cage
-from ..cage.walls import cut_faces
-from ..core.arrays import empty_array
-from ..core.devices import launch
-from ..core.locks import device_turn
-from ..core.names import chosen
-from ..deform.deformer import Deformer
-from ..edits.edits import CageEdit
-from ..errors import InputError
-from ..field.voxel_field import VoxelField
-from ..films.render import Look
-from ..kernels.view import pictures
-from ..mesh.validity import require_usable
-from ..splats.splat_field import AnyField
-from ..view.camera import Camera
-from ..view.frame import Frame
-from ..view.frame_parts import mask_shares, picture
-from .document import Background, Document, Edit, View
+from ...core.arrays import empty_array
+from ...core.devices import launch
+from ...core.locks import device_turn
+from ...core.names import chosen
+from ...field.voxel_field import VoxelField
+from ...kernels.view import pictures
+from ...splats.splat_field import AnyField
+from ...view.camera import Camera
+from ...view.frame import Frame
+from ...view.frame_parts import mask_shares, picture
+from ..document import Background, Document
+from .scene import HIDING_ALPHA, Fields, PosedScene, same_pose, view_camera
 
 #: Seconds that a picture may take while the hand moves, on a CPU and on CUDA.
 MOVING_SECONDS = {"cpu": 0.05, "cuda": 0.022}
@@ -134,9 +129,6 @@ FRAME = 10
 #: Depths along the longest side of a picture, while the hand moves and when it rests.
 DEPTHS_MOVING, DEPTHS_SHARP = 64, 256
 
-#: Pixels of less opacity hide nothing.
-HIDING_ALPHA = 0.5
-
 
 @dataclasses.dataclass(frozen=True)
 class Pixels:
@@ -201,126 +193,6 @@ def packed_frame(header: dict[str, Any], pixels: Pixels | None, quality: int) ->
     return b"".join(parts)
 
 
-#: Deformers that are kept for one set of edits, one per resolution: a moving hand and a resting one may have two.
-KEPT_DEFORMERS = 2
-
-
-def view_camera(view: View, width: int, height: int) -> Camera:
-    """The camera of a view, with square pixels, for a picture of so many pixels."""
-    focal = 0.5 * height / math.tan(math.radians(view.fov) / 2)
-    looking = Camera.look_at(view.eye, view.target, up=view.up, width=width, height=height)
-    return dataclasses.replace(looking, fx=focal, fy=focal)
-
-
-class PosedScene:
-    """The scene of a document, posed and ready to be rendered. One thread at a time may use it.
-    A Deformer is made only when what it is made of changes; a changed pose is posed, an unchanged one left as it is."""
-
-    def __init__(self, field: AnyField):
-        self.field = field
-        self.deformer: Deformer | None = None  # of the last `prepare`; None where the field is shown as it is
-        self._edits: tuple[Edit, ...] = ()  # what the kept Deformers and cages are made of
-        self._options: tuple[str, str] = ("", "")
-        self._rest: list[Cage] = []
-        self._kept: dict[int, Deformer] = {}  # by resolution, the last used one at the end
-        self._posed: dict[int, list[np.ndarray]] = {}  # the vertices that each of them is posed with
-
-    def prepare(self, document: Document, resolution: int | None = None) -> None:
-        """Make the scene of a document's edits and settings; where that fails, the scene before stays.
-        `resolution`: cells of the lattices along the longest side of a cage, None is that of the settings."""
-        edits = tuple(edit for edit in document.edits if edit.visible)
-        if not edits or document.settings.mode == "rest":
-            self.deformer = None
-            return
-        cells = document.settings.resolution if resolution is None else resolution
-        options = (document.settings.coordinates, document.settings.density)
-        same = options == self._options and _same_rest(edits, self._edits)
-        rest = self._rest if same else [Cage(edit.rest, edit.faces) for edit in edits]
-        posed = [
-            None if edit.kind == "remove" else cage.with_vertices(edit.posed)
-            for edit, cage in zip(edits, rest, strict=True)
-        ]
-        kept = self._kept if same else {}
-        deformer = kept.get(cells)
-        vertices = [edit.posed for edit in edits]
-        if deformer is None:
-            coordinates, density = cast(tuple[Any, Any], options)  # names, which documents check
-            deformer = Deformer(
-                self.field, self._cage_edits(edits, rest), coordinates=coordinates, resolution=cells, density=density
-            )
-            _pose(deformer, edits, posed)
-        elif not _same_arrays(vertices, self._posed.get(cells, [])):
-            self._posed.pop(cells, None)
-            _pose(deformer, edits, posed)
-        if not same:
-            self._kept, self._posed = {}, {}
-        self._edits, self._options, self._rest, self.deformer = edits, options, rest, deformer
-        self._kept.pop(cells, None)
-        self._kept[cells], self._posed[cells] = deformer, vertices
-        while len(self._kept) > KEPT_DEFORMERS:
-            oldest = next(iter(self._kept))
-            del self._kept[oldest], self._posed[oldest]
-
-    def render(
-        self,
-        camera: Camera,
-        background: Background = None,
-        step: float | None = None,
-        supersampling: int | None = None,
-        fill: bool = False,
-    ) -> Frame:
-        """The view of a camera of the scene that was prepared last, or of the field itself, which has no masks.
-        None is the field's own; `step` is world units (splats have none); for `fill` see `fill_unseen`."""
-        options = {"step": step} if isinstance(self.field, VoxelField) else {}
-        frame = Look(background, fill, supersampling).render(self.deformer or self.field, camera, **options)
-        if "filled" in frame.arrays:
-            device = frame.arrays["alpha"].device
-            frame.arrays["rgb"] = wp.array(frame.rgb.reshape(-1, 3), dtype=wp.vec3, device=device)  # as the others
-        return frame
-
-    def _cage_edits(self, edits: Sequence[Edit], rest: Sequence[Cage]) -> list[CageEdit]:
-        """The edits as a Deformer takes them."""
-        for edit, cage in zip(edits, rest, strict=True):
-            require_usable(cage, f"the rest cage of {edit.name!r}")
-        made = [edit.edit_of(cage) for edit, cage in zip(edits, rest, strict=True)]
-        if not isinstance(self.field, VoxelField):
-            return made
-        for edit, one in zip(edits, made, strict=True):
-            if one.falloff > 0.0 and one.held == "cut" and not len(cut_faces(one.cage, self.field)):
-                raise InputError(
-                    f"{edit.name!r} fades to rest, but no wall of its cage cuts matter: nothing tears there. Set the "
-                    "width to 0, or let the walls be held that the pose leaves in place"
-                )
-        return made
-
-
-def _pose(deformer: Deformer, edits: Sequence[Edit], posed: list[Cage | None]) -> None:
-    """Pose a Deformer, or say which edit cannot be posed."""
-    for edit, cage in zip(edits, posed, strict=True):
-        if cage is not None:
-            require_usable(cage, f"the posed cage of {edit.name!r}")
-    deformer.pose(posed)
-
-
-def _same_rest(edits: Sequence[Edit], others: Sequence[Edit]) -> bool:
-    """Whether a Deformer of some edits is a Deformer of others too."""
-
-    def kinds(of: Sequence[Edit]) -> list[tuple]:
-        return [(edit.kind, edit.falloff, edit.held, edit.fragments) for edit in of]
-
-    return kinds(edits) == kinds(others) and _same_arrays(
-        [array for edit in edits for array in (edit.faces, edit.rest)],
-        [array for edit in others for array in (edit.faces, edit.rest)],
-    )
-
-
-def _same_arrays(arrays: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> bool:
-    """Whether arrays hold the same. Documents share most of them, and those need no look."""
-    return len(arrays) == len(others) and all(
-        one is two or np.array_equal(one, two) for one, two in zip(arrays, others, strict=True)
-    )
-
-
 _log = logging.getLogger(__name__)
 
 #: How long the hand must rest before a sharp picture is begun, seconds; longer where its pose takes long.
@@ -345,6 +217,9 @@ class Request:
     ground: Background = None  # in place of a field's own background of one colour, here and not in films
 
 
+Answer = TypeVar("Answer")
+
+
 class Superseded(Exception):
     """A newer picture is wanted."""
 
@@ -353,13 +228,15 @@ class Renderer:
     """Renders documents in a thread. Only the newest request counts: others that wait are forgotten.
     `deliver`: called with the header and the message of each frame, from a thread of the renderer."""
 
-    def __init__(self, field: AnyField, deliver: Callable[[dict[str, Any], bytes], None]):
-        self._scene = PosedScene(field)
-        self._field, self._deliver = field, deliver
-        self.pace = Pace(not field.device.is_cpu)
+    def __init__(self, fields: AnyField | Fields, deliver: Callable[[dict[str, Any], bytes], None]):
+        self._fields = Fields.of(fields)
+        self._scene = PosedScene(self._fields)
+        self._field, self._deliver = self._fields.main, deliver
+        self.pace = Pace(not self._field.device.is_cpu)
         self.frames = 0  # that were delivered
         self._changed = threading.Condition()
         self._wanted: Request | None = None
+        self._questions: collections.deque[Callable[[], None]] = collections.deque()
         self._closed = False
         self._times: list[float] = []
         self._warm: set[tuple[Any, ...]] = set()
@@ -374,6 +251,21 @@ class Renderer:
         with self._changed:
             self._wanted = request
             self._changed.notify()
+
+    def ask(self, question: Callable[[PosedScene], Answer]) -> concurrent.futures.Future[Answer]:
+        """Ask the scene of the last picture something, in the renderer's thread, once the present picture is done."""
+        answer: concurrent.futures.Future[Answer] = concurrent.futures.Future()
+
+        def work() -> None:
+            try:
+                answer.set_result(question(self._scene))
+            except BaseException as error:  # goes on in the thread that asked
+                answer.set_exception(error)
+
+        with self._changed:
+            self._questions.append(work)
+            self._changed.notify()
+        return answer
 
     def close(self) -> None:
         """End the thread once its picture is done."""
@@ -409,11 +301,15 @@ class Renderer:
                 self._complain(request, error)
 
     def _next(self, timeout: float | None) -> Request | None:
-        """The newest request, once there is one; None when the time is over."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._wanted is not None or self._closed, timeout)
-            request, self._wanted = self._wanted, None
-            return request
+        """The newest request, once there is one and questions are answered; None when the time is over."""
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._wanted or self._questions or self._closed, timeout)
+                if self._closed or not self._questions:
+                    request, self._wanted = self._wanted, None
+                    return request
+                question = self._questions.popleft()
+            question()
 
     def _rest_seconds(self, request: Request) -> float:
         """How long to wait for a newer request before a sharp picture is begun."""
@@ -473,12 +369,12 @@ class Renderer:
 
     def _warm_up(self, document: Document, effort: Effort) -> None:
         """Load the kernels of a kind of coordinates before anything is timed: the first time they are compiled."""
-        kind = (document.settings.coordinates, bool(document.edits), effort.supersampling > 1)
+        kind = (document.settings.coordinates, bool(document.edits), effort.supersampling > 1, document.is_staged)
         if kind in self._warm:
             return
-        scene = PosedScene(self._field)
+        scene = PosedScene(self._fields)
         scene.prepare(document, COARSE_CELLS[0])
-        frame = scene.render(view_camera(document.view, 16, 12), None, None, effort.supersampling)
+        frame = scene.render(view_camera(document.view, 16, 12), supersampling=effort.supersampling)
         frame_pixels(frame, "rgb", *self._depth_range(document), 16, 12)
         self._warm.add(kind)
 
@@ -490,7 +386,8 @@ class Renderer:
         columns, depths = depth_size(effort.width, effort.height, DEPTHS_SHARP if effort.sharp else DEPTHS_MOVING)
         rows = effort.height
         # a band of splats takes about as long as all of the picture, and filling needs the whole picture
-        banded = isinstance(self._field, VoxelField) and not self._fills(document)
+        voxels = all(isinstance(self._fields.field(one), VoxelField) for one in document.things if one.visible)
+        banded = voxels and not self._fills(document)
         if effort.sharp and self._field.device.is_cpu and banded:
             seconds = self.pace.sharp_seconds(effort, document.settings.coordinates)
             rows = max(8, math.ceil(effort.height / max(1.0, seconds / BAND_SECONDS)))
@@ -512,22 +409,22 @@ class Renderer:
         }
 
     def _frame(self, request: Request, seen: Any, effort: Effort) -> Frame:
-        field, document = self._field, request.document
+        document = request.document
         background = document.settings.background
-        if background is None and field.background_model is None:
+        fields = [self._fields.field(thing) for thing in document.things if thing.visible]
+        if background is None and all(field.background_model is None for field in fields):
             background = request.ground
-        step = effort.step * field.step if effort.step != 1.0 and isinstance(field, VoxelField) else None
         fill = effort.sharp and self._fills(document)
-        return self._scene.render(seen, background, step, effort.supersampling, fill)
+        return self._scene.render(seen, background, effort.step, effort.supersampling, fill)
 
     def _fills(self, document: Document) -> bool:
         """Whether background is filled in sharp pictures of a document."""
-        settings = document.settings
-        return settings.fill and settings.background is None and self._field.background_model is not None
+        settings, around = document.settings, self._field.background_model
+        return settings.fill and settings.background is None and around is not None and not document.is_staged
 
     def _depth_range(self, document: Document) -> tuple[float, float]:
         """Distances between which matter is expected, world units."""
-        low, high = self._field.bounds
+        low, high = self._fields.bounds(document) if document.is_staged else self._field.bounds
         distance = float(np.linalg.norm(np.asarray(document.view.eye) - (low + high) / 2))
         reach = 2.0 * float(np.linalg.norm(high - low))
         return max(distance - reach, 1e-3 * (distance + reach)), distance + reach
@@ -556,19 +453,3 @@ class Renderer:
             self._deliver(header, packed_frame(header, pixels, quality))
 
         self._sent = self._encoder.submit(send)
-
-
-def same_pose(one: Document, two: Document) -> bool:
-    """Whether two documents pose the scene alike. They share what did not change, so a look at each array is enough."""
-    options = ("mode", "coordinates", "density")
-    return (
-        all(getattr(one.settings, name) == getattr(two.settings, name) for name in options)
-        and len(one.edits) == len(two.edits)
-        and all(
-            a.posed is b.posed
-            and a.rest is b.rest
-            and (a.kind, a.visible, a.falloff, a.held) == (b.kind, b.visible, b.falloff, b.held)
-            and a.fragments == b.fragments
-            for a, b in zip(one.edits, two.edits, strict=True)
-        )
-    )

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from aiohttp import WSCloseCode, web
 
-from ..errors import InputError
-from .document import Background, checked_background, checked_whole
+from ...errors import InputError
+from ..checks import checked_whole
+from ..document import Background, checked_background
 
 #: Frames that may be on their way to a page.
 FRAMES_UNDER_WAY = 2

@@ -1,0 +1,193 @@
+"""Several things at the editor's page, in a real browser: added, placed by the mouse and by keys, keyed, exported."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from editor_browser import CAGE, Window, editor, looks_cheap, until, window
+from editor_pages import tiny_field
+from page_probe import projected
+
+import warpcage
+from warpcage.editor import MAIN, film_pictures
+from warpcage.editor import Film as PlainFilm
+
+__all__ = ["editor", "window"]  # fixtures
+
+
+@pytest.fixture
+def green(editor: Any, tmp_path: Path) -> str:
+    """The file of a second field in the session's folder."""
+    ball = tiny_field()
+    colors = np.zeros((*ball.grid.sh.shape[:1], 9, 3), np.float32)
+    colors[:, 0] = (-1.5, 1.5, -1.5)
+    warpcage.VoxelField(ball.bounds, ball.grid.links, ball.grid.density, colors).save(tmp_path / "green.npz")
+    return "green.npz"
+
+
+def on_page(window: Window, point: Any) -> np.ndarray:
+    """Where a point of the scene is on the page, CSS pixels."""
+    box = window.box
+    x, y = projected(window.section("view"), np.asarray(point, float), box["width"], box["height"])[:2]
+    return np.array([x + box["left"], y + box["top"]])
+
+
+def add(window: Window, name: str) -> int:
+    """Adds a field of the folder by the mouse, and gives its number."""
+    window.unfold("things")
+    window.click("#thing-add")
+    window.wait('document.getElementById("ask-file")')
+    names = window.get('[...document.getElementById("ask-file").options].map((one) => one.textContent)')
+    window.choose("#ask-file", str(names.index(name)))
+    window.click("#dialog-confirm")
+    window.wait("warpcage.store.sections.things.length === 2 && !document.querySelector('dialog')", "two things")
+    return window.section("things")[1]["id"]
+
+
+def test_a_thing_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, green: str, tmp_path: Path) -> None:
+    looks_cheap(window)
+    number = add(window, green)
+    beside = editor.document.thing(number).place
+    assert beside.position[0] > 2.0 and beside.scale == 1.0  # upright, beside the ball
+    assert window.section("edits") == []
+    window.click("#mode label:has([value=place])")
+    window.wait('warpcage.store.sections.settings.mode === "place"', "places are edited")
+    window.press("Home")
+    window.rest()
+    window.press("K")
+    until(lambda: len(editor.document.timeline.keys) == 1, "a key")
+
+    # the handle of x moves it along x alone
+    steps = len(editor.session.history.undo_steps)
+    line = window.get('warpcage.viewport.handles().find(({name}) => name === "x").line')
+    box = window.box
+    begin = np.array(line[1]) + [box["left"], box["top"]]
+    way = np.array(line[1]) - line[0]
+    window.drag([begin + way * share for share in np.linspace(0.0, 1.0, 10)])
+    until(lambda: len(editor.session.history.undo_steps) == steps + 1, "one step")
+    moved = editor.document.thing(number).place
+    assert moved.position[0] > beside.position[0] + 0.1
+    np.testing.assert_allclose(moved.position[1:], beside.position[1:], atol=1e-9)
+    shown = "Math.abs(warpcage.store.sections.things[1].place.position[0] - arguments[0]) < 1e-9"
+    window.wait(shown, "the page knows", moved.position[0])
+
+    # keys turn and scale it about its middle, numbers are typed in the panel
+    window.press("R", "Z", "9", "0", "Enter", "S", "0", ".", "5", "Enter")
+    until(lambda: editor.document.thing(number).place.scale < 0.6, "it is scaled")
+    place = editor.document.thing(number).place
+    np.testing.assert_allclose([*place.turn, place.scale], [0, 0, 90, 0.5], atol=1e-6)
+    np.testing.assert_allclose(place.position, moved.position, atol=1e-6)  # the middle of its box is its origin
+    window.fill("#thing-position-z", "1.25\n")
+    until(lambda: editor.document.thing(number).place.position[2] == 1.25, "the typed number")
+    window.press("Ctrl+Z")
+    until(lambda: editor.document.thing(number).place == place, "undone")
+    window.press("Ctrl+Shift+Z")
+    until(lambda: editor.document.thing(number).place.position[2] == 1.25, "done again")
+
+    # a click picks the ball, then the green one
+    window.rest()
+    ball = on_page(window, (0, 0, 0))
+    window.drag([ball])
+    window.wait("warpcage.store.sections.selection.thing === arguments[0]", "the ball is picked", MAIN)
+    assert [edit["id"] for edit in window.section("edits")] == [1]
+    window.drag([on_page(window, editor.document.thing(number).place.position)])
+    window.wait("warpcage.store.sections.selection.thing === arguments[0]", "the green one is picked", number)
+
+    window.press("T")  # where cages are posed a click beside them picks too
+    window.wait('warpcage.store.sections.settings.mode === "pose"')
+    window.drag([ball])
+    window.wait("warpcage.store.sections.selection.thing === arguments[0]", "the ball is picked", MAIN)
+    window.drag([on_page(window, editor.document.thing(number).place.position)])
+    window.wait("warpcage.store.sections.selection.thing === arguments[0]", "the green one is picked", number)
+    window.press("T")
+    window.wait('warpcage.store.sections.settings.mode === "place"')
+
+    # a second key, and a film of both
+    window.fill("#time", "1\n")
+    until(lambda: editor.document.time == 1.0, "one second")
+    assert editor.document.thing(number).place == beside  # that of the only key
+    window.press("G", "Z", "1", "Enter")
+    until(lambda: editor.document.thing(number).place.position[2] > 0.9, "it is lifted")
+    window.press("K")
+    until(lambda: len(editor.document.timeline.keys) == 2, "two keys")
+    window.unfold("film")
+    window.fill("#film-length", "1\n")
+    window.fill("#film-fps", "4\n")
+    window.wait("warpcage.store.sections.timeline.length === 1 && warpcage.store.sections.timeline.fps === 4")
+    window.click("#export-mp4")
+    for field, value in (("#ask-width", "64"), ("#ask-height", "48")):
+        window.fill(field, value)
+    window.click("#dialog-confirm")
+    job = window.job(1)
+    assert job["state"] == "done", job
+    film = iio.imread(tmp_path / "film.mp4", plugin="pyav")
+    assert film.shape == (5, 48, 64, 3)
+    wanted = list(film_pictures(editor.document, editor.session.fields, PlainFilm(64, 48)))
+    assert np.abs(film[4] / 255.0 - wanted[4]).mean() < 0.03
+    assert np.abs(wanted[0] - wanted[4]).mean() > 0.03
+
+    # the stage that is saved is one of the library
+    window.click("#stage-save")
+    window.click("#dialog-confirm")
+    until((tmp_path / "scene.stage.json").exists, "the stage is written")
+    stage = warpcage.Stage.load(tmp_path / "scene.stage.json")
+    assert list(stage.items) == ["ball", "green"] and stage.length == 1.0
+
+    # copied, locked, hidden and removed by the panel
+    window.click("#thing-copy")
+    window.wait("warpcage.store.sections.things.length === 3")
+    window.click("#thing-list li:last-child .lock")
+    window.wait("warpcage.store.sections.things[2].locked && document.getElementById('thing-remove').disabled")
+    assert window.get("warpcage.viewport.handles().length") == 0
+    window.click("#thing-list li:last-child .lock")
+    window.click("#thing-list li:last-child .eye:not(.lock)")
+    window.wait("!warpcage.store.sections.things[2].visible && !document.getElementById('thing-remove').disabled")
+    window.click("#thing-remove")
+    window.click("#dialog-confirm")
+    window.wait("warpcage.store.sections.things.length === 2")
+
+
+def test_a_finger_drags_a_thing(window: Window, editor: Any, green: str) -> None:
+    looks_cheap(window)
+    number = add(window, green)
+    window.press("T")
+    window.wait('warpcage.store.sections.settings.mode === "place"')
+    window.press("Home")
+    window.rest()
+    before = editor.document.thing(number).place
+    begin = on_page(window, before.moved([[0.3, 0, -0.4]])[0])
+
+    def touch(kind: str, *places: Any) -> None:
+        points = [{"x": float(x), "y": float(y), "id": 0} for x, y in places]
+        window.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch("touchStart", begin)
+    for step in range(1, 9):
+        touch("touchMove", begin + np.array([5.0, -8.0]) * step)
+    touch("touchEnd")
+    until(lambda: editor.document.thing(number).place != before and not editor.session.moving, "it is moved")
+    moved = editor.document.thing(number).place
+    way = on_page(window, moved.position) - on_page(window, before.position)
+    np.testing.assert_allclose(way, [40.0, -64.0], atol=1.0)
+
+
+def test_cages_of_a_placed_thing_are_posed_in_its_own_coordinates(window: Window, editor: Any) -> None:
+    looks_cheap(window)
+    turned = warpcage.Place((0.5, 0.0, 0.0), (0.0, 0.0, 90.0), 0.5)
+    window.driver.execute_script(
+        """return import("/" + arguments[0] + "/core/connection.js").then(({request}) => request(
+        {do: "thing.change", id: 0, place: {position: [0.5, 0, 0], turn: [0, 0, 90], scale: 0.5}}))""",
+        window.address.split("/")[3],
+    )
+    until(lambda: editor.document.things[0].place == turned, "it is placed")
+    window.wait("warpcage.store.sections.things[0].place.scale === 0.5")
+    shown, box = window.places(), window.box
+    there = turned.moved(CAGE.vertices)
+    expected = [projected(window.section("view"), place, box["width"], box["height"])[:2] for place in there]
+    np.testing.assert_allclose(shown, np.array(expected) + [box["left"], box["top"]], atol=1e-6)
+    window.press("A", "G", "X", "0", ".", "4", "Enter")
+    until(lambda: np.allclose(editor.posed[0].vertices, CAGE.vertices + [0.4, 0, 0], atol=1e-9), "along its own x")
