@@ -83,9 +83,9 @@ def pose_densities(
     posed: wp.array(dtype=wp.float32),
     bad: wp.array(dtype=int),
 ):
-    """Densities (n,) of a field at canonical points `here`, as the posed scene has them: 0 where it is cleared or out
-    of the box. ahead: canonical points a step farther, where optical depth is in canonical arc length, else of none.
-    bad[0] becomes 1 where a density is negative or not finite."""
+    """Densities (n,) at canonical points `here` and `ahead`, a step farther, in the posed scene; 0 where it is cleared
+    or beside the box. bad[0] becomes 1 where a density is negative or not finite."""
+    # `ahead` is of no points where optical depth is not in canonical arc length
     n = first + wp.tid()
     sigma = density[n]
     if not wp.isfinite(sigma) or sigma < 0.0:
