@@ -168,7 +168,7 @@ class VoxelBackend(Backend):
         return canonical_points(self.field, self.hold(cages), *asked)
 
     def sample(self, cages: list[Cage | None], *asked: Any) -> tuple[Any, Any]:
-        return posed_samples(self.field, self.hold(cages), *asked, self.arc_opacity == 1)
+        return posed_samples(self.field, self.hold(cages), *asked, is_arc=self.arc_opacity == 1)
 
     def _carried_boxes(self) -> list[np.ndarray]:
         return [each.bounds for each in self._carried if each is not None and each.bounds is not None]
@@ -191,7 +191,8 @@ class SampledBackend(VoxelBackend):
         if any(edit.falloff > 0.0 or edit.fragments > 0.0 for edit in edits):
             raise InputError("falloff and fragments of an edit are for voxels: a SampledField does not know its matter")
         Backend.__init__(self, field, edits, options)
-        self.bands, self._carried = [None] * len(edits), []
+        self.bands = list[FalloffBand | None]([None] * len(edits))
+        self._carried = []
         origin, device = field.center, field.device
         if options.resolution is None:
             self.posed = ExactEdits(edits, options.coordinates, origin, device)
