@@ -198,6 +198,8 @@ def frames(device) -> None:
             deformer.render(camera())
             deformer.to_canonical(POINTS, np.ones((64, 3)))
     warpcage.Deformer(field, CAGE, resolution=12, device=device).pose(POSE).render(camera(), supersampling=2)
+    asked = warpcage.SampledField(field.sample, field.bounds, step=0.1, device=device)
+    warpcage.Deformer(asked, CAGE, resolution=12, device=device).pose(POSE).render(camera())
     warpcage.Deformer(field, slotted(0.5), resolution=16, device=device).pose(slotted(0.03)).render(camera())
     for rest, pose in ((CAGE, POSE), (slotted(0.5), slotted(0.03))):  # cells so wide that their parts are told apart
         warpcage.Deformer(field, rest, resolution=8, device=device).pose(pose).render(camera())

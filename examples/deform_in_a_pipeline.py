@@ -1,9 +1,9 @@
-"""A Deformer in a pipeline of your own: it maps the samples of another renderer to the undeformed field.
+"""A Deformer in a pipeline of your own: it tells another renderer colour and density of the deformed field.
 
     python examples/deform_in_a_pipeline.py
 
-Any radiance field that gives colour and density at points, seen along directions, can be deformed like this: send the
-samples through `to_canonical`, evaluate the field there, and leave out what is cleared.
+A renderer that asks for colour and density at points, seen along directions, asks `Deformer.sample`, of voxels as of
+any other field (`warpcage.SampledField`, see analytic_field.py).
 """
 
 import argparse
@@ -27,16 +27,14 @@ def make_field():
     return warpcage.VoxelField.from_dense(density, sh, [[-1, -1, -1], [1, 1, 1]])
 
 
-def render(field, deformer, camera, steps=192, near=1.5, far=4.5):
-    """A plain volume renderer in NumPy; only the line with to_canonical knows about the deformation."""
+def render(deformer, camera, steps=192, near=1.5, far=4.5):
+    """A plain volume renderer in NumPy; only the line with deformer.sample knows about the deformation."""
     origins, directions = (rays.reshape(-1, 1, 3) for rays in camera.rays())
     dt = (far - near) / steps
     points = origins + directions * (near + (np.arange(steps)[:, None] + 0.5) * dt)
     points, directions = points.reshape(-1, 3), np.broadcast_to(directions, points.shape).reshape(-1, 3)
 
-    points, directions, region = deformer.to_canonical(points, directions, step=dt)
-    rgb, density = field.sample(points, directions)
-    density = np.where(region == 1, 0.0, density)  # 1: what the moved cage left behind
+    rgb, density = deformer.sample(points, directions, step=dt)
 
     alpha = 1 - np.exp(-density.reshape(-1, steps) * dt)
     weights = alpha * np.cumprod(np.concatenate([np.ones((len(alpha), 1)), 1 - alpha[:, :-1]], axis=1), axis=1)
@@ -47,9 +45,9 @@ def render(field, deformer, camera, steps=192, near=1.5, far=4.5):
 def main():
     field, camera = make_field(), Camera.look_at((0, -3, 0), (0, 0, 0), width=48, height=48)
     cage = warpcage.Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.7))
-    deformer = warpcage.Deformer(field, cage, resolution=32, density="paper")
+    deformer = warpcage.Deformer(field, cage, resolution=32)
     deformer.pose(cage.stretch(1.4).rotate(180, axis="y"))
-    ours, theirs = render(field, deformer, camera), deformer.render(camera).rgb
+    ours, theirs = render(deformer, camera), deformer.render(camera).rgb
     error = np.abs(ours - theirs).mean()
     print(f"mean difference to the library's own renderer: {error:.4f}")
     assert error < 0.02

@@ -44,6 +44,7 @@ _HOMES = {
     "fitting.splats.optimizer": ["SplatFit"],
     "fitting.splats.options": ["SplatFitOptions"],
     "lattice.position_map": ["PositionMap"],
+    "render.sampled": ["SampledField"],
     "scene.load": ["load_scene"],
     "scene.scene": ["Scene"],
     "splats.fit": ["SplatRates", "fit_splats"],

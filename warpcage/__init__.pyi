@@ -38,6 +38,7 @@ from .fitting.splats.from_voxels import to_splats as to_splats
 from .fitting.splats.optimizer import SplatFit as SplatFit
 from .fitting.splats.options import SplatFitOptions as SplatFitOptions
 from .lattice.position_map import PositionMap as PositionMap
+from .render.sampled import SampledField as SampledField
 from .scene.load import load_scene as load_scene
 from .scene.scene import Scene as Scene
 from .splats.fit import SplatRates as SplatRates
@@ -74,6 +75,7 @@ __all__ = [
     "PositionMap",
     "RandomPoses",
     "RunReport",
+    "SampledField",
     "Scene",
     "SplatDeformer",
     "SplatField",

@@ -63,3 +63,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         kept.append(File.generated(config, name, abs_src_path=str(path)))
     kept += [File.generated(config, name, content=text) for name, text in reference().items()]
     return Files(kept)
+
+
+def on_page_content(html: str, **_: object) -> str:
+    """Docstrings end a line before a block as reStructuredText has it, with two colons; pages with one."""
+    return html.replace("::</p>", ":</p>")

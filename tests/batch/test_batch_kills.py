@@ -18,7 +18,7 @@ from messages import MESSAGES
 from runs import SUPPORT, Deadly, Making, Moody, left_over, pictures, records, run_with, write_frames
 
 import warpcage
-from warpcage.batch import LocalHost, ProcessEngine, RayHost, scheduler
+from warpcage.batch import LocalHost, ProcessEngine, RayHost, early_processes, scheduler
 from warpcage.cli import main
 from warpcage.core import cpu_threads
 
@@ -109,6 +109,68 @@ def test_two_workers_make_what_one_does(address, job, whole, tmp_path):
     assert_whole(out, whole)
     assert {record["worker"] for record in records(out).values()} <= {"0", "1"}  # both: see the straggler
     assert run_by(address, job, out, workers=2).kept == FRAMES
+
+
+def children():
+    """Processes that this one has started and that are there."""
+    fields = []
+    for path in pathlib.Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields.append((int(path.parent.name), path.read_text().rpartition(")")[2].split()))
+    return {pid for pid, (state, parent, *_) in fields if int(parent) == os.getpid() and state != "Z"}
+
+
+@pytest.mark.skipif(not pathlib.Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
+@pytest.mark.parametrize("maker", [None, Making])
+def test_workers_start_beside_the_plan_and_are_those_that_work(job, whole, tmp_path, engines, maker):
+    before, planned = children(), set()
+
+    def progress(state):
+        (planned if state.stage == "check" else made).update(children() - before)
+
+    made = set()
+    assert run_with(job, tmp_path / "out", maker, workers=2, progress=progress).complete
+    assert len(planned) == 2 and planned == made  # none is started twice
+    assert children() <= before
+    if maker is None:
+        assert_whole(tmp_path / "out", whole)
+
+
+@pytest.mark.skipif(not pathlib.Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
+def test_a_process_that_a_program_starts_works_in_its_run(job, whole, tmp_path, engines):
+    before, out = children(), tmp_path / "out"
+    with early_processes(2, 1, "cpu"):
+        (early,) = children() - before
+        assert run_with(job, out, workers=2).complete
+        assert early in {place["pid"] for place in engines[0].places.values()}
+        assert children() <= before
+    assert_whole(out, whole)
+    with early_processes(2, 2, "cpu"):  # nobody takes them
+        assert len(children() - before) == 2
+    assert children() <= before
+
+
+@pytest.mark.skipif(not pathlib.Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
+@pytest.mark.parametrize("end", ["same names", "interrupt", "killed", "nothing to make"])
+def test_no_worker_stays_of_a_plan_that_ends(tmp_path, end):
+    changes = {1: {"id": "shot/f0000"}} if end == "same names" else {}
+    path, before, seen = write_frames(tmp_path / "job", 3, changes=changes), children(), set()
+
+    def progress(state):
+        seen.update(children() - before)
+        if end == "interrupt" and state.stage == "check":
+            raise KeyboardInterrupt
+        if end == "killed" and state.stage == "check":
+            for pid in children() - before:
+                os.kill(pid, signal.SIGKILL)
+
+    if end == "nothing to make":
+        run_with(path, tmp_path / "out", Making)
+    ended = {"same names": pytest.raises(ValueError), "interrupt": pytest.raises(KeyboardInterrupt)}
+    with ended.get(end, contextlib.nullcontext()):
+        assert run_with(path, tmp_path / "out", Making, workers=2, progress=progress).complete
+    assert len(seen) >= 2 or end == "same names"
+    assert children() <= before
 
 
 def test_twenty_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engines, monkeypatch):

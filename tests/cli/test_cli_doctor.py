@@ -80,6 +80,13 @@ def test_no_codec(tmp_path, lost, said):
     assert status == 1 and lost in broken and re.search(said, broken) and "pip install --force-reinstall av" in broken
 
 
+def test_a_library_of_codecs_that_is_not_there(tmp_path):
+    status, lines = doctor(tmp_path, NUMPY, av="raise ImportError('libavcodec.so.61: cannot open it')\n")
+    (broken,) = lines["broken"]
+    assert status == 1 and "libavcodec.so.61" in broken and broken.endswith("pip install --force-reinstall av")
+    assert any(line.startswith("self-test") for line in lines["ok"])  # films alone are not written
+
+
 def test_warp_that_gives_wrong_numbers(tmp_path):
     """A stand-in for a broken driver: the coordinates of all points are off."""
     (tmp_path / "sitecustomize.py").write_text(

@@ -36,6 +36,12 @@ def test_every_public_name_and_page_can_be_found(site):
     assert pages | {"index.html", "CHANGELOG.html", "CONTRIBUTING.html"} <= places
 
 
+def test_no_page_shows_the_marks_of_docstrings(site):
+    pages = list((site / "reference").glob("*.html"))
+    assert len(pages) > 10 and "Example:</p>" in "".join(path.read_text(encoding="utf-8") for path in pages)
+    assert not [path.name for path in pages if "::</p>" in path.read_text(encoding="utf-8")]
+
+
 def test_no_page_loads_anything_from_elsewhere(site):
     pages = list(site.rglob("*.html"))
     assert len(pages) > 40

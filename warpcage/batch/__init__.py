@@ -13,6 +13,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "processes": "Answer load_ray LocalHost ProcessEngine ray_session RayHost Share",
         "run": "Driver run_jobs RunProgress RunReport",
         "scheduler": "AIM LARGEST ChunkQueue Dispatcher",
+        "serving": "early_processes",
         "sweeps": "GivenSource RandomSource RandomViews write_sweep",
         "webdataset": "finish_folder pack_shard read_shard shard_holds shard_path shard_stage split_key staged_shards",
         "worker": "CHECKPOINTS MOST_DEFORMERS PARTS Worker",

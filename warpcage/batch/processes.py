@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import dataclasses
 import itertools
 import logging
@@ -12,13 +11,10 @@ import pickle
 import queue
 import signal
 import socket
-import subprocess
-import sys
-import tempfile
 import threading
 import time
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -28,14 +24,8 @@ from ..core.devices import start_warp
 from ..core.names import error_line
 from ..core.threads import cpu_threads
 from ..errors import InputError, MissingPackageError, StateError
-from .chunk_runner import MOST_CHUNKS, Chunk, ChunkRunner, RunnerSettings, make_runner
-
-#: Calls that a worker answers at once: one a chunk, one that tells when all items are begun, and one that shortens a
-#: chunk or tells of items.
-MOST_CALLS = MOST_CHUNKS + 2
-
-#: Seconds that a process gets to be gone after it was killed: one that waits for a disk may take longer.
-GONE = 10.0
+from .chunk_runner import MOST_CALLS, MOST_CHUNKS, Chunk, ChunkRunner, RunnerSettings, make_runner
+from .serving import Started, early_environment, gpu_of, message, taken_early
 
 
 class ChunkActor:
@@ -56,23 +46,17 @@ class WorkerDied(RuntimeError):
 class LocalProcess:
     """A process of this machine, which ends with whoever started it. What is asked and answered goes through pipes."""
 
-    def __init__(self, settings: RunnerSettings, environment: dict[str, str]):
-        self._words = tempfile.TemporaryFile()  # what it prints, of which only the last line may ever be shown
-        program = f"import sys; sys.path[:] = {[*map(str, sys.path)]!r}; from {__name__} import serve; serve()"
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", program],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._words,
-            env=os.environ | environment,
-            start_new_session=True,  # Ctrl-C is for the driver, which lets it end what it has begun
-        )
+    def __init__(self, started: Started):
+        self._started, self._process, self._words = started, started.process, started.words
         self._lock, self._numbers, self._ended = threading.Lock(), itertools.count(), ""
         self._waiting: dict[int, Future[Any]] = {}
         self._asked: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        self._asked.put(pickle.dumps(settings))
         for work in (self._send, self._receive):  # a process that hangs reads nothing: nobody else is to wait for it
             threading.Thread(target=work, name="warpcage-process", daemon=True).start()
+
+    def begin(self, settings: RunnerSettings) -> None:
+        """Tell it, once, what it works for."""
+        self._asked.put(pickle.dumps(settings))
 
     def ask(self, method: str, *given: Any) -> Future[Any]:
         """Call a method of the worker's runner; the answer comes later."""
@@ -93,8 +77,7 @@ class LocalProcess:
 
     def wait(self) -> None:
         """Wait until a process that was killed is gone."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(GONE)
+        self._started.end()
 
     def _send(self) -> None:
         """Hand over what is asked, in a thread."""
@@ -108,7 +91,7 @@ class LocalProcess:
         """Hand over answers, in a thread, until the process ends."""
         assert self._process.stdout is not None
         with self._process.stdout as pipe, self._words:
-            while (answer := _message(pipe)) is not None:
+            while (answer := message(pipe)) is not None:
                 number, error, found = pickle.loads(answer)
                 future = self._waiting.pop(number)
                 if error is None:
@@ -132,42 +115,25 @@ class LocalProcess:
         return f"its worker died: exit status {status}{': ' if said else ''}{said}"
 
 
-def _message(pipe: Any) -> bytes | None:
-    """The next message of a pipe; None where it has ended, also in the midst of one."""
-    size = int.from_bytes(pipe.read(8), "little")
-    message = pipe.read(size)
-    return message if size and len(message) == size else None
-
-
-def serve() -> None:
-    """What a process of a worker does: answer what its driver asks, each in a thread, until that is gone."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # with its driver, also where it hangs: PR_SET_PDEATHSIG
-    asked, answers, lock = sys.stdin.buffer, os.fdopen(os.dup(1), "wb"), threading.Lock()
-    os.dup2(2, 1)  # what is printed is no answer
-    settings = _message(asked)
-    if settings is None:
-        return
-    pool = ThreadPoolExecutor(MOST_CALLS + 1, "warpcage-calls")
-    runner = pool.submit(lambda: make_runner(pickle.loads(settings)))
-
-    def answer(number: int, method: str, given: tuple[Any, ...]) -> None:
-        error = found = None
-        begun = False
-        try:
-            call = getattr(runner.result(), method)
-            begun = True
-            found = call(*given)
-        except BaseException as failure:
-            error = f"its worker {'failed' if begun else 'could not start'}: {error_line(failure, named=True)}"
-        message = pickle.dumps((number, error, found))
-        with lock:
-            answers.write(len(message).to_bytes(8, "little") + message)
-            answers.flush()
-
-    while (message := _message(asked)) is not None:
-        pool.submit(answer, *pickle.loads(message))
-    os._exit(0)  # nobody is there to hear of what it makes
+@contextlib.contextmanager
+def processes_beforehand(
+    workers: int, count: int, device: str | None, loads: bool
+) -> Iterator[Mapping[str, LocalProcess]]:
+    """Processes of the first `count` of so many workers, by their names; none is left, whoever used them.
+    They are those of `early_processes` where there are some. loads: as `Started` has it."""
+    processes: dict[str, LocalProcess] = {}
+    try:
+        for number in range(count):
+            started = taken_early(workers, number, device) if loads else None
+            if started is None:
+                started = Started(early_environment(workers, number, device), loads, device)
+            processes[str(number)] = LocalProcess(started)
+        yield processes
+    finally:
+        for process in processes.values():
+            process.kill()
+        for process in processes.values():
+            process.wait()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,12 +148,19 @@ class Share:
 
 
 class LocalHost:
-    """Starts workers on this machine: one a GPU, else with equal parts of the cores; one alone has what there is."""
+    """Starts workers on this machine: one a GPU, else with equal parts of the cores; one alone has what there is.
+    early: processes that were started for them beforehand, by the names of workers."""
 
     patience, no_place = 120.0, ""  # seconds within which the first worker must have started, and why it has not
 
-    def __init__(self, workers: int, device: str | None, gpus: Callable[[], int] | None = None):
-        self._gpus = ""
+    def __init__(
+        self,
+        workers: int,
+        device: str | None,
+        gpus: Callable[[], int] | None = None,
+        early: Mapping[str, LocalProcess] = types.MappingProxyType({}),
+    ):
+        self._early = dict(early)
         if workers == 1:
             self.share = Share(1, 0, 0, 0, device)
             return
@@ -197,13 +170,15 @@ class LocalHost:
             raise InputError("device 'cuda' is not there: this machine has no GPU that Warp sees")
         if count and workers > count:
             raise InputError(f"{workers} workers need as many GPUs, this machine has {count}: give --workers {count}")
-        self._gpus = os.environ.get("CUDA_VISIBLE_DEVICES") or ",".join(map(str, range(count)))
         threads = max(1, cpu_threads() // workers)
         self.share = Share(workers, min(count, 1), 0, threads, "cuda:0" if count else "cpu")
 
     def start(self, settings: RunnerSettings) -> LocalProcess:
-        gpu = {"CUDA_VISIBLE_DEVICES": self._gpus.split(",")[int(settings.worker)]} if self.share.gpus else {}
-        return LocalProcess(settings, gpu)
+        process = self._early.pop(settings.worker, None)
+        if process is None:
+            process = LocalProcess(Started(gpu_of(int(settings.worker)) if self.share.gpus else {}))
+        process.begin(settings)
+        return process
 
     def death_line(self, error: BaseException) -> str:
         """Why a worker gives no answer but an error: the line of its process."""

@@ -6,7 +6,7 @@ import collections
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,13 +14,24 @@ import numpy as np
 from ..core.checks import checked_positive, checked_whole
 from ..core.files import PathLike
 from ..core.names import error_line
+from ..core.threads import cpu_threads
 from ..errors import StateError
 from .chunk_runner import Chunk, ChunkReport, Maker, RunJournal, RunnerSettings, leaves_no_room, make_runner
 from .items import FOLDER
 from .job_file import JobFile
 from .manifest import OutputFolder, Part
 from .plan import Plan, make_plan, open_shards, unpaid
-from .processes import Answer, Engine, LocalEngine, LocalHost, ProcessEngine, RayHost, ray_session
+from .processes import (
+    Answer,
+    Engine,
+    LocalEngine,
+    LocalHost,
+    LocalProcess,
+    ProcessEngine,
+    RayHost,
+    processes_beforehand,
+    ray_session,
+)
 from .scheduler import AIM, ChunkQueue, Dispatcher
 from .webdataset import finish_folder, shard_path, shard_size, span_of
 
@@ -146,6 +157,11 @@ def run_jobs(
         folder.prepare()
         held.enter_context(folder.driven())
         held.enter_context(folder.nothing_left())
+        # in this process, which cannot end itself where an item takes too long
+        local = cluster is None and workers in (None, 1) and item_timeout is None
+        count = 0 if local or cluster is not None else min(workers or 1, len(span_of(job, folder)), cpu_threads())
+        # which load beside the plan
+        early = held.enter_context(processes_beforehand(workers or 1, count, device, make is None))
         folder.merge()
         plan = _planned(job, folder, tell)
         shards = open_shards(plan, folder, job) if shard_size(job) else None
@@ -155,11 +171,10 @@ def run_jobs(
         settings = RunnerSettings(
             str(job.folder), job.reader, str(folder.path), journal.run, device, retries=retries, maker=make
         )
-        # in this process, which cannot end itself where an item takes too long; also where shards are only to be packed
-        local = not len(plan.items) or (cluster is None and workers in (None, 1) and item_timeout is None)
+        local = local or not len(plan.items)  # here too, where shards are only to be packed
         dispatcher = None
         try:
-            with journal, _engine(settings, local, workers, cluster) as (engine, count):
+            with journal, _engine(settings, local, workers, cluster, early) as (engine, count):
                 aim = LEAST_AIM if local else min(AIM, LEAST_AIM + count / WORKERS_PER_SECOND)
                 chunks = ChunkQueue(plan.items, plan.groups, plan.kinds, aim=aim, whole=shards is not None)
                 dispatcher = Dispatcher(chunks, retries=retries, shards=shards)
@@ -431,7 +446,7 @@ def _planned(job: JobFile, folder: OutputFolder, progress: Progress) -> Plan:
 
 @contextlib.contextmanager
 def _engine(
-    settings: RunnerSettings, local: bool, workers: int | None, cluster: str | None
+    settings: RunnerSettings, local: bool, workers: int | None, cluster: str | None, early: Mapping[str, LocalProcess]
 ) -> Iterator[tuple[Engine, int]]:
     """Where the work is done, and by how many. Whatever ends it, nothing works afterwards."""
     with contextlib.ExitStack() as held:
@@ -439,7 +454,7 @@ def _engine(
             yield held.enter_context(contextlib.closing(LocalEngine(make_runner(settings)))), 1
             return
         if cluster is None:
-            host = LocalHost(workers or 1, settings.device)
+            host = LocalHost(workers or 1, settings.device, early=early)
         else:
             host = RayHost(held.enter_context(ray_session(cluster)), workers, settings.device)
         yield held.enter_context(contextlib.closing(ProcessEngine(host, settings))), host.share.workers

@@ -196,9 +196,12 @@ def _memory() -> Iterator[Finding]:
 
 
 def _codecs() -> Iterator[Finding]:
-    import av
-
     again = "pip install --force-reinstall av"
+    try:
+        import av
+    except Exception as error:  # one of its libraries is not there, or another version
+        yield Finding("broken", "films", f"PyAV cannot be loaded ({error_line(error, named=True)}): {again}")
+        return
     for ending, name in ENCODERS.items():
         if name not in av.codecs_available:
             yield Finding("broken", "films", f"no encoder {name}, so no {ending} is written: {again}")

@@ -214,7 +214,19 @@ def _run_command(argv: list[str] | None) -> int:
         reports.show_log("info" if arguments.verbose and not quiet else reports.asked_level())
         watched = sys.stderr.isatty() and not quiet
         reports.say = _tell_of_compiling if watched else None
-        return _command(arguments.command)(arguments) or 0
+        with _early_workers(arguments):
+            return _command(arguments.command)(arguments) or 0
+
+
+def _early_workers(arguments: argparse.Namespace) -> contextlib.AbstractContextManager[None]:
+    """Workers of this machine start beside the program, one core is left to that: for `with`."""
+    given = vars(arguments)
+    workers = given.get("workers") or 1
+    if workers == 1 or given.get("cluster") is not None or given.get("dry_run"):
+        return contextlib.nullcontext()
+    from ..batch.serving import early_processes  # here, as most commands need nothing of it
+
+    return early_processes(workers, min(workers, (os.cpu_count() or 1) - 1), arguments.device)
 
 
 def _command(name: str) -> Callable[[argparse.Namespace], int | None]:

@@ -92,6 +92,25 @@ def as_points(points: PointsLike, device: wp.DeviceLike = None, *, name: str = "
     return moved(rows, target)
 
 
+def as_numbers(values: Any, count: int, device: wp.Device, *, name: str) -> wp.array[Any, Any]:
+    """(count,) numbers of any library, such as (n, 1) of torch, as float32 on the device, not copied where they are."""
+    if is_device_array(values):
+        require_no_gradient(values, name)
+        found = values if isinstance(values, wp.array) else _from_foreign(values, name)
+        if found.dtype != wp.float32:
+            found = found.numpy()
+    else:
+        found = values
+    if not isinstance(found, wp.array):
+        try:
+            found = wp.array(np.asarray(found, np.float32).reshape(-1), dtype=wp.float32, device=device)
+        except (TypeError, ValueError):
+            raise InputError(f"{name} must be ({count},) real numbers, got {type(values).__name__}") from None
+    if found.size != count:
+        raise InputError(f"{name} must be ({count},), got {tuple(found.shape)}")
+    return moved(found.contiguous().flatten(), device)
+
+
 #: Vectors of three that Warp arrays of points may be of, and their numbers.
 VECTORS: dict[Any, Any] = {wp.vec3: wp.float32, wp.vec3d: wp.float64, wp.vec3h: wp.float16}
 

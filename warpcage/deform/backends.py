@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import functools
 from typing import Any, ClassVar
 
 import numpy as np
@@ -29,9 +30,11 @@ from ..edits.maps import EditLattices
 from ..errors import InputError
 from ..field.render import asked_view
 from ..field.voxel_field import VoxelField
+from ..kernels.render import samples
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..lattice.buffers import StreamOrder
 from ..render.modules import load_pose_modules, render_modules
+from ..render.sampled import SampledField, render_samples
 from ..render.scene import PosedScene
 from ..render.view import PosedEdits, cage_span, require_short_march
 from ..splats.matter import SplatDensity
@@ -40,7 +43,7 @@ from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import MASK_NAMES, Frame
 from .exact import ExactEdits
-from .poses import canonical_points, checked_poses
+from .poses import canonical_points, checked_poses, posed_samples
 from .splat_edits import SplatEdits
 
 
@@ -100,7 +103,19 @@ class Backend(abc.ABC):
             "or posed_splats for the splats themselves"
         )
 
-    def reached(self) -> list[np.ndarray]:
+    def sample(self, cages: list[Cage | None], *asked: Any) -> tuple[Any, Any]:
+        """Colour and density of the posed scene; asked: points, directions, step."""
+        raise InputError(
+            "splats have no density at points: render them, or take posed_splats for the splats themselves"
+        )
+
+    def reached(self, cages: list[Cage | None]) -> np.ndarray:
+        """(2, 3) box of all that the field and its posed cages reach, world units."""
+        boxes = [self.field.bounds, *(cage.bounds for cage in cages if cage is not None)]
+        reached = np.stack([*boxes, *self._carried_boxes()])
+        return np.stack([reached[:, 0].min(axis=0), reached[:, 1].max(axis=0)])
+
+    def _carried_boxes(self) -> list[np.ndarray]:
         """Boxes (2, 3), world units, of what goes with cages beside what is in them."""
         return []
 
@@ -138,19 +153,60 @@ class VoxelBackend(Backend):
             raise InputError('store="weights" keeps weights on a lattice: give a resolution')
 
     def render(self, cages: list[Cage | None], camera: Camera, how: tuple[Any, ...], **target: Any) -> Frame:
-        background, step, supersampling, antialias = how
-        if antialias is not None and checked_flag(antialias, "antialias"):
-            raise InputError("antialias is for splats: voxels take more rays a pixel (supersampling)")
+        background, step, supersampling = _marched(how)
         view = asked_view(self.field, camera, background, step, supersampling, masks=MASK_NAMES, **target)
         posed = self.hold(cages)
         require_short_march(self._spans, view.step)
-        return posed.render(view, chosen(self.options.density, "density", opacity=1, paper=0))
+        return posed.render(view, self.arc_opacity)
+
+    @property
+    def arc_opacity(self) -> int:
+        """1 where optical depth is in canonical arc length."""
+        return chosen(self.options.density, "density", opacity=1, paper=0)
 
     def to_canonical(self, cages: list[Cage | None], *asked: Any) -> tuple[Any, ...]:
         return canonical_points(self.field, self.hold(cages), *asked)
 
-    def reached(self) -> list[np.ndarray]:
+    def sample(self, cages: list[Cage | None], *asked: Any) -> tuple[Any, Any]:
+        return posed_samples(self.field, self.hold(cages), *asked, is_arc=self.arc_opacity == 1)
+
+    def _carried_boxes(self) -> list[np.ndarray]:
         return [each.bounds for each in self._carried if each is not None and each.bounds is not None]
+
+
+def _marched(how: tuple[Any, ...]) -> tuple[Any, Any, Any]:
+    """Background, step and supersampling of a view that is marched; how: as `Backend.render` has it."""
+    background, step, supersampling, antialias = how
+    if antialias is not None and checked_flag(antialias, "antialias"):
+        raise InputError("antialias is for splats: voxels take more rays a pixel (supersampling)")
+    return background, step, supersampling
+
+
+class SampledBackend(VoxelBackend):
+    """A field of another representation, which is looked up as voxels are and asked for its samples."""
+
+    kind, masks = SampledField, ()
+
+    def __init__(self, field: SampledField, edits: list[CageEdit], options: MapOptions):
+        if any(edit.falloff > 0.0 or edit.fragments > 0.0 for edit in edits):
+            raise InputError("falloff and fragments of an edit are for voxels: a SampledField does not know its matter")
+        Backend.__init__(self, field, edits, options)
+        self.bands = list[FalloffBand | None]([None] * len(edits))
+        self._carried = []
+        origin, device = field.center, field.device
+        if options.resolution is None:
+            self.posed = ExactEdits(edits, options.coordinates, origin, device)
+        else:
+            load_pose_modules(options.coordinates, [samples], device)
+            lattices = EditLattices(edits, options.coordinates, options.resolution, origin, device, options.store)
+            self.posed = PosedScene(lattices)
+
+    def render(self, cages: list[Cage | None], camera: Camera, how: tuple[Any, ...], **target: Any) -> Frame:
+        asked = _marched(how)
+        self.hold(cages)
+        require_short_march(self._spans, self.field.step if asked[1] is None else asked[1])
+        ask = functools.partial(self.sample, cages)
+        return render_samples(ask, self.field, self.reached(cages), camera, asked, target.get("into"))
 
 
 class SplatBackend(Backend):

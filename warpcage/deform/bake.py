@@ -80,6 +80,7 @@ def bake(
         if resolution is not None or bounds is not None:
             raise InputError("splats are baked one by one: leave resolution and bounds out")
         return deformer.baked()
+    require_type(deformer.field, VoxelField, "bake needs a Deformer of")
     with deformer.lock:
         return _baked(deformer, resolution, bounds)
 

@@ -24,12 +24,13 @@ from ..edits.edits import checked_edits
 from ..errors import InputError, UseError
 from ..field.voxel_field import VoxelField
 from ..mesh.validity import is_usable
+from ..render.sampled import SampledField
 from ..render.view import PosedEdits
 from ..splats.io.formats import format_to_write
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import Frame, Frames
-from .backends import Backend, MapOptions, SplatBackend, VoxelBackend
+from .backends import Backend, MapOptions, SampledBackend, SplatBackend, VoxelBackend
 from .posed import DeformerOptions, PosedDeformer, PoseLike, RestLike
 from .poses import inverse_error
 from .splat_baking import baked_field, numbered_files, warn_of_others
@@ -55,7 +56,7 @@ class Deformer:
         frame = Deformer(field, cage).pose(cage.twist(60)).render(camera)
 
     Args:
-        field: The radiance field, a VoxelField or a SplatField.
+        field: The radiance field: a VoxelField, a SplatField, or a SampledField of any other representation.
         rest: A Cage around what is to be deformed, as it is in the field; or a list of Cage or CageEdit, each of which
             acts on the scene that the ones before it left.
         coordinates: "harmonic", "mean_value" or "green". The default is harmonic, as in the paper; `deform_points` has
@@ -77,7 +78,7 @@ class Deformer:
         Cancelled: Where `progress` returned False.
 
     Attributes:
-        field: The VoxelField, on the device.
+        field: The field, on the device.
         edits: The CageEdits in their order.
         device: Warp device.
         coordinates: Kind of coordinates.
@@ -95,14 +96,16 @@ class Deformer:
         @overload
         def __new__(cls, field: SplatField, rest: RestLike, **options: Unpack[DeformerOptions]) -> SplatDeformer: ...
         @overload
-        def __new__(cls, field: VoxelField, rest: RestLike, **options: Unpack[DeformerOptions]) -> Self: ...
+        def __new__(
+            cls, field: VoxelField | SampledField, rest: RestLike, **options: Unpack[DeformerOptions]
+        ) -> Self: ...
         @overload
         def __new__(
-            cls, field: VoxelField | SplatField, rest: RestLike, **options: Unpack[DeformerOptions]
+            cls, field: VoxelField | SplatField | SampledField, rest: RestLike, **options: Unpack[DeformerOptions]
         ) -> Deformer: ...
 
     field: VoxelField
-    _backends: ClassVar[tuple[type[Backend], ...]] = (VoxelBackend, SplatBackend)
+    _backends: ClassVar[tuple[type[Backend], ...]] = (VoxelBackend, SplatBackend, SampledBackend)
     _kinds: ClassVar[dict[type, type]] = {}  # of Deformers that have more to say of a kind of field
 
     def __init_subclass__(cls, of: type[Backend] | None = None, **options: Any):
@@ -118,7 +121,7 @@ class Deformer:
     @hears
     def __init__(
         self,
-        field: VoxelField | SplatField,
+        field: VoxelField | SplatField | SampledField,
         rest: RestLike,
         *,
         coordinates: Coordinates = FIELD_COORDINATES,
@@ -150,9 +153,7 @@ class Deformer:
     def reached_bounds(self) -> np.ndarray:
         """(2, 3) box of all that the field and the posed cages reach, fragments that go with them too; world units."""
         with self.lock:
-            boxes = [cage.bounds for cage in self._posed_cages() if cage is not None]
-            reached = np.stack([self.field.bounds, *boxes, *self._backend.reached()])
-        return np.stack([reached[:, 0].min(axis=0), reached[:, 1].max(axis=0)])
+            return self._backend.reached(self._posed_cages())
 
     def __reduce__(self):
         raise UseError("a Deformer is held on a device and not copied between processes: make one in each of them")
@@ -265,6 +266,25 @@ class Deformer:
         """
         with self.lock:
             return self._backend.to_canonical(self._posed_cages(), points, directions, step, return_outside)
+
+    def sample(self, points: Any, directions: Any, *, step: float | None = None) -> tuple[Any, Any]:
+        """Colour and density of the deformed scene at points, for renderers of fields: `to_canonical`, then the field.
+
+        Args:
+            points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md). They are taken in float32.
+            directions: (n, 3), from the camera into the scene, of any length but zero.
+            step: The dt of the finite differences, world units. None is the field's march step.
+
+        Returns:
+            Colours (n, 3) and densities (n,) per world unit, float32, as arrays of the points' kind on their device.
+            Densities are 0 where the pose clears, and of `density="opacity"` times the stretch of the map along the
+            direction, so that a sample of length dt has the optical depth sigma dt either way.
+
+        Raises:
+            ValueError: As `to_canonical`, for splats, and for a field whose densities are negative or not finite.
+        """
+        with self.lock:
+            return self._backend.sample(self._posed_cages(), points, directions, step)
 
     @overload
     def render(self, camera: Camera, **options: Unpack[ViewOptions]) -> Frame: ...

@@ -58,6 +58,12 @@ class PosedDeformer:
         with shared.lock:
             return shared._backend.to_canonical(self.deformed, points, directions, step, return_outside)
 
+    def sample(self, points: Any, directions: Any, *, step: float | None = None) -> tuple[Any, Any]:
+        """Colour and density of the scene in this pose at points (n, 3), world units; see `Deformer.sample`."""
+        shared = self.deformer
+        with shared.lock:
+            return shared._backend.sample(self.deformed, points, directions, step)
+
     @overload
     def render(self, camera: Camera, **options: Unpack[ViewOptions]) -> Frame: ...
     @overload

@@ -19,8 +19,10 @@ from ..edits.falloff import FalloffBand
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..kernels.edits.structs import MAPPED
+from ..kernels.render import samples
 from ..mesh.match import require_same_faces
 from ..mesh.validity import require_usable
+from ..render.sampled import SampledField
 from ..render.view import PosedEdits
 
 #: Cells along the longest side of the posed cage's box, of the grid at whose nodes the maps are compared.
@@ -73,7 +75,12 @@ def inverse_error(
 
 
 def canonical_points(
-    field: VoxelField, edits: PosedEdits, points: Any, directions: Any, step: float | None, return_outside: bool
+    field: VoxelField | SampledField,
+    edits: PosedEdits,
+    points: Any,
+    directions: Any,
+    step: float | None,
+    return_outside: bool,
 ) -> tuple[Any, ...]:
     """`Deformer.to_canonical` of posed edits of a field."""
     step, device = checked_step(step, field.step), field.device
@@ -107,3 +114,25 @@ def canonical_points(
     still = others[1] != MAPPED  # what did not move keeps its last bit
     canonical[still] = np.asarray(points, dtype).reshape(-1, 3)[still]
     return (canonical, *others)
+
+
+def posed_samples(
+    field: VoxelField | SampledField, edits: PosedEdits, points: Any, directions: Any, step: float | None, is_arc: bool
+) -> tuple[Any, Any]:
+    """`Deformer.sample` of posed edits of a field; is_arc: optical depth is in canonical arc length."""
+    step, device = checked_step(step, field.step), field.device
+    x, d = as_points(points, device), as_points(directions, device, name="directions")
+    here, along, region = canonical_points(field, edits, x, d, step, False)
+    ahead, region_ahead = (empty_array(0, kind, device) for kind in (wp.vec3, wp.int32))
+    if is_arc:
+        ahead = empty_array(len(x), wp.vec3, device)
+        launch(samples.move_along, len(x), [x, d, step], [ahead], device=device)
+        ahead, _, region_ahead = canonical_points(field, edits, ahead, d, step, False)
+    rgb, density = field.sample(here, along)
+    posed, bad = empty_array(len(x), wp.float32, device), wp.zeros(1, dtype=int, device=device)
+    box = [wp.vec3(*corner) for corner in field.bounds.tolist()]
+    inputs = [density, here, region, ahead, region_ahead, *box, step]
+    launch(samples.pose_densities, len(x), inputs, [posed, bad], device=device)
+    if int(bad.numpy()[0]):
+        raise InputError("densities of a field must be finite and 0 or more")
+    return as_given(rgb, points), as_given(posed, points)

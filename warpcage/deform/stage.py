@@ -469,9 +469,11 @@ class Stage:
 
     def _here(self, name: str, thing: Any) -> Thing:
         """A thing on the stage's device, which the first one decides."""
-        if not isinstance(thing, VoxelField | SplatField | Deformer):
+        field = thing.field if isinstance(thing, Deformer) else thing
+        if not isinstance(field, VoxelField | SplatField):
             raise InputError(
-                f"a stage holds VoxelFields, SplatFields, Deformers and files of fields, got {type(thing).__name__}"
+                "a stage holds VoxelFields, SplatFields, Deformers of those and files of fields, got "
+                f"{type(field).__name__}"
             )
         if self.device is None:
             self.device = thing.device

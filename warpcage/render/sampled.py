@@ -1,0 +1,204 @@
+"""Fields of any other representation, which are functions of points and directions, and their pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from ..core.arrays import as_given, as_numbers, as_points, empty_array
+from ..core.checks import MOST_SAMPLES, checked_bounds, checked_march, checked_step, require_ordinary_side, require_type
+from ..core.devices import launch, resolve_device
+from ..core.locks import in_turn
+from ..errors import InputError, UseError
+from ..field.render import picture_arrays
+from ..kernels.render import samples
+from ..view.camera import Camera, camera_struct
+from ..view.frame import (
+    PART_NAMES,
+    Frame,
+    average_frame,
+    checked_supersampling,
+    finer_camera,
+    parse_background,
+    view_background,
+)
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # of the type checker
+
+#: What a field is asked: points (n,) vec3, world units, and directions (n,) vec3 on its device. It answers colours
+#: (n, 3) and densities (n,) per world unit, as arrays of any library.
+SampleFunction = Callable[[Any, Any], tuple[Any, Any]]
+
+#: Steps along the diagonal of a field that does not say how long its steps are.
+USUAL_STEPS = 512
+
+#: Samples that a field is asked at once, but for a ray of more.
+MOST_AT_ONCE = 1 << 20
+
+
+class SampledField:
+    """A radiance field of any other representation: a function that gives colour and density at points.
+
+    `Deformer(SampledField(function, bounds), cage)` poses it as it poses voxels: `render`, `sample`, `to_canonical`,
+    several edits, poses of threads. Frames have no masks. Falloff and fragments of edits, baking and stages need
+    voxels.
+
+    References: the samples of a picture are packed ray after ray, as in Li et al., "NerfAcc" (ICCV 2023).
+    Limitations: every step inside the bounds is asked, as nobody knows where a function is empty; no gradient passes.
+
+    Example::
+
+        def ball(points, directions):
+            x = points.numpy()  # or torch.from_dlpack(points), or a Warp kernel that takes them as they are
+            return np.full((len(x), 3), 0.5), np.where(np.linalg.norm(x, axis=1) < 0.5, 60.0, 0.0)
+
+        field = SampledField(ball, [[-1, -1, -1], [1, 1, 1]])
+        cage = Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.7))
+        Deformer(field, cage).pose(cage.twist(60)).render(camera)
+
+    Args:
+        function: Called with points (n,) wp.vec3, world units, and unit directions (n,) wp.vec3 from the camera into
+            the scene, Warp arrays on `device`, which other libraries read as (n, 3) without a copy. It returns colours
+            (n, 3), and densities (n,) per world unit, of 0 or more, as arrays of any library. float32 on the device is
+            not copied. What it raises comes out of whatever asked.
+        bounds: (2, 3) lower and upper corner, world units, outside of which the field is empty.
+        step: March step and step of finite differences, world units. None is 1/512 of the diagonal of the bounds.
+        background: Colour behind the field, a name or (3,) in [0, 1].
+        device: Warp device. None is CUDA where there is one.
+
+    Raises:
+        ValueError: For a function that cannot be called, bounds whose longest side is not 1e-9 to 1e9 units, or a step
+            that is not positive and finite.
+
+    Attributes:
+        function: The function.
+        bounds: (2, 3) float64, read-only, world units.
+        step: March step, world units.
+        background: (3,) float32 colour behind the field.
+        device: Warp device.
+    """
+
+    def __init__(
+        self,
+        function: SampleFunction,
+        bounds: ArrayLike,
+        *,
+        step: float | None = None,
+        background: str | ArrayLike = "white",
+        device: wp.DeviceLike = None,
+    ):
+        if not callable(function):
+            raise InputError(f"a SampledField needs a function of points and directions, got {type(function).__name__}")
+        self.function: SampleFunction = function
+        self.bounds: np.ndarray = checked_bounds(bounds)
+        require_ordinary_side(float((self.bounds[1] - self.bounds[0]).max()), "a field")
+        self.step: float = checked_step(step, math.dist(*self.bounds) / USUAL_STEPS)
+        self.background: np.ndarray = parse_background(background)
+        self.device: wp.Device = resolve_device(device)
+
+    @property
+    def center(self) -> np.ndarray:
+        """(3,) float64 middle of the bounds: the origin that kernels' positions are relative to."""
+        return self.bounds.mean(axis=0)
+
+    def __repr__(self) -> str:
+        name = getattr(self.function, "__name__", type(self.function).__name__)
+        return f"SampledField({name}, bounds {np.round(self.bounds, 4).tolist()}, {self.device})"
+
+    def __reduce__(self):
+        raise UseError("a SampledField asks a function of its process, which is not copied: make one in each of them")
+
+    def to(self, device: wp.DeviceLike) -> Self:
+        """The field on another device; itself where it is there.
+
+        Args:
+            device: Warp device, on which the function gets its points then.
+
+        Returns:
+            The field.
+        """
+        device = resolve_device(device)
+        if device == self.device:
+            return self
+        options = {"step": self.step, "background": self.background, "device": device}
+        return type(self)(self.function, self.bounds, **options)
+
+    @in_turn
+    def sample(self, points: Any, directions: Any) -> tuple[Any, Any]:
+        """Colour and density at points.
+
+        Args:
+            points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md).
+            directions: (n, 3), from the camera into the scene.
+
+        Returns:
+            Colours (n, 3) and densities (n,) per world unit, float32, as arrays of the points' kind on their device.
+
+        Raises:
+            ValueError: For shapes that are not (n, 3) or differ, and where the function returns other shapes.
+        """
+        x, d = as_points(points, self.device), as_points(directions, self.device, name="directions")
+        if x.shape != d.shape:
+            raise InputError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
+        if not x.size:
+            return as_given(x, points), as_given(empty_array(0, wp.float32, self.device), points)
+        found = self.function(x, d)
+        if not isinstance(found, tuple | list) or len(found) != 2:
+            raise InputError(f"the function of a field must return colours and densities, got {type(found).__name__}")
+        rgb = as_points(found[0], self.device, name="colours of a field")
+        if rgb.shape != x.shape:
+            raise InputError(f"the function of a field must return {len(x)} colours, got {len(rgb)}")
+        density = as_numbers(found[1], len(x), self.device, name="densities of a field")
+        return as_given(rgb, points), as_given(density, points)
+
+
+def render_samples(
+    ask: Callable[[wp.array, wp.array, float], tuple[wp.array, wp.array]],
+    field: SampledField,
+    bounds: np.ndarray,
+    camera: Camera,
+    how: tuple[Any, Any, Any],
+    into: dict[str, wp.array] | None = None,
+) -> Frame:
+    """The view of a camera of what `ask` says of points, directions and a step, all in bounds (2, 3), world units; how:
+    background, step and supersampling as `Deformer.render` has them."""
+    background, step, supersampling = how
+    require_type(camera, Camera, "render needs")
+    color = field.background if background is None else view_background(background)
+    side, device, origin = checked_supersampling(supersampling or 1), field.device, field.center
+    diagonal = math.dist(*bounds)
+    step = checked_march(step, field.step, diagonal, math.dist(camera.center, bounds.mean(axis=0)))
+    rays = finer_camera(camera, side)
+    pinhole, count = camera_struct(rays, origin), rays.width * rays.height
+    arrays = picture_arrays(count, PART_NAMES, device) if into is None or side > 1 else into
+    begins, counts = empty_array(count, wp.float32, device), empty_array(count, wp.int32, device)
+    box = [wp.vec3(*corner) for corner in (bounds - origin).tolist()]
+    launch(samples.count_samples, count, [pinhole, *box, step], [begins, counts], device=device)
+    ends, ray = np.cumsum(counts.numpy(), dtype=np.int64), 0
+    work = min(diagonal / step, MOST_SAMPLES)
+    while ray < count:
+        before = int(ends[ray - 1]) if ray else 0
+        last = max(int(np.searchsorted(ends, before + MOST_AT_ONCE, side="right")), ray + 1)
+        local = wp.array((ends[ray:last] - before).astype(np.int32), dtype=wp.int32, device=device)
+        total = int(ends[last - 1]) - before
+        points, directions = (empty_array(total, wp.vec3, device) for _ in range(2))
+        inputs = [pinhole, ray, step, wp.vec3(*origin), begins, local]
+        launch(samples.place_samples, last - ray, inputs, [points, directions], device=device, work=work)
+        rgb, density = ask(points, directions, step)
+        inputs = [ray, step, wp.vec3(*color.tolist()), begins, local, rgb, density]
+        launch(
+            samples.composite_samples,
+            last - ray,
+            inputs,
+            [arrays[name] for name in PART_NAMES],
+            device=device,
+            work=work,
+        )
+        ray = last
+    return average_frame(Frame(rays.width, rays.height, **arrays), side, into).seen_by(camera, color, background)
