@@ -209,7 +209,7 @@ def read_session(path):
     """The document of a session, as JSON of our own."""
     field = load_field(path.with_name("field_v1.npz"))
     document = named("read_session", "editor")(path, field)
-    return {"document": json.dumps(document.to_json())}
+    return {"document": json.dumps(document.to_json("field_v1"))}
 
 
 def write_session(path, target):

@@ -33,7 +33,6 @@ from warpcage.edits import maps
 from warpcage.kernels.edits.structs import LatticeEdit
 from warpcage.kernels.fitting.rmsprop import add_gradients
 from warpcage.render import scene as lattice_edits
-from warpcage.render import shading
 
 #: Where processes that tests start find helpers and this file.
 MODULES = os.pathsep.join([SUPPORT, str(pathlib.Path(__file__).parent), *sys.path])
@@ -342,8 +341,7 @@ def test_what_an_interrupt_leaves_half_prepared_is_prepared_again(what, march, d
             deformer.pose(POSES[0]).render(CAMERA, step=long)
         left = [interrupts]
         with monkeypatch.context() as patch:
-            for module in (maps, shading):
-                patch.setattr(module, "launch", interruptible(launch))
+            patch.setattr(maps, "launch", interruptible(launch))
             patch.setattr(RecordedLaunch, "__call__", interruptible(RecordedLaunch.__call__))
             try:
                 if what == "view":

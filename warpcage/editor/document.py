@@ -326,11 +326,12 @@ class Document:
         """The document with another film."""
         return dataclasses.replace(self, timeline=dataclasses.replace(self.timeline, **changes))
 
-    def to_json(self) -> dict[str, Any]:
-        """The document as JSON takes it. Numbers keep all their digits."""
-        return {
-            "edits": [edit_json(edit) for edit in self.edits],
-            "selection": dataclasses.asdict(self.selection),
+    def to_json(self, own: str = "scene") -> dict[str, Any]:
+        """The document as JSON takes it. Numbers keep all their digits.
+        own: what the session's field is called where a file says nothing of things; such a file is that of before."""
+        content = {
+            "edits": [_own_word(edit_json(edit)) for edit in self.edits],
+            "selection": _own_word(dataclasses.asdict(self.selection)),
             "settings": dataclasses.asdict(self.settings),
             "view": dataclasses.asdict(self.view),
             "timeline": {
@@ -341,8 +342,10 @@ class Document:
             },
             "time": self.time,
             "next_id": self.next_id,
-            "things": [dataclasses.asdict(thing) for thing in self.things],
         }
+        if self.things != (Thing(MAIN, own),):
+            content["things"] = [dataclasses.asdict(thing) for thing in self.things]
+        return content
 
     @classmethod
     def from_json(cls, content: Any) -> Document:
@@ -353,6 +356,11 @@ class Document:
             raise InputError(f"the session lacks {error.args[0]!r}") from None
         except (TypeError, AttributeError, OverflowError, IndexError) as error:
             raise InputError(f"the session is damaged: {error}") from None
+
+
+def _own_word(content: dict[str, Any]) -> dict[str, Any]:
+    """What a file says of an edit or a selection: of the session's own field it is not said."""
+    return {word: value for word, value in content.items() if (word, value) != ("thing", MAIN)}
 
 
 def edit_json(edit: Edit) -> dict[str, Any]:

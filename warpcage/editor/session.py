@@ -121,7 +121,7 @@ def write_session(path: PathLike, document: Document, field: AnyField, field_nam
         "format": FORMAT,
         "version": VERSION if document.is_staged else ONE_THING,
         "field": {"name": field_name, "bounds": field.bounds.tolist()},
-        "document": document.to_json(),
+        "document": document.to_json("scene" if field_name is None else thing_name(field_name)),
     }
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")

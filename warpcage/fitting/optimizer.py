@@ -296,7 +296,14 @@ class FieldOptimizer:
         return self.current.memory(fixed, self.batches.mark_bytes)  # outer fields have a limit of their own
 
     def peak_bytes(self, rows: int) -> int:
-        """Device memory of the last level, if so many of its voxels hold values: the most that the fit takes."""
+        """The most device memory that the fit takes: that of its last level.
+
+        Args:
+            rows: Voxels of that level which hold values.
+
+        Returns:
+            Bytes.
+        """
         around = self.background.held_bytes if isinstance(self.background, OuterOptimizer) else 0
         return around + min(self.memory().level_bytes(rows, self.shapes[-1]), self.memory_limit)
 

@@ -398,9 +398,8 @@ class Pace:
         return measured * rays * (self.sides[level] / self.sides[known]) ** power
 
     def quicker(self, seconds: float, rays: float, pixels: int, fast: FitOptions) -> tuple[int, float] | None:
-        """By what to shrink pictures so that a fit on a CPU that takes so many seconds takes PATIENCE at most by the
-        options `fast`, and how long then. None where it does, or none would. rays: of all steps; pixels: of all
-        pictures."""
+        """By what to shrink pictures so that a fit on a CPU takes PATIENCE at most by the options `fast`, and how long;
+        None where it does as it is, in `seconds`, or none would. rays: of all steps; pixels: of all pictures."""
         if not self.device.is_cpu or seconds <= PATIENCE:
             return None
         rays *= self.schedule.options.supersampling**2
