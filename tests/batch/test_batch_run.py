@@ -298,7 +298,7 @@ def test_a_folder_that_is_read_only_is_refused(files, tmp_path):
 def test_notes_that_cannot_be_written_end_the_run(files, tmp_path, monkeypatch):
     out = tmp_path / "out"
     OutputFolder(out).prepare()
-    monkeypatch.setattr("warpcage.batch.chunk_runner.run_name", lambda: "run")
+    monkeypatch.setattr("warpcage.batch.engines.chunk_runner.run_name", lambda: "run")
     monkeypatch.setattr("warpcage.batch.run.OutputFolder.merge", lambda folder: None)
     (out / ".warpcage" / "notes" / "run-0.jsonl").symlink_to("/dev/full")
     report = run_with(files / "jobs.jsonl", out)
@@ -412,7 +412,7 @@ def test_a_kill_while_a_shard_is_packed_loses_nothing(tmp_path, step):
     whole = pictures(out)
     shutil.rmtree(out)
     place, name = {
-        "before it is packed": ("chunk_runner", "pack_shard"),
+        "before it is packed": ("engines.chunk_runner", "pack_shard"),
         "while it is packed": ("webdataset", "add_files"),
         "before its files are deleted": ("webdataset", "shutil"),
     }[step]
@@ -476,7 +476,7 @@ def test_a_shard_that_cannot_be_packed_is_told(tmp_path, monkeypatch):
                 raise RuntimeError("no tar today")
             return pack_shard(folder, shard, records)
 
-        patch.setattr("warpcage.batch.chunk_runner.pack_shard", fails)
+        patch.setattr("warpcage.batch.engines.chunk_runner.pack_shard", fails)
         report = run_with(path, out)
     assert report.failed == {"shard-000001.tar": "RuntimeError: no tar today"} and report.made == 12
     assert run_with(path, out).complete and len(list(out.glob("*.tar"))) == 3 and left_over(out) == []

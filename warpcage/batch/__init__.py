@@ -5,15 +5,15 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "chunk_runner": "Chunk ChunkReport ChunkRunner RunJournal RunnerSettings",
+        "engines.chunk_runner": "Chunk ChunkReport ChunkRunner RunJournal RunnerSettings",
         "items": "EvaluateItem FitItem FrameItem Item record_outputs",
         "job_file": "Fingerprints ItemReader JobFile Missing write_jobs",
         "manifest": "Manifest Notes OutputFolder Part id_key merge_notes notes_of_chunk write_array",
         "plan": "foresee make_plan unpaid",
-        "processes": "Answer load_ray LocalHost ProcessEngine ray_session RayHost Share",
+        "engines.processes": "Answer load_ray LocalHost ProcessEngine ray_session RayHost Share",
         "run": "Driver run_jobs RunProgress RunReport",
         "scheduler": "AIM LARGEST ChunkQueue Dispatcher",
-        "serving": "early_processes",
+        "engines.serving": "early_processes",
         "sweeps": "GivenSource RandomSource RandomViews write_sweep",
         "webdataset": "finish_folder pack_shard read_shard shard_holds shard_path shard_stage split_key staged_shards",
         "worker": "CHECKPOINTS MOST_DEFORMERS PARTS Worker",

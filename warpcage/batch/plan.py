@@ -18,11 +18,11 @@ from ..core.devices import resolve_device
 from ..core.files import PathLike
 from ..core.names import counted
 from ..core.threads import cpu_threads, limit_threads
-from .chunk_runner import RunnerSettings, run_name
+from .engines.chunk_runner import RunnerSettings, run_name
+from .engines.processes import LocalHost, ProcessEngine
 from .items import KINDS, Item
 from .job_file import Fingerprints, JobFile, UniqueNames
 from .manifest import DONE, FAILED, Manifest, OutputFolder, id_key, merge_notes, newest_seconds
-from .processes import LocalHost, ProcessEngine
 from .webdataset import shard_holds, shard_size, span_of, staged_shards
 
 if TYPE_CHECKING:

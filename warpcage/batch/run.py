@@ -16,12 +16,8 @@ from ..core.files import PathLike
 from ..core.names import error_line
 from ..core.threads import cpu_threads
 from ..errors import StateError
-from .chunk_runner import Chunk, ChunkReport, Maker, RunJournal, RunnerSettings, leaves_no_room, make_runner
-from .items import FOLDER
-from .job_file import JobFile
-from .manifest import OutputFolder, Part
-from .plan import Plan, make_plan, open_shards, unpaid
-from .processes import (
+from .engines.chunk_runner import Chunk, ChunkReport, Maker, RunJournal, RunnerSettings, leaves_no_room, make_runner
+from .engines.processes import (
     Answer,
     Engine,
     LocalEngine,
@@ -32,6 +28,10 @@ from .processes import (
     processes_beforehand,
     ray_session,
 )
+from .items import FOLDER
+from .job_file import JobFile
+from .manifest import OutputFolder, Part
+from .plan import Plan, make_plan, open_shards, unpaid
 from .scheduler import AIM, ChunkQueue, Dispatcher
 from .webdataset import finish_folder, shard_path, shard_size, span_of
 

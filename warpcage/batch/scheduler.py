@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.names import counted
 from ..errors import InputError
-from .chunk_runner import MOST_CHUNKS, Chunk, ChunkReport
+from .engines.chunk_runner import MOST_CHUNKS, Chunk, ChunkReport
 
 AIM, LARGEST = 10.0, 256  # seconds that a chunk should take, and most items that it holds
 CHUNKS_PER_WORKER = 4  # that each should still get of what is left: they become small, and all end together

@@ -224,7 +224,7 @@ def _early_workers(arguments: argparse.Namespace) -> contextlib.AbstractContextM
     workers = given.get("workers") or 1
     if workers == 1 or given.get("cluster") is not None or given.get("dry_run"):
         return contextlib.nullcontext()
-    from ..batch.serving import early_processes  # here, as most commands need nothing of it
+    from ..batch.engines.serving import early_processes  # here, as most commands need nothing of it
 
     return early_processes(workers, min(workers, (os.cpu_count() or 1) - 1), arguments.device)
 

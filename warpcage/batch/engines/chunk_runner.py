@@ -18,16 +18,16 @@ from typing import Any, Protocol
 
 import warp as wp
 
-from .. import __version__
-from ..core.devices import resolve_device
-from ..core.locks import device_turn
-from ..core.names import error_line
-from ..core.threads import limit_threads
-from ..errors import InputError, StateError
-from .items import Item
-from .job_file import Fingerprints, ItemReader, JobFile
-from .manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes, OutputFolder, notes_of_chunk
-from .webdataset import pack_shard, shard_size, shard_stage
+from ... import __version__
+from ...core.devices import resolve_device
+from ...core.locks import device_turn
+from ...core.names import error_line
+from ...core.threads import limit_threads
+from ...errors import InputError, StateError
+from ..items import Item
+from ..job_file import Fingerprints, ItemReader, JobFile
+from ..manifest import DONE, ERROR, FAILED, NO_ROOM, STARTED, Notes, OutputFolder, notes_of_chunk
+from ..webdataset import pack_shard, shard_size, shard_stage
 
 #: What the same input brings again: there is no use in trying it once more.
 BAD_INPUT = (
@@ -371,7 +371,7 @@ def make_runner(settings: RunnerSettings) -> ChunkRunner:
     device = resolve_device(settings.device)
     make = settings.maker
     if make is None:
-        from .worker import Worker  # here, as the driver of a cluster needs nothing of it
+        from ..worker import Worker  # here, as the driver of a cluster needs nothing of it
 
         make = Worker
 

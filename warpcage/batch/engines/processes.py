@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from ..core.devices import start_warp
-from ..core.names import error_line
-from ..core.threads import cpu_threads
-from ..errors import InputError, MissingPackageError, StateError
+from ...core.devices import start_warp
+from ...core.names import error_line
+from ...core.threads import cpu_threads
+from ...errors import InputError, MissingPackageError, StateError
 from .chunk_runner import MOST_CALLS, MOST_CHUNKS, Chunk, ChunkRunner, RunnerSettings, make_runner
 from .serving import Started, early_environment, gpu_of, message, taken_early
 

@@ -119,7 +119,7 @@ def serve(loads: bool, device: str | None) -> None:
     settings = message(asked)
     if settings is None:
         return
-    from ..core.names import error_line
+    from ...core.names import error_line
     from .chunk_runner import MOST_CALLS, make_runner
 
     pool = ThreadPoolExecutor(MOST_CALLS + 1, "warpcage-calls")
@@ -146,8 +146,8 @@ def serve(loads: bool, device: str | None) -> None:
 
 def _load(device: str | None) -> None:
     """Load what makes items, and start the device."""
-    from ..core.devices import resolve_device
-    from . import worker  # noqa: F401
+    from ...core.devices import resolve_device
+    from .. import worker  # noqa: F401
     from .chunk_runner import check_device
 
     check_device(resolve_device(device))

@@ -1,0 +1,1 @@
+"""What runs chunks of items: threads, processes of this machine, Ray."""
