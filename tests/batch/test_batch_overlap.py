@@ -26,8 +26,8 @@ from warpcage.batch import (
     RunJournal,
     RunnerSettings,
     Share,
-    chunk_runner,
 )
+from warpcage.batch.engines import chunk_runner
 
 
 @pytest.fixture(scope="module")
