@@ -347,11 +347,11 @@ class Schedule:
 TRIAL_STEPS = 24
 
 #: A step goes with this power of the voxels along the longest side, measured (benchmarks/NOTES-fit.md).
-CPU_POWER, GPU_POWER = 1.2, 0.42
+CPU_POWER, GPU_POWER = 1.2, 0.65
 
 #: Voxels of the last level for each square of its longest side, before those that no view shows go: where what is
 #: around the box is fitted too, and of an object alone; measured likewise.
-PLACE_ROWS, OBJECT_ROWS = 80.0, 29.0
+PLACE_ROWS, OBJECT_ROWS = 100.0, 29.0
 
 #: Seconds that a fit on a CPU may take before a quicker one is named, and the most by which its pictures are shrunk.
 PATIENCE, MOST_SHRUNK = 600.0, 16
