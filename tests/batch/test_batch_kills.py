@@ -130,7 +130,8 @@ def test_workers_start_beside_the_plan_and_are_those_that_work(job, whole, tmp_p
 
     made = set()
     assert run_with(job, tmp_path / "out", maker, workers=2, progress=progress).complete
-    assert len(planned) == 2 and planned == made  # none is started twice
+    # none is started twice, and none beyond the threads that are allowed starts beforehand
+    assert len(planned) == min(2, cpu_threads()) and planned <= made and len(made) == 2
     assert children() <= before
     if maker is None:
         assert_whole(tmp_path / "out", whole)
@@ -169,7 +170,7 @@ def test_no_worker_stays_of_a_plan_that_ends(tmp_path, end):
     ended = {"same names": pytest.raises(ValueError), "interrupt": pytest.raises(KeyboardInterrupt)}
     with ended.get(end, contextlib.nullcontext()):
         assert run_with(path, tmp_path / "out", Making, workers=2, progress=progress).complete
-    assert len(seen) >= 2 or end == "same names"
+    assert len(seen) >= min(2, cpu_threads()) or end == "same names"
     assert children() <= before
 
 

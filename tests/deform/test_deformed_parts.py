@@ -219,7 +219,7 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
     width, height = 46340, 46340
     camera = camera_struct(Camera(4e4, 4e4, width / 2, height / 2, width, height, view().camera_to_world), (0, 0, 0))
     boxes = [[[x, -1.0, -1.0], [x + 0.5, 1.0, 1.0]] for x in (-1.0, 0.5)]
-    tables = FrameTables([], [None, None], [None, None], boxes, None)
+    tables = FrameTables([], [None, None], boxes, None)
     launcher.launch_frame(plan, tables, FrameTarget(camera, wp.vec3(), None, Picture(), {}, width * height, 1.0))
     assert [(part.is_first, part.is_last) for part in marched_parts] == [(1, 0), (0, 1)]
     for part in marched_parts:

@@ -251,6 +251,7 @@ UPLOADS = {
     "ä" * 200 + ".json": "ä" * 60 + ".json",
     "script.html": None,
     "field.npz": "field.npz",
+    "splats.sog": "splats.sog",
     "cage": None,
     "": None,
     ".obj": None,

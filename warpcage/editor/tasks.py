@@ -246,7 +246,7 @@ def _percent(share: float | None) -> int | None:
 #: Endings of files that pages may load, and what is in them.
 LOADABLE = {
     ".npz": "field",
-    **{os.path.splitext(ending)[1]: "field" for ending in SPLAT_ENDINGS if ending},
+    **{pathlib.Path(f"x{ending}").suffix: "field" for ending in SPLAT_ENDINGS if ending},
     **dict.fromkeys(ENDINGS, "cage"),
     ".json": "poses",
 }
