@@ -227,12 +227,14 @@ export function jobsGroup() {
     show();
   };
   const showWork = rows(document.getElementById("work"), jobRows("work", "Hide; the group Jobs keeps it", leave));
-  const watched = new Set(); // what this page has seen run
+  const watched = new Set(); // what has run since this page was opened, however short
+  let known = null; // the numbers of all jobs so far
   let before = 0;
   const show = () => {
     const jobs = (store.sections.jobs ?? []).toReversed(); // the newest first
     showRows(jobs);
-    for (const { id, state } of jobs) if (state === "running") watched.add(id);
+    for (const { id, state } of jobs) if (state === "running" || (known && !known.has(id))) watched.add(id);
+    if (store.sections.jobs) known = new Set(jobs.map(({ id }) => id));
     showWork(jobs.filter(({ id, state, download }) => watched.has(id) && (state === "running" || state === "failed" || download)));
     empty.hidden = jobs.length > 0;
     const running = jobs.filter(({ state }) => state === "running").length;
