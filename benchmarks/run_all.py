@@ -70,10 +70,10 @@ QUICK = {
     "films": "memory films --frames 200 --timed 8 --size 320 180 --json {out}/film_memory.json",
     "batch_scale": "batch-scale --items 20_000 --workers 50 --frames 20 --messages 2000"
     " --json {out}/batch_scale.json --page {out}/batch_scale.md",
-    "batch_gpus": "batch gpus {of} --scene {scene} --frames 12 --size 48 --fits 2 --downscale 4 --workers 1 2"
+    "batch_gpus": "batch gpus {of} --scene {scene} --frames 12 --size 48 --fits 2 --downscale 8 --workers 1 2"
     " --device cpu --json {out}/batch_gpus.json",
     "batch_handing_out": "batch handing-out --items 120 --turns 1 --megabytes 8 --json {out}/handing_out.json",
-    "batch_memory": "memory batch --items 200 --json {out}/batch_memory.json",
+    "batch_memory": "memory batch --items 400 --json {out}/batch_memory.json",
     "page_results": "pages results --results {out} --page {out}/results.md",
 }
 

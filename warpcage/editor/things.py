@@ -14,6 +14,7 @@ import numpy as np
 from ..cage.cage import Cage
 from ..core.arrays import box_corners
 from ..core.checks import listed
+from ..core.names import Easing
 from ..deform.stage import Stage
 from ..edits.edits import CageEdit
 from ..edits.place import Place, PlaceFile, near_turn, seen_from
@@ -266,7 +267,7 @@ def with_stage(document: Document, path: pathlib.Path, folder: pathlib.Path) -> 
     )
 
 
-def _hold(keys: list[Key], number: int, thing: int, time: float, place: Place, easing: str) -> bool:
+def _hold(keys: list[Key], number: int, thing: int, time: float, place: Place, easing: Easing) -> bool:
     """Put a place into the key of its time and easing; whether a new key, of this number, was made for it."""
     for index, key in enumerate(keys):
         if (key.time, key.easing) == (time, easing):

@@ -130,7 +130,7 @@ def fit(
     pace = optimizer.pace() if isinstance(optimizer, FieldOptimizer) else None
     while optimizer.step_count < optimizer.total_steps:
         tell(optimizer.step_count, optimizer.total_steps, words)
-        if pace is None:
+        if pace is None or not isinstance(optimizer, FieldOptimizer):
             optimizer.step()
         elif pace.time(optimizer.step):
             _say(_forecast(optimizer, pace, time.monotonic() - start), progress)
