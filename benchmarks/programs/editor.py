@@ -417,6 +417,9 @@ def photograph(window, out: pathlib.Path) -> None:
     resize(window, 1280, 800)
     window.click("#panel-toggle")
     window.press("Shift+D")
+    make_parts(window)
+    keep(window, out / "editor_parts.png")
+
     window.unfold("things")
     window.click("#thing-add")
     window.wait("document.getElementById('ask-file')")
@@ -428,13 +431,6 @@ def photograph(window, out: pathlib.Path) -> None:
         window.fill(f"#thing-{field}", f"{number}\n")
     window.press("Home")
     keep(window, out / "editor_things.png")
-
-    window.click("#mode label:has([value=pose])")
-    window.click("#thing-remove")
-    window.wait("warpcage.store.sections.things.length === 1")
-    window.press("Home")
-    make_parts(window)
-    keep(window, out / "editor_parts.png")
 
 
 def make_parts(window) -> None:
