@@ -261,6 +261,26 @@ def test_keys_hold_places_and_the_film_moves_things(tmp_path):
     assert document_at(single, 0).things[0].place == Place()
 
 
+def test_still_moments_of_several_things_are_rendered_once(monkeypatch):
+    film, fields = two_things()
+    (edit,), number = film.edits, film.things[1].id
+    away, bent = Place((0, 0, 1.5)), edit.rest + [0, 0, 0.3]
+    for seconds, (place, posed) in enumerate([(AWAY, edit.rest), (away, edit.rest), (away, edit.rest), (away, bent)]):
+        film = film.with_thing(dataclasses.replace(film.thing(number), place=place))
+        film = film.with_edit(dataclasses.replace(edit, posed=posed))
+        _, film = run_command(film, {"do": "key.add", "time": seconds, "pose": True})
+    _, film = run_command(film, {"do": "timeline", "length": 3, "fps": 2})
+    expected = [picture(document_at(film, seconds), fields) for seconds in np.arange(7) / 2]
+    rendered, render = [], Stage.render
+    monkeypatch.setattr(Stage, "render", lambda *args, **options: rendered.append(1) or render(*args, **options))
+    frames = list(film_pictures(film, fields, Film(40, 30)))
+    assert len(rendered) == len({frame.tobytes() for frame in frames}) == 5
+    assert frames[2] is frames[3] is frames[4]
+    np.testing.assert_array_equal(frames, np.clip(expected, 0, 1))
+    hidden = film.with_thing(dataclasses.replace(film.thing(number), visible=False))
+    assert len({id(frame) for frame in film_pictures(hidden, fields, Film(40, 30))}) == 3  # that it moves is not seen
+
+
 def test_a_scrub_keeps_a_place_that_no_key_holds(folder):
     session = session_in(folder)
 

@@ -116,6 +116,22 @@ def test_things_of_a_stage_are_where_their_places_are(field, tmp_path):
     np.testing.assert_array_equal(held(paths), bits(expected))
 
 
+def test_what_shows_what_was_shown_last_is_not_rendered_again(field, deformer, tmp_path, monkeypatch):
+    times = {0.0: Place(), 0.25: Place((0.5, 0.0, 0.0)), 0.5: Place((0.5, 0.0, 0.0)), 0.625: Place()}
+    stage = Stage().add("box", deformer.pose(BENDS[1])).add("ball", field, place=PlaceFile(times))
+    rendered, render = [], Stage.render
+    monkeypatch.setattr(Stage, "render", lambda *args, **options: rendered.append(1) or render(*args, **options))
+    warpcage.render_film(stage, tmp_path / "whole.mp4", camera=CAMERA, fps=8)
+    assert len(rendered) == 4  # of 6 frames, which are written as a folder of pictures has them
+    pictures = map(read_image, warpcage.render_film(stage, tmp_path / "each", camera=CAMERA, fps=8))
+    assert len(rendered) == 10
+    write_film(tmp_path / "again.mp4", pictures, 8, loop=False)
+    assert (tmp_path / "whole.mp4").read_bytes() == (tmp_path / "again.mp4").read_bytes()
+    stage.hide("ball")
+    warpcage.render_film(stage, tmp_path / "hidden.mp4", camera=CAMERA, fps=8)
+    assert len(rendered) == 11
+
+
 def test_the_pose_of_the_deformer_stays(deformer, tmp_path):
     before = deformer.pose(BENDS[1]).render(CAMERA).rgb
     warpcage.render_film(deformer, tmp_path / "film", poses=BENDS, camera=CAMERA)

@@ -98,7 +98,7 @@ def film_pictures(
     document: Document, field: AnyField | Fields, film: Film, report: Report = _silent
 ) -> Iterator[np.ndarray]:
     """The pictures of a film, each rendered when it is asked for: (height, width, 3 or 4) float32, read-only.
-    Colours are not multiplied by opacity. Moments of a field alone that look alike are one array."""
+    Colours are not multiplied by opacity. Moments that look alike are one array."""
     times, settings = frame_times(document.timeline), dataclasses.replace(document.settings, mode="pose")
     document = dataclasses.replace(document, settings=settings)
     scene = PosedScene(field)  # with a Deformer of its own: the session's is in use

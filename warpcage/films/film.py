@@ -130,11 +130,10 @@ class Film:
         if self.shutter is not None or self.look.show == "masks":
             return None
         scene, cages = self._at(index)
-        if isinstance(scene, Stage):
-            return None
         camera = self.camera(index)
         lens = camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height
-        return id(scene), lens, camera.camera_to_world.tobytes(), *(cage.vertices.tobytes() for cage in cages)
+        drawn = tuple(cage.vertices.tobytes() for cage in cages)
+        return _shown_of(scene), lens, camera.camera_to_world.tobytes(), drawn
 
     def _frame(self, frame: float, camera: Camera) -> tuple[Frame, Sequence[Cage]]:
         scene, cages = self._at(frame)
@@ -302,7 +301,7 @@ class _Shot:
     """What `render_film` was asked for: its frames in time, and the pose and the camera of each."""
 
     def __init__(self, scene: Any, poses: Any, camera: Any, move: Any, frames: Any, fps: Any, size: Any):
-        self.scene, self._held = scene, (b"", None)
+        self.scene, self._held = scene, ((), None)
         self._rows, self._keys = _poses(scene, poses)
         file: Any = CameraFile.load(camera) if isinstance(camera, str | os.PathLike) else camera
         if file is None and move is None and self._keys is not None and self._keys.cameras:
@@ -392,7 +391,7 @@ class _Shot:
         if self._keys is None and self._rows is None:
             return self.scene, drawn_cages(self.scene)
         cages = self.pose(number)
-        pose = b"".join(b"" if cage is None else cage.vertices.tobytes() for cage in cages)
+        pose = _pose_bytes(cages)
         if self._held[1] is None or pose != self._held[0]:
             try:
                 self._held = pose, self.scene.posed(cages)
@@ -437,6 +436,22 @@ def _poses(scene: Any, poses: Any) -> tuple[list[list[Cage | None]] | None, Pose
     if not rows:
         raise InputError("a film needs at least one pose")
     return rows, None
+
+
+def _shown_of(scene: Scene) -> tuple[Any, ...]:
+    """What a scene shows, but for the pose of what stands alone, which the cages of a moment tell."""
+    if not isinstance(scene, Stage):
+        return (scene,)  # held, and equal to itself alone: a number of what has gone may come again
+    return tuple(
+        (item.thing, item.places.at(scene.time), _pose_bytes(getattr(item.thing, "deformed", None) or ()))
+        for item in scene.items.values()
+        if not item.hidden
+    )
+
+
+def _pose_bytes(cages: Iterable[Cage | None]) -> tuple[bytes, ...]:
+    """The vertices of posed cages, none of one that removes."""
+    return tuple(b"" if cage is None else cage.vertices.tobytes() for cage in cages)
 
 
 def _telling(numbers: Sequence[int], total: int) -> Iterator[int]:
