@@ -18,7 +18,7 @@ import tempfile
 import time
 
 import numpy as np
-from common import JSON, UsageError, add_tests_to_path, command, option, write_results
+from common import JSON, UsageError, add_tests_to_path, command, option, quiet_device, write_results
 
 #: Poses per second that a display's hand sends.
 RATE = 60.0
@@ -28,6 +28,9 @@ END_SECONDS = 120.0
 
 #: Seconds that are not measured: kernels are loaded, graphs captured, and the server learns what pictures cost.
 WARM = 3.0
+
+#: Single poses that are let go of, after the drag.
+RESTS = 10
 
 #: Bytes of a picture of the page.
 MOST_BYTES = 200_000
@@ -57,21 +60,32 @@ def drags(args) -> None:
         python benchmarks editor drags --browser --json editor.json             (Chromium, the demo, as a hand has it)
 
     Without --browser a WebSocket client moves the cage at the rate of a display and decodes each JPEG, in a process of
-    its own. A pose's latency is the time from sending it until the picture of that very pose is decoded; "or newer"
-    counts the poses too that a newer one overtook, until the picture of that one. With --browser the hand is a mouse in
-    headless Chromium, and the page measures: from the pointer's event until the picture is drawn. Settings are those of
-    a new session but for --coordinates and --resolution.
+    its own. A pose's latency is the time from sending it until the picture of that very pose is decoded; "arrival" is
+    until its bytes are there, and "or newer" counts the poses too that a newer one overtook, until the picture of that
+    one. "sharp" is from a single pose that is let go of at once to its sharp picture. With --browser the hand is a
+    mouse in headless Chromium, and the page measures: from the pointer's event until the picture is drawn. Settings are
+    those of a new session but for --coordinates and --resolution. The memory of a GPU is what all programs on it take
+    more than before, so nothing else should run there.
     """
     if (args.field is None) != (args.cage is None):
         raise UsageError("--field and --cage go together")
+    free = free_bytes(args.device)
     with editor(args) as (url, process):
         found = by_browser(url, args) if args.browser else asyncio.run(by_socket(url, args))
         status = pathlib.Path(f"/proc/{process}/status").read_text()
         found |= {"things": args.things, "memory_peak_mb": int(status.split("VmHWM:")[1].split()[0]) // 1024}
+        if free is not None:  # of what Warp keeps for later too, which does not shrink
+            found["device_memory_mb"] = (free - (free_bytes(args.device) or 0)) >> 20
     for name, value in found.items():
         print(f"{name:22} {value}")
     if args.json:
         write_results(args.json, args.device, **found)
+
+
+def free_bytes(name: str | None) -> int | None:
+    """Free memory of a GPU; None of the CPU."""
+    device = quiet_device(name)
+    return device.free_memory if device.is_cuda else None
 
 
 @contextlib.contextmanager
@@ -163,7 +177,7 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
     import simplejpeg
 
     sent: dict[int, float] = {}
-    shown: list[tuple[float, int, dict]] = []
+    shown: list[tuple[float, float, int, dict]] = []  # when it was there and when decoded, its pose, its header
     async with aiohttp.ClientSession() as http, http.ws_connect(url + "socket", max_msg_size=0) as socket:
         hello = json.loads((await socket.receive()).data)
         edit, me = hello["sections"]["edits"][0], str(hello["client"])
@@ -175,6 +189,7 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
             async for message in socket:
                 if message.type != aiohttp.WSMsgType.BINARY:
                     continue
+                arrived = time.perf_counter()
                 kind, words, jpeg, _ = struct.unpack_from("<4I", message.data)
                 if kind != 10:
                     continue
@@ -183,7 +198,7 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
                     raise RuntimeError(header["error"])
                 begin = 16 + words + (-words) % 8
                 simplejpeg.decode_jpeg(message.data[begin : begin + jpeg])
-                shown.append((time.perf_counter(), header["applied"].get(me, 0), header))
+                shown.append((arrived, time.perf_counter(), header["applied"].get(me, 0), header))
                 await say(do="seen", frame=header["frame"])
 
         settings = {"coordinates": args.coordinates}
@@ -196,31 +211,49 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
             await asyncio.sleep(0.01)
             if listening.done():
                 listening.result()
-        if args.places:
-            await say(do="place.begin", thing=0, label="drag")
-        else:
-            await say(do="drag.begin", edit=edit["id"], label="drag")
-        start = time.perf_counter()
-        for number in range(1, int((WARM + args.seconds) * RATE) + 1):
-            await asyncio.sleep(max(0.0, start + number / RATE - time.perf_counter()))
-            pose = hand.at(number / RATE)
-            sent[number] = time.perf_counter()
+        kind, number = ("place", 0) if args.places else ("drag", edit["id"])
+        begin = {"do": f"{kind}.begin", "thing" if args.places else "edit": number, "label": "drag"}
+        finish = {name: value for name, value in begin.items() if name != "label"} | {"do": f"{kind}.end"}
+
+        async def pose(count: int) -> float:
+            posed, when = hand.at(count / RATE), time.perf_counter()
             if args.places:
                 place = np.eye(4)
-                place[:3, 3] = (pose - hand.rest).mean(axis=0)
-                await say(do="place.set", thing=0, matrix=place.tolist(), seq=number)
+                place[:3, 3] = (posed - hand.rest).mean(axis=0)
+                await say(do="place.set", thing=0, matrix=place.tolist(), seq=count)
             else:
-                header = struct.pack("<4I", 2, number, edit["id"], vertices)
-                await socket.send_bytes(header + pose.astype("<f8").tobytes())
+                header = struct.pack("<4I", 2, count, edit["id"], vertices)
+                await socket.send_bytes(header + posed.astype("<f8").tobytes())
+            return when
+
+        async def seen(count: int, sharp: bool) -> float:
+            end = time.perf_counter() + 120.0
+            while shown[-1][2] < count or (sharp and not shown[-1][3]["sharp"]):
+                if time.perf_counter() > end:
+                    raise SystemExit("no picture of a pose came")
+                await asyncio.sleep(0.001)
+            return shown[-1][1]
+
+        await say(**begin)
+        start = time.perf_counter()
+        last = int((WARM + args.seconds) * RATE)
+        for count in range(1, last + 1):
+            await asyncio.sleep(max(0.0, start + count / RATE - time.perf_counter()))
+            sent[count] = await pose(count)
         end = time.perf_counter()
-        while shown[-1][1] < number and time.perf_counter() < end + 120.0:
-            await asyncio.sleep(0.01)
-        await say(do="drag.end", edit=edit["id"], cancel=True)
-        await asyncio.sleep(0.2)
+        await seen(last, False)
+        await say(**finish, cancel=True)
+        rests = []
+        for count in range(last + 1, last + 1 + RESTS):
+            await seen(count - 1, True)
+            await say(**begin)
+            when = await pose(count)
+            await say(**finish)
+            rests.append(1e3 * (await seen(count, True) - when))
         listening.cancel()
-    times = [when for when, _, _ in shown]
-    numbers = [number for _, number, _ in shown]
-    own, newer = [], []
+    times = [when for _, when, _, _ in shown]
+    numbers = [number for _, _, number, _ in shown]
+    own, newer, arrival = [], [], []
     for number, when in sent.items():
         if when < start + WARM or when > end - 0.5:
             continue
@@ -228,7 +261,8 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
         newer.append(1e3 * (times[index] - when))
         if numbers[index] == number:
             own.append(newer[-1])
-    steady = [(when, header) for when, _, header in shown if start + WARM <= when <= end]
+            arrival.append(1e3 * (shown[index][0] - when))
+    steady = [(when, header) for _, when, _, header in shown if start + WARM <= when <= end]
     return {
         "picture": "x".join(map(str, args.size)),
         "coordinates": args.coordinates,
@@ -236,6 +270,8 @@ async def by_socket(url: str, args: argparse.Namespace) -> dict:
         "frames_per_second": round((len(steady) - 1) / (steady[-1][0] - steady[0][0]), 1),
         "latency_ms": summary(own),
         "latency_or_newer_ms": summary(newer),
+        "arrival_ms": summary(arrival),
+        "sharp_ms": summary(rests),
         "sent_size": f"{steady[-1][1]['width']}x{steady[-1][1]['height']}",
         "cells": steady[-1][1]["cells"],
         "server_ms": {
