@@ -1,14 +1,20 @@
-"""A group of lanes that share an item: the 32 threads of a warp on CUDA, one thread on a CPU."""
+"""What an item of a launch is for: a place of a grid, or a lane of the group that shares a piece of work."""
 
-# Kernels for a group take lane_count() items for each piece of work: item / lane_count() is the piece, item %
-# lane_count() the lane. All lanes of a group must reach every function below that says "all lanes". Where there is
-# little to share, octets are enough: eight lanes of a warp, or one thread on a CPU.
+# A group of lanes is the 32 threads of a warp on CUDA, one thread on a CPU. Kernels for a group take lane_count() items
+# for each piece of work (lane_place). All lanes of a group must reach every function below that says "all lanes".
+# Where there is little to share, octets are enough: eight lanes of a warp, or one thread on a CPU.
 
 import warp as wp
 
 from .gradients import forward
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+
+
+@wp.func
+def grid_place(n: int, ny: int, nz: int):
+    """(i, j, k) of the n-th place of a grid whose last axes have ny and nz places, in the order of memory."""
+    return n // (nz * ny), (n // nz) % ny, n % nz
 
 
 @wp.func_native("""
@@ -21,6 +27,13 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 def lane_count() -> wp.int32:
     """Lanes of a group."""
     ...
+
+
+@wp.func
+def lane_place(item: int):
+    """The piece of work of an item, its lane in the group that shares it, and how many lanes there are."""
+    lanes = lane_count()
+    return item / lanes, item % lanes, lanes
 
 
 @wp.func_native("""

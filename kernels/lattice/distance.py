@@ -210,10 +210,7 @@ def list_block_faces(
     m. One group of lanes per block, one lane per face."""
     # clear_octants (blocks,): bit o is set where the nodes of octant o are CLEARANCE cells or more from the cage; bits
     # 0, 1, 2 of o: its upper half along the axes. boxes, candidates: empty where every block looks at all faces.
-    item = first + wp.tid()
-    lanes = lane_count()
-    lane = item % lanes
-    block = item / lanes
+    block, lane, lanes = lane_place(first + wp.tid())
     shape = shapes[0]
     ny = block_count(shape[1])
     nz = block_count(shape[2])
