@@ -9,7 +9,7 @@
 import warp as wp
 
 from ..core.gradients import forward, forward_only_in
-from ..core.lanes import from_lane, lane_count, sum_before
+from ..core.lanes import from_lane, lane_place, sum_before
 from ..field.background import layer_value, surface_sample
 from ..field.grid import (
     VoxelGrid,

@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..core.gradients import forward_only_in
-from ..core.lanes import ballot, bit_count, bits_before, lane_count, sum_of_lanes
+from ..core.lanes import ballot, bit_count, bits_before, lane_place, sum_of_lanes
 from .crossings import LineCrossings, exit_distance
 from .cut_rows import DOUBLE_CUT, CutRows
 from .nodes import OUTSIDE, NodeLevels, cut_section, node_place, ring_section

@@ -14,7 +14,7 @@
 
 import warp as wp
 
-from ..core.lanes import ballot, bit_count, bits_before, lane_count
+from ..core.lanes import ballot, bit_count, bits_before, lane_count, lane_place
 from .crossings import LineCrossings, exit_distance
 from .distance import is_clear
 

@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..core.gradients import forward_only_in
-from ..core.lanes import ballot, from_lane, lane_count, least_of_lanes, lowest_bit, sum_of_lanes
+from ..core.lanes import ballot, from_lane, lane_count, lane_place, least_of_lanes, lowest_bit, sum_of_lanes
 from ..field.harmonics import sh_basis
 from ..mesh.containment import closest_point_on_triangle, solid_angle, winding_number
 from .pose import CarriedSplats
@@ -222,9 +222,7 @@ def cover_staying(
 ):
     """Let splats members (m,) that stay at rest give way to a posed cage, of the box lower, upper. A group of lanes
     each. outside (m,): their shares outside the cage at rest, and what is left of each outside of the posed one."""
-    item = first + wp.tid()
-    m = item / lane_count()
-    lane = item % lane_count()
+    m, lane, _ = lane_place(first + wp.tid())
     n = members[m]
     left = outside[m]
     x = centers[n]
