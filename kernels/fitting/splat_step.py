@@ -11,9 +11,10 @@ import warp as wp
 from ..core.lanes import grid_place
 from ..field.harmonics import sh_basis
 from ..splats.fit import write_splat
+from ..splats.pose import covariance_of
 from ..splats.project import Lens
 from ..splats.project_slopes import SplatValues, row_slopes
-from ..splats.splats import Splats, covariance_of
+from ..splats.splats import Splats
 from .batches import Pictures, picture_pixel
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})

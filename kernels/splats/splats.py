@@ -6,7 +6,7 @@ from ..core.gradients import forward_only_in
 from ..core.lanes import ballot, from_lane, lane_count, lane_place, least_of_lanes, lowest_bit, sum_of_lanes
 from ..field.harmonics import sh_basis
 from ..mesh.containment import closest_point_on_triangle, solid_angle, winding_number
-from .pose import CarriedSplats
+from .pose import CarriedSplats, covariance_of
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -56,18 +56,6 @@ def splat_color(splats: Splats, n: int, direction: wp.vec3):
         green += basis[b] * splats.harmonics[row, 3 * b + 1]
         blue += basis[b] * splats.harmonics[row, 3 * b + 2]
     return forward_only(wp.max(wp.vec3(red, green, blue), wp.vec3(0.0, 0.0, 0.0)), direction)
-
-
-@wp.func
-def splat_covariance(splats: Splats, n: int):
-    """Covariance of splat n, world units squared."""
-    xx = splats.covariances[n, 0]
-    xy = splats.covariances[n, 1]
-    xz = splats.covariances[n, 2]
-    yy = splats.covariances[n, 3]
-    yz = splats.covariances[n, 4]
-    zz = splats.covariances[n, 5]
-    return wp.mat33(xx, xy, xz, xy, yy, yz, xz, yz, zz)
 
 
 #: Standard deviations beyond which nothing of a splat is counted.
@@ -152,21 +140,6 @@ def share_inside(wall: NearestWall, covariance: wp.mat33):
     if wp.abs(wall.distance) >= FAR * reach:
         return wp.where(wall.distance <= 0.0, 1.0, 0.0)
     return 0.5 * wp.erfc(wall.distance / (1.4142135623730951 * reach))
-
-
-@wp.func
-def covariance_of(covariances: wp.array2d(dtype=float), n: int):
-    return wp.mat33(
-        covariances[n, 0],
-        covariances[n, 1],
-        covariances[n, 2],
-        covariances[n, 1],
-        covariances[n, 3],
-        covariances[n, 4],
-        covariances[n, 2],
-        covariances[n, 4],
-        covariances[n, 5],
-    )
 
 
 @wp.func
