@@ -23,19 +23,6 @@ class MatterCells:
 
 
 @wp.kernel
-def count_cells(first: int, skip: wp.array3d(dtype=wp.uint8), counts: wp.array(dtype=wp.int32)):
-    """Cells of each column with `skip` 0. counts: (columns,)."""
-    n = first + wp.tid()
-    i = n // skip.shape[1]
-    j = n % skip.shape[1]
-    count = int(0)
-    for k in range(skip.shape[2]):
-        if skip[i, j, k] == wp.uint8(0):
-            count += 1
-    counts[n] = count
-
-
-@wp.kernel
 def gather_densities(
     first: int,
     links: wp.array3d(dtype=wp.int32),
@@ -46,7 +33,7 @@ def gather_densities(
     densities: wp.array2d(dtype=wp.float32),
 ):
     """Bits, first records and records of each column, one item per column; 0 where a corner has no row.
-    running_count: (columns,) inclusive scan of count_cells."""
+    running_count: (columns,) inclusive scan of how many cells of each have `skip` 0."""
     n = first + wp.tid()
     i = n // skip.shape[1]
     j = n % skip.shape[1]

@@ -57,16 +57,21 @@ def refine_mask(first: int, ratio: wp.vec3, source: wp.array3d(dtype=wp.uint8), 
 
 
 @wp.kernel
-def count_lines(first: int, mask: wp.array3d(dtype=wp.uint8), counts: wp.array(dtype=wp.int32)):
-    """Set nodes of each line (i, j) along the last axis. counts: (nx * ny,)."""
+def count_lines(first: int, values: wp.array3d(dtype=Any), least: int, most: int, counts: wp.array(dtype=wp.int32)):
+    """How many values of each line (i, j) along the last axis are from `least` to `most`. counts: (nx * ny,)."""
     n = first + wp.tid()
-    i = n // mask.shape[1]
-    j = n % mask.shape[1]
+    i = n // values.shape[1]
+    j = n % values.shape[1]
     count = int(0)
-    for k in range(mask.shape[2]):
-        if mask[i, j, k] != wp.uint8(0):
+    for k in range(values.shape[2]):
+        value = int(values[i, j, k])
+        if value >= least and value <= most:
             count += 1
     counts[n] = count
+
+
+for number in (wp.uint8, wp.int32):
+    wp.overload(count_lines, {"values": wp.array3d(dtype=number)})
 
 
 @wp.kernel
