@@ -23,8 +23,7 @@ from ..kernels.edits.structs import CellTable, ExactEdit
 from ..kernels.render.views import exact_kernel
 from ..mesh.mesh import prepared_fans
 from ..mesh.queries import SURFACE_TOLERANCE
-from ..render.launch import FrameLauncher, frame_target
-from ..render.modules import load_pose_modules
+from ..render.launch import FrameLauncher, frame_target, load_pose_modules
 from ..render.view import PosedEdits
 from ..view.frame import Frame
 
