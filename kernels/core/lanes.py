@@ -7,6 +7,7 @@
 import warp as wp
 
 from .gradients import forward
+from .variants import by_device
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -17,13 +18,7 @@ def grid_place(n: int, ny: int, nz: int):
     return n // (nz * ny), (n // nz) % ny, n % nz
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return 32;
-#else
-    return 1;
-#endif
-""")
+@wp.func_native(by_device("32", "1"))
 def lane_count() -> wp.int32:
     """Lanes of a group."""
     ...
@@ -36,49 +31,25 @@ def lane_place(item: int):
     return item / lanes, item % lanes, lanes
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return (int)__ballot_sync(0xffffffffu, flag);
-#else
-    return flag != 0;
-#endif
-""")
+@wp.func_native(by_device("(int)__ballot_sync(0xffffffffu, flag)", "flag != 0"))
 def ballot(flag: wp.int32) -> wp.int32:
     """Bit i is set where lane i has a flag. All lanes."""
     ...
 
 
-@forward.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, value, lane);
-#else
-    return value;
-#endif
-""")
+@forward.func_native(by_device("__shfl_sync(0xffffffffu, value, lane)", "value"))
 def from_lane(value: wp.float32, lane: wp.int32) -> wp.float32:
     """The value that another lane holds. All lanes."""
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, value, lane);
-#else
-    return value;
-#endif
-""")
+@wp.func_native(by_device("__shfl_sync(0xffffffffu, value, lane)", "value"))
 def index_from_lane(value: wp.int32, lane: wp.int32) -> wp.int32:
     """The whole number that another lane holds. All lanes."""
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, value, lane);
-#else
-    return value;
-#endif
-""")
+@wp.func_native(by_device("__shfl_sync(0xffffffffu, value, lane)", "value"))
 def mask_from_lane(value: wp.uint64, lane: wp.int32) -> wp.uint64:
     """The bits that another lane holds. All lanes."""
     ...
@@ -108,13 +79,7 @@ def sum_of_lanes(value: wp.float32) -> wp.float32:
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return 8;
-#else
-    return 1;
-#endif
-""")
+@wp.func_native(by_device("8", "1"))
 def octet_count() -> wp.int32:
     """Lanes of an octet."""
     ...
