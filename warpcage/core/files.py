@@ -355,6 +355,15 @@ def _stand_in(path: pathlib.Path) -> str:
     return ""
 
 
+def check_parent(path: pathlib.Path) -> None:
+    """Raises ValueError for a path below something that is not a folder."""
+    for parent in path.parents:
+        if parent.exists():
+            if not parent.is_dir():
+                raise InputError(f"{str(path)!r} cannot be written: {str(parent)!r} is not a folder")
+            return
+
+
 def file_stamp(path: PathLike) -> tuple[int, int]:
     """Bytes of a file and its time of change, nanoseconds, by which one that was replaced or written to is known."""
     status = os.stat(path)
