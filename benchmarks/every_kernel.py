@@ -39,8 +39,7 @@ from warpcage.view import RGB_BYTES, camera_array
 #: Kernels that only one kind of device launches.
 CPU_ONLY = {"fitting.loss.accumulate_photometric_gradient", "fitting.rmsprop.add_gradients",
             "fitting.rmsprop.join_maximum", "render.march_cpu.", "field.march_cpu.",
-            "field.occupancy.count_cells", "field.occupancy.gather_densities",
-            "field.occupancy.note_densities", "field.occupancy.spread_lines",
+            "field.occupancy.gather_densities", "field.occupancy.note_densities", "field.occupancy.spread_lines",
             "mesh.shell.", "mesh.collapses.", "splats.composite_cpu.", "splats.pose.carry_bound"}  # fmt: skip
 CUDA_ONLY = {"fitting.loss_warps.accumulate_photometric_gradient_by_warps", "field.rows.pack_rows",
              "field.densities.lay_densities", "field.refine.widen_rows",

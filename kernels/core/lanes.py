@@ -1,71 +1,55 @@
-"""A group of lanes that share an item: the 32 threads of a warp on CUDA, one thread on a CPU."""
+"""What an item of a launch is for: a place of a grid, or a lane of the group that shares a piece of work."""
 
-# Kernels for a group take lane_count() items for each piece of work: item / lane_count() is the piece, item %
-# lane_count() the lane. All lanes of a group must reach every function below that says "all lanes". Where there is
-# little to share, octets are enough: eight lanes of a warp, or one thread on a CPU.
+# A group of lanes is the 32 threads of a warp on CUDA, one thread on a CPU. Kernels for a group take lane_count() items
+# for each piece of work (lane_place). All lanes of a group must reach every function below that says "all lanes".
+# Where there is little to share, octets are enough: eight lanes of a warp, or one thread on a CPU.
 
 import warp as wp
 
 from .gradients import forward
+from .variants import by_device
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return 32;
-#else
-    return 1;
-#endif
-""")
+@wp.func
+def grid_place(n: int, ny: int, nz: int):
+    """(i, j, k) of the n-th place of a grid whose last axes have ny and nz places, in the order of memory."""
+    return n // (nz * ny), (n // nz) % ny, n % nz
+
+
+@wp.func_native(by_device("32", "1"))
 def lane_count() -> wp.int32:
     """Lanes of a group."""
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return (int)__ballot_sync(0xffffffffu, flag);
-#else
-    return flag != 0;
-#endif
-""")
+@wp.func
+def lane_place(item: int):
+    """The piece of work of an item, its lane in the group that shares it, and how many lanes there are."""
+    lanes = lane_count()
+    return item / lanes, item % lanes, lanes
+
+
+@wp.func_native(by_device("(int)__ballot_sync(0xffffffffu, flag)", "flag != 0"))
 def ballot(flag: wp.int32) -> wp.int32:
     """Bit i is set where lane i has a flag. All lanes."""
     ...
 
 
-@forward.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, value, lane);
-#else
-    return value;
-#endif
-""")
+@forward.func_native(by_device("__shfl_sync(0xffffffffu, value, lane)", "value"))
 def from_lane(value: wp.float32, lane: wp.int32) -> wp.float32:
     """The value that another lane holds. All lanes."""
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, value, lane);
-#else
-    return value;
-#endif
-""")
+@wp.func_native(by_device("__shfl_sync(0xffffffffu, value, lane)", "value"))
 def index_from_lane(value: wp.int32, lane: wp.int32) -> wp.int32:
     """The whole number that another lane holds. All lanes."""
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, value, lane);
-#else
-    return value;
-#endif
-""")
+@wp.func_native(by_device("__shfl_sync(0xffffffffu, value, lane)", "value"))
 def mask_from_lane(value: wp.uint64, lane: wp.int32) -> wp.uint64:
     """The bits that another lane holds. All lanes."""
     ...
@@ -95,13 +79,7 @@ def sum_of_lanes(value: wp.float32) -> wp.float32:
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return 8;
-#else
-    return 1;
-#endif
-""")
+@wp.func_native(by_device("8", "1"))
 def octet_count() -> wp.int32:
     """Lanes of an octet."""
     ...

@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from .variants import by_device
+
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 
@@ -11,9 +13,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
     const unsigned long long offset = (unsigned long long)(unsigned)i * (unsigned)array.strides[0];
     return *reinterpret_cast<const wp::vec_t<3, wp::float32>*>(begin + offset);
 """,
-    adj_snippet="""
-    wp::adj_address(array, i, adj_array, 0, adj_ret);
-""",
+    adj_snippet="wp::adj_address(array, i, adj_array, 0, adj_ret);",
 )
 def vec3_entry(array: wp.array(dtype=wp.vec3), i: int) -> wp.vec3:
     """array[i]"""
@@ -29,9 +29,7 @@ def vec3_entry(array: wp.array(dtype=wp.vec3), i: int) -> wp.vec3:
     return array.data[i];
 #endif
 """,
-    adj_snippet="""
-    wp::adj_address(array, i, adj_array, 0, adj_ret);
-""",
+    adj_snippet="wp::adj_address(array, i, adj_array, 0, adj_ret);",
 )
 def vec4_entry(array: wp.array(dtype=wp.vec4), i: int) -> wp.vec4:
     """array[i], in one read, of an array without gaps that begins at a multiple of 16 bytes, as allocations do."""
@@ -131,13 +129,7 @@ def trilinear_entry(values: wp.array3d(dtype=float), g: wp.vec3, beyond: float) 
 
 
 @wp.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    return rsqrtf(x);
-#else
-    return 1.0f / sqrtf(x);
-#endif
-""",
+    by_device("rsqrtf(x)", "1.0f / sqrtf(x)"),
     adj_snippet="""
     const float root = sqrtf(x);
     adj_x -= adj_ret * 0.5f / (root * root * root);
@@ -148,16 +140,7 @@ def reciprocal_root(x: wp.float32) -> wp.float32:
     ...
 
 
-@wp.func_native(
-    """
-#if defined(__CUDA_ARCH__)
-    return __expf(x);
-#else
-    return expf(x);
-#endif
-""",
-    adj_snippet="adj_x += adj_ret * expf(x);",
-)
+@wp.func_native(by_device("__expf(x)", "expf(x)"), adj_snippet="adj_x += adj_ret * expf(x);")
 def near_exp(x: wp.float32) -> wp.float32:
     """exp(x), on CUDA to 2 + 1.2 |x| units in the last place."""
     ...

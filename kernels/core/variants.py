@@ -34,6 +34,11 @@ def declared_once(make: Any) -> Any:
     return declared
 
 
+def by_device(cuda: str, cpu: str) -> str:
+    """The body of a C++ function that returns one expression on CUDA and another on a CPU."""
+    return f"#if defined(__CUDA_ARCH__)\n    return {cuda};\n#else\n    return {cpu};\n#endif\n"
+
+
 def native_source(file: str, name: str) -> str:
     """The text of a C++ file beside a Python file, with the files that it includes in their places."""
     path = Path(file).parent / name

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ..core.lanes import grid_place
 from ..field.grid import VoxelGrid, cell_density, cell_sample, empty_distance, grid_position
 from ..field.harmonics import LUMINANCE_NUMBERS, sh_basis, vec16
 from .structs import CLEARED, MAPPED, LatticeEdit
@@ -52,9 +53,7 @@ TAKEN_APART = wp.constant(mat77(
 @wp.func
 def node_point(n: int, shape: wp.vec3i, lower: wp.vec3, spacing: wp.vec3):
     """Position of the n-th node of a grid."""
-    k = n % shape[2]
-    j = (n // shape[2]) % shape[1]
-    i = n // (shape[2] * shape[1])
+    i, j, k = grid_place(n, shape[1], shape[2])
     return lower + wp.cw_mul(spacing, wp.vec3(float(i), float(j), float(k)))
 
 

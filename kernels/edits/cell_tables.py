@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ..core.lanes import grid_place
 from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..lattice.cage_map import CageMap, cell_sides, map_distance
 from .structs import (
@@ -82,10 +83,7 @@ def keep_edit(first: int, edit: LatticeEdit, index: int, edits: wp.array(dtype=L
 def mark_edit_cases(first: int, edit: LatticeEdit, cells: wp.array3d(dtype=wp.uint8)):
     """The CELL_... flags of each lattice cell of an edit, so that most samples need neither distance."""
     # the trilinear distance in a cell lies between its corners', the trilinear map in the bounding box of its corners'
-    n = first + wp.tid()
-    k = n % cells.shape[2]
-    j = (n // cells.shape[2]) % cells.shape[1]
-    i = n // (cells.shape[2] * cells.shape[1])
+    i, j, k = grid_place(first + wp.tid(), cells.shape[1], cells.shape[2])
     nearest = float(1.0e30)
     farthest = float(-1.0e30)
     for c in range(8):
@@ -146,10 +144,7 @@ def mark_alone_cells(
     first: int, edits: wp.array(dtype=LatticeEdit), edit_index: int, cells: wp.array3d(dtype=wp.uint8)
 ):
     """Add CELL_ALONE to the cells of an edit: what they map need not be traced through earlier edits."""
-    n = first + wp.tid()
-    k = n % cells.shape[2]
-    j = (n // cells.shape[2]) % cells.shape[1]
-    i = n // (cells.shape[2] * cells.shape[1])
+    i, j, k = grid_place(first + wp.tid(), cells.shape[1], cells.shape[2])
     edit = edits[edit_index]
     flags = int(cells[i, j, k])
     if (flags & CELL_CARRIES) != CELL_OUTSIDE and cell_sides(edit.deformed, i, j, k) == 0:
@@ -229,10 +224,7 @@ def mark_edit_cells(
     must be ready; step: of the march, world units."""
     # The scene beneath, canonical grid and earlier edits, is asked whether the box of the corners' images is empty.
     # Sub-samples reach half a step out of the cell. Cells mapped out of the rest cage are looked at, to be counted.
-    n = first + wp.tid()
-    k = n % marks.shape[2]
-    j = (n // marks.shape[2]) % marks.shape[1]
-    i = n // (marks.shape[2] * marks.shape[1])
+    i, j, k = grid_place(first + wp.tid(), marks.shape[1], marks.shape[2])
     edit = edits[edit_index]
     nearest = float(1.0e30)
     farthest = float(-1.0e30)
@@ -272,9 +264,7 @@ def join_cell_tables(
     """The two tables of a LatticeEdit's cells as one, so that a sample reads one byte. One item a node; above the last
     ones of an axis there is nothing to look at."""
     n = first + wp.tid()
-    k = n % node_counts[2]
-    j = (n // node_counts[2]) % node_counts[1]
-    i = n // (node_counts[2] * node_counts[1])
+    i, j, k = grid_place(n, node_counts[1], node_counts[2])
     value = LOOK_SKIP + 1
     if i < cells.shape[0] and j < cells.shape[1] and k < cells.shape[2]:
         value = int(cells[i, j, k])
@@ -321,10 +311,7 @@ def settled_case(cage_map: CageMap, i: int, j: int, k: int, slack: float):
 @wp.kernel
 def settle_rest_cells(first: int, rest: CageMap, slack: float, flags: wp.array3d(dtype=wp.uint8)):
     """The settled_case of each cell of a lattice over the rest cage."""
-    n = first + wp.tid()
-    k = n % flags.shape[2]
-    j = (n // flags.shape[2]) % flags.shape[1]
-    i = n // (flags.shape[2] * flags.shape[1])
+    i, j, k = grid_place(first + wp.tid(), flags.shape[1], flags.shape[2])
     flags[i, j, k] = wp.uint8(settled_case(rest, i, j, k, slack))
 
 
@@ -332,10 +319,7 @@ def settle_rest_cells(first: int, rest: CageMap, slack: float, flags: wp.array3d
 def settle_deformed_cells(first: int, edit: LatticeEdit, flags: wp.array3d(dtype=wp.uint8)):
     """The settled_case of each cell over the deformed cage, and what the lattice's map says of the inside ones:
     CELL_STAYS as the lattice has it, CELL_STEEP where it may be, CELL_FOLDED where the map may turn over somewhere."""
-    n = first + wp.tid()
-    k = n % flags.shape[2]
-    j = (n // flags.shape[2]) % flags.shape[1]
-    i = n // (flags.shape[2] * flags.shape[1])
+    i, j, k = grid_place(first + wp.tid(), flags.shape[1], flags.shape[2])
     case = settled_case(edit.deformed, i, j, k, edit.tolerance)
     if edit.removes == 0 and (int(edit.cells[i, j, k]) & CELL_CARRIES) == CELL_CARRIES:
         case = CELL_CARRIES | CELL_STEEP | CELL_FOLDED

@@ -4,6 +4,7 @@ import warp as wp
 
 from ..coordinates.mean_value import mean_value_position
 from ..core.gradients import forward_only_in
+from ..core.lanes import grid_place
 from ..lattice.cage_map import CageMap, cell_sides, map_position
 from ..lattice.nodes import CELL_DIAGONAL
 from ..mesh.containment import triangle_distance_squared
@@ -136,10 +137,7 @@ def carry_nodes(
 ):
     """psi at the nodes of a lattice at corners of marked cells; those in the rings of the map (lattice/nodes) keep what
     they have. Node (0, 0, 0) is at `lower`. One item per node."""
-    n = first + wp.tid()
-    k = n % distance.shape[2]
-    j = (n // distance.shape[2]) % distance.shape[1]
-    i = n // (distance.shape[2] * distance.shape[1])
+    i, j, k = grid_place(first + wp.tid(), distance.shape[1], distance.shape[2])
     if distance[i, j, k] / spacing < CELL_DIAGONAL:
         return
     found = bool(False)
@@ -165,9 +163,7 @@ def pad_nodes(
     """A map's nodes in a larger lattice, `before` of whose nodes lie below the map's along each axis, the others far
     outside the cage. side_index: (nodes,), or (0,) for a map without sides."""
     n = first + wp.tid()
-    k = n % positions.shape[2]
-    j = (n // positions.shape[2]) % positions.shape[1]
-    i = n // (positions.shape[2] * positions.shape[1])
+    i, j, k = grid_place(n, positions.shape[1], positions.shape[2])
     a = i - before[0]
     b = j - before[1]
     c = k - before[2]
@@ -212,10 +208,7 @@ def mark_carrying_cells(
 ):
     """CELL_CARRIES at marked cells, and what else holds there, but for those wholly in the cage or at a narrow gap of
     it. `cells` holds what edits/cell_tables.mark_edit_cases says. One item per cell."""
-    n = first + wp.tid()
-    k = n % cells.shape[2]
-    j = (n // cells.shape[2]) % cells.shape[1]
-    i = n // (cells.shape[2] * cells.shape[1])
+    i, j, k = grid_place(first + wp.tid(), cells.shape[1], cells.shape[2])
     if marks[i, j, k] == wp.uint8(0):
         return
     if (int(cells[i, j, k]) & CELL_INSIDE) != 0 or cell_sides(edit.deformed, i, j, k) != 0:
@@ -246,10 +239,7 @@ def node_position(cage_map: CageMap, i: int, j: int, k: int):
 @wp.kernel
 def fade_nodes(first: int, cage_map: CageMap, walls: Walls, positions: wp.array3d(dtype=wp.vec3)):
     """The faded map at each node, but for those that no look-up in the cage takes in."""
-    n = first + wp.tid()
-    k = n % positions.shape[2]
-    j = (n // positions.shape[2]) % positions.shape[1]
-    i = n // (positions.shape[2] * positions.shape[1])
+    i, j, k = grid_place(first + wp.tid(), positions.shape[1], positions.shape[2])
     mapped = cage_map.positions[i, j, k]
     if cage_map.distance[i, j, k] < FAR_CELLS * cage_map.spacing:
         mapped = faded_position(walls, node_position(cage_map, i, j, k), mapped)
@@ -264,9 +254,7 @@ def fade_sides(first: int, cage_map: CageMap, walls: Walls, sides: wp.array2d(dt
     if entry == 0:
         return
     shape = cage_map.positions.shape
-    k = n % shape[2]
-    j = (n // shape[2]) % shape[1]
-    i = n // (shape[2] * shape[1])
+    i, j, k = grid_place(n, shape[1], shape[2])
     for side in range(entry % 8):
         row = entry / 8 + side
         for corner in range(8):

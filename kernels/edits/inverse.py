@@ -4,6 +4,7 @@ lattice."""
 import warp as wp
 
 from ..core.gradients import forward_only_in
+from ..core.lanes import grid_place
 from ..field.grid import VoxelGrid, empty_distance, grid_position
 from ..lattice.cage_map import corner_share
 from .structs import CELL_OUTSIDE, EditData, entry_of_sides
@@ -138,10 +139,7 @@ def scatter_cells(
     stays. An item a cell, all on one thread of a CPU. cells: CELL_... flags; grid: its `skip` tells where matter is."""
     # owners: (nx, ny, nz) of the rest lattice, NO_CELL before: n, or n plus the number of posed nodes out of the posed
     # cage. folds: (1,) becomes 1 where the map turns matter over, into several places, or squeezes it too much to look.
-    item = first + wp.tid()
-    k = item % cells.shape[2]
-    j = (item // cells.shape[2]) % cells.shape[1]
-    i = item // (cells.shape[2] * cells.shape[1])
+    i, j, k = grid_place(first + wp.tid(), cells.shape[1], cells.shape[2])
     if (int(cells[i, j, k]) & CELL_OUTSIDE) != 0:
         return
     n = (i * edit.node_counts[1] + j) * edit.node_counts[2] + k
@@ -181,10 +179,7 @@ def scatter_cells(
 def gather_inverse(first: int, edit: EditData, owners: wp.array3d(dtype=int), places: wp.array3d(dtype=wp.vec4)):
     """Where each node of the rest lattice is in the posed scene, in cells of the posed lattice, with 1; 0 where no cell
     of the posed lattice leads to it. places: as owners, which become NO_CELL again."""
-    item = first + wp.tid()
-    k = item % owners.shape[2]
-    j = (item // owners.shape[2]) % owners.shape[1]
-    i = item // (owners.shape[2] * owners.shape[1])
+    i, j, k = grid_place(first + wp.tid(), owners.shape[1], owners.shape[2])
     place = wp.vec4(0.0, 0.0, 0.0, 0.0)
     n = owners[i, j, k]
     if n != NO_CELL:

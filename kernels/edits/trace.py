@@ -7,6 +7,7 @@ import warp as wp
 from ..coordinates.green import green_position
 from ..coordinates.mean_value import mean_value_position
 from ..core.gradients import forward_only_in
+from ..core.variants import declared_once, variant_module
 from ..lattice.cage_map import cell_sides, map_distance, map_position, side_position
 from ..mesh.containment import cage_distance, winding_number
 from ..mesh.triangle import faded_position
@@ -389,24 +390,36 @@ def canonical_ray(edits: Any, x: wp.vec3, direction: wp.vec3, dt: float):
     return result
 
 
-@wp.kernel
-def map_points(
-    first: int,
-    edits: wp.array(dtype=LatticeEdit),
-    origin: wp.vec3,
-    points: wp.array(dtype=wp.vec3),
-    directions: wp.array(dtype=wp.vec3),
-    dt: float,
-    canonical_points: wp.array(dtype=wp.vec3),
-    canonical_directions: wp.array(dtype=wp.vec3),
-    region: wp.array(dtype=wp.int32),
-    outside: wp.array(dtype=wp.uint8),
-):
-    """Canonical points and directions (n,) of points (n,) seen along directions (n,); region: 0 unchanged, 1 cleared,
-    2 mapped. `origin` is what the edits' positions are relative to, in the frame of the points."""
-    n = first + wp.tid()
-    ray = canonical_ray(edits, points[n] - origin, directions[n], dt)
-    canonical_points[n] = ray.point + origin
-    canonical_directions[n] = ray.direction
-    region[n] = ray.region
-    outside[n] = wp.uint8(ray.outside)
+@declared_once
+def map_kernel(exact: bool) -> Any:
+    """The kernel that takes points and directions to canonical space, without a lattice or by one."""
+    edit_type = ExactEdit if exact else LatticeEdit
+
+    @wp.kernel(name="map_points", module=variant_module(__name__, "exact" if exact else "lattice"))
+    def map_points(
+        first: int,
+        edits: wp.array(dtype=edit_type),
+        origin: wp.vec3,
+        points: wp.array(dtype=wp.vec3),
+        directions: wp.array(dtype=wp.vec3),
+        dt: float,
+        canonical_points: wp.array(dtype=wp.vec3),
+        canonical_directions: wp.array(dtype=wp.vec3),
+        region: wp.array(dtype=wp.int32),
+        outside: wp.array(dtype=wp.uint8),
+    ):
+        """Canonical points and directions (n,) of points (n,) seen along directions (n,); region: 0 unchanged,
+        1 cleared, 2 mapped. `origin` is what the edits' positions are relative to, in the frame of the points."""
+        n = first + wp.tid()
+        ray = canonical_ray(edits, points[n] - origin, directions[n], dt)
+        canonical_points[n] = ray.point + origin
+        canonical_directions[n] = ray.direction
+        region[n] = ray.region
+        outside[n] = wp.uint8(ray.outside)
+
+    return map_points
+
+
+def variants() -> list[Any]:
+    """All kernels that factories of this file declare."""
+    return [map_kernel(exact) for exact in (False, True)]

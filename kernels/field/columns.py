@@ -40,19 +40,6 @@ class Columns:
 
 
 @wp.kernel
-def count_rows(first: int, links: wp.array3d(dtype=wp.int32), counts: wp.array(dtype=wp.int32)):
-    """Linked nodes of each column. counts: (nx * ny,)."""
-    n = first + wp.tid()
-    i = n // links.shape[1]
-    j = n % links.shape[1]
-    count = int(0)
-    for k in range(links.shape[2]):
-        if links[i, j, k] >= 0:
-            count += 1
-    counts[n] = count
-
-
-@wp.kernel
 def mark_blocks(
     first: int,
     links: wp.array3d(dtype=wp.int32),
@@ -62,7 +49,7 @@ def mark_blocks(
     order: wp.array(dtype=wp.int32),
 ):
     """Bits and first row of each block of a column, and the node and the link of each row (rows,); one item per column.
-    running_count: (nx * ny,) inclusive scan of count_rows; blocks: (nx * ny, blocks of a column)."""
+    running_count: (nx * ny,) rows up to the end of each column; blocks: (nx * ny, blocks of a column)."""
     n = first + wp.tid()
     i = n // links.shape[1]
     j = n % links.shape[1]

@@ -136,19 +136,6 @@ def empty_distance(grid: VoxelGrid, g: wp.vec3):
     return int(grid.skip[i, j, k])
 
 
-@wp.func
-def sample_density(grid: VoxelGrid, x: wp.vec3):
-    """Density at a point, zero outside the grid."""
-    return wp.max(cell_density(grid, cell_sample(grid, grid_position(grid, x))), 0.0)
-
-
-@wp.func
-def sample_color(grid: VoxelGrid, x: wp.vec3, direction: wp.vec3):
-    """Colour at a point seen along a unit direction (from the camera into the scene)."""
-    color = cell_color(grid, cell_sample(grid, grid_position(grid, x)), sh_basis(direction))
-    return wp.max(color, wp.vec3(0.0, 0.0, 0.0))
-
-
 @wp.kernel
 def sample_field(
     first: int,

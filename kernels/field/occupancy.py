@@ -3,6 +3,7 @@
 import warp as wp
 
 from ..core.gradients import forward
+from ..core.lanes import grid_place
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -22,19 +23,6 @@ class MatterCells:
 
 
 @wp.kernel
-def count_cells(first: int, skip: wp.array3d(dtype=wp.uint8), counts: wp.array(dtype=wp.int32)):
-    """Cells of each column with `skip` 0. counts: (columns,)."""
-    n = first + wp.tid()
-    i = n // skip.shape[1]
-    j = n % skip.shape[1]
-    count = int(0)
-    for k in range(skip.shape[2]):
-        if skip[i, j, k] == wp.uint8(0):
-            count += 1
-    counts[n] = count
-
-
-@wp.kernel
 def gather_densities(
     first: int,
     links: wp.array3d(dtype=wp.int32),
@@ -45,7 +33,7 @@ def gather_densities(
     densities: wp.array2d(dtype=wp.float32),
 ):
     """Bits, first records and records of each column, one item per column; 0 where a corner has no row.
-    running_count: (columns,) inclusive scan of count_cells."""
+    running_count: (columns,) inclusive scan of how many cells of each have `skip` 0."""
     n = first + wp.tid()
     i = n // skip.shape[1]
     j = n % skip.shape[1]
@@ -104,10 +92,7 @@ SKIP_LIMIT = wp.constant(32)
 @wp.kernel
 def mark_cells(first: int, links: wp.array3d(dtype=wp.int32), distance: wp.array3d(dtype=wp.uint8)):
     """0 where any of a cell's eight nodes has a row, SKIP_LIMIT elsewhere. distance: (nx-1, ny-1, nz-1)."""
-    n = first + wp.tid()
-    k = n % distance.shape[2]
-    j = (n // distance.shape[2]) % distance.shape[1]
-    i = n // (distance.shape[2] * distance.shape[1])
+    i, j, k = grid_place(first + wp.tid(), distance.shape[1], distance.shape[2])
     value = int(SKIP_LIMIT)
     for c in range(8):
         if links[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)] >= 0:
@@ -124,10 +109,7 @@ def mark_matter(
 ):
     """0 where any of a cell's eight nodes has a density above zero, SKIP_LIMIT elsewhere: no place in such a cell has
     one, as trilinear weights are not negative. distance: (nx-1, ny-1, nz-1)."""
-    n = first + wp.tid()
-    k = n % distance.shape[2]
-    j = (n // distance.shape[2]) % distance.shape[1]
-    i = n // (distance.shape[2] * distance.shape[1])
+    i, j, k = grid_place(first + wp.tid(), distance.shape[1], distance.shape[2])
     value = int(SKIP_LIMIT)
     for c in range(8):
         row = links[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)]
@@ -155,10 +137,7 @@ def note_signs(
 @wp.kernel
 def spread_distance(first: int, axis: int, source: wp.array3d(dtype=wp.uint8), distance: wp.array3d(dtype=wp.uint8)):
     """One pass of the transform along an axis."""
-    n = first + wp.tid()
-    k = n % source.shape[2]
-    j = (n // source.shape[2]) % source.shape[1]
-    i = n // (source.shape[2] * source.shape[1])
+    i, j, k = grid_place(first + wp.tid(), source.shape[1], source.shape[2])
     best = int(source[i, j, k])
     step = int(1)
     while step < best:

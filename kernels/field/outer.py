@@ -11,7 +11,7 @@
 import warp as wp
 
 from ..core.gradients import forward, forward_only_in
-from ..core.lanes import ballot, from_lane, index_from_lane, product_before, sum_of_lanes
+from ..core.lanes import ballot, from_lane, grid_place, index_from_lane, product_before, sum_of_lanes
 from ..view.rays import PinholeCamera, box_span, pixel_direction, tile_pixel
 from .background import BackgroundLayers, layer_value, surface_sample
 from .grid import eight_rows, eight_weights, exit_distance
@@ -438,11 +438,8 @@ def mark_outer_nodes(
     """1 at nodes (n, n, n) before the faces of the box, and next to there, that may hold matter; 0 elsewhere."""
     # A node must be seen by a camera, and by `least` of them where one of them is nearer to it than `front` times its
     # distance to the middle of the box. It must be no nearer to any than `nearest`, world units.
-    n = first + wp.tid()
     side = mask.shape[0]
-    k = n % side
-    j = (n // side) % side
-    i = n // (side * side)
+    i, j, k = grid_place(first + wp.tid(), side, side)
     voxel = 4.0 / float(side)
     p = voxel * wp.vec3(float(i) + 0.5, float(j) + 0.5, float(k) + 0.5) - wp.vec3(2.0, 2.0, 2.0)
     largest = wp.max(wp.abs(p))

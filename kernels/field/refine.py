@@ -4,6 +4,7 @@ from typing import Any
 
 import warp as wp
 
+from ..core.lanes import grid_place
 from .grid import VoxelGrid, eight_rows, eight_weights
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -12,10 +13,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 @wp.kernel
 def dilate_mask(first: int, source: wp.array3d(dtype=wp.uint8), mask: wp.array3d(dtype=wp.uint8)):
     """1 where any of a node's 27 neighbours is set."""
-    n = first + wp.tid()
-    k = n % mask.shape[2]
-    j = (n // mask.shape[2]) % mask.shape[1]
-    i = n // (mask.shape[2] * mask.shape[1])
+    i, j, k = grid_place(first + wp.tid(), mask.shape[1], mask.shape[2])
     value = wp.uint8(0)
     for a in range(wp.max(i - 1, 0), wp.min(i + 2, mask.shape[0])):
         for b in range(wp.max(j - 1, 0), wp.min(j + 2, mask.shape[1])):
@@ -42,10 +40,7 @@ def mark_weighty_nodes(
 @wp.kernel
 def keep_linked(first: int, links: wp.array3d(dtype=wp.int32), mask: wp.array3d(dtype=wp.uint8)):
     """Clear `mask` where there is no row: dilation may not bring back what was pruned before."""
-    n = first + wp.tid()
-    k = n % mask.shape[2]
-    j = (n // mask.shape[2]) % mask.shape[1]
-    i = n // (mask.shape[2] * mask.shape[1])
+    i, j, k = grid_place(first + wp.tid(), mask.shape[1], mask.shape[2])
     if links[i, j, k] < 0:
         mask[i, j, k] = wp.uint8(0)
 
@@ -54,10 +49,7 @@ def keep_linked(first: int, links: wp.array3d(dtype=wp.int32), mask: wp.array3d(
 def refine_mask(first: int, ratio: wp.vec3, source: wp.array3d(dtype=wp.uint8), mask: wp.array3d(dtype=wp.uint8)):
     """Each finer voxel takes the value of the voxel that its center lies in; ratio: finer voxels per voxel, along each
     axis."""
-    n = first + wp.tid()
-    k = n % mask.shape[2]
-    j = (n // mask.shape[2]) % mask.shape[1]
-    i = n // (mask.shape[2] * mask.shape[1])
+    i, j, k = grid_place(first + wp.tid(), mask.shape[1], mask.shape[2])
     a = wp.min(int((float(i) + 0.5) / ratio[0]), source.shape[0] - 1)
     b = wp.min(int((float(j) + 0.5) / ratio[1]), source.shape[1] - 1)
     c = wp.min(int((float(k) + 0.5) / ratio[2]), source.shape[2] - 1)
@@ -65,16 +57,21 @@ def refine_mask(first: int, ratio: wp.vec3, source: wp.array3d(dtype=wp.uint8), 
 
 
 @wp.kernel
-def count_lines(first: int, mask: wp.array3d(dtype=wp.uint8), counts: wp.array(dtype=wp.int32)):
-    """Set nodes of each line (i, j) along the last axis. counts: (nx * ny,)."""
+def count_lines(first: int, values: wp.array3d(dtype=Any), least: int, most: int, counts: wp.array(dtype=wp.int32)):
+    """How many values of each line (i, j) along the last axis are from `least` to `most`. counts: (nx * ny,)."""
     n = first + wp.tid()
-    i = n // mask.shape[1]
-    j = n % mask.shape[1]
+    i = n // values.shape[1]
+    j = n % values.shape[1]
     count = int(0)
-    for k in range(mask.shape[2]):
-        if mask[i, j, k] != wp.uint8(0):
+    for k in range(values.shape[2]):
+        value = int(values[i, j, k])
+        if value >= least and value <= most:
             count += 1
     counts[n] = count
+
+
+for number in (wp.uint8, wp.int32):
+    wp.overload(count_lines, {"values": wp.array3d(dtype=number)})
 
 
 @wp.kernel

@@ -7,6 +7,7 @@
 import warp as wp
 
 from ..core.gradients import forward
+from ..core.lanes import grid_place
 from ..core.texels import FOUR_HALVES
 from ..core.variants import native_source
 from .columns import Columns
@@ -56,9 +57,7 @@ def write_shade(shades: wp.array2d(dtype=wp.uint32), row: wp.int32, value: wp.ve
 @wp.func
 def row_place(grid: VoxelGrid, node_counts: wp.vec3i, node: int):
     """Where the node of a row is."""
-    k = node % node_counts[2]
-    j = (node // node_counts[2]) % node_counts[1]
-    i = node // (node_counts[2] * node_counts[1])
+    i, j, k = grid_place(node, node_counts[1], node_counts[2])
     return grid.lower + wp.cw_mul(grid.voxel_size, wp.vec3(float(i), float(j), float(k)))
 
 

@@ -9,7 +9,7 @@
 import warp as wp
 
 from ..core.gradients import forward, forward_only_in
-from ..core.lanes import from_lane, lane_count, sum_before
+from ..core.lanes import from_lane, lane_place, sum_before
 from ..field.background import layer_value, surface_sample
 from ..field.grid import (
     VoxelGrid,
@@ -51,10 +51,7 @@ def gather_outer(
 ):
     """What is before the box, (rays,) colour and the light that passes, and behind it, (rays,) colour with the sky.
     A group of lanes (core/lanes) per ray."""
-    item = first + wp.tid()
-    lanes = lane_count()
-    n = item // lanes
-    lane = item % lanes
+    n, lane, lanes = lane_place(first + wp.tid())
     pixel = batch_pixel(rays, n)
     if in_picture(rays, pixel):
         camera = rays.cameras[pixel[0]]
@@ -158,10 +155,7 @@ def accumulate_outer_gradient(
     """Adds the gradient by the values of the grid (rows,) and of the sky (1, nodes). A group of lanes per ray. front,
     behind: (rays,) of gather_outer. What it adds to is shared: on the CPU each thread needs its own."""
     # Of the loss, of by_front * opacity of the front, and of the loss of the sky alone by by_sky (above).
-    item = first + wp.tid()
-    lanes = lane_count()
-    n = item // lanes
-    lane = item % lanes
+    n, lane, lanes = lane_place(first + wp.tid())
     pixel = batch_pixel(rays, n)
     if not in_picture(rays, pixel):
         return

@@ -8,11 +8,13 @@
 
 import warp as wp
 
+from ..core.lanes import grid_place
 from ..field.harmonics import sh_basis
 from ..splats.fit import write_splat
+from ..splats.pose import covariance_of
 from ..splats.project import Lens
 from ..splats.project_slopes import SplatValues, row_slopes
-from ..splats.splats import Splats, covariance_of
+from ..splats.splats import Splats
 from .batches import Pictures, picture_pixel
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
@@ -195,10 +197,7 @@ def join_sums(first: int, sums: wp.array2d(dtype=wp.vec3), joined: wp.array2d(dt
 @wp.kernel
 def shrink_pictures(first: int, side: int, fine: Pictures, coarse: wp.array3d(dtype=wp.vec4h)):
     """coarse: (views, h // side, w // side) means of side by side pixels of `fine`. One item per coarse pixel."""
-    n = first + wp.tid()
-    column = n % coarse.shape[2]
-    row = (n // coarse.shape[2]) % coarse.shape[1]
-    view = n // (coarse.shape[2] * coarse.shape[1])
+    view, row, column = grid_place(first + wp.tid(), coarse.shape[1], coarse.shape[2])
     total = wp.vec4()
     for i in range(side):
         for j in range(side):
@@ -212,10 +211,7 @@ def shrink_pictures(first: int, side: int, fine: Pictures, coarse: wp.array3d(dt
 @wp.kernel
 def shrink_weights(first: int, side: int, fine: wp.array3d(dtype=wp.uint8), coarse: wp.array3d(dtype=wp.uint8)):
     """coarse: (views, h // side, w // side) least of side by side weights of `fine`. One item per coarse pixel."""
-    n = first + wp.tid()
-    column = n % coarse.shape[2]
-    row = (n // coarse.shape[2]) % coarse.shape[1]
-    view = n // (coarse.shape[2] * coarse.shape[1])
+    view, row, column = grid_place(first + wp.tid(), coarse.shape[1], coarse.shape[2])
     least = int(255)
     for i in range(side):
         for j in range(side):

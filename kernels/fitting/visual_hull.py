@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ..core.lanes import grid_place
 from ..view.rays import PinholeCamera
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -50,10 +51,7 @@ def carve_visual_hull(
     # Laurentini 1994, conservative in the voxel's extent. bounded: (views,) 1 where a silhouette keeps clear of the
     # border: all beyond is transparent. Else a voxel beyond is carved if nothing is opaque along the border within
     # BEYOND_SPREAD times its distance from the image: silhouettes widen no faster. So are voxels that no image sees.
-    n = first + wp.tid()
-    k = n % mask.shape[2]
-    j = (n // mask.shape[2]) % mask.shape[1]
-    i = n // (mask.shape[2] * mask.shape[1])
+    i, j, k = grid_place(first + wp.tid(), mask.shape[1], mask.shape[2])
     x = lower + wp.cw_mul(wp.vec3(float(i), float(j), float(k)), voxel_size)
     radius = 0.5 * wp.length(voxel_size)
     views = int(0)
@@ -105,10 +103,7 @@ def keep_seen_voxels(
     mask: wp.array3d(dtype=wp.uint8),
 ):
     """Clears `mask` at the nodes that fewer than `least` cameras have in their image. One item per node."""
-    n = first + wp.tid()
-    k = n % mask.shape[2]
-    j = (n // mask.shape[2]) % mask.shape[1]
-    i = n // (mask.shape[2] * mask.shape[1])
+    i, j, k = grid_place(first + wp.tid(), mask.shape[1], mask.shape[2])
     x = lower + wp.cw_mul(wp.vec3(float(i), float(j), float(k)), voxel_size)
     views = int(0)
     for view in range(cameras.shape[0]):

@@ -9,7 +9,7 @@
 import warp as wp
 
 from ..core.gradients import forward_only_in
-from ..core.lanes import ballot, lane_count, lowest_bit, without_lowest_bit
+from ..core.lanes import ballot, lane_place, lowest_bit, without_lowest_bit
 
 # small blocks, as there are few items to fill a GPU with
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 64})
@@ -208,10 +208,8 @@ def cross_lines(
 ):
     """Crossings of all lines of a lattice with a cage. A group of lanes takes a run of RUN neighbouring lines.
     overflow (1,) becomes the crossings a line would need where they are more than the capacity."""
-    item = first + wp.tid()
-    lanes = lane_count()
-    lane = item % lanes
-    run = line_run(crossings.shapes[0], item / lanes)
+    piece, lane, lanes = lane_place(first + wp.tid())
+    run = line_run(crossings.shapes[0], piece)
     if run.axis == 3:
         return
     for column in range(run.begin + lane, run.end, lanes):

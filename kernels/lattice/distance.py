@@ -11,7 +11,7 @@ from ..core.lanes import (
     ballot,
     bit_count,
     bits_before,
-    lane_count,
+    lane_place,
     least_of_lanes,
     lowest_bit,
     union_of_lanes,
@@ -121,12 +121,10 @@ def find_candidates(
 ):
     """candidates (groups, words): bit b of word w is set where face 32 w + b may come within CLEARANCE cells of a block
     of the group, which are group_side blocks along each axis. One group of lanes per word, one lane per face."""
-    item = first + wp.tid()
-    lanes = lane_count()
-    lane = item % lanes
+    piece, lane, lanes = lane_place(first + wp.tid())
     words = word_count(boxes.shape[0])
-    word = (item / lanes) % words
-    group = item / lanes / words
+    word = piece % words
+    group = piece / words
     shape = shapes[0]
     ny = (block_count(shape[1]) + group_side - 1) / group_side
     nz = (block_count(shape[2]) + group_side - 1) / group_side
@@ -210,10 +208,7 @@ def list_block_faces(
     m. One group of lanes per block, one lane per face."""
     # clear_octants (blocks,): bit o is set where the nodes of octant o are CLEARANCE cells or more from the cage; bits
     # 0, 1, 2 of o: its upper half along the axes. boxes, candidates: empty where every block looks at all faces.
-    item = first + wp.tid()
-    lanes = lane_count()
-    lane = item % lanes
-    block = item / lanes
+    block, lane, lanes = lane_place(first + wp.tid())
     shape = shapes[0]
     ny = block_count(shape[1])
     nz = block_count(shape[2])

@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..core.gradients import forward_only_in
-from ..core.lanes import ballot, bit_count, bits_before, lane_count, sum_of_lanes
+from ..core.lanes import ballot, bit_count, bits_before, lane_place, sum_of_lanes
 from .crossings import LineCrossings, exit_distance
 from .cut_rows import DOUBLE_CUT, CutRows
 from .nodes import OUTSIDE, NodeLevels, cut_section, node_place, ring_section
@@ -217,10 +217,7 @@ def count_column_sides(
 ):
     """counts (columns of level 0 or more,): sides of the marked cells in each column, 0 beyond the last. side_index:
     from -1, a mark, to -1 less entry_length. One group of lanes per column, one lane per cell."""
-    item = first + wp.tid()
-    lanes = lane_count()
-    lane = item % lanes
-    column = item / lanes
+    column, lane, lanes = lane_place(first + wp.tid())
     if column >= counts.shape[0]:
         return
     shape = levels.shapes[0]
@@ -284,10 +281,7 @@ def list_column_sides(
     none; side_cells, side_masks: cell and corners of each row. One group of lanes per column, one lane per cell."""
     # Nothing is written where the table is longer than they are. Rows hold the cell whose corners make the side; above
     # the corners' bits stands 1 plus the direction in which that cell lies, where it is not the one that gets the side.
-    item = first + wp.tid()
-    lanes = lane_count()
-    lane = item % lanes
-    column = item / lanes
+    column, lane, lanes = lane_place(first + wp.tid())
     shape = levels.shapes[0]
     if column >= shape[0] * shape[1] or table_length(offsets, counts) > side_cells.shape[0]:
         return

@@ -14,7 +14,7 @@
 
 import warp as wp
 
-from ..core.lanes import ballot, bit_count, bits_before, lane_count
+from ..core.lanes import ballot, bit_count, bits_before, lane_count, lane_place
 from .crossings import LineCrossings, exit_distance
 from .distance import is_clear
 
@@ -234,10 +234,7 @@ def classify_columns(
     node. Cut nodes get 0 until list_columns numbers them."""
     # distance (nodes of level 0,): scales[0] units per cell. narrow (1,) becomes 1 where links leave the cage and enter
     # it again: a gap below a cell. counts: section after section, an entry per column of its level.
-    item = first + wp.tid()
-    lanes = lane_count()
-    lane = item % lanes
-    column = item / lanes
+    column, lane, lanes = lane_place(first + wp.tid())
     level_count = levels.shapes.shape[0]
     if column >= levels.first_column[level_count]:
         return
@@ -325,10 +322,7 @@ def list_columns(
 ):
     """Write the nodes of each column to their sections, the rows of cut nodes to their codes, and starts.
     One group of lanes per column, one lane per node. Beyond limits (sections,) overflow (1,) is 1, sections empty."""
-    item = first + wp.tid()
-    lanes = lane_count()
-    lane = item % lanes
-    column = item / lanes
+    column, lane, lanes = lane_place(first + wp.tid())
     level_count = levels.shapes.shape[0]
     if column >= levels.first_column[level_count]:
         return

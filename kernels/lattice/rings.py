@@ -9,7 +9,7 @@
 
 import warp as wp
 
-from ..core.lanes import lane_count, octet_count, sum_of_lanes, sum_of_octet
+from ..core.lanes import lane_count, lane_place, octet_count, sum_of_lanes, sum_of_octet
 from .cut_rows import CutRows, barycentric, crossing_value, nearest_face
 from .nodes import OUTSIDE, RING, NodeLevels, node_place, ring_section
 
@@ -227,9 +227,7 @@ def extend_outwards(
 ):
     """Values of a ring from the inside nodes and the rings before it. vertices (v,) in node units; distance (nodes,)
     signed. One group of lanes per node."""
-    item = first + wp.tid()
-    lane = item % lane_count()
-    n = item / lane_count()
+    n, lane, _ = lane_place(first + wp.tid())
     section = ring_section(levels) + ring
     if n >= levels.starts[section + 1] - levels.starts[section]:
         return

@@ -1,4 +1,4 @@
-"""Green coordinates of points and their gradients, in float64: rows by which points are carried along with a cage."""
+"""Mean value and Green coordinates of points and their gradients, in float64: rows by which points go with a cage."""
 
 import warp as wp
 

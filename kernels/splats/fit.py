@@ -3,7 +3,8 @@
 import warp as wp
 
 from ..view.pictures import part_index
-from .splats import Splats, covariance_of
+from .pose import covariance_of, write_covariance
+from .splats import Splats
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -152,12 +153,7 @@ def write_splat(splats: Splats, n: int, log_scales: wp.vec3, quaternion: wp.vec4
     axes = splat_axes(quaternion)
     factor = axes * wp.diag(wp.vec3(wp.exp(log_scales[0]), wp.exp(log_scales[1]), wp.exp(log_scales[2])))
     covariance = factor * wp.transpose(factor)
-    splats.covariances[n, 0] = covariance[0, 0]
-    splats.covariances[n, 1] = covariance[0, 1]
-    splats.covariances[n, 2] = covariance[0, 2]
-    splats.covariances[n, 3] = covariance[1, 1]
-    splats.covariances[n, 4] = covariance[1, 2]
-    splats.covariances[n, 5] = covariance[2, 2]
+    write_covariance(splats.covariances, n, covariance)
     splats.opacities[n] = 1.0 / (1.0 + wp.exp(-logit))
 
 

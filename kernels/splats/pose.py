@@ -60,9 +60,26 @@ def nearest_rotation(jacobian: wp.mat33):
 
 
 @wp.func
-def carried_covariance(jacobian: wp.mat33, covariance: wp.mat33):
-    """J S J^T, symmetric to the last bit where its six numbers are taken from the upper triangle."""
-    return jacobian * covariance * wp.transpose(jacobian)
+def covariance_of(covariances: wp.array2d(dtype=float), n: int):
+    """The matrix of a row xx xy xz yy yz zz."""
+    xx = covariances[n, 0]
+    xy = covariances[n, 1]
+    xz = covariances[n, 2]
+    yy = covariances[n, 3]
+    yz = covariances[n, 4]
+    zz = covariances[n, 5]
+    return wp.mat33(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+
+
+@wp.func
+def write_covariance(covariances: wp.array2d(dtype=float), n: int, covariance: wp.mat33):
+    """Row n of a symmetric matrix, by its upper triangle."""
+    covariances[n, 0] = covariance[0, 0]
+    covariances[n, 1] = covariance[0, 1]
+    covariances[n, 2] = covariance[0, 2]
+    covariances[n, 3] = covariance[1, 1]
+    covariances[n, 4] = covariance[1, 2]
+    covariances[n, 5] = covariance[2, 2]
 
 
 LAW_RAYS = wp.constant(0)
@@ -148,24 +165,8 @@ def finish_splats(
     n = first + wp.tid()
     jacobian = carried.jacobians[n]
     centers[n] = carried.positions[n]
-    rest = wp.mat33(
-        rest_covariances[n, 0],
-        rest_covariances[n, 1],
-        rest_covariances[n, 2],
-        rest_covariances[n, 1],
-        rest_covariances[n, 3],
-        rest_covariances[n, 4],
-        rest_covariances[n, 2],
-        rest_covariances[n, 4],
-        rest_covariances[n, 5],
-    )
-    posed = carried_covariance(jacobian, rest)
-    covariances[n, 0] = posed[0, 0]
-    covariances[n, 1] = posed[0, 1]
-    covariances[n, 2] = posed[0, 2]
-    covariances[n, 3] = posed[1, 1]
-    covariances[n, 4] = posed[1, 2]
-    covariances[n, 5] = posed[2, 2]
+    # symmetric to the last bit, as its six numbers are taken from the upper triangle
+    write_covariance(covariances, n, jacobian * covariance_of(rest_covariances, n) * wp.transpose(jacobian))
     share = carried.shares[n]
     if law == LAW_DENSITY:
         share *= rms_stretch(jacobian)

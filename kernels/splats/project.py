@@ -15,7 +15,8 @@
 import warp as wp
 
 from ..view.rays import PinholeCamera
-from .splats import Splats, splat_color, splat_covariance
+from .pose import covariance_of
+from .splats import Splats, splat_color
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -79,7 +80,7 @@ def project_splat(
     distance = wp.length(offset)
     direction = offset / distance
 
-    covariance = splat_covariance(splats, n)
+    covariance = covariance_of(splats.covariances, n)
     by_column = covariance * to_column
     by_row = covariance * to_row
     cc = wp.max(wp.dot(to_column, by_column), 0.0)

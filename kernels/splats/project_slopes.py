@@ -10,8 +10,9 @@ import warp as wp
 from ..core.gradients import forward_only_in
 from ..field.harmonics import sh_basis, vec16
 from .fit import quaternion_slope, splat_axes
+from .pose import covariance_of
 from .project import ROOT_SCALE, Lens, rim_slope
-from .splats import Splats, splat_covariance
+from .splats import Splats
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "block_dim": 128})
 
@@ -170,7 +171,7 @@ def row_slopes(
     along_y = axis_y - rim_y * axis_z
     to_column = (camera.focal[0] / z) * along_x
     to_row = (camera.focal[1] / z) * along_y
-    covariance = splat_covariance(splats, n)
+    covariance = covariance_of(splats.covariances, n)
     by_column = covariance * to_column
     by_row = covariance * to_row
 

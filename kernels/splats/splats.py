@@ -3,10 +3,10 @@
 import warp as wp
 
 from ..core.gradients import forward_only_in
-from ..core.lanes import ballot, from_lane, lane_count, least_of_lanes, lowest_bit, sum_of_lanes
+from ..core.lanes import ballot, from_lane, lane_count, lane_place, least_of_lanes, lowest_bit, sum_of_lanes
 from ..field.harmonics import sh_basis
 from ..mesh.containment import closest_point_on_triangle, solid_angle, winding_number
-from .pose import CarriedSplats
+from .pose import CarriedSplats, covariance_of
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -56,18 +56,6 @@ def splat_color(splats: Splats, n: int, direction: wp.vec3):
         green += basis[b] * splats.harmonics[row, 3 * b + 1]
         blue += basis[b] * splats.harmonics[row, 3 * b + 2]
     return forward_only(wp.max(wp.vec3(red, green, blue), wp.vec3(0.0, 0.0, 0.0)), direction)
-
-
-@wp.func
-def splat_covariance(splats: Splats, n: int):
-    """Covariance of splat n, world units squared."""
-    xx = splats.covariances[n, 0]
-    xy = splats.covariances[n, 1]
-    xz = splats.covariances[n, 2]
-    yy = splats.covariances[n, 3]
-    yz = splats.covariances[n, 4]
-    zz = splats.covariances[n, 5]
-    return wp.mat33(xx, xy, xz, xy, yy, yz, xz, yz, zz)
 
 
 #: Standard deviations beyond which nothing of a splat is counted.
@@ -155,21 +143,6 @@ def share_inside(wall: NearestWall, covariance: wp.mat33):
 
 
 @wp.func
-def covariance_of(covariances: wp.array2d(dtype=float), n: int):
-    return wp.mat33(
-        covariances[n, 0],
-        covariances[n, 1],
-        covariances[n, 2],
-        covariances[n, 1],
-        covariances[n, 3],
-        covariances[n, 4],
-        covariances[n, 2],
-        covariances[n, 4],
-        covariances[n, 5],
-    )
-
-
-@wp.func
 def is_near_box(x: wp.vec3, covariance: wp.mat33, lower: wp.vec3, upper: wp.vec3):
     """Whether a splat may reach a box."""
     for axis in range(3):
@@ -222,9 +195,7 @@ def cover_staying(
 ):
     """Let splats members (m,) that stay at rest give way to a posed cage, of the box lower, upper. A group of lanes
     each. outside (m,): their shares outside the cage at rest, and what is left of each outside of the posed one."""
-    item = first + wp.tid()
-    m = item / lane_count()
-    lane = item % lane_count()
+    m, lane, _ = lane_place(first + wp.tid())
     n = members[m]
     left = outside[m]
     x = centers[n]

@@ -6,7 +6,7 @@ import pytest
 from warpcage import Cage, Camera, turntable
 from warpcage.cage import Preset, is_preset
 from warpcage.films import Keyframes, read_pose
-from warpcage.view import cameras_along, frame_places, pose_along, pose_between, pose_weights, value_along
+from warpcage.view import cameras_along, frame_places, pose_along, pose_weights, value_along
 
 BOX = Cage.box([-1, -1, -1], [1, 1, 1], segments=2)
 
@@ -49,7 +49,6 @@ def test_smooth_ways_have_no_jolt_at_keyframes_and_linear_ones_have():
 def test_a_cage_between_two_keyframes():
     high = BOX.translate([0, 0, 4])
     np.testing.assert_allclose(pose_along([BOX, high], 0.25).vertices, BOX.vertices + [0, 0, 1])
-    np.testing.assert_allclose(pose_between(BOX, high, 0.25).vertices, BOX.vertices + [0, 0, 1])
     np.testing.assert_allclose(pose_along([BOX, high, BOX], 2.0).vertices, BOX.vertices)
 
 

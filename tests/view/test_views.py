@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from warpcage import Cage
-from warpcage.view import framing_orbit, pose_between, pose_weights
+from warpcage.view import framing_orbit, pose_weights
 
 
 @pytest.mark.parametrize("width, height", [(64, 64), (90, 40), (40, 90)])
@@ -49,10 +48,3 @@ def test_pose_weights():
         pose_weights(3, "wobble")
     with pytest.raises(ValueError, match="at least one frame"):
         pose_weights(0)
-
-
-def test_pose_between():
-    rest = Cage.box((0, 0, 0), (1, 1, 1))
-    posed = rest.translate((2, 0, 0))
-    np.testing.assert_allclose(pose_between(rest, posed, 0.25).vertices, rest.vertices + [0.5, 0, 0])
-    np.testing.assert_array_equal(pose_between(rest, posed, 1.0).vertices, posed.vertices)

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..cage.pose_file import is_preset
 from ..core.checks import listed, shown
-from ..core.files import JSON_ROOM, NpyFile, PathLike, atomic_path, file_stamp, require_file
+from ..core.files import JSON_ROOM, NpyFile, PathLike, atomic_path, file_stamp, require_file, require_version
 from ..core.memory import LRUCache, require_host_memory
 from ..edits.words import canonical, checked_words, one_of, split_reference, truth, whole
 from ..errors import InputError
@@ -211,12 +211,8 @@ class JobFile:
                 f"{where}: it is no header of a job file: its format is {shown(header.get('format'))}, not {FORMAT!r}; "
                 f"a job file begins with {_HEADER_SHAPE}"
             )
-        version = header.get("version")
-        if type(version) is not int or version < 1:
-            raise InputError(f"{where}: its version must be a whole number from 1, got {shown(version)}")
-        if version > VERSION:
-            raise InputError(f"{where}: its version is {version}, this warpcage reads up to {VERSION}: upgrade")
         try:
+            require_version(header.get("version"), VERSION)
             _check_defaults(header.get("defaults") or {})
             check_records(header.get("records") or {}, header.get("defaults") or {})
         except ValueError as error:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_easing, checked_number, checked_path, checked_positive, listed, shown
-from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
+from ..core.files import PathLike, atomic_path, errors_of, read_document, require_file
 from ..core.names import CURVE, EASINGS, LOOPS, Easing, require_name
 from ..errors import InputError
 from ..mesh.io import ENDINGS, MOTION_ENDINGS, write_shown_mesh
@@ -301,15 +301,9 @@ class PoseFile:
 
             return read_motion(path, rest, name=name, up=up, fps=fps)
         path = require_file(path, "pose file")
-        try:
-            document = read_json(path, "pose file")
-            if document["format"] != _FORMAT:
-                raise InputError(f"its format is {document['format']!r}, not {_FORMAT!r}")
-            version, keyframes = document["version"], document["keyframes"]
-            if type(version) is not int or version < 1:
-                raise InputError(f"its version must be a whole number from 1, got {version!r}")
-            if version > _VERSION:
-                raise InputError(f"its version is {version}, this warpcage reads up to {_VERSION}: upgrade")
+        with errors_of(path, "pose file"):
+            document = read_document(path, "pose file", _FORMAT, _VERSION)
+            keyframes = document["keyframes"]
             if not isinstance(keyframes, list):
                 raise InputError(f"its keyframes must be a list, got {type(keyframes).__name__}")
             own = Cage(document["cage"]["vertices"], document["cage"]["faces"])
@@ -327,10 +321,6 @@ class PoseFile:
             file.cameras = [camera_from_json(entry, index) for index, entry in enumerate(document.get("cameras", []))]
             file._check_moments()
             return file
-        except DAMAGED as error:
-            raise InputError(f"{path}: {damage('pose file', error)}") from None
-        except ValueError as error:
-            raise InputError(f"{path}: {error}") from None
 
 
 def known_easing(name: str, easing: Easing) -> Easing:

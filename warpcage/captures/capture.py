@@ -15,7 +15,7 @@ from types import TracebackType
 import numpy as np
 
 from ..core.checks import checked_path, checked_whole, listed
-from ..core.files import atomic_path
+from ..core.files import atomic_path, check_parent
 from ..core.names import agreed, counted
 from ..core.reports import Progress, heard
 from ..errors import InputError, MissingFileError
@@ -73,11 +73,7 @@ def require_new_folder(path: pathlib.Path) -> None:
             raise InputError(f"output folder {str(path)!r} is there and not empty: give a new one, or remove it")
     elif path.exists() or path.is_symlink():
         raise InputError(f"output folder {str(path)!r} is a file: give a new one, or remove it")
-    for parent in path.absolute().parents:
-        if parent.exists():
-            if not parent.is_dir():
-                raise InputError(f"{str(path)!r} cannot be written: {str(parent)!r} is not a folder")
-            return
+    check_parent(path)
 
 
 def publish(new: pathlib.Path, output: pathlib.Path) -> None:

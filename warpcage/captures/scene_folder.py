@@ -12,6 +12,7 @@ import numpy as np
 from ..core.threads import cpu_threads
 from ..scene.box import FoundBox, find_box
 from ..scene.pictures import distort, undistorted_intrinsics
+from ..scene.save import transforms_frame
 from ..scene.scene import rotation_to
 from ..view.camera import Camera, common_up
 from .colmap import Found, Lens
@@ -105,10 +106,6 @@ class Pinhole:
         return top * width + left, across, below
 
 
-#: From OpenCV's camera axes to OpenGL's (+y up, -z forward), which transforms.json has.
-TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-
-
 def write_scene(
     folder: pathlib.Path,
     sources: Sequence[Source],
@@ -126,21 +123,8 @@ def write_scene(
     (folder / "images").mkdir()
     frames = []
     for source, pinhole, pose, picture in zip(chosen, pinholes, found.poses, found.pictures, strict=True):
-        camera = pinhole.camera(pose)
-        ending = ".png" if source.lossless else ".jpg"
-        frames.append(
-            {
-                "file_path": f"images/{source.name}{ending}",
-                "fl_x": camera.fx,
-                "fl_y": camera.fy,
-                "cx": camera.cx,
-                "cy": camera.cy,
-                "w": camera.width,
-                "h": camera.height,
-                "sharpness": round(float(sharpness[picture]), 4),
-                "transform_matrix": (camera.camera_to_world @ TO_OPENGL).tolist(),
-            }
-        )
+        file = f"images/{source.name}{'.png' if source.lossless else '.jpg'}"
+        frames.append(transforms_frame(file, pinhole.camera(pose), sharpness=round(float(sharpness[picture]), 4)))
     with StepBar(len(chosen), "undistort", progress) as shown, ThreadPoolExecutor(cpu_threads()) as pool:
 
         def write(index: int) -> None:

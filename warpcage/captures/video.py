@@ -98,7 +98,7 @@ def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
         total = container.streams.video[0].frames or None
         with StepBar(total, "frames", progress) as shown:
             for frame in _frames(container, broken):
-                grey = _brightness(frame)
+                grey = frame.to_ndarray(format="gray")  # (h, w) uint8, as it is stored
                 small = shrunk_grey(grey, MOTION_SIZE)
                 steps.append(0.0 if before is None or before.shape != small.shape else motion(before, small))
                 scores.append(sharpness(shrunk_grey(grey, COMPARED_SIZE)))
@@ -208,11 +208,6 @@ def _frames(container: Any, broken: list[int]) -> Iterator[Any]:
                 broken[0] += 1
             else:
                 yield frame
-
-
-def _brightness(frame: Any) -> np.ndarray:
-    """(h, w) uint8, the frame in grey as it is stored."""
-    return frame.to_ndarray(format="gray")
 
 
 def _quarters(frame: Any) -> int:

@@ -29,7 +29,7 @@ from ..core.names import counted
 from ..editor.session import free_session_path, session_path
 from ..editor.things import stage_field
 from ..errors import InputError
-from ..field.closer import is_splats, matter_around
+from ..field.objects import is_splats, matter_around
 from ..field.selection import NodeSelection, select_nodes
 from ..field.surface import extract_mesh
 from ..films.edits import Deformation, PosedEdit, read_edits_file, write_edits_file

@@ -18,7 +18,7 @@ from ..core.names import counted
 from ..deform.bake import bake
 from ..deform.deformer import SplatDeformer
 from ..deform.stage import Stage
-from ..edits.carry import carried_points
+from ..edits.maps import carried_points
 from ..errors import InputError
 from ..field.clean import CleanOptions, clean_voxels
 from ..field.io import VOLUME_ENDINGS

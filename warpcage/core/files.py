@@ -355,6 +355,15 @@ def _stand_in(path: pathlib.Path) -> str:
     return ""
 
 
+def check_parent(path: pathlib.Path) -> None:
+    """Raises ValueError for a path below something that is not a folder."""
+    for parent in path.parents:
+        if parent.exists():
+            if not parent.is_dir():
+                raise InputError(f"{str(path)!r} cannot be written: {str(parent)!r} is not a folder")
+            return
+
+
 def file_stamp(path: PathLike) -> tuple[int, int]:
     """Bytes of a file and its time of change, nanoseconds, by which one that was replaced or written to is known."""
     status = os.stat(path)
@@ -390,6 +399,35 @@ def damage(what: str, error: Exception) -> str:
     if isinstance(error, KeyError):
         return f"{not_a(what)}: it lacks {error.args[0]!r}"
     return f"{not_a(what)}: something in it is of another kind than it should be ({error})"
+
+
+@contextlib.contextmanager
+def errors_of(path: PathLike, what: str) -> Iterator[None]:
+    """What goes wrong with the content of a file, as a ValueError that begins with its path."""
+    try:
+        yield
+    except DAMAGED as error:
+        raise InputError(f"{path}: {damage(what, error)}") from None
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def read_document(path: PathLike, what: str, form: str, newest: int, **usual: Any) -> dict[str, Any]:
+    """The object of a JSON file that names its format and its version, `newest` at most; for `errors_of`.
+    usual: what holds where the file does not say it."""
+    content = usual | read_json(path, what)
+    if content["format"] != form:
+        raise InputError(f"its format is {str(content['format'])[:40]!r}, not {form!r}")
+    require_version(content["version"], newest)
+    return content
+
+
+def require_version(version: Any, newest: int) -> None:
+    """Raise ValueError for the version of a file that is none, or newer than what is read."""
+    if type(version) is not int or version < 1:
+        raise InputError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
+    if version > newest:
+        raise InputError(f"its version is {version}, this warpcage reads up to {newest}: upgrade")
 
 
 def not_a(what: str) -> str:

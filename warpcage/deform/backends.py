@@ -33,7 +33,7 @@ from ..field.voxel_field import VoxelField
 from ..kernels.render import samples
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..lattice.buffers import StreamOrder
-from ..render.modules import load_pose_modules, render_modules
+from ..render.launch import load_pose_modules, render_modules
 from ..render.sampled import SampledField, render_samples
 from ..render.scene import PosedScene
 from ..render.view import PosedEdits, cage_span, require_short_march

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,13 +19,12 @@ from ..edits.falloff import FalloffBand
 from ..edits.fragments import CarriedFragments
 from ..edits.maps import EditLattices, cell_shape
 from ..field.render import FieldView, finish_frame
-from ..kernels.edits import cell_tables, points_exact
+from ..kernels.edits import cell_tables, trace
 from ..kernels.edits.structs import CellTable, ExactEdit
 from ..kernels.render.views import exact_kernel
 from ..mesh.mesh import prepared_fans
 from ..mesh.queries import SURFACE_TOLERANCE
-from ..render.launch import FrameLauncher, frame_target
-from ..render.modules import load_pose_modules
+from ..render.launch import FrameLauncher, frame_target, load_pose_modules
 from ..render.view import PosedEdits
 from ..view.frame import Frame
 
@@ -41,7 +41,7 @@ class ExactEdits(PosedEdits):
     """Edits whose mean value or Green coordinates are evaluated at every sample ("precise").
     bands, carried: one or None for each edit, () for none at all."""
 
-    map_kernel = points_exact.map_points_precisely
+    map_kernel = staticmethod(functools.partial(trace.map_kernel, True))
 
     # A lattice map of the same coordinates finds cells clear of a cage or that show nothing, and carries fragments.
 

@@ -96,7 +96,7 @@ def canonical_points(
         raise InputError(f"there must be as many directions as points, got {d.shape[0]} for {x.shape[0]}")
     outputs = [empty_array(x.shape[0], kind, device) for kind in (wp.vec3, wp.vec3, wp.int32, wp.uint8)]
     launch(
-        edits.map_kernel,
+        edits.map_kernel(),
         x.shape[0],
         [edits.array, wp.vec3(*kernel_origin), x, d, step],
         outputs,

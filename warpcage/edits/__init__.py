@@ -6,9 +6,9 @@ __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "apart": "EditBoxes box_gaps edit_boxes front_to_back",
-        "carry": "carried_points",
         "falloff": "walls_share",
         "fragments": "fragment_voxels",
+        "maps": "carried_points",
         "words": "EditWords",
     },
 )

@@ -1,4 +1,4 @@
-"""The maps and signed distances of edits on lattices."""
+"""The maps and signed distances of edits on lattices, and points that go with edits, such as the vertices of a mesh."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
+from ..coordinates.coordinates import deform_points
 from ..core.arrays import empty_array
 from ..core.checks import warn_caller
 from ..core.devices import RecordedLaunches, launch
 from ..core.modules import load_modules
+from ..core.names import FIELD_COORDINATES
+from ..errors import InputError
 from ..field.sparse import spread_along
 from ..kernels.edits import cell_tables, extension
 from ..kernels.edits.structs import LatticeEdit
@@ -28,6 +31,32 @@ from ..mesh.validity import require_usable, size_problem
 from .edits import CageEdit
 from .falloff import FalloffBand, faded_map, folded_cells, has_sides, tell_of_squeezing
 from .fragments import CarriedFragments
+
+
+def carried_points(
+    points: np.ndarray,
+    edits: Sequence[CageEdit],
+    poses: Sequence[Cage | None],
+    *,
+    coordinates: str = FIELD_COORDINATES,
+    device: wp.DeviceLike = None,
+) -> np.ndarray:
+    """Where points (n, 3) go, float64: an edit takes those in its cage along, wherever the ones before it left them.
+    `poses` are the posed cages, one an edit; edits must move and nothing else."""
+    if any(edit.keep_source or edit.remove or edit.falloff or edit.fragments for edit in edits):
+        raise InputError(
+            "points go with edits that move alone, one of these copies, removes, fades or takes fragments along: bake "
+            "the field (warpcage bake) and take the surface of that"
+        )
+    places = np.array(points, dtype=np.float64)
+    for edit, pose in zip(edits, poses, strict=True):
+        if pose is None or np.array_equal(pose.vertices, edit.cage.vertices):
+            continue
+        inside = edit.cage.contains(places, device=device)
+        if inside.any():
+            places[inside] = deform_points(places[inside], edit.cage, pose, coordinates, device=device)
+    return places
+
 
 #: How far the map may lead out of the rest cage before a sample counts as outside, in cells of the rest cage's lattice:
 #: the trilinear signed distance errs by up to half a cell at corners.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_easing, checked_number, checked_positive, checked_vector, real_array, shown
-from ..core.files import PathLike, atomic_path, read_json, require_file
+from ..core.files import PathLike, atomic_path, errors_of, read_document, require_file
 from ..core.names import LOOPS, Easing, require_name
 from ..errors import InputError
 from ..view.camera import Camera
@@ -231,14 +231,9 @@ class PlaceFile:
             ValueError: What is wrong in which file.
         """
         path = require_file(path, "place file")
-        try:
-            content = read_json(path, "place file")
-            if content.get("format", _FORMAT) != _FORMAT:
-                raise InputError(f"its format is {str(content['format'])[:40]!r}, not {_FORMAT!r}")
-            require_version(content.get("version", _VERSION), _VERSION)
+        with errors_of(path, "place file"):  # one made by hand may say neither format nor version
+            content = read_document(path, "place file", _FORMAT, _VERSION, format=_FORMAT, version=_VERSION)
             return cls.from_json(content)
-        except ValueError as error:
-            raise InputError(f"{path}: {error}") from None
 
     def save(self, path: PathLike) -> None:
         """Write a place file, whole or not at all.
@@ -266,14 +261,6 @@ def near_turn(turn: np.ndarray, before: np.ndarray) -> np.ndarray:
     other = np.array([turn[0] + 180.0, 180.0 - turn[1], turn[2] + 180.0])  # the same rotation
     near = [each + 360.0 * np.round((before - each) / 360.0) for each in (turn, other)]
     return min(near, key=lambda each: float(np.abs(each - before).sum()))
-
-
-def require_version(version: Any, newest: int) -> None:
-    """Raise ValueError for the version of a file that is none, or newer than what is read."""
-    if type(version) is not int or version < 1:
-        raise InputError(f"its version must be a whole number from 1, got {shown(version)}")
-    if version > newest:
-        raise InputError(f"its version is {version}, this warpcage reads up to {newest}: upgrade")
 
 
 def _place(content: Mapping[str, Any], beside: dict[str, Checker]) -> Place:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from ..cage.cage import Cage
-from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
+from ..core.files import DAMAGED, PathLike, atomic_path, damage, errors_of, read_document, require_file
 from ..errors import InputError
 from .edits import CageEdit, edit_of_words, words_of_edit
-from .place import PlaceFile, require_version
+from .place import PlaceFile
 from .words import Checker, EditWords, anything, checked_words
 
 _FORMAT, _VERSION = "warpcage stage", 1
@@ -48,11 +48,8 @@ def write_stage_file(path: pathlib.Path, things: Iterable[Mapping[str, Any]]) ->
 def read_stage_file(path: PathLike) -> list[dict[str, Any]]:
     """The things of a stage file, with a PlaceFile each as "place"; no field is read."""
     path = require_file(path, "stage file")
-    try:
-        content = read_json(path, "stage file")
-        if content.get("format") != _FORMAT:
-            raise InputError(f"its format is {str(content.get('format'))[:40]!r}, not {_FORMAT!r}")
-        require_version(content.get("version"), _VERSION)
+    with errors_of(path, "stage file"):
+        content = read_document(path, "stage file", _FORMAT, _VERSION)
         things = content.get("things")
         if not isinstance(things, list) or not things or not all(isinstance(thing, dict) for thing in things):
             raise InputError("its things must be a list of at least one object")
@@ -63,8 +60,6 @@ def read_stage_file(path: PathLike) -> list[dict[str, Any]]:
                     raise InputError(f"thing {number} needs a {word}")
             entry["place"] = PlaceFile.from_json(entry.get("place", {}))
         return entries
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def deformation_json(

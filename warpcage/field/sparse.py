@@ -76,8 +76,7 @@ def relinked(mask: wp.array, links: wp.array) -> Iterator[wp.array]:
 
 def _numbered(mask: wp.array) -> tuple[wp.array, wp.array]:
     """(nx * ny,) int32 set nodes of a mask up to the end of each line along the last axis, and room for all of them."""
-    counts = _line_counts(mask)
-    wp.utils.array_scan(counts, counts, inclusive=True)
+    counts = running_counts(mask, 1, 255)
     return counts, empty_array(int(counts[-1:].numpy()[0]), wp.vec3i, mask.device)
 
 
@@ -100,13 +99,17 @@ def gathered(values: wp.array, links: wp.array, nodes: wp.array) -> wp.array:
 
 def mask_count(mask: wp.array) -> int:
     """Number of set nodes of a mask (nx, ny, nz) uint8."""
-    return int(_line_counts(mask).numpy().sum(dtype="int64"))
+    return int(running_counts(mask, 1, 255)[-1:].numpy()[0])
 
 
-def _line_counts(mask: wp.array) -> wp.array:
-    """(nx * ny,) int32 set nodes of each line along the last axis."""
-    counts = empty_array(mask.shape[0] * mask.shape[1], wp.int32, mask.device)
-    launch(grid_refine.count_lines, counts.size, [mask], [counts], device=mask.device)
+def running_counts(values: wp.array, least: int, most: int) -> wp.array:
+    """(nx * ny,) int32 how many of values (nx, ny, nz), uint8 or int32, are from `least` to `most`, up to the end of a
+    line along the last axis."""
+    nx, ny, nz = values.shape
+    counts = empty_array(nx * ny, wp.int32, values.device)
+    inputs = [values, least, most]
+    launch(grid_refine.count_lines, nx * ny, inputs, [counts], device=values.device, work=nz)
+    wp.utils.array_scan(counts, counts, inclusive=True)
     return counts
 
 

@@ -24,8 +24,9 @@ from ..kernels.field.shades import ShadedGrid, shade_rows
 from ..kernels.view.rays import TILE_SIZE
 from ..view.camera import camera_struct
 from ..view.frame import PART_NAMES, Frame
+from .io.field_file import MAX_VOXELS
 from .render import STOP_TRANSMITTANCE, FieldView, finish_frame, new_picture
-from .sparse import MatterSkip
+from .sparse import MatterSkip, running_counts
 
 
 class MatterCellTable:
@@ -49,9 +50,7 @@ class MatterCellTable:
 def gathered_cells(links: wp.array, density: wp.array, skip: wp.array) -> Any:
     """A MatterCells of densities (rows,) float32 at links (nx, ny, nz); skip: 0 in the cells that hold matter."""
     device, (nx, ny, nz) = links.device, skip.shape
-    counts = empty_array(nx * ny, wp.int32, device)
-    launch(occupancy.count_cells, nx * ny, [skip], [counts], device=device, work=nz)
-    wp.utils.array_scan(counts, counts, inclusive=True)
+    counts = running_counts(skip, 0, 0)
     cells = occupancy.MatterCells()
     cells.blocks = empty_array((nx * ny, -(-nz // int(occupancy.BLOCK_CELLS))), wp.vec2i, device)
     cells.densities = empty_array((int(counts.numpy()[-1]), 8), wp.float32, device)
@@ -75,9 +74,7 @@ class ColumnTable:
     def __init__(self, links: wp.array):
         device = links.device
         column_count = links.shape[0] * links.shape[1]
-        counts = empty_array(column_count, wp.int32, device)
-        launch(columns.count_rows, column_count, [links], [counts], device=device, work=links.shape[2])
-        wp.utils.array_scan(counts, counts, inclusive=True)
+        counts = running_counts(links, 0, MAX_VOXELS)
         row_count = int(counts[-1:].numpy()[0])
         self.nodes = empty_array(row_count, wp.int32, device)  # flat index of each row's node
         order = empty_array(row_count, wp.int32, device)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import hashlib
@@ -10,6 +11,7 @@ import math
 import os
 import pathlib
 import weakref
+from collections.abc import Collection, Iterator
 from typing import Any, Protocol
 
 import numpy as np
@@ -123,25 +125,40 @@ def save_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
 
 def load_progress(optimizer: Fit, path: str | pathlib.Path) -> None:
     """Put a fresh fit, of the same scene, seed and options and before its first step, where a saved one was."""
-    contents = read_npz(path, "checkpoint", NAMES.__contains__, room=ROOM)
-    if str(contents.get("format", "")) != KIND:
-        raise InputError(f"{path} is no fit checkpoint: remove it or name another file")
-    if str(contents.get("version")) != str(VERSION):
-        raise InputError(
-            f"{path} is a fit checkpoint of another version ({str(contents.get('version'))[:20]}, this warpcage reads "
-            f"{VERSION}): fit with the warpcage that wrote it, remove it or name another file"
-        )
-    if str(contents.get("fingerprint")) != fingerprint(optimizer):
-        raise InputError(
-            f"{path} is the checkpoint of another fit (scene, seed or options differ): remove it or name another file"
-        )
+    contents = read_checkpoint(path, KIND, VERSION, NAMES, fingerprint(optimizer))
     if isinstance(optimizer.background, OuterOptimizer) and "layers_values" in contents:  # the options are the same
         raise InputError(
             f"{path} is the checkpoint of a fit with background layers, which background='auto' took for whole "
             "pictures before it took an outer field: fit with the warpcage that wrote it, remove it or name another one"
         )
-    try:
+    with told_of_damage(path):
         _restore(optimizer, contents, pathlib.Path(path))
+
+
+def read_checkpoint(
+    path: str | pathlib.Path, kind: str, version: int, names: Collection[str], own: str
+) -> dict[str, np.ndarray]:
+    """The arrays of a checkpoint of a kind, with these names, of the fit whose fingerprint is `own`."""
+    contents = read_npz(path, "checkpoint", names.__contains__, room=ROOM)
+    if str(contents.get("format", "")) != kind:
+        raise InputError(f"{path} is no {kind.removeprefix('warpcage ')} checkpoint: remove it or name another file")
+    if str(contents.get("version")) != str(version):
+        raise InputError(
+            f"{path} is a fit checkpoint of another version ({str(contents.get('version'))[:20]}, this warpcage reads "
+            f"{version}): fit with the warpcage that wrote it, remove it or name another file"
+        )
+    if str(contents.get("fingerprint")) != own:
+        raise InputError(
+            f"{path} is the checkpoint of another fit (scene, seed or options differ): remove it or name another file"
+        )
+    return contents
+
+
+@contextlib.contextmanager
+def told_of_damage(path: str | pathlib.Path) -> Iterator[None]:
+    """What goes wrong while a checkpoint is taken over, as one ValueError."""
+    try:
+        yield
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{path} is a damaged fit checkpoint, remove it or name another file: {reason}") from error

@@ -23,7 +23,7 @@ from ..kernels.lattice.corrections import correct_values, measure_corrections
 from ..kernels.lattice.nodes import RINGS
 from ..mesh.faces import StretchTarget
 from ..mesh.mesh import ClosedMesh, prepared_fans
-from .gaps import MapTarget, launch_linear_boundary
+from .gaps import MapTarget
 from .lattice import CageLattice
 from .nodes import CutRowTable, LatticeNodes, continue_outwards, continue_through_cage
 from .sizes import NodeSections, PoseSizes
@@ -102,12 +102,6 @@ class MeanValueSolver(ClosedFormSolver):
         """Launch what continues the values to the rings, and the search for gaps; see MapSolver."""
         self._describe(sizes.lists)
         super().launch_continuation(sizes, vertex_values)
-
-    def launch_boundary(
-        self, sizes: PoseSizes, target: MapTarget, rows: WarpStruct, marks: wp.array, boundary: wp.array
-    ) -> None:
-        """Launch the map where links cross the cage, on which it is linear; see MapSolver."""
-        launch_linear_boundary(sizes.lists, self.nodes.levels, rows, self.lattice.faces, target.vertex_values, boundary)
 
     def weigh(self) -> list[WeightBlock]:
         """The weights (m, v) of all inside nodes in one block."""

@@ -17,14 +17,7 @@ from ..kernels.lattice.gaps import (
     mark_gap_cells,
     mark_narrow_cells,
 )
-from ..kernels.lattice.side_values import (
-    complete_sides,
-    continue_sides,
-    gather_side_status,
-    measure_jumps,
-    place_sides,
-    set_boundary_values,
-)
+from ..kernels.lattice.side_values import complete_sides, continue_sides, gather_side_status, measure_jumps, place_sides
 from ..mesh.faces import face_area
 from ..mesh.mesh import ClosedMesh
 from .buffers import BufferPool, HostNumbers
@@ -156,19 +149,6 @@ class MapSides:
 
     def _launch(self, kernel, count: int, inputs: list, outputs: list, threads: int | None = None) -> None:
         launch(kernel, count, inputs, outputs, device=self._device, threads=threads)
-
-
-def launch_linear_boundary(
-    sections: NodeSections,
-    levels: WarpStruct,
-    rows: WarpStruct,
-    faces: wp.array,
-    vertex_values: wp.array,
-    boundary: wp.array,
-) -> None:
-    """Launch the values (rows of level 0, 6) vec3 where links cross the cage, of a map that is linear on the cage's
-    faces. faces: (f,) vec3i; vertex_values: (v,) vec3, the map at the cage's vertices."""
-    launch(set_boundary_values, sections.cut, [levels, rows, faces, vertex_values], [boundary], device=faces.device)
 
 
 class GapFlags:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import warp as wp
 
-from ..core.arrays import WarpStruct, empty_array
+from ..core.arrays import empty_array
 from ..core.checks import warn_caller
 from ..core.devices import lane_count, launch
 from ..core.modules import load_modules, require_loaded
@@ -30,7 +30,7 @@ from ..kernels.lattice.harmonic import (
     restrict_residual,
 )
 from ..kernels.lattice.harmonic_coarse import BLOCK_THREADS, cycle_coarse_levels
-from .gaps import MapTarget, launch_linear_boundary
+from .gaps import MapTarget
 from .lattice import CageLattice
 from .nodes import CutRowTable, LatticeNodes, continue_to_rings
 from .sizes import NodeSections, PoseSizes
@@ -112,12 +112,6 @@ class HarmonicSolver(MapSolver):
         """Launch what continues the values to the rings, and the search for gaps; see MapSolver."""
         self.continue_map(sizes.lists, vertex_values)
         self.gaps.search(self.lattice, self.nodes.levels, self.rows, sizes.lists, self._system.values)
-
-    def launch_boundary(
-        self, sizes: PoseSizes, target: MapTarget, rows: WarpStruct, marks: wp.array, boundary: wp.array
-    ) -> None:
-        """Launch the map where links cross the cage, on which it is linear; see MapSolver."""
-        launch_linear_boundary(sizes.lists, self.nodes.levels, rows, self.lattice.faces, target.vertex_values, boundary)
 
     def weigh(self) -> list[WeightBlock]:
         """The weights (m, v) of all inside nodes in one block; three vertices take one solution."""

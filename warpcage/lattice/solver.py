@@ -12,6 +12,7 @@ from ..core.devices import launch
 from ..core.names import chosen
 from ..kernels.lattice.cage_map import apply_weights
 from ..kernels.lattice.cut_rows import CutRows
+from ..kernels.lattice.side_values import set_boundary_values
 from ..mesh.mesh import ClosedMesh
 from .buffers import Buffer
 from .gaps import GapFlags, MapTarget
@@ -87,12 +88,13 @@ class MapSolver(ABC):
         """The description of the cut nodes, launched into `table` where there is none yet."""
         return self.rows
 
-    @abstractmethod
     def launch_boundary(
         self, sizes: PoseSizes, target: MapTarget, rows: WarpStruct, marks: wp.array, boundary: wp.array
     ) -> None:
         """Launch the map less its affine part, (rows of level 0, 6) vec3, where links cross the cage at narrow gaps.
         marks: (nodes,) int, below 0 for cells there; filled in at least for cut nodes of these and of cells beside."""
+        inputs = [self.nodes.levels, rows, self.lattice.faces, target.vertex_values]  # on its faces it is linear
+        launch(set_boundary_values, sizes.lists.cut, inputs, [boundary], device=self.device)
 
     @abstractmethod
     def weigh(self) -> list[WeightBlock]:

@@ -6,7 +6,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "brick_scene": "write_brick_scene",
-        "bricks": "brick_model",
+        "bricks": "box brick_model cylinder joined",
         "cage_scenes": "CAGE_SCENES scene_field",
         "casual": "CASUAL casual_scene casual_views",
         "inverse_map": "InverseMap",
@@ -14,7 +14,6 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "phone_video": "PhonePath TEXTURE table_scene write_phone_video",
         "raycast": "CarriedMesh render_mesh_views",
         "scenes": "FLOOR KINDS OBJECT_BOX ROOM_HALF object_model room_views synthetic_scene",
-        "solids": "box cylinder joined",
         "viewpoints": "reference_cameras spread_eyes",
     },
 )

@@ -13,11 +13,11 @@ from ..errors import InputError
 from ..scene.formats.parsing import HOLD_OUT
 from ..scene.scene import Scene
 from ..view.camera import Camera
+from .bricks import Color, Model, Part, ball, box, cylinder, joined, merged
 from .models import MODELS
 from .phone_video import LONG_EXPOSURES, TEXTURE, PhonePath, table_scene, take_picture
 from .raycast import CarriedMesh
 from .scenes import LIGHTS, mixed_colors, painted_box, painted_plane, planks, smooth_noise, wood
-from .solids import Color, Model, Part, ball, box, cylinder, joined, merged
 from .viewpoints import require_counts
 
 #: Heights of what things stand on, and of ceilings.

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
-from .bricks import brick_model
-from .solids import Model, Part, ball, box, centered, cylinder, joined
+from .bricks import Model, Part, ball, box, brick_model, centered, cylinder, joined
 
 #: Cells along the longest side of the box in which its surface is found.
 ANIMAL_CELLS = 110

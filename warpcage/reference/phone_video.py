@@ -13,9 +13,8 @@ import warp as wp
 from ..errors import InputError
 from ..view.camera import Camera
 from ..view.film import write_video
-from .bricks import brick_model
+from .bricks import Model, Part, ball, box, brick_model, joined, merged
 from .raycast import CarriedMesh
-from .solids import Model, Part, ball, box, joined, merged
 
 #: Half side of the table, height of its top, and half side of the room around it, world units.
 TABLE, TOP, ROOM = 3.0, -1.0, 7.0

@@ -10,9 +10,9 @@ import warp as wp
 from ..errors import InputError
 from ..scene.scene import Scene
 from ..view.camera import Camera
+from .bricks import Model, merged
 from .models import MODELS
 from .raycast import render_mesh_views
-from .solids import Model, merged
 from .viewpoints import orbit_eyes, reference_cameras, require_counts, spread_eyes
 
 Vector = tuple[float, float, float]

@@ -5,8 +5,7 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "modules": "load_pose_modules render_modules",
-        "launch": "FrameLauncher FrameTables FrameTarget",
+        "launch": "FrameLauncher FrameTables FrameTarget load_pose_modules render_modules",
         "plan": "FrameFacts FramePlan PlannedEdit plan_frame",
         "shading": "CarriedShades",
         "tables": "FineCells",

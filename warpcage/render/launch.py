@@ -1,23 +1,80 @@
-"""The launches of a frame: the march that its plan says, through one edit, several apart, or a stack."""
+"""The launches of a frame: the march that its plan says, and which modules of kernels poses and frames launch."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import warp as wp
 
 from ..core.arrays import array_view
 from ..core.devices import RecordedLaunches
+from ..core.modules import Kernel, load_modules
+from ..field import tables
 from ..field.render import STOP_TRANSMITTANCE, FieldView, new_picture
+from ..kernels.core import texels
+from ..kernels.edits import cell_tables, fine_cells, inverse, structs
+from ..kernels.edits import nodes as map_cells
+from ..kernels.field import columns, densities, rows
+from ..kernels.field import occupancy as grid_skip
+from ..kernels.lattice import (
+    closed_form,
+    corrections,
+    crossings,
+    cut_rows,
+    distance,
+    gaps,
+    harmonic,
+    harmonic_coarse,
+    nodes,
+    rings,
+    side_values,
+)
+from ..kernels.mesh import fans
+from ..kernels.render import march_cpu, shading
 from ..kernels.render.march_cpu import render_edit_tiles
 from ..kernels.render.rays import MarchOptions, Picture, ScenePart
 from ..kernels.render.views import part_kernel, stack_kernel, view_kernel
+from ..kernels.view import tile_order
 from ..kernels.view.rays import TILE_SIZE
 from ..lattice.buffers import BufferPool
 from ..view.camera import camera_struct
 from .plan import FramePlan, PlannedEdit
 from .tile_order import BalancedTiles
+
+#: Modules of the kernels that every pose launches, and those of the solver of each kind of coordinates.
+POSE_MODULES = (crossings, distance, nodes, rings, gaps, side_values, cell_tables, structs, grid_skip)
+
+SOLVER_MODULES = {
+    "harmonic": (harmonic, harmonic_coarse, cut_rows),
+    "mean_value": (closed_form, fans, cut_rows, corrections),
+    "green": (closed_form, fans, cut_rows),
+}
+
+
+def load_pose_modules(coordinates: str, others: Sequence[ModuleType | Kernel], device: wp.Device) -> None:
+    """Compile and load the kernels of a pose side by side, with what frames need beside them."""
+    load_modules([*POSE_MODULES, *SOLVER_MODULES[coordinates], *others], device)
+
+
+def render_modules(device: wp.Device, edit_count: int = 1, has_fragments: bool = False) -> list[ModuleType | Kernel]:
+    """What renders views, kernel files and variants; has_fragments: fragments go with one of the edits."""
+    if has_fragments:
+        return [stack_kernel(False)]
+    several = [stack_kernel(True), stack_kernel(False)] if edit_count > 1 else []
+    if device.is_cpu and tables.TILES_ON_CPU:
+        return [march_cpu, columns, *several]
+    march_modules = [fine_cells, map_cells, *several]
+    kernel_of = part_kernel if several else view_kernel
+    by_rows = [kernel_of(False, has_sides) for has_sides in (False, True)]
+    if device.is_cpu and not tables.SHADES_ON_CPU:
+        return [*march_modules, *by_rows]
+    shaded = [kernel_of(True, has_sides) for has_sides in (False, True)]
+    # poses that turn matter over are marched by rows, and no hand that moves a cage is to wait for a compiler
+    frame_modules = [columns, densities, rows, texels, tile_order]
+    return [*march_modules, inverse, shading, *shaded, *by_rows, *frame_modules]
+
 
 #: One of the three arrays that hold the state of rays takes so much for a ray.
 STATE_BYTES = wp.types.type_size_in_bytes(wp.vec4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -41,7 +42,7 @@ MOST_SHADES = 0.25
 class PosedScene(PosedEdits):
     """Edits on lattices in a pose, and what frames of it need."""
 
-    map_kernel = trace.map_points
+    map_kernel = staticmethod(functools.partial(trace.map_kernel, False))
 
     def __init__(self, lattices: EditLattices):
         self.lattices, self.edits, self.device = lattices, lattices.edits, lattices.device

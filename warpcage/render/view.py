@@ -1,7 +1,7 @@
 """What everything that renders views of an edited scene offers, and what poses remember of a view."""
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from ..view.frame import Frame
 class PosedEdits(abc.ABC):
     """Edits on a device, as kernels take them."""
 
-    map_kernel: Any  # maps points; takes `array`
+    map_kernel: Callable[[], Any]  # what declares the kernel that maps points; it takes `array`
     array: wp.array | None  # (edits,) structs, once the edits are posed
     sample_work = 1  # steps that one sample takes at most, as `core.devices.launch` has them
 

@@ -15,6 +15,7 @@ from ..core.files import PathLike, atomic_path
 from ..core.threads import cpu_threads
 from ..errors import InputError
 from ..mesh.io.ply import write_ply
+from ..view.camera import Camera
 from ..view.pictures import write_png
 from .formats.parsing import TO_OPENCV
 
@@ -47,6 +48,14 @@ def save_scene(scene: Scene, folder: PathLike) -> None:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
+def transforms_frame(file: str, camera: Camera, **more: Any) -> dict[str, Any]:
+    """A frame of transforms.json: a picture's file, its camera, and more words."""
+    names = {"fl_x": "fx", "fl_y": "fy", "cx": "cx", "cy": "cy", "w": "width", "h": "height"}
+    numbers = {word: getattr(camera, name) for word, name in names.items()}
+    pose = camera.camera_to_world @ TO_OPENCV  # the same back
+    return {"file_path": file, **numbers, **more, "transform_matrix": pose.tolist()}
+
+
 def _file_names(names: list[str]) -> list[str]:
     """Names of files, each its own, that any system can have."""
     found: dict[str, None] = {}
@@ -59,17 +68,7 @@ def _file_names(names: list[str]) -> list[str]:
 
 def _write_view(scene: Scene, index: int, folder: pathlib.Path, name: str) -> dict[str, Any]:
     """Write the files of a picture. Returns its frame of transforms.json."""
-    camera = scene.cameras[index]
-    frame: dict[str, Any] = {
-        "file_path": f"images/{name}.png",
-        "fl_x": camera.fx,
-        "fl_y": camera.fy,
-        "cx": camera.cx,
-        "cy": camera.cy,
-        "w": camera.width,
-        "h": camera.height,
-        "transform_matrix": (camera.camera_to_world @ TO_OPENCV).tolist(),
-    }
+    frame = transforms_frame(f"images/{name}.png", scene.cameras[index])
     picture = scene.cut(index, scene.images[index])
     if scene.alphas is not None:
         alpha = scene.cut(index, scene.alphas[index])[..., None]

@@ -129,7 +129,7 @@ class SplatGradients(SplatRenderer):
     def draw(self, parameters: SplatParameters, camera: Camera, lens: Any, color: wp.vec3) -> wp.array:
         """The picture (h * w,) vec3, one ray a pixel, valid until the next one; `parameters` are refreshed before.
         lens: of `splat_lens`, of the same camera; colour: behind the splats."""
-        grid, seen = tile_grid(camera), self._project(parameters.splats, lens)
+        grid, seen = tile_grid(camera), self._project(parameters.splats, lens, parameters.splats.centers.shape[0])
         total = self._count(grid, *seen)
         if total > MOST_ENTRIES:
             raise InputError(f"splats touch {total} tiles of a picture, at most {MOST_ENTRIES}: fit smaller pictures")
@@ -139,7 +139,7 @@ class SplatGradients(SplatRenderer):
 
     def take_back(self, slopes: wp.array) -> None:
         """Set the slopes of the parameters drawn last, from those (h * w,) vec3 of a loss by the picture's colours."""
-        parameters, sums = self._parameters, self._sum_slopes(slopes)
+        parameters, sums = self._parameters, self.sum_slopes(slopes)
         count, view = self._drawn[1][:2]
         held = [parameters.by_rows(name, parameters.values) for name in ("log_scales", "quaternions")]
         inputs = [parameters.splats, self._lens, *held, view, sums]
@@ -159,8 +159,8 @@ class SplatGradients(SplatRenderer):
         self._drawn = grid, seen, inputs, sources, total, rgb
         return rgb, alpha
 
-    def _sum_slopes(self, slopes: wp.array) -> wp.array:
-        """The sums (9 n,) of the splats drawn last, see kernels/splats/project_slopes.py."""
+    def sum_slopes(self, slopes: wp.array) -> wp.array:
+        """The sums (9 n,) of the splats drawn last (kernels/splats/project_slopes), from slopes (h * w,) by colours."""
         grid, (count, _, _, order), inputs, sources, total, rgb = self._drawn
         sums = self._sums.take(SUM_COUNT * count)
         inputs = [*inputs, STOP_TRANSMITTANCE, rgb, slopes]

@@ -13,6 +13,7 @@ from ..core.arrays import WarpStruct
 from ..core.checks import checked_flag, require_type
 from ..core.devices import SpareMemory, launch, resolve_device
 from ..core.locks import owner_lock
+from ..core.modules import Kernel
 from ..errors import InputError
 from ..field.render import picture_arrays
 from ..kernels.splats import composite, composite_cpu, project, tiles
@@ -75,19 +76,20 @@ class SplatRenderer:
             arrays = into if side == 1 else None
             if arrays is None:
                 arrays = picture_arrays(fine.width * fine.height, PART_NAMES, self.device, self._spare)
-            seen = self._project(splats, lens)
+            seen = self._project(splats, lens, splats.centers.shape[0])
             self.entry_count = 0
             inputs = [wp.vec3(*map(float, color)), STOP_TRANSMITTANCE]
             self._draw(tile_grid(fine), seen, inputs, [arrays[name] for name in PART_NAMES])
             return average_frame(Frame(fine.width, fine.height, **arrays), side, into)
 
-    def _project(self, splats: WarpStruct, lens: Any) -> tuple[int, wp.array, wp.array, wp.array]:
-        """Number of splats, their view, their sorted depths, and their order."""
-        count = splats.centers.shape[0]
+    def _project(
+        self, splats: WarpStruct, lens: Any, count: int, kernel: Kernel = project.project_splats
+    ) -> tuple[int, wp.array, wp.array, wp.array]:
+        """Number of the first splats, their view, sorted depths, and order; lens: as the kernel takes it."""
         view = self._view.take(3 * count)
         depths, order = self._depths.take(2 * count), self._order.take(2 * count)
         outputs = [view, depths, order]
-        launch(project.project_splats, count, [splats, lens], outputs, device=self.device, work=PROJECT_WORK)
+        launch(kernel, count, [splats, lens], outputs, device=self.device, work=PROJECT_WORK)
         wp.utils.radix_sort_pairs(depths, order, count)
         return count, view, depths, order
 

@@ -14,7 +14,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "frame_parts": "mask_picture mask_shares",
         "motion": (
             "axis_rotation cameras_along eased_share frame_places frame_rate frame_times limited_velocity pose_along "
-            "pose_between pose_weights value_along value_at"
+            "pose_weights value_along value_at"
         ),
         "opacity": "rgba_picture with_spread_colors",
         "overlay": "draw_cage",

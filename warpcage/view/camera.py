@@ -25,7 +25,7 @@ from ..core.checks import (
     require_type,
     warn_caller,
 )
-from ..core.files import DAMAGED, PathLike, damage, require_file
+from ..core.files import PathLike, errors_of, require_file
 from ..core.names import LOOPS, Easing, require_name
 from ..errors import InputError
 from ..kernels.view.rays import TILE_HEIGHT, TILE_SIZE, TILE_WIDTH, PinholeCamera
@@ -540,14 +540,10 @@ class CameraFile(list[CameraKey]):
             ValueError: What is wrong in which file.
         """
         path = require_file(path, "camera file")
-        try:
+        with errors_of(path, "camera file"):
             document = read_camera_document(path, size)
             keys = [camera_from_json(entry, index) for index, entry in enumerate(document["cameras"])]
             return cls(keys, fps=document.get("fps"), loop=document.get("loop"))
-        except DAMAGED as error:
-            raise InputError(f"{path}: {damage('camera file', error)}") from None
-        except ValueError as error:
-            raise InputError(f"{path}: {error}") from None
 
 
 def camera_json(key: CameraKey) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import checked_path
-from ..core.files import PathLike, atomic_path, read_json
+from ..core.files import PathLike, atomic_path, read_document
 from ..errors import InputError
 from ..mesh.io.gltf import errors_of_file, node_matrices, opened, read_buffers
 from ..mesh.io.gltf_animation import Channel, frames_of
@@ -38,14 +38,7 @@ def read_camera_document(path: pathlib.Path, size: tuple[int, int] | None = None
     `size`: width and height of the pictures of glTF cameras, pixels."""
     if path.suffix.lower() in (".glb", ".gltf"):
         return {"cameras": _read_gltf_entries(path, size)}
-    document = read_json(path, "camera file")
-    if document["format"] != _FORMAT:
-        raise InputError(f"its format is {str(document['format'])[:40]!r}, not {_FORMAT!r}")
-    version = document["version"]
-    if type(version) is not int or version < 1:
-        raise InputError(f"its version must be a whole number from 1, got {str(version)[:40]!r}")
-    if version > _VERSION:
-        raise InputError(f"its version is {version}, this warpcage reads up to {_VERSION}: upgrade")
+    document = read_document(path, "camera file", _FORMAT, _VERSION)
     cameras = document["cameras"]
     if not isinstance(cameras, list) or not cameras:
         raise InputError("its cameras must be a list of at least one")

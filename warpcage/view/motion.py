@@ -266,11 +266,6 @@ def value_along(values: Sequence[np.ndarray], place: float, interpolation: str =
     return value_at(range(len(values)), values, place, [interpolation] * len(values), still_ends=False)
 
 
-def pose_between(rest: Mesh, posed: Mesh, weight: float) -> Mesh:
-    """`rest` with its vertices moved by a share, `weight`, of the straight way to `posed`, of the same faces."""
-    return rest.with_vertices((1.0 - weight) * rest.vertices + weight * posed.vertices)
-
-
 def pose_along(keyframes: Sequence[Mesh], place: float, interpolation: str = "smooth") -> Mesh:
     """The cage at a place among keyframes of the same faces; see `value_along`."""
     return keyframes[0].with_vertices(value_along([cage.vertices for cage in keyframes], place, interpolation))

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from ...core.files import check_parent
 from ...core.names import BACKGROUNDS, COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT
 from ...errors import InputError, MissingFileError, StateError
 
@@ -162,15 +163,6 @@ def check_output(text: str, endings: tuple[str, ...], what: str) -> pathlib.Path
         raise InputError(f"{what} {str(path)!r} is a folder")
     check_parent(path)
     return path
-
-
-def check_parent(path: pathlib.Path) -> None:
-    """Raises ValueError for a path below something that is not a folder."""
-    for parent in path.parents:
-        if parent.exists():
-            if not parent.is_dir():
-                raise InputError(f"{str(path)!r} cannot be written: {str(parent)!r} is not a folder")
-            return
 
 
 def require_folder(path: str) -> None:

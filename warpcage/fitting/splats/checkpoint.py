@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...core.files import atomic_path, read_npz, require_numbers
+from ...core.files import atomic_path, require_numbers
 from ...errors import InputError
-from ..checkpoint import ROOM, scene_digest
+from ..checkpoint import read_checkpoint, scene_digest, told_of_damage
 
 if TYPE_CHECKING:
     from .optimizer import SplatFit
@@ -42,19 +42,8 @@ def load_progress(fit: SplatFit, path: str | pathlib.Path) -> None:
     """Put a fresh fit, of the same scene, seed and options, where a saved one was."""
     known = ("format", "version", "fingerprint", "step_count", "exposures")
     names = {*known, *(f"{part}_{name}" for part in PARTS for name in NAMES)}
-    contents = read_npz(path, "checkpoint", names.__contains__, room=ROOM)
-    if str(contents.get("format", "")) != KIND:
-        raise InputError(f"{path} is no checkpoint of a fit of splats: remove it or name another file")
-    if str(contents.get("version")) != str(VERSION):
-        raise InputError(
-            f"{path} is a checkpoint of another version ({str(contents.get('version'))[:20]}, this warpcage reads "
-            f"{VERSION}): fit with the warpcage that wrote it, remove it or name another file"
-        )
-    if str(contents.get("fingerprint")) != fingerprint(fit):
-        raise InputError(
-            f"{path} is the checkpoint of another fit (scene, seed or options differ): remove it or name another file"
-        )
-    try:
+    contents = read_checkpoint(path, KIND, VERSION, names, fingerprint(fit))
+    with told_of_damage(path):
         step = int(contents["step_count"])
         if not 0 <= step <= fit.total_steps:
             raise InputError(f"step {step} of {fit.total_steps}")
@@ -69,9 +58,6 @@ def load_progress(fit: SplatFit, path: str | pathlib.Path) -> None:
         exposures = require_numbers(contents, "exposures", fit.exposure_state.shape, pathlib.Path(path))
         if not np.isfinite(exposures).all():
             raise InputError("values that are not finite")
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path} is a damaged fit checkpoint, remove it or name another file: {reason}") from error
     fit.restore(step, found, exposures)
 
 

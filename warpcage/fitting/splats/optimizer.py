@@ -35,7 +35,7 @@ from .growth import GrowingSplats
 from .loss import PictureExposures, PictureLoss
 from .options import checked_splat_options
 from .schedule import SplatSchedule
-from .start import Start, fitted_scene, scene_units, starting_splats
+from .start import Start, fitted_scene, scene_units, shrunk_camera, starting_splats
 
 #: Nothing nearer to a camera than this is drawn, of the distance of the cameras from what they look at.
 NEAR = 0.01
@@ -72,26 +72,14 @@ class TrainingView(SplatGradients):
 
     def count_entries(self, splats: Any, count: int, lens: wp.array) -> int:
         """Entries of the picture of a lens, (1,) Lens."""
-        return super()._count(self.grid, *self._project_by(splats, count, lens))
+        return super()._count(self.grid, *self._project(splats, lens, count, project.project_by_lens))
 
     def draw_by(self, splats: Any, count: int, lens: wp.array) -> tuple[wp.array, wp.array, wp.array]:
         """Colours (h * w,) on black, opacities (h * w,), and the view (3 n,) of the first `count` splats."""
-        seen = self._project_by(splats, count, lens)
+        seen = self._project(splats, lens, count, project.project_by_lens)
         total = self._count(self.grid, *seen)
         rgb, alpha = self._draw_entries(self.grid, seen, total, wp.vec3())
         return rgb, alpha, seen[1]
-
-    def sum_slopes(self, slopes: wp.array) -> wp.array:
-        """The sums (9 n,) of the picture drawn last, from the slopes (h * w,) vec3 by its colours."""
-        return self._sum_slopes(slopes)
-
-    def _project_by(self, splats: Any, count: int, lens: wp.array) -> tuple[int, wp.array, wp.array, wp.array]:
-        view = self._view.take(3 * count)
-        depths, order = self._depths.take(2 * count), self._order.take(2 * count)
-        outputs = [view, depths, order]
-        launch(project.project_by_lens, count, [splats, lens], outputs, device=self.device, work=PROJECT_WORK)
-        wp.utils.radix_sort_pairs(depths, order, count)
-        return count, view, depths, order
 
     def _count(self, grid: Any, count: int, view: wp.array, depths: wp.array, order: wp.array) -> int:
         """All entries on a CPU; on CUDA the room for them, as the host does not wait for their number."""
@@ -375,17 +363,8 @@ class SplatFit:
         """How a picture is drawn, in units of the fit."""
         pose = camera.camera_to_world.copy()
         pose[:3, 3] = (pose[:3, 3] - self._center) / self._unit
-        side = self._shrinkage
-        small = dataclasses.replace(
-            camera,
-            fx=camera.fx / side,
-            fy=camera.fy / side,
-            cx=camera.cx / side,
-            cy=camera.cy / side,
-            width=self._width,
-            height=self._height,
-            camera_to_world=pose,
-        )
+        shown = {"width": self._width, "height": self._height, "camera_to_world": pose}
+        small = dataclasses.replace(shrunk_camera(camera, self._shrinkage), **shown)
         return splat_lens(small, np.zeros(3), NEAR, IMAGE_BLUR, self.options.antialias)
 
     def _find_room(self) -> None:

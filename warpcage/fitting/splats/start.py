@@ -219,22 +219,17 @@ def _surface_places(
     return found[kept], shades[kept], f"{len(kept):,} places on a quick fit of voxels"
 
 
+def shrunk_camera(camera: Camera, side: int) -> Camera:
+    """A camera whose picture is smaller by a whole factor; what is left over at the right and below is cut off."""
+    lengths = {name: getattr(camera, name) / side for name in ("fx", "fy", "cx", "cy")}
+    return dataclasses.replace(camera, **lengths, width=camera.width // side, height=camera.height // side)
+
+
 def _shrunk(scene: Scene, side: int) -> Scene:
     """A scene with pictures that are smaller by a whole factor; what is left over at the right and below is cut off."""
     height, width = (n // side for n in scene.images.shape[1:3])
     images = scene.images[:, : height * side, : width * side].reshape(len(scene), height, side, width, side, 3)
-    cameras = [
-        dataclasses.replace(
-            camera,
-            fx=camera.fx / side,
-            fy=camera.fy / side,
-            cx=camera.cx / side,
-            cy=camera.cy / side,
-            width=camera.width // side,
-            height=camera.height // side,
-        )
-        for camera in scene.cameras
-    ]
+    cameras = [shrunk_camera(camera, side) for camera in scene.cameras]
     weights = None if scene.weights is None else shrink_weights(scene.weights[:, : height * side, : width * side], side)
     shrunk = images.mean(axis=(2, 4), dtype=np.float32)
     return dataclasses.replace(scene, images=shrunk, cameras=cameras, weights=weights)
