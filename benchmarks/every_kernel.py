@@ -68,7 +68,7 @@ def main() -> int:
         wp.set_mempool_enabled(args.device, False)
     watch_launches()
     with limit_threads(2):  # on one thread no gradients are joined
-        for part in (fields, fits, coordinates, frames, edits, near_frames, references, splats, posed_splats):
+        for part in (fields, fits, coordinates, frames, edits, near_frames, references, meshes, splats, posed_splats):
             part(args.device)
             wp.synchronize_device(args.device)
             print(f"{part.__name__}: {len(launched)} kernels so far", flush=True)
@@ -246,6 +246,14 @@ def references(device) -> None:
         inverse = InverseMap(CAGE, POSE, kind, cuts=1, device=device)
         inverse(0.5 * POINTS)
         inverse.invert(0.5 * POINTS)
+
+
+def meshes(device) -> None:
+    """Views of a mesh with a texture, and of one with a headlight."""
+    mesh, picture = ball_field(device).extract_mesh(), np.random.default_rng(0).random((4, 5, 4))
+    uv = np.asarray(mesh.vertices)[:, :2]
+    warpcage.SurfaceMesh(mesh.vertices, mesh.faces, uv=uv, texture=picture, device=device).render(camera(37))
+    warpcage.SurfaceMesh(mesh.vertices, mesh.faces, device=device).render(camera())
 
 
 def splats(device) -> None:

@@ -45,6 +45,7 @@ _HOMES = {
     "fitting.splats.options": ["SplatFitOptions"],
     "lattice.position_map": ["PositionMap"],
     "render.sampled": ["SampledField"],
+    "render.surface_mesh": ["SurfaceMesh"],
     "scene.load": ["load_scene"],
     "scene.scene": ["Scene"],
     "splats.fit": ["SplatRates", "fit_splats"],

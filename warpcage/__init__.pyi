@@ -39,6 +39,7 @@ from .fitting.splats.optimizer import SplatFit as SplatFit
 from .fitting.splats.options import SplatFitOptions as SplatFitOptions
 from .lattice.position_map import PositionMap as PositionMap
 from .render.sampled import SampledField as SampledField
+from .render.surface_mesh import SurfaceMesh as SurfaceMesh
 from .scene.load import load_scene as load_scene
 from .scene.scene import Scene as Scene
 from .splats.fit import SplatRates as SplatRates
@@ -83,6 +84,7 @@ __all__ = [
     "SplatFitOptions",
     "SplatRates",
     "Stage",
+    "SurfaceMesh",
     "VoxelField",
     "bake",
     "camera_at",

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from runs import DEFORMED, SMALL, run, succeed, write_files
 
-from warpcage import Cage, Camera, Deformer, Place, PoseFile, SplatField, Stage, VoxelField, load_scene
+from warpcage import Cage, Camera, Deformer, Place, PoseFile, SplatField, Stage, SurfaceMesh, VoxelField, load_scene
 from warpcage.field import harmonics_on_host
+from warpcage.mesh import write_shown_mesh
 from warpcage.view import read_image, write_png
 
 #: Around the half of the ball that the camera looks at: where it moves away, the other half is seen from within.
@@ -410,6 +411,43 @@ def test_film_of_things_that_move_by_keys_of_their_places(files, things, tmp_pat
     posed = ["animate", "@ball.npz", *things, "--frames", 3, "--turn", 0, "-o", tmp_path / "posed"]
     succeed(files, *posed)  # poses without times keep to the number of frames
     assert len(list((tmp_path / "posed").glob("*.png"))) == 3
+
+
+def test_a_mesh_beside_a_field_posed_and_in_a_film(files, tmp_path, capsys):
+    """A cube with colours of vertices, in a place, posed by the cage of the ball, and moved by keys."""
+    cube = Cage.box((-0.4,) * 3, (0.4,) * 3, segments=3)
+    colors = np.random.default_rng(0).random((len(cube.vertices), 3))
+    write_shown_mesh(tmp_path / "cube.glb", cube.vertices, cube.faces, colors=colors)
+    (tmp_path / "place.json").write_text(json.dumps(PLACE))
+    succeed(files, "edits", "-o", tmp_path / "it.edits.json", "--edit", f"{files}/cage.obj:{files}/posed.obj")
+    view = ["--camera", "@scene:test:1", "--background", "black", "--size", 40, 40]
+    words = ["--add", f"{tmp_path}/cube.glb:{tmp_path}/place.json", "--coordinates", "mean_value"]
+    posed = ["--add", f"{tmp_path}/cube.glb:{tmp_path}/place.json:{tmp_path}/it.edits.json", *words[2:]]
+    camera = load_scene(files / "scene", split="test").cameras[1].resized(40, 40)
+    field, cage = VoxelField.load(files / "ball.npz"), Cage.load(files / "cage.obj")
+    mesh = SurfaceMesh(cube.vertices, cube.faces, colors=colors)
+    moved = Deformer(mesh, cage, coordinates="mean_value").pose(cage.match(Cage.load(files / "posed.obj")))
+    pictures = []
+    for name, given, thing in (("plain", words, mesh), ("posed", posed, moved)):
+        scene = tmp_path / f"{name}.stage.json"
+        succeed(files, "render", "@ball.npz", *given, *view, "-o", tmp_path / f"{name}.png", "--save-stage", scene)
+        stage = Stage().add("ball", field).add("cube", thing, place=Place(**PLACE))
+        pictures.append(read_image(tmp_path / f"{name}.png"))
+        np.testing.assert_allclose(pictures[-1], stage.render(camera, background="black").rgb, atol=0.01)
+        succeed(files, "render", scene, *view, "-o", tmp_path / "again.png")
+        np.testing.assert_array_equal(read_image(tmp_path / "again.png"), pictures[-1])
+    assert np.abs(pictures[0] - pictures[1]).max() > 0.2
+    keys = [{"time": 0, **PLACE, "easing": "linear"}, {"time": 1, "position": [-0.6, 0.2, 0.1], "scale": 0.5}]
+    (tmp_path / "around.json").write_text(json.dumps({"keys": keys}))
+    film = ["@ball.npz", "--add", f"{tmp_path}/cube.glb:{tmp_path}/around.json", *view, "--turn", 0, "--fps", 2]
+    succeed(files, "animate", *film, "-o", tmp_path / "film")
+    stage = Stage().add("ball", field).add("cube", mesh, place=tmp_path / "around.json")
+    stage.time = 0.5
+    expected = stage.render(camera, background="black").rgb
+    np.testing.assert_allclose(read_image(tmp_path / "film" / "frame_0001.png"), expected, atol=0.01)
+    capsys.readouterr()
+    assert run(files, "bake", tmp_path / "plain.stage.json", "-o", tmp_path / "plain.npz") == 2
+    assert "cube: meshes are not merged with fields" in capsys.readouterr().err
 
 
 def test_bake_of_a_stage_file(files, things, tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from editor_pages import BOX, new_session, nothing_logged, tiny_field, with_pages
 
 import warpcage
-from warpcage import Place, SplatField, Stage
+from warpcage import Place, SplatField, Stage, SurfaceMesh
 from warpcage.editor import (
     MAIN,
     Document,
@@ -21,6 +21,7 @@ from warpcage.editor import (
     document_at,
     export_film,
     film_pictures,
+    inspect,
     new_document,
     read_fields,
     read_session,
@@ -32,6 +33,7 @@ from warpcage.editor import (
     write_session,
 )
 from warpcage.field import harmonics_on_host
+from warpcage.mesh import write_shown_mesh
 
 __all__ = ["nothing_logged"]  # a fixture
 
@@ -92,7 +94,7 @@ def test_a_thing_is_added_placed_locked_and_undone(folder):
     session = session_in(folder)
 
     async def test(server, page):
-        assert await page.do(do="thing.files") == {"files": ["ball.npz", "blue.ply", "green.npz"]}
+        assert await page.do(do="thing.files") == {"files": ["ball.npz", "blue.ply", "green.npz", "cage.ply"]}
         await page.do(do="thing.add", file="green.npz", place={"position": [1.5, 0, 0]})
         await page.until(lambda: len(page.sections["things"]) == 2)
         ball, green = page.sections["things"]
@@ -117,7 +119,7 @@ def test_a_thing_is_added_placed_locked_and_undone(folder):
         for _ in range(5):
             await page.do(do="redo")
         assert [thing.name for thing in session.document.things] == ["ball"]
-        for name in ("../green.npz", "no.npz", "cage.ply", 5, ""):
+        for name in ("../green.npz", "no.npz", "notes.txt", 5, ""):
             await page.refused(do="thing.add", file=name)
         assert len(session.document.things) == 1
 
@@ -318,6 +320,73 @@ def test_a_copy_has_edits_and_keys_of_its_own_and_shares_the_field(folder):
     _, without = run_command(twin, {"do": "thing.remove", "id": copy.id})
     assert len(without.edits) == len(twin.edits) - 1
     assert copy.id not in without.timeline.keys[0].places and new.id not in without.timeline.keys[0].poses
+
+
+def test_a_mesh_is_added_placed_posed_copied_hidden_and_kept(folder):
+    """A cube with colours of vertices beside the ball, posed by a cage of its own, in a stage file too."""
+    cube = warpcage.Cage.box((-0.4,) * 3, (0.4,) * 3, segments=3)
+    colors = np.random.default_rng(0).random((len(cube.vertices), 3))
+    write_shown_mesh(folder / "cube.glb", cube.vertices, cube.faces, colors=colors)
+    session = session_in(folder)
+    cage = warpcage.Cage.box((-0.5,) * 3, (0.5,) * 3, segments=2)
+
+    async def test(server, page):
+        await page.do(do="thing.add", file="cube.glb", beside=True)
+        await page.until(lambda: len(page.sections["things"]) == 2)
+        told = page.sections["things"][1]
+        assert told["size"] == f"{len(cube.faces)} triangles" and told["file"] == "cube.glb"
+        np.testing.assert_allclose(told["bounds"], cube.bounds, atol=1e-6)
+        number = told["id"]
+        assert session.document.thing(number).place.moved(cube.bounds)[0, 0] > session.field.bounds[1, 0]
+        await page.do(do="thing.change", id=number, place={"position": [1.4, 0, 0], "turn": [0, 0, 30]})
+        await page.do(do="cage.generate", count=24, method="voxel")
+        await page.until(lambda: any(edit.thing == number for edit in session.document.edits))
+        around = session.document.edits_of(number)[0].rest_cage
+        assert around.contains(cube.vertices).all()
+        edit = session.document.edits_of(number)[0]
+        await page.do(do="edit.delete", id=edit.id)
+        cage.save(folder / "around.obj")
+        await page.do(do="cage.load", file="around.obj")
+        edit = session.document.edits_of(number)[0]
+        await page.do(do="pose.set", edit=edit.id, vertices=cage.twist(60).vertices.tolist())
+        await page.do(do="thing.copy", id=number, offset=[0, 1.5, 0])
+        await page.do(do="stage.save", file="all.stage.json")
+
+    with_pages(test, folder, session=session)
+    document, fields = session.document, session.fields
+    assert [thing.file for thing in document.things] == [None, "cube.glb", "cube.glb"]
+    mesh = SurfaceMesh(cube.vertices, cube.faces, colors=colors)
+    options = {"coordinates": document.settings.coordinates}
+    posed = warpcage.Deformer(mesh, cage, **options).pose(cage.twist(60))
+    stage = Stage().add("ball", fields.main)
+    for name, y in (("one", 0.0), ("two", 1.5)):
+        stage.add(name, posed, place=Place((1.4, y, 0.0), (0.0, 0.0, 30.0)))
+    view = view_camera(document.view, 48, 36)
+    rest = dataclasses.replace(document, edits=tuple(edit for edit in document.edits if edit.thing != MAIN))
+    scene = PosedScene(fields)
+    scene.prepare(rest)
+    expected = stage.render(view).rgb
+    np.testing.assert_allclose(scene.render(view).rgb, expected, atol=0.01)
+    opened = Stage.load(folder / "all.stage.json")
+    for name in ("ball",):
+        opened.replace(name, fields.main)
+    np.testing.assert_allclose(opened.render(view).rgb, expected, atol=0.01)
+    hidden = run_command(rest, {"do": "thing.change", "id": rest.things[1].id, "visible": False})[1]
+    hidden = run_command(hidden, {"do": "thing.remove", "id": rest.things[2].id})[1]
+    np.testing.assert_allclose(picture(hidden, fields, (48, 36)), fields.main.render(view).rgb, atol=0.01)
+    checked = inspect(document, document.edits_of(document.things[1].id)[0].id, mesh)
+    assert checked["inside_share"] == 1.0 and not checked["leaking_faces"]
+    cut = warpcage.Cage.box((-0.5, -0.5, -0.5), (0.0, 0.5, 0.5))
+    through = inspect(new_document(fields.main, [cut], 16), 1, mesh)
+    assert 0.3 < through["inside_share"] < 0.7 and len(through["leaking_faces"]) == 2
+
+
+def test_a_stage_that_begins_with_a_mesh_is_refused_by_the_editor(folder):
+    BOX.save(folder / "cube.ply")
+    Stage().add("cube", folder / "cube.ply").add("ball", folder / "ball.npz").save(folder / "all.stage.json")
+    with pytest.raises(ValueError, match="its first thing is a mesh") as caught:
+        warpcage.edit(folder / "all.stage.json")
+    assert "\n" not in str(caught.value)
 
 
 # files ---------------------------------------------------------------------------------------------------------------

@@ -37,6 +37,7 @@ from ..films.render import require_voxels
 from ..films.words import ending, note_jumps, pose_file, read_film, read_pose, read_poses, read_rest, say_standing
 from ..mesh.io import ALL_OBJECTS, read_object
 from ..mesh.io.formats import mesh_endings
+from ..render.surface_file import load_trimesh
 from ..splats.io import splat_path
 from ..splats.splat_field import load_field
 from ..view.camera import CameraKey
@@ -172,15 +173,7 @@ def read_mesh(name: str, object: str | None = None) -> trimesh.Trimesh:
     ):  # strips and fans too, split vertices joined
         found = read_object(path, object=object or ALL_OBJECTS)
         return trimesh.Trimesh(found.vertices, found.faces, process=False)
-    try:
-        mesh = trimesh.load(path, force="mesh", process=False, maintain_order=True)
-    except Exception as error:
-        raise InputError(f"{path} cannot be read as a mesh, it is cut off or damaged: {error}") from error
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        if path.suffix.lower() == ".ply":
-            read_object(path)  # which tells of points without faces
-        raise InputError(f"{path} holds no triangles")
-    return mesh
+    return load_trimesh(path)
 
 
 def _margin(mesh: trimesh.Trimesh, args: argparse.Namespace) -> float:

@@ -33,6 +33,7 @@ from ..films.edits import Deformation, EditReader, Keyframes, PosedEdit, named, 
 from ..films.render import Look
 from ..films.timeline import Things, shown_corners
 from ..mesh.queries import inside_mesh
+from ..render.surface_mesh import load_thing
 from ..scene.load import load_scene
 from ..scene.scene import Scene
 from ..splats.io import is_splat_file, splat_path
@@ -363,7 +364,7 @@ def things_of(
         path, place, edits = parse_add(text)
         name = free_name(pathlib.Path(path).stem, stage.items)
         path = require_file(splat_path(path), "field file")
-        thing: Any = load_field(path, device=field.device)
+        thing: Any = load_thing(path, device=field.device)
         if edits is not None:
             deformation = edits_of_file(edits, reader or edit_reader(args), thing)
             thing = make_deformer(thing, deformation, args).pose(deformation.posed)

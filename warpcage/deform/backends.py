@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..cage.cage import Cage
+from ..coordinates.coordinates import deform_points
 from ..core.checks import checked_flag
 from ..core.names import (
     DENSITIES,
@@ -33,9 +34,11 @@ from ..field.voxel_field import VoxelField
 from ..kernels.render import samples
 from ..kernels.splats.pose import LAW_DENSITY, LAW_RAYS
 from ..lattice.buffers import StreamOrder
+from ..mesh.queries import inside_mesh
 from ..render.launch import load_pose_modules, render_modules
 from ..render.sampled import SampledField, render_samples
 from ..render.scene import PosedScene
+from ..render.surface_mesh import SurfaceMesh
 from ..render.view import PosedEdits, cage_span, require_short_march
 from ..splats.matter import SplatDensity
 from ..splats.render import render_field
@@ -99,14 +102,14 @@ class Backend(abc.ABC):
     def to_canonical(self, cages: list[Cage | None], *asked: Any) -> tuple[Any, ...]:
         """Where points of a pose are at rest; asked: points, directions, step, return_outside."""
         raise InputError(
-            "to_canonical looks points up backward, as voxels are: splats move forward; take deform_points for points, "
-            "or posed_splats for the splats themselves"
+            "to_canonical looks points up backward, as voxels are: splats move forward, and meshes do; take "
+            "deform_points for points, or posed_splats for the splats themselves"
         )
 
     def sample(self, cages: list[Cage | None], *asked: Any) -> tuple[Any, Any]:
         """Colour and density of the posed scene; asked: points, directions, step."""
         raise InputError(
-            "splats have no density at points: render them, or take posed_splats for the splats themselves"
+            "splats and meshes have no density at points: render them, or take posed_splats for the splats themselves"
         )
 
     def reached(self, cages: list[Cage | None]) -> np.ndarray:
@@ -226,12 +229,9 @@ class SplatBackend(Backend):
 
     @classmethod
     def check(cls, options: MapOptions) -> None:
-        require_coordinates(options.coordinates)
-        require_name(options.density, DENSITIES, "density")
+        _check_forward(options)
         if options.map is not None:
             require_name(options.map, SPLAT_MAPS, "map")
-        if options.store != "map":
-            raise InputError(f'splats keep their weights: store must be "map", got {options.store!r}')
 
     def render(self, cages: list[Cage | None], camera: Camera, how: tuple[Any, ...], **target: Any) -> Frame:
         background, step, supersampling, antialias = how
@@ -247,3 +247,79 @@ def splat_band(field: SplatField, edit: CageEdit) -> FalloffBand:
     reach = 0.1 * edit.cage.size
     matter: Any = SplatDensity(field, bounds=np.array([low - reach, high + reach]))
     return FalloffBand(edit, matter)
+
+
+def _check_forward(options: MapOptions) -> None:
+    """Refuse options that nothing has which moves forward."""
+    require_coordinates(options.coordinates)
+    require_name(options.density, DENSITIES, "density")
+    if options.store != "map":
+        raise InputError(f'splats and meshes keep no lattice: store must be "map", got {options.store!r}')
+
+
+class MeshEdits:
+    """Edits of a mesh: its vertices go with the cages that they are in, one edit after the other."""
+
+    def __init__(self, mesh: SurfaceMesh, edits: list[CageEdit], coordinates: Coordinates):
+        self.rest, self.mesh, self._edits, self._coordinates = mesh, mesh, edits, coordinates
+        self._inside: np.ndarray | None = None  # (v,) bool, of the first cage, which finds the mesh at rest
+
+    def pose(self, cages: list[Cage | None]) -> None:
+        """Move the vertices. A face is copied or removed where all of its corners are in the cage."""
+        surface, device = self.rest.surface, self.rest.device
+        faces, rows = np.arange(len(surface.faces)), np.arange(len(surface.vertices))  # what is left of them at rest
+        corners, places = surface.faces, surface.vertices
+        for number, (edit, cage) in enumerate(zip(self._edits, cages, strict=True)):
+            found = None if number else self._inside
+            inside = inside_mesh(places, edit.cage, device=device) if found is None else found
+            if not number:
+                self._inside = inside
+            held = inside[corners].all(axis=1)
+            if cage is None:
+                faces, corners = faces[~held], corners[~held]
+                continue
+            if edit.keep_source:  # what goes is a copy, and all else stays
+                used, renamed = np.unique(corners[held], return_inverse=True)
+                corners = np.concatenate([corners, renamed.reshape(-1, 3) + len(places)]).astype(np.int32)
+                faces, rows = np.concatenate([faces, faces[held]]), np.concatenate([rows, rows[used]])
+                inside = np.arange(len(places) + len(used)) >= len(places)
+                places = np.concatenate([places, places[used]])
+            moving = np.flatnonzero(inside)
+            if len(moving):
+                places = places.copy()
+                places[moving] = deform_points(places[moving], edit.cage, cage, self._coordinates, device=device)
+        if np.array_equal(corners, self.mesh.faces) and len(places) == len(self.mesh.vertices):
+            self.mesh = self.mesh.with_vertices(places, refit=self.mesh is not self.rest)
+            return
+        if not len(faces):
+            raise InputError("the edits remove all of the mesh: leave it out instead")
+        self.mesh = self.rest._chosen(places, corners, rows, faces)
+
+
+class MeshBackend(Backend):
+    """Triangles, whose vertices move forward."""
+
+    kind = SurfaceMesh
+    posed: MeshEdits
+
+    def __init__(self, field: SurfaceMesh, edits: list[CageEdit], options: MapOptions):
+        if any(edit.falloff > 0.0 or edit.fragments > 0.0 for edit in edits):
+            raise InputError("falloff and fragments of an edit are for fields: a vertex of a mesh goes with its cage")
+        super().__init__(field, edits, options)
+        self.bands = [None] * len(edits)
+        self.posed = MeshEdits(field, edits, options.coordinates)
+
+    @classmethod
+    def check(cls, options: MapOptions) -> None:
+        _check_forward(options)
+        if options.map not in (None, "forward"):
+            raise InputError(f'vertices of a mesh move forward: map must be "forward" or None, got {options.map!r}')
+
+    def render(self, cages: list[Cage | None], camera: Camera, how: tuple[Any, ...], **target: Any) -> Frame:
+        background, step, supersampling, antialias = how
+        if step is not None or antialias is not None:
+            raise InputError("step is for voxels and antialias for splats: meshes take more rays (supersampling)")
+        return self.hold(cages).mesh._render(camera, background, supersampling, target.get("into"))
+
+    def _carried_boxes(self) -> list[np.ndarray]:
+        return [self.posed.mesh.bounds]

@@ -7,7 +7,7 @@ import os
 import pathlib
 import re
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, cast, overload
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, cast, overload
 
 import numpy as np
 import warp as wp
@@ -25,12 +25,13 @@ from ..errors import InputError, UseError
 from ..field.voxel_field import VoxelField
 from ..mesh.validity import is_usable
 from ..render.sampled import SampledField
+from ..render.surface_mesh import SurfaceMesh
 from ..render.view import PosedEdits
 from ..splats.io.formats import format_to_write
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import Frame, Frames
-from .backends import Backend, MapOptions, SampledBackend, SplatBackend, VoxelBackend
+from .backends import Backend, MapOptions, MeshBackend, SampledBackend, SplatBackend, VoxelBackend
 from .posed import DeformerOptions, PosedDeformer, PoseLike, RestLike
 from .poses import inverse_error
 from .splat_baking import baked_field, numbered_files, warn_of_others
@@ -38,6 +39,10 @@ from .views import ViewOptions, render_pose, render_poses
 
 if TYPE_CHECKING:
     from typing_extensions import Self, Unpack  # of the type checker
+
+
+#: What a Deformer poses.
+Deformable: TypeAlias = VoxelField | SplatField | SampledField | SurfaceMesh
 
 
 class Deformer:
@@ -56,7 +61,8 @@ class Deformer:
         frame = Deformer(field, cage).pose(cage.twist(60)).render(camera)
 
     Args:
-        field: The radiance field: a VoxelField, a SplatField, or a SampledField of any other representation.
+        field: The radiance field: a VoxelField, a SplatField, or a SampledField of any other representation; or a
+            SurfaceMesh, whose vertices go with the cages that they are in, as `deform_points` moves them.
         rest: A Cage around what is to be deformed, as it is in the field; or a list of Cage or CageEdit, each of which
             acts on the scene that the ones before it left.
         coordinates: "harmonic", "mean_value" or "green". The default is harmonic, as in the paper; `deform_points` has
@@ -97,15 +103,13 @@ class Deformer:
         def __new__(cls, field: SplatField, rest: RestLike, **options: Unpack[DeformerOptions]) -> SplatDeformer: ...
         @overload
         def __new__(
-            cls, field: VoxelField | SampledField, rest: RestLike, **options: Unpack[DeformerOptions]
+            cls, field: VoxelField | SampledField | SurfaceMesh, rest: RestLike, **options: Unpack[DeformerOptions]
         ) -> Self: ...
         @overload
-        def __new__(
-            cls, field: VoxelField | SplatField | SampledField, rest: RestLike, **options: Unpack[DeformerOptions]
-        ) -> Deformer: ...
+        def __new__(cls, field: Deformable, rest: RestLike, **options: Unpack[DeformerOptions]) -> Deformer: ...
 
     field: VoxelField
-    _backends: ClassVar[tuple[type[Backend], ...]] = (VoxelBackend, SplatBackend, SampledBackend)
+    _backends: ClassVar[tuple[type[Backend], ...]] = (VoxelBackend, SplatBackend, SampledBackend, MeshBackend)
     _kinds: ClassVar[dict[type, type]] = {}  # of Deformers that have more to say of a kind of field
 
     def __init_subclass__(cls, of: type[Backend] | None = None, **options: Any):
@@ -121,7 +125,7 @@ class Deformer:
     @hears
     def __init__(
         self,
-        field: VoxelField | SplatField | SampledField,
+        field: Deformable,
         rest: RestLike,
         *,
         coordinates: Coordinates = FIELD_COORDINATES,

@@ -34,8 +34,9 @@ from ..field.mixing import mixed_field
 from ..field.render import picture_arrays
 from ..field.voxel_field import VoxelField
 from ..kernels.view.compose import compose_things
+from ..render.surface_mesh import SurfaceMesh, load_thing
 from ..splats.io.axes import joined, placed
-from ..splats.splat_field import SplatField, load_field
+from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import (
     MASK_NAMES,
@@ -51,7 +52,7 @@ from .bake import MAX_RESOLUTION, STAND_IN_RESOLUTION, bake
 from .deformer import Deformer, SplatDeformer
 
 #: What a stage holds.
-Thing: TypeAlias = VoxelField | SplatField | Deformer
+Thing: TypeAlias = VoxelField | SplatField | SurfaceMesh | Deformer
 
 #: Cells of the lattice on which a field without edits is moved: a similarity is exact on any.
 PLACING_CELLS = 16
@@ -70,8 +71,8 @@ class StageItem:
     hidden: bool = False
 
     @property
-    def field(self) -> VoxelField | SplatField:
-        """Its field, without cages."""
+    def field(self) -> VoxelField | SplatField | SurfaceMesh:
+        """Its field or mesh, without cages."""
         return self.thing.field if isinstance(self.thing, Deformer) else self.thing
 
     @property
@@ -85,11 +86,12 @@ class StageItem:
 
 
 class Stage:
-    """Several things in one scene: fields of voxels or splats, posed by cages or not, each in a place of its own.
+    """Several things in one scene: fields, meshes, and Deformers of those, each in a place of its own.
 
     Each is rendered from where the camera stands in its own coordinates, and the pictures are put together ray by ray
     by depth. That is right where a thing is solid, or clear of the others along the ray. Haze of two things in one
-    place is not mixed: what is nearer on average, by the depth of each, comes first (`merged` mixes voxels).
+    place is not mixed: what is nearer on average, by the depth of each, comes first (`merged` mixes voxels). Meshes
+    are before and behind fields by the same rule.
 
     What lies around a field, layers or an outer field, is taken of the first thing that has it, and the colour behind
     all of the first thing. One thread at a time uses a Stage.
@@ -136,9 +138,10 @@ class Stage:
 
         Args:
             name: Its name, which no other thing has.
-            thing: A VoxelField, a SplatField or a Deformer of one, whose pose may change later; or the file of a field.
+            thing: A VoxelField, a SplatField, a SurfaceMesh or a Deformer of one, whose pose may change later; or the
+                file of a field or a mesh.
             place: Where it stands: a Place, a PlaceFile, a similarity (4, 4), or a place file. None is where it is.
-            path: The file of the field, for `save`. None is `thing` where that is a file.
+            path: The file of the field or mesh, for `save`. None is `thing` where that is a file.
 
         Returns:
             This Stage.
@@ -153,9 +156,9 @@ class Stage:
         if name in self.items:
             raise InputError(f"the stage has a thing {name!r} already: remove it first, or take another name")
         places = as_places(place)
-        if not isinstance(thing, VoxelField | SplatField | Deformer):
+        if not isinstance(thing, VoxelField | SplatField | SurfaceMesh | Deformer):
             path = require_file(checked_path(thing, "a thing of a stage"), "field file")
-            thing = load_field(path, device=self.device)
+            thing = load_thing(path, device=self.device)
         self.items[name] = StageItem(self._here(name, thing), places, None if path is None else pathlib.Path(path))
         return self
 
@@ -257,7 +260,7 @@ class Stage:
             camera: The camera, in the coordinates of the stage.
             background: Colour behind the scene, a name or (3,) in [0, 1]. None is what lies around the first thing that
                 has surroundings, or else the first thing's own colour.
-            supersampling: Rays along each side of a pixel. None is that of the field which takes most.
+            supersampling: Rays along each side of a pixel. None is that of the thing which takes most: of meshes two.
             antialias: Of splats only; see `SplatField.render`. None is each field's own.
             step_scale: Of voxels only: how many times as long as its own the march steps of each field are, above 0.
                 More than 1 is faster and coarser.
@@ -271,7 +274,7 @@ class Stage:
         """
         require_type(camera, Camera, "render needs")
         items = list(self._shown().values())
-        own = [each.field.supersampling for each in items if isinstance(each.field, VoxelField)]
+        own = [each.field.supersampling for each in items if not isinstance(each.field, SplatField)]
         side = checked_supersampling(max(own, default=1) if supersampling is None else supersampling)
         fine = finer_camera(camera, side)
         around = next((each for each in items if each.field.background_model is not None), None)
@@ -293,9 +296,11 @@ class Stage:
 
     def _view(self, item: StageItem, camera: Camera, antialias: bool | None, step_scale: float) -> Frame:
         """What a camera of the stage sees of a thing alone, on black."""
-        options: dict[str, Any] = {"antialias": antialias}
-        if isinstance(item.field, VoxelField):
-            options = {} if step_scale == 1.0 else {"step": step_scale * item.field.step}
+        options: dict[str, Any] = {}
+        if isinstance(item.field, SplatField):
+            options = {"antialias": antialias}
+        elif isinstance(item.field, VoxelField) and step_scale != 1.0:
+            options = {"step": step_scale * item.field.step}
         seen = seen_from(self._placed(item), camera)
         return item.thing.render(seen, background="transparent", supersampling=1, **options)
 
@@ -356,7 +361,7 @@ class Stage:
         """
         path, stage = require_file(path, "stage file"), cls(device=resolve_device(device))
         for entry in read_stage_file(path):
-            thing: Thing = load_field(path.parent / entry["field"], device=stage.device)
+            thing: Thing = load_thing(path.parent / entry["field"], device=stage.device)
             if "deformation" in entry:
                 try:
                     options, edits, poses = read_deformation(entry["deformation"])
@@ -385,10 +390,13 @@ class Stage:
             The field, on the stage's device.
 
         Raises:
-            ValueError: For a stage that shows nothing, voxels and splats without `convert`, surroundings of a thing
-                that is not in its own place, or a grid that memory does not hold.
+            ValueError: For a stage that shows nothing or a mesh, voxels and splats without `convert`, surroundings of a
+                thing that is not in its own place, or a grid that memory does not hold.
         """
-        items = list(self._shown().values())
+        items: list[Any] = list(self._shown().values())
+        meshes = [name for name, each in self._shown().items() if isinstance(each.field, SurfaceMesh)]
+        if meshes:
+            raise InputError(f"{listed(meshes)}: meshes are not merged with fields, hide or remove them first")
         main = next((each for each in items if each.field.background_model is not None), items[0])
         kinds = {isinstance(each.field, SplatField) for each in items}
         if len(kinds) > 1 and convert is None:
@@ -427,7 +435,7 @@ class Stage:
         }
         return SplatField.from_contents(joined(moved), device=self.device, **options)
 
-    def _merged_voxels(self, items: list[StageItem], options: dict[str, Any], resolution: int | None) -> VoxelField:
+    def _merged_voxels(self, items: list[Any], options: dict[str, Any], resolution: int | None) -> VoxelField:
         """`merged` as voxels; options: of views of it."""
         boxes = [self._placed(item).moved(box_corners(_reached(item.thing))) for item in items]
         low, high = np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))
@@ -470,9 +478,9 @@ class Stage:
     def _here(self, name: str, thing: Any) -> Thing:
         """A thing on the stage's device, which the first one decides."""
         field = thing.field if isinstance(thing, Deformer) else thing
-        if not isinstance(field, VoxelField | SplatField):
+        if not isinstance(field, VoxelField | SplatField | SurfaceMesh):
             raise InputError(
-                "a stage holds VoxelFields, SplatFields, Deformers of those and files of fields, got "
+                "a stage holds VoxelFields, SplatFields, SurfaceMeshes, Deformers of those and their files, got "
                 f"{type(field).__name__}"
             )
         if self.device is None:

@@ -141,7 +141,9 @@ def checked_outputs(backend: Backend, outputs: str | Sequence[str], flows: bool)
     if "flow" in names and not flows:
         raise InputError('outputs=["flow"] needs where it goes: flow_pose, flow_camera or both')
     if names and not backend.masks:
-        raise InputError(f"{', '.join(names)} look pixels up backward, as voxels are: splats move forward")
+        raise InputError(
+            f"{', '.join(names)} look pixels up backward, as voxels are: splats move forward, and meshes do"
+        )
     return names
 
 

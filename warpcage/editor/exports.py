@@ -156,7 +156,7 @@ def export_baked(document: Document, field: AnyField | Fields, path: PathLike, r
     if scene.stage is not None:
         baked = scene.stage.merged(convert=to_splats)
     else:
-        posed = scene.posed(MAIN)
+        posed: Any = scene.posed(MAIN)
         baked = bake(posed) if isinstance(posed, Deformer) else posed
     report(0.8, f"writes {field_size(baked)}")
     baked.save(path)

@@ -20,7 +20,7 @@ from ..field.selection import visible_mask
 from ..mesh.faces import column_cross, column_dot, face_edges
 from ..mesh.queries import inside_mesh, intersecting_faces
 from ..mesh.validity import first_problem
-from ..splats.splat_field import AnyField
+from ..render.surface_mesh import AnyThing, SurfaceMesh
 from .checks import MAX_LINE
 from .document import Document, Edit
 from .session import Session
@@ -28,6 +28,9 @@ from .session import Session
 #: About how many samples of the map are taken in a posed cage, and of the visible nodes for the share inside: fewer
 #: than `Cage.check` takes, so that a check ends while the hand still rests.
 POSE_SAMPLES, NODE_SAMPLES = 300, 2000
+
+#: Cells along the longest side of a mesh in which its surface is, and points of it that tell which they are.
+MESH_CELLS, MESH_SAMPLES = 100, 200_000
 
 #: Points on all faces of a cage at most, at which it is asked whether matter passes through.
 FACE_SAMPLES = 40_000
@@ -52,9 +55,18 @@ class RestFindings:
 class Inspector:
     """Checks edits in one field. Any thread may use it, one at a time."""
 
-    def __init__(self, field: AnyField):
-        self._mask = visible_mask(field)
-        self._lower, self._side = np.array(field.bounds[0]), np.array(field.voxel_size)
+    def __init__(self, field: AnyThing):
+        import trimesh.sample
+
+        self._lower = np.array(field.bounds[0])
+        if isinstance(field, SurfaceMesh):
+            self._side = np.full(3, np.ptp(field.bounds, axis=0).max() / MESH_CELLS)
+            self._mask = np.zeros(np.floor(np.ptp(field.bounds, axis=0) / self._side).astype(int) + 1, bool)
+            surface = trimesh.Trimesh(field.vertices, field.faces, process=False)
+            points = trimesh.sample.sample_surface(surface, MESH_SAMPLES, seed=0)[0]
+            self._mask[tuple(np.floor((points - self._lower) / self._side).astype(int).T)] = True
+        else:
+            self._mask, self._side = visible_mask(field), np.array(field.voxel_size)
         nodes = np.argwhere(self._mask)
         chosen = np.random.default_rng(0).permutation(len(nodes))[:NODE_SAMPLES]
         self._nodes = self._lower + (nodes[chosen] + 0.5) * self._side
@@ -109,17 +121,17 @@ class Inspector:
         return np.logical_and(there, self._mask[tuple(np.moveaxis(cells, -1, 0))])
 
 
-_inspectors: weakref.WeakKeyDictionary[AnyField, Inspector] = weakref.WeakKeyDictionary()
+_inspectors: weakref.WeakKeyDictionary[AnyThing, Inspector] = weakref.WeakKeyDictionary()
 
 
-def inspector(field: AnyField) -> Inspector:
+def inspector(field: AnyThing) -> Inspector:
     """The inspector of a field, made once; it knows which of the field's voxels can be seen."""
     if field not in _inspectors:
         _inspectors[field] = Inspector(field)
     return _inspectors[field]
 
 
-def inspect(document: Document, number: int, field: AnyField) -> dict[str, Any]:
+def inspect(document: Document, number: int, field: AnyThing) -> dict[str, Any]:
     """Check an edit, as pages show it: the section `check`.
     Shares are folded and outside of the posed cage's inside, inside of what is visible (or None); leaks are at rest."""
     edit = document.edit(number)

@@ -22,7 +22,8 @@ from ..core.checks import listed
 from ..core.files import DAMAGED, PathLike, atomic_path, damage, read_json, require_file
 from ..core.names import error_line
 from ..errors import InputError
-from ..splats.splat_field import AnyField, field_size
+from ..render.surface_mesh import AnyThing, thing_size
+from ..splats.splat_field import AnyField
 from ..view.camera import framing_orbit
 from . import commands, things, timeline
 from .checks import MAX_LINE, MAX_NAME, frozen_vertices
@@ -206,7 +207,7 @@ class Session:
             self.saved = _iso(datetime.datetime.fromtimestamp(stamp[0] / 1e9))
 
     @property
-    def active_field(self) -> AnyField:
+    def active_field(self) -> AnyThing:
         """The field of the active thing, in whose coordinates its cages are."""
         return self.fields.field(self.document.thing(self.document.selection.thing))
 
@@ -397,7 +398,7 @@ class Session:
     def _thing_section(self, thing: Thing) -> dict[str, Any]:
         """A thing as pages are told of it, with the box and the kind of its field."""
         field = self.fields.field(thing)
-        told = {"bounds": field.bounds.tolist(), "size": field_size(field), "matrix": thing.place.matrix.tolist()}
+        told = {"bounds": field.bounds.tolist(), "size": thing_size(field), "matrix": thing.place.matrix.tolist()}
         return dataclasses.asdict(thing) | told
 
     # -- The file

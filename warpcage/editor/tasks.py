@@ -24,6 +24,7 @@ from ..core.files import atomic_path
 from ..core.names import counted, error_line
 from ..errors import InputError
 from ..mesh.io import ENDINGS
+from ..render.surface_mesh import SurfaceMesh
 from ..splats.io import SPLAT_ENDINGS
 from ..splats.splat_field import field_size
 from . import commands, exports, timeline
@@ -385,7 +386,8 @@ class Tasks:
         def work(progress: Progress) -> Outcome:
             progress(None, "looks for the surface and draws a cage around it")
             around: Any = choose()
-            cage = Cage.from_field(around, count, margin=margin, method=method, symmetry=symmetry)
+            make: Any = Cage.from_mesh if isinstance(around, SurfaceMesh) else Cage.from_field
+            cage = make(around, count, margin=margin, method=method, symmetry=symmetry)
             progress(0.95, "puts it into the scene")
             self._hand_over(lambda document: self._with_cage(document, number, cage, "generate cage", thing))
             return Outcome(f"a cage of {len(cage.vertices)} vertices")

@@ -22,8 +22,10 @@ from ..edits.stage_file import STAGE_ENDING, free_name, read_deformation, read_s
 from ..errors import InputError
 from ..field.objects import select_object
 from ..field.selection import NodeSelection
+from ..render.surface_file import SURFACE_ENDINGS
+from ..render.surface_mesh import AnyThing, SurfaceMesh, is_mesh_file, load_thing
 from ..splats.io import is_splat_file
-from ..splats.splat_field import AnyField, load_field
+from ..splats.splat_field import AnyField
 from ..view.motion import axis_rotation
 from .checks import MAX_KEYS, MAX_THINGS, RESOLUTIONS, checked_click, checked_flag, checked_name, checked_triple
 from .document import MAIN, Document, Edit, Key, Selection, Thing, checked_place, new_edit
@@ -156,7 +158,7 @@ def locked_error(thing: Thing) -> InputError:
 
 
 def field_files(folder: pathlib.Path) -> list[str]:
-    """The names of fields in a folder, of voxels and of splats."""
+    """The names of fields in a folder, of voxels and of splats, and behind them those of meshes."""
 
     def holds_field(path: pathlib.Path) -> bool:
         if path.name.startswith(".") or not path.is_file():
@@ -166,7 +168,10 @@ def field_files(folder: pathlib.Path) -> list[str]:
         except (OSError, ValueError):
             return False  # an ending that is one of splats, and another content
 
-    return [path.name for path in sorted(folder.iterdir()) if holds_field(path)]
+    files = sorted(folder.iterdir())
+    fields = [path.name for path in files if holds_field(path)]
+    others = [path for path in files if path.name not in fields and not path.name.startswith(".") and path.is_file()]
+    return fields + [path.name for path in others if path.suffix.lower() in SURFACE_ENDINGS]
 
 
 def read_fields(document: Document, main: AnyField, folder: pathlib.Path) -> Fields:
@@ -174,11 +179,11 @@ def read_fields(document: Document, main: AnyField, folder: pathlib.Path) -> Fie
     fields = Fields(main)
     for thing in document.things:
         if thing.file is not None and thing.file not in fields.files:
-            fields.files[thing.file] = load_field(folder / thing.file, device=main.device)
+            fields.files[thing.file] = load_thing(folder / thing.file, device=main.device)
     return fields
 
 
-def place_beside(document: Document, fields: Fields, field: AnyField) -> Place:
+def place_beside(document: Document, fields: Fields, field: AnyThing) -> Place:
     """Where a field stands upright on the ground of all things, beside them."""
     up, own = np.asarray(fields.main.up, np.float64), np.asarray(field.up, np.float64)
     matrix = np.eye(4)
@@ -211,7 +216,10 @@ def is_stage(path: str | os.PathLike[str]) -> bool:
 
 def stage_field(path: pathlib.Path) -> pathlib.Path:
     """The file of the first field of a stage file, which a session of the stage is of."""
-    return path.parent / read_stage_file(path)[0]["field"]
+    file = path.parent / read_stage_file(path)[0]["field"]
+    if is_mesh_file(file):
+        raise InputError(f"{path}: its first thing is a mesh, and a session of the editor is of a field: put one first")
+    return file
 
 
 def with_stage(document: Document, path: pathlib.Path, folder: pathlib.Path) -> Document:
@@ -300,10 +308,10 @@ def stage_of(document: Document, fields: Fields, main: pathlib.Path | None, fold
     return stage
 
 
-def clicked(document: Document, field: AnyField, click: Any) -> Callable[[], AnyField | NodeSelection]:
+def clicked(document: Document, field: AnyThing, click: Any) -> Callable[[], AnyThing | NodeSelection]:
     """What finds what a cage of the active thing, of this field, goes around: the object at places of a picture, see
-    `checked_click`; None is all of it."""
-    if click is None:
+    `checked_click`; None is all of it, and a mesh is one object."""
+    if click is None or isinstance(field, SurfaceMesh):
         return lambda: field
     places, aspect, plane = checked_click(click)
     found = [clicked_pixel(document.view, across, down, aspect) for across, down in places]
@@ -326,14 +334,14 @@ class ThingTasks:
         return {"files": await self._tasks.read(lambda: field_files(self._tasks.folder))}
 
     async def _add(self, message: dict[str, Any]) -> None:
-        """Another field of the session's folder, in its own place or a given one."""
+        """Another field or mesh of the session's folder, in its own place or a given one."""
         tasks, session = self._tasks, self._tasks.session
         path, place = tasks.path_of(message["file"]), checked_place(message.get("place", {}))
         beside = checked_flag(message.get("beside", False), "beside")
         name = checked_name(message.get("name") or path.name.split(".")[0])
         fields = session.fields
         if path.name not in fields.files:
-            fields.files[path.name] = await tasks.read(lambda: load_field(path, device=session.field.device))
+            fields.files[path.name] = await tasks.read(lambda: load_thing(path, device=session.field.device))
         added = fields.files[path.name]
 
         def add(document: Document) -> Step:

@@ -30,6 +30,7 @@ from ..edits.place import PlaceFile
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..mesh.mesh import ClosedMesh
+from ..render.surface_mesh import SurfaceMesh
 from ..splats.splat_field import SplatField
 from ..view import frame_parts
 from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
@@ -484,6 +485,8 @@ def _parts(thing: Any) -> list[Any] | None:
         return [thing.field, thing.edits, thing.coordinates, thing.resolution, thing.density, thing.map]
     if isinstance(thing, SplatField):
         return [thing.contents, thing.view_options()]
+    if isinstance(thing, SurfaceMesh):
+        return [thing.surface, thing.background, thing.supersampling]
     if isinstance(thing, VoxelField):
         behind = None if thing.background_model is None else thing.background_model.contents()
         values = thing.grid.links, thing.grid.density, thing.grid.sh

@@ -20,6 +20,7 @@ from ..deform.stage import Stage
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..mesh.mesh import ClosedMesh
+from ..render.surface_mesh import AnyThing
 from ..splats.splat_field import AnyField, SplatField
 from ..view import frame_parts
 from ..view.camera import Camera
@@ -29,7 +30,7 @@ from ..view.frame import Frame, depth_along_view
 from ..view.opacity import rgba_picture
 
 #: What renders frames.
-Scene: TypeAlias = AnyField | Deformer | PosedDeformer | Stage
+Scene: TypeAlias = AnyThing | Deformer | PosedDeformer | Stage
 
 
 @dataclasses.dataclass(frozen=True)

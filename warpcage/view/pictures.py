@@ -117,18 +117,31 @@ def is_on_its_side(path: str | os.PathLike) -> bool:
 @contextlib.contextmanager
 def _opened(path: pathlib.Path) -> Iterator[Any]:
     """A PIL image whose header is read and whose size is allowed; whatever goes wrong becomes one ValueError."""
+    # opened here: libraries take some names for addresses
+    with _read_by(lambda: open(path, "rb"), path) as picture:
+        yield picture
+
+
+@contextlib.contextmanager
+def _read_by(open_file: Callable[[], BinaryIO], path: str | pathlib.Path) -> Iterator[Any]:
+    """The same of what `open_file` opens; path: what messages call it, whose ending may say how it is read."""
     from PIL import Image
 
     try:
-        formats = [*PICTURE_FORMATS, *_heif_format(path)]
-        # opened here: libraries take some names for addresses
-        with open(path, "rb") as file, Image.open(file, formats=formats) as picture:
+        formats = [*PICTURE_FORMATS, *_heif_format(pathlib.Path(path))]
+        with open_file() as file, Image.open(file, formats=formats) as picture:
             width, height = picture.size
             if width * height > MAX_PIXELS:
                 raise InputError(f"it declares {width}x{height} pixels, at most {MAX_PIXELS} are read")
             yield picture
     except Exception as error:
         raise InputError(f"image {str(path)!r} cannot be read: {error_line(error, 300)}") from error
+
+
+def rgba_pixels(data: bytes, name: str) -> np.ndarray:
+    """The pixels (h, w, 4) uint8 of a picture that is in memory; name: what messages call it."""
+    with _read_by(lambda: io.BytesIO(data), name) as picture:
+        return np.asarray(picture.convert("RGBA"))
 
 
 def _heif_format(path: pathlib.Path) -> tuple[str, ...]:

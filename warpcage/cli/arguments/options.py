@@ -408,8 +408,9 @@ def things(more: str = "") -> str:
     """What is shown beside the field, in one scene; more: other rows of the group."""
     return f"""
 several things in one scene (FIELD may be a stage file, .stage.json, too):
---add FIELD[:PLACE[:EDITS]]  also show another field, where a place file (.json) says, posed by an edits file (.json) of
-    its own; repeat it for more. A place file: {{"position": [1, 0, 0], "turn": [0, 0, 90], "scale": 0.5}}
+--add FIELD[:PLACE[:EDITS]]  also show another field, or a mesh (.glb .obj .ply), where a place file (.json) says, posed
+    by an edits file (.json) of its own; repeat it for more. A place file:
+    {{"position": [1, 0, 0], "turn": [0, 0, 90], "scale": 0.5}}
 {more}"""
 
 

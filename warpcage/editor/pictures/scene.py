@@ -21,6 +21,7 @@ from ...errors import InputError
 from ...field.voxel_field import VoxelField
 from ...films.render import Look
 from ...mesh.validity import require_usable
+from ...render.surface_mesh import AnyThing
 from ...splats.splat_field import AnyField
 from ...view.camera import Camera
 from ...view.frame import Frame
@@ -51,18 +52,18 @@ def clicked_pixel(view: View, across: float, down: float, aspect: float) -> tupl
 
 
 class Fields:
-    """The fields of a session's things: its own, and others by the names of their files, which copies share."""
+    """The fields and meshes of a session's things: its own, and others by their files' names, which copies share."""
 
     def __init__(self, main: AnyField):
         self.main = main
-        self.files: dict[str, AnyField] = {}  # seen from the session's folder
+        self.files: dict[str, AnyThing] = {}  # seen from the session's folder
 
     @classmethod
     def of(cls, fields: AnyField | Fields) -> Fields:
         """Fields as they are, or of a session with one thing."""
         return fields if isinstance(fields, Fields) else cls(fields)
 
-    def field(self, thing: Thing) -> AnyField:
+    def field(self, thing: Thing) -> AnyThing:
         """The field of a thing. Raises ValueError where it was not read."""
         if thing.file is None:
             return self.main
@@ -84,7 +85,7 @@ class PosedScene:
         self._posed: dict[int, PosedThing] = {}  # by the number of the thing
         self.stage: Stage | None = None  # of the last `prepare`; None for the session's own field in its own place
 
-    def posed(self, number: int) -> AnyField | Deformer:
+    def posed(self, number: int) -> AnyThing | Deformer:
         """A thing of the last `prepare` in which it was seen: a Deformer, or its field where that is as it is."""
         thing = self._posed[number]
         return thing.deformer or thing.field
@@ -138,10 +139,10 @@ class PosedScene:
 
 
 class PosedThing:
-    """A field and its edits, posed and ready to be rendered. One thread at a time may use it.
+    """A field or mesh and its edits, posed and ready to be rendered. One thread at a time may use it.
     A Deformer is made only when what it is made of changes; a changed pose is posed, an unchanged one left as it is."""
 
-    def __init__(self, field: AnyField):
+    def __init__(self, field: AnyThing):
         self.field = field
         self.deformer: Deformer | None = None  # of the last `prepare`; None where the field is shown as it is
         self._edits: tuple[Edit, ...] = ()  # what the kept Deformers and cages are made of

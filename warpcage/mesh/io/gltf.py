@@ -88,27 +88,27 @@ def read_buffers(path: pathlib.Path, document: dict, chunk: bytes | None) -> lis
         uri = entry.get("uri")
         if uri is None:
             data = chunk or b""
-        elif uri.startswith("data:"):
-            data = base64.b64decode(uri.split(",", 1)[1])
         else:
-            data = files[uri] = files[uri] if uri in files else _buffer_file(path, uri)
+            data = files[uri] = files[uri] if uri in files else uri_bytes(path, uri)
         if len(data) < entry["byteLength"]:
             raise InputError(f"a buffer of {entry['byteLength']} bytes expected, got {len(data)}")
         found.append(data)
     return found
 
 
-def _buffer_file(path: pathlib.Path, uri: str) -> bytes:
-    """The contents of a file that a buffer names: one in the folder of the glTF file, by its real path."""
+def uri_bytes(path: pathlib.Path, uri: str, what: str = "buffer") -> bytes:
+    """What the address of a buffer or a picture holds: data, or a file in the folder of the glTF file."""
+    if uri.startswith("data:"):
+        return base64.b64decode(uri.split(",", 1)[1])
     name = urllib.parse.unquote(uri)
     file = path.parent / name
     folders = (path.parent.resolve(), path.resolve().parent)
     leads_out = pathlib.PurePath(name).is_absolute() or ".." in pathlib.PurePath(name).parts
     if leads_out or not any(file.resolve().is_relative_to(folder) for folder in folders):
-        raise InputError(f"its buffer {shown(uri)} leads out of the folder of the file")
+        raise InputError(f"its {what} {shown(uri)} leads out of the folder of the file")
     if not os.path.isfile(file):  # False for names that no file can have, too
-        raise InputError(f"its buffer {shown(uri)} is not there")
-    return read_limited(file, "buffer")
+        raise InputError(f"its {what} {shown(uri)} is not there")
+    return read_limited(file, what)
 
 
 def node_matrices(document: dict, moved: Mapping[int, dict] | None = None) -> dict[int, np.ndarray]:
@@ -232,7 +232,7 @@ def read_gltf(path: pathlib.Path, name: str = "") -> tuple[np.ndarray, np.ndarra
     with errors_of_file(path):
         document, chunk = opened(path)
         nodes = mesh_nodes(document, name)
-        _require_room(document, nodes)  # nodes may share a mesh: a few bytes stand for a triangle each time
+        require_room(document, nodes)  # nodes may share a mesh: a few bytes stand for a triangle each time
         buffers = read_buffers(path, document, chunk)
         meshes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         vertices, triangles, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
@@ -250,7 +250,7 @@ def read_gltf(path: pathlib.Path, name: str = "") -> tuple[np.ndarray, np.ndarra
     return joined, np.concatenate(triangles)
 
 
-def _require_room(document: dict, nodes: list[tuple[int, np.ndarray]]) -> None:
+def require_room(document: dict, nodes: list[tuple[int, np.ndarray]]) -> None:
     """Refuse more triangles than a mesh may have, or than there is memory for, before the first is read."""
     counts = {mesh: _counts(document, document["meshes"][mesh]) for mesh in {mesh for mesh, _ in nodes}}
     vertices, triangles = (sum(counts[mesh][k] for mesh, _ in nodes) for k in range(2))
@@ -263,7 +263,7 @@ def _require_room(document: dict, nodes: list[tuple[int, np.ndarray]]) -> None:
 def _counts(document: dict, mesh: dict) -> tuple[int, int]:
     """Vertices and triangles that a mesh claims to have."""
     accessors = document["accessors"]
-    drawn = [each for each in mesh["primitives"] if each.get("mode", _TRIANGLES) in _SURFACES]
+    drawn = list(surface_primitives(mesh))
     positions = [each["attributes"]["POSITION"] for each in drawn]
     corners = [accessors[each.get("indices", each["attributes"]["POSITION"])]["count"] for each in drawn]
     plain = [each.get("mode", _TRIANGLES) == _TRIANGLES for each in drawn]
@@ -284,31 +284,40 @@ def mesh_parts(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.nda
     """Positions (v, 3) float64 and triangles (f, 3) int64 of a mesh, a primitive for each range of positions, in their
     order, and whether vertices may be split."""
     positions, faces, starts, owners, split = [], [], {}, [], len(mesh["primitives"]) > 1
-    for primitive in mesh["primitives"]:
-        mode = primitive.get("mode", _TRIANGLES)
-        if mode not in _SURFACES:
-            continue  # points and lines: loose vertices and edges of the exporting program
-        if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
-            raise InputError("it is compressed (Draco): export it without compression")
+    for primitive in surface_primitives(mesh):
         accessor = primitive["attributes"]["POSITION"]
         split |= len(primitive["attributes"]) > 1
         if accessor not in starts:  # primitives may share their vertices
             starts[accessor] = sum(map(len, positions))
             positions.append(values_of(document, buffers, accessor).astype(np.float64).reshape(-1, 3))
             owners.append(primitive)
-        count = document["accessors"][accessor]["count"]
-        indices = (
-            values_of(document, buffers, primitive["indices"]).reshape(-1).astype(np.int64)
-            if "indices" in primitive
-            else np.arange(count)
-        )
-        uneven = mode == _TRIANGLES and len(indices) % 3
-        if uneven or (len(indices) and (indices.max() >= count or indices.min() < 0)):
-            raise InputError(f"a mesh of {count} vertices has {len(indices)} indices up to {indices.max(initial=0)}")
-        faces.append(_as_triangles(indices, mode) + starts[accessor])
+        faces.append(primitive_faces(document, buffers, primitive) + starts[accessor])
     if not positions:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), [], False
     return np.concatenate(positions), np.concatenate(faces), owners, split
+
+
+def surface_primitives(mesh: dict) -> Iterator[dict]:
+    """The primitives of a mesh that are surfaces; points and lines are loose vertices and edges of other programs."""
+    for primitive in mesh["primitives"]:
+        if primitive.get("mode", _TRIANGLES) in _SURFACES:
+            if "KHR_draco_mesh_compression" in primitive.get("extensions", {}):
+                raise InputError("it is compressed (Draco): export it without compression")
+            yield primitive
+
+
+def primitive_faces(document: dict, buffers: list[bytes], primitive: dict) -> np.ndarray:
+    """Triangles (f, 3) int64 of a primitive, by the numbers of its own positions."""
+    mode, count = primitive.get("mode", _TRIANGLES), document["accessors"][primitive["attributes"]["POSITION"]]["count"]
+    indices = (
+        values_of(document, buffers, primitive["indices"]).reshape(-1).astype(np.int64)
+        if "indices" in primitive
+        else np.arange(count)
+    )
+    uneven = mode == _TRIANGLES and len(indices) % 3
+    if uneven or (len(indices) and (indices.max() >= count or indices.min() < 0)):
+        raise InputError(f"a mesh of {count} vertices has {len(indices)} indices up to {indices.max(initial=0)}")
+    return _as_triangles(indices, mode)
 
 
 def _as_triangles(indices: np.ndarray, mode: int) -> np.ndarray:

@@ -19,19 +19,19 @@ const withThing = (work) => (...given) => {
   if (thing) work(thing, ...given);
 };
 
-/** Adds a field of the session's folder. */
+/** Adds a field or a mesh of the session's folder. */
 const addFile = (file, isBeside = true) => request({ do: "thing.add", file, beside: isBeside });
 
 async function add() {
   const { files } = (await request({ do: "thing.files" })) ?? {};
   if (!files) return;
   if (!files.length) {
-    toast("The session's folder has no fields; upload one.", "warning");
+    toast("The session's folder has no fields and no meshes; upload one.", "warning");
     return;
   }
   const given = await askFor({
     title: "Add a thing",
-    text: "Another field of the session's folder: voxels, or splats.",
+    text: "Another field or mesh of the session's folder: voxels, splats, or triangles with their colours.",
     fields: [
       { name: "file", label: "Field", type: "choice", value: files[0], choices: files },
       { name: "beside", label: "Upright, beside what is there", type: "check", value: true, help: "Otherwise where its own coordinates have it." },
@@ -159,7 +159,7 @@ export function thingsGroup() {
   const tools = el(
     "div",
     { class: "row tight" },
-    button({ id: "thing-add", label: "Add…", icon: "plus", keep: true, title: "Add another field of the session's folder", onClick: add }),
+    button({ id: "thing-add", label: "Add…", icon: "plus", keep: true, title: "Add another field or mesh of the session's folder", onClick: add }),
     button({ id: "thing-upload", label: "Upload…", title: "Send a field or splats from this computer, and add them", onClick: () => upload.click() }),
     el("span", { class: "spring" }),
     button({ id: "thing-copy", label: "Copy", icon: "copy", title: "A second one, with cages and keys of its own", onClick: withThing(copy) }),

@@ -1,0 +1,199 @@
+"""Surfaces of mesh files with their colours: of vertices, of pictures on them, or one for each part."""
+
+from __future__ import annotations
+
+import dataclasses
+import pathlib
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..core.files import PathLike, require_file
+from ..errors import InputError
+from ..mesh.io import ALL_OBJECTS, ENDINGS, read_object, turned_up
+from ..mesh.io.gltf import (
+    errors_of_file,
+    mesh_nodes,
+    opened,
+    primitive_faces,
+    read_buffers,
+    require_room,
+    surface_primitives,
+    uri_bytes,
+    values_of,
+)
+from ..view.exr import screen_colors
+from ..view.pictures import rgba_pixels
+
+if TYPE_CHECKING:
+    import trimesh
+
+#: Endings of the files.
+SURFACE_ENDINGS = (*ENDINGS, ".stl")
+
+#: Those that trimesh reads, with the colours and materials in and beside them.
+_TRIMESH_ENDINGS = (".obj", ".ply", ".off", ".stl")
+
+#: What a face has in place of a picture, as kernels/render/surface.py has it.
+NO_PICTURE, HEADLIGHT = -1, -2
+
+#: The colour of what has none.
+GREY = (0.7, 0.7, 0.7, 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Surface:
+    """Triangles, and the colours of v vertices, f faces and pictures on them: RGBA as pictures have it."""
+
+    vertices: np.ndarray  # (v, 3) float64, z up
+    faces: np.ndarray  # (f, 3) int32
+    colors: np.ndarray  # (v, 4) float32 in [0, 1], which pictures are multiplied by
+    uv: np.ndarray  # (v, 2) float32 places in the pictures, 0 to 1 from the upper left corner
+    face_pictures: np.ndarray  # (f,) int32 number of a picture, NO_PICTURE or HEADLIGHT
+    pictures: Sequence[np.ndarray] = ()  # (h, w, 4) uint8 each
+
+
+def plain_surface(vertices: np.ndarray, faces: np.ndarray, color: Any = GREY, look: int = HEADLIGHT) -> Surface:
+    """Triangles of one colour (4,)."""
+    colors = np.tile(np.asarray(color, np.float32), (len(vertices), 1))
+    uv, looks = np.zeros((len(vertices), 2), np.float32), np.full(len(faces), look, np.int32)
+    return Surface(np.asarray(vertices, np.float64), np.asarray(faces, np.int32), colors, uv, looks)
+
+
+def read_surface(path: PathLike) -> Surface:
+    """The triangles of a mesh file with their colours; what has y up is turned to z."""
+    path = require_file(path, "mesh file")
+    ending = path.suffix.lower()
+    if ending in (".glb", ".gltf"):
+        return _gltf_surface(path)
+    if ending in _TRIMESH_ENDINGS:
+        return _trimesh_surface(load_trimesh(path))
+    found = read_object(path, object=ALL_OBJECTS)
+    return plain_surface(found.vertices, found.faces)
+
+
+# -- What trimesh reads
+
+
+def load_trimesh(path: pathlib.Path) -> trimesh.Trimesh:
+    """A mesh file as trimesh reads it, vertices in their order. Raises ValueError for one without triangles."""
+    import trimesh
+
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False, maintain_order=True)
+    except Exception as error:
+        raise InputError(f"{path} cannot be read as a mesh, it is cut off or damaged: {error}") from error
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        if path.suffix.lower() == ".ply":
+            read_object(path)  # which tells of points without faces
+        raise InputError(f"{path} holds no triangles")
+    return mesh
+
+
+def _trimesh_surface(mesh: trimesh.Trimesh) -> Surface:
+    """A mesh of trimesh with its colours."""
+    visual: Any = mesh.visual
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32)
+    if visual.kind == "face":  # a vertex for each corner
+        colors = np.repeat(np.asarray(visual.face_colors), 3, axis=0)
+        made = plain_surface(vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3), look=NO_PICTURE)
+        return dataclasses.replace(made, colors=colors.astype(np.float32) / 255.0)
+    if visual.kind == "vertex":
+        colors = np.asarray(visual.vertex_colors).astype(np.float32) / 255.0
+        return dataclasses.replace(plain_surface(vertices, faces, look=NO_PICTURE), colors=colors)
+    if visual.kind != "texture":
+        return plain_surface(vertices, faces)
+    material = visual.material
+    picture = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+    if picture is None or visual.uv is None:
+        return plain_surface(vertices, faces, np.asarray(material.main_color, np.float32) / 255.0)
+    made = plain_surface(vertices, faces, np.ones(4), look=0)
+    uv = np.asarray(visual.uv, np.float32) * [1.0, -1.0] + [0.0, 1.0]  # from the lower left corner
+    return dataclasses.replace(made, uv=uv.astype(np.float32), pictures=[np.asarray(picture.convert("RGBA"))])
+
+
+# -- glTF, whose colours of vertices trimesh takes for those of pictures
+
+
+def _gltf_surface(path: pathlib.Path) -> Surface:
+    """All surfaces of the scene of a glTF file, each with its material."""
+    with errors_of_file(path):
+        document, chunk = opened(path)
+        nodes = mesh_nodes(document)
+        require_room(document, nodes)
+        buffers = read_buffers(path, document, chunk)
+        pictures: dict[tuple, int] = {}  # numbers of ours by those of the file, and what is left of their opacity
+        parts = [
+            _gltf_part(document, buffers, primitive, matrix, pictures)
+            for mesh, matrix in nodes
+            for primitive in surface_primitives(document["meshes"][mesh])
+        ]
+        if not any(len(part.faces) for part in parts):
+            raise InputError(f"{path}: no faces in it")
+        starts = np.cumsum([0, *(len(part.vertices) for part in parts)])[:-1]
+        names = ("vertices", "faces", "colors", "uv", "face_pictures")
+        joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        counts = [len(part.faces) for part in parts]
+        joined["faces"] += np.repeat(starts, counts)[:, None].astype(np.int32)
+        joined["vertices"] = turned_up(joined["vertices"], "y", "z")
+        if not np.isfinite(joined["vertices"]).all():
+            raise InputError(f"{path}: a vertex of it is not finite")
+        return Surface(**joined, pictures=[_gltf_picture(path, document, buffers, *key) for key in pictures])
+
+
+def _gltf_part(
+    document: dict, buffers: list[bytes], primitive: dict, matrix: np.ndarray, pictures: dict[tuple, int]
+) -> Surface:
+    """A primitive in the place that a matrix (4, 4) gives it."""
+    attributes, faces = primitive["attributes"], primitive_faces(document, buffers, primitive)
+    points = values_of(document, buffers, attributes["POSITION"]).astype(np.float64)
+    material = document["materials"][primitive["material"]] if "material" in primitive else {}
+    metal, mode = material.get("pbrMetallicRoughness", {}), material.get("alphaMode", "OPAQUE")
+    light = np.tile(np.asarray(metal.get("baseColorFactor", np.ones(4)), np.float64), (len(points), 1))
+    look = NO_PICTURE if "KHR_materials_unlit" in material.get("extensions", {}) else HEADLIGHT
+    if "COLOR_0" in attributes:
+        own, look = _shares(values_of(document, buffers, attributes["COLOR_0"])), NO_PICTURE
+        light[:, : own.shape[1]] *= own
+    elif "baseColorFactor" not in metal and "baseColorTexture" not in metal:
+        light[:] = (0.448, 0.448, 0.448, 1.0)  # GREY
+    # colours are of light, those of pictures are not: of their powers products are the same
+    colors = np.clip(np.concatenate([screen_colors(np.maximum(light[:, :3], 0.0)), light[:, 3:]], axis=1), 0.0, 1.0)
+    if mode == "OPAQUE":
+        colors[:, 3] = 1.0
+    uv, texture = np.zeros((len(points), 2)), metal.get("baseColorTexture")
+    places = "" if texture is None else f"TEXCOORD_{texture.get('texCoord', 0)}"
+    if texture is not None and places in attributes:
+        uv = _shares(values_of(document, buffers, attributes[places]))
+        least = material.get("alphaCutoff", 0.5) if mode == "MASK" else None
+        look = pictures.setdefault((texture["index"], mode, least), len(pictures))
+    made = plain_surface(points @ matrix[:3, :3].T + matrix[:3, 3], faces, look=look)
+    return dataclasses.replace(made, colors=colors.astype(np.float32), uv=uv.astype(np.float32))
+
+
+def _shares(values: np.ndarray) -> np.ndarray:
+    """Numbers of a file as floats: whole ones are shares of the largest."""
+    return values.astype(np.float64) / (1.0 if values.dtype.kind == "f" else np.iinfo(values.dtype).max)
+
+
+def _gltf_picture(
+    path: pathlib.Path, document: dict, buffers: list[bytes], number: int, mode: str, least: float | None
+) -> np.ndarray:
+    """The pixels (h, w, 4) uint8 of a texture; their opacity as the material takes it."""
+    texture = document["textures"][number]
+    source = texture.get("source", texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source"))
+    if source is None:
+        raise InputError(f"its texture {number} has no picture that can be read here: export it with PNG or JPEG")
+    image = document["images"][source]
+    if "uri" in image:
+        data = uri_bytes(path, image["uri"], "picture")
+    else:
+        view = document["bufferViews"][image["bufferView"]]
+        begin = view.get("byteOffset", 0)
+        data = buffers[view["buffer"]][begin : begin + view["byteLength"]]
+    pixels = rgba_pixels(data, f"{path}, picture {source}").copy()
+    if mode == "OPAQUE":
+        pixels[..., 3] = 255
+    elif least is not None:
+        pixels[..., 3] = np.where(pixels[..., 3] >= 255.0 * least, 255, 0)
+    return pixels
