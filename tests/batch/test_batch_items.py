@@ -77,6 +77,7 @@ def test_items_survive_json():
         without(FRAME, "cage", "posed"),
         FRAME | {"posed": DRAWN},
         FRAME | {"posed": {"random": {"number": 1, "stretch": [0.7, 1.5], "reach": [1, 1], "modes": ["wave", "bend"]}}},
+        FRAME | {"moments": [{"camera": "cameras.json#0", "posed": ["p.npy#3"]}, {"camera": CAMERA}, {}]},
         {"id": "f", "kind": "fit", "scene": "s", "options": {"refine_cameras": True}, "background": "black"},
         {"id": "e", "kind": "evaluate", "scene": "s", "field": "f.npz", "tune_cameras": True, "downscale": 2},
     ]
@@ -96,6 +97,9 @@ def test_a_file_has_the_first_version_that_has_all_of_its_words(tmp_path):
         assert header["version"] == version and header["defaults"] == defaults and lines == items
         found = JobFile(path).item(1).edits[0].posed
         assert found == "p.obj" if posed == "p.obj" else found["random"]["number"] == 12
+    for item, defaults in [(FRAME | {"moments": [{}]}, {}), ({"id": "a"}, FRAME | {"moments": [{}]})]:
+        write_jobs(path, [item], defaults=without(defaults, "id"))
+        assert JobFile(path).header["version"] == 3
     edits = {"edits": [EDIT, EDIT | {"posed": DRAWN}]}
     for item, defaults in [(without(FRAME, "cage", "posed") | edits, {}), (FRAME, edits)]:
         write_jobs(path, [item], defaults=defaults)
@@ -219,6 +223,12 @@ REFUSED = {
     "a clear JPEG": (FRAME | {"background": "transparent", "outputs": {"rgb": "a.jpg"}}, "a JPEG has no opacity"),
     "masks of nothing": (without(FRAME, "cage", "posed") | {"outputs": {"masks": "m.png"}}, "needs a deformation"),
     "fill": (FRAME | {"fill": True, "background": "black"}, "cannot be combined with 'background'"),
+    "no moments": (FRAME | {"moments": []}, "'moments' must be a list of objects with a 'camera'"),
+    "a moment with a slip": (FRAME | {"moments": [{"pose": []}]}, "moment 1 of 'moments' has no 'pose', only camera"),
+    "a pose of a moment": (FRAME | {"moments": [{"posed": "p.obj"}]}, "must be a list of a pose for each edit"),
+    "a moment of two": (FRAME | {"moments": [{}, {"posed": ["p.obj", None]}]}, "moment 2 of 'moments' needs a pose"),
+    "a depth of moments": (FRAME | {"moments": [{}], "outputs": {"depth": "a.exr"}}, "leave 'a.exr' of 'outputs' out"),
+    "numbers of moments": (FRAME | {"moments": [{}], "outputs": {"rgb": "a.npy"}}, "leave 'a.npy' of 'outputs' out"),
     "a size": (FRAME | {"size": [3, 4, 5]}, "'size' must be a width"),
     "a fit of nothing": ({"id": "f", "kind": "fit"}, "a fit needs a 'scene'"),
     "options of a fit": (
@@ -250,7 +260,7 @@ def test_items_are_refused_with_file_and_line(case, tmp_path):
 LINES = {
     "no header": ([FRAME], "line 1: it is no header of a job file"),
     "another format": ([{"format": "warpcage poses", "version": 1}], "not 'warpcage jobs'"),
-    "a newer version": ([HEADER | {"version": 3}], "line 1: its version is 3, this warpcage reads up to 2: upgrade"),
+    "a newer version": ([HEADER | {"version": 4}], "line 1: its version is 4, this warpcage reads up to 3: upgrade"),
     "no version": ([without(HEADER, "version")], "its version must be a whole number"),
     "a default with a slip": ([HEADER | {"defaults": {"fieldx": "f"}}], "line 1: 'defaults' has no 'fieldx'"),
     "a default of a wrong kind": (

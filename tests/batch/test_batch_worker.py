@@ -19,7 +19,7 @@ from splat_scenes import splats_in_box
 from warpcage import Cage, CageEdit, Camera, CameraFile, Deformer, Frame, PoseFile, SplatField, VoxelField, load_scene
 from warpcage.batch import MOST_DEFORMERS, PARTS, Fingerprints, Item, JobFile, Missing, Worker, write_array
 from warpcage.core import SPARE
-from warpcage.view import read_image, write_picture
+from warpcage.view import linear_light, read_image, write_picture
 
 CAMERAS = [Camera.look_at((2.5, 1.2 * side, 1.0), (0, 0, 0), width=40, height=32) for side in (-1, 1)]
 SKEW = {"fx": 40, "fy": 40, "cx": 20, "cy": 16, "width": 40, "height": 32, "camera_to_world": [[2, 0, 0, 0]] * 4}
@@ -63,6 +63,20 @@ def test_a_frame_is_that_of_a_deformer_to_the_bit(files, tmp_path, device):
             expected = deformer.pose(rest.with_vertices(poses[row])).render(CAMERAS[0])
             np.testing.assert_array_equal(np.load(tmp_path / "rgb.npy"), expected.rgb)
             np.testing.assert_array_equal(np.load(tmp_path / "depth.npy"), expected.depth)
+
+
+def test_the_picture_of_moments_is_their_mean(files, tmp_path):
+    moments = [{"posed": ["poses.npy#0"]}, {"camera": "cameras.json#1"}, {"camera": "cameras.json#1"}]
+    with Worker(files, tmp_path, "cpu") as worker:
+        worker.run(frame("a", posed="poses.npy#0"))
+        worker.run(frame("b", camera="cameras.json#1"))
+        worker.run(frame("mean", moments=moments))
+        worker.run(frame("one", moments=[{}]))
+        worker.run(frame("plain"))
+    a, b, mean = (linear_light(read_image(tmp_path / f"{name}.png")) for name in ("a", "b", "mean"))
+    np.testing.assert_allclose(mean, (a + 2 * b) / 3, atol=0.01)
+    assert np.abs(a - b).max() > 0.3
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "plain.png").read_bytes()
 
 
 def test_fields_cages_and_maps_are_kept(files, tmp_path):
@@ -362,6 +376,10 @@ def test_arrays_are_files_of_numpy(tmp_path, shape):
         "several cameras": ({"camera": "cameras.json"}, "it holds 2 cameras: name one"),
         "no file of cameras": ({"camera": "text.json#1"}, "text.json"),
         "a skew camera": ({"camera": SKEW}, "rigid|rotation"),
+        "moments of two sizes": (
+            {"moments": [{}, {"camera": {"eye": [2, 0, 0], "target": [0, 0, 0], "width": 8, "height": 8}}]},
+            "'moments' has a picture of another size",
+        ),
         "nothing to fill": ({"fill": True}, MESSAGES["batch.fill_one_color"]),
     }.values(),
 )
@@ -394,6 +412,11 @@ def test_a_fingerprint_changes_with_what_an_item_reads_and_with_nothing_else(fil
     poses[1] += 0.01
     np.save(tmp_path / "poses.npy", poses)
     assert found() != before and kept.of(frame()) == found()
+    blurred = {"moments": [{"posed": ["poses.npy#0"]}, {"camera": "cameras.json#1"}]}
+    before = found(**blurred)
+    poses[0] += 0.01  # of a moment alone
+    np.save(tmp_path / "poses.npy", poses)
+    assert found(**blurred) not in (before, found())
     for name in ("ball.npz", "cage.obj", "cameras.json"):
         before = found()
         data = (tmp_path / name).read_bytes()
@@ -413,6 +436,8 @@ def test_what_is_missing_is_found_before_anything_is_made(files):
     for words, line in (
         ({"field": "no.npz"}, "no.npz' is not there"),
         ({"posed": "poses.npy#3"}, "poses.npy has rows 0 to 2, got 3"),
+        ({"moments": [{"posed": ["poses.npy#3"]}]}, "poses.npy has rows 0 to 2, got 3"),
+        ({"moments": [{}, {"camera": "no.json#3"}]}, "no.json' is not there"),
         ({"posed": "no.npy#3"}, "no.npy' is not there"),
         ({"cage": {"vertices": "no.npy", "faces": [[0, 1, 2]]}}, "no.npy' is not there"),
         ({"camera": "no.json#3"}, "no.json' is not there"),

@@ -334,7 +334,13 @@ def test_a_shutter_blurs_what_moves(files, tmp_path, capsys):
     succeed(files, *words, "-o", tmp_path / "plain", "--frames", 1, "--motion", "hold")
     assert still == [(tmp_path / "plain" / "frame_0000.png").read_bytes()] * 3  # what stands still is as without
     capsys.readouterr()
-    for more in (["--workers", 2], ["--show", "depth"], ["--shutter", "0"], ["--shutter", "180:0"], ["--shutter", 400]):
+    for more in (
+        ["--show", "masks", "--workers", 2],
+        ["--show", "depth"],
+        ["--shutter", "0"],
+        ["--shutter", "180:0"],
+        ["--shutter", 400],
+    ):
         given = [] if "--shutter" in more else ["--shutter", 180]
         assert run(files, *words, "-o", tmp_path / "none", *given, *more) == 2
         assert "--shutter" in capsys.readouterr().err

@@ -51,6 +51,10 @@ FILMS = {
         *("--edit", "@high.obj:bend:30:x:y:falloff=0.1:keep"),
         *("--edit", "@low.obj:remove", "--overlay", "--density", "paper"),
     ],
+    "shutter": [*FILM, *DEFORMED, "--shutter", "180:4", "--cameras", "follow", "--overlay"],
+    "clear shutter": [*FILM, "--edit", "@high.obj:bend:30:x:y", "--edit", "@low.obj:remove", "--shutter", "360:3"]
+    + ["--transparent"],
+    "a camera's shutter": [*FILM, "--shutter", "90:2"],
     "precise": ["--frames", 2, "--quiet", "--size", 24, *DEFORMED, "--coordinates", "green", "--resolution", "precise"],
 }
 
@@ -69,7 +73,7 @@ def test_frames_of_a_job_file_are_those_of_animate(files, tmp_path, capsys, name
 
 def test_light_and_depth_of_a_job_file_are_those_of_animate(files, tmp_path):
     exr = pytest.importorskip("warpcage.view.exr")
-    words = ["animate", "@ball.npz", *FILM, *DEFORMED, "--format", "exr", "--transparent"]
+    words = ["animate", "@ball.npz", *FILM, *DEFORMED, "--format", "exr", "--transparent", "--shutter", "180:2"]
     succeed(files, *words, "-o", tmp_path / "frames")
     succeed(files, *words, "--jobs", tmp_path / "film.jsonl")
     frames_of(tmp_path / "film.jsonl", tmp_path / "out")

@@ -45,7 +45,7 @@ def names(folder):
         ("a.mp4", ["--overlay"]),
         ("a.gif", ["--show", "depth"]),
         ("a.mov", ["--transparent", "--overlay"]),
-        ("a.webm", []),
+        ("a.webm", ["--shutter", "180:2"]),
         ("b.mp4", ["--show", "alpha"]),
     ],
 )

@@ -3,6 +3,7 @@
 import asyncio
 import gc
 import os
+import re
 import threading
 
 import numpy as np
@@ -334,6 +335,8 @@ def test_a_cage_around_the_object_that_is_clicked(tmp_path):
         inside = host.session.document.edits[-1].rest_cage.contains(scene.cells)
         assert inside[(scene.labels == LAMP) & (scene.heights() > 0.09)].all()
         assert not inside[(scene.labels != LAMP) & (scene.labels > 0)].any()
+        share = float(re.search(r"around ([\d.]+)% of what is visible", page.sections["jobs"][0]["result"])[1])
+        assert 0.0 < share < 100.0 * (scene.labels == LAMP).sum() / (scene.labels > 0).sum() * 2
         await page.do(do="cage.generate", edit=None, count=40, click={**click, "across": 0.01, "down": 0.01})
         await page.until(lambda: page.sections["jobs"][-1]["state"] == "failed")
         assert "is on nothing" in str(page.sections["jobs"][-1])

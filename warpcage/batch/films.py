@@ -47,6 +47,7 @@ class FilmFrame:
     index: int
     camera: Camera
     poses: Sequence[np.ndarray | None] = ()  # of each edit the posed vertices, (v, 3) world units; None: it removes
+    moments: Sequence[tuple[Camera, Sequence[np.ndarray | None]]] = ()  # of its shutter, each with its poses
 
     @property
     def name(self) -> str:
@@ -76,14 +77,20 @@ class FilmJob:
             alone = len(cages) == 1
             defaults = usual | (cages[0].words if alone else {})
 
+            def moment(camera: Camera, poses: Sequence[np.ndarray | None]) -> dict[str, Any]:
+                posed = [cage.posed(pose).get("posed") for cage, pose in zip(cages, poses, strict=True)]
+                return {"camera": camera_json(CameraKey(camera)), **({"posed": posed} if posed else {})}
+
             def items() -> Iterator[dict[str, Any]]:
                 for frame in frames:
                     posed = [cage.posed(pose) for cage, pose in zip(cages, frame.poses, strict=True)]
+                    moments = [moment(*each) for each in frame.moments]
                     edits = {"edits": [cage.words | pose for cage, pose in zip(cages, posed, strict=True)]}
                     yield {
                         "id": frame.name,
                         **((posed[0] if alone else edits) if posed else {}),
                         "camera": camera_json(CameraKey(frame.camera)),
+                        **({"moments": moments} if moments else {}),
                         "extra": {"frame": frame.index},
                     }
                 for cage in cages:

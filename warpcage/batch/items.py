@@ -150,6 +150,9 @@ PART_ENDINGS = {
     "record": (".json",),
 }
 
+#: Parts of a frame, and their endings, whose picture may be the mean of moments.
+OF_MOMENTS = {"rgb": (".png", ".jpg", ".jpeg", ".exr"), "film": ".npz", "pose": ".npy", "record": ".json"}
+
 
 def _edits(value: Any, word: str) -> tuple[EditWords, ...]:
     if not isinstance(value, list) or not value:
@@ -215,6 +218,21 @@ _LOOKING: dict[str, Checker] = {
 _USUAL = ("up", "fov_degrees")
 
 
+def _poses(value: Any, word: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise InputError(f"{word} must be a list of a pose for each edit, null where it removes, got {shown(value)}")
+    return [None if each is None else EDIT_WORDS["posed"](each, f"a pose of {word}") for each in value]
+
+
+_MOMENT: dict[str, Checker] = {"camera": _camera, "posed": _poses}
+
+
+def _moments(value: Any, word: str) -> tuple[dict[str, Any], ...]:
+    if not isinstance(value, list) or not value:
+        raise InputError(f"{word} must be a list of objects with a 'camera', 'posed', or both, got {shown(value)}")
+    return tuple(checked_words(each, _MOMENT, f"moment {number} of {word}") for number, each in enumerate(value, 1))
+
+
 def _size(value: Any, word: str) -> tuple[int, ...]:
     sides = value if isinstance(value, list | tuple) else [value]
     if not 1 <= len(sides) <= 2:
@@ -262,6 +280,7 @@ class FrameItem(Item):
     antialias: Annotated[bool | None, words.truth] = None  # whether small splats are weakened; None: as their file says
     disparity_scale: Annotated[tuple[float, float] | None, _scale] = None  # low and high; None is the frame's range
     scene_scale: Annotated[float, words.positive] = 1.0  # as `VoxelField.load` has it
+    moments: Annotated[tuple[dict[str, Any], ...], _moments] = ()  # of a shutter: cameras, poses one an edit; see shots
 
     kind: ClassVar[str] = "frame"
     short: ClassVar[dict[str, Checker]] = EDIT_WORDS  # of one edit
@@ -284,7 +303,19 @@ class FrameItem(Item):
         return Look(self.background, self.fill, self.supersampling, self.antialias, overlay=self.overlay)
 
     @property
+    def shots(self) -> list[FrameItem]:
+        """What is rendered for its picture: itself, or its moments, of which the picture is the mean."""
+        return [self._at(moment) for moment in self.moments] or [self]
+
+    def _at(self, moment: Mapping[str, Any]) -> FrameItem:
+        poses = moment.get("posed") or [edit.posed for edit in self.edits]
+        edits = [dataclasses.replace(edit, posed=posed) for edit, posed in zip(self.edits, poses, strict=True)]
+        return dataclasses.replace(self, camera=moment.get("camera", self.camera), edits=tuple(edits), moments=())
+
+    @property
     def version(self) -> int:
+        if self.moments:
+            return 3
         return 2 if any(edit.is_drawn for edit in self.edits) else 1
 
     @classmethod
@@ -326,6 +357,12 @@ def _require_possible(given: dict[str, Any]) -> None:
     needing += [word for word in ("fill", "overlay") if given.get(word)]
     if needing and not edits:
         raise InputError(f"{needing[0]!r} needs a deformation: 'cage' and 'posed', or 'edits'")
+    removed = [edit.remove for edit in edits or ()]
+    for number, moment in enumerate(given.get("moments", ()), 1):
+        if "posed" in moment and [pose is None for pose in moment["posed"]] != removed:
+            raise InputError(f"moment {number} of 'moments' needs a pose for each edit, null for one that removes")
+        if sharp := [part for part, path in outputs.items() if not path.lower().endswith(OF_MOMENTS.get(part, ()))]:
+            raise InputError(f"'moments' blur pictures in colours: leave {outputs[sharp[0]]!r} of 'outputs' out")
     if given.get("resolution") == "precise" and given.get("coordinates", FIELD_COORDINATES) == "harmonic":
         raise InputError("harmonic coordinates have no closed form: give 'resolution' a number, or leave it out")
     clear = given.get("background") == TRANSPARENT

@@ -95,8 +95,8 @@ def checked_item(entry: Mapping[str, Any], defaults: Defaults, records: Mapping[
     return item
 
 
-#: Version 2 has poses that are drawn. A file has the first version that has all of its words.
-FORMAT, VERSION = "warpcage jobs", 2
+#: Version 2 has poses that are drawn, 3 moments of a shutter. A file has the first version that has all of its words.
+FORMAT, VERSION = "warpcage jobs", 3
 
 #: Bytes that a line may have: a cage of a hundred thousand vertices takes a tenth of it.
 MAX_LINE = 1 << 26
@@ -333,6 +333,8 @@ def write_jobs(
 
 def _version_of(defaults: Mapping[str, Any]) -> int:
     """The first version that has all words of checked defaults."""
+    if defaults.get("moments"):
+        return 3
     edits = [defaults, *(defaults.get("edits") or ())]
     return 2 if any(isinstance(edit.get("posed"), dict) for edit in edits) else 1
 
@@ -422,6 +424,8 @@ def references_of(item: Item) -> list[str]:
         for edit in item.edits:
             values += edit.cage.values() if isinstance(edit.cage, dict) else [edit.cage]
             values.append(edit.posed)
+        for moment in item.moments:
+            values += [moment.get("camera"), *(moment.get("posed") or ())]
         return [value for value in values if isinstance(value, str)]
     if isinstance(item, FitItem):
         return [item.scene, *([item.cameras] if item.cameras else [])]

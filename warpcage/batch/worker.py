@@ -9,7 +9,7 @@ import os
 import pathlib
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -36,7 +36,7 @@ from ..scene.load import load_scene
 from ..scene.scene import Scene
 from ..splats.splat_field import AnyField, read_field
 from ..view.camera import Camera, CameraKey, camera_json
-from ..view.exr import write_picture
+from ..view.exr import mean_picture, write_picture
 from ..view.film import write_film_frame
 from ..view.frame import RGB_BYTES, Frame, depth_along_view
 from ..view.frame_parts import picture
@@ -109,6 +109,16 @@ class LoadedFields:
         return key, self.kept.get(key, load)
 
 
+class Shot(NamedTuple):
+    """A frame that was rendered, and what it shows."""
+
+    frame: Frame
+    camera: Camera
+    posed: list[Cage | None]
+    drawn: list[Cage]  # cages whose edges an overlay draws
+    bound_key: Hashable
+
+
 class FrameMaker:
     """Renders frames, and keeps what the next ones need: fields, deformers, and the map of the last pose.
     memory: bytes of deformers beside their fields, one stays whatever it takes; None is a quarter of what is free."""
@@ -128,28 +138,40 @@ class FrameMaker:
     def make(self, item: FrameItem) -> MadeItem:
         """Render a frame; what is made writes its outputs."""
         field_key, field = self.fields.get(item.field, item.scene_scale)
+        if item.antialias is not None and isinstance(field, VoxelField):
+            raise InputError("'antialias' is for files of splats, this field is one of voxels (.npz)")
+        if item.fill:
+            require_fillable(field, "'fill'")
+        shots = item.shots
+        middle, images = self._shot(shots[len(shots) // 2], field_key, field), []
+        for number, each in enumerate(shots if item.moments else ()):
+            shot = middle if number == len(shots) // 2 else self._shot(each, field_key, field)
+            images.append(item.look.picture(shot.frame, shot.camera, shot.drawn))
+            if images[-1].shape != images[0].shape:
+                raise InputError(f"moment {number + 1} of 'moments' has a picture of another size than the first")
+        frame, bound_key = middle.frame, middle.bound_key
+        needed = needed_arrays(item, frame)
+        frame.begin_copies(*needed)  # on their way to the host when this returns
+        mean = mean_picture(images) if images else None
+        pictures = [(part, path) for part, path in item.outputs.items() if part not in OF_RECORDS]
+        writers = {path: _writer(part, path, item, middle, mean) for part, path in pictures}
+        writers |= _record_writers(item, middle.camera, middle.posed)
+        self.fields.kept.settle(field_key)
+        self.kept.settle(bound_key)
+        return MadeItem(writers, sum(_host_bytes(frame, name) for name in needed))
+
+    def _shot(self, item: FrameItem, field_key: Hashable, field: AnyField) -> Shot:
+        """Pose and render an item without moments."""
         camera = self.references.camera(item.camera, item.size, field)
+        bound_key, renderer, drawn = None, field, []
         posed: list[Cage | None] = []
         if item.edits:
             bound_key, bound = self._deformer(item, field_key, field, camera)
             posed = self._pose(bound, item)
             renderer, drawn = bound.deformer, drawn_cages(bound.deformer)
-        else:
-            bound_key, renderer, drawn = None, field, []
-        if item.antialias is not None and isinstance(field, VoxelField):
-            raise InputError("'antialias' is for files of splats, this field is one of voxels (.npz)")
-        if item.fill:
-            require_fillable(field, "'fill'")
         frame = item.look.render(renderer, camera)
         self.counts.frames += 1
-        needed = needed_arrays(item, frame)
-        frame.begin_copies(*needed)  # on their way to the host when this returns
-        pictures = [(part, path) for part, path in item.outputs.items() if part not in OF_RECORDS]
-        writers = {path: _writer(part, path, item, frame, camera, drawn) for part, path in pictures}
-        writers |= _record_writers(item, camera, posed)
-        self.fields.kept.settle(field_key)
-        self.kept.settle(bound_key)
-        return MadeItem(writers, sum(_host_bytes(frame, name) for name in needed))
+        return Shot(frame, camera, posed, drawn, bound_key)
 
     def _deformer(
         self, item: FrameItem, field_key: Hashable, field: AnyField, camera: Camera
@@ -192,7 +214,7 @@ def needed_arrays(item: FrameItem, frame: Frame) -> list[str]:
 
 def is_bytes(item: FrameItem, part: str, path: str) -> bool:
     """Whether an output is made of the colours of a frame as bytes, with nothing done to them."""
-    plain = part == "rgb" and not item.look.is_clear and not item.overlay
+    plain = part == "rgb" and not item.look.is_clear and not item.overlay and not item.moments
     return plain and pathlib.PurePosixPath(path).suffix.lower() in BYTE_ENDINGS
 
 
@@ -239,8 +261,9 @@ def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -
     return {item.outputs[part]: write for part, write in writers.items() if part in item.outputs}
 
 
-def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera, drawn: list[Cage]) -> Writer:
-    """What writes a picture of a frame; drawn: cages whose edges are drawn into it."""
+def _writer(part: str, path: str, item: FrameItem, shot: Shot, mean: np.ndarray | None) -> Writer:
+    """What writes a picture of a frame; mean: its colours where they are those of several moments."""
+    frame, camera = shot.frame, shot.camera
     ending = pathlib.PurePosixPath(path).suffix.lower()
     if part in ("reveal", "fold", "outside", "masks") and "reveal" not in frame.arrays:
         raise InputError(f"{part!r} is for fields of voxels (.npz), this one is of splats")
@@ -251,7 +274,7 @@ def _writer(part: str, path: str, item: FrameItem, frame: Frame, camera: Camera,
         if is_bytes(item, part, path):
             return frame.rgb_bytes
         if part in ("rgb", "film"):
-            return item.look.picture(frame, camera, drawn)
+            return item.look.picture(frame, camera, shot.drawn) if mean is None else mean
         if part in ("reveal", "fold"):
             return np.clip(getattr(frame, part), 0.0, 1.0)
         return picture(frame, part, scale=item.disparity_scale)

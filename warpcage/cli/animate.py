@@ -11,6 +11,8 @@ import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from ..batch.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs, frame_words
 from ..batch.items import ID
 from ..cage.motion import USUAL_RATE
@@ -122,9 +124,14 @@ def run_animate(args: argparse.Namespace) -> None:
 
 def _described(film: Film, timeline: Timeline) -> Iterator[FilmFrame]:
     """The frames as items of a job describe them."""
+
+    def poses(frame: float) -> list[np.ndarray | None]:
+        return [None if cage is None else cage.vertices for cage in timeline.cages(frame)]
+
     for index, camera in enumerate(film.cameras):
-        poses = [None if cage is None else cage.vertices for cage in timeline.cages(index)]
-        yield FilmFrame(index, camera, poses)
+        taken = film.moments(index) if film.shutter is not None else []
+        moments = [(moved, poses(frame)) for frame, moved in zip(taken, film.track(taken), strict=True)]
+        yield FilmFrame(index, camera, poses(index), moments)
 
 
 def set_frames(args: argparse.Namespace, film: PoseFile | PlaceFile | None, given: set[str]) -> None:
@@ -157,8 +164,6 @@ def _check(args: argparse.Namespace, output: pathlib.Path) -> None:
         shared.require_deformation(args, "--overlay")
     if args.show == "masks":
         shared.require_deformation(args, "--show masks")
-    if args.shutter is not None and (args.jobs is not None or args.workers is not None):
-        raise InputError("--shutter blurs frames that are rendered here: leave out --jobs and --workers")
     if args.shutter is not None and args.show != "rgb":
         raise InputError(f"--shutter blurs colours: leave it out, or --show {args.show}")
 

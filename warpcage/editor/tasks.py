@@ -18,11 +18,14 @@ import urllib.parse
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import numpy as np
+
 from ..cage.cage import Cage
 from ..cage.up_axis import UpAxis, load_standing
 from ..core.files import atomic_path
 from ..core.names import counted, error_line
 from ..errors import InputError
+from ..field.selection import NodeSelection, visible_mask
 from ..mesh.io import ENDINGS
 from ..render.surface_mesh import SurfaceMesh
 from ..splats.io import SPLAT_ENDINGS
@@ -40,6 +43,9 @@ MAX_JOBS, MAX_UNFINISHED = 40, 12
 
 #: Letters of a failed job's line, and of what a job says of its progress.
 MAX_TEXT = 400
+
+#: Share of what is visible below which a click may have met a scrap of the object that was meant.
+SMALL_SHARE = 0.005
 
 _log = logging.getLogger(__name__)
 
@@ -390,7 +396,7 @@ class Tasks:
             cage = make(around, count, margin=margin, method=method, symmetry=symmetry)
             progress(0.95, "puts it into the scene")
             self._hand_over(lambda document: self._with_cage(document, number, cage, "generate cage", thing))
-            return Outcome(f"a cage of {len(cage.vertices)} vertices")
+            return Outcome(f"a cage of {len(cage.vertices)} vertices{_around(around)}")
 
         return self.jobs.start(f"Cage of {count} vertices", "cage", work)
 
@@ -577,6 +583,15 @@ class Tasks:
 def _loaded(path: pathlib.Path, standing: UpAxis) -> str:
     """What loading a cage is called, with the axis that points up in its file where that was found out."""
     return f"load {path.name}" + (f" ({standing.up} up)" if standing.turned else "")
+
+
+def _around(chosen: Any) -> str:
+    """How much of what is visible a cage of a click goes around, in words; nothing of one that goes around all."""
+    if not isinstance(chosen, NodeSelection):
+        return ""
+    share = np.count_nonzero(chosen.mask) / np.count_nonzero(visible_mask(chosen.field))
+    more = ": undo it and paint over the object with the brush if that is too little" if share < SMALL_SHARE else ""
+    return f" around {share:.1%} of what is visible{more}"
 
 
 def _axis(message: dict[str, Any], word: str, axes: tuple[str, ...]) -> str | None:

@@ -104,18 +104,22 @@ class Film:
             self._scale = frame_parts.disparity_scale(frames)
         return self._scale
 
+    def moments(self, index: int) -> list[float]:
+        """Frames, or between which, a picture is taken: one, or those of a shutter, with the frame in their middle."""
+        share, count = self.shutter or (0.0, 1)
+        return (index + share * ((np.arange(count) + 0.5) / count - 0.5)).tolist()
+
     def taken(self, index: int) -> tuple[np.ndarray, Frame, Camera]:
         """What the film shows of a frame, (h, w, 3), (h, w) or, with opacity, (h, w, 4), and the frame itself."""
         camera = self.camera(index)
         if self.shutter is None:
             return self._shown(index, camera)
-        share, count = self.shutter
-        moments = (index + share * ((np.arange(count) + 0.5) / count - 0.5)).tolist()  # the frame is in their middle
+        moments = self.moments(index)
         pictures, middle = [], None
         for number, (moment, moved) in enumerate(zip(moments, self.track(moments), strict=True)):
             image, frame, _ = self._shown(moment, moved)
             pictures.append(image)
-            middle = (frame, moved) if number == count // 2 else middle
+            middle = (frame, moved) if number == len(moments) // 2 else middle
         assert middle is not None
         return mean_picture(pictures), *middle
 
