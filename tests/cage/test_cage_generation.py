@@ -1,3 +1,4 @@
+import subprocess
 import sys
 
 import numpy as np
@@ -152,3 +153,24 @@ def test_without_pymeshlab_one_line_says_what_to_do(monkeypatch):
     with pytest.raises(ImportError, match="needs PyMeshLab .*: pip install") as refused:
         Cage.from_mesh(trimesh.creation.icosphere(subdivisions=2), vertex_count=42)
     assert "\n" not in str(refused.value)
+
+
+#: Cages of a mesh by threads that end before the process does.
+IN_THREADS = """\
+import threading, trimesh
+from warpcage import Cage
+
+def make():
+    print(len(Cage.from_mesh(trimesh.creation.icosphere(subdivisions=2), 42).vertices))
+
+for _ in range(2):
+    thread = threading.Thread(target=make)
+    thread.start()
+    thread.join()
+"""
+
+
+def test_cages_made_in_threads_let_the_process_end():
+    # PyMeshLab aborts one at its very end whose plugins were loaded by a thread that is gone
+    done = subprocess.run([sys.executable, "-c", IN_THREADS], capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stdout) == (0, "42\n42\n"), done.stderr

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import concurrent.futures
 import functools
+import importlib
 import math
+import sys
+import threading
 from typing import Any
 
 import numpy as np
@@ -332,15 +336,30 @@ def edge_length(shell, level, vertex_count) -> float:
 
 
 def _load_pymeshlab() -> Any:
-    """PyMeshLab, which is loaded here alone."""
+    """PyMeshLab, which is loaded here alone, by a thread that does not end before the process does."""
     try:
-        import pymeshlab
+        if threading.current_thread() is threading.main_thread() or "pymeshlab" in sys.modules:
+            return importlib.import_module("pymeshlab")
+        loaded: concurrent.futures.Future = concurrent.futures.Future()
+        threading.Thread(target=_load_and_stay, args=(loaded,), name="pymeshlab", daemon=True).start()
+        return loaded.result()
     except ImportError as error:
         raise MissingPackageError(
             f"generating a cage needs PyMeshLab ({error_line(error)}): pip install pymeshlab, or take a box, a "
             "cylinder or a cage of your own"
         ) from error
-    return pymeshlab
+
+
+def _load_and_stay(loaded: concurrent.futures.Future) -> None:
+    """Load PyMeshLab and wait for ever."""
+    # Its Qt frees what it notes of the thread that loaded the plugins where that thread ends, and once more when the
+    # process does (~QPluginLoader): malloc then aborts it.
+    try:
+        loaded.set_result(importlib.import_module("pymeshlab"))
+    except BaseException as error:  # the caller's
+        loaded.set_exception(error)
+    else:
+        threading.Event().wait()
 
 
 def decimated(vertices, faces, vertex_count) -> tuple[np.ndarray, np.ndarray]:
