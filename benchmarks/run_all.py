@@ -4,7 +4,8 @@
     python benchmarks/run_all.py --scenes ../shared/data --cage lego_42.obj --gpus 0 1 --seconds 1500 --out results
 
 Each benchmark is a separate process. Its JSON file and its output go to --out (default: a temporary folder). The exit
-status is 1 if one of them fails. The full ones go over the GPUs of a machine, one process a GPU at a time, the most
+status is 1 if one of them fails. Quick ones go over the cores of a machine: first what makes the scene, then all
+others, then pages of their results. The full ones go over the GPUs of a machine, one process a GPU at a time, the most
 important first; what would not end within --seconds is left out and named. Left out of --quick are `blender`, which
 needs Blender, `servers`, which needs servers that warpcage does not use, `editor pictures`, which makes the pictures of
 the README, `pages select`, which needs the fox's pictures, and those whose figures mean nothing at a small size (`fits
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import os
 import pathlib
 import shlex
@@ -25,55 +27,57 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Sequence
 
 from common import BENCHMARKS, HERE
 
-#: Name of a quick run -> its words, at a size for a CPU; "prepare" makes the scene that some of them need.
+#: Name of a quick run -> its words, at a size for a CPU; "prepare" makes the scene that some of them need. Those that
+#: take longest come first, so that none of them is left alone at the end.
 QUICK = {
     "prepare": "truth prepare {out}",
+    "compile": "compile.py --device cpu --warm-runs 1 --json {out}/compile.json",
+    "batch_gpus": "batch gpus {of} --scene {scene} --frames 12 --size 48 --fits 2 --downscale 8 --workers 1 2"
+    " --device cpu --json {out}/batch_gpus.json",
+    "truth": "truth fields --quick --poses bend --json {out}/ground_truth.json --figures {out}",
+    "batch_scale": "batch-scale --items 20_000 --workers 50 --frames 20 --messages 2000"
+    " --json {out}/batch_scale.json --page {out}/batch_scale.md",
+    "table1": "frames table1 --quick --json {out}/table1.json --figure {out}/table1.jpg",
+    "splats_truth": "splats-truth --quick --json {out}/splats_truth.json --figures {out}",
+    "frames": "frames times {of} --device cpu --size 48 --resolution 24 --runs 1 --json {out}/frames.json",
+    "every_kernel": "every_kernel.py --device cpu",
+    "same_bits": "same-bits {tree} --only pose mesh",
+    "convergence": "coordinates convergence --device cpu --resolution 12 16 --points 30 --cuts 2 3"
+    " --json {out}/convergence.json",
     "captures": "captures --video --device cpu --width 192 --degrees 100 --video-frames 16 --frames 10"
     " --json {out}/captures.json",
     "coordinates": "coordinates times --device cpu --resolution 16 24 --runs 1 --points 20000"
     " --json {out}/coordinates.json",
-    "convergence": "coordinates convergence --device cpu --resolution 12 16 --points 30 --cuts 2 3"
-    " --json {out}/convergence.json",
     "fits_curve": "fits curve --data {scene} --device cpu --points 1 --option epochs=1.0 resolution=48"
     " --json {out}/fit_curve.json",
-    "frames": "frames times {of} --device cpu --size 48 --resolution 24 --runs 1 --json {out}/frames.json",
     "frames_many": "frames many --device cpu --cameras 4 --poses 2 --size 24 --resolution 16 --runs 1"
     " --json {out}/many.json",
-    "table1": "frames table1 --quick --json {out}/table1.json --figure {out}/table1.jpg",
-    "truth": "truth fields --quick --poses bend --json {out}/ground_truth.json --figures {out}",
-    "compile": "compile.py --device cpu --warm-runs 1 --json {out}/compile.json",
     "editor": "editor drags {of} --device cpu --size 200 150 --seconds 2 --json {out}/editor.json",
-    "every_kernel": "every_kernel.py --device cpu",
     "fits_scenes": "fits scenes --kind thin --views 8 --size 24 --option least_steps=9 --worst {out}/worst"
     " --json {out}/fits.json",
     "fits_made": "fits scenes --kind --made corner --views 7 --size 24 --option least_steps=9 --sheet {out}/made.jpg"
     " --json {out}/scenes.json",
-    "files": "files {out} --device cpu --side 80 --out {out}/files.png",
     "splat_fits": "splat-fits ours {scene} --device cpu --quality fast --option steps=30 most_splats=400 --out {out}/s",
     "splat_fits_profile": "splat-fits profile {scene} --device cpu --steps 40 --window 20 --out {out}/s",
     "splats": "splats views --device cpu --count 3000 --sizes 80 --json {out}/splats_times.json",
     "splats_poses": "splats poses --device cpu --kinds mean_value --count 2000 --rounds 2"
     " --json {out}/splat_poses.json",
-    "splats_truth": "splats-truth --quick --json {out}/splats_truth.json --figures {out}",
+    "by_turns": "by-turns --other {tree} {of} --size 40 --resolution 16 --runs 2 --most 9 --json {out}/trend.json",
+    "soak": "memory soak --poses 20 --fits 4 --refused 200 --json {out}/soak.json",
+    "films": "memory films --frames 200 --timed 8 --size 320 180 --json {out}/film_memory.json",
+    "batch_handing_out": "batch handing-out --items 120 --turns 1 --megabytes 8 --json {out}/handing_out.json",
+    "batch_memory": "memory batch --items 400 --json {out}/batch_memory.json",
     "page_splats_views": "pages splats-views --results {out} --page {out}/splats_views.md",
     "page_fits": "pages fits --results {out} --page {out}/fits.md",
     "page_fits_of_captures": "pages fits-of-captures --results {out} --page {out}/fits_of_captures.md",
     "page_frames": "pages frames --results {out} --page {out}/frames.md",
     "page_captures": "pages captures --results {out} --page {out}/captures.md",
-    "by_turns": "by-turns --other {tree} {of} --size 40 --resolution 16 --runs 2 --most 9 --json {out}/trend.json",
     "page_trends": "pages trends --results {out} --page {out}/trends.md",
-    "same_bits": "same-bits {tree} --only pose mesh",
-    "soak": "memory soak --poses 20 --fits 4 --refused 200 --json {out}/soak.json",
-    "films": "memory films --frames 200 --timed 8 --size 320 180 --json {out}/film_memory.json",
-    "batch_scale": "batch-scale --items 20_000 --workers 50 --frames 20 --messages 2000"
-    " --json {out}/batch_scale.json --page {out}/batch_scale.md",
-    "batch_gpus": "batch gpus {of} --scene {scene} --frames 12 --size 48 --fits 2 --downscale 8 --workers 1 2"
-    " --device cpu --json {out}/batch_gpus.json",
-    "batch_handing_out": "batch handing-out --items 120 --turns 1 --megabytes 8 --json {out}/handing_out.json",
-    "batch_memory": "memory batch --items 400 --json {out}/batch_memory.json",
+    "page_files": "files {out} --device cpu --side 80 --out {out}/files.png",
     "page_results": "pages results --results {out} --page {out}/results.md",
 }
 
@@ -103,7 +107,15 @@ def main() -> int:
             for run in runs:
                 print(f"{run.name:24} {run.seconds:6.0f} s, {run.gpus} GPU: {' '.join(run.command[1:])}")
             return 0
-        return run_over_gpus(runs, [] if args.quick else args.gpus, args.seconds, out)
+        if not args.quick:
+            return run_over_gpus(runs, args.gpus, args.seconds, out)
+        cores = [None] * (os.cpu_count() or 1)
+        return max(run_over_gpus(list(part), cores, args.seconds, out) for _, part in itertools.groupby(runs, stage))
+
+
+def stage(run: Run) -> int:
+    """Which of the quick runs come first: the one that makes the scene, those that measure, those that write pages."""
+    return 0 if run.name == "prepare" else 2 if run.name.startswith("page_") else 1
 
 
 def words_of(words: str, out: pathlib.Path) -> list[str]:
@@ -213,12 +225,12 @@ def full_runs(scenes: pathlib.Path, cage: pathlib.Path | None, out: pathlib.Path
     return runs
 
 
-def run_over_gpus(runs: list[Run], gpus: list[str], seconds: float, out: pathlib.Path) -> int:
+def run_over_gpus(runs: list[Run], gpus: Sequence[str | None], seconds: float, out: pathlib.Path) -> int:
     """Run them, one a GPU at a time; those that need several GPUs after the others.
 
     Args:
         runs: In the order in which they are begun.
-        gpus: Numbers of the GPUs, as CUDA_VISIBLE_DEVICES has them. None of them: one run at a time, as it is.
+        gpus: Numbers of the GPUs, as CUDA_VISIBLE_DEVICES has them; None is no GPU but a run on the CPU at a time.
         seconds: When all must have ended.
         out: Folder for their output.
 
@@ -244,7 +256,7 @@ def run_over_gpus(runs: list[Run], gpus: list[str], seconds: float, out: pathlib
             if not _run(run, [] if gpu is None else [gpu], out):
                 failed.append(run.name)
 
-    threads = [threading.Thread(target=work, args=(gpu,)) for gpu in (gpus or [None])]
+    threads = [threading.Thread(target=work, args=(gpu,)) for gpu in gpus]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -253,7 +265,7 @@ def run_over_gpus(runs: list[Run], gpus: list[str], seconds: float, out: pathlib
         if run.gpus > 1:
             if run.gpus > len(gpus) or run.seconds > left():
                 waiting.append(run)
-            elif not _run(run, gpus[: run.gpus], out):
+            elif not _run(run, list(gpus[: run.gpus]), out):
                 failed.append(run.name)
     for run in waiting:
         print(f"{run.name:16} left out: no time, or too few GPUs", flush=True)

@@ -11,7 +11,8 @@ import types
 
 import numpy as np
 import pytest
-from runs import Making, number_of, records, run_with, write_frames
+from makers import Making, number_of
+from runs import records, run_with, write_frames
 
 from warpcage.batch import (
     Chunk,

@@ -3,7 +3,8 @@
 import json
 
 import pytest
-from runs import RECORDS, Making, left_over, pictures, records, write_frames, write_records
+from makers import Making
+from runs import RECORDS, left_over, pictures, records, write_frames, write_records
 
 from warpcage import run_jobs
 from warpcage.batch import OutputFolder, Part

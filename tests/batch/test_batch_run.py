@@ -12,8 +12,9 @@ import time
 
 import numpy as np
 import pytest
+from makers import Making, Moody
 from messages import MESSAGES
-from runs import RECORDS, SUPPORT, Making, Moody, left_over, pictures, records, run_with, write_frames, write_records
+from runs import RECORDS, SUPPORT, left_over, pictures, records, run_with, write_frames, write_records
 
 import warpcage
 from warpcage.batch import OutputFolder, pack_shard, read_shard, unpaid

@@ -37,28 +37,9 @@ fuzz = settings(
 MEMORY = 600
 
 WORDS = [
-    b"nan",
-    b"-inf",
-    b"1e400",
-    b"-1",
-    b"0",
-    b"99999999999999999999",
-    b"1" * 5000,
-    b"4294967295",
-    b"x",
-    b"\x00",
-    b"null",
-    b"true",
-    b'"text"',
-    b"[]",
-    b"{}",
-    b"[" * 3000,
-    b"../../x",
-    b"/etc/passwd",
-    b"\xff\xfe",
-    b"\n",
-    b"#",
-]
+    b"nan", b"-inf", b"1e400", b"-1", b"0", b"99999999999999999999", b"1" * 5000, b"4294967295", b"x", b"\x00", b"null",
+    b"true", b'"text"', b"[]", b"{}", b"[" * 3000, b"../../x", b"/etc/passwd", b"\xff\xfe", b"\n", b"#",
+]  # fmt: skip
 
 
 @st.composite
@@ -89,6 +70,12 @@ def damages(draw):
     return apply
 
 
+def damaged(data, applied):
+    for damage in applied:
+        data = damage(data)
+    return data
+
+
 def read_or_refuse(read):
     """Run `read`; it may only refuse, in one line, and without much memory."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -99,6 +86,21 @@ def read_or_refuse(read):
         result = None
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1024 * MEMORY
     return result
+
+
+def try_damages(path, read, check):
+    """Damage a file in many ways; what is read of it all the same is checked."""
+    whole = path.read_bytes()
+
+    @fuzz
+    @given(st.lists(damages(), min_size=1, max_size=3))
+    def try_damaged(applied):
+        path.write_bytes(damaged(whole, applied))
+        found = read_or_refuse(lambda: read(path))
+        if found is not None:
+            check(found)
+
+    try_damaged()
 
 
 FORMATS = {
@@ -148,10 +150,7 @@ def test_scene_folders(folders, name):
     @fuzz
     @given(st.sampled_from(files), st.lists(damages(), min_size=1, max_size=3), st.booleans())
     def try_damaged(path, applied, detect):
-        data = contents[path]
-        for damage in applied:
-            data = damage(data)
-        path.write_bytes(data)
+        path.write_bytes(damaged(contents[path], applied))
         try:
             scene = read_or_refuse(lambda: load_scene(folder, format=None if detect else name.split()[0]))
             if scene is not None:
@@ -170,22 +169,9 @@ JSON_VALUES = st.recursive(
         st.floats(),
         st.text(max_size=8),
         st.sampled_from(
-            [
-                "../x.png",
-                "/etc/passwd",
-                "images",
-                "..",
-                ".",
-                "images/view_00.png",
-                "\0",
-                "a" * 5000,
-                "train",
-                "train/view_01",
-                "masks/view_01.png",
-                "PINHOLE",
-                "OPENCV_FISHEYE",
-                "EQUIRECTANGULAR",
-            ]
+            "../x.png /etc/passwd images .. . images/view_00.png \0 train train/view_01 masks/view_01.png PINHOLE "
+            "OPENCV_FISHEYE EQUIRECTANGULAR".split(" ")
+            + ["a" * 5000]
         ),
     ),
     lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=4), inner, max_size=3)),
@@ -283,10 +269,7 @@ def test_field_files(tmp_path_factory, format):
     def try_damaged(applied, changes):
         changed = {name: array for name, array in {**contents, **changes}.items() if array is not None}
         np.savez(path, **changed)
-        data = path.read_bytes() if changes else whole
-        for damage in applied:
-            data = damage(data)
-        path.write_bytes(data)
+        path.write_bytes(damaged(path.read_bytes() if changes else whole, applied))
         read = read_or_refuse(lambda: VoxelField.load(path))
         if read is not None:
             assert np.isfinite(read.node_densities()).all() and np.isfinite(read.bounds).all()
@@ -324,10 +307,7 @@ def test_fit_checkpoints(folders, tmp_path):
             state[sorted(state)[which % len(state)]] = value
             changed["state"] = np.array(json.dumps(state))
         np.savez(path, **changed)
-        data = path.read_bytes() if changes or value is not None else whole
-        for damage in applied:
-            data = damage(data)
-        path.write_bytes(data)
+        path.write_bytes(damaged(path.read_bytes() if changes or value is not None else whole, applied))
         read_or_refuse(lambda: load_progress(target, path))
 
     try_damaged()
@@ -347,21 +327,12 @@ def test_pictures(tmp_path_factory, kind):
         write_deep_png(path, color)
     else:
         {"palette.png": picture.convert("P"), "grey.jpg": picture.convert("L")}.get(kind, picture).save(path)
-    whole = path.read_bytes()
     assert read_image(path).shape[:2] == (12, 17)
 
-    @fuzz
-    @given(st.lists(damages(), min_size=1, max_size=3))
-    def try_damaged(applied):
-        data = whole
-        for damage in applied:
-            data = damage(data)
-        path.write_bytes(data)
-        read = read_or_refuse(lambda: read_image(path))
-        if read is not None:
-            assert read.ndim == 3 and read.shape[-1] in (1, 2, 3, 4) and 0 <= read.min() <= read.max() <= 1
+    def check(read):
+        assert read.ndim == 3 and read.shape[-1] in (1, 2, 3, 4) and 0 <= read.min() <= read.max() <= 1
 
-    try_damaged()
+    try_damages(path, read_image, check)
 
 
 @pytest.mark.parametrize("ending", [".obj", ".off", ".ply", "text.ply", ".glb", ".gltf"])
@@ -369,34 +340,17 @@ def test_cage_files(tmp_path_factory, ending):
     cage = Cage.box((0, 0, 0), (1, 2, 3), segments=2)
     path = tmp_path_factory.mktemp("cage") / f"cage{ending}"
     if ending == "text.ply":
-        lines = [
-            "ply",
-            "format ascii 1.0",
-            f"element vertex {len(cage.vertices)}",
-            "property float x",
-            "property float y",
-            "property float z",
-            f"element face {len(cage.faces)}",
-            "property list uchar int vertex_indices",
-            "end_header",
-        ]
+        lines = ["ply", "format ascii 1.0", f"element vertex {len(cage.vertices)}"]
+        lines += [f"property float {axis}" for axis in "xyz"]
+        lines += [f"element face {len(cage.faces)}", "property list uchar int vertex_indices", "end_header"]
         lines += [" ".join(map(str, point)) for point in cage.vertices.tolist()]
         lines += [" ".join(map(str, [3, *face])) for face in cage.faces.tolist()]
         path.write_text("\n".join(lines) + "\n")
     else:
         cage.save(path)
-    whole = path.read_bytes()
     assert len(Cage.load(path).faces) == len(cage.faces)
 
-    @fuzz
-    @given(st.lists(damages(), min_size=1, max_size=3))
-    def try_damaged(applied):
-        data = whole
-        for damage in applied:
-            data = damage(data)
-        path.write_bytes(data)
-        read = read_or_refuse(lambda: Cage.load(path))
-        if read is not None:
-            assert np.isfinite(read.vertices).all() and read.faces.max(initial=-1) < len(read.vertices)
+    def check(read):
+        assert np.isfinite(read.vertices).all() and read.faces.max(initial=-1) < len(read.vertices)
 
-    try_damaged()
+    try_damages(path, Cage.load, check)

@@ -64,7 +64,7 @@ def test_names_and_help_load_neither_numpy_nor_warp():
             with contextlib.redirect_stdout(io.StringIO()) as text, contextlib.suppress(SystemExit):
                 warpcage.cli.main([*words, "--help"])
             assert "usage: warpcage" in text.getvalue()
-        heavy = {"warp", "numpy", "imageio", "av", "PIL", "trimesh", "scipy", "tqdm"} & set(sys.modules)
+        heavy = {"warp", "numpy", "imageio", "av", "PIL", "trimesh", "scipy", "skimage", "tqdm"} & set(sys.modules)
         assert not heavy, heavy
         assert not [name for name in sys.modules if name.startswith("warpcage.kernels")]
         """

@@ -44,8 +44,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("when", ["before", "after"])
-@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.parametrize("method, when", [("fork", "before"), ("fork", "after"), ("spawn", "after")])
 def test_processes_on_a_cpu_compute_what_their_parent_does(method, when, tmp_path):
     if method not in multiprocessing.get_all_start_methods():
         pytest.skip(f"processes do not {method} here")

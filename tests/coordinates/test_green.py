@@ -1,44 +1,18 @@
 """Green kernels against the pseudo-code of Lipman et al. in float64, and that against quadrature."""
 
+import functools
+
 import numpy as np
 import oracles
 import pytest
+import test_closed_forms
 import trimesh
-import warp as wp
+from test_closed_forms import error_to, reproduction_error
 
 from warpcage import Cage, deform_points, green_coordinates
 from warpcage.coordinates import stretched_normals
-from warpcage.core import launch
-from warpcage.kernels.coordinates import green
-from warpcage.mesh import prepared_fans
 
-NAMES = list(oracles.CAGES)
-
-
-def on_device(points, vertices, faces, device):
-    return [wp.array(np.asarray(a, np.float32), dtype=wp.vec3, device=device) for a in (points, vertices)] + [
-        wp.array(np.asarray(faces, np.int32), dtype=wp.vec3i, device=device)
-    ]
-
-
-def weigh(points, vertices, faces, device):
-    phi = wp.empty((len(points), len(vertices)), dtype=float, device=device)
-    psi = wp.empty((len(points), len(faces)), dtype=float, device=device)
-    phi.fill_(float("nan"))  # rows must not depend on what was there
-    psi.fill_(float("nan"))
-    inputs = [*on_device(points, vertices, faces, device), np.ptp(vertices, axis=0).max()]
-    launch(green.weigh_green, len(points), inputs, [phi, psi], device=device)
-    return phi.numpy().astype(np.float64), psi.numpy().astype(np.float64)
-
-
-def error_to(weights, wanted):
-    return max(np.abs(ours - theirs).max() for ours, theirs in zip(weights, wanted, strict=True))
-
-
-def reproduction_error(weights, points, vertices, faces):
-    phi, psi = weights
-    moved = phi @ vertices + psi @ oracles.unit_normals(vertices, faces)
-    return max(np.abs(moved - points).max(), np.abs(phi.sum(axis=1) - 1).max())
+weigh = functools.partial(test_closed_forms.weigh, "green")
 
 
 def test_references_match_quadrature():
@@ -47,26 +21,6 @@ def test_references_match_quadrature():
     wanted = oracles.green_weights_by_quadrature(points, vertices, faces)
     assert error_to(oracles.green_weights(points, vertices, faces), wanted) < 1e-10
     assert error_to(oracles.green_weights_in_closed_form(points, vertices, faces), wanted) < 1e-10
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_weights_match_oracle_inside(name, device):
-    vertices, faces = oracles.cage(name)
-    points = oracles.single(oracles.inside_points(vertices, faces, 1500))
-    weights = weigh(points, vertices, faces, device)
-    assert error_to(weights, oracles.green_weights(points, vertices, faces)) < 1e-5
-    assert reproduction_error(weights, points, vertices, faces) < 1e-5
-
-
-@pytest.mark.parametrize("height", [1e-7, 1.5e-6, 1e-5, 1e-4, 1e-3, 1.9e-3, 2.1e-3, 1e-2])
-@pytest.mark.parametrize("name", ["icosphere", "concave"])
-def test_weights_hold_near_planes(name, height, device):
-    vertices, faces = oracles.cage(name)
-    points = oracles.points_near_planes(vertices, faces, height)
-    assert len(points) > 100
-    weights = weigh(points, vertices, faces, device)
-    assert error_to(weights, oracles.green_weights(points, vertices, faces)) < 2e-5
-    assert reproduction_error(weights, points, vertices, faces) < 1e-5
 
 
 @pytest.mark.parametrize("distance", [1e-6, 1e-5, 1e-4, 1e-3, 1e-2])
@@ -96,25 +50,6 @@ def test_points_on_the_cage_take_the_limit_from_inside(name, kind, distance, dev
         assert error_to(weights, wanted) < 4e-5 + 40 * distance
 
 
-def test_map_is_the_weighted_sum(device):
-    vertices, faces = oracles.cage("concave")
-    points = oracles.inside_points(vertices, faces, 500)
-    points[:4] = vertices[:4]  # on the cage too
-    random = np.random.default_rng(3)
-    targets, normals = random.normal(size=vertices.shape), random.normal(size=faces.shape)
-    positions = wp.empty(len(points), dtype=wp.vec3, device=device)
-    arrays = on_device(points, vertices, faces, device)
-    inputs = [
-        *arrays,
-        prepared_fans(*arrays[1:], 1.0),
-        *(wp.array(a, dtype=wp.vec3, device=device) for a in (targets, normals)),
-        1.0,
-    ]
-    launch(green.map_green, len(points), inputs, [positions], device=device)
-    phi, psi = weigh(points, vertices, faces, device)
-    assert np.abs(positions.numpy() - phi @ targets - psi @ normals).max() < 1e-5
-
-
 def test_overlapping_parts_keep_the_limit_from_inside(device):
     """On a box that lies inside another one the sum of phi goes from one to two."""
     vertices, faces = oracles.cage("box")
@@ -131,32 +66,6 @@ def test_far_outside_sums_to_zero(device):
     vertices, faces = oracles.cage("box")
     phi, psi = weigh(1.5 * vertices, vertices, faces, device)
     assert np.abs(phi.sum(axis=1)).max() < 1e-5 and np.isfinite(psi).all()
-
-
-def test_degenerate_face_gives_nothing_and_no_nan(device):
-    vertices, faces = oracles.cage("box")
-    points = oracles.single(oracles.inside_points(vertices, faces, 200))
-    phi, psi = weigh(points, vertices, np.concatenate([faces, [[0, 1, 1], [2, 2, 2]]]), device)
-    wanted = weigh(points, vertices, faces, device)
-    assert np.array_equal(phi, wanted[0]) and np.array_equal(psi[:, :-2], wanted[1]) and not psi[:, -2:].any()
-
-
-@pytest.mark.parametrize("height", [1e-3, 1e-4, 1e-5])
-def test_slivers_keep_their_weights(height, device):
-    vertices, faces = oracles.cage_with_sliver(height)
-    points = oracles.single(oracles.inside_points(vertices, faces, 500))
-    wanted = oracles.green_weights_in_closed_form(points, vertices, faces)
-    assert error_to(weigh(points, vertices, faces, device), wanted) < 2e-5
-
-
-def test_scale_does_not_matter(device):
-    """Lengths from 1e-4 to 1e4 at the kernel: lattices use node units."""
-    vertices, faces = oracles.cage("icosphere")
-    points = oracles.points_near_planes(vertices, faces, 3e-4)
-    wanted = oracles.green_weights(points, vertices, faces)
-    for scale in (1e-4, 100.0, 1e4):
-        phi, psi = weigh(points * scale, vertices * scale, faces, device)
-        assert error_to((phi, psi / scale), wanted) < 1e-5
 
 
 def test_boundary_elements_solve_laplace():

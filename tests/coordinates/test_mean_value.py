@@ -3,40 +3,17 @@
 import numpy as np
 import oracles
 import pytest
+import test_closed_forms
 import warp as wp
 from messages import MESSAGES
 
 from warpcage import Cage, deform_points, green_coordinates, mean_value_coordinates
-from warpcage.core import launch
-from warpcage.kernels.coordinates import mean_value
-from warpcage.mesh import prepared_fans
 
 NAMES = list(oracles.CAGES)
 
 
 def weigh(points, vertices, faces, device):
-    arrays = on_device(points, vertices, faces, device)
-    weights = wp.empty((len(points), len(vertices)), dtype=float, device=device)
-    weights.fill_(float("nan"))  # rows must not depend on what was there
-    size = np.ptp(vertices, axis=0).max()
-    launch(mean_value.weigh_mean_value, len(points), [*arrays, size], [weights], device=device)
-    return weights.numpy().astype(np.float64)
-
-
-def on_device(points, vertices, faces, device):
-    return [wp.array(np.asarray(a, np.float32), dtype=wp.vec3, device=device) for a in (points, vertices)] + [
-        wp.array(np.asarray(faces, np.int32), dtype=wp.vec3i, device=device)
-    ]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_weights_match_oracle_inside(name, device):
-    vertices, faces = oracles.cage(name)
-    points = oracles.single(oracles.inside_points(vertices, faces, 1500))
-    weights = weigh(points, vertices, faces, device)
-    assert np.abs(weights - oracles.mean_value_weights(points, vertices, faces)).max() < 1e-5
-    assert np.abs(weights.sum(axis=1) - 1).max() < 5e-6
-    assert np.abs(weights @ vertices - points).max() < 5e-6
+    return test_closed_forms.weigh("mean_value", points, vertices, faces, device)[0]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -47,19 +24,6 @@ def test_weights_match_oracle_outside(name, device):
     assert len(points) > 1000
     weights = weigh(points, vertices, faces, device)
     assert np.abs(weights - oracles.mean_value_weights(points, vertices, faces)).max() < 3e-5
-
-
-@pytest.mark.parametrize("height", [1e-7, 1.5e-6, 1e-5, 1e-4, 9e-4, 1.1e-3, 3e-3])
-@pytest.mark.parametrize("name", ["icosphere", "concave"])
-def test_weights_hold_near_planes_of_far_faces(name, height, device):
-    vertices, faces = oracles.cage(name)
-    points = oracles.points_near_planes(vertices, faces, height)
-    assert len(points) > 100
-    weights = weigh(points, vertices, faces, device)
-    wanted = oracles.mean_value_weights(points, vertices, faces)
-    # within 1e-6 of the surface the kernel takes the surface's own weights
-    assert np.abs(weights - wanted).max() < 1e-5
-    assert np.abs(weights @ vertices - points).max() < 5e-6
 
 
 @pytest.mark.parametrize("distance", [0.0, 1e-7, 9e-7, 1.1e-6, 1e-5, 1e-4, 1e-3])
@@ -85,49 +49,6 @@ def test_points_in_the_plane_of_a_far_face_give_it_nothing(device):
         wanted = oracles.mean_value_weights(oracles.single(nudged), vertices, faces)
         assert np.abs(near - wanted).max() < 1e-5
         assert np.abs(exact - wanted).max() < 1e-4
-
-
-def test_map_is_the_weighted_sum(device):
-    vertices, faces = oracles.cage("concave")
-    points = oracles.inside_points(vertices, faces, 500)
-    points[:4] = vertices[:4]  # on the cage too
-    targets = np.random.default_rng(3).normal(size=vertices.shape)
-    positions = wp.empty(len(points), dtype=wp.vec3, device=device)
-    arrays = on_device(points, vertices, faces, device)
-    targets_there = wp.array(targets, dtype=wp.vec3, device=device)
-    launch(
-        mean_value.map_mean_value,
-        len(points),
-        [*arrays, prepared_fans(*arrays[1:], 1.0), targets_there, 1.0],
-        [positions],
-        device=device,
-    )
-    weights = weigh(points, vertices, faces, device)
-    assert np.abs(positions.numpy() - weights @ targets).max() < 1e-5
-
-
-def test_degenerate_face_gives_nothing_and_no_nan(device):
-    vertices, faces = oracles.cage("box")
-    points = oracles.single(oracles.inside_points(vertices, faces, 200))
-    more = np.concatenate([faces, [[0, 1, 1], [2, 2, 2]]])
-    assert np.array_equal(weigh(points, vertices, more, device), weigh(points, vertices, faces, device))
-
-
-def test_scale_does_not_matter(device):
-    """Lengths from 1e-4 to 1e4 at the kernel: lattices use node units."""
-    vertices, faces = oracles.cage("icosphere")
-    points = oracles.points_near_planes(vertices, faces, 3e-4)
-    wanted = oracles.mean_value_weights(points, vertices, faces)
-    for scale in (1e-4, 100.0, 1e4):
-        assert np.abs(weigh(points * scale, vertices * scale, faces, device) - wanted).max() < 1e-5
-
-
-@pytest.mark.parametrize("height", [1e-3, 1e-4, 1e-5])
-def test_slivers_keep_their_weights(height, device):
-    vertices, faces = oracles.cage_with_sliver(height)
-    points = oracles.single(oracles.inside_points(vertices, faces, 500))
-    wanted = oracles.mean_value_weights(points, vertices, faces)
-    assert np.abs(weigh(points, vertices, faces, device) - wanted).max() < 2e-5
 
 
 @pytest.mark.parametrize("distance", [0.7, 3.0, 30.0, 900.0])

@@ -1,13 +1,67 @@
-"""Makers of items that hang, kill their worker, or find the disk full; processes import them by name."""
+"""Makers of items without rendering, that fail, hang, kill their worker, or find the disk full. Processes import them
+by name: nothing is imported here that takes time."""
 
 import concurrent.futures
 import os
+import pathlib
 import re
 import signal
 import threading
 import time
 
-from runs import Making, number_of
+
+class Making:
+    """A maker of files without rendering, which runs what it is given before each item."""
+
+    def __init__(self, base, out, device):
+        self.out = pathlib.Path(out)
+
+    def before(self, item):
+        """What happens first."""
+
+    def submit(self, item, out=None):
+        out = out or self.out
+        done = concurrent.futures.Future()
+        try:
+            self.before(item)
+            sizes = {}
+            for path in item.outputs.values():
+                (out / path).parent.mkdir(parents=True, exist_ok=True)
+                (out / path).write_text(item.id)
+                sizes[path] = len(item.id)
+            done.set_result(sizes)
+        except Exception as error:
+            done.set_exception(error)
+        return done
+
+    def close(self):
+        pass
+
+
+def number_of(item):
+    return int(item.id[-4:])
+
+
+class Moody(Making):
+    """Items whose number ends in 3 fail twice, in 5 always, in 7 by their input."""
+
+    tried: dict = {}
+
+    def before(self, item):
+        count = self.tried[item.id] = self.tried.get(item.id, 0) + 1
+        if item.id.endswith("7"):
+            raise ValueError("its number ends in 7")
+        if item.id.endswith("5") or (item.id.endswith("3") and count < 3):
+            raise RuntimeError(f"no luck at try {count}")
+
+
+class Deadly(Making):
+    """Item 5 kills its worker, at once or while files of others may be written."""
+
+    def before(self, item):
+        time.sleep(0.01)
+        if number_of(item) == 5:
+            os.kill(os.getpid(), signal.SIGKILL)
 
 
 class Late(Making):

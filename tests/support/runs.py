@@ -1,12 +1,8 @@
-"""Files for tests of the command line and of jobs, how both are run, makers of items that fail, what came of a run."""
+"""Files for tests of the command line and of jobs, how both are run, what came of a run."""
 
-import concurrent.futures
 import json
-import os
 import pathlib
-import signal
 import sys
-import time
 
 import numpy as np
 
@@ -105,60 +101,6 @@ def left_over(out):
     """What a run left of its own besides its locks."""
     own = [path.name for path in (out / ".warpcage").rglob("*") if path.is_file()]
     return sorted(set(own) - {"driver.lock", "workers.lock"}) + [path.name for path in out.glob(".*-*")]
-
-
-class Making:
-    """A maker of files without rendering, which runs what it is given before each item."""
-
-    def __init__(self, base, out, device):
-        self.out = pathlib.Path(out)
-
-    def before(self, item):
-        """What happens first."""
-
-    def submit(self, item, out=None):
-        out = out or self.out
-        done = concurrent.futures.Future()
-        try:
-            self.before(item)
-            sizes = {}
-            for path in item.outputs.values():
-                (out / path).parent.mkdir(parents=True, exist_ok=True)
-                (out / path).write_text(item.id)
-                sizes[path] = len(item.id)
-            done.set_result(sizes)
-        except Exception as error:
-            done.set_exception(error)
-        return done
-
-    def close(self):
-        pass
-
-
-def number_of(item):
-    return int(item.id[-4:])
-
-
-class Moody(Making):
-    """Items whose number ends in 3 fail twice, in 5 always, in 7 by their input."""
-
-    tried: dict = {}
-
-    def before(self, item):
-        count = self.tried[item.id] = self.tried.get(item.id, 0) + 1
-        if item.id.endswith("7"):
-            raise ValueError("its number ends in 7")
-        if item.id.endswith("5") or (item.id.endswith("3") and count < 3):
-            raise RuntimeError(f"no luck at try {count}")
-
-
-class Deadly(Making):
-    """Item 5 kills its worker, at once or while files of others may be written."""
-
-    def before(self, item):
-        time.sleep(0.01)
-        if number_of(item) == 5:
-            os.kill(os.getpid(), signal.SIGKILL)
 
 
 def command(*words):
