@@ -365,7 +365,7 @@ def test_a_small_device_is_not_overrun(scene, monkeypatch):
     assert optimizer.field.resolution[0] < optimizer.shapes[0][0] * 4
 
 
-@pytest.mark.parametrize("pictures, limit, bits", [("scene", "7MB", 16), ("large_pictures", "4MB", 8)])
+@pytest.mark.parametrize("pictures, limit, bits", [("scene", "6MB", 16), ("large_pictures", "4MB", 8)])
 def test_a_checkpoint_of_a_limited_fit_goes_on(request, device, monkeypatch, tmp_path, pictures, limit, bits):
     if wp.get_device(device).is_cpu:
         request.getfixturevalue("two_threads")

@@ -24,7 +24,7 @@ from warpcage import CageEdit, Deformer
 from warpcage.core import devices, recorded_launches
 from warpcage.lattice import PoseGraph
 from warpcage.render import CarriedShades, FineCells
-from warpcage.render import modules as pose_modules
+from warpcage.render import launch as pose_modules
 from warpcage.render import scene as lattice_edits
 
 

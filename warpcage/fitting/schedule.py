@@ -347,7 +347,7 @@ class Schedule:
 TRIAL_STEPS = 24
 
 #: A step goes with this power of the voxels along the longest side, measured (benchmarks/NOTES-fit.md).
-CPU_POWER, GPU_POWER = 1.2, 0.65
+CPU_POWER, GPU_POWER = 1.1, 0.65
 
 #: Voxels of the last level for each square of its longest side, before those that no view shows go: where what is
 #: around the box is fitted too, and of an object alone; measured likewise.
