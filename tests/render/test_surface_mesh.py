@@ -244,6 +244,9 @@ def test_materials_of_gltf(tmp_path, device):
 def test_broken_files_are_told_in_one_line(tmp_path):
     good, square = png(PICTURE), [textured(0)]
     data = gltf_of(square, [PICTURE])
+    numbers = b"".join(b"property float %s\n" % axis for axis in (b"x", b"y", b"z"))
+    ply = b"ply\nformat ascii 1.0\nelement vertex 3\n" + numbers
+    ply += b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 %s\n1 0 0\n0 1 0\n3 %s\n"
     wrong = {
         "cut.glb": (data.replace(good[:30], b"x" * 30), "picture 0' cannot be read"),
         "none.glb": (gltf_of(square, [PICTURE], textures=[{}]), MESSAGES["surface.texture"]),
@@ -254,6 +257,8 @@ def test_broken_files_are_told_in_one_line(tmp_path):
         "text.ply": (b"ply\nnothing", "text.ply"),
         "text.obj": (b"nothing", "text.obj"),
         "text.xyz": (b"nothing", "must end in"),
+        "index.ply": (ply % (b"0", b"1 2 9"), "index.ply"),
+        "nan.ply": (ply % (b"nan", b"0 1 2"), "a vertex of its faces is not finite"),
     }
     for name, (content, message) in wrong.items():
         (tmp_path / name).write_bytes(content)
@@ -262,6 +267,10 @@ def test_broken_files_are_told_in_one_line(tmp_path):
         assert name in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(FileNotFoundError):
         SurfaceMesh.load(tmp_path / "nothing.glb")
+    uv = SQUARE_UV.astype("<f4").tobytes()  # places that are none are taken for the corner
+    (tmp_path / "uv.glb").write_bytes(data.replace(uv, np.full((4, 2), np.nan, "<f4").tobytes()))
+    frame = SurfaceMesh.load(tmp_path / "uv.glb", device="cpu").render(view((0.0, 0.1, 2.0), size=9))
+    assert np.isfinite(frame.rgb).all() and frame.alpha.max() == 1.0
 
 
 def test_what_a_mesh_refuses(device):

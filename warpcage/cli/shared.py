@@ -346,9 +346,10 @@ def read_things(args: argparse.Namespace) -> tuple[AnyField, Stage | None]:
     require_field_scale(args)
     stage = Stage.load(args.field, device=chosen_device(args))
     first = next(iter(stage.items.values()))
+    field: Any = first.field  # a mesh may be the first thing too: it is shown as the stage has it
     args.up = tuple(stage.up) if args.up is None else args.up
-    args.straightening = first.field.straightening if first.places.at(0.0) == Place() else None
-    return first.field, stage
+    args.straightening = field.straightening if first.places.at(0.0) == Place() else None
+    return field, stage
 
 
 def things_of(

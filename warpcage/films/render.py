@@ -95,10 +95,11 @@ def drawn_cages(deformer: Deformer, posed: Sequence[Cage | None] | None = None) 
     return [edit.cage if cage is None else cage for edit, cage in zip(deformer.edits, posed, strict=True)]
 
 
-def require_voxels(field: AnyField, what: str) -> VoxelField:
-    """A field of voxels. Raises ValueError for splats; what: what is asked for, as the message begins."""
-    if isinstance(field, SplatField):
-        raise InputError(f"{what} is for fields of voxels (.npz), this one is of splats")
+def require_voxels(field: AnyThing, what: str) -> VoxelField:
+    """A field of voxels. Raises ValueError for others; what: what is asked for, as the message begins."""
+    if not isinstance(field, VoxelField):
+        kind = "splats" if isinstance(field, SplatField) else "triangles"
+        raise InputError(f"{what} is for fields of voxels (.npz), this one is of {kind}")
     return field
 
 

@@ -66,11 +66,19 @@ def read_surface(path: PathLike) -> Surface:
     path = require_file(path, "mesh file")
     ending = path.suffix.lower()
     if ending in (".glb", ".gltf"):
-        return _gltf_surface(path)
-    if ending in _TRIMESH_ENDINGS:
-        return _trimesh_surface(load_trimesh(path))
-    found = read_object(path, object=ALL_OBJECTS)
-    return plain_surface(found.vertices, found.faces)
+        surface = _gltf_surface(path)
+    elif ending in _TRIMESH_ENDINGS:
+        surface = _trimesh_surface(load_trimesh(path))
+    else:
+        found = read_object(path, object=ALL_OBJECTS)
+        surface = plain_surface(found.vertices, found.faces)
+    count, named = len(surface.vertices), surface.faces
+    if named.min() < 0 or named.max() >= count:
+        raise InputError(f"{path}: its faces name vertices {named.min()} to {named.max()} of 0 to {count - 1}")
+    if not np.isfinite(surface.vertices[named.reshape(-1)]).all():
+        raise InputError(f"{path}: a vertex of its faces is not finite")
+    uv, colors = (np.where(np.isfinite(each), each, np.float32(0.0)) for each in (surface.uv, surface.colors))
+    return dataclasses.replace(surface, uv=uv, colors=colors)  # kernels take texels by them
 
 
 # -- What trimesh reads
@@ -137,8 +145,6 @@ def _gltf_surface(path: pathlib.Path) -> Surface:
         counts = [len(part.faces) for part in parts]
         joined["faces"] += np.repeat(starts, counts)[:, None].astype(np.int32)
         joined["vertices"] = turned_up(joined["vertices"], "y", "z")
-        if not np.isfinite(joined["vertices"]).all():
-            raise InputError(f"{path}: a vertex of it is not finite")
         return Surface(**joined, pictures=[_gltf_picture(path, document, buffers, *key) for key in pictures])
 
 
