@@ -4,6 +4,7 @@ import asyncio
 import errno
 import os
 import pathlib
+import subprocess
 import sys
 import threading
 
@@ -13,7 +14,7 @@ from messages import MESSAGES
 
 aiohttp = pytest.importorskip("aiohttp")
 
-from editor_pages import BOX, new_session, pages, served, tiny_field
+from editor_pages import BOX, WAIT, new_session, pages, served, tiny_field
 
 from warpcage import Cage, edit
 from warpcage.editor import Document, Session, new_document, read_session
@@ -42,6 +43,22 @@ def test_an_editor_keeps_a_field_from_memory_nowhere(tmp_path, monkeypatch):
     editor.close()
     assert "closed" in repr(editor) and "closed" in notebook_cell(editor) and os.listdir(tmp_path) == []
     editor.wait()
+
+
+def test_a_program_ends_well_after_a_job_made_a_cage(tmp_path):
+    pytest.importorskip("pymeshlab")
+    tiny_field().save(tmp_path / "ball.npz")
+    program = (
+        "import sys, threading, warpcage\n"
+        "with warpcage.edit(sys.argv[1], warpcage.Cage.box((0, 0, 0), (1, 1, 1))) as editor:\n"
+        "    field = editor.session.field\n"
+        "    made = threading.Thread(target=lambda: print(len(warpcage.Cage.from_field(field, 40).vertices)))\n"
+        "    made.start()\n"
+        "    made.join()\n"
+    )
+    words = [sys.executable, "-c", program, str(tmp_path / "ball.npz")]
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=10 * WAIT)
+    assert (ended.returncode, ended.stderr) == (0, "") and 36 <= int(ended.stdout) <= 44
 
 
 def test_an_editor_saves_when_it_is_closed_and_goes_on_later(tmp_path):

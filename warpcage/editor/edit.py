@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import atexit
+import contextlib
 import dataclasses
 import html
 import os
@@ -13,6 +14,7 @@ import warnings
 from collections.abc import Sequence
 
 from ..cage.cage import Cage
+from ..cage.generate.shell import load_pymeshlab
 from ..core.checks import checked_whole, require_type
 from ..core.files import PathLike
 from ..errors import InputError, MissingPackageError
@@ -164,6 +166,8 @@ def edit(
         ...     posed = editor.posed[0]
     """
     require_libraries()
+    with contextlib.suppress(MissingPackageError):
+        load_pymeshlab()  # here and not in a job's thread
     checked_whole(port, "the port", 0, 65535)
     if not isinstance(host, str) or isinstance(allowed_hosts, str):
         raise InputError("host must be an address, and allowed_hosts a list of names")

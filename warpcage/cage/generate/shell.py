@@ -331,8 +331,9 @@ def edge_length(shell, level, vertex_count) -> float:
     return float(np.sqrt(2.0 * area / (np.sqrt(3.0) * vertex_count)))
 
 
-def _load_pymeshlab() -> Any:
-    """PyMeshLab, which is loaded here alone."""
+def load_pymeshlab() -> Any:
+    """PyMeshLab, which is loaded here alone. A program of which another thread than the main one loads it aborts at its
+    end."""
     try:
         import pymeshlab
     except ImportError as error:
@@ -345,7 +346,7 @@ def _load_pymeshlab() -> Any:
 
 def decimated(vertices, faces, vertex_count) -> tuple[np.ndarray, np.ndarray]:
     """The surface with about `vertex_count` vertices: quadric edge collapse (Garland and Heckbert 1997)."""
-    pymeshlab = _load_pymeshlab()
+    pymeshlab = load_pymeshlab()
     # V - E + F = V - F / 2 does not change in a collapse that keeps the topology
     target = 2 * vertex_count - (2 * len(vertices) - len(faces))
     meshes = pymeshlab.MeshSet(verbose=False)
