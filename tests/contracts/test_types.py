@@ -10,6 +10,7 @@ import re
 import subprocess
 import sys
 
+import golden_names
 import pytest
 
 import warpcage
@@ -51,6 +52,25 @@ def test_type_checkers_know_the_calls(checker):
     assert set(checker(CALLS)) == calls
     marked = lines_with("# wrong", WRONG)
     assert len(marked) > 10 and set(checker(WRONG)) == marked - wrong
+
+
+def test_public_names_are_fully_typed(tmp_path):
+    """A caller under pyright's strict rules is told of no unknown type, whatever public name it touches."""
+    if importlib.util.find_spec("pyright") is None:
+        pytest.skip("pyright is not installed")
+    lines = {"": "# pyright: strict\nimport warpcage"}
+    for name, thing in golden_names.public_things():
+        owner, _, member = name.partition(".")
+        kind = f"warpcage.{owner}" + ("[warpcage.Cage]" if hasattr(getattr(warpcage, owner), "__parameters__") else "")
+        members = (
+            [member] if member else ["__init__", *golden_names.documented(thing)] if inspect.isclass(thing) else []
+        )
+        lines |= {f"{owner}.{each}": f"def {owner}_{each}(it: {kind}): return it.{each}" for each in members}
+        lines |= {} if members else {name: f"print(warpcage.{name})"}
+    assert len(lines) > 400
+    (tmp_path / "names.py").write_text("\n".join(lines.values()))
+    named = [*lines][:1] + [*lines]  # the first takes two lines
+    assert {named[number - 1]: text for number, text in pyright(tmp_path / "names.py").items()} == {}
 
 
 @pytest.mark.parametrize("kind", [warpcage.Deformer, warpcage.SplatDeformer])

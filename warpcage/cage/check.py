@@ -33,7 +33,7 @@ class PoseReport:
     outside_share: float  # of the samples that are mapped out of the rest cage, where nothing is drawn
     least_stretch: float  # length in the pose over length at rest, over all directions and samples not inverted
     largest_stretch: float
-    intersecting_faces: tuple  # pairs of faces of the posed cage that cross: the pose folds there
+    intersecting_faces: tuple[tuple[int, int], ...]  # pairs of faces of the posed cage that cross: the pose folds there
     problem: str  # why the posed cage cannot be used; empty where it can
 
     @property
@@ -97,22 +97,22 @@ class CageReport:
     volume: float
     size: float
     convexity: float
-    open_edges: tuple
-    crowded_edges: tuple
-    pinched_vertices: tuple
-    clashing_edges: tuple
-    degenerate_faces: tuple
-    coincident_vertices: tuple
-    inward_parts: tuple
-    intersecting_faces: tuple
-    unused_vertices: tuple
+    open_edges: tuple[tuple[int, int], ...]
+    crowded_edges: tuple[tuple[int, int], ...]
+    pinched_vertices: tuple[int, ...]
+    clashing_edges: tuple[tuple[int, int], ...]
+    degenerate_faces: tuple[int, ...]
+    coincident_vertices: tuple[tuple[int, int], ...]
+    inward_parts: tuple[int, ...]
+    intersecting_faces: tuple[tuple[int, int], ...]
+    unused_vertices: tuple[int, ...]
     mesh_enclosed: float | None
     field_enclosed: float | None
-    leaking_faces: tuple
+    leaking_faces: tuple[tuple[int, int], ...]
     hull_ratio: float | None
     lattice_nodes: int
     standing: str
-    notes: tuple
+    notes: tuple[str, ...]
     problem: str
     pose: PoseReport | None = None
 
@@ -214,7 +214,7 @@ def _plain(value: Any) -> Any:
     return [_plain(each) for each in value] if isinstance(value, tuple) else value
 
 
-def offender_row(what: str, offenders: tuple, advice: str) -> tuple[str, str, str]:
+def offender_row(what: str, offenders: tuple[Any, ...], advice: str) -> tuple[str, str, str]:
     """A row of the table: what the offenders are, how many, and the advice with the first three."""
     if not offenders:
         return what, "none", ""
@@ -279,7 +279,7 @@ def _enclosed(
     return float(np.mean(inside))
 
 
-def _nearest_faces(cage: ClosedMesh, outside: list[np.ndarray], most: int = 500) -> tuple:
+def _nearest_faces(cage: ClosedMesh, outside: list[np.ndarray], most: int = 500) -> tuple[tuple[int, int], ...]:
     """(face, count) by the centre nearest to each point outside, the most frequent first.
     Of more than `most` points it takes every second, third, ..."""
     points = np.concatenate(outside) if outside else np.zeros((0, 3))
@@ -325,7 +325,7 @@ def _hull_volume(points: np.ndarray) -> float:
         return 0.0
 
 
-def tuples(array: np.ndarray) -> tuple:
+def tuples(array: np.ndarray) -> tuple[Any, ...]:
     """Rows of an array (n,) or (n, k) as n plain numbers or tuples."""
     return tuple(tuple(row) if isinstance(row, list) else row for row in np.asarray(array).tolist())
 

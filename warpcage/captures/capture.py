@@ -94,7 +94,7 @@ def capture(
     path: str | os.PathLike[str],
     output: str | os.PathLike[str],
     *,
-    pictures: str | os.PathLike | Sequence[str] | None = None,
+    pictures: str | os.PathLike[str] | Sequence[str] | None = None,
     frames: int = 120,
     feature_size: int = 800,
     seed: int = 0,

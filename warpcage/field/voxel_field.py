@@ -95,13 +95,13 @@ class VoxelField:
     def __init__(
         self,
         bounds: ArrayLike,
-        links: np.ndarray | wp.array,
-        density: np.ndarray | wp.array,
-        sh: np.ndarray | wp.array,
+        links: np.ndarray | wp.array[Any, Any],
+        density: np.ndarray | wp.array[Any, Any],
+        sh: np.ndarray | wp.array[Any, Any],
         *,
         background: str | ArrayLike = "white",
         background_model: LayeredBackground | OuterField | None = None,
-        weights: np.ndarray | wp.array | None = None,
+        weights: np.ndarray | wp.array[Any, Any] | None = None,
         up: ArrayLike = (0.0, 0.0, 1.0),
         straightening: ArrayLike | None = None,
         supersampling: int = 1,
@@ -294,7 +294,7 @@ class VoxelField:
         background: str | ArrayLike | None = None,
         supersampling: int | None = None,
         masks: tuple[str, ...] = (),
-        into: dict[str, wp.array] | None = None,
+        into: dict[str, wp.array[Any, Any]] | None = None,
     ) -> Frame:
         """The view of a camera by another march through this field, before the field's own background; for one version.
 

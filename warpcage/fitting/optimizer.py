@@ -409,7 +409,7 @@ class FieldOptimizer:
             self._activate_tiles()
 
     @in_turn
-    def restore(self, mask: wp.array, bits: int) -> None:
+    def restore(self, mask: wp.array[Any, Any], bits: int) -> None:
         """Rows for a mask and fresh state: what a checkpoint fills.
 
         Args:

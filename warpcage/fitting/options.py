@@ -261,10 +261,13 @@ class FitOptions:
     )
 
 
-def with_arguments(kind: type) -> type:
+Options = TypeVar("Options")
+
+
+def with_arguments(kind: type[Options]) -> type[Options]:
     """Add an `Args:` block to the docstring of a class of options, with the default and the range of each."""
     blocks = ["Args:"]
-    for field in dataclasses.fields(kind):
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
         values, default = field.metadata["range"], field.default
         span = "" if values is None else f" {str(values)[0].upper()}{str(values)[1:]}."
         text = f"{field.name}: {field.metadata['text']}{span} Default: {default}."
@@ -307,9 +310,6 @@ def checked_options(options: dict) -> FitOptions:
     if not isinstance(refined, bool) and refined != "auto":
         raise InputError(f"refine_cameras must be True, False or 'auto', got {refined!r}")
     return checked_fields(FitOptions, _SET_BY_QUALITY, options)
-
-
-Options = TypeVar("Options")
 
 
 def checked_fields(kind: type[Options], by_quality: dict[str, dict[str, Any]], options: dict) -> Options:
