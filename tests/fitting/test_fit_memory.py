@@ -417,13 +417,13 @@ def stepping(scene, device, monkeypatch, seconds_of, **options):
 @pytest.mark.parametrize("supersampling", [1, 2])
 def test_steps_to_come_follow_from_the_first_ones(scene, device, monkeypatch, supersampling):
     power = 1.2 if wp.get_device(device).is_cpu else 0.65
-    options = {"resolution": 32, "levels": 3, "least_steps": 120, "supersampling": supersampling}
+    options = {"resolution": 32, "levels": 3, "least_steps": 120, "epochs": 0.1, "batch_rays": 64}
 
     def seconds_of(level):
         rays = supersampling**2 if level == 2 else 1
         return 0.5 * rays * 2 ** (power * level)
 
-    optimizer, pace, step = stepping(scene, device, monkeypatch, seconds_of, **options)
+    optimizer, pace, step = stepping(scene, device, monkeypatch, seconds_of, supersampling=supersampling, **options)
     assert optimizer.level == 0
     while optimizer.step_count < optimizer.total_steps:
         left = list(optimizer.level_steps)
