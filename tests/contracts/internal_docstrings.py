@@ -62,7 +62,6 @@ def documented_nodes(tree):
     yield from walk(tree, [])
 
 
-@functools.cache
 def long_docstrings():
     """How often each "room: name" has an internal docstring of more than MAX_LINES lines.
 

@@ -233,9 +233,6 @@ def test_a_fit_that_meets_the_limit_says_so_and_goes_on(scene, device, monkeypat
     assert field.voxel_count <= 4000 and mean_psnr(evaluate(field, scene)) > 24
     size = "x".join(str(n) for n in field.resolution)
     assert len(said) == 1 and f"has {size} instead of" in said[0]
-    monkeypatch.undo()
-    fit(scene, device=device, least_steps=60)
-    assert "instead of" not in capsys.readouterr().err
 
 
 # Pictures at 8 bits a channel
@@ -446,7 +443,9 @@ def test_a_level_that_takes_longer_than_foretold_is_believed(scene, device, monk
 
 def test_a_fit_says_what_it_will_take(scene, device, capsys, monkeypatch):
     fit(scene, device=device, least_steps=60)
-    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("fit: about")]
+    lines = capsys.readouterr().err
+    assert "instead of" not in lines  # no limit was met
+    said = [line for line in lines.splitlines() if line.startswith("fit: about")]
     assert len(said) == 1 and " s and " in said[0] and said[0].endswith(("MB", "GB"))
     assert "fast" not in said[0]
     monkeypatch.setattr(schedule.Pace, "left", lambda pace: 1000.0)  # on a CPU a quicker fit is named
