@@ -37,9 +37,9 @@ QUICK = {
     "prepare": "truth prepare {out}",
     "compile": "compile.py --device cpu --warm-runs 1 --json {out}/compile.json",
     "batch_gpus": "batch gpus {of} --scene {scene} --frames 12 --size 48 --fits 2 --downscale 8 --workers 1 2"
-    " --device cpu --json {out}/batch_gpus.json",
+    " --what png fits --device cpu --json {out}/batch_gpus.json",
     "truth": "truth fields --quick --poses bend --json {out}/ground_truth.json --figures {out}",
-    "batch_scale": "batch-scale --items 20_000 --workers 50 --frames 20 --messages 2000"
+    "batch_scale": "batch-scale --items 5_000 --workers 50 --frames 20 --messages 2000"
     " --json {out}/batch_scale.json --page {out}/batch_scale.md",
     "table1": "frames table1 --quick --json {out}/table1.json --figure {out}/table1.jpg",
     "splats_truth": "splats-truth --quick --json {out}/splats_truth.json --figures {out}",

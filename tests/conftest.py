@@ -30,7 +30,8 @@ wp.init()
 MOST_WORKERS, MOST_WORKERS_CUDA, MORE_THAN_CORES = 8, 4, 1
 
 #: Fixtures that take long, and cases that share what they make: one worker runs all tests of each.
-DEAR = {"address", "lego", "rooms", "maps", "page", "window", "wheel", "cached_module", "walk", "shots", "glances"}
+DEAR = {"address", "lego", "rooms", "maps", "page", "window", "wheel", "cached_module", "walk", "shots", "glances",
+        "unrefined", "worlds"}  # fmt: skip
 DEAR_CASES = {
     "test_mean_value_weights[bricks]": "cage of bricks",
     "test_green_weights[bricks]": "cage of bricks",
@@ -141,6 +142,22 @@ def page():
         driver.get(address)
         yield Modules(driver)
         assert [entry for entry in driver.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A folder of what commands take, see tests/support/runs.py."""
+    from runs import write_files
+
+    return write_files(tmp_path_factory.mktemp("files"))
+
+
+@pytest.fixture(scope="module")
+def bricks():
+    """Pictures that are written in the formats of scenes."""
+    from scene_writers import brick_pictures
+
+    return brick_pictures(10)
 
 
 @pytest.fixture

@@ -84,7 +84,7 @@ def fields(args) -> None:
       rows are composited here. They check the deformer's frames, and are what plain directions are compared with.
     """
     if args.quick:
-        args.device, args.size, args.train_views, args.test_views, args.samples = "cpu", 64, 40, 2, 2
+        args.device, args.size, args.train_views, args.test_views, args.samples = "cpu", 48, 30, 2, 2
         args.scenes, args.poses, args.resolution, args.middle = ["animal"], ["rigid", "bend"], [32], 32
         args.edge, args.cuts, args.quality, args.refit = 0.15, 1, "fast", ["bend"]
     device = quiet_device(args.device)

@@ -5,7 +5,7 @@ import json
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from runs import run, write_files
+from runs import run
 
 import warpcage
 from warpcage import Camera, FieldOptimizer, SplatField, VoxelField, load_scene
@@ -18,11 +18,6 @@ FRAME = {
     "field": "ball.npz",
     "camera": {"eye": [2.5, -1.2, 1.0], "target": [0, 0, 0], "width": 40, "height": 32},
 }
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    return write_files(tmp_path_factory.mktemp("batch"))
 
 
 def test_a_fit_and_an_evaluation_are_those_of_the_commands(files, tmp_path):

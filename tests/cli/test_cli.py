@@ -8,18 +8,12 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 import warp as wp
-from runs import DEFORMED, run, succeed, write_files
+from runs import DEFORMED, run, succeed
 
 from warpcage import VoxelField
 from warpcage.cli import main
 from warpcage.core import warn_caller
 from warpcage.view import read_image
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    return write_files(tmp_path_factory.mktemp("cli"))
-
 
 # Help and wrong input
 

@@ -6,15 +6,10 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from runs import succeed, write_files
+from runs import succeed
 
 from warpcage import Cage, VoxelField
 from warpcage.cli import main
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    return write_files(tmp_path_factory.mktemp("cli"))
 
 
 @pytest.mark.parametrize("ending", ["obj", "ply", "stl", "glb"])

@@ -64,10 +64,9 @@ def test_what_one_step_alone_needs_is_only_noted(tmp_path):
     assert status == 0 and any("cages cannot be generated" in line for line in lines["note"])
 
 
-@pytest.mark.parametrize("cache", ["file/cache", "/dev/null/cache"])
-def test_no_writable_cache(tmp_path, cache):
+def test_no_writable_cache(tmp_path):
     (tmp_path / "file").write_text("no folder", encoding="utf-8")
-    status, lines = doctor(tmp_path, NUMPY, environment={"WARP_CACHE_PATH": str(tmp_path / cache)})
+    status, lines = doctor(tmp_path, NUMPY, environment={"WARP_CACHE_PATH": str(tmp_path / "file" / "cache")})
     (broken,) = lines["broken"]
     assert status == 1 and "set WARP_CACHE_PATH to a folder that can" in broken
 

@@ -7,7 +7,7 @@ import av
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from runs import run, succeed, write_files
+from runs import run, succeed
 from scene_writers import GltfWriter
 
 from warpcage import Cage, CameraKey, PoseFile, load_scene
@@ -15,11 +15,6 @@ from warpcage.view import eased_share, read_image
 
 LOOK = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, "--size", 24, "--coordinates", "mean_value", "--resolution", 16]
 FILM = ["--cage", "@cage.obj", *LOOK, "--turn", 0, "--quiet"]
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    return write_files(tmp_path_factory.mktemp("keys"))
 
 
 def frames_of(folder):

@@ -4,18 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from runs import DEFORMED, SMALL, run, succeed, write_files
+from runs import DEFORMED, SMALL, run, succeed
 
 from warpcage import Cage, Camera, CameraFile, CameraKey, PoseFile, VoxelField, camera_at, load_scene, turntable
 from warpcage.view import mean_picture, read_image, write_png
 from warpcage.view.camera_path import RefinedCameras
 
 LENS = {"fov_degrees": 50, "width": 40, "height": 40}
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    return write_files(tmp_path_factory.mktemp("views"))
 
 
 def cameras_of(files, tmp_path, *words):

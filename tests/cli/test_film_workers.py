@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from messages import MESSAGES
-from runs import DEFORMED, SMALL, run, succeed, write_files
+from runs import DEFORMED, SMALL, run, succeed
 
 import warpcage.batch.films as films
 from warpcage import Deformer
@@ -15,11 +15,6 @@ from warpcage.view import deep_pixels, read_film_frame, write_film_frame, write_
 
 #: x264 writes the same file again only of sides that are multiples of its blocks.
 FILM = ("animate", "@ball.npz", *DEFORMED, *SMALL, "--size", 64, "--frames", 6, "--quiet", "--device", "cpu")
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    return write_files(tmp_path_factory.mktemp("workers"))
 
 
 @pytest.fixture

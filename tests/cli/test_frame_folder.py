@@ -3,17 +3,12 @@
 import json
 
 import pytest
-from runs import SMALL, run, succeed, write_files
+from runs import SMALL, run, succeed
 
 from warpcage import Deformer
 
 FILM = ("--frames", 3, "--quiet", "--turn", 0, *SMALL)
 CAGES = ("--cage", "@cage.obj", "--posed")
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    return write_files(tmp_path_factory.mktemp("frames"))
 
 
 def listing(folder):

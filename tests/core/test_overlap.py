@@ -9,7 +9,7 @@ import weakref
 import numpy as np
 import pytest
 from messages import MESSAGES
-from runs import DEFORMED, SMALL, run, succeed, write_files
+from runs import DEFORMED, SMALL, run, succeed
 
 import warpcage.view.film as film
 from warpcage import Deformer
@@ -19,11 +19,6 @@ from warpcage.view import write_film
 
 #: Seconds until a test that hangs fails.
 PATIENCE = 60.0
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    return write_files(tmp_path_factory.mktemp("overlap"))
 
 
 class Sized:

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from editor_browser import CAGE, Window, editor, looks_cheap, settle, until, window
-from page_probe import projected
+from editor_browser import CAGE, Window, editor, looks_cheap, on_page, settle, until, window
 from scenes import LAMP, TableScene
 
 from warpcage.editor import view_camera
@@ -18,13 +17,6 @@ __all__ = ["editor", "window"]  # fixtures
 
 #: Radius of the ball of `tiny_field`.
 RADIUS = np.sqrt(0.3)
-
-
-def on_page(window: Window, point: Any) -> np.ndarray:
-    """Where a point of the world is on the page, CSS pixels."""
-    box = window.box
-    x, y, _ = projected(window.section("view"), np.asarray(point, float), box["width"], box["height"])
-    return np.array([x + box["left"], y + box["top"]])
 
 
 def line(begin: Any, end: Any, steps: int = 8) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Any
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from editor_browser import CAGE, Window, editor, looks_cheap, until, window
+from editor_browser import CAGE, Window, editor, looks_cheap, on_page, until, window
 from editor_pages import tiny_field
 from page_probe import projected
 
@@ -27,13 +27,6 @@ def green(editor: Any, tmp_path: Path) -> str:
     colors[:, 0] = (-1.5, 1.5, -1.5)
     warpcage.VoxelField(ball.bounds, ball.grid.links, ball.grid.density, colors).save(tmp_path / "green.npz")
     return "green.npz"
-
-
-def on_page(window: Window, point: Any) -> np.ndarray:
-    """Where a point of the scene is on the page, CSS pixels."""
-    box = window.box
-    x, y = projected(window.section("view"), np.asarray(point, float), box["width"], box["height"])[:2]
-    return np.array([x + box["left"], y + box["top"]])
 
 
 def add(window: Window, name: str) -> int:

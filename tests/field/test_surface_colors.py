@@ -7,17 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 from fields import make_field
-from runs import run, write_files
+from runs import run
 
 from warpcage import Cage, VoxelField
 
 #: The two halves of the ball of runs.py, sRGB: harmonics of degree 0, plus a half.
 RED, BLUE = np.array([1.5, -1.5, -1.5]) * 0.28209479 + 0.5, np.array([-1.5, -1.5, 1.5]) * 0.28209479 + 0.5
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    return write_files(tmp_path_factory.mktemp("cli"))
 
 
 def glb_parts(path):

@@ -1,6 +1,7 @@
 """Fits that refine their cameras: noisy poses, wrong focal lengths, exposures, checkpoints, files and commands."""
 
 import dataclasses
+import functools
 import json
 import re
 
@@ -61,9 +62,16 @@ def bricks():
     return synthetic_scene("bricks", train_views=24, size=28, device="cpu")
 
 
-def test_noisy_poses_are_refined_and_exact_ones_stay(bricks, device):
+@pytest.fixture(scope="module")
+def unrefined(bricks):
+    """Fits by exact cameras and by noisy ones as they are given, by kind and device; each is made once."""
+    scenes = {"exact": bricks[0], "noisy": turned_in_place(bricks[0], 1.0)}
+    return functools.cache(lambda kind, device: optimized(scenes[kind], device))
+
+
+def test_noisy_poses_are_refined_and_exact_ones_stay(bricks, unrefined, device):
     train, test = bricks
-    _, exact_field = optimized(train, device)
+    _, exact_field = unrefined("exact", device)
     exact = mean_psnr(evaluate(exact_field, test))
     assert exact_field.refined_cameras is None
 
@@ -71,8 +79,7 @@ def test_noisy_poses_are_refined_and_exact_ones_stay(bricks, device):
     np.testing.assert_allclose(poses_of(optimizer.cameras), poses_of(train.cameras), atol=2e-4)
     assert mean_psnr(evaluate(field, test)) > exact - 0.25  # the spread of fits this small; see NOTES-cameras.md
 
-    noisy = turned_in_place(train, 1.0)
-    _, blurred = optimized(noisy, device)
+    noisy, (_, blurred) = turned_in_place(train, 1.0), unrefined("noisy", device)
     optimizer, field = optimized(noisy, device, refine_cameras=True)
     refined = aligned_psnr(optimizer, field, train.cameras, test)
     assert mean_psnr(evaluate(blurred, test)) < exact - 3
@@ -81,18 +88,17 @@ def test_noisy_poses_are_refined_and_exact_ones_stay(bricks, device):
     assert mean_psnr(evaluate(field, tuned_scene(field, test))) > exact - 0.5
 
 
-def test_cameras_are_refined_where_they_are_off_alone(bricks, device, capsys):
+def test_cameras_are_refined_where_they_are_off_alone(bricks, unrefined, device, capsys):
     """Exact ones stay as they are given, and so does the field to the bit; shaken ones are found and pay."""
     train, test = bricks
-    plain, exact = optimized(train, device)
+    plain, exact = unrefined("exact", device)
     looked, same = optimized(train, device, refine_cameras="auto")
     assert looked.camera_errors is not None and not looked.camera_errors and same.refined_cameras is None
     if device == "cpu":  # where fits are deterministic
         for name in ("links", "density", "sh"):
             np.testing.assert_array_equal(*(getattr(field.grid, name).numpy() for field in (exact, same)))
 
-    noisy = turned_in_place(train, 1.0)
-    _, blurred = optimized(noisy, device)
+    noisy, (_, blurred) = turned_in_place(train, 1.0), unrefined("noisy", device)
     field = warpcage.fit(noisy, device=device, seed=0, refine_cameras="auto", **QUICK)
     assert re.search(r"cameras were off by 0\.\d pixels in the median: refined", capsys.readouterr().err)
     refined = aligned_psnr(field.refined_cameras, field, train.cameras, test)

@@ -1,5 +1,6 @@
 """Voxels that a pose moves, shaded once for a camera: where the pose takes them, whence they are seen, and views."""
 
+import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
@@ -59,17 +60,6 @@ def of_rows(deformer, camera):
     return frame
 
 
-def trilinear(values, g):
-    """(n, m) values (x, y, z, m) at node coordinates g (n, 3), in float64."""
-    cell = np.clip(np.floor(g).astype(int), 0, np.array(values.shape[:3]) - 2)
-    f = g - cell
-    total = 0
-    for corner in np.ndindex(2, 2, 2):
-        share = np.prod(np.where(corner, f, 1 - f), axis=1)
-        total = total + share[:, None] * values[tuple((cell + corner).T)].astype(float)
-    return total
-
-
 def found_places(deformer):
     """Of the only edit: nodes of the rest lattice that are taken somewhere (m, 3), where in the posed lattice (m, 3),
     the signed distance of all nodes to the rest cage, and whether each is taken somewhere."""
@@ -86,7 +76,7 @@ def test_the_map_leads_back_from_where_nodes_are_taken(pose, kind, device):
     deformer.render(view())
     edit, nodes, places, distance, taken = found_places(deformer)
     counts = tuple(edit.node_counts)
-    canonical = trilinear(edit.nodes.numpy().reshape(*counts, 4), places.astype(float))[:, :3]
+    canonical = oracle.trilinear(edit.nodes.numpy().reshape(*counts, 4), places.astype(float))[:, :3]
     back = (canonical - np.array(edit.rest.lower)) * edit.rest.inverse_spacing
     assert np.abs(back - nodes).max() < 5e-3
     if kind != "green":  # whose map leaves some of the rest cage out

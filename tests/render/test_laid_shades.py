@@ -47,16 +47,6 @@ def read(laid, places, layer, device):
     return found.numpy()
 
 
-def trilinear(values, g):
-    """Of values (x, y, z, 4) at g (n, 3), in float64."""
-    cell = np.minimum(np.floor(g).astype(int), np.array(values.shape[:3]) - 2)
-    f, total = g - cell, 0
-    for corner in np.ndindex(2, 2, 2):
-        share = np.prod(np.where(corner, f, 1 - f), axis=1)
-        total = total + share[:, None] * values[tuple((cell + corner).T)]
-    return total
-
-
 @pytest.mark.parametrize("layer", range(LAYERS))
 def test_places_between_nodes(layer, device):
     random = np.random.default_rng(0)
@@ -67,9 +57,9 @@ def test_places_between_nodes(layer, device):
     grid = values[layer].reshape(*COUNTS, 4)
     # halves, and places to 1/256 of a cell along three axes
     near = 1e-6 if wp.get_device(device).is_cpu else 3 * np.abs(values).max() / 256 + 2e-3
-    np.testing.assert_allclose(read(laid, inside, layer, device), trilinear(grid, inside), atol=near)
+    np.testing.assert_allclose(read(laid, inside, layer, device), oracle.trilinear(grid, inside), atol=near)
     exact = 1e-6 if wp.get_device(device).is_cpu else 2e-3
-    np.testing.assert_allclose(read(laid, at_nodes, layer, device), trilinear(grid, at_nodes), atol=exact)
+    np.testing.assert_allclose(read(laid, at_nodes, layer, device), oracle.trilinear(grid, at_nodes), atol=exact)
 
 
 def test_numbers_beyond_halves_are_the_largest(device):

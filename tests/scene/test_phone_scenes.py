@@ -8,14 +8,8 @@ import pytest
 from messages import MESSAGES
 from phone_writers import write_arkitscenes, write_json, write_polycam, write_record3d, write_stray
 from program_writers import SHADES, SQUARE
-from scene_writers import brick_pictures
 from scipy.spatial.transform import Rotation
 from test_scene_formats import load, require_equal, require_held_out_splits
-
-
-@pytest.fixture(scope="module")
-def bricks():
-    return brick_pictures(10)
 
 
 @pytest.mark.parametrize("corrected", [False, True])

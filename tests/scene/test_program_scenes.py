@@ -35,11 +35,6 @@ from warpcage import load_scene
 
 
 @pytest.fixture(scope="module")
-def bricks():
-    return brick_pictures(10)
-
-
-@pytest.fixture(scope="module")
 def centered():
     return brick_pictures(10, centered=True)
 

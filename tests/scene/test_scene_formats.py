@@ -25,11 +25,6 @@ BACKGROUND = (0.1, 0.5, 0.9)
 
 
 @pytest.fixture(scope="module")
-def bricks():
-    return brick_pictures(10)
-
-
-@pytest.fixture(scope="module")
 def centered():
     return brick_pictures(6, centered=True)
 

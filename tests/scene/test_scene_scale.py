@@ -1,6 +1,7 @@
 """A scene of another size, or far from the origin, gives the same result: nothing is measured in the world's units."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -50,17 +51,23 @@ def short_fit(scene):
 
 
 @pytest.fixture(scope="module")
-def fitted(pictures):
-    """The field of the scene where it is, with and without alphas."""
-    return {alpha: short_fit(make_scene(pictures, 1.0, 0 * FAR, alpha)) for alpha in (True, False)}
+def worlds(pictures):
+    """The field of the scene in a world, None where it is, with and without alphas; each is made once."""
+
+    @functools.cache
+    def fitted(world, alpha):
+        scale, shift = WORLDS[world] if world else (1.0, 0 * FAR)
+        return short_fit(make_scene(pictures, scale, shift, alpha))
+
+    return lambda world=None, alpha=True: fitted(world, alpha)
 
 
 @pytest.mark.parametrize("alpha", [True, False])
 @pytest.mark.parametrize("world", WORLDS)
-def test_a_fit_is_the_same_anywhere(pictures, fitted, world, alpha):
+def test_a_fit_is_the_same_anywhere(pictures, worlds, world, alpha):
     scale, shift = WORLDS[world]
     scene = make_scene(pictures, scale, shift, alpha)
-    field, expected = short_fit(scene), fitted[alpha]
+    field, expected = worlds(world, alpha), worlds(alpha=alpha)
     np.testing.assert_allclose((field.bounds - shift) / scale, expected.bounds, atol=1e-9)
     assert field.resolution == expected.resolution
     for camera, here in list(zip(scene.cameras, pictures.cameras, strict=True))[::5]:
@@ -75,18 +82,18 @@ def test_a_fit_is_the_same_anywhere(pictures, fitted, world, alpha):
 
 
 @pytest.mark.parametrize("world", ["1000 times", "far", "UTM"])
-def test_an_edit_is_the_same_anywhere(pictures, fitted, world):
+def test_an_edit_is_the_same_anywhere(pictures, worlds, world):
     scale, shift = WORLDS[world]
-    field = short_fit(make_scene(pictures, scale, shift, True))
-    rest = Cage.box(*fitted[True].bounds, segments=2)
+    field = worlds(world)
+    rest = Cage.box(*worlds().bounds, segments=2)
     posed = rest.bend(30, axis="x", towards="z")
     frames = []
-    for each, k, offset in ((fitted[True], 1.0, 0 * FAR), (field, scale, shift)):
+    for each, k, offset in ((worlds(), 1.0, 0 * FAR), (field, scale, shift)):
         deformer = Deformer(each, Cage(rest.vertices * k + offset, rest.faces), coordinates="mean_value", resolution=24)
         deformer.pose(Cage(posed.vertices * k + offset, posed.faces))
         frames.append(deformer.render(placed(pictures.cameras[:1], k, offset)[0]).rgb)
     assert np.abs(frames[1] - frames[0]).mean() < 2e-3
-    assert np.abs(frames[0] - fitted[True].render(pictures.cameras[0]).rgb).mean() > 0.01  # it is an edit
+    assert np.abs(frames[0] - worlds().render(pictures.cameras[0]).rgb).mean() > 0.01  # it is an edit
 
 
 @pytest.mark.parametrize("world", WORLDS)
@@ -135,15 +142,15 @@ def test_up_is_how_the_cameras_were_held(pictures):
     np.testing.assert_allclose(level.up, [0, 0, 1], atol=1e-12)
 
 
-def test_a_field_keeps_what_is_up(pictures, fitted, tmp_path, monkeypatch):
-    np.testing.assert_allclose(fitted[True].up, np.array([0.1, 0.2, 1.0]) / np.linalg.norm([0.1, 0.2, 1.0]), atol=1e-6)
-    fitted[True].save(tmp_path / "field.npz")
-    np.testing.assert_allclose(VoxelField.load(tmp_path / "field.npz").up, fitted[True].up, atol=1e-12)
+def test_a_field_keeps_what_is_up(pictures, worlds, tmp_path, monkeypatch):
+    np.testing.assert_allclose(worlds().up, np.array([0.1, 0.2, 1.0]) / np.linalg.norm([0.1, 0.2, 1.0]), atol=1e-6)
+    worlds().save(tmp_path / "field.npz")
+    np.testing.assert_allclose(VoxelField.load(tmp_path / "field.npz").up, worlds().up, atol=1e-12)
     from warpcage import cli
 
     seen = []
     monkeypatch.setattr(VoxelField, "render", lambda self, camera, **_: seen.append(camera) or exit_early())
-    for words, up in (([], fitted[True].up), (["--up", "0", "1", "0"], np.array([0.0, 1.0, 0.0]))):
+    for words, up in (([], worlds().up), (["--up", "0", "1", "0"], np.array([0.0, 1.0, 0.0]))):
         assert cli.main(["render", str(tmp_path / "field.npz"), "-o", str(tmp_path / "new.png"), *words]) == 2
         camera = seen.pop()
         assert abs(camera.rotation[:, 0] @ up) < 1e-6 and -camera.rotation[:, 1] @ up > 0.5
@@ -160,8 +167,8 @@ UTM = WORLDS["UTM"][1]
 
 @pytest.mark.parametrize("ending", [".ply", ".obj", ".glb"])
 @pytest.mark.parametrize("colors", ["--colors", "--no-colors"])
-def test_meshes_are_written_where_they_are(tmp_path, fitted, pictures, ending, colors):
-    plain, far = fitted[True], short_fit(make_scene(pictures, 1.0, UTM, True))
+def test_meshes_are_written_where_they_are(tmp_path, worlds, ending, colors):
+    plain, far = worlds(), worlds("UTM")
     for name, field in (("plain", plain), ("far", far)):
         field.save(tmp_path / f"{name}.npz")
         words = ["mesh", f"{tmp_path}/{name}.npz", "-o", f"{tmp_path}/{name}{ending}", colors]
@@ -174,8 +181,8 @@ def test_meshes_are_written_where_they_are(tmp_path, fitted, pictures, ending, c
     np.testing.assert_allclose(two.vertices.mean(axis=0) - UTM, one.vertices.mean(axis=0), atol=2e-2 * size)
 
 
-def test_stl_says_that_it_rounds(tmp_path, fitted, pictures, capsys):
-    short_fit(make_scene(pictures, 1.0, UTM, True)).save(tmp_path / "far.npz")
+def test_stl_says_that_it_rounds(tmp_path, worlds, capsys):
+    worlds("UTM").save(tmp_path / "far.npz")
     assert main(["mesh", f"{tmp_path}/far.npz", "-o", f"{tmp_path}/far.stl"]) == 0
     assert "STL holds float32, which rounds places so far from the origin to 0.5 units" in capsys.readouterr().err
 
@@ -216,12 +223,12 @@ def test_formats_of_float32_say_that_they_round(tmp_path, ending):
         some_splats(UTM).save(tmp_path / f"far{ending}")
 
 
-def test_splats_of_a_voxel_field_keep_their_places(tmp_path, fitted, pictures):
-    field = short_fit(make_scene(pictures, 1.0, UTM, True))
+def test_splats_of_a_voxel_field_keep_their_places(tmp_path, worlds, pictures):
+    field = worlds("UTM")
     to_splats(field).save(tmp_path / "a.ply")
     splats, camera = SplatField.load(tmp_path / "a.ply"), placed(pictures.cameras[:1], 1.0, UTM)[0]
     assert splats.contents.centers.dtype == np.float64
-    near = to_splats(fitted[True]).render(pictures.cameras[0])
+    near = to_splats(worlds()).render(pictures.cameras[0])
     assert np.abs(splats.render(camera).alpha - near.alpha).mean() < 5e-3 < 0.1 < near.alpha.mean()
 
 

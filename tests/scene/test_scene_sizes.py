@@ -50,11 +50,6 @@ def cut(pictures, sizes):
     return Sized(rgba, cameras, pictures.names)
 
 
-@pytest.fixture(scope="module")
-def bricks():
-    return brick_pictures(10)
-
-
 WRITERS = {
     "transforms": lambda folder, pictures: write_transforms(folder, pictures, shared=False),
     "transforms with masks": lambda folder, pictures: write_transforms(folder, pictures, shared=False, masks=True),

@@ -15,7 +15,7 @@ from entry_points import plug
 from field_oracles import basis
 from messages import MESSAGES
 from PIL import Image
-from splat_scenes import some_splats
+from splat_scenes import some_splats, zstd
 
 import warpcage
 from warpcage.cli import main
@@ -30,14 +30,6 @@ C1 = 0.4886025119029199
 #: Where x, y and z point in the coordinate systems of SPZ, by their numbers from 1 on.
 SYSTEMS = "LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split()
 WAYS = {"R": (1, 0, 0), "L": (-1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
-
-
-def zstd():
-    """What packs by zstd: a library, or Python's own."""
-    try:
-        return pytest.importorskip("compression.zstd").compress
-    except pytest.skip.Exception:
-        return pytest.importorskip("zstandard").ZstdCompressor().compress
 
 
 def field_of(contents):

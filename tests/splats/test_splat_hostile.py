@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
-from splat_scenes import require_read_or_refused, some_splats
+from splat_scenes import require_read_or_refused, some_splats, zstd
 
 import warpcage
 from warpcage.core import MemoryShortage
@@ -21,14 +21,6 @@ from warpcage.splats import is_splat_file
 
 #: Bytes that reading a file of some kilobytes may take.
 LITTLE = 1 << 24
-
-
-def zstd():
-    """What packs by zstd: a library, or Python's own."""
-    try:
-        return pytest.importorskip("compression.zstd").compress
-    except pytest.skip.Exception:
-        return pytest.importorskip("zstandard").ZstdCompressor().compress
 
 
 def refused(path, *words, error=ValueError):

@@ -21,7 +21,7 @@ pytest.importorskip("aiohttp")
 pytest.importorskip("simplejpeg")
 
 from editor_pages import tiny_field
-from page_probe import drag, pointer
+from page_probe import drag, pointer, projected
 
 import warpcage
 
@@ -361,3 +361,10 @@ def below(window: Window) -> tuple[np.ndarray, np.ndarray]:
     places = window.places()
     lowest = places[np.argmax(places[:, 1])]
     return lowest, np.array([lowest[0] + 60, lowest[1]])
+
+
+def on_page(window: Window, point: Any) -> np.ndarray:
+    """Where a point of the world is on the page, CSS pixels."""
+    box = window.box
+    x, y, _ = projected(window.section("view"), np.asarray(point, float), box["width"], box["height"])
+    return np.array([x + box["left"], y + box["top"]])

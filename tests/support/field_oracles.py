@@ -40,6 +40,46 @@ def random_field(
     return field, dense_density, dense_sh
 
 
+def rays_of(count, seed=0, reach=4.0):
+    """Origins (n, 3) in and around the box of a field, unit directions (n, 3)."""
+    random = np.random.default_rng(seed)
+    directions = random.normal(size=(count, 3))
+    return random.uniform(-reach, reach, (count, 3)), directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def assert_damage_is_named(field, folder, change, word):
+    """A file of the field with other arrays, or without some (None), is refused in one line, with a word."""
+    from warpcage import VoxelField
+
+    field.save(folder / "f.npz")
+    contents = dict(np.load(folder / "f.npz")) | change
+    np.savez(folder / "d.npz", **{name: array for name, array in contents.items() if array is not None})
+    with pytest.raises(ValueError, match=word) as raised:
+        VoxelField.load(folder / "d.npz")
+    assert "d.npz" in str(raised.value) and "\n" not in str(raised.value)
+
+
+def assert_slopes(found, values, loss, every):
+    """Some slopes of a loss of values, none of them zero, are central differences."""
+    for at in map(tuple, np.argwhere(np.abs(found) > 0)[::every]):
+        ends = []
+        for sign in (1, -1):
+            moved = values.copy()
+            moved[at] += sign * 1e-6
+            ends.append(loss(moved))
+        assert found[at] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=2e-3)
+
+
+def trilinear(values, g):
+    """(n, m) values (x, y, z, m) at node coordinates g (n, 3), in float64."""
+    cell = np.clip(np.floor(g).astype(int), 0, np.array(values.shape[:3]) - 2)
+    f, total = g - cell, 0
+    for corner in np.ndindex(2, 2, 2):
+        share = np.prod(np.where(corner, f, 1 - f), axis=1)
+        total = total + share[:, None] * values[tuple((cell + corner).T)].astype(float)
+    return total
+
+
 def basis(directions, degrees=3):
     """(n, degrees^2) real spherical harmonics from their definition by associated Legendre functions, svox2's signs."""
     from scipy.special import sph_harm_y

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 import warpcage
 from warpcage import Scene, SplatField, turntable
@@ -32,6 +33,14 @@ def one_splat(device, center=(0, 0, 0), scales=(0.1, 0.1, 0.1), opacity=0.5, deg
         np.full((1, (degree + 1) ** 2, 3), 0.3),
         device=device,
     )
+
+
+def zstd():
+    """What packs by zstd: a library, or Python's own."""
+    try:
+        return pytest.importorskip("compression.zstd").compress
+    except pytest.skip.Exception:
+        return pytest.importorskip("zstandard").ZstdCompressor().compress
 
 
 def covariances_of(splats):

@@ -3,7 +3,7 @@
 import av
 import numpy as np
 import pytest
-from runs import DEFORMED, SMALL, run, succeed, write_files
+from runs import DEFORMED, SMALL, run, succeed
 
 from warpcage import Camera, Frame
 from warpcage.view import (
@@ -18,11 +18,6 @@ from warpcage.view import (
 )
 
 VIEW = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, *SMALL]
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    return write_files(tmp_path_factory.mktemp("clear"))
 
 
 def read_film(path):
