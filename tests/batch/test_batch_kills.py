@@ -21,7 +21,7 @@ import warpcage
 from warpcage.batch import LocalHost, ProcessEngine, RayHost, early_processes, scheduler
 from warpcage.core import cpu_threads
 
-FRAMES, KILLS = 60, 10
+FRAMES, KILLS = 60, 20
 
 
 @pytest.fixture(scope="module", params=["processes", "ray"])
@@ -171,7 +171,7 @@ def test_no_worker_stays_of_a_plan_that_ends(tmp_path, end):
     assert children() <= before
 
 
-def test_ten_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engines, monkeypatch):
+def test_twenty_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engines, monkeypatch):
     """kill -9 of one of two workers, in the middle of an item or before its first, at random moments."""
     monkeypatch.setattr(scheduler, "MOST_BARREN", 25)  # workers that die by themselves before any item are given up
     out, chance, kills, done = tmp_path / "out", random.Random(5), [], threading.Event()
@@ -205,13 +205,13 @@ def test_ten_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engine
     assert len(set(kills)) == KILLS
 
 
-def test_three_kills_of_the_driver_cost_nothing(address, job, whole, tmp_path):
+def test_five_kills_of_the_driver_cost_nothing(address, job, whole, tmp_path):
     out, chance = tmp_path / "out", random.Random(3)
     words = words_of(address, job, out)
     notes, made, kills = out / ".warpcage" / "notes", 0, 0
-    while kills < 3:
+    while kills < 5:
         driver = subprocess.Popen([sys.executable, "-m", "warpcage", *words], stderr=subprocess.PIPE)
-        here = made + chance.randint(1, 12)  # of 60: so that there is something left for all three
+        here = made + chance.randint(1, 8)  # of 60: so that there is something left for all five
         while driver.poll() is None and here > (made := count_of(notes, out)):
             time.sleep(0.003)
         time.sleep(chance.uniform(0.0, 0.03))
@@ -224,7 +224,7 @@ def test_three_kills_of_the_driver_cost_nothing(address, job, whole, tmp_path):
     assert run_with(job, out, retries=20).complete
     assert_whole(out, whole)
     again = [path for path, when in before.items() if path.stat().st_mtime_ns != when]
-    assert len(again) <= 12  # those that were being written
+    assert len(again) <= 20  # those that were being written
 
 
 def count_of(notes, out):
