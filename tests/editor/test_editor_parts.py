@@ -348,3 +348,20 @@ def test_keys_of_cameras_alone_have_curves_and_escape_leaves_a_drag(window: Wind
 
     turn = (angle(last) - angle(first) + np.pi) % (2 * np.pi) - np.pi
     until(lambda: abs(angle(editor.document.view) - angle(first) - gone * turn) < 1e-6, "the camera goes by the curve")
+
+
+def test_a_move_of_the_camera_becomes_keys(window: Window, editor: Any) -> None:
+    looks_cheap(window)
+    window.unfold("keys")
+    window.click("#camera-move")
+    window.wait("document.getElementById('ask-move')")
+    window.choose("#ask-move", "2")
+    window.click("#dialog-confirm")
+    until(lambda: len(editor.document.timeline.keys) == 3, "a quarter is two parts")
+    keys = editor.document.timeline.keys
+    assert [key.time for key in keys] == [0.0, 2.0, 4.0] and all(key.view and key.poses is None for key in keys)
+    window.click("#camera-move")
+    window.fill("#ask-words", "spin:3")
+    window.click("#dialog-confirm")
+    window.wait('document.getElementById("toasts").textContent.includes("is no move")')
+    assert editor.document.timeline.keys == keys

@@ -28,6 +28,7 @@ from warpcage.editor import (
     state_at,
     view_camera,
     ways,
+    with_camera_moves,
     with_pose_file,
 )
 
@@ -360,3 +361,82 @@ def rolled_by(degrees):
     turn = np.eye(4)
     turn[:2, :2] = [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
     return turn
+
+
+def looked(document, time):
+    """Place, axis and upward direction (3, 3) of the film's camera at a time."""
+    camera = view_camera(state_at(document, time)[1], 80, 60)
+    return np.stack([camera.center, camera.rotation[:, 2], -camera.rotation[:, 1]])
+
+
+def turned_by(degrees):
+    """The rotation (3, 3) about z."""
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("words, degrees", [("turn:90", 90), ("turn:-130", -130), ("turn:360", 360), ("turn", 360)])
+def test_a_turn_goes_evenly_about_the_middle_of_the_view(words, degrees):
+    moved, note = with_camera_moves(film(length=3.0), words, [])
+    start = view_camera(VIEW, 80, 60)
+    for time in (0.0, 0.4, 1.5, 2.9, 3.0):
+        way = np.stack([start.center, start.rotation[:, 2], -start.rotation[:, 1]]) @ turned_by(degrees * time / 3.0).T
+        np.testing.assert_allclose(looked(moved, time), way, atol=1e-6)
+    assert note == "" and moved.timeline.length == 3.0
+
+
+def test_dolly_and_crane_end_where_their_words_say():
+    near = with_camera_moves(film(length=2.0), "dolly:0.5", [])[0]
+    np.testing.assert_allclose(looked(near, 2.0)[0], 0.5 * np.array(VIEW.eye), atol=1e-9)
+    high = with_camera_moves(film(length=2.0), "crane:30", [])[0]
+    eye = looked(high, 2.0)[0]
+    rise = np.degrees(np.arctan2(1.0, 3.0)) + 30
+    np.testing.assert_allclose(eye / np.linalg.norm(VIEW.eye), [np.cos(np.radians(rise)), 0, np.sin(np.radians(rise))])
+    distances = [np.linalg.norm(looked(high, time)[0]) for time in (0.3, 1.0, 1.7)]
+    np.testing.assert_allclose(distances, np.linalg.norm(VIEW.eye), rtol=1e-6)
+
+
+def test_a_hand_that_holds_the_camera_sways_a_little_and_the_same_again():
+    held = [
+        with_camera_moves(film(length=4.0), words, [])[0] for words in ("hand-held:3", "hand-held:3", "hand-held:4")
+    ]
+    ways = np.array([[looked(one, time) for time in np.linspace(0, 4, 33)] for one in held])
+    np.testing.assert_array_equal(ways[0], ways[1])
+    axes = np.degrees(np.arccos(np.clip(np.sum(ways[:, :, 1] * ways[:, :1, 1], axis=-1), -1, 1)))
+    assert 0.05 < axes.max() < 3 and np.abs(ways[0] - ways[2]).max() > 1e-3
+
+
+def test_a_camera_that_follows_looks_at_the_cage_and_poses_stay():
+    here, there = frozen_vertices(CAGE.vertices), frozen_vertices(CAGE.vertices + [0.0, 2.0, 0.5])
+    before = film((0.0, "linear", here, VIEW), (2.0, "linear", there, None), (1.2, "smooth", None, VIEW), length=2.0)
+    before = dataclasses.replace(before, selection=Selection(edit=1))
+    after = with_camera_moves(before, "follow", [])[0]
+    for time in (0.0, 1.0, 2.0):
+        np.testing.assert_array_equal(pose_at(after, time), pose_at(before, time))
+        way = np.array([0.0, 2.0, 0.5]) * time / 2.0 - VIEW.eye
+        np.testing.assert_allclose(looked(after, time)[1], way / np.linalg.norm(way), atol=1e-6)
+    assert [key.time for key in after.timeline.keys if key.time == 1.2] == []  # of a camera alone, which is replaced
+    assert len({key.id for key in after.timeline.keys}) == len(after.timeline.keys)
+
+
+def test_a_turn_stays_within_what_pictures_saw():
+    ways = np.radians(np.arange(-40, 81, 15))  # a third of the way round
+    eyes = 3.2 * np.stack([np.cos(ways), np.sin(ways), np.full(len(ways), 0.3)], axis=1)
+    seen = [Camera.look_at(eye, (0.0, 0.0, 0.0), width=80, height=60) for eye in eyes]
+    moved, note = with_camera_moves(film(length=4.0), "turn", seen)
+    azimuths = np.degrees([np.arctan2(*looked(moved, time)[0][1::-1]) for time in np.linspace(0, 4, 41)])
+    known = np.degrees([np.arctan2(camera.center[1], camera.center[0]) for camera in seen])
+    assert "no picture shows the rest" in note and 90 < np.ptp(azimuths) < 150
+    assert known.min() - 10 < azimuths.min() and azimuths.max() < known.max() + 10
+    np.testing.assert_allclose(looked(moved, 0.0), looked(moved, 4.0), atol=1e-6)
+
+
+@pytest.mark.parametrize("words", ["spin", "turn:x", "dolly:0", "", "follow"])
+def test_words_that_name_no_move_are_refused(words):
+    with pytest.raises(ValueError, match="no move|1 to 100 letters|cage to follow"):
+        with_camera_moves(film(length=3600.0), words, [])
+
+
+def test_a_move_of_too_many_keys_is_refused():
+    with pytest.raises(ValueError, match="a film has at most"):
+        with_camera_moves(film(length=3600.0), "hand-held", [])

@@ -27,7 +27,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "things": "field_files read_fields stage_of with_new_thing with_stage",
         "timeline": (
             "document_at frame_rate frame_times load_poses looped_time place_files placed_at pose_file state_at ways "
-            "with_pose_file"
+            "with_camera_moves with_pose_file"
         ),
     },
 )

@@ -275,6 +275,8 @@ class Server:
             return None
         if do != "play" and do not in ("settings", "select"):
             self.player.stop()
+        if do == "camera.move":
+            return session.move_camera(message)
         if do in COMMANDS:
             session.run(message)
         elif do in ("drag.begin", "preset.begin", "place.begin"):

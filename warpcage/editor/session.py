@@ -217,6 +217,18 @@ class Session:
         """Carry out a command of `commands`, as one step. Raises ValueError in one line."""
         self.change(lambda document: commands.run_command(document, message))
 
+    def move_camera(self, message: dict[str, Any]) -> dict[str, str]:
+        """Keys of the moves of the film's camera that words name, as one step; what held them back, or ""."""
+        refined, notes = getattr(self.fields.main, "refined_cameras", None), [""]
+
+        def step(document: Document) -> tuple[str, Document]:
+            words, seen = message["move"], refined.cameras if refined else []
+            made, notes[0] = timeline.with_camera_moves(document, words, seen)
+            return f"camera {words}", made
+
+        self.change(step)
+        return {"note": notes[0]}
+
     def change(self, step: Callable[[Document], tuple[str, Document]]) -> None:
         """Take what a function makes of the document as one step of the history; what it raises changes nothing."""
         self.end_gesture()

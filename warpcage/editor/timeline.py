@@ -15,12 +15,14 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile, known_easing
+from ..core.names import MOVE_HELP
 from ..edits.place import PlaceFile
 from ..errors import InputError
+from ..scene.coverage import within_sight
 from ..view import motion as between
-from ..view.camera import CameraKey
-from ..view.camera_path import timed_keys
-from .checks import MAX_KEYS, MAX_NAME, MAX_SECONDS, frozen_vertices
+from ..view.camera import Camera, CameraKey
+from ..view.camera_path import CameraMove, MovingCamera, camera_moves, timed_keys
+from .checks import MAX_KEYS, MAX_NAME, MAX_SECONDS, checked_name, frozen_vertices
 from .document import Document, Key, Timeline, View
 from .pictures.scene import view_camera
 
@@ -35,6 +37,12 @@ PARTS, SMOOTH_PARTS = 32, 8
 
 #: Keys whose ways are drawn: more lie too close to be told apart, and take long.
 MAX_DRAWN = 200
+
+#: Most degrees between two keys of a turn, of which those between are exact; and parts of one there and back.
+TURN_PART, TURN_BACK_PARTS = 45.0, 16
+
+#: Keys of moves that go no even way: a hand sways up to 2.3 times a second, the last of these little.
+KEYS_A_SECOND = {"hand-held": 6.0, "follow": 3.0}
 
 #: Fields of view, degrees: a smooth way may swing beyond those of its keys.
 LEAST_FOV, LARGEST_FOV = 1.0, 150.0
@@ -185,7 +193,77 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
         key = dataclasses.replace(held, name=shown, easing=easing, poses=poses)
         keys = [other for other in keys if other.id != key.id] + [key]
         by_time[time] = key
-    for looking in timed_keys(file.cameras) if file.cameras else []:
+    if file.cameras:
+        keys, next_id = _with_cameras(
+            keys, timed_keys(file.cameras), edit.rest_cage.bounds.mean(axis=0), document, next_id
+        )
+    return _with_keys(document, keys, next_id)
+
+
+def with_camera_moves(document: Document, words: str, seen: Sequence[Camera]) -> tuple[Document, str]:
+    """A document whose film's camera goes through moves as words name them, from the present view and about its target,
+    by keys in the place of its own; and one line of what held it back, or "". seen: cameras of the pictures."""
+    film, view, moves = document.timeline, document.view, camera_moves(checked_name(words))
+    if moves is None:
+        raise InputError(f"camera {words!r} is no move: {MOVE_HELP}")
+    closes = any(move.kind == "turn" and (move.amount or 360.0) % 360.0 == 0.0 for move in moves)
+    frames = max(1, round(film.length * film.fps))
+    pivot, up = np.array(view.target), np.array(view.up)
+    start, rate = view_camera(view, *PICTURE), frames / film.length
+    moving, _ = within_sight(MovingCamera(start, pivot, up, moves, frames + (not closes), rate), seen)
+    parts, easing = max(_parts(move, film.length) for move in moving.moves), "smooth"
+    if len(moves) == 1:
+        easing = {"turn": "linear", "dolly": "ease-in-out", "crane": "ease-in-out"}.get(moves[0].kind, easing)
+    if (arc := moving.moves[0].arc) is not None:
+        easing = "smooth"
+    follows = any(move.kind == "follow" for move in moves)
+    looking = []
+    for share in np.linspace(0.0, 1.0, parts + 1):
+        time = float(share) * film.length
+        place = _followed_place(document, time) if follows else pivot
+        camera = moving.at(float(share) * frames, lambda part, place=place: place)
+        looking.append(CameraKey(camera, time, f"{moves[0].kind} {len(looking) + 1}", easing, place))
+    keys = [key for key in (dataclasses.replace(key, view=None) for key in film.keys) if not key.is_empty]
+    if len(keys) + len(looking) > MAX_KEYS:
+        raise InputError(f"a film has at most {MAX_KEYS} keys, this one would have {len(keys) + len(looking)}")
+    keys, next_id = _with_cameras(keys, looking, pivot, document, document.next_id)
+    span = 0.0 if arc is None else arc[1] - arc[0]
+    note = f"The camera goes there and back through {span:.0f} degrees: no picture shows the rest." if span else ""
+    return _with_keys(document, keys, next_id), note
+
+
+def _parts(move: CameraMove, length: float) -> int:
+    """Between how many keys a move is cut: what lies between two is a way about the target. length: seconds."""
+    if move.kind == "turn":
+        return TURN_BACK_PARTS if move.arc else math.ceil(abs(move.amount or 360.0) / TURN_PART)
+    return math.ceil(length * KEYS_A_SECOND[move.kind]) if move.kind in KEYS_A_SECOND else 1
+
+
+def _followed_place(document: Document, time: float) -> np.ndarray:
+    """(3,) where the middle of the active edit's cage is at a time, world units."""
+    now = document_at(document, time)
+    if now.selection.edit is None:
+        raise InputError("choose the cage to follow first")
+    edit = now.edit(now.selection.edit)
+    return now.thing(edit.thing).place.moved(edit.posed).mean(axis=0)
+
+
+def _with_keys(document: Document, keys: list[Key], next_id: int) -> Document:
+    """The document with these keys, by time; the film gets longer where they go on."""
+    keys = sorted(keys, key=lambda key: (key.time, key.id))
+    timeline = dataclasses.replace(
+        document.timeline, keys=tuple(keys), length=max(document.timeline.length, keys[-1].time)
+    )
+    return dataclasses.replace(document, timeline=timeline, next_id=next_id)
+
+
+def _with_cameras(
+    keys: Sequence[Key], cameras: Sequence[CameraKey], middle: np.ndarray, document: Document, next_id: int
+) -> tuple[list[Key], int]:
+    """Keys with cameras too, each in the last key of its time where there is one, and the number of the next key.
+    middle (3,): what cameras look at that name no target."""
+    found, by_time = {key.id: key for key in keys}, {key.time: key for key in keys}
+    for looking in cameras:
         time = looking.time or 0.0
         if time > MAX_SECONDS:
             raise InputError(f"camera {looking.name!r} is at {time:g} s: a film goes from 0 to {MAX_SECONDS:g} s")
@@ -193,14 +271,8 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
         if held is None:
             held = Key(next_id, time, " ".join(looking.name.split())[:MAX_NAME] or f"camera {next_id}", looking.easing)
             next_id += 1
-        key = dataclasses.replace(held, view=view_of(looking, edit.rest_cage.bounds.mean(axis=0), document.view.up))
-        keys = [other for other in keys if other.id != key.id] + [key]
-        by_time[time] = key
-    keys.sort(key=lambda key: (key.time, key.id))
-    timeline = dataclasses.replace(
-        document.timeline, keys=tuple(keys), length=max(document.timeline.length, keys[-1].time)
-    )
-    return dataclasses.replace(document, timeline=timeline, next_id=next_id)
+        found[held.id] = dataclasses.replace(held, view=view_of(looking, middle, document.view.up))
+    return list(found.values()), next_id
 
 
 def view_of(key: CameraKey, middle: np.ndarray, up: Sequence[float]) -> View:

@@ -2,7 +2,7 @@
 
 import { store } from "../core/store.js";
 import { request } from "../core/connection.js";
-import { askFor, showText } from "../core/dialogs.js";
+import { askFor, showText, toast } from "../core/dialogs.js";
 import { button, choice, el, followKey, group, icon, listBox, number, row, rows, setText, short, text, titleOf } from "../core/controls.js";
 import { loadFrom, uploadField } from "./cage.js";
 import { things } from "../view/things.js";
@@ -31,6 +31,34 @@ function makeKeyRow({ id }) {
     root.setAttribute("aria-label", `${key.name} at ${seconds(key.time)}, ${holds(key)}, ${easingWord(key.easing)}`);
   };
   return { root, update };
+}
+
+/** Moves of a camera, by their words: as `warpcage animate --cameras` has them. */
+const MOVES = [
+  ["turn", "Turn, through what pictures saw"],
+  ["turn:360", "All the way round"],
+  ["turn:90", "A quarter to the side"],
+  ["dolly", "Dolly in"],
+  ["dolly:1.6", "Dolly out"],
+  ["crane", "Crane up"],
+  ["crane:-25", "Crane down"],
+  ["hand-held", "Hand-held"],
+  ["follow", "Follow the active cage"],
+];
+
+async function moveCamera() {
+  const { length, keys } = film();
+  const given = await askFor({
+    title: "Camera move",
+    text: `From the view as it is, about its middle, over the ${seconds(length)} of the film.${keys.some(({ camera }) => camera) ? " It replaces the cameras of the keys." : ""}`,
+    fields: [
+      { name: "move", label: "Move", type: "choice", value: "turn", choices: MOVES },
+      { name: "words", label: "Or in words", type: "text", value: "", optional: true, help: "turn:DEGREES, dolly:SHARE, crane:DEGREES, hand-held:SEED or follow, several joined by +: dolly:0.7+hand-held." },
+    ],
+    confirm: "Make keys",
+  });
+  const result = given && (await request({ do: "camera.move", move: given.words || given.move }));
+  if (result?.note) toast(result.note);
 }
 
 /** The group of the keys: {root, start()}. */
@@ -69,6 +97,7 @@ export function keysGroup() {
     button({ id: "key-add", label: "Add key", icon: "plus", keep: true, title: titleOf("Key of pose and camera at the present time", "key.insert"), onClick: () => add(true, true) }),
     button({ id: "key-add-pose", label: "Pose", title: "Key of the pose alone at the present time", onClick: () => add(true, false) }),
     button({ id: "key-add-camera", label: "Camera", title: "Key of the camera alone at the present time", onClick: () => add(false, true) }),
+    button({ id: "camera-move", label: "Move…", title: "Keys of a camera that moves over the whole film: turn, dolly, crane, hand-held, follow", onClick: moveCamera }),
   );
   const made = group("keys", "Keys", false, ...list.parts, adds, details);
   const show = () => {
