@@ -215,7 +215,7 @@ def _cage_around_points(
     if not found:
         raise InputError(
             f"no cage of {vertex_count} vertices could be made ({'; '.join(reasons)}): ask for more "
-            "vertices, a smaller margin, or begin with Cage.box"
+            "vertices, a smaller margin, or begin with a box"
         )
     best = min(found, key=lambda cage: cage.volume)
     return best.vertices, best.faces
