@@ -413,7 +413,7 @@ def stepping(scene, device, monkeypatch, seconds_of, **options):
 
 @pytest.mark.parametrize("supersampling", [1, 2])
 def test_steps_to_come_follow_from_the_first_ones(scene, device, monkeypatch, supersampling):
-    power = 1.2 if wp.get_device(device).is_cpu else 0.65
+    power = 1.1 if wp.get_device(device).is_cpu else 0.65
     options = {"resolution": 32, "levels": 3, "least_steps": 120, "epochs": 0.1, "batch_rays": 64}
 
     def seconds_of(level):

@@ -244,7 +244,7 @@ def test_backward_splats_lie_where_voxels_are(kind, device):
         ({"coordinates": "cubic"}, "coordinates"),
         ({"density": "thick"}, "density"),
         ({"map": "sideways"}, "map must be one of forward, backward"),
-        ({"store": "weights"}, "keep their weights"),
+        ({"store": "weights"}, "keep no lattice"),
         ({"resolution": 4}, "resolution"),
     ],
 )

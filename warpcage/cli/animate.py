@@ -17,7 +17,7 @@ from ..batch.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs, frame_
 from ..batch.items import ID
 from ..cage.motion import USUAL_RATE
 from ..cage.pose_file import PoseFile
-from ..core.files import require_file
+from ..core.files import check_parent, require_file
 from ..core.names import TRANSPARENT, counted
 from ..core.reports import bar
 from ..editor.document import Document
@@ -66,7 +66,7 @@ def run_animate(args: argparse.Namespace) -> None:
         default = getattr(args, name)
         setattr(args, name, default.value if isinstance(default, Default) else default)
     output = FRAMES if args.jobs is not None else checked_film_path(args.output, new=False)
-    options.check_parent(output)
+    check_parent(output)
     jobs = None if args.jobs is None else checked_jobs_path(args.jobs)
     here = jobs is None and args.workers is None
     parts, kind = ({}, "") if here else frame_outputs(output, args.show, args.format)
@@ -212,7 +212,7 @@ def _run_session(args: argparse.Namespace) -> None:
         raise InputError(f"--session cannot be combined with --{given[0].replace('_', '-')}: the session decides that")
     jobs = None if args.jobs is None else checked_jobs_path(args.jobs)
     output = FRAMES if jobs is not None else checked_film_path(args.output)
-    options.check_parent(output)
+    check_parent(output)
     require_file(args.session, "session file")  # before a field is read, which takes a while
     width, height = image_size(args) or DEFAULT_SIZE
     if args.format is not None:

@@ -13,7 +13,7 @@ import warp as wp
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile
 from ..core.checks import format_lines
-from ..core.files import read_json
+from ..core.files import check_parent, read_json
 from ..core.kernel_files import copy_kernel, find_kernel, kernel_groups, kernel_names, kernel_summary
 from ..core.modules import start_warp
 from ..core.names import counted
@@ -388,7 +388,7 @@ def run_kernels(args: argparse.Namespace) -> None:
         return
     name, destination = args.name, pathlib.Path(args.destination)
     name = name if name in kernel_groups() else find_kernel(name)
-    options.check_parent(destination)
+    check_parent(destination)
     paths = copy_kernel(name, destination, alone=args.alone)
     module = f"{destination.resolve().name}.{name}".replace("/", ".")
     host = [path for path in paths if "host" in path.relative_to(destination).parts]

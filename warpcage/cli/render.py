@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..cage.cage import Cage
+from ..core.files import check_parent
 from ..core.names import counted
 from ..edits.stage_file import STAGE_ENDING
 from ..errors import InputError
@@ -138,7 +139,7 @@ def _new_folder(text: str, what: str) -> pathlib.Path:
     path = pathlib.Path(text)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise InputError(f"{text!r} exists already: {what}")
-    options.check_parent(path)
+    check_parent(path)
     return path
 
 

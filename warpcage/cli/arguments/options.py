@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ...core.files import check_parent
 from ...core.names import BACKGROUNDS, COORDINATES, DENSITIES, FIELD_COORDINATES, SPLAT_MAPS, TRANSPARENT
 from ...errors import InputError, MissingFileError, StateError
 
@@ -156,6 +155,8 @@ def color(text: str) -> str | tuple[float, ...]:
 
 def check_output(text: str, endings: tuple[str, ...], what: str) -> pathlib.Path:
     """Check the path of an output before any long work; endings: such as ".png"; what: how messages call the file."""
+    from ...core.files import check_parent  # with NumPy, which help does without
+
     path = pathlib.Path(text)
     if path.suffix.lower() not in endings:
         raise InputError(f"{what} {str(path)!r} must end in {' or '.join(endings)}")
