@@ -193,10 +193,17 @@ def with_pose_file(document: Document, number: int, file: PoseFile) -> Document:
         key = dataclasses.replace(held, name=shown, easing=easing, poses=poses)
         keys = [other for other in keys if other.id != key.id] + [key]
         by_time[time] = key
-    if file.cameras:
-        keys, next_id = _with_cameras(
-            keys, timed_keys(file.cameras), edit.rest_cage.bounds.mean(axis=0), document, next_id
-        )
+    for looking in timed_keys(file.cameras) if file.cameras else []:
+        time = looking.time or 0.0
+        if time > MAX_SECONDS:
+            raise InputError(f"camera {looking.name!r} is at {time:g} s: a film goes from 0 to {MAX_SECONDS:g} s")
+        held = by_time.get(time)
+        if held is None:
+            held = Key(next_id, time, " ".join(looking.name.split())[:MAX_NAME] or f"camera {next_id}", looking.easing)
+            next_id += 1
+        key = dataclasses.replace(held, view=view_of(looking, edit.rest_cage.bounds.mean(axis=0), document.view.up))
+        keys = [other for other in keys if other.id != key.id] + [key]
+        by_time[time] = key
     return _with_keys(document, keys, next_id)
 
 
@@ -217,19 +224,18 @@ def with_camera_moves(document: Document, words: str, seen: Sequence[Camera]) ->
     if (arc := moving.moves[0].arc) is not None:
         easing = "smooth"
     follows = any(move.kind == "follow" for move in moves)
-    looking = []
-    for share in np.linspace(0.0, 1.0, parts + 1):
-        time = float(share) * film.length
-        place = _followed_place(document, time) if follows else pivot
-        camera = moving.at(float(share) * frames, lambda part, place=place: place)
-        looking.append(CameraKey(camera, time, f"{moves[0].kind} {len(looking) + 1}", easing, place))
     keys = [key for key in (dataclasses.replace(key, view=None) for key in film.keys) if not key.is_empty]
-    if len(keys) + len(looking) > MAX_KEYS:
-        raise InputError(f"a film has at most {MAX_KEYS} keys, this one would have {len(keys) + len(looking)}")
-    keys, next_id = _with_cameras(keys, looking, pivot, document, document.next_id)
+    if len(keys) + parts + 1 > MAX_KEYS:
+        raise InputError(f"a film has at most {MAX_KEYS} keys, this one would have {len(keys) + parts + 1}")
+    for number in range(parts + 1):  # keys of their own: those of poses there have easings of theirs
+        time = film.length * number / parts
+        place = _followed_place(document, time) if follows else pivot
+        camera = moving.at(frames * number / parts, lambda part, place=place: place)
+        looking = view_of(CameraKey(camera, target=place), place, view.up)
+        keys.append(Key(document.next_id + number, time, f"{moves[0].kind} {number + 1}", easing, view=looking))
     span = 0.0 if arc is None else arc[1] - arc[0]
     note = f"The camera goes there and back through {span:.0f} degrees: no picture shows the rest." if span else ""
-    return _with_keys(document, keys, next_id), note
+    return _with_keys(document, keys, document.next_id + parts + 1), note
 
 
 def _parts(move: CameraMove, length: float) -> int:
@@ -255,24 +261,6 @@ def _with_keys(document: Document, keys: list[Key], next_id: int) -> Document:
         document.timeline, keys=tuple(keys), length=max(document.timeline.length, keys[-1].time)
     )
     return dataclasses.replace(document, timeline=timeline, next_id=next_id)
-
-
-def _with_cameras(
-    keys: Sequence[Key], cameras: Sequence[CameraKey], middle: np.ndarray, document: Document, next_id: int
-) -> tuple[list[Key], int]:
-    """Keys with cameras too, each in the last key of its time where there is one, and the number of the next key.
-    middle (3,): what cameras look at that name no target."""
-    found, by_time = {key.id: key for key in keys}, {key.time: key for key in keys}
-    for looking in cameras:
-        time = looking.time or 0.0
-        if time > MAX_SECONDS:
-            raise InputError(f"camera {looking.name!r} is at {time:g} s: a film goes from 0 to {MAX_SECONDS:g} s")
-        held = by_time.get(time)
-        if held is None:
-            held = Key(next_id, time, " ".join(looking.name.split())[:MAX_NAME] or f"camera {next_id}", looking.easing)
-            next_id += 1
-        found[held.id] = dataclasses.replace(held, view=view_of(looking, middle, document.view.up))
-    return list(found.values()), next_id
 
 
 def view_of(key: CameraKey, middle: np.ndarray, up: Sequence[float]) -> View:
