@@ -265,12 +265,13 @@ def test_digests_are_the_same_for_any_threads_and_layout(checkpoint, two_threads
     assert scene_digest(swapped) != digest
 
 
-def test_checkpoints_of_earlier_versions_are_named_so(checkpoint, tmp_path):
+@pytest.mark.parametrize("version, named", [(2, "(2, "), (np.zeros((3, 2)), "([[0. 0.] [0. 0.] [")])
+def test_checkpoints_of_earlier_versions_are_named_so(checkpoint, tmp_path, version, named):
     scene, path = checkpoint
-    contents = dict(np.load(path)) | {"version": np.array(2)}
+    contents = dict(np.load(path)) | {"version": np.array(version)}
     np.savez(tmp_path / "old.npz", **contents)
     optimizer = FieldOptimizer(scene, device="cpu", **FIT)
-    refused(lambda: load_progress(optimizer, tmp_path / "old.npz"), "old.npz", "another version (2, ", "remove it")
+    refused(lambda: load_progress(optimizer, tmp_path / "old.npz"), "old.npz", f"another version {named}", "remove it")
 
 
 def test_checkpoints_hold_no_arrays_that_are_not_read(checkpoint):

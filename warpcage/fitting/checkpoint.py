@@ -143,9 +143,10 @@ def read_checkpoint(
     if str(contents.get("format", "")) != kind:
         raise InputError(f"{path} is no {kind.removeprefix('warpcage ')} checkpoint: remove it or name another file")
     if str(contents.get("version")) != str(version):
+        found = " ".join(str(contents.get("version")).split())[:20]  # an array prints in lines
         raise InputError(
-            f"{path} is a fit checkpoint of another version ({str(contents.get('version'))[:20]}, this warpcage reads "
-            f"{version}): fit with the warpcage that wrote it, remove it or name another file"
+            f"{path} is a fit checkpoint of another version ({found}, this warpcage reads {version}): fit with the "
+            "warpcage that wrote it, remove it or name another file"
         )
     if str(contents.get("fingerprint")) != own:
         raise InputError(
