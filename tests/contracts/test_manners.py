@@ -147,6 +147,29 @@ def test_a_signal_that_ends_the_program_leaves_no_half_written_file(tmp_path, co
     assert capsys.readouterr().err == "warpcage: terminated\n" and list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("name, status", [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_signal_in_a_destructor_is_not_lost(command, capsys, name, status):
+    """Python reports what is raised there, and goes on."""
+
+    class Freed:
+        def __del__(self):
+            os.kill(os.getpid(), getattr(signal, name))
+            sum(range(10))  # the handler runs here
+
+    def frees():
+        thing = Freed()
+        del thing
+        time.sleep(9)
+
+    command(frees)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert main(["info"]) == status
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err == f"warpcage: {'interrupted' if status == 130 else 'terminated'}\n"
+
+
 def test_a_command_runs_in_any_thread(command):
     """Python handles signals in the main thread alone."""
     command(lambda: 1)

@@ -90,6 +90,7 @@ class Ended(KeyboardInterrupt):
 @contextlib.contextmanager
 def ended_by_signals() -> Iterator[None]:
     """Raise Ended where SIGTERM or SIGHUP would kill the process. A signal that is ignored stays so (nohup)."""
+    # What is raised in a destructor, such as that of Warp's arrays, is lost: the signal is sent again.
     if threading.current_thread() is not threading.main_thread():
         yield  # Python handles signals in the main thread alone
         return
@@ -97,14 +98,22 @@ def ended_by_signals() -> Iterator[None]:
     def end(number: int, frame: FrameType | None) -> None:
         raise Ended(number)
 
+    def lost(what: Any) -> None:
+        if not issubclass(what.exc_type, KeyboardInterrupt):
+            return report(what)
+        number = what.exc_value.status - 128 if isinstance(what.exc_value, Ended) else signal.SIGINT
+        threading.Timer(0.01, os.kill, (os.getpid(), number)).start()  # once the destructor has ended
+
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {}
+    report, sys.unraisablehook = sys.unraisablehook, lost
     try:
         for number in numbers:
             if signal.getsignal(number) not in (signal.SIG_IGN, None):
                 before[number] = signal.signal(number, end)
         yield
     finally:
+        sys.unraisablehook = report
         for number, handler in before.items():
             signal.signal(number, handler)
 
