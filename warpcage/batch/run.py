@@ -9,8 +9,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-import numpy as np
-
 from ..core.checks import checked_positive, checked_whole
 from ..core.files import PathLike
 from ..core.names import error_line
@@ -219,18 +217,20 @@ class _Watch:
             progress,
             warn,
         )
-        self._quiet, self._numbers = pays, np.bincount(plan.kinds)
-        self._told: list[float] = []  # seconds of each time; the second is that a worker is ready
+        self._quiet, self._numbers = pays, collections.Counter(plan.kinds.tolist())  # items by kind
+        self._told: list[float] = []  # seconds of the first two times; at the second a worker is ready
 
     def tell(self) -> None:
         dispatcher, left = self._dispatcher, self._dispatcher.left
-        self._told.append(time.monotonic() - self._begin)
+        seconds = time.monotonic() - self._begin
+        if len(self._told) < 2:
+            self._told.append(seconds)
         counts = {"done": dispatcher.done, "failed": len(dispatcher.failures), "workers": dispatcher.workers}
-        self._progress(dataclasses.replace(self._state, **counts, seconds=self._told[-1]))
-        usual = dispatcher.chunks.usual_seconds()
-        if usual.keys() >= set(np.flatnonzero(self._numbers)) and left:
-            mean = sum(self._numbers[kind] * each for kind, each in usual.items()) / self._numbers.sum()
-            self.judge(self._told[-1] + left * mean / self._count, foreseen=True)
+        self._progress(dataclasses.replace(self._state, **counts, seconds=seconds))
+        usual = {} if self._quiet else dispatcher.chunks.usual_seconds()
+        if left and usual.keys() >= self._numbers.keys():
+            mean = sum(self._numbers[kind] * each for kind, each in usual.items()) / self._numbers.total()
+            self.judge(seconds + left * mean / self._count, foreseen=True)
 
     def warn(self, line: str) -> None:
         self._quiet = True
@@ -239,7 +239,7 @@ class _Watch:
     def judge(self, end: float, foreseen: bool) -> None:
         """Say it where it is so; end: seconds of the run."""
         if not self._quiet and len(self._told) > 1:
-            start, items = self._told[1], int(self._numbers.sum())
+            start, items = self._told[1], self._numbers.total()
             line = unpaid(self._count, items, start, end - start, foreseen=foreseen)
             if line is not None:
                 self.warn(line)

@@ -34,8 +34,9 @@ class ChunkActor:
     def __init__(self, settings: RunnerSettings):
         self._runner = make_runner(settings)
 
-    def call(self, method: str, *given: Any) -> Any:
-        """Call a method of the runner."""
+    def call(self, asked: tuple[Any, ...]) -> Any:
+        """Call a method of the runner, by its name and what it is given: Ray packs each argument by itself."""
+        method, *given = asked
         return getattr(self._runner, method)(*given)
 
 
@@ -271,7 +272,7 @@ class RayProcess:
 
     def ask(self, method: str, *given: Any) -> Future[Any]:
         """Call a method of the worker's runner; the answer comes later."""
-        return self._actor.call.remote(method, *given).future()
+        return self._actor.call.remote((method, *given)).future()
 
     def kill(self) -> None:
         """End the process, whose node may merely not answer."""
