@@ -23,6 +23,9 @@ from warpcage.core import cpu_threads
 
 FRAMES, KILLS = 60, 20
 
+#: Ray's workers have a niceness of 15: beside other tests they would wait for minutes.
+OF_RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
+
 
 @pytest.fixture(scope="module", params=["processes", "ray"])
 def address(request):
@@ -31,7 +34,7 @@ def address(request):
         yield None
         return
     ray = pytest.importorskip("ray", reason="clusters need Ray")
-    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    os.environ |= OF_RAY
     ray.init(address="local", num_cpus=4, include_dashboard=False, log_to_driver=False, object_store_memory=100 * 2**20)
     import makers
 
@@ -424,7 +427,7 @@ def test_a_lost_machine_costs_an_item_a_try(tmp_path):
     pytest.importorskip("ray", reason="clusters need Ray")
     path, out = write_frames(tmp_path / "job", 60), tmp_path / "out"
     line = [sys.executable, "-c", LOST_NODE, str(path), str(out), SUPPORT]
-    done = subprocess.run(line, capture_output=True, text=True, env=os.environ | {"RAY_USAGE_STATS_ENABLED": "0"})
+    done = subprocess.run(line, capture_output=True, text=True, env=os.environ | OF_RAY)
     assert done.returncode == 0, done.stderr[-3000:]
     found = records(out)
     assert len(found) == 60 and left_over(out) == [] and {each["state"] for each in found.values()} == {"done"}
