@@ -109,6 +109,7 @@ def main() -> int:
             return 0
         if not args.quick:
             return run_over_gpus(runs, args.gpus, args.seconds, out)
+        os.environ.setdefault("RAY_worker_niceness", "0")  # Ray's workers would give way to the run on the other core
         cores = [None] * (os.cpu_count() or 1)
         return max(run_over_gpus(list(part), cores, args.seconds, out) for _, part in itertools.groupby(runs, stage))
 

@@ -161,10 +161,12 @@ def test_the_ground_is_drawn_as_a_grid_that_matter_hides(window: Window) -> None
     window.rest()
     bare = window.canvas()
     window.press("Shift+D")
-    until(lambda: not np.array_equal(window.canvas(), bare), "there is a grid")
-    changed = (window.canvas() != bare).any(axis=2)
-    rows = len(changed)
-    assert changed[rows // 2 :].sum() > 5 * changed[: rows // 2].sum()  # below the ball
+
+    def is_below() -> bool:
+        above, below = (half.sum() for half in np.array_split((window.canvas() != bare).any(axis=2), 2))
+        return below > 5 * above
+
+    until(is_below, "there is a grid below the ball")
     window.unfold("view")
     window.click("#grid")
     until(lambda: np.array_equal(window.canvas(), bare), "the grid is gone")

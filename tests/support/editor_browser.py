@@ -192,6 +192,7 @@ class Window:
         """Unfold a group of the side panel."""
         if not self.get(f'document.getElementById("group-{group}").open'):
             self.click(f"#group-{group}-fold")
+            self.wait("document.getElementById(`group-${arguments[0]}`).open", f"{group} is unfolded", group)
 
     # -- Typing
 
@@ -327,6 +328,7 @@ def editor(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Any]:
 def window(browser: Any, editor: Any) -> Iterator[Window]:
     """A window at the editor, with what a new user's browser has kept: nothing. Its console stays empty."""
     browser.switch_to.window(browser.window_handles[0])
+    pointer(browser, "mouseMoved", 1, 1)  # what it was over before would be drawn as pointed at
     browser.get(editor.url)
     browser.execute_script("localStorage.clear()")
     browser.get_log("browser")
