@@ -55,6 +55,7 @@ TEST = [
     "webdataset>=1.0",  # reads the shards that records are packed into
     "openjd-cli>=0.7",  # runs the template of render farms; without it that test is skipped
     "pytest-xdist>=3.6",  # over all cores
+    "filelock>=3.12",  # what several of its workers need is made by one
     "hypothesis>=6.100",
     "scipy>=1.11",
     "setuptools>=70.1",  # builds the wheel that tests/test_install.py looks into

@@ -9,10 +9,15 @@ import os
 import pathlib
 import re
 import shutil
+import signal
 
 # What is imported and collected stays for the whole run: looking through it for garbage, again and again, takes a
 # quarter of the time until the first test.
 gc.disable()
+
+# A shell that starts a run in the background lets it ignore interrupts, and tests send some.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Workers of pytest-xdist share the cores: each takes its part of them for kernels on the CPU, and so do the processes
 # that its tests start. Set before warpcage is imported. Tests of threads ask for them by the fixture `two_threads`.
@@ -20,10 +25,14 @@ if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     share = (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
     os.environ.setdefault("WARPCAGE_THREADS", str(max(1, share)))
 
+os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # JAX would take most of a GPU for each worker
+
 import pytest
 import warp as wp
 
 wp.init()
+
+pytest_plugins = ["tiers", "needs", "costs"]
 
 #: Most workers of a run on a CPU, and beside a GPU, where each of them has a context of its own; and how many there are
 #: more than cores, as some tests wait: for a browser, or for another process.
@@ -64,7 +73,7 @@ def pytest_sessionstart(session):
     config = session.config
     if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
         return
-    if not config.option.collectonly and config.args_source is config.ArgsSource.TESTPATHS:
+    if not (config.option.collectonly or config.option.markexpr) and config.args_source is config.ArgsSource.TESTPATHS:
         from warpcage.core import kernel_names, kernel_source, load_modules
 
         names = [name.replace("/", ".") for name in kernel_names() if "@wp.kernel" in kernel_source(name)]
