@@ -3,15 +3,16 @@ present, and compiles for CUDA without a GPU."""
 
 import ast
 import functools
-import importlib
 import pathlib
 import re
 import subprocess
 import sys
 import threading
 
+import compiled
 import pytest
 import warp as wp
+from compiled import warp_modules
 from messages import MESSAGES
 
 import warpcage
@@ -32,17 +33,6 @@ from warpcage.kernels.render.views import view_kernel
 
 NAMES = kernel_names()
 WITH_KERNELS = [name for name in NAMES if "@wp.kernel" in kernel_source(name)]
-
-
-def module_of(name):
-    return importlib.import_module(f"warpcage.kernels.{name.replace('/', '.')}")
-
-
-def warp_modules(name):
-    """The Warp modules of a file: that of its own kernels, and those of its variants."""
-    file = module_of(name)
-    own = wp.get_module(file.__name__)
-    return [*([own] if own.kernels else []), *(kernel.module for kernel in getattr(file, "variants", list)())]
 
 
 @functools.cache  # most copies hold the same files
@@ -253,22 +243,27 @@ def test_no_variant_is_declared_before_it_is_used():
     subprocess.run([sys.executable, "-c", program], check=True, timeout=300)
 
 
+def compile_for_cuda(module, arch, folder):
+    """To PTX for the oldest architecture, as Warp makes it for those its toolkit does not know, else to a binary."""
+    wp.compile_aot_module(module, arch=arch, module_dir=str(folder), use_ptx=arch == 75)
+    (binary,) = folder.glob("*.ptx" if arch == 75 else "*.cubin")
+    assert binary.stat().st_size > 1000
+
+
+@pytest.mark.parametrize("name", WITH_KERNELS)
+def test_what_changed_compiles_for_cuda_without_a_gpu(name, tmp_path, monkeypatch):
+    """What tests/core/compiled.json does not know as compiled: `python tests/support/compiled.py` writes it anew."""
+    for module in compiled.left(warp_modules(name)):
+        monkeypatch.setattr(wp.config, "optimization_level", 2)  # half the time, and whether it compiles is the same
+        compile_for_cuda(module, 90, tmp_path / module.name)
+
+
+@pytest.mark.nightly
 @pytest.mark.parametrize("arch", [75, 90])
 @pytest.mark.parametrize("name", WITH_KERNELS)
-def test_compiles_for_cuda_without_a_gpu(name, arch, tmp_path, monkeypatch):
-    """To PTX for the oldest architecture, as Warp makes it for those its toolkit does not know, else to a binary.
-
-    At level 2, which takes half the time of level 3: whether a file compiles is the same. `test_loads` compiles each
-    at the level that users get, where there is a GPU.
-    """
+def test_everything_compiles_for_cuda_without_a_gpu(name, arch, tmp_path):
     for module in warp_modules(name):
-        module.get_module_identifier()  # its name in the cache, of the level that users get, is kept
-    monkeypatch.setattr(wp.config, "optimization_level", 2)
-    for module in warp_modules(name):
-        folder = tmp_path / module.name
-        wp.compile_aot_module(module, arch=arch, module_dir=str(folder), use_ptx=arch == 75)
-        (binary,) = folder.glob("*.ptx" if arch == 75 else "*.cubin")
-        assert binary.stat().st_size > 1000
+        compile_for_cuda(module, arch, tmp_path / module.name)
 
 
 def test_no_kernel_is_defined_outside_the_folder():
