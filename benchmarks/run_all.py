@@ -1,15 +1,16 @@
-"""Run every benchmark; with --quick, small versions on the CPU, to see in a few minutes that all of them still run.
+"""Run every benchmark; with --quick, small versions of some on the CPU, to see within a minute that they still run.
 
     python benchmarks/run_all.py --quick
+    python benchmarks/run_all.py --quick --all
     python benchmarks/run_all.py --scenes ../shared/data --cage lego_42.obj --gpus 0 1 --seconds 1500 --out results
 
 Each benchmark is a separate process. Its JSON file and its output go to --out (default: a temporary folder). The exit
 status is 1 if one of them fails. Quick ones go over the cores of a machine: first what makes the scene, then all
-others, then pages of their results. The full ones go over the GPUs of a machine, one process a GPU at a time, the most
-important first; what would not end within --seconds is left out and named. Left out of --quick are `blender`, which
-needs Blender, `servers`, which needs servers that warpcage does not use, `editor pictures`, which makes the pictures of
-the README, `pages select`, which needs the fox's pictures, and those whose figures mean nothing at a small size (`fits
-profile` and `fits split`: CUDA events).
+others, then pages of their results; --all adds those that take longer, as they run at night. The full ones go over the
+GPUs of a machine, one process a GPU at a time, the most important first; what would not end within --seconds is left
+out and named. Left out of --quick are `blender`, which needs Blender, `servers`, which needs servers that warpcage does
+not use, `editor pictures`, which makes the pictures of the README, `pages select`, which needs the fox's pictures, and
+those whose figures mean nothing at a small size (`fits profile` and `fits split`: CUDA events).
 """
 
 from __future__ import annotations
@@ -81,10 +82,17 @@ QUICK = {
     "page_results": "pages results --results {out} --page {out}/results.md",
 }
 
+#: Of these, those that --quick leaves to --all: what breaks them breaks a test or one of the others too.
+LONG = (
+    "compile batch_gpus truth batch_scale table1 splats_truth every_kernel same_bits convergence captures editor"
+    " by_turns splat_fits_profile batch_memory page_captures page_trends page_results"
+).split()
+
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="small, on the CPU")
+    parser.add_argument("--quick", action="store_true", help="small, on the CPU: those that take some seconds")
+    parser.add_argument("--all", action="store_true", help="with --quick: all of them")
     parser.add_argument("--scenes", type=pathlib.Path, help="folder of lego_800, mic_800, dtu_scan24_half, fox, splats")
     parser.add_argument("--cage", help="cage around Lego, of 42 vertices or so")
     parser.add_argument("--gpus", nargs="+", default=["0"], help="numbers of the GPUs that runs are given to")
@@ -99,7 +107,7 @@ def main() -> int:
         out = pathlib.Path(args.out or temporary).resolve()
         out.mkdir(parents=True, exist_ok=True)
         if args.quick:
-            runs = [Run(name, words_of(words, out)) for name, words in QUICK.items()]
+            runs = [Run(name, words_of(words, out)) for name, words in QUICK.items() if args.all or name not in LONG]
         else:
             runs = full_runs(args.scenes.resolve(), args.cage and pathlib.Path(args.cage).resolve(), out)
         runs = [run for run in runs if not args.only or run.name in args.only]
