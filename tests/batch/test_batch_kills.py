@@ -21,10 +21,19 @@ import warpcage
 from warpcage.batch import LocalHost, ProcessEngine, RayHost, early_processes, scheduler
 from warpcage.core import cpu_threads
 
-FRAMES, KILLS = 60, 20
+FRAMES = 40
+
+#: Kills of workers and of the driver, by day and at night.
+KILLS, KILLS_OF_DRIVERS = (2, 20), (1, 5)
 
 #: Ray's workers have a niceness of 15: beside other tests they would wait for minutes.
 OF_RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
+
+
+#: Tests of what is the same code for both; each of Ray's workers takes seconds to start.
+RAY_AT_NIGHT = pytest.mark.parametrize(
+    "address", ["processes", pytest.param("ray", marks=pytest.mark.nightly)], indirect=True
+)
 
 
 @pytest.fixture(scope="module", params=["processes", "ray"])
@@ -92,6 +101,7 @@ def about_workers(lines):
     return [line for line in lines if "fewer workers are quicker" not in line]
 
 
+@RAY_AT_NIGHT
 def test_a_worker_killed_between_two_chunks_loses_nothing(address, job, whole, tmp_path):
     """While it makes items of a chunk and writes files of the one before."""
     out, lines = tmp_path / "out", []
@@ -102,6 +112,7 @@ def test_a_worker_killed_between_two_chunks_loses_nothing(address, job, whole, t
     assert len(records(out)) == len(whole) == len(list((out / "shot").iterdir()))
 
 
+@RAY_AT_NIGHT
 def test_two_workers_make_what_one_does(address, job, whole, tmp_path):
     out = tmp_path / "out"
     report = run_by(address, job, out, workers=2)
@@ -174,13 +185,15 @@ def test_no_worker_stays_of_a_plan_that_ends(tmp_path, end):
     assert children() <= before
 
 
-def test_twenty_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engines, monkeypatch):
+@pytest.mark.scaled
+def test_kills_of_workers_cost_nothing(address, job, whole, tmp_path, engines, monkeypatch, at_night):
     """kill -9 of one of two workers, in the middle of an item or before its first, at random moments."""
     monkeypatch.setattr(scheduler, "MOST_BARREN", 25)  # workers that die by themselves before any item are given up
-    out, chance, kills, done = tmp_path / "out", random.Random(5), [], threading.Event()
+    out, chance, kills, done = tmp_path / "out", random.Random(), [], threading.Event()
+    count = KILLS[at_night]
 
     def kill():
-        while len(kills) < KILLS and not done.is_set():
+        while len(kills) < count and not done.is_set():
             time.sleep(chance.uniform(0.0, 0.15))
             places = list(engines[0].places.items()) if engines else []
             if places:
@@ -193,10 +206,10 @@ def test_twenty_kills_of_workers_cost_nothing(address, job, whole, tmp_path, eng
     killer.start()
     states = []
     try:
-        while len(kills) < KILLS:
+        while len(kills) < count:
             report = run_by(address, job, out, workers=2, retries=20, progress=states.append)
             assert report.complete
-            if len(kills) < KILLS:  # there was not enough to do for all: once more from the beginning
+            if len(kills) < count:  # there was not enough to do for all: once more from the beginning
                 assert_whole(out, whole)
                 for path in [*out.rglob("*.png"), out / "manifest.jsonl"]:
                     path.unlink()
@@ -205,16 +218,18 @@ def test_twenty_kills_of_workers_cost_nothing(address, job, whole, tmp_path, eng
         done.set()
         killer.join()
     assert_whole(out, whole)
-    assert len(set(kills)) == KILLS
+    assert len(set(kills)) == count
 
 
-def test_five_kills_of_the_driver_cost_nothing(address, job, whole, tmp_path):
-    out, chance = tmp_path / "out", random.Random(3)
+@pytest.mark.scaled
+@RAY_AT_NIGHT
+def test_kills_of_the_driver_cost_nothing(address, job, whole, tmp_path, at_night):
+    out, chance = tmp_path / "out", random.Random()
     words = words_of(address, job, out)
     notes, made, kills = out / ".warpcage" / "notes", 0, 0
-    while kills < 5:
+    while kills < KILLS_OF_DRIVERS[at_night]:
         driver = subprocess.Popen([sys.executable, "-m", "warpcage", *words], stderr=subprocess.PIPE)
-        here = made + chance.randint(1, 8)  # of 60: so that there is something left for all five
+        here = made + chance.randint(1, FRAMES // 6)  # so that there is something left for all
         while driver.poll() is None and here > (made := count_of(notes, out)):
             time.sleep(0.003)
         time.sleep(chance.uniform(0.0, 0.03))
@@ -241,25 +256,27 @@ def count_of(notes, out):
 
 
 def test_an_item_that_kills_its_worker_is_failed_and_the_rest_is_made(address, job, tmp_path):
-    path, out = write_frames(tmp_path / "job", 40), tmp_path / "out"
+    path, out = write_frames(tmp_path / "job", 20), tmp_path / "out"
     lines = []
     report = run_by(address, path, out, Deadly, workers=2, warn=lines.append)
-    assert report.made == 39 and list(report.failed) == ["shot/f0005"]
+    assert report.made == 19 and list(report.failed) == ["shot/f0005"]
     assert report.failed["shot/f0005"].endswith("killed, or a crash of the process, 3 times while it was made")
     record = records(out)["shot/f0005"]
     told = about_workers(lines)
     assert record["state"] == "failed" and record["attempts"] == 3 == len(told) == sum("died" in x for x in told)
 
 
+@RAY_AT_NIGHT
 def test_errors_are_tried_again_elsewhere(address, tmp_path):
-    path, out = write_frames(tmp_path / "job", 40), tmp_path / "out"
+    path, out = write_frames(tmp_path / "job", 20), tmp_path / "out"
     report = run_by(address, path, out, Moody, workers=2, retries=6)
     found = records(out)
-    assert sorted(report.failed) == [f"shot/f00{tens}{ones}" for tens in range(4) for ones in (5, 7)]
+    assert sorted(report.failed) == [f"shot/f00{tens}{ones}" for tens in range(2) for ones in (5, 7)]
     assert [found[f"shot/f000{number}"]["attempts"] for number in (2, 7, 5)] == [1, 1, 7]
     assert 3 <= found["shot/f0003"]["attempts"] <= 6  # it fails twice in each process
 
 
+@RAY_AT_NIGHT
 def test_a_straggler_gives_its_rest_to_the_other(address, tmp_path):
     """The first item takes as long as all others."""
     path, out = write_frames(tmp_path / "job", 60), tmp_path / "out"
@@ -270,6 +287,7 @@ def test_a_straggler_gives_its_rest_to_the_other(address, tmp_path):
     assert len(others) == 59 and all(others)
 
 
+@RAY_AT_NIGHT
 @pytest.mark.parametrize("workers, maker", [(None, Endless), (2, Unwritten)])
 def test_an_endless_item_is_failed_and_the_rest_is_made(address, tmp_path, workers, maker):
     """An item that takes long once, by chance, is tried again: more warnings may come, no other failures."""
@@ -285,6 +303,7 @@ def test_an_endless_item_is_failed_and_the_rest_is_made(address, tmp_path, worke
     assert {record["state"] for record in records(out).values()} == {"done"} and left_over(out) == []
 
 
+@RAY_AT_NIGHT
 def test_a_worker_that_answers_no_more_is_ended(address, tmp_path, monkeypatch):
     monkeypatch.setattr("warpcage.batch.run.ANSWER", 3.0)
     path, out = write_frames(tmp_path / "job", 12), tmp_path / "out"
@@ -294,6 +313,7 @@ def test_a_worker_that_answers_no_more_is_ended(address, tmp_path, monkeypatch):
     assert records(out)["shot/f0003"]["state"] == "failed"
 
 
+@RAY_AT_NIGHT
 @pytest.mark.skipif(not pathlib.Path("/dev/full").exists(), reason="no /dev/full")
 def test_a_full_disk_ends_the_run(address, tmp_path):
     path, out = write_frames(tmp_path / "job", 60), tmp_path / "out"
@@ -304,6 +324,7 @@ def test_a_full_disk_ends_the_run(address, tmp_path):
     assert run_with(path, out, Making).complete and left_over(out) == []
 
 
+@RAY_AT_NIGHT
 def test_workers_that_cannot_start_end_the_run_in_one_line(address, tmp_path):
     path = write_frames(tmp_path / "job", 4)
     with pytest.raises(RuntimeError, match=MESSAGES["batch.no_worker_left"]):
@@ -311,6 +332,7 @@ def test_workers_that_cannot_start_end_the_run_in_one_line(address, tmp_path):
     assert run_with(path, tmp_path / "out", Making).complete
 
 
+@RAY_AT_NIGHT
 def test_an_interrupt_keeps_what_is_made(address, job, whole, tmp_path):
     out = tmp_path / "out"
     program = (
@@ -339,6 +361,7 @@ def test_clusters_that_do_not_answer_are_refused(job, tmp_path, capsys):
     assert done.stderr.startswith("warpcage: error: no Ray cluster answers at '127.0.0.1:1'"), done.stderr
 
 
+@RAY_AT_NIGHT
 @pytest.mark.parametrize("device", ["cuda:1", "gpu"])
 def test_devices_that_several_workers_cannot_share_are_refused(address, job, tmp_path, device):
     with pytest.raises(ValueError, match=MESSAGES["batch.devices_of_workers"]):

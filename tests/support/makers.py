@@ -2,9 +2,9 @@
 by name: nothing is imported here that takes time."""
 
 import concurrent.futures
+import ctypes
 import os
 import pathlib
-import re
 import signal
 import threading
 import time
@@ -116,7 +116,7 @@ class Deaf(Making):
 
     def before(self, item):
         if number_of(item) == 3:
-            re.match("(a+)+$", "a" * 60 + "b")
+            ctypes.PyDLL(None).sleep(60)
 
 
 class Full(Making):
