@@ -1,13 +1,10 @@
 """Fixtures: every device present, and the folder of real data where there is one; and how a run uses several cores."""
 
-import ast
-import functools
 import gc
 import importlib
 import json
 import os
 import pathlib
-import re
 import shutil
 import signal
 
@@ -38,28 +35,8 @@ pytest_plugins = ["tiers", "needs", "costs"]
 #: more than cores, as some tests wait: for a browser, or for another process.
 MOST_WORKERS, MOST_WORKERS_CUDA, MORE_THAN_CORES = 8, 4, 1
 
-#: Fixtures that take long, and cases that share what they make: one worker runs all tests of each.
-DEAR = {"address", "lego", "rooms", "maps", "page", "window", "wheel", "cached_module", "walk", "shots", "glances",
-        "unrefined", "worlds"}  # fmt: skip
-DEAR_CASES = {
-    "test_mean_value_weights[bricks]": "cage of bricks",
-    "test_green_weights[bricks]": "cage of bricks",
-    "test_the_closed_form_of_green_weights_is_that_of_the_paper": "cage of bricks",
-    "test_views_that_were_held_out[bricks-24.8]": "fit of bricks",
-    "test_the_place_and_the_size_of_an_object_do_not_matter[off-centre]": "fit of bricks",
-    "test_the_place_and_the_size_of_an_object_do_not_matter[ten times larger]": "fit of bricks",
-}
-
 #: Files whose tests take longest come first, so that no worker is left with one of them at the end.
-SLOWEST = (
-    "test_batch_kills.py",
-    "test_examples.py",
-    "test_background.py",
-    "test_deformed_lego.py",
-    "test_cage_generation.py",
-    "test_optimize.py",
-    "test_kernels.py",
-)
+LONGEST = ("test_batch_kills.py", "test_examples.py", "test_capture.py", "test_capture_input.py", "test_batch_run.py")
 
 
 def pytest_xdist_auto_num_workers(config):
@@ -84,38 +61,12 @@ def pytest_sessionstart(session):
 
 
 def pytest_collection_modifyitems(items):
-    ranks = {name: rank for rank, name in enumerate(SLOWEST)}
-    items.sort(key=lambda item: ranks.get(item.path.name, len(ranks)))
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
 def pytest_collection_finish():
     gc.freeze()
     gc.enable()
-
-
-def pytest_xdist_make_scheduler(config, log):
-    """Tests go out one by one, those that share a dear fixture or object together.
-
-    pytest-xdist's own loadgroup writes the group into the node's id, which pytest 9.2 ignores: no test is grouped.
-    """
-    from xdist.scheduler import LoadScopeScheduling
-
-    class Scheduling(LoadScopeScheduling):
-        def _split_scope(self, nodeid):
-            path, _, test = nodeid.partition("::")
-            name, _, case = test.rstrip("]").partition("[")
-            shared = DEAR & fixtures_of(config.rootpath / path).get(name, set())
-            case = re.sub(r"^(cpu|cuda:0)-", "", case)
-            return min(shared) if shared else DEAR_CASES.get(f"{name}[{case}]" if case else name, nodeid)
-
-    return Scheduling(config, log)
-
-
-@functools.cache
-def fixtures_of(path):
-    """What each test of a file takes, by its source: the process that hands tests out imports none of them."""
-    functions = (node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.FunctionDef))
-    return {function.name: {argument.arg for argument in function.args.args} for function in functions}
 
 
 @pytest.fixture(params=["cpu", "cuda:0"] if wp.is_cuda_available() else ["cpu"])

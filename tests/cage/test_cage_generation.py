@@ -42,15 +42,17 @@ def shapes():
 
 @pytest.mark.parametrize(
     ("shape", "count"),
-    [("sphere", 30), ("L", 60), ("torus", 100), ("rod", 40), ("plate", 60), ("far apart", 60), ("close by", 60)],
+    [("sphere", 30), ("L", 50), ("torus", 60), pytest.param("rod", 40, marks=pytest.mark.nightly), ("plate", 60),
+     ("far apart", 60), pytest.param("close by", 60, marks=pytest.mark.nightly)],
 )  # fmt: skip
 def test_cages_of_meshes_enclose_and_are_clean(shape, count):
     mesh = shapes()[shape]
-    cage = Cage.from_mesh(mesh, count, method="shell" if shape in ("L", "plate") else "auto")
+    cage = Cage.from_mesh(mesh, count, method="shell" if shape in ("L", "torus", "plate") else "auto")
     report = cage.check()
     assert report.usable and report.intersecting_faces == () and report.unused_vertices == ()
     assert abs(report.vertex_count - count) <= 0.1 * count
     assert report.part_count == (2 if shape == "far apart" else 1)
+    assert report.genus == (1 if shape == "torus" else 0)
     points = np.concatenate([mesh.vertices[:300], mesh.sample(300, seed=0)])
     assert (winding(points, cage.vertices, cage.faces) > 0.99).all()
     # the margin of 1 % of the size is kept, also by the middles of faces
@@ -66,8 +68,7 @@ def test_a_cage_of_a_ball_is_tight_and_even():
     assert sides.max() < 3.0 * sides.min()
 
 
-def test_a_ring_keeps_its_hole_and_an_open_pot_is_filled():
-    assert Cage.from_mesh(shapes()["torus"], 60, method="shell").check().genus == 1
+def test_an_open_pot_is_filled():
     pot = trimesh.creation.icosphere(subdivisions=3)
     pot = trimesh.Trimesh(pot.vertices, pot.faces[pot.triangles_center[:, 2] < 0.95], process=False)  # a hole on top
     cage = Cage.from_mesh(pot, 60, method="shell")

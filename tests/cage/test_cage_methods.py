@@ -25,8 +25,16 @@ def clean(cage, count):
     return report
 
 
-@pytest.mark.parametrize("scene", SCENES)
-@pytest.mark.parametrize(("count", "method"), [(42, "auto"), (100, "shell"), (200, "voxel")])
+#: Each scene once by day, by one of these and the next; all by all at night.
+WAYS = [(42, "auto"), (100, "shell"), (200, "voxel")]
+BY_DAY = {(scene, *WAYS[k % len(WAYS)]) for k, scene in enumerate(SCENES)}
+ALL = [(scene, *way) for scene in SCENES for way in WAYS]
+
+
+@pytest.mark.parametrize(
+    ("scene", "count", "method"),
+    [case if case in BY_DAY else pytest.param(*case, marks=pytest.mark.nightly) for case in ALL],
+)
 def test_every_scene_is_enclosed_whole(scene, count, method):
     field = scene_field(scene, 48 if scene == "ring" else 32)
     cage = Cage.from_field(field, count, method=method)
@@ -54,7 +62,7 @@ def test_auto_takes_the_tighter_of_both(scene, caplog):
     assert np.array_equal(again.vertices, cages["voxel"].vertices)
 
 
-@pytest.mark.parametrize("axis", "xyz")
+@pytest.mark.parametrize("axis", ["x", *(pytest.param(axis, marks=pytest.mark.nightly) for axis in "yz")])
 def test_a_symmetric_cage_is_its_own_mirror_image(axis):
     along = "xyz".index(axis)
     mesh = shapes()["L"]

@@ -47,7 +47,11 @@ def test_a_whole_machine(tmp_path):
 @pytest.mark.parametrize(
     "needs, said",
     [
-        ((NUMPY, "warp-lang>=99"), "warp-lang .* another version.*: pip install 'warp-lang>=99'"),
+        pytest.param(
+            (NUMPY, "warp-lang>=99"),
+            "warp-lang .* another version.*: pip install 'warp-lang>=99'",
+            marks=pytest.mark.nightly,
+        ),
         ((NUMPY, "no-such-package>=2"), "no-such-package is not installed: pip install 'no-such-package>=2'"),
         (("no-such-package; python_version < '3'", "numpy>=99"), "numpy .*: pip install 'numpy>=99'"),
     ],
@@ -71,7 +75,13 @@ def test_no_writable_cache(tmp_path):
     assert status == 1 and "set WARP_CACHE_PATH to a folder that can" in broken
 
 
-@pytest.mark.parametrize("lost, said", [("libx264", r"no \.mp4 is written"), ("hevc", "videos of phones are not read")])
+@pytest.mark.parametrize(
+    "lost, said",
+    [
+        ("libx264", r"no \.mp4 is written"),
+        pytest.param("hevc", "videos of phones are not read", marks=pytest.mark.nightly),
+    ],
+)
 def test_no_codec(tmp_path, lost, said):
     names = {"libx264", "prores_ks", "libvpx-vp9", "h264", "hevc"} - {lost}
     status, lines = doctor(tmp_path, NUMPY, av=f"__version__ = '1'\ncodecs_available = {names!r}\n")
@@ -112,12 +122,7 @@ def test_the_demo_is_the_example_of_the_whole_way(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "line, words",
-    [
-        ("warpcage re", {"render "}),
-        ("warpcage fit scene --qu", {"--quality", "--quiet"}),
-        ("warpcage fit scene --quality ", {"fast", "standard", "high"}),
-    ],
+    "line, words", [("warpcage re", {"render "}), ("warpcage fit scene --quality ", {"fast", "standard", "high"})]
 )
 def test_a_shell_completes_words(tmp_path, line, words):
     pytest.importorskip("argcomplete")

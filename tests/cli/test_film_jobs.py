@@ -55,7 +55,7 @@ FILMS = {
     "clear shutter": [*FILM, "--edit", "@high.obj:bend:30:x:y", "--edit", "@low.obj:remove", "--shutter", "360:3"]
     + ["--transparent"],
     "a camera's shutter": [*FILM, "--shutter", "90:2"],
-    "precise": ["--frames", 2, "--quiet", "--size", 24, *DEFORMED, "--coordinates", "green", "--resolution", "precise"],
+    "precise": ["--frames", 2, "--quiet", "--size", 12, *DEFORMED, "--coordinates", "green", "--resolution", "precise"],
 }
 
 

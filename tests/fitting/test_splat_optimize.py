@@ -10,6 +10,7 @@ from splat_scenes import held_out_psnr, ring, scene_of, true_field
 import warpcage
 from warpcage import SplatField
 from warpcage.fitting.splats import SplatFit, SplatFitOptions, SplatSchedule
+from warpcage.fitting.splats.start import QUICK_FIT
 
 FAST = {"steps": 500, "most_splats": 2500, "pixels_per_splat": 1.0}
 
@@ -37,7 +38,14 @@ def test_the_same_seed_gives_the_same_splats(fitted, two_threads):
         assert (getattr(again.contents, name) == getattr(field.contents, name)).all()
 
 
-def test_any_device_and_no_points(device):
+@pytest.fixture
+def small_quick_fits(monkeypatch):
+    """The fits of voxels that starts are taken from, at a size that takes no seconds."""
+    for name in ("max_resolution", "max_outer_resolution"):
+        monkeypatch.setitem(QUICK_FIT, name, 40)
+
+
+def test_any_device_and_no_points(device, small_quick_fits):
     """Places that the views see are enough to begin with."""
     truth = true_field(device)
     scene = scene_of(truth, ring(12, 20) + ring(12, -10))

@@ -70,26 +70,48 @@ def same_frames(frame, other):
     return all(np.array_equal(array.numpy(), other.arrays[name].numpy()) for name, array in frame.arrays.items())
 
 
-@pytest.mark.parametrize("scene", [one_cage, a_slot, beside_each_other, removed_and_copied, removed_alone, fading])
+@pytest.mark.parametrize(
+    "ahead, scene",
+    [
+        ("rows", one_cage),
+        ("shaded", one_cage),
+        ("shaded", a_slot),
+        ("rows", beside_each_other),
+        ("shaded", removed_and_copied),
+        ("rows", removed_alone),
+        ("shaded", fading),
+        *(
+            pytest.param(march, scene, marks=pytest.mark.nightly)
+            for march, scene in [
+                ("rows", a_slot),
+                ("shaded", beside_each_other),
+                ("rows", removed_and_copied),
+                ("shaded", removed_alone),
+                ("rows", fading),
+            ]
+        ),
+    ],
+    indirect=["ahead"],
+)
 def test_frames_are_those_of_a_deformer_that_has_seen_nothing(ahead, scene, device):
     """Cameras change between poses, and poses are seen more than once, or never."""
     field, (rests, poses) = two_balls(device), scene()
-    resolution = 40 if scene is a_slot else 28  # of cells as fine as the narrow gaps
+    resolution = 40 if scene is a_slot else 16  # of cells as fine as the narrow gaps
     options = {"coordinates": "mean_value", "resolution": resolution}
 
     @functools.cache
     def expected(pose, *eye):
-        return Deformer(field, rests, **options).pose(poses[pose]).render(view(*eye))
+        return Deformer(field, rests, **options).pose(poses[pose]).render(view(*eye, size=32))
 
     deformer = Deformer(field, rests, **options)
     for number in range(2 * len(poses)):
         deformer.pose(poses[number % len(poses)])
         eyes = [(2.5, 1.2, 1.0), (-2.0, 1.5, 0.5 + number)][: number % 3 or 1]
         for eye in eyes:
-            assert same_frames(deformer.render(view(eye)), expected(number % len(poses), eye))
+            assert same_frames(deformer.render(view(eye, size=32)), expected(number % len(poses), eye))
     deformer.pose(poses[1])  # nobody looks
     deformer.pose(poses[0])
-    assert same_frames(deformer.render(view()), expected(0))
+    assert same_frames(deformer.render(view(size=32)), expected(0))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -98,8 +120,8 @@ def test_a_view_finds_its_tables_there(ahead, kind, device, monkeypatch):
     begun, views = [], []
     begin = FineCells.begin
     monkeypatch.setattr(FineCells, "begin", lambda self, *rest: begun.append(len(views)) or begin(self, *rest))
-    field, camera = shiny_field(device), view()
-    deformer = Deformer(field, BOX, coordinates=kind, resolution=32)
+    field, camera = shiny_field(device), view(size=24)
+    deformer = Deformer(field, BOX, coordinates=kind, resolution=20)
     begun.clear()
     _, poses = one_cage()
     for number, pose in enumerate(poses[:3], 1):
@@ -117,20 +139,20 @@ def test_a_view_finds_its_tables_there(ahead, kind, device, monkeypatch):
 
 def test_fields_that_change_between_a_pose_and_its_view(ahead, device):
     field = two_balls(device)
-    deformer = Deformer(field, BOX, resolution=32)
+    deformer = Deformer(field, BOX, resolution=20)
     for turn, angle in enumerate((20, 30, 40)):
         deformer.pose(BOX.twist(angle))
         density = field.grid.density.numpy()
         density[turn :: 3 + turn] *= -1  # other voxels hold matter
         field.grid.density.assign(density)
         frame = deformer.render(view())
-        assert same_frames(frame, Deformer(field, BOX, resolution=32).pose(BOX.twist(angle)).render(view()))
+        assert same_frames(frame, Deformer(field, BOX, resolution=20).pose(BOX.twist(angle)).render(view()))
     assert frame.alpha.max() > 0.5
 
 
 def test_poses_that_turn_matter_over_are_found_out_ahead(ahead, device):
     """The march by rows takes them, whatever the tables that were launched are for."""
-    deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=32)
+    deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=20)
     plain = deformer.pose(BOX).render(view())
     alter_map(deformer, mirrored)
     deformer.pose(BOX)
@@ -139,8 +161,19 @@ def test_poses_that_turn_matter_over_are_found_out_ahead(ahead, device):
     assert marches(launched) == ["views.rows"] and frame.fold.max() > 0.9 > plain.fold.max()
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("scene", [one_cage, a_slot, beside_each_other])
+@pytest.mark.parametrize(
+    "kind, scene",
+    [
+        ("mean_value", one_cage),
+        ("harmonic", a_slot),
+        ("green", beside_each_other),
+        *(
+            pytest.param(kind, scene, marks=pytest.mark.nightly)
+            for kind in KINDS
+            for scene in (one_cage, a_slot, beside_each_other)
+        ),
+    ],
+)
 def test_no_frame_waits_for_a_compiler(scene, kind, device, monkeypatch):
     """Of poses with narrow gaps, and of those that turn matter over, once there is a Deformer. The field was seen."""
     use_march("shaded", device, monkeypatch)
@@ -159,21 +192,21 @@ def test_no_frame_waits_for_a_compiler(scene, kind, device, monkeypatch):
     monkeypatch.setattr(devices, "require_loaded", lambda kernel, *_: needed.add(kernel.module.name))
     folds = itertools.cycle([True, False])
     monkeypatch.setattr(CarriedShades, "has_inverted_cells", lambda self: next(folds))
-    deformer = Deformer(field, rests, coordinates=kind, resolution=32)
+    deformer = Deformer(field, rests, coordinates=kind, resolution=20)
     loaded |= needed  # it launched them
     needed.clear()
     for pose in poses:
         deformer.pose(pose)
         for _ in range(3):
-            deformer.render(view())
+            deformer.render(view(size=16))
     assert needed and needed <= loaded
 
 
 @pytest.mark.parametrize("looked", [False, True])
 def test_a_cage_that_cannot_be_used_leaves_the_pose_before(ahead, looked, device):
     """It is found while the device is at work on it, perhaps in the second of two edits."""
-    field, (rests, poses) = two_balls(device), beside_each_other()
-    deformer = Deformer(field, rests, resolution=32)
+    field, (rests, poses), camera = two_balls(device), beside_each_other(), view(size=24)
+    deformer = Deformer(field, rests, resolution=20)
     assert deformer.deformed is None
     inverted = rests[1].with_vertices(rests[1].vertices * [-1, 1, 1])
     with pytest.raises(ValueError, match="^the deformed cage looks inward"):
@@ -182,7 +215,7 @@ def test_a_cage_that_cannot_be_used_leaves_the_pose_before(ahead, looked, device
     for pose, other in zip(poses[1:], poses[:2], strict=True):
         deformer.pose(pose)
         if looked:
-            deformer.render(view())
+            deformer.render(camera)
         for broken in ([poses[0][0], inverted], [inverted, inverted]):
             with pytest.raises(ValueError, match="^the deformed cage looks inward"):
                 deformer.pose(broken)
@@ -190,8 +223,8 @@ def test_a_cage_that_cannot_be_used_leaves_the_pose_before(ahead, looked, device
         held = deformer.posed(other)
         with pytest.raises(ValueError, match="^the deformed cage looks inward"):
             deformer.posed(broken)
-        assert same_frames(held.render(view()), Deformer(field, rests, resolution=32).pose(other).render(view()))
-        assert same_frames(deformer.render(view()), Deformer(field, rests, resolution=32).pose(pose).render(view()))
+        for frame, seen in ((held.render(camera), other), (deformer.render(camera), pose)):
+            assert same_frames(frame, Deformer(field, rests, resolution=20).pose(seen).render(camera))
 
 
 def test_poses_and_frames_on_different_streams_wait_for_each_other(device):
