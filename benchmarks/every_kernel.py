@@ -5,9 +5,8 @@
     compute-sanitizer --tool racecheck python benchmarks/every_kernel.py --device cuda:0 --eager
 
 --no-pool takes each array from the driver by itself, so that reading behind its end is seen. --eager launches what is
-otherwise replayed as a captured graph: under racecheck, and at times under memcheck, the process ends while it waits
-for a replay (driver 580; no access is named), which it does not by itself. The exit status is 1 where a kernel of
-warpcage.kernels was never launched.
+otherwise replayed as a captured graph: over those, sanitizers report what is not there (docs/reliability.md). The exit
+status is 1 where a kernel of warpcage.kernels was never launched.
 """
 
 from __future__ import annotations
