@@ -3,7 +3,6 @@
 import itertools
 import pathlib
 
-import av
 import imageio.v3 as iio
 import numpy as np
 import pytest
@@ -12,6 +11,8 @@ from scene_writers import GltfWriter
 
 from warpcage import Cage, CameraKey, PoseFile, load_scene
 from warpcage.view import eased_share, read_image
+
+av = pytest.importorskip("av")
 
 LOOK = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, "--size", 24, "--coordinates", "mean_value", "--resolution", 16]
 FILM = ["--cage", "@cage.obj", *LOOK, "--turn", 0, "--quiet"]

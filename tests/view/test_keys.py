@@ -3,20 +3,44 @@
 import re
 from fractions import Fraction
 
-import av
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from warpcage.core import EASINGS, checked_easing
 from warpcage.view import eased_share, frame_rate, frame_times, limited_velocity, value_at, write_film
 
+av = pytest.importorskip("av")
+
 STEPS = st.floats(0.05, 3.0)
 HEIGHTS = st.sampled_from([-1.0, 0.0, 0.0, 0.3, 1.0, 1.0, 7.0])
 
 
-@settings(max_examples=40, deadline=None)
+def test_keys_with_a_pencil():
+    """A value of 2 at 1 s, of 6 at 3 s and of 5 at 4 s."""
+    times, values = [1.0, 3.0, 4.0], [np.array([2.0]), np.array([6.0]), np.array([5.0])]
+
+    def at(time, easing):
+        return value_at(times, values, time, [easing] * 3)[0]
+
+    assert [at(0.0, "linear"), at(9.0, "linear")] == [2.0, 5.0]  # before the first key and after the last
+    assert at(1.5, "linear") == 2.0 + 0.25 * 4.0  # a quarter of two seconds
+    assert at(1.5, "hold") == 2.0
+    # at rest at both ends, as 6 is the highest: 3 t^2 - 2 t^3 of a quarter is 3/16 - 2/64 = 5/32 of the way of 4
+    assert at(1.5, "smooth") == pytest.approx(2.0 + 5 / 32 * 4.0)
+    assert at(3.5, "smooth") == pytest.approx(5.5)
+
+
+def test_a_smooth_key_between_two_with_a_pencil():
+    """0, 1 and 2 at 0, 1 and 2 s, at rest at both ends: the middle key is passed at 1 a second."""
+    values = [np.array([float(k)]) for k in range(3)]
+    # Hermite at half of the time: half of the way, less t^2 (1 - t) = 1/8 of the velocity at its end
+    assert value_at([0.0, 1.0, 2.0], values, 0.5)[0] == pytest.approx(1 / 2 - 1 / 8)
+    assert value_at([0.0, 1.0, 2.0], values, 1.5)[0] == pytest.approx(3 / 2 + 1 / 8)
+
+
+@pytest.mark.scaled
 @given(st.lists(st.tuples(STEPS, HEIGHTS), min_size=2, max_size=7), st.booleans())
 def test_nothing_goes_beyond_its_keys(keys, still_ends):
     times = np.cumsum([step for step, _ in keys]).tolist()
@@ -84,7 +108,7 @@ def test_curves_are_those_of_css(numbers):
     np.testing.assert_allclose(found[50], expected[49], atol=1e-4 if numbers[0] > numbers[2] else 1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@pytest.mark.scaled
 @given(st.tuples(*[st.floats(0, 1), st.floats(-2, 3)] * 2), st.floats(0.001, 0.999))
 def test_any_curve_is_met_at_the_time_of_its_place(numbers, share):
     (x1, y1, x2, y2), place = numbers, share

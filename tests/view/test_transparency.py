@@ -1,6 +1,5 @@
 """Pictures and films with opacity, opened again and compared with what was rendered."""
 
-import av
 import numpy as np
 import pytest
 from runs import DEFORMED, SMALL, run, succeed
@@ -16,6 +15,8 @@ from warpcage.view import (
     write_exr,
     write_film,
 )
+
+av = pytest.importorskip("av")
 
 VIEW = ["--eye", 0, -3, 0.5, "--target", 0, 0, 0, *SMALL]
 
