@@ -1,4 +1,5 @@
 """`pytest --costs FILE`: what each file of tests and each fixture takes, over all workers, as a table and as JSON.
+`python tests/support/costs.py FILE docs/test_costs.md` makes a page of it.
 
 Processor time is that of the worker and of the processes that it waited for, apart: what a test starts is often dearer
 than what it does. A process counts where it is waited for, so a browser counts in the file that closes it.
@@ -8,11 +9,30 @@ import collections
 import contextlib
 import json
 import os
+import platform
+import sys
 import time
 
 import pytest
 
 SHOWN = 40
+
+#: What kinds of work tests are about, by their files; the first that fits.
+KINDS = {
+    "kernels that tests compile": "core/test_kernel core/test_compiling coordinates/test_forward_only "
+    "coordinates/test_kernel_gradients",
+    "workers, kills and clusters": "batch/ films/ cli/test_film",
+    "the editor and its page in a browser": "editor/",
+    "examples, wheels, docs and processes of their own": "contracts/test_examples contracts/test_install "
+    "contracts/test_site contracts/test_threads contracts/test_processes contracts/test_quiet contracts/test_workflows "
+    "contracts/test_benchmarks cli/test_cli_doctor",
+    "hostile and drawn input": "contracts/test_hostile contracts/test_fuzz contracts/test_broken contracts/test_prop "
+    "splats/test_splat_hostile field/test_broken",
+    "fits and captures": "fitting/ captures/ scene/test_scene_sizes scene/test_ignored",
+    "cages": "cage/",
+    "poses and frames": "deform/ render/ view/ lattice/ coordinates/ field/ splats/ mesh/ reference/",
+    "all others": "",
+}
 
 
 def clocks():
@@ -117,3 +137,47 @@ class Costs:
 
 def add(one, other):
     return [a + b for a, b in zip(one, other, strict=True)]
+
+
+def kind_of(path):
+    return next(kind for kind, names in KINDS.items() if not names or any(each in path for each in names.split()))
+
+
+def page_of(costs):
+    """A page of docs: where the processor time of a run goes, by kinds and by files."""
+    kinds = collections.defaultdict(lambda: [0.0, 0.0, 0.0])
+    for path, each in costs["files"].items():
+        kinds[kind_of(path)] = add(kinds[kind_of(path)], each)
+    compiled = costs["all"]["the process that hands tests out"]
+    machine = f"{platform.machine()}, Python {platform.python_version()}"
+    tests = [sum(each) for each in zip(*costs["files"].values(), strict=True)]
+    imports = costs["all"]["collection and imports of workers"]
+    before = max(0.0, sum(compiled[:2]) - sum(tests[:2]) - sum(imports[:2]))
+    lines = [
+        "# What the tests cost",
+        "",
+        "Where the processor time of `python -m pytest` goes, written by `python -m pytest --costs FILE` and",
+        "`python tests/support/costs.py FILE docs/test_costs.md`; `.ci/run` prints the table of each run. Processes",
+        "that a test starts count where it waits for them; a browser and workers of a cluster hardly show.",
+        "",
+        f"{sum(compiled[:2]):.0f} s of processor time in {compiled[2]:.0f} s, {os.cpu_count()} cores, {machine}.",
+        "",
+        "| kind | processor, s | of it processes started |",
+        "| --- | --- | --- |",
+        f"| kernels compiled before the first test | {before:.0f} | |",
+        f"| imports and collection by the workers | {sum(imports[:2]):.0f} | |",
+    ]
+    for kind, each in sorted(kinds.items(), key=lambda row: -sum(row[1][:2])):
+        lines.append(f"| {kind} | {sum(each[:2]):.0f} | {each[1]:.0f} |")
+    lines += ["", f"The {SHOWN} dearest files:", "", "| file | processor, s | of it processes started | clock, s |",
+              "| --- | --- | --- | --- |"]  # fmt: skip
+    for path, each in sorted(costs["files"].items(), key=lambda row: -sum(row[1][:2]))[:SHOWN]:
+        lines.append(f"| `{path}` | {sum(each[:2]):.1f} | {each[1]:.1f} | {each[2]:.1f} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    with open(sys.argv[1], encoding="utf-8") as file:
+        page = page_of(json.load(file))
+    with open(sys.argv[2], "w", encoding="utf-8") as file:
+        file.write(page)
