@@ -15,7 +15,7 @@
 
 import warp as wp
 
-from ..core.gradients import add_slope
+from ..core.gradients import add_slope, gradient_of
 from ..core.loads import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
 from ..mesh.fans import INFINITE, PLANE_BAND, near_plane_limit
 from ..mesh.triangle import nearest_barycentric
@@ -326,7 +326,7 @@ def green_point(
     return result
 
 
-@wp.func_grad(green_point)
+@gradient_of(green_point, GreenPoint)
 def grad_green_point(
     x: wp.vec3,
     vertices: wp.array(dtype=wp.vec3),
@@ -388,7 +388,7 @@ def green_position(
     return green_point(x, vertices, faces, fans, targets, target_normals, size).position
 
 
-@wp.func_grad(face_integrals)
+@gradient_of(face_integrals, FaceIntegrals)
 def grad_face_integrals(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float, grad: FaceIntegrals):
     """Slopes by the corners; NaN where the origin lies on the face, where phi jumps."""
     p = wp.vec3d(a)

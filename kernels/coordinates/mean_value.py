@@ -10,7 +10,7 @@
 
 import warp as wp
 
-from ..core.gradients import add_slope, forward_only_in
+from ..core.gradients import add_slope, forward_only_in, gradient_of
 from ..core.loads import reciprocal_root, vec3_entry, vec3i_entry, vec4_entry
 from ..mesh.fans import near_plane_limit
 from ..mesh.triangle import nearest_barycentric
@@ -287,7 +287,7 @@ def mean_value_position(
     return position * wp.where(total == 0.0, 0.0, 1.0 / total)
 
 
-@wp.func_grad(face_weights)
+@gradient_of(face_weights, NearFace)
 def grad_face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float, grad: NearFace):
     """Slopes by the corners; NaN where the origin lies on the face, where the weights alone have none."""
     p = wp.vec3d(a)
@@ -306,7 +306,7 @@ def grad_face_weights(a: wp.vec3, b: wp.vec3, c: wp.vec3, size: float, grad: Nea
         wp.adjoint[c] += wp.vec3(slopes.r)
 
 
-@wp.func_grad(mean_value_position)
+@gradient_of(mean_value_position, wp.vec3)
 def grad_mean_value_position(
     x: wp.vec3,
     vertices: wp.array(dtype=wp.vec3),

@@ -101,6 +101,21 @@ def forward_only_in(file: str, *kinds: tuple[Any, ...]) -> Any:
     return forward_only
 
 
+class _Result:
+    """What a function returns, as Warp's analysis of it would say."""
+
+    def __init__(self, kind: Any):
+        self.label, self.type = "result", kind
+
+
+def gradient_of(function: Any, result: Any) -> Any:
+    """`wp.func_grad` of a function that returns one value of the type `result`."""
+    # Asked for what it returns, Warp analyses the function at each import, which takes a tenth of a second; it analyses
+    # it anew, and for itself, when it generates code.
+    function.adj.return_var = (_Result(result),)
+    return wp.func_grad(function)
+
+
 @wp.func_native("wp::adj_address(array, i, slopes, 0, value);")
 def add_slope(array: wp.array(dtype=wp.vec3), slopes: wp.array(dtype=wp.vec3), i: int, value: wp.vec3):
     """Add to the gradient of array[i], where one is asked for. slopes: wp.adjoint[array], which arrays in structs have

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from ..core.gradients import forward_only_in
+from ..core.gradients import forward_only_in, gradient_of
 from .nodes import NodeLevels, centered_place
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
@@ -105,7 +105,7 @@ def add_side_slope(
     ...
 
 
-@wp.func_grad(side_position)
+@gradient_of(side_position, wp.vec3)
 def grad_side_position(sides: wp.array2d(dtype=wp.vec4), entry: int, offset: wp.vec3, grad: wp.vec3):
     """Slopes by the place and by the positions of its side, at the corners."""
     row = nearest_side(sides, entry, offset)
