@@ -1,4 +1,11 @@
-"""How each golden file is read and written again; `make_golden.py` notes what version 0.1.0 read of it."""
+"""How each golden file is read and written again.
+
+Version 0.1.0 made them, and noted what it read of them; what is of other programs or of older versions was written by
+hand. They stay as they are. Files of a format that is new since are added by whoever adds the format, by the version
+that does: put them into tests/data/golden and CASES, and note what is read of them by
+
+    python tests/contracts/golden_cases.py NAME...
+"""
 
 import contextlib
 import dataclasses
@@ -8,17 +15,24 @@ import io
 import json
 import os
 import pathlib
+import sys
+import tempfile
 import warnings
 import zipfile
 
 import numpy as np
-from rooms import named
 
 import warpcage
 from warpcage import Cage, Camera, CameraFile, NodeSelection, PoseFile, SplatField, VoxelField
 from warpcage.batch.job_file import JobFile, write_jobs
 from warpcage.cage.motion import gltf_poses
 from warpcage.cli import main
+from warpcage.editor import read_session as session_document
+from warpcage.editor import write_session as write_document
+from warpcage.fitting import load_progress, save_progress
+from warpcage.view import read_exr as exr_parts
+from warpcage.view import read_film_frame, write_film_frame
+from warpcage.view.camera_path import RefinedCameras
 
 DATA = pathlib.Path(__file__).parent.parent / "data"
 GOLDEN = DATA / "golden"
@@ -71,12 +85,12 @@ def load_field(path, **options):
 
 
 def write_field(format):
-    def write(path, target):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            load_field(path).save(target, format=format)
+    return lambda path, target: load_field(path).save(target, format=format)
 
-    return write
+
+def saved_again(kind, **options):
+    """What writes a file as the thing of a class that it holds."""
+    return lambda path, target: kind.load(path).save(target, **options)
 
 
 def selected_field(path):
@@ -107,11 +121,7 @@ def read_splats(path):
 
 def write_splats(source):
     """Each format is written from the same splats: those of a .ply, which holds all bits."""
-
-    def write(path, target):
-        SplatField.load(path.with_name(source), device="cpu").save(target)
-
-    return write
+    return lambda path, target: SplatField.load(path.with_name(source), device="cpu").save(target)
 
 
 # -- cages, poses and cameras
@@ -122,9 +132,8 @@ def read_cage(path):
     return {"vertices": cage.vertices, "faces": exact(cage.faces.astype(np.int32))}
 
 
-def write_cage(path, target):
-    up = "y" if "_y" in path.stem else None
-    Cage.load(path.with_name("cage.obj")).save(target, up=up)
+def write_cage(up):
+    return lambda path, target: Cage.load(path.with_name("cage.obj")).save(target, up=up)
 
 
 def read_poses(path):
@@ -136,10 +145,6 @@ def read_poses(path):
     if file.timed:
         found["at time"] = file.at_time(0.4 * file.length).vertices
     return found | {"film": json.dumps(parts)}
-
-
-def write_poses(path, target):
-    PoseFile.load(path).save(target)
 
 
 def read_motion(path):
@@ -164,10 +169,6 @@ def read_cameras(path):
     return found | {"words": json.dumps([words, file.fps, file.loop])}
 
 
-def write_cameras(path, target):
-    CameraFile.load(path).save(target)
-
-
 def read_refined(path):
     """A camera file with exposures: it is read as cameras."""
     entries = json.loads(path.read_text(encoding="utf-8"))["cameras"]
@@ -175,11 +176,9 @@ def read_refined(path):
 
 
 def write_refined(path, target):
-    entries = json.loads(path.read_text(encoding="utf-8"))["cameras"]
-    keys = CameraFile.load(path)
-    gains, offsets = (np.array([entry["exposure"][name] for entry in entries]) for name in ("gain", "offset"))
-    names, cameras = [key.name for key in keys], [key.camera for key in keys]
-    named("RefinedCameras", "view")(names, cameras, gains, offsets).save(target)
+    entries, keys = json.loads(path.read_text(encoding="utf-8"))["cameras"], CameraFile.load(path)
+    exposures = [np.array([entry["exposure"][name] for entry in entries]) for name in ("gain", "offset")]
+    RefinedCameras([key.name for key in keys], [key.camera for key in keys], *exposures).save(target)
 
 
 # -- jobs, sessions, reports
@@ -207,69 +206,57 @@ def write_job_lines(path, target):
 
 def read_session(path):
     """The document of a session, as JSON of our own."""
-    field = load_field(path.with_name("field_v1.npz"))
-    document = named("read_session", "editor")(path, field)
+    document = session_document(path, load_field(path.with_name("field_v1.npz")))
     return {"document": json.dumps(document.to_json("field_v1"))}
 
 
 def write_session(path, target):
     field = load_field(path.with_name("field_v1.npz"))
-    document = named("read_session", "editor")(path, field)
-    named("write_session", "editor")(target, document, field, "field_v1.npz")
+    write_document(target, session_document(path, field), field, "field_v1.npz")
 
 
-def capture_report(path):
-    """A report of a capture, of the numbers in capture.json."""
-    return warpcage.CaptureReport(
-        folder=pathlib.Path("scene"),
-        source="walk.mp4",
-        pictures=["frame_0001.jpg", "frame_0002.jpg", "frame_0003.jpg"],
-        registered=[True, False, True],
-        sharpness=[0.75, 0.25, 0.5],
-        errors=[0.5, None, 0.625],
-        points=1234,
-        error=0.5625,
-        size=(640, 480),
-        around=75.0,
-        elevation=(10.0, 35.5),
-        sphere=0.25,
-        upper=0.5,
-        advice=["Go once more around the object."],
-        facts={"frames": 3},
-    )
+#: A report of a capture, of the numbers in capture.json.
+REPORT = warpcage.CaptureReport(
+    folder=pathlib.Path("scene"),
+    source="walk.mp4",
+    pictures=["frame_0001.jpg", "frame_0002.jpg", "frame_0003.jpg"],
+    registered=[True, False, True],
+    sharpness=[0.75, 0.25, 0.5],
+    errors=[0.5, None, 0.625],
+    points=1234,
+    error=0.5625,
+    size=(640, 480),
+    around=75.0,
+    elevation=(10.0, 35.5),
+    sphere=0.25,
+    upper=0.5,
+    advice=["Go once more around the object."],
+    facts={"frames": 3},
+)
 
 
 def read_text(path):
     return {"text": path.read_text(encoding="utf-8")}
 
 
-def write_capture_json(path, target):
-    target.write_text(capture_report(path).to_json(), encoding="utf-8")
-
-
-def write_capture_page(path, target):
-    target.write_text(capture_report(path).to_markdown(), encoding="utf-8")
-
-
 # -- pictures of films
 
 
 def read_frame(path):
-    return {"pixels": exact(named("read_film_frame", "view", "films")(path))}
+    return {"pixels": exact(read_film_frame(path))}
 
 
 def write_frame(path, target):
-    named("write_film_frame", "view", "films")(target, named("read_film_frame", "view", "films")(path))
+    write_film_frame(target, read_film_frame(path))
 
 
 def read_exr(path):
-    return {name: array.astype(np.float32) for name, array in named("read_exr", "view")(path).items()}
+    return {name: array.astype(np.float32) for name, array in exr_parts(path).items()}
 
 
 # -- checkpoints of fits
 
 FIT = {"resolution": 8, "batch_rays": 64, "least_steps": 12, "epochs": 0.1, "levels": 2, "directional": 0.5}
-CHECKPOINT_STEPS = 2
 
 
 def checkpoint_optimizer(path):
@@ -284,7 +271,7 @@ def checkpoint_optimizer(path):
 def read_checkpoint(path):
     """Where a fit is that goes on with a checkpoint."""
     optimizer = checkpoint_optimizer(path)
-    named("load_progress", "fitting")(optimizer, path)
+    load_progress(optimizer, path)
     state = {"steps": optimizer.step_count, "level": optimizer.level, "left": optimizer.total_steps}
     state |= {"shape": list(map(int, optimizer.field.resolution)), "rows": optimizer.field.voxel_count}
     return {"state": json.dumps(state), "density": exact(optimizer.field.grid.density.numpy())}
@@ -292,8 +279,8 @@ def read_checkpoint(path):
 
 def write_checkpoint(path, target):
     optimizer = checkpoint_optimizer(path)
-    named("load_progress", "fitting")(optimizer, path)
-    named("save_progress", "fitting")(optimizer, target)
+    load_progress(optimizer, path)
+    save_progress(optimizer, target)
 
 
 # -- scenes
@@ -339,13 +326,13 @@ CASES = {
         for ending in (".compressed.ply", ".splat", ".spz")
     },
     "splats_v2.spz": Case(read_splats),
-    **{f"cage{ending}": Case(read_cage, write_cage) for ending in (".obj", ".ply", ".off", ".glb", ".gltf")},
-    **{f"cage_y{ending}": Case(read_cage, write_cage) for ending in (".obj", ".ply")},
-    "poses.json": Case(read_poses, write_poses),
-    "film.json": Case(read_poses, write_poses),
+    **{f"cage{ending}": Case(read_cage, write_cage(None)) for ending in (".obj", ".ply", ".off", ".glb", ".gltf")},
+    **{f"cage_y{ending}": Case(read_cage, write_cage("y")) for ending in (".obj", ".ply")},
+    "poses.json": Case(read_poses, saved_again(PoseFile)),
+    "film.json": Case(read_poses, saved_again(PoseFile)),
     "moved_object.glb": Case(read_motion),
-    "cameras.json": Case(read_cameras, write_cameras),
-    "one_camera.json": Case(read_cameras, write_cameras),
+    "cameras.json": Case(read_cameras, saved_again(CameraFile)),
+    "one_camera.json": Case(read_cameras, saved_again(CameraFile)),
     "moving_camera.glb": Case(read_cameras),
     "still_cameras.glb": Case(read_cameras),
     "refined.cameras.json": Case(read_refined, write_refined),
@@ -355,8 +342,8 @@ CASES = {
     "shards.jsonl": Case(read_jobs, write_job_lines),
     "session.session.json": Case(read_session, write_session),
     "session_early.session.json": Case(read_session),
-    "capture.json": Case(read_text, write_capture_json),
-    "capture.md": Case(read_text, write_capture_page),
+    "capture.json": Case(read_text, lambda path, target: target.write_text(REPORT.to_json(), encoding="utf-8")),
+    "capture.md": Case(read_text, lambda path, target: target.write_text(REPORT.to_markdown(), encoding="utf-8")),
     "frame.npz": Case(read_frame, write_frame),
     "picture.exr": Case(read_exr),
     "checkpoint.npz": Case(read_checkpoint, write_checkpoint),
@@ -450,16 +437,6 @@ def payload(path):
     return gzip.decompress(path.read_bytes()) if path.suffix == ".spz" else path.read_bytes()
 
 
-def write_expected(words, arrays):
-    """Write what was read: words by file and part, and arrays likewise."""
-    index = [[file, part, list(array.shape)] for (file, part), array in arrays.items()]
-    values = np.concatenate([np.asarray(array, np.float64).ravel() for array in arrays.values()])
-    with zipfile.ZipFile(READ, "w", zipfile.ZIP_DEFLATED) as archive:
-        text = json.dumps({"words": words, "arrays": index}, indent=0, ensure_ascii=False)
-        archive.writestr(zipfile.ZipInfo("words.json"), text, zipfile.ZIP_DEFLATED, 9)
-        archive.writestr(zipfile.ZipInfo("values.f8"), values.astype("<f8").tobytes(), zipfile.ZIP_DEFLATED, 9)
-
-
 def expected():
     """What version 0.1.0 read, by file and part: words, and arrays."""
     with zipfile.ZipFile(READ) as archive:
@@ -471,3 +448,23 @@ def expected():
         found.setdefault(file, {})[part] = values[place : place + size].reshape(shape)
         place += size
     return found
+
+
+def note(names):
+    """Add what is read of new files to what was read of the others."""
+    with zipfile.ZipFile(READ) as archive:
+        held, values = json.loads(archive.read("words.json")), [np.frombuffer(archive.read("values.f8"), "<f8")]
+    for name in names:
+        for part, value in CASES[name].read(laid_out(pathlib.Path(tempfile.mkdtemp())) / name).items():
+            if isinstance(value, str):
+                held["words"].setdefault(name, {})[part] = value
+            else:
+                held["arrays"].append([name, part, list(np.shape(value))])
+                values.append(np.asarray(value, np.float64).ravel())
+    with zipfile.ZipFile(READ, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        archive.writestr("words.json", json.dumps(held, indent=0, ensure_ascii=False))
+        archive.writestr("values.f8", np.concatenate(values).astype("<f8").tobytes())
+
+
+if __name__ == "__main__":
+    note(sys.argv[1:])

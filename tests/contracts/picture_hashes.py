@@ -1,12 +1,9 @@
 """Pictures and values of a small made scene on the CPU, by name: hashed to compare two trees on one machine to the bit.
 
-    python tests/contracts/picture_hashes.py --out hashes.json        # of the tree that `import warpcage` finds
-    python tests/contracts/picture_hashes.py --compare a.json b.json  # exit status 1 where any bit differs
-
-Another tree, such as a clean copy, from its folder: PYTHONPATH=$PWD python PATH/OF/THIS/picture_hashes.py --out b.json
+PYTHONPATH=.:tests/support python tests/contracts/picture_hashes.py a.json  # in a tree
+diff a.json ../clean/b.json  # of another tree, such as a clean copy: an array a line
 """
 
-import argparse
 import contextlib
 import functools
 import hashlib
@@ -18,6 +15,7 @@ from functools import partial as part
 
 import numpy as np
 from field_arrays import field_arrays
+from fields import slotted
 
 import warpcage
 from warpcage import Cage, CageEdit, Camera, Deformer, SplatField, VoxelField
@@ -32,22 +30,11 @@ LEFT, RIGHT = (Cage.box([x - 0.3, -0.3, -0.3], [x + 0.3, 0.3, 0.3]) for x in (-0
 CAMERA = Camera.look_at((2.5, 1.2, 1.0), (0, 0, 0), width=20, height=16, fov_degrees=28)
 NEAR = Camera.look_at((0.9, 0.4, 0.3), (0, 0, 0), width=20, height=16)
 COORDINATES = ("harmonic", "mean_value", "green")
-SIZES = {"rgb": 3, "alpha": 1, "depth": 1, "reveal": 1, "fold": 1, "outside": 1}
+PARTS = ("rgb", "alpha", "depth", "reveal", "fold", "outside")
 
 
 def bent(cage=BOX):
     return cage.bend(70, axis="x", towards="z")
-
-
-def slotted(width=0.4):
-    """A prism with a slot between two arms, whose sides are near each other."""
-    half = width / 2
-    outline = np.array([[-0.8, -0.5], [0.8, -0.5], [0.8, 0.6], [half, 0.6], [half, -0.1], [-half, -0.1], [-half, 0.6],
-                        [-0.8, 0.6]])  # fmt: skip
-    top = np.array([[0, 1, 5], [1, 4, 5], [1, 2, 4], [2, 3, 4], [0, 5, 7], [5, 6, 7]])
-    sides = [face for i in range(8) for j in [(i + 1) % 8] for face in ([i, j, j + 8], [i, j + 8, i + 8])]
-    vertices = np.concatenate([np.column_stack([outline, np.full(8, height)]) for height in (-0.4, 0.4)])
-    return Cage(vertices, np.concatenate([top[:, ::-1], top + 8, sides]))
 
 
 def closed(cage, share):
@@ -100,7 +87,7 @@ def file_field(version):
 
 def frame_parts(frame):
     """The arrays of a frame."""
-    parts = {name: getattr(frame, name, None) for name in SIZES}
+    parts = {name: getattr(frame, name, None) for name in PARTS}
     return {name: np.array(array) for name, array in parts.items() if array is not None}
 
 
@@ -141,6 +128,7 @@ def field_values(field):
     return {"colour": color, "density": density, **frame_parts(field.render(camera))}
 
 
+@functools.cache
 def brick_views(count, size):
     """A scene of pictures of the made field."""
     cameras = warpcage.turntable((0, 0, 0), 3.0, 25, count, width=size, height=size)
@@ -261,7 +249,7 @@ def precise(kind):
 
 
 SLOT, HALF, END = (
-    slotted(),
+    slotted(0.4),
     Cage.box([-0.2, -0.6, -0.5], [0.8, 0.6, 0.5]),
     Cage.box([-0.8, -0.3, -0.3], [-0.45, 0.3, 0.3]),
 )
@@ -362,16 +350,6 @@ def summary(array):
     return np.concatenate([statistics, flat[places]]).astype(np.float32)
 
 
-def write_golden():
-    """Write the summaries of this tree, which tests compare on any machine."""
-    summaries = {f"{name}: {key}": summary(array) for name in CASES for key, array in made(name).items()}
-    lengths = [len(each) for each in summaries.values()]
-    GOLDEN.parent.mkdir(exist_ok=True)
-    np.savez_compressed(
-        GOLDEN, names=np.array(list(summaries)), lengths=np.array(lengths), values=np.concatenate([*summaries.values()])
-    )
-
-
 def read_golden():
     """The summary of each array of version 0.1.0, by case and name."""
     with np.load(GOLDEN) as held:
@@ -379,39 +357,11 @@ def read_golden():
         return dict(zip(map(str, held["names"]), parts, strict=True))
 
 
-def compared(one, two):
-    """Print what differs of two files of hashes; returns how many do."""
-    first, second = (json.loads(pathlib.Path(path).read_text(encoding="utf-8")) for path in (one, two))
-    wrong = [name for name in {**first, **second} if first.get(name) != second.get(name)]
-    for name in wrong:
-        print(f"differs: {name}" if name in first and name in second else f"only in one: {name}")
-    print(f"{len(wrong)} of {len({**first, **second})} differ")
-    return len(wrong)
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=pathlib.Path, help="write the hashes of this tree to a file")
-    parser.add_argument("--compare", nargs=2, metavar="FILE", help="compare two such files")
-    parser.add_argument("--only", default="", help="cases whose names hold this")
-    parser.add_argument("--golden", action="store_true", help=f"write {GOLDEN.name}; only of version 0.1.0")
-    args = parser.parse_args()
-    if args.golden:
-        write_golden()
-        return 0
-    if args.compare:
-        return 1 if compared(*args.compare) else 0
-    found = {}
-    for name in CASES:
-        if args.only in name:
-            with contextlib.redirect_stdout(sys.stderr):
-                found |= hashes(name)
-            print(name, file=sys.stderr, flush=True)
-    text = json.dumps(found, indent=1) + "\n"
-    args.out.write_text(text, encoding="utf-8") if args.out else print(text)
-    print(f"{len(found)} arrays of {pathlib.Path(warpcage.__file__).parent}", file=sys.stderr)
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    everything = {}
+    for case in CASES:
+        print(case, file=sys.stderr, flush=True)
+        with contextlib.redirect_stdout(sys.stderr):
+            everything |= hashes(case)
+    pathlib.Path(sys.argv[1]).write_text(json.dumps(everything, indent=1) + "\n", encoding="utf-8")
+    print(f"{len(everything)} arrays of {pathlib.Path(warpcage.__file__).parent}", file=sys.stderr)

@@ -1,5 +1,6 @@
 """Arrays in and out: what goes in comes out as the same kind, on its device, of any precision and layout."""
 
+import functools
 import sys
 import types
 
@@ -52,6 +53,15 @@ class Stranger(OnlyDLPack):
     __module__ = "stranger"
 
 
+def imported_torch():
+    return pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+
+
+@pytest.fixture
+def torch():
+    return imported_torch()
+
+
 def warp_vectors(values):
     kind = {2: wp.vec3h, 4: wp.vec3, 8: wp.vec3d}[values.itemsize]
     return wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu")
@@ -67,8 +77,7 @@ def warp_rows(values):
 
 
 def torch_tensor(values):
-    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
-    return torch.from_numpy(values)
+    return imported_torch().from_numpy(values)
 
 
 def jax_array(values):
@@ -105,19 +114,21 @@ FUNCTIONS = {
     "sample": lambda points, device: field_on(device).sample(points, DIRECTIONS),
 }
 
-_made = {}
 
-
+@functools.cache
 def field_on(device):
-    if device not in _made:
-        field = shiny_field(device, resolution=12)
-        _made[device] = field, Deformer(field, BOX, coordinates="mean_value", resolution=16).pose(POSED)
-    return _made[device][0]
+    return shiny_field(device, resolution=12)
 
 
+@functools.cache
 def posed(device):
-    field_on(device)
-    return _made[device][1]
+    return Deformer(field_on(device), BOX, coordinates="mean_value", resolution=16).pose(POSED)
+
+
+@functools.cache
+def expected_of(name, dtype, device):
+    """What a function gives for the points as NumPy has them."""
+    return [np.asarray(each) for each in FUNCTIONS[name](points_in_box(dtype).astype(np.float64), device)]
 
 
 @pytest.fixture(autouse=True)
@@ -143,12 +154,9 @@ def as_numpy(array):
 @pytest.mark.parametrize("kind", KINDS)
 def test_results_are_of_the_kind_that_came_in(kind, dtype, layout, device):
     make, result_kind = KINDS[kind]
-    plain = points_in_box(dtype)
-    given = make(LAYOUTS[layout](plain))
+    given = make(LAYOUTS[layout](points_in_box(dtype)))
     for name, function in FUNCTIONS.items():
-        expected = [np.asarray(each) for each in function(plain.astype(np.float64), device)]
-        found = function(given, device)
-        for one, reference in zip(found, expected, strict=True):
+        for one, reference in zip(function(given, device), expected_of(name, dtype, device), strict=True):
             assert isinstance(one, type(given) if result_kind is None else result_kind), name
             values = np.asarray(as_numpy(one))
             assert values.shape == reference.shape and len(values) == COUNT, name
@@ -202,8 +210,7 @@ def test_what_lies_right_is_not_copied(kind):
     assert as_points(given).ptr == pointer
 
 
-def test_results_for_torch_are_the_memory_that_kernels_wrote():
-    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+def test_results_for_torch_are_the_memory_that_kernels_wrote(torch):
     moved = deform_points(torch.from_numpy(points_in_box()), BOX, POSED)
     again = wp.from_dlpack(moved)
     moved[0, 0] = 17.0
@@ -222,8 +229,7 @@ def test_frames_are_handed_on_where_they_were_written(kind):
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_gradients_that_would_be_lost_are_told(name, device):
-    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+def test_gradients_that_would_be_lost_are_told(name, device, torch):
     points = torch.from_numpy(points_in_box()).requires_grad_(True)
     with pytest.raises(ValueError, match=MESSAGES["arrays.no_gradient"]) as caught:
         FUNCTIONS[name](points, device)
@@ -250,8 +256,7 @@ def test_jax_under_a_transformation_is_told():
     assert "\n" not in str(caught.value)
 
 
-def test_numbers_that_kernels_do_not_take_are_refused():
-    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+def test_numbers_that_kernels_do_not_take_are_refused(torch):
     with pytest.raises(ValueError, match=MESSAGES["arrays.numbers"]):
         deform_points(torch.zeros(4, 3, dtype=torch.bool), BOX, POSED)
     with pytest.raises(ValueError, match="complex"):
@@ -260,14 +265,12 @@ def test_numbers_that_kernels_do_not_take_are_refused():
     np.testing.assert_allclose(deform_points(whole, BOX, POSED), deform_points(np.zeros((4, 3)), BOX, POSED), atol=1e-6)
 
 
-def test_a_class_of_tensors_of_somebodys_own(device):
-    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+def test_a_class_of_tensors_of_somebodys_own(device, torch):
     given = torch.nn.Parameter(torch.from_numpy(points_in_box()), requires_grad=False)
     assert isinstance(deform_points(given, BOX, POSED, device=device), torch.Tensor)
 
 
-def test_cages_of_tensors(device):
-    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+def test_cages_of_tensors(device, torch):
     vertices, faces = torch.from_numpy(BOX.vertices.copy()), torch.from_numpy(BOX.faces.copy())
     assert np.array_equal(Cage(vertices, faces).vertices, BOX.vertices)
     with pytest.raises(ValueError, match=MESSAGES["arrays.no_gradient"]):
@@ -275,8 +278,7 @@ def test_cages_of_tensors(device):
 
 
 @pytest.mark.parametrize("name", ["centers", "scales", "rotations", "opacities", "harmonics"])
-def test_parameters_of_splats_are_told(name):
-    torch = pytest.importorskip("torch", reason="torch is not installed: pip install torch==2.13.0")
+def test_parameters_of_splats_are_told(name, torch):
     shapes = {"centers": (3, 3), "scales": (3, 3), "rotations": (3, 4), "opacities": (3, 1), "harmonics": (3, 1, 3)}
     values = {each: torch.full(shape, 0.5) for each, shape in shapes.items()}
     assert SplatField.from_arrays(**values).splat_count == 3

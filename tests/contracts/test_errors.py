@@ -1,11 +1,8 @@
 """Every refusal is a warpcage.Error, and what Python calls such a mistake too."""
 
-import ast
-import builtins
 import errno
 import importlib
 import os
-import pathlib
 import pickle
 
 import numpy as np
@@ -16,48 +13,15 @@ from warpcage import errors
 from warpcage.core import atomic_path
 from warpcage.core.memory import MemoryShortage
 
-PACKAGE = pathlib.Path(warpcage.__file__).parent
-ROOT = PACKAGE.parent
 CLASSES = [each for each in vars(errors).values() if isinstance(each, type) and issubclass(each, errors.Error)]
-
-#: Exceptions of Python's that are made, by file: what Python itself asks for, what ends a thread, what cannot be, and
-#: what a package says that is not whole.
-MADE = {
-    "package.py": {"AttributeError", "ImportError"},
-    "captures/colmap.py": {"InterruptedError"},
-    "batch/films.py": {"InterruptedError"},
-    "batch/manifest.py": {"OSError"},  # for `file_error`
-}
-
-
-def made(path):
-    """Names of Python's own exceptions that a file makes."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        called = node.func if isinstance(node, ast.Call) else node.exc if isinstance(node, ast.Raise) else None
-        thing = getattr(builtins, called.id, None) if isinstance(called, ast.Name) else None
-        if isinstance(thing, type) and issubclass(thing, Exception):
-            yield called.id
-
-
-def test_no_file_makes_other_exceptions():
-    files = [path for path in PACKAGE.rglob("*.py") if "kernels" not in path.relative_to(PACKAGE).parts]
-    assert len(files) > 200
-    found = {path.relative_to(PACKAGE).as_posix(): set(made(path)) for path in files}
-    assert {name: names for name, names in found.items() if names} == MADE
 
 
 @pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.__name__)
-def test_classes_of_docs(kind):
-    page = (ROOT / "docs" / "pipelines.md").read_text(encoding="utf-8")
-    assert kind is errors.Error or f"| `{kind.__name__}` |" in page
+def test_errors_are_pickled_as_their_class(kind):
     error = errors.file_error(OSError("what is wrong")) if kind is errors.FileError else kind("what is wrong")
     again = pickle.loads(pickle.dumps(error))
-    assert (
-        type(again) is type(error)
-        and isinstance(again, kind)
-        and str(again) == "what is wrong"
-        and isinstance(again, warpcage.Error)
-    )
+    assert type(again) is type(error) and isinstance(again, kind) and isinstance(again, warpcage.Error)
+    assert str(again) == "what is wrong"
 
 
 CAGE = warpcage.Cage.box([-1, -1, -1], [1, 1, 1])
@@ -98,8 +62,6 @@ def test_refusals_of_all_rooms(room, tmp_path):
     with pytest.raises(warpcage.Error) as caught:
         call(tmp_path)
     assert isinstance(caught.value, kind) and "\n" not in str(caught.value)
-    with pytest.raises(kind):
-        call(tmp_path)
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EACCES, errno.ENOENT])

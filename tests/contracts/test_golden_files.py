@@ -7,10 +7,9 @@ import golden_cases
 import numpy as np
 import pytest
 from golden_cases import CASES, SAID, WRITTEN
-from rooms import named
 
 import warpcage
-from warpcage.batch.webdataset import read_shard, shard_path
+from warpcage.batch.webdataset import read_shard, shard_path, shard_stage
 
 EXPECTED = golden_cases.expected()
 
@@ -154,7 +153,7 @@ def test_shards_are_read_and_packed_as_they_were(copy):
     assert all(set(record) == {"__key__", "jpg", "depth.npy", "pose.npy", "json"} for record in records)
     packed = shards[0].read_bytes()
     shards[0].unlink()
-    stage = named("shard_stage", "batch")(out, 0)
+    stage = shard_stage(out, 0)
     for record in records[:3]:
         for ending, data in record.items():
             if ending != "__key__":
@@ -186,18 +185,10 @@ def test_refined_cameras_go_to_their_pictures(copy):
         np.testing.assert_allclose(camera.camera_to_world, expected.camera_to_world)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "field_v1.npz",
-        "poses.json",
-        "cameras.json",
-        "jobs_v1.jsonl",
-        "session.session.json",
-        "several.edits.json",
-        "chosen.json",
-    ],
-)
+VERSIONED = "field_v1.npz poses.json cameras.json jobs_v1.jsonl session.session.json several.edits.json chosen.json"
+
+
+@pytest.mark.parametrize("name", VERSIONED.split())
 def test_files_of_later_versions_are_refused(name, copy):
     path = copy / name
     if name.endswith(".npz"):

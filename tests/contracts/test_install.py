@@ -1,9 +1,6 @@
 """The package imports from a wheel, from a checkout with or without its link, and says what is missing in one line."""
 
-import ast
-import collections
 import contextlib
-import dataclasses
 import importlib.metadata
 import importlib.util
 import os
@@ -13,12 +10,14 @@ import shutil
 import subprocess
 import sys
 import tarfile
+import types
 import zipfile
 
 import pytest
 from messages import MESSAGES
 
 import warpcage
+from warpcage.examples import __main__ as examples
 from warpcage.package import NEEDED
 
 ROOT = pathlib.Path(__file__).parents[2]
@@ -58,16 +57,6 @@ def copied_tree(folder, link):
     return folder
 
 
-@dataclasses.dataclass(frozen=True)
-class Wheel:
-    name: str
-    files: list[str]
-    about: list[str]
-    installed: pathlib.Path
-    sources: list[str]
-    sizes: dict[str, int]
-
-
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
     """A wheel made from a source distribution, as `python -m build` does, that a copy was packed into, so that nothing
@@ -88,7 +77,9 @@ def wheel(tmp_path_factory):
         about = [each for each in archive.namelist() if ".dist-info/" in each]
         files = [each for each in archive.namelist() if each not in about]
     sizes = {each.name: each.stat().st_size for each in (packed, path)}
-    return Wheel(path.name, files, about, installed, sources, sizes)
+    return types.SimpleNamespace(
+        name=path.name, files=files, about=about, installed=installed, sources=sources, sizes=sizes
+    )
 
 
 def built(tree, kind, setuptools):
@@ -118,30 +109,29 @@ def test_a_checkout_imports_with_a_wheel_installed(wheel, tmp_path):
     assert imported_from(tree, wheel.installed) == (tree / "warpcage", tree / "kernels")
 
 
-def test_a_wheel_imports_elsewhere(wheel, tmp_path):
-    package = wheel.installed / "warpcage"
-    assert imported_from(tmp_path, wheel.installed) == (package, package / "kernels")
-
-
-def test_a_wheel_is_imported_beside_a_clone_of_its_name(wheel, tmp_path):
+def test_a_wheel_imports_elsewhere_and_beside_a_clone_of_its_name(wheel, tmp_path):
     """The folder of a clone is no package, so that it does not stand before one."""
-    (tmp_path / "warpcage").symlink_to(ROOT, target_is_directory=True)
     package = wheel.installed / "warpcage"
+    assert imported_from(tmp_path, wheel.installed) == (package, package / "kernels")
+    (tmp_path / "warpcage").symlink_to(ROOT, target_is_directory=True)
     assert imported_from(tmp_path, wheel.installed) == (package, package / "kernels")
 
 
+@pytest.mark.nightly
 def test_an_installed_wheel_runs_examples_by_name(wheel, tmp_path):
-    paths = os.pathsep.join(map(str, [wheel.installed, *site_folders()]))
-    environment = {**os.environ, "PYTHONPATH": paths}
-    command = [sys.executable, "-S", "-m", "warpcage.examples"]
-    options = {"cwd": tmp_path, "env": environment, "capture_output": True, "text": True, "timeout": 240}
-    listed = subprocess.run(command, **options)
-    names = {line.split()[0] for line in listed.stdout.splitlines()[2:]}
-    assert listed.returncode == 0 and names == {path.stem for path in (ROOT / "examples").glob("[a-z]*.py")}
-    done = subprocess.run([*command, "deform_mesh"], **options)
-    assert done.returncode == 0 and "mean_value" in done.stdout, done.stderr
-    wrong = subprocess.run([*command, "deform_mash"], **options)
-    assert wrong.returncode == 2 and "did you mean deform_mesh?" in wrong.stderr and wrong.stderr.count("\n") == 1
+    program = "import runpy, sys; sys.argv[1:] = ['deform_in_a_pipeline']; "
+    program += "runpy.run_module('warpcage.examples', run_name='__main__')"
+    done = run(program, tmp_path, wheel.installed, *site_folders())
+    assert done.returncode == 0 and "own renderer" in done.stdout, done.stderr
+
+
+def test_examples_are_listed_and_looked_up_by_name(capsys):
+    assert examples.main([]) == 0
+    names = {line.split()[0] for line in capsys.readouterr().out.splitlines()[2:]}
+    assert names == {path.stem for path in (ROOT / "examples").glob("[a-z]*.py")}
+    assert examples.main(["deform_mash"]) == 2
+    said = capsys.readouterr().err
+    assert "did you mean deform_mesh?" in said and said.count("\n") == 1
 
 
 def test_a_wheel_holds_every_file_once(wheel):
@@ -206,19 +196,3 @@ def test_missing_kernels_are_named_in_one_line(tmp_path):
     refused = run("import warpcage", tree, *site_folders())
     last = refused.stderr.rstrip().split("\n")[-1]
     assert last.startswith("ImportError: warpcage.kernels is missing: ") and refused.stderr.count("Traceback") == 1
-
-
-def test_what_the_package_needs_at_once_is_listed():
-    imported = collections.defaultdict(set)
-    for path in [*(ROOT / "warpcage").rglob("*.py"), *(ROOT / "kernels").rglob("*.py")]:
-        for node in ast.parse(path.read_text("utf-8")).body:
-            names = []
-            if isinstance(node, ast.Import):
-                names = [each.name for each in node.names]
-            elif isinstance(node, ast.ImportFrom) and node.level == 0:
-                names = [node.module or ""]
-            for name in names:
-                imported[name.split(".")[0]].add(path.parent.name)
-    # the rooms of the editor's server are loaded once the extra has been looked for
-    assert imported.pop("aiohttp") == {"editor", "web"}
-    assert set(imported) - set(sys.stdlib_module_names) - {"warpcage"} == set(NEEDED)

@@ -1,6 +1,5 @@
 """How the program behaves among others: it starts at once, and ends in one line whatever happens around it."""
 
-import ast
 import io
 import os
 import pathlib
@@ -23,18 +22,11 @@ from warpcage.cli import main
 from warpcage.core import atomic_path
 from warpcage.view import read_image
 
-#: Put before the code of a child: a command that does what a test says, and nothing of Warp.
-FAKE = """\
-import os, sys, types
-import warpcage.cli
-fake = sys.modules["warpcage.cli.info"] = types.ModuleType("warpcage.cli.info")
-"""
 
-
-def child(code, *words, **options):
-    """Python with some code. None of these load Warp: they take a tenth of a second."""
-    command = [sys.executable, "-c", textwrap.dedent(code), *map(str, words)]
-    return subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=120, **options)
+def child(code, *words, options=(), **more):
+    """Python with some code. Most of these do not load Warp: they take a tenth of a second."""
+    command = [sys.executable, *options, "-c", textwrap.dedent(code), *map(str, words)]
+    return subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=120, **more)
 
 
 @pytest.fixture
@@ -70,20 +62,6 @@ def test_names_and_help_load_neither_numpy_nor_warp():
         """
     )
     assert done.returncode == 0, done.stderr
-
-
-def test_the_stub_tells_type_checkers_the_same_names():
-    stub = ast.parse(pathlib.Path(warpcage.__file__).with_suffix(".pyi").read_text("utf-8"))
-    homes, exported = {}, None
-    for node in stub.body:
-        if isinstance(node, ast.ImportFrom):
-            assert node.level == 1 and all(each.name == each.asname for each in node.names)
-            homes |= {each.name: node.module for each in node.names}
-        elif isinstance(node, ast.Assign):
-            exported = ast.literal_eval(node.value)
-    lazy = warpcage._HOMES  # noqa: SLF001  (no public name tells where each one comes from)
-    assert homes == {name: module for module, names in lazy.items() for name in names}
-    assert exported == warpcage.__all__ == sorted(warpcage.__all__, key=lambda name: (name[0].islower(), name))
 
 
 def test_names_behave_as_if_they_were_imported():
@@ -245,8 +223,10 @@ def test_an_output_that_is_lost_on_a_full_disk_is_an_error(command, monkeypatch,
 
 def test_closed_descriptors_lose_messages_and_nothing_else(tmp_path):
     """The next file that is opened would get the number of the closed one, and what Warp prints would end in it."""
-    code = FAKE + textwrap.dedent(
-        """
+    code = """
+        import os, sys, types
+        import warpcage.cli
+
         def run_info(arguments):
             with open(sys.argv[1], "w") as file:
                 print("a message")
@@ -254,10 +234,9 @@ def test_closed_descriptors_lose_messages_and_nothing_else(tmp_path):
                 os.write(1, b"from a library")
                 file.write("results")
 
-        fake.run_info = run_info
+        sys.modules["warpcage.cli.info"] = types.SimpleNamespace(run_info=run_info)
         sys.exit(warpcage.cli.main(["info"]))
-        """
-    )
+    """
     out = tmp_path / "out.txt"
     done = child(code, out, preexec_fn=lambda: [os.close(number) for number in range(3)])
     assert done.returncode == 0 and out.read_text() == "results"
@@ -268,34 +247,26 @@ def test_closed_descriptors_lose_messages_and_nothing_else(tmp_path):
 
 def test_a_command_works_in_a_poor_place(tmp_path):
     """Warnings as errors, no assertions, few descriptors, and a home that cannot be written to, which is said."""
-    ball_and_box(tmp_path)
+    density = np.full((8, 8, 8), 20.0, np.float32)
+    warpcage.VoxelField.from_dense(density, np.zeros((8, 8, 8, 9, 3)), [[-1] * 3, [1] * 3]).save(tmp_path / "ball.npz")
+    cage = warpcage.Cage.box((-1.2, -1.2, -1.2), (1.2, 1.2, 1.2))
+    cage.save(tmp_path / "cage.obj")
+    cage.twist(20).save(tmp_path / "posed.obj")
     code = """
-        import resource, sys
+        import os, resource, sys
         resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
         from warpcage.cli import main
         words = "render ball.npz --cage cage.obj --posed posed.obj --size 16 --coordinates mean_value --resolution 12"
-        sys.exit(main([*words.split(), "--device", "cpu", "--out", "frame.png"]))
+        words = [*words.split(), "--device", "cpu", "--out", "frame.png"]
+        refused = main(words), os.path.exists("frame.png")
+        import warp
+        warp.config.kernel_cache_dir, os.environ["WARP_CACHE_PATH"] = None, sys.argv[1]  # as at its start
+        sys.exit(main(words) if refused == (2, False) else 9)
     """
     strict = ["-W", "error", "-W", "ignore:Support for Python:FutureWarning", "-O"]  # Warp on the oldest Python
-    command = [sys.executable, *strict, "-c", textwrap.dedent(code)]
     poor = {name: value for name, value in os.environ.items() if name not in ("WARP_CACHE_PATH", "XDG_CACHE_HOME")}
-    poor["HOME"] = os.devnull
-    cache = str(pathlib.Path(wp.config.kernel_cache_dir).parent)  # of this process: nothing is compiled anew
-    options = {"cwd": tmp_path, "capture_output": True, "text": True, "timeout": 120}
-    refused = subprocess.run(command, env=poor, **options)
-    said = [line for line in refused.stderr.splitlines() if line.startswith("warpcage: ")]
-    assert refused.returncode == 2 and len(said) == 1 and "WARP_CACHE_PATH" in said[0], refused.stderr
-    assert not (tmp_path / "frame.png").exists()
-    done = subprocess.run(command, env={**poor, "WARP_CACHE_PATH": cache}, **options)
-    assert done.returncode == 0, done.stderr
+    cache = pathlib.Path(wp.config.kernel_cache_dir).parent  # of this process: nothing is compiled anew
+    done = child(code, cache, options=strict, cwd=tmp_path, env=poor | {"HOME": os.devnull})
+    said = [line for line in done.stderr.splitlines() if line.startswith("warpcage: error: ")]
+    assert done.returncode == 0 and len(said) == 1 and "WARP_CACHE_PATH" in said[0], done.stderr
     assert read_image(tmp_path / "frame.png").shape[:2] == (16, 16)
-
-
-def ball_and_box(folder):
-    """A field, and a box around it at rest and posed."""
-    density = np.full((8, 8, 8), 20.0, np.float32)
-    field = warpcage.VoxelField.from_dense(density, np.zeros((8, 8, 8, 9, 3)), [[-1] * 3, [1] * 3], device="cpu")
-    field.save(folder / "ball.npz")
-    cage = warpcage.Cage.box((-1.2, -1.2, -1.2), (1.2, 1.2, 1.2))
-    cage.save(folder / "cage.obj")
-    cage.twist(20).save(folder / "posed.obj")

@@ -3,8 +3,6 @@
 To compare two trees on one machine to the bit: see picture_hashes.py.
 """
 
-import json
-
 import numpy as np
 import picture_hashes
 import pytest
@@ -53,13 +51,14 @@ def test_a_case_shows_what_its_name_says():
     assert picture_hashes.made("filled")["filled"].max() > 0.1
 
 
-def test_hashes_differ_with_a_bit(tmp_path, capsys):
-    found = picture_hashes.hashes("sample")
-    one, two = tmp_path / "one.json", tmp_path / "two.json"
-    one.write_text(json.dumps(found))
-    two.write_text(json.dumps(found | {"sample: density": "0"}))
-    assert picture_hashes.compared(one, one) == 0 and picture_hashes.compared(one, two) == 1
-    assert "differs: sample: density" in capsys.readouterr().out
+def test_hashes_differ_with_a_bit_a_type_and_a_shape(monkeypatch):
+    values = np.array([1.0, 2.0, 3.0, 4.0], np.float32)
+    others = [np.nextafter(values, np.float32(9)), values.astype(np.float64), values.reshape(2, 2), values.copy()]
+    found = []
+    for array in [values, *others]:
+        monkeypatch.setattr(picture_hashes, "made", lambda name, array=array: {"a": array})
+        found.append(picture_hashes.hashes("sample")["sample: a"])
+    assert len(set(found)) == 4 and found[0] == found[-1]
 
 
 def test_summaries_tell_other_pictures():

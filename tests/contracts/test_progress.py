@@ -1,6 +1,7 @@
 """Progress of long work: one protocol, which ends the work too and leaves nothing half-done."""
 
 import contextlib
+import functools
 
 import numpy as np
 import pytest
@@ -49,14 +50,7 @@ def film(things, ending, **options):
 WORK = {
     "fit": lambda t, **options: warpcage.fit(t["scene"], **FIT, **options).node_densities().sum(),
     "fit of splats": lambda t, **options: len(
-        warpcage.fit(
-            scene_of(t["splats"], t["cameras"]),
-            representation="splats",
-            device="cpu",
-            steps=4,
-            most_splats=80,
-            **options,
-        )
+        warpcage.fit(scene_of(t["splats"], t["cameras"]), **SPLAT_FIT, **options)
     ),
     "fit_splats": lambda t, **options: warpcage.fit_splats(
         t["splats"], t["cameras"], t["images"], steps=4, **options
@@ -93,46 +87,38 @@ WORK = {
 }
 
 
-@pytest.mark.parametrize("name", WORK)
-def test_work_tells_how_far_it_is(name, things, capfd):
-    told = []
-    options = {} if name not in ("fit", "fit of splats", "fit_splats") else {"progress": False}
-    expected = WORK[name](things, **options)
-    found = WORK[name](things, progress=lambda *values: told.append(values))
-    assert found == pytest.approx(expected)
-    assert told and capfd.readouterr().out == ""
-    for done, total, words in told:
-        assert type(done) is int and type(total) is int and done >= 0 and (done <= total or total == 0)
-        assert isinstance(words, str) and words and "\n" not in words
-
-
 class Stop(ValueError):
     """An exception of the caller, of a class that is caught in places."""
 
 
-@pytest.mark.parametrize("how", ["false", "raise"])
 @pytest.mark.parametrize("name", WORK)
-def test_work_ends_when_it_is_asked_to(name, how, things):
+def test_work_tells_how_far_it_is_and_ends_when_it_is_asked_to(name, things, capfd):
     """At the first word and at the last one. Afterwards there is no new file, and the same work gives what it gives."""
-    calls = []
-    expected = WORK[name](things, progress=lambda *values: calls.append(values))
+    work = functools.partial(WORK[name], things)
+    expected, calls = work(progress=False), []
+    assert work(progress=lambda *values: calls.append(values)) == pytest.approx(expected)
+    assert calls and capfd.readouterr().out == ""
+    for done, total, words in calls:
+        assert type(done) is int and type(total) is int and done >= 0 and (done <= total or total == 0)
+        assert isinstance(words, str) and words and "\n" not in words
+
     for made in things["folder"].glob("film.*"):
         made.unlink()
     before = sorted(things["folder"].rglob("*"))
-    for last in {0, len(calls) - 1}:
+    for last, kind in ((0, Stop), (len(calls) - 1, Stop), (len(calls) - 1, Cancelled)):
         told = []
 
-        def progress(done, total, words, last=last, told=told):
+        def progress(done, total, words, last=last, kind=kind, told=told):
             told.append(words)
-            if len(told) > last and how == "raise":
+            if len(told) > last and kind is Stop:
                 raise Stop
             return len(told) <= last
 
-        with pytest.raises(Stop if how == "raise" else Cancelled) as caught:
-            WORK[name](things, progress=progress)
-        assert len(told) == last + 1 and (how == "raise" or isinstance(caught.value, warpcage.Error))
+        with pytest.raises(kind) as caught:
+            work(progress=progress)
+        assert len(told) == last + 1 and (kind is Stop or isinstance(caught.value, warpcage.Error))
         assert sorted(things["folder"].rglob("*")) == before
-    assert WORK[name](things, progress=False) == pytest.approx(expected)
+    assert work(progress=False) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(

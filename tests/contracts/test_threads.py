@@ -3,7 +3,7 @@
 import itertools
 import os
 import pathlib
-import signal
+import re
 import subprocess
 import sys
 import threading
@@ -30,8 +30,10 @@ from warpcage.core import (
 )
 from warpcage.deform import exact
 from warpcage.edits import maps
+from warpcage.errors import StateError
 from warpcage.kernels.edits.structs import LatticeEdit
 from warpcage.kernels.fitting.rmsprop import add_gradients
+from warpcage.kernels.view.pictures import average_values
 from warpcage.render import scene as lattice_edits
 
 #: Where processes that tests start find helpers and this file.
@@ -47,8 +49,16 @@ MASKS = ("rgb", "alpha", "depth", "reveal", "fold", "outside")
 HAMMER = """\
 import sys
 import test_threads
-test_threads.hammer(sys.argv[1], sys.argv[2])
+for kind in ("harmonic", "precise"):
+    test_threads.hammer(sys.argv[1], kind)
 """
+
+
+def started(program, *words):
+    """A program that finds helpers and this file; it has minutes, which is no measure of speed."""
+    environment = os.environ | {"PYTHONPATH": MODULES}
+    command = [sys.executable, "-c", program, *words]
+    return subprocess.run(command, env=environment, stderr=subprocess.PIPE, text=True, timeout=240)
 
 
 @pytest.fixture(autouse=True)
@@ -114,23 +124,8 @@ def hammer(device, kind):
     at_once([lambda turn=turn: frames(turn) for turn in range(THREADS)])
 
 
-def subprocess_of(program, *arguments, **options):
-    environment = os.environ | {"PYTHONPATH": MODULES}
-    environment |= options.pop("env", {})
-    return subprocess.run(
-        [sys.executable, "-c", program, *map(str, arguments)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        cwd=pathlib.Path(__file__).parents[2],
-        **options,
-    )
-
-
-@pytest.mark.parametrize("kind", ["harmonic", "precise"])
-def test_threads_that_share_a_deformer_get_the_frames_of_their_own_poses(kind, device):
-    done = subprocess_of(HAMMER, device, kind)
+def test_threads_that_share_a_deformer_get_the_frames_of_their_own_poses(device):
+    done = started(HAMMER, device)
     assert done.returncode == 0, done.stderr[-2000:]
 
 
@@ -270,46 +265,31 @@ def test_threads_that_start_the_pool_at_once_share_it(two_threads):
 
 
 INTERRUPTED = """\
-import signal
+import os, signal, sys, threading
 import numpy as np
-import warp as wp
 from fields import BOX, shiny_field, view
 from warpcage import Deformer
+from warpcage.core import limit_threads
 signal.signal(signal.SIGINT, signal.default_int_handler)
 field = shiny_field("cpu")
 step = 1.1e-5 * float(np.linalg.norm(field.bounds[1] - field.bounds[0]))
-for scene in (field, Deformer(field, BOX, resolution=8, device="cpu").pose(BOX)):
-    scene.render(view(size=4))  # compiled
-    print("ready", flush=True)
-    try:
-        scene.render(view(size=2000), step=step)
-    except KeyboardInterrupt:
-        print("interrupted", scene.render(view(size=8)).alpha.max() > 0.5, flush=True)
+for threads in (1, 2):
+    for scene in (field, Deformer(field, BOX, resolution=8, device="cpu").pose(BOX)):
+        with limit_threads(threads):
+            scene.render(view(size=4))  # compiled
+            threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+            try:
+                sys.exit(str(scene.render(view(size=2000), step=step)))  # takes hours
+            except KeyboardInterrupt:
+                assert scene.render(view(size=8)).alpha.max() > 0.5
 """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to send")
-@pytest.mark.parametrize("threads", [1, 2])
-def test_an_interrupt_ends_a_long_render(threads):
-    """Of a field, and then of a deformer."""
-    environment = os.environ | {"PYTHONPATH": MODULES, "WARPCAGE_THREADS": str(threads)}
-    running = subprocess.Popen([sys.executable, "-c", INTERRUPTED], env=environment, stdout=subprocess.PIPE, text=True)
-    hours = threading.Timer(60, running.kill)  # the picture takes hours: this is no measure of speed
-    hours.start()
-    try:
-        assert running.stdout is not None
-        for _ in range(2):
-            assert "ready\n" in running.stdout  # Warp may say something before
-            time.sleep(0.5)
-            assert running.poll() is None
-            running.send_signal(signal.SIGINT)
-            assert running.stdout.readline() == "interrupted True\n"
-        assert running.stdout.read() == "" and running.wait() == 0
-    finally:
-        hours.cancel()
-        running.kill()
-        running.wait()
-        running.stdout.close()
+def test_an_interrupt_ends_a_long_render():
+    """Of a field, and then of a deformer, on one thread and on two."""
+    done = started(INTERRUPTED)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("march", MARCHES)
@@ -360,52 +340,38 @@ def test_what_an_interrupt_leaves_half_prepared_is_prepared_again(what, march, d
     assert interrupts >= least[what][march]
 
 
-CACHED = """\
-import warp as wp
-wp.config.use_precompiled_headers = False  # which take longer to make than one small module needs
-wp.init()
-from warpcage.core import modules
-from warpcage.core.devices import launch
-from warpcage.kernels.view.pictures import average_values
-source, joined = wp.array([1.0, 2.0, 3.0, 6.0], dtype=float, device="cpu"), wp.zeros(1, dtype=float, device="cpu")
-launch(average_values, 1, [2, 1, source], [joined], device="cpu")
-print(joined.numpy()[0])
-"""
+@pytest.fixture
+def averaged(tmp_path, monkeypatch):
+    """What a kernel gives that is loaded from a kernel cache of its own, as in a process that has just started."""
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    monkeypatch.setattr(wp.config, "use_precompiled_headers", False)  # which take longer to make than a small module
+
+    def averaged():
+        average_values.module.unload()
+        modules.loaded_places.clear()
+        source, joined = wp.array([1.0, 2.0, 3.0, 6.0], dtype=float, device="cpu"), wp.zeros(1, float, device="cpu")
+        launch(average_values, 1, [2, 1, source], [joined], device="cpu")
+        return joined.numpy()[0]
+
+    assert averaged() == 3.0
+    yield averaged
+    average_values.module.unload()
+    modules.loaded_places.clear()
 
 
-@pytest.fixture(scope="module")
-def cached_module(tmp_path_factory):
-    """A kernel cache with one module in it, and what a program prints that uses it."""
-    folder = tmp_path_factory.mktemp("cache")
-    done = subprocess_of(CACHED, env={"WARP_CACHE_PATH": str(folder)})
-    assert done.returncode == 0 and done.stdout.endswith("3.0\n"), done.stderr
-    return folder
-
-
-@pytest.mark.parametrize("ending, share", [(".o", 0.6), (".meta", 0.0)])
-def test_damaged_kernel_files_are_compiled_again(ending, share, cached_module):
-    (path,) = cached_module.glob(f"**/*pictures*{ending}")
+@pytest.mark.parametrize("ending", [".o", pytest.param(".meta", marks=pytest.mark.nightly)])
+def test_damaged_kernel_files_are_compiled_again(ending, averaged, tmp_path, monkeypatch):
+    """Or named, where they cannot be replaced."""
+    (path,) = tmp_path.glob(f"**/*pictures*{ending}")
     whole = path.read_bytes()
-    path.write_bytes(whole[: int(share * len(whole))])
-    done = subprocess_of(CACHED, env={"WARP_CACHE_PATH": str(cached_module)})
-    assert done.returncode == 0 and done.stdout.endswith("3.0\n"), done.stderr
-    assert len(path.read_bytes()) == len(whole) and not list(cached_module.glob("**/*damaged*"))
-
-
-@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="needs POSIX permissions")
-def test_damaged_kernel_files_that_cannot_be_replaced_are_named(cached_module, monkeypatch):
-    (path,) = cached_module.glob("**/*pictures*.meta")
-    whole = path.read_bytes()
-    path.write_bytes(b"")
-    keeps = "import os\nos.replace = lambda *names: (_ for _ in ()).throw(PermissionError('read-only'))\n"
-    done = subprocess_of(keeps + CACHED, env={"WARP_CACHE_PATH": str(cached_module)})
-    path.write_bytes(whole)
-    assert done.returncode == 1
-    last = done.stderr.strip().splitlines()[-1]
-    assert (
-        last.startswith(f"warpcage.errors.StateError: the compiled kernels in {path.parent} are damaged")
-        and "remove it" in last
-    )
+    path.write_bytes(whole[: len(whole) // 2])
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", lambda *names: (_ for _ in ()).throw(PermissionError("read-only")))
+        message = MESSAGES["core.damaged_kernels"].format(folder=re.escape(str(path.parent)))
+        with pytest.raises(StateError, match=message):
+            averaged()
+    assert averaged() == 3.0
+    assert len(path.read_bytes()) == len(whole) and not list(tmp_path.glob("**/*damaged*"))
 
 
 def test_threads_that_load_a_module_at_once_get_one(device):

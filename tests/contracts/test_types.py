@@ -1,7 +1,6 @@
 """Types for callers: typical calls are taken by type checkers, wrong ones are not, and signatures are seen."""
 
 import dataclasses
-import importlib.util
 import inspect
 import json
 import os
@@ -22,55 +21,55 @@ ROOT = pathlib.Path(__file__).parents[2]
 CALLS, WRONG = (ROOT / "tests" / "typed" / name for name in ("calls.py", "wrong_calls.py"))
 
 
-def pyright(path):
-    """Lines with errors, and what is said of them."""
-    command = [sys.executable, "-m", "pyright", "--outputjson", "--pythonpath", sys.executable, str(path)]
+def pyright(*paths):
+    """What is said of lines with errors, by file."""
+    pytest.importorskip("pyright")
+    command = [sys.executable, "-m", "pyright", "--outputjson", "--pythonpath", sys.executable, *map(str, paths)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    found = json.loads(done.stdout)["generalDiagnostics"]
-    return {each["range"]["start"]["line"] + 1: each["message"] for each in found if each["severity"] == "error"}
+    said = [each for each in json.loads(done.stdout)["generalDiagnostics"] if each["severity"] == "error"]
+    lines = [(pathlib.Path(each["file"]).name, each["range"]["start"]["line"] + 1, each["message"]) for each in said]
+    return [{number: text for name, number, text in lines if name == path.name} for path in paths]
 
 
-def mypy(path):
+def mypy(*paths):
     """As `pyright`."""
-    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", str(path)]
+    pytest.importorskip("mypy")
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", *map(str, paths)]
     done = subprocess.run(command, cwd=ROOT, env=os.environ | {"MYPYPATH": str(ROOT)}, capture_output=True, text=True)
     assert done.returncode in (0, 1), done.stdout + done.stderr
-    return {int(line): text for line, text in re.findall(rf"{path.name}:(\d+): error: (.*)", done.stdout)}
+    lines = [re.findall(rf"\b{path.name}:(\d+): error: (.*)", done.stdout) for path in paths]
+    return [{int(number): text for number, text in found} for found in lines]
 
 
 def lines_with(mark, path):
     return {number for number, line in enumerate(path.read_text().splitlines(), 1) if mark in line.rpartition("`")[2]}
 
 
-@pytest.mark.parametrize("checker", [pyright, mypy], ids=["pyright", "mypy"])
-def test_type_checkers_know_the_calls(checker):
-    if importlib.util.find_spec(checker.__name__) is None:
-        pytest.skip(f"{checker.__name__} is not installed")
-    # of a class with both, mypy asks __init__ alone what a call gives, and not __new__
-    unseen = lines_with("# mypy sees", CALLS), lines_with("# mypy sees", WRONG)
-    calls, wrong = unseen if checker is mypy else (set(), set())
-    assert set(checker(CALLS)) == calls
-    marked = lines_with("# wrong", WRONG)
-    assert len(marked) > 10 and set(checker(WRONG)) == marked - wrong
-
-
-def test_public_names_are_fully_typed(tmp_path):
-    """A caller under pyright's strict rules is told of no unknown type, whatever public name it touches."""
-    if importlib.util.find_spec("pyright") is None:
-        pytest.skip("pyright is not installed")
+def test_pyright_knows_the_calls_and_every_public_name(tmp_path):
+    """Under its strict rules a caller is told of no unknown type, whatever public name it touches."""
     lines = {"": "# pyright: strict\nimport warpcage"}
     for name, thing in golden_names.public_things():
         owner, _, member = name.partition(".")
         kind = f"warpcage.{owner}" + ("[warpcage.Cage]" if hasattr(getattr(warpcage, owner), "__parameters__") else "")
-        members = (
-            [member] if member else ["__init__", *golden_names.documented(thing)] if inspect.isclass(thing) else []
-        )
+        members = [member] if member else []
+        if inspect.isclass(thing) and not member:
+            members = ["__init__", *golden_names.documented(thing)]
         lines |= {f"{owner}.{each}": f"def {owner}_{each}(it: {kind}): return it.{each}" for each in members}
         lines |= {} if members else {name: f"print(warpcage.{name})"}
     assert len(lines) > 400
     (tmp_path / "names.py").write_text("\n".join(lines.values()))
     named = [*lines][:1] + [*lines]  # the first takes two lines
-    assert {named[number - 1]: text for number, text in pyright(tmp_path / "names.py").items()} == {}
+    calls, wrong, names = pyright(CALLS, WRONG, tmp_path / "names.py")
+    assert calls == {} and {named[number - 1]: text for number, text in names.items()} == {}
+    marked = lines_with("# wrong", WRONG)
+    assert len(marked) > 10 and set(wrong) == marked
+
+
+def test_mypy_knows_the_calls():
+    """Of a class with both, it asks __init__ alone what a call gives, and not __new__."""
+    calls, wrong = mypy(CALLS, WRONG)
+    assert set(calls) == lines_with("# mypy sees", CALLS)
+    assert set(wrong) == lines_with("# wrong", WRONG) - lines_with("# mypy sees", WRONG)
 
 
 @pytest.mark.parametrize("kind", [warpcage.Deformer, warpcage.SplatDeformer])
