@@ -172,7 +172,7 @@ def noticed_by(fault: Fault, copy: pathlib.Path) -> str | None:
     path.write_text(right.replace(fault.right, fault.wrong), encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
     where = [f"tests/{name}" for name in fault.tests.split()]
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *where]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-o", f"cache_dir={copy.parent / 'cache'}", *where]
     try:
         done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True)
     finally:

@@ -162,10 +162,10 @@ class View:
 def views_there(views: list[View], listing: pathlib.Path) -> list[View]:
     """The views whose picture is there; all of them where none is, so that the first is named as missing. It warns
     where some are missing, and raises FileNotFoundError for more than half; listing: the file that lists them."""
-    there = [view for view in views if view.file.is_file()]
+    there = [view for view in views if is_file(view.file)]
     if not there or len(there) == len(views):
         return views
-    missing = next(view.file for view in views if not view.file.is_file())
+    missing = next(view.file for view in views if not is_file(view.file))
     count = f"{listing} lists {len(views)} pictures, {len(views) - len(there)} of them are not there"
     if 2 * len(there) < len(views):
         raise MissingFileError(f"{count}, more than half; the first is {str(missing)!r}")
@@ -266,7 +266,10 @@ def make_scene(
     if 2 * (hidden := sum(not alpha.any() for alpha in alphas)) > len(views):
         warn_caller(f"{folder}: masks hide all of {hidden} of {len(views)} pictures: they keep what is white")
     has_points = points is not None and len(points) > 0
-    found = find_box(cameras, points) if bounds is None and has_points else None
+    try:
+        found = find_box(cameras, points) if bounds is None and has_points else None
+    except InputError as error:
+        raise InputError(f"{folder}: {error}") from None
     return Scene(
         images,
         None if opaque else alphas,

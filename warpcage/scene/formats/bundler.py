@@ -53,7 +53,8 @@ def read(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     if head.strip() != HEADER:
         raise InputError(f"{path} must begin with {HEADER!r}, got {shown(head)}")
     words = text.split()
-    count, point_count = (int(value) for value in floats(" ".join(words[:2]), str(path))[:2] or (0, 0))
+    counts = [int(value) for value in floats(" ".join(words[:2]), str(path))]
+    count, point_count = counts if len(counts) == 2 else (0, 0)
     if count < 1 or point_count < 0 or 2 + CAMERA * count + 7 * point_count > len(words):
         raise InputError(f"{path} announces {count} cameras and {point_count} points, and holds {len(words)} numbers")
     finder = PictureFinder(folder, ("", "images"))

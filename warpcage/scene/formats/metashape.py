@@ -205,7 +205,10 @@ def _lens(sensor: ET.Element, where: str) -> dict[str, Any]:
     resolution = sensor.find("resolution") if resolution is None else resolution
     if resolution is None:
         raise InputError(f"{where} has no resolution")
-    width, height = floats(f"{resolution.get('width')} {resolution.get('height')}", f"{where}: resolution")
+    sides = floats(f"{resolution.get('width')} {resolution.get('height')}", f"{where}: resolution")
+    if len(sides) != 2:
+        raise InputError(f"{where}: resolution must have a width and a height, got {len(sides)} numbers")
+    width, height = sides
     size = picture_size(width, height, where)
     if kind == "spherical":
         return {"intrinsics": all_around, "size": size, "lens": Lens("EQUIRECTANGULAR")}

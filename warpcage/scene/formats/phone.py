@@ -300,8 +300,8 @@ def _stray_rows(path: pathlib.Path) -> dict[int, list[float]]:
     for row in filter(None, rows):
         where = f"{path}:{rows.line_num}"
         values = dict(zip(head, row, strict=False))
-        frame, *numbers = floats(" ".join(values.get(name, "") for name in STRAY_COLUMNS), where)
-        if len(numbers) != 7:
+        numbers = floats(" ".join(values.get(name, "") for name in STRAY_COLUMNS), where)
+        if len(numbers) != len(STRAY_COLUMNS):
             raise InputError(f"{where}: {len(head)} values expected, as in the first line, got {shown(','.join(row))}")
-        found[int(frame)] = numbers
+        found[int(numbers[0])] = numbers[1:]
     return found
