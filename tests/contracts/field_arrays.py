@@ -3,9 +3,9 @@
 import numpy as np
 
 
-def field_arrays(version, *, side=6, compact=False, bare=False):
+def field_arrays(version):
     """The arrays of a warpcage field: version 1 plain, 2 with background layers, 3 luminous, 4 with an outer field."""
-    random = np.random.default_rng(version)
+    random, side = np.random.default_rng(version), 6
     places = (np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1) + 0.5) / side * 2 - 1
     occupied = np.linalg.norm(places / [0.9, 0.8, 0.7], axis=-1) < 1.1
     rows = int(occupied.sum())
@@ -21,29 +21,18 @@ def field_arrays(version, *, side=6, compact=False, bare=False):
         "resolution": np.array([side] * 3, np.int32),
         "occupancy": np.packbits(occupied.ravel()),
     }
-    if compact:
-        levels = np.rint(sh.astype(np.float32) * 128).astype(np.int16).reshape(rows, -1).T
-        arrays |= {
-            "sh_step": np.array(1 / 128),
-            "sh_low": (levels & 255).astype(np.uint8),
-            "sh_high": (levels >> 8).astype(np.int8),
-            "opacity": (density * np.float32(0.25)).astype(np.float16),
-            "weight_roots": random.integers(0, 256, rows).astype(np.uint8),
-        }
-    else:
-        arrays |= {"density": density, "sh": sh}
-    if not bare:
-        turn = np.eye(4)
-        turn[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
-        turn[:3, 3] = [0.5, 0.25, -1]
-        arrays |= {
-            "background": np.array([0.2, 0.4, 0.6], np.float32),
-            "up": np.array([0.0, 0.6, 0.8]),
-            "supersampling": np.array(2),
-            "straightening": turn,
-        }
-        if not compact:
-            arrays["weights"] = random.random(rows).astype(np.float16)
+    turn = np.eye(4)
+    turn[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    turn[:3, 3] = [0.5, 0.25, -1]
+    arrays |= {
+        "density": density,
+        "sh": sh,
+        "background": np.array([0.2, 0.4, 0.6], np.float32),
+        "up": np.array([0.0, 0.6, 0.8]),
+        "supersampling": np.array(2),
+        "straightening": turn,
+        "weights": random.random(rows).astype(np.float16),
+    }
     if version == 2:
         nodes = 6 * 3**2 + 2
         seen = random.random((2, nodes)) < 0.8
@@ -68,21 +57,3 @@ def field_arrays(version, *, side=6, compact=False, bare=False):
             "outer_sky": random.integers(0, 256, (6 * 3**2 + 2, 3)).astype(np.uint8),
         }
     return arrays
-
-
-def svox2_arrays(*, scalars=False, basis=9, layered=False):
-    """The arrays of a file of Plenoxels: radius and center as one number or three, harmonics of 1, 4 or 9 functions."""
-    random = np.random.default_rng(10 + basis)
-    links = np.where(random.random((5, 4, 3)) < 0.6, 0, -1).astype(np.int32)
-    rows = int((links >= 0).sum())
-    links[links >= 0] = random.permutation(rows)
-    links[0, 0, 0] = -7 if links[0, 0, 0] < 0 else links[0, 0, 0]  # svox2 may keep distances there
-    arrays = {
-        "radius": np.array(1.25, np.float32) if scalars else np.array([1.0, 0.8, 0.6], np.float32),
-        "center": np.array(0.0, np.float32) if scalars else np.array([0.1, -0.2, 0.3], np.float32),
-        "links": links,
-        "density_data": random.random((rows, 1)).astype(np.float32),
-        "sh_data": random.normal(size=(rows, 3 * basis)).astype(np.float16),
-        "basis_type": np.array(1),
-    }
-    return arrays | ({"background_data": np.zeros((2, 2), np.float32)} if layered else {})

@@ -2,8 +2,7 @@
 
 import pytest
 from fields import shiny_field
-from runs import write_files
-from scene_writers import brick_pictures, write_blender, write_colmap
+from hostile import put, refused, whole
 
 from warpcage import Cage, Camera, CameraFile, NodeSelection, PoseFile, SplatField, VoxelField, capture, load_scene
 from warpcage.captures import scan_video
@@ -41,19 +40,11 @@ READERS = [
 ]
 
 
-def refused(action, *words):
-    with pytest.raises(ValueError) as caught:
-        action()
-    message = str(caught.value)
-    assert "\n" not in message and all(word in message for word in words), message
-
-
 @pytest.mark.parametrize("name, read", READERS, ids=[name for name, _ in READERS])
-@pytest.mark.parametrize("kind", STAND_INS)
-def test_readers_of_one_file(tmp_path, name, read, kind):
-    content, said = STAND_INS[kind]
-    (tmp_path / name).write_bytes(content)
-    refused(lambda: read(tmp_path / name), said, name)
+def test_readers_of_one_file(tmp_path, name, read):
+    for content, said in STAND_INS.values():
+        (tmp_path / name).write_bytes(content)
+        refused(lambda: read(tmp_path / name), said, name)
 
 
 def test_files_that_only_speak_of_such_things_are_read(tmp_path):
@@ -65,33 +56,25 @@ def test_files_that_only_speak_of_such_things_are_read(tmp_path):
 
 
 def test_files_inside_scenes(tmp_path):
-    pictures = brick_pictures(3)
-    write_blender(tmp_path / "blender", pictures)
-    first = min((tmp_path / "blender").rglob("*.png"))
-    first.write_bytes(POINTER)
-    refused(lambda: load_scene(tmp_path / "blender"), LFS, first.name)
-    (tmp_path / "blender" / "transforms_train.json").write_bytes(PAGE)
-    refused(lambda: load_scene(tmp_path / "blender"), "is a web page", "transforms_train.json")
-    write_colmap(tmp_path / "colmap", pictures, binary=True)
-    for path in (tmp_path / "colmap").rglob("cameras.*"):
-        path.write_bytes(POINTER)
-    refused(lambda: load_scene(tmp_path / "colmap"), LFS, "cameras.")
+    blender, colmap = put(tmp_path / "blender", whole("blender")), put(tmp_path / "colmap", whole("colmap binary"))
+    put(blender, {"train/view_00.png": POINTER})
+    refused(lambda: load_scene(blender), LFS, "view_00.png")
+    put(blender, {"transforms_train.json": PAGE})
+    refused(lambda: load_scene(blender), WEB, "transforms_train.json")
+    put(colmap, {"sparse/0/cameras.bin": POINTER})
+    refused(lambda: load_scene(colmap), LFS, "cameras.")
 
 
 def test_pictures_of_a_capture(tmp_path):
-    for name in ("a.jpg", "b.jpg", "c.jpg"):
-        (tmp_path / name).write_bytes(POINTER)
+    put(tmp_path, dict.fromkeys(("a.jpg", "b.jpg", "c.jpg"), POINTER))
     refused(lambda: capture(tmp_path, tmp_path / "scene"), LFS, "a.jpg")
 
 
 def test_buffers_beside_a_gltf_file(tmp_path):
-    from warpcage.mesh.io.gltf import write_gltf
-
-    cage = Cage.box((0, 0, 0), (1, 1, 1))
-    text = write_gltf(cage.vertices, cage.faces).decode()
+    text = whole("cage.gltf")["cage.gltf"].decode()
     start = text.index("data:application")
-    (tmp_path / "cage.gltf").write_text(text[:start] + "cage.bin" + text[text.index('"', start) :])
-    (tmp_path / "cage.bin").write_bytes(POINTER + bytes(1000))
+    text = text[:start] + "cage.bin" + text[text.index('"', start) :]
+    put(tmp_path, {"cage.gltf": text, "cage.bin": POINTER + bytes(1000)})
     refused(lambda: Cage.load(tmp_path / "cage.gltf"), LFS, "cage.bin")
 
 
@@ -112,11 +95,10 @@ def test_buffers_beside_a_gltf_file(tmp_path):
     ],
     ids=lambda words: " ".join(words[:2]),
 )
-def test_commands(tmp_path, monkeypatch, capsys, words):
-    write_files(tmp_path)
-    monkeypatch.chdir(tmp_path)
+def test_commands(files, monkeypatch, capsys, words):
+    monkeypatch.chdir(files)
     name = next(word for word in words if "{0}" in word).format("pointer")
-    (tmp_path / name).write_bytes(POINTER)
+    (files / name).write_bytes(POINTER)
     assert main([word.format("pointer") for word in words]) != 0
     said = capsys.readouterr().err
     assert LFS in said and name in said and "Traceback" not in said

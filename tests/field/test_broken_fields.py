@@ -1,8 +1,7 @@
-"""Broken archives and field files: one clear line, nothing unpickled, nothing allocated on a claim. What is saved is
-whole or not there."""
+"""Broken field files: one clear line, nothing unpickled, nothing allocated on a claim. What is saved is whole or not
+there."""
 
 import io
-import os
 import pathlib
 import pickle
 import signal
@@ -13,6 +12,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from hostile import cut, instead, members, refused, require_refused, rows, small_field, whole
 
 from warpcage import VoxelField
 from warpcage.core import read_npz
@@ -30,101 +30,102 @@ class Trap:
         return pathlib.Path.touch, (self.path,)
 
 
-def small_field():
-    density = np.zeros((6, 6, 6))
-    density[2:4, 2:4, 2:4] = 3.0
-    return VoxelField.from_dense(density, np.zeros((6, 6, 6, 9, 3)), [[0, 0, 0], [1, 1, 1]])
-
-
-def refuse_field(path, words):
-    with pytest.raises(ValueError) as caught:
-        VoxelField.load(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    for word in (str(path), *words.split(" | ")):
-        assert word in message, message
-
-
 def test_pickled_objects_are_never_opened(tmp_path):
     path, sprung = tmp_path / "field.npz", tmp_path / "sprung"
-    small_field().save(path)
-    contents = dict(np.load(path))
-    np.savez(path, **contents, weights=np.array([Trap(sprung)], object))
-    refuse_field(path, "array 'weights' holds pickled objects, which are never opened")
-    np.savez(path, **contents, extra=np.array([Trap(sprung)], object))  # which nothing asks for
+    contents, trap = dict(np.load(io.BytesIO(whole("field")["field.npz"]))), np.array([Trap(sprung)], object)
+    np.savez(path, **contents, weights=trap)
+    said = "array 'weights' holds pickled objects, which are never opened"
+    refused(lambda: VoxelField.load(path), str(path), said)
+    np.savez(path, **contents, extra=trap)  # which nothing asks for
     VoxelField.load(path)
-    assert not sprung.exists()
     path.write_bytes(pickle.dumps(Trap(sprung)))
-    refuse_field(path, "is not an .npz field file")
+    refused(lambda: VoxelField.load(path), str(path), "is not an .npz field file")
     assert not sprung.exists()
     pickle.loads(path.read_bytes())  # the trap would have worked
     assert sprung.exists()
 
 
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
-def test_field_file_cut_off(tmp_path, share):
-    path = tmp_path / "field.npz"
-    small_field().save(path)
-    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
-    refuse_field(path, f"is not an .npz field file: | {'cut off or damaged' if share else 'something else'}")
-
-
-@pytest.mark.parametrize(
-    "changes, words",
-    [
-        ({"version": np.array(99)}, "format version 99 | upgrade"),
-        ({"version": np.array("new")}, "version must hold numbers"),
-        ({"version": None}, "lacks version"),
-        ({"sh": None}, "lacks sh"),
-        ({"resolution": np.array([6, 6])}, "resolution must hold numbers of shape (3,)"),
-        ({"resolution": np.array([100000] * 3)}, "resolution | (100000, 100000, 100000)"),
-        ({"resolution": np.array([-6, -6, 6])}, "resolution | (-6, -6, 6)"),
-        ({"occupancy": np.zeros(3, np.uint8)}, "occupancy must hold numbers of shape (27,)"),
-        ({"density": np.full(64, np.nan, np.float32)}, "density holds values that are not finite"),
-        ({"density": np.zeros(3, np.float32)}, "density must hold numbers of shape (64,), got float32 (3,)"),
-        ({"bounds": np.array([[0, 0, 0], [1, 1, 0.0]])}, "bounds | lower below upper"),
-        ({"bounds": np.array([[0, 0, 0], [1, 1, np.inf]])}, "bounds"),
-        ({"background": np.array([2, 0, 0.0])}, "background"),
-        ({"weights": np.full(64, np.nan)}, "weights holds values that are not finite"),
-        ({"format": "warpcage fit"}, "is the checkpoint of a fit, not yet a field"),
-        ({"format": None}, "neither a warpcage nor a Plenoxels field: it holds background"),
-    ],
-)
-def test_wrong_field_files(tmp_path, changes, words):
-    path = tmp_path / "field.npz"
-    small_field().save(path)
-    contents = {name: array for name, array in {**np.load(path), **changes}.items() if array is not None}
-    np.savez(path, **contents)
-    refuse_field(path, words)
-
-
-def write_npz(path, name, header, body, claimed=None):
-    """An .npz with one member: an .npy header, then the body; `claimed` overwrites the size in the directory."""
-    member = io.BytesIO()
-    np.lib.format.write_array_header_1_0(member, header)
-    member.write(body)
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(f"{name}.npy", member.getvalue())
+def npz(header, body=b"", version=(1, 0), claimed=None, name="density"):
+    """An .npz of one member: a header of .npy as it stands, then the body. claimed: the size in the archive's list."""
+    header = header.encode()
+    member = (
+        b"\x93NUMPY" + bytes(version) + len(header).to_bytes(2 if version == (1, 0) else 4, "little") + header + body
+    )
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(f"{name}.npy", member)
+    data = stream.getvalue()
     if claimed is not None:
-        data = path.read_bytes()
-        size = len(member.getvalue()).to_bytes(4, "little")
-        path.write_bytes(data.replace(size, claimed.to_bytes(4, "little")))
+        data = data.replace(len(member).to_bytes(4, "little"), claimed.to_bytes(4, "little"))
+    return instead(data)
 
 
-def test_sizes_that_are_only_claimed(tmp_path, monkeypatch):
+def header(descr, shape):
+    return f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n"
+
+
+NO_NUMBERS, NO_FIELD = "neither numbers nor text", "is not an .npz field file"
+
+ARRAYS = [
+    ({"version": np.array(99)}, "format version 99 | upgrade"),
+    ({"version": np.array("new")}, "version must hold numbers"),
+    ({"version": None}, "lacks version"),
+    ({"sh": None}, "lacks sh"),
+    ({"resolution": np.array([6, 6])}, "resolution must hold numbers of shape (3,)"),
+    ({"resolution": np.array([100000] * 3)}, "resolution | (100000, 100000, 100000)"),
+    ({"resolution": np.array([-6, -6, 6])}, "resolution | (-6, -6, 6)"),
+    ({"occupancy": np.zeros(3, np.uint8)}, "occupancy must hold numbers of shape (27,)"),
+    ({"density": np.full(64, np.nan, np.float32)}, "density holds values that are not finite"),
+    ({"density": np.zeros(3, np.float32)}, "density must hold numbers of shape (64,), got float32 (3,)"),
+    ({"bounds": np.array([[0, 0, 0], [1, 1, 0.0]])}, "bounds | lower below upper"),
+    ({"bounds": np.array([[0, 0, 0], [1, 1, np.inf]])}, "bounds"),
+    ({"background": np.array([2, 0, 0.0])}, "background"),
+    ({"weights": np.full(64, np.nan)}, "weights holds values that are not finite"),
+    ({"format": np.array("warpcage fit")}, "is the checkpoint of a fit, not yet a field"),
+    ({"format": None}, "neither a warpcage nor a Plenoxels field: it holds background"),
+]
+HEADERS = [
+    ("'<f8'", "(1000000, 1000000)", "'density' claims 8000000000000 bytes (1000000, 1000000), the file has 80"),
+    ("'<f8'", "(10**15,)", NO_FIELD),  # a formula, which is none of a header's business
+    ("'<f8'", "(1000000000000000,)", "claims 8000000000000000 bytes"),
+    ("'<f8'", "(1000000000000, 0)", "claims 0 bytes"),
+    ("'<U0'", "(1000000000000,)", NO_NUMBERS),  # NumPy makes it one letter each: 4 TB
+    ("'|V0'", "(1000000000000,)", NO_NUMBERS),
+    ("[('a', '<f8')]", "(2,)", NO_NUMBERS),
+    ("('<f8', (1000000,))", "(2,)", NO_NUMBERS),
+    ("'|O'", "(10,)", "pickled objects"),
+]
+FIELDS = {
+    "field": [
+        ("", cut(0.0), f"{NO_FIELD}: | something else"),
+        *(("", cut(share), f"{NO_FIELD}: | cut off or damaged") for share in (0.1, 0.5, 0.9, 0.999)),
+        *(("", members(arrays), words) for arrays, words in ARRAYS),
+        *(("", npz(header(descr, shape), bytes(80)), words) for descr, shape, words in HEADERS),
+        ("", npz(header("'<f8'", "(536870812,)"), bytes(80), claimed=2**32 - 900),
+         "'density.npy' claims 4294966396 bytes out of"),
+        ("", npz(" " * (1 << 24), version=(2, 0)), "a header of 16777216 bytes"),
+        ("", npz(header("'<f8'", "(10,)"), bytes(80), version=(9, 0)), "unknown .npy version"),
+    ]
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name, file, damage, words", rows(FIELDS))
+def test_wrong_field_files(tmp_path, name, file, damage, words):
+    require_refused(name, tmp_path, {file: damage(whole(name)[file])}, words)
+
+
+def test_archives_that_hold_much_in_little(tmp_path, monkeypatch):
     path = tmp_path / "bomb.npz"
-    header = {"descr": "<f8", "fortran_order": False, "shape": (10**6, 10**6)}
-    write_npz(path, "density", header, bytes(80))  # the array's header claims 8 TB
-    refuse_field(path, "'density' claims 8000000000000 bytes (1000000, 1000000), the file has 80")
-    header["shape"] = (2**29 - 100,)
-    write_npz(path, "density", header, bytes(80), claimed=2**32 - 900)  # and so does the archive
-    refuse_field(path, "'density.npy' claims 4294966396 bytes out of")
-    write_npz(path, "density", {**header, "shape": (10**7,)}, bytes(8 * 10**7))  # a real one: 80 kB hold 80 MB
-    assert path.stat().st_size < 200_000
-    monkeypatch.setattr("warpcage.core.files.free_host_bytes", lambda: 10**7)
-    refuse_field(path, "its arrays claim 0.1 GiB | 0.0 GiB are free")
-    write_npz(path, "density", {**header, "descr": "|O"}, bytes(80))
-    refuse_field(path, "pickled objects")
+    path.write_bytes(npz(header("'<f8'", "(1000000,)"), bytes(8 * 10**6))(b""))  # 8 kB hold 8 MB
+    assert path.stat().st_size < 20_000
+    monkeypatch.setattr("warpcage.core.files.free_host_bytes", lambda: 10**6)
+    refused(lambda: VoxelField.load(path), "bomb.npz", "its arrays claim 0.0 GiB", "0.0 GiB are free")
+    np.savez_compressed(path, a=np.zeros(1000, np.uint8))
+    data = bytearray(path.read_bytes())
+    entry = data.index(b"PK\x01\x02")
+    data[entry + 20 : entry + 28] = (1 << 30).to_bytes(4, "little") * 2  # both sizes in the list of members
+    path.write_bytes(data)
+    refused(lambda: read_npz(path, "file"), "its arrays claim 1073741824 packed bytes")
 
 
 def test_archives_come_back_whole(tmp_path):
@@ -154,10 +155,10 @@ SAVES = """
     from warpcage import Cage, VoxelField
     from warpcage.view.film import write_gif, write_video
     from warpcage.view.pictures import write_png
-    folder, how = pathlib.Path(sys.argv[1]), sys.argv[2]
     rng = np.random.default_rng(0)
     density = np.ones((24, 24, 24))
-    field = VoxelField.from_dense(density, rng.random((24, 24, 24, 9, 3)), [[0, 0, 0], [1, 1, 1]])
+    bounds = [[0, 0, 0], [1, 1, 1]]
+    field = VoxelField.from_dense(density, rng.random((24, 24, 24, 9, 3)), bounds, device="cpu")
     noise = [rng.random((96, 96, 3)) for _ in range(4)]
     saves = {
         "field.npz": field.save,
@@ -170,59 +171,59 @@ SAVES = """
     }
     def kill(*_):
         os.kill(os.getpid(), signal.SIGKILL)
-    if how == "full":
+    def save_all(folder):
         resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
         for name, save in saves.items():
             try:
                 save(folder / name)
             except (OSError, ValueError) as error:
-                print(name, "refused")
-    elif how == "killed at the end":
+                print(name, "refused", flush=True)
+    def killed_at_the_end(folder):
         os.replace = kill
         saves["field.npz"](folder / "field.npz")
-    else:
+    def killed_in_between(folder):
         resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
         signal.signal(signal.SIGXFSZ, signal.SIG_DFL)  # the kernel ends the process in the middle of its write
         saves["field.npz"](folder / "field.npz")
+    for work in (save_all, killed_at_the_end, killed_in_between):
+        process = os.fork()
+        if not process:
+            work(pathlib.Path(sys.argv[1]) / work.__name__)
+            os._exit(0)
+        print(work.__name__, os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
 """
 
-
-def save_in_child(folder, how):
-    environment = {**os.environ, "WARP_CACHE_PATH": os.environ.get("WARP_CACHE_PATH", "")}
-    if not environment["WARP_CACHE_PATH"]:
-        del environment["WARP_CACHE_PATH"]
-    return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(SAVES), str(folder), how],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+NAMES = ["field.npz", "svox2.npz", "cage.obj", "cage.ply", "image.png", "film.gif", "film.mp4"]
 
 
-def test_a_full_disk_leaves_the_previous_file(tmp_path):
-    names = ["field.npz", "svox2.npz", "cage.obj", "cage.ply", "image.png", "film.gif", "film.mp4"]
-    for name in names:
-        (tmp_path / name).write_bytes(b"previous")
-    child = save_in_child(tmp_path, "full")
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A folder for each way to end, in which files were that others should take the place of, and what was said."""
+    root = tmp_path_factory.mktemp("saves")
+    for way in ("save_all", "killed_at_the_end", "killed_in_between"):
+        (root / way).mkdir()
+        (root / way / "field.npz").write_bytes(whole("field")["field.npz"])
+    for name in NAMES:
+        (root / "save_all" / name).write_bytes(b"previous")
+    words = [sys.executable, "-W", "ignore", "-c", textwrap.dedent(SAVES), str(root)]
+    child = subprocess.run(words, capture_output=True, text=True, timeout=120)
     assert child.returncode == 0, child.stderr
-    refused = [line.split()[0] for line in child.stdout.splitlines() if line.endswith("refused")]
-    assert refused == names
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)  # no leftovers
-    assert all((tmp_path / name).read_bytes() == b"previous" for name in names)
+    return root, [tuple(line.split()) for line in child.stdout.splitlines()]
 
 
-@pytest.mark.parametrize("how, ended", [("killed at the end", signal.SIGKILL), ("killed in between", signal.SIGXFSZ)])
-def test_a_killed_process_leaves_the_previous_file(tmp_path, how, ended):
-    path = tmp_path / "field.npz"
-    field = small_field()
-    field.save(path)
-    before = path.read_bytes()
-    child = save_in_child(tmp_path, how)
-    assert child.returncode == -ended, child.stderr
-    assert path.read_bytes() == before
-    assert VoxelField.load(path).voxel_count == field.voxel_count
-    assert len(list(tmp_path.iterdir())) == 2  # what the dead process had written lies beside it, under another name
+def test_a_full_disk_leaves_the_previous_file(saved):
+    root, said = saved
+    assert said[: len(NAMES) + 1] == [*((name, "refused") for name in NAMES), ("save_all", "0")]
+    assert sorted(path.name for path in (root / "save_all").iterdir()) == sorted(NAMES)  # no leftovers
+    assert all((root / "save_all" / name).read_bytes() == b"previous" for name in NAMES)
+
+
+@pytest.mark.parametrize("how, ended", [("killed_at_the_end", signal.SIGKILL), ("killed_in_between", signal.SIGXFSZ)])
+def test_a_killed_process_leaves_the_previous_file(saved, how, ended):
+    root, said = saved
+    assert (how, str(-ended)) in said
+    assert (root / how / "field.npz").read_bytes() == whole("field")["field.npz"]
+    assert len(list((root / how).iterdir())) == 2  # what the dead process had written lies beside it, by another name
 
 
 def test_a_folder_that_takes_no_files_is_named_with_the_file(tmp_path, monkeypatch):

@@ -137,18 +137,17 @@ def test_voxels_have_nothing_of_ignored_pixels(two_threads, kind):
 
 def test_a_fit_loses_little_by_what_it_ignores(two_threads):
     """Beside one of pictures without anything to ignore, and one that takes the garbage for the object."""
-    scene = blob_scene(count=24, size=32, device="cpu")
-    held, rest = [4, 17], [i for i in range(24) if i not in (4, 17)]
-    test = warpcage.Scene(scene.images[held], None, [scene.cameras[i] for i in held])
-    train = warpcage.Scene(scene.images[rest], scene.alphas[rest], [scene.cameras[i] for i in rest])
+    scene = blob_scene(count=24, size=24, device="cpu")
+    test = dataclasses.replace(scene.subset([4, 17]), alphas=None)
+    train = scene.subset([i for i in range(24) if i not in (4, 17)])
     wrong = with_garbage(with_walkers(train, 0.08))
-    options = {**SMALL, "resolution": 32, "epochs": 8}
+    options = {**SMALL, "epochs": 8}
     clean, ignoring, misled = (
         mean_psnr(evaluate(warpcage.fit(each, **options), test))
         for each in (train, wrong, dataclasses.replace(wrong, weights=None))
     )
-    # 7.8 to 8.7 over three seeds
-    assert ignoring > clean - 4.0 and ignoring > misled + 7.0, (clean, ignoring, misled)
+    # 1.0 below, and 4.4 to 4.7 above, over two seeds
+    assert ignoring > clean - 2.0 and ignoring > misled + 4.0, (clean, ignoring, misled)
 
 
 def test_a_fit_goes_on_with_its_weights(two_threads, tmp_path):
@@ -249,15 +248,21 @@ def test_ignored_pixels_carve_nothing(device):
     scene = blob_scene(count=8, size=40, device=device)
     wrong = with_walkers(scene)
     wrong = dataclasses.replace(wrong, alphas=np.where(wrong.weights > 0.0, wrong.alphas, 0.0))
-    hulls = [
-        Silhouettes(each, resolve_device(device)).carve(np.array([[-1.0] * 3, [1.0] * 3]), (32,) * 3).numpy() > 0
-        for each in (scene, wrong, dataclasses.replace(wrong, weights=None))
+    seen = [
+        Silhouettes(each, resolve_device(device)) for each in (scene, wrong, dataclasses.replace(wrong, weights=None))
     ]
+    hulls = [each.carve(np.array([[-1.0] * 3, [1.0] * 3]), (32,) * 3).numpy() > 0 for each in seen]
     assert not (hulls[0] & ~hulls[1]).any() and (hulls[1] & ~hulls[0]).sum() < hulls[0].sum()
     assert (hulls[0] & ~hulls[2]).any()
     nothing = dataclasses.replace(scene, weights=(scene.alphas == 0.0).astype(np.float32))
     with pytest.raises(ValueError, match="transparent"):
         Silhouettes(nothing, resolve_device(device))
+
+
+def cube(count, density):
+    """A field of one density from -1 to 1."""
+    sh = np.zeros((count, count, count, 9, 3))
+    return warpcage.VoxelField.from_dense(np.full((count,) * 3, density), sh, [[-1] * 3, [1] * 3], device="cpu")
 
 
 def test_a_fit_of_nothing_is_refused():
@@ -267,9 +272,7 @@ def test_a_fit_of_nothing_is_refused():
         with pytest.raises(ValueError, match="no pixel"):
             warpcage.fit(nothing, representation=representation, device="cpu", progress=False)
     with pytest.raises(ValueError, match="no pixel"):
-        evaluate(
-            warpcage.VoxelField.from_dense(np.ones((4,) * 3), np.zeros((4, 4, 4, 9, 3)), [[-1] * 3, [1] * 3]), nothing
-        )
+        evaluate(cube(4, 1.0), nothing)
 
 
 def test_figures_are_of_what_counts():
@@ -296,10 +299,7 @@ def test_figures_are_of_what_counts():
 
 def test_views_are_compared_where_they_count():
     scene = blob_scene(count=4, size=24, device="cpu")
-    field = warpcage.VoxelField.from_dense(
-        np.full((6,) * 3, 2.0), np.zeros((6, 6, 6, 9, 3)), [[-1] * 3, [1] * 3], device="cpu"
-    )
-    weights = np.zeros(scene.images.shape[:3])
+    field, weights = cube(6, 2.0), np.zeros(scene.images.shape[:3])
     weights[:3, 2:20, 3:22] = 1.0
     weights[2, :, 12:] = 0.0  # too narrow for a window
     scene = with_garbage(dataclasses.replace(scene, weights=weights))
@@ -340,8 +340,9 @@ def walkers_of(pictures, seed=0):
     return found
 
 
-@pytest.mark.parametrize("kind", ["white", "grey", "red", "with opacity"])
-@pytest.mark.parametrize("format", ["transforms", "colmap"])
+@pytest.mark.parametrize(
+    "format, kind", [*(("transforms", kind) for kind in ("white", "grey", "red", "with opacity")), ("colmap", "grey")]
+)
 def test_dynamic_masks_are_those_of_instant_ngp(tmp_path, bricks, format, kind):
     """dynamic_mask_NAME.png beside NAME: what is not black is ignored; pictures without one count as a whole."""
     write = {"transforms": write_transforms, "colmap": lambda *parts: write_colmap(*parts, binary=True)}[format]

@@ -64,53 +64,41 @@ def test_downscale_averages_premultiplied_color(tmp_path, factor):
     assert scene.cameras[0].fx / full.fx == pytest.approx(width / 12)
 
 
-def test_opaque_images_have_no_alphas(tmp_path):
-    write_folder(tmp_path, [rgba()[..., :3]])
-    assert load_scene(tmp_path).alphas is None
-
-
 def test_real_scene(real_data):
     scene = load_scene(real_data / "lego_800", split="test", downscale=8)
     assert scene.images.shape == (13, 100, 100, 3)
     np.testing.assert_allclose([np.linalg.norm(c.center) for c in scene.cameras], 4.0311, atol=1e-3)
 
 
-def damaged(folder, kind):
-    if kind == "missing image":
-        write_folder(folder, [rgba()])
-        (folder / "train" / "r_0.png").unlink()
-    elif kind == "sizes":
-        write_folder(folder, [rgba()])
-        content = json.loads((folder / "transforms_train.json").read_text())
-        (folder / "transforms_train.json").write_text(json.dumps({**content, "fl_x": 9.0, "w": 12, "h": 9}))
-    elif kind == "angle":
-        write_folder(folder, [rgba()], angle=0.0)
-    elif kind == "no frames":
-        write_folder(folder, [])
-    elif kind == "json":
-        (folder / "transforms_train.json").write_text("{ camera_angle_x")
-    elif kind == "pose":
-        write_folder(folder, [rgba()], poses=[np.full((4, 4), 2.0)])
-    elif kind == "broken image":
-        write_folder(folder, [rgba()])
-        (folder / "train" / "r_0.png").write_bytes(b"no picture")
+def write_and_change(folder, name, change):
+    """A scene with one of its files changed; change: the bytes of the file, None for none, or words of its JSON."""
+    write_folder(folder, [rgba()])
+    if isinstance(change, dict):
+        change = json.dumps(json.loads((folder / name).read_text()) | change).encode()
+    (folder / name).unlink() if change is None else (folder / name).write_bytes(change)
 
 
-@pytest.mark.parametrize(
-    "kind, error, word",
-    [
-        ("missing image", FileNotFoundError, "r_0.png"),
-        ("sizes", ValueError, "12x9 pixels"),
-        ("angle", ValueError, "camera_angle_x"),
-        ("no frames", ValueError, "no frames"),
-        ("json", ValueError, "no JSON"),
-        ("pose", ValueError, "rotation"),
-        ("broken image", ValueError, "cannot be read"),
-        ("empty", ValueError, "no scene"),
-    ],
-)
-def test_damaged_folders_are_named_in_one_line(tmp_path, kind, error, word):
-    damaged(tmp_path, kind)
+PICTURE, LISTING = "train/r_0.png", "transforms_train.json"
+DAMAGED = {
+    "missing image": (lambda folder: write_and_change(folder, PICTURE, None), FileNotFoundError, "r_0.png"),
+    "sizes": (
+        lambda folder: write_and_change(folder, LISTING, {"fl_x": 9.0, "w": 12, "h": 9}),
+        ValueError,
+        "12x9 pixels",
+    ),
+    "angle": (lambda folder: write_folder(folder, [rgba()], angle=0.0), ValueError, "camera_angle_x"),
+    "no frames": (lambda folder: write_folder(folder, []), ValueError, "no frames"),
+    "json": (lambda folder: write_and_change(folder, LISTING, b"{ camera_angle_x"), ValueError, "no JSON"),
+    "pose": (lambda folder: write_folder(folder, [rgba()], poses=[np.full((4, 4), 2.0)]), ValueError, "rotation"),
+    "broken image": (lambda folder: write_and_change(folder, PICTURE, b"no picture"), ValueError, "cannot be read"),
+    "empty": (lambda folder: None, ValueError, "no scene"),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGED)
+def test_damaged_folders_are_named_in_one_line(tmp_path, kind):
+    damage, error, word = DAMAGED[kind]
+    damage(tmp_path)
     with pytest.raises(error, match=word) as caught:
         load_scene(tmp_path)
     assert "\n" not in str(caught.value)

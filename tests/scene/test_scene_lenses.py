@@ -1,6 +1,8 @@
 """Lenses that see more than a pinhole: where they put rays, as COLMAP does; pinhole views of their pictures, taken of a
 sky that is known in every direction, and what was not seen."""
 
+import dataclasses
+import functools
 import json
 
 import numpy as np
@@ -44,14 +46,14 @@ def round_rays(camera):
     return np.stack([level * np.sin(longitude), np.sin(latitude), level * np.cos(longitude)], axis=-1)
 
 
+@functools.cache
 def sky_pictures(rays, width, height, focal, count=3):
     """Pictures of the sky from several poses; rays: of a camera's pixels."""
     cameras = spiral_cameras(count, width=width, height=height)
     cameras = [Camera(focal, focal, width / 2, height / 2, width, height, c.camera_to_world) for c in cameras]
     colors = np.stack([sky(rays(camera) @ camera.rotation.T) for camera in cameras])
-    return Pictures(
-        np.concatenate([colors * 255, np.full((*colors.shape[:3], 1), 255)], axis=-1).round().astype("u1"), cameras
-    )
+    rgba = np.concatenate([colors * 255, np.full((*colors.shape[:3], 1), 255)], axis=-1)
+    return Pictures(rgba.round().astype("u1"), cameras)
 
 
 def require_sky(scene, pictures, sides, tolerance=0.016, unseen=True):
@@ -70,39 +72,31 @@ def require_sky(scene, pictures, sides, tolerance=0.016, unseen=True):
     return weights
 
 
-def write(folder, pictures, kind, values):
-    """A scene of a fisheye lens as each format has it."""
-    if kind == "transforms":
-        write_transforms(folder, pictures, distortion=dict(zip(("k1", "k2", "k3", "k4"), values, strict=True)))
+def write(folder, pictures, kind, lens, values=()):
+    """A scene of a lens, "fisheye" or "round", as each format has it."""
+    fisheye = lens == "fisheye"
+    named = dict(zip(("k1", "k2", "k3", "k4"), values, strict=False))
+    if kind in ("transforms", "is_fisheye"):
+        write_transforms(folder, pictures, distortion=named)
         path = folder / "transforms.json"
-        path.write_text(path.read_text().replace('"OPENCV"', '"OPENCV_FISHEYE"'))
-    elif kind == "is_fisheye":
-        write_transforms(folder, pictures, distortion=dict(zip(("k1", "k2", "k3", "k4"), values, strict=True)))
-        path = folder / "transforms.json"
-        path.write_text(
-            json.dumps(
-                {key: value for key, value in json.loads(path.read_text()).items() if key != "camera_model"}
-                | {"is_fisheye": True}
-            )
-        )
+        content = json.loads(path.read_text()) | {"camera_model": "OPENCV_FISHEYE" if fisheye else "EQUIRECTANGULAR"}
+        if kind == "is_fisheye":
+            del content["camera_model"]
+            content["is_fisheye"] = True
+        path.write_text(json.dumps(content))
     elif kind.startswith("colmap"):
-        write_colmap(folder, pictures, binary=kind == "colmap.bin", model="OPENCV_FISHEYE", distortion=values)
+        model = "OPENCV_FISHEYE" if fisheye else "EQUIRECTANGULAR"
+        write_colmap(folder, pictures, binary=kind == "colmap.bin", model=model, distortion=values)
     elif kind == "opensfm":
-        write_opensfm(
-            folder, pictures, kind="fisheye_opencv", **dict(zip(("k1", "k2", "k3", "k4"), values, strict=True))
-        )
+        write_opensfm(folder, pictures, kind="fisheye_opencv" if fisheye else "spherical", **named)
     else:  # its polynomial is one of the bent radius, which is the angle: the same
-        lens = dict(zip(("k1", "k2", "k3", "k4"), values, strict=True))
-        write_metashape(folder, pictures, sensor="equidistant_fisheye", lens=lens)
+        write_metashape(folder, pictures, sensor="equidistant_fisheye" if fisheye else "spherical", lens=named)
 
 
-KINDS = ["transforms", "is_fisheye", "colmap.txt", "colmap.bin", "opensfm", "metashape"]
-
-
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["transforms", "is_fisheye", "colmap.txt", "colmap.bin", "opensfm", "metashape"])
 def test_a_fisheye_of_90_degrees_becomes_one_view(tmp_path, kind):
     pictures = sky_pictures(fisheye_rays, 96, 72, 60.0)
-    write(tmp_path, pictures, kind, FISHEYE)
+    write(tmp_path, pictures, kind, "fisheye", FISHEYE)
     scene = load_scene(tmp_path, split="all")
     weights = require_sky(scene, pictures, 1)
     assert weights.mean() > 0.99 and scene.names == pictures.names
@@ -117,7 +111,7 @@ def test_a_fisheye_of_90_degrees_becomes_one_view(tmp_path, kind):
 @pytest.mark.parametrize("downscale", [1, 2])
 def test_a_fisheye_of_190_degrees_becomes_five_sides_of_a_cube(tmp_path, kind, downscale):
     pictures = sky_pictures(fisheye_rays, 140, 140, 42.0)
-    write(tmp_path, pictures, kind, FISHEYE)
+    write(tmp_path, pictures, kind, "fisheye", FISHEYE)
     scene = load_scene(tmp_path, split="all", downscale=downscale)
     weights = require_sky(scene, pictures, 5, tolerance=0.016 * downscale, unseen=downscale == 1)
     assert scene.names[:5] == [f"view_00_{side}" for side in ("front", "right", "left", "up", "down")]
@@ -138,16 +132,7 @@ def test_a_fisheye_of_190_degrees_becomes_five_sides_of_a_cube(tmp_path, kind, d
 @pytest.mark.parametrize("kind", ["transforms", "colmap.txt", "colmap.bin", "opensfm", "metashape"])
 def test_an_equirectangular_picture_becomes_a_cube(tmp_path, kind):
     pictures = sky_pictures(round_rays, 160, 80, 30.0)
-    if kind == "transforms":
-        write_transforms(tmp_path, pictures)
-        path = tmp_path / "transforms.json"
-        path.write_text(path.read_text().replace('"OPENCV"', '"EQUIRECTANGULAR"'))
-    elif kind.startswith("colmap"):
-        write_colmap(tmp_path, pictures, binary=kind == "colmap.bin", model="EQUIRECTANGULAR")
-    elif kind == "opensfm":
-        write_opensfm(tmp_path, pictures, kind="spherical")
-    else:
-        write_metashape(tmp_path, pictures, sensor="spherical")
+    write(tmp_path, pictures, kind, "round")
     scene = load_scene(tmp_path, split="all")
     require_sky(scene, pictures, 6)
     assert scene.weights is None and scene.cameras[0].width == 40
@@ -164,6 +149,7 @@ def test_sides_of_one_picture_are_in_one_split(tmp_path):
 
 def test_masks_are_resampled_with_their_pictures(tmp_path):
     pictures = sky_pictures(fisheye_rays, 140, 140, 42.0)
+    pictures = dataclasses.replace(pictures, rgba=pictures.rgba.copy())
     pictures.rgba[:, :, 70:, 3] = 0
     write_colmap(tmp_path, pictures, binary=True, model="OPENCV_FISHEYE", distortion=FISHEYE, masks=True)
     scene = load_scene(tmp_path, split="all")
@@ -173,18 +159,8 @@ def test_masks_are_resampled_with_their_pictures(tmp_path):
 
 def test_metashape_coefficients_that_opencv_has_not(tmp_path):
     """k4, p3, p4 and the skew b2, by the formula of its manual."""
-    lens = {
-        "k1": -0.05,
-        "k2": 0.01,
-        "k3": 0.002,
-        "k4": 0.003,
-        "p1": 0.004,
-        "p2": -0.003,
-        "p3": 0.1,
-        "p4": 0.02,
-        "b2": 0.7,
-    }
-    pictures = sky_pictures(fisheye_rays, 96, 72, 80.0)
+    lens = {"k1": -0.05, "k2": 0.01, "k3": 0.002, "k4": 0.003, "p1": 0.004, "p2": -0.003, "p3": 0.1, "p4": 0.02}
+    lens["b2"] = 0.7
 
     def seen(camera):
         target = (pixel_centers(camera) - [camera.cx, camera.cy]) / camera.fy
@@ -251,11 +227,8 @@ def test_opensfm_lenses_that_opencv_has_not(tmp_path, kind):
 
 
 def test_one_view_has_no_pixel_that_was_not_seen_in_the_middle_of_its_edges(tmp_path):
-    for lens, focal in (
-        (Lens("FISHEYE", FISHEYE), 60.0),
-        (Lens("FOV", (0.6,)), 80.0),
-        (Lens("DIVISION", (-0.1,)), 80.0),
-    ):
+    for name, values, focal in (("FISHEYE", FISHEYE, 60.0), ("FOV", (0.6,), 80.0), ("DIVISION", (-0.1,), 80.0)):
+        lens = Lens(name, values)
         intrinsics = (focal, focal * 1.1, 40.0, 38.0)
         (part,) = pinhole_parts(lens, intrinsics, (96, 72), "here")
         middle = [part.intrinsics[2:], (0.5, part.intrinsics[3]), (part.intrinsics[2], part.size[1] - 0.5)]
@@ -283,7 +256,7 @@ def test_models_of_new_numbers_are_told(tmp_path, model):
 )
 def test_lenses_that_fold_at_once_are_refused_or_cut(tmp_path, values, said):
     pictures = sky_pictures(fisheye_rays, 96, 72, 60.0)
-    write(tmp_path, pictures, "colmap.txt", values)
+    write(tmp_path, pictures, "colmap.txt", "fisheye", values)
     if said != "test":
         with pytest.raises(ValueError, match=f"image 'view_0.*({said})"):
             load_scene(tmp_path)

@@ -67,9 +67,8 @@ def test_accents_may_be_letters_of_their_own(tmp_path, bricks, form):
     write_transforms(tmp_path, bricks)
     text = (tmp_path / "transforms.json").read_text()
     for name in bricks.names:
-        (tmp_path / "images" / f"{name}.png").rename(
-            tmp_path / "images" / unicodedata.normalize(form, f"\u00e9t\u00e9 {name}.png")
-        )
+        on_disk = unicodedata.normalize(form, f"\u00e9t\u00e9 {name}.png")
+        (tmp_path / "images" / f"{name}.png").rename(tmp_path / "images" / on_disk)
         text = text.replace(f"images/{name}.png", unicodedata.normalize(other, f"images/\u00e9t\u00e9 {name}.png"))
     (tmp_path / "transforms.json").write_text(text)
     require_equal(load(tmp_path, split="all"), bricks)

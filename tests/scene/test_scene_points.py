@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-from scene_writers import brick_pictures, write_blender, write_colmap, write_transforms
+from scene_writers import brick_pictures, write_colmap, write_transforms
 
 from warpcage import Camera, Scene, load_scene, turntable
 from warpcage.view.motion import axis_rotation
@@ -50,9 +50,11 @@ def test_points_of_colmap_come_with_their_colors(tmp_path, bricks, binary):
     write_colmap(tmp_path, bricks, binary=binary, points=POINTS, colors=COLORS)
     for split in ("train", "test", "all"):
         require_points(load_scene(tmp_path, split=split, downscale=2))
+    scene, straight = load_scene(tmp_path), load_scene(tmp_path, orient="up")
+    np.testing.assert_allclose(pixels(straight), pixels(scene), atol=1e-8)
     write_colmap(tmp_path / "none", bricks, binary=binary)
     scene = load_scene(tmp_path / "none")
-    assert scene.points is None and scene.point_colors is None
+    assert scene.points is None and scene.point_colors is None and scene.straightened().points is None
 
 
 def test_points_of_colmap_without_colors(tmp_path, bricks):
@@ -63,14 +65,6 @@ def test_points_of_colmap_without_colors(tmp_path, bricks):
     path.write_text("\n".join([*lines[:-1], " ".join(lines[-1].split()[:4])]))  # of one they are not known
     require_points(load_scene(tmp_path), colors=None)
     assert np.array_equal(load_scene(tmp_path).bounds, before)
-
-
-@pytest.mark.parametrize("color", ["256 0 0", "0 -1 0", "0 0 nan", "0 red 0"])
-def test_colors_that_are_none_are_refused(tmp_path, bricks, color):
-    write_colmap(tmp_path, bricks, binary=False, points=POINTS[:1])
-    (tmp_path / "sparse" / "0" / "points3D.txt").write_text(f"# points\n1 0.5 0.5 0.5 {color} 0.5\n")
-    with pytest.raises(ValueError, match="points3D.txt:2"):
-        load_scene(tmp_path)
 
 
 @pytest.mark.parametrize("text", [False, True])
@@ -84,6 +78,14 @@ def test_points_of_a_ply(tmp_path, bricks, kind, factor, text):
     require_points(scene, colors=None if kind is None else COLORS)
     write_ply_points(tmp_path / "points.ply", None)
     assert np.array_equal(load_scene(tmp_path).bounds, scene.bounds)
+
+
+@pytest.mark.parametrize("color", ["256 0 0", "0 -1 0", "0 0 nan", "0 red 0"])
+def test_colors_that_are_none_are_refused(tmp_path, bricks, color):
+    write_colmap(tmp_path, bricks, binary=False, points=POINTS[:1])
+    (tmp_path / "sparse" / "0" / "points3D.txt").write_text(f"# points\n1 0.5 0.5 0.5 {color} 0.5\n")
+    with pytest.raises(ValueError, match="points3D.txt:2"):
+        load_scene(tmp_path)
 
 
 @pytest.mark.parametrize("kind, value", [("float", np.nan), ("float", -0.5), ("double", 256.0), ("int", -1)])
@@ -101,13 +103,6 @@ def test_a_mesh_does_not_ask_for_colors(tmp_path):
 
     write_ply_points(tmp_path / "mesh.ply", "int", colors=np.full((400, 3), -1), faces=True)
     assert np.array_equal(read_ply(tmp_path / "mesh.ply")[0], POINTS)
-
-
-def test_scenes_without_points(tmp_path, bricks):
-    write_blender(tmp_path, bricks)
-    scene = load_scene(tmp_path)
-    assert scene.points is None and scene.point_colors is None
-    assert scene.straightened().points is None
 
 
 def made_scene(**options):
@@ -131,12 +126,6 @@ def test_points_move_with_the_world():
     assert np.array_equal(moved.point_colors, scene.point_colors)
     back = moved.moved(np.linalg.inv(moved.straightening))
     np.testing.assert_allclose(back.points, POINTS, atol=1e-12)
-
-
-def test_a_loaded_scene_is_turned_with_its_points(tmp_path, bricks):
-    write_colmap(tmp_path, bricks, binary=True, points=POINTS, colors=COLORS)
-    scene, straight = load_scene(tmp_path), load_scene(tmp_path, orient="up")
-    np.testing.assert_allclose(pixels(straight), pixels(scene), atol=1e-8)
 
 
 def test_points_are_kept_with_other_cameras_and_by_pickles():

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from runs import run, succeed
 
-from warpcage import Cage, VoxelField, evaluate, load_scene, mean_psnr, turntable
+from warpcage import Cage, Scene, VoxelField, evaluate, load_scene, mean_psnr, turntable
 from warpcage.reference import write_brick_scene
 from warpcage.view import axis_rotation, read_image
 
@@ -62,8 +62,6 @@ def test_all_splits_are_of_one_world(files):
 
 
 def test_up_that_points_down_is_turned_over():
-    from warpcage import Scene
-
     cameras = turntable((0, 0, 0), 3.0, 20, 4, up=(0, 0, -1), width=4, height=4)
     scene = Scene(np.zeros((4, 4, 4, 3)), None, cameras, bounds=[[-1, -2, -3], [1, 2, 4]])
     straight = scene.straightened()

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from splat_scenes import CUP, FLOATER, TABLE, one_splat, place, place_camera
+from splat_scenes import CUP, FLOATER, TABLE, joined, one_splat, place, place_camera
 
 from warpcage import Cage, NodeSelection, SplatField
 from warpcage.cli import main
@@ -21,12 +21,18 @@ def scene():
     return place(faint=FAINT)
 
 
+@pytest.fixture(scope="module")
+def saved(scene, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("place")
+    scene[0].save(folder / "place.ply")
+    place_camera(size=96).save(folder / "view.json")
+    return folder
+
+
 @pytest.fixture
-def folder(scene, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    scene[0].save("place.ply")
-    place_camera(size=96).save("view.json")
-    return tmp_path
+def folder(saved, monkeypatch):
+    monkeypatch.chdir(saved)
+    return saved
 
 
 def test_floaters_go_and_nothing_else(scene):
@@ -52,17 +58,9 @@ def test_a_thin_pole_stays_and_planted_floaters_go():
     heights = np.arange(0.72, 1.6, 0.02)
     pole = np.stack([np.full(len(heights), -0.2), np.full(len(heights), -0.1), heights], axis=1)
     floaters = np.concatenate([random.normal(each, 0.02, (40, 3)) for each in ((1.2, 1.0, 1.7), (-1.3, -1.2, 1.5))])
-    centers, held = np.concatenate([pole, floaters]), field.contents
-    more = len(centers)
-    values = {
-        "centers": centers,
-        "log_scales": np.full((more, 3), np.log(0.01)),
-        "quaternions": np.tile([1.0, 0, 0, 0], (more, 1)),
-        "logits": np.full(more, 3.0),
-        "harmonics": np.zeros((more, *held.harmonics.shape[1:])),
-    }
-    field = SplatField(*(np.concatenate([getattr(held, name), each]) for name, each in values.items()), device="cpu")
-    gone = clean_splats(field, CleanOptions()).gone
+    centers, more = np.concatenate([pole, floaters]), len(pole) + len(floaters)
+    values = np.full((more, 3), np.log(0.01)), np.eye(4)[[0] * more], np.full(more, 3.0), np.zeros((more, 1, 3))
+    gone = clean_splats(joined(field, (centers, *values)), CleanOptions()).gone
     first = len(labels)
     assert not gone[first : first + len(pole)].any() and gone[first + len(pole) :].all()
     np.testing.assert_array_equal(gone[:first], labels == FLOATER)
@@ -80,13 +78,8 @@ def test_parts_that_are_kept_and_splats_that_are_too_large(scene):
 def test_what_a_view_shows_of_each_splat(device):
     """Opacities of splats beside each other, and of one behind an opaque one."""
     camera = place_camera((0, -3, 0), (0, 0, 0), 101)
-    contents = [
-        one_splat(device, center, (0.1,) * 3, opacity).contents
-        for center, opacity in (((-0.8, 0, 0), 0.5), ((0.8, 0, 0), 0.1), ((0.24, 9, 0), 0.9), ((0, -9, 0), 0.9))
-    ]
-    names = ("centers", "log_scales", "quaternions", "logits", "harmonics")
-    values = [np.concatenate([getattr(each, name) for each in contents]) for name in names]
-    field = SplatField(*values, device=device)
+    places = {(-0.8, 0, 0): 0.5, (0.8, 0, 0): 0.1, (0.24, 9, 0): 0.9, (0, -9, 0): 0.9}
+    field = joined(*(one_splat(device, center, opacity=opacity) for center, opacity in places.items()))
     alpha = field.render(camera).alpha
     for pixels, row in ((alpha[:, :35].sum(), 0), (alpha[:, 65:].sum(), 1)):
         assert views_of_splats(field, [camera], 0.99 * pixels)[row] == 1
@@ -146,16 +139,19 @@ def test_the_way_from_a_place_to_its_cup(folder, scene, capsys):
     options = ("--up", "0", "0", "1", "--point", "0.29", "0.1", "0.85")
     assert run("select", "place.ply", "-o", "cup.npz", *options, "--camera", "view.json", "--preview", "cup.png") == 0
     assert "splats, from [" in capsys.readouterr().out and (folder / "cup.png").exists()
-    assert run("cage", "place.ply", "--selection", "cup.npz", "-o", "cup.obj", "--vertices", "60") == 0
+    assert run("cage", "place.ply", "--selection", "cup.npz", "-o", "cup.obj", "--vertices", "80") == 0
     assert run("bake", "place.ply", "--selection", "cup.npz", "-o", "cup.ply") == 0
     alone = SplatField.load("cup.ply")
     chosen = NodeSelection.load("cup.npz", SplatField.load("place.ply"))
     rows = chosen.field.splats_in(chosen.mask)
     assert set(labels[rows]) == {CUP} and len(alone) == rows.sum() > 0.9 * (labels == CUP).sum()
     np.testing.assert_array_equal(alone.contents.centers, field.contents.centers[rows].astype(np.float32))
-    assert Cage.load("cup.obj").contains(alone.contents.centers.astype(np.float64)).all()
+    cage = Cage.load("cup.obj")
+    inside = cage.contains(field.contents.centers.astype(np.float64))
+    assert inside[rows].all() and not (inside & (labels == TABLE)).any()
+    assert cage.check(field=chosen).field_enclosed == 1.0 and chosen.floor.heights(cage.vertices).min() > -1e-9
     capsys.readouterr()
-    posed = ("--cage", "cup.obj", "--posed", "twist:40", "-o", "turned.ply")
+    posed = ("--cage", "cup.obj", "--posed", "twist:40", "-o", "turned.ply", "--resolution", "24")
     assert run("bake", "place.ply", "--selection", "cup.npz", *posed) == 0
     captured = capsys.readouterr()
     # the cage is looked at beside what is cut out, not the whole place: a rim of the foot is below it
@@ -172,10 +168,6 @@ BAD = {
     "nothing left": (["clean", "place.ply", "-o", "a.ply", "--largest-scale", "1e-6"], "nothing would be left"),
     "share": (["clean", "place.ply", "-o", "a.ply", "--floaters", "2"], "floaters must be a share"),
     "views without": (["clean", "place.ply", "-o", "a.ply", "--least-views", "2"], "belong to --views"),
-    "few views": (
-        ["clean", "place.ply", "-o", "a.ply", "--views", "view.json", "--least-views", "2"],
-        "got 2 of 1 view",
-    ),
     "preview": (["clean", "place.ply", "-o", "a.ply", "--preview", "a.jpg"], "must end in .png"),
     "frames": (
         ["bake", "place.ply", "--selection", "cup.npz", "-o", "a_##.ply", "--frames", "3"],

@@ -47,30 +47,37 @@ def slopes_on(device, values, camera, weights, *, antialias=False, blur=0.3):
 
 
 def assert_slopes(device, values, camera, *, antialias=False, blur=0.3, least=3e-3):
-    """Each kind's slopes are the differences, along random directions and along each splat's own, of the equations."""
+    """Slopes are the differences of the equations: of every column of each kind, for a few splats. Colours of a pixel
+    do not depend on each other, so that one difference tells the slopes of a harmonic's three."""
     rng = np.random.default_rng(1)
     weights = rng.normal(size=(camera.height, camera.width, 3)).astype(np.float32).astype(np.float64)
     options = {"antialias": antialias, "blur": blur}
     picture, found, near = slopes_on(device, values, camera, weights, **options)
     assert np.abs(picture - reference(values, camera, near, **options)).max() < 2e-3
-    for kind, slopes in enumerate(found):
-        slopes = slopes.reshape(values[kind].shape)
-        expected = np.zeros_like(slopes)
-        flat = expected.reshape(-1)
-        for i in rng.permutation(flat.size)[:40]:
+
+    def difference(kind, place):
+        ends = []
+        for side in (1, -1):
             moved = [part.copy() for part in values]
-            ends = []
-            for side in (1, -1):
-                moved[kind].reshape(-1)[i] = values[kind].reshape(-1)[i] + side * STEP
-                ends.append((weights * reference(moved, camera, near, **options)).sum())
-            flat[i] = (ends[0] - ends[1]) / (2 * STEP)
-            wrong = abs(slopes.reshape(-1)[i] - flat[i])
-            assert wrong < least * (np.abs(slopes).max() + abs(flat[i])), (kind, i, slopes.reshape(-1)[i], flat[i])
-        assert np.abs(expected).max() > 0
+            moved[kind][place] += side * STEP
+            ends.append((weights * reference(moved, camera, near, **options)).sum(axis=(0, 1)))
+        return (ends[0] - ends[1]) / (2 * STEP)
+
+    for kind, (slopes, held) in enumerate(zip(found, values, strict=True)):
+        slopes, greatest = slopes.reshape(held.shape), 0.0
+        columns = list(np.ndindex(held.shape[1:2]))
+        for column in columns:
+            for splat in rng.permutation(len(held))[: max(2, 10 // len(columns))]:
+                place = (splat, *column)
+                expected = difference(kind, place) if kind == 4 else difference(kind, place).sum()
+                wrong = np.abs(slopes[place] - expected)
+                assert (wrong < least * (np.abs(slopes).max() + np.abs(expected))).all(), (kind, place)
+                greatest = max(greatest, np.abs(expected).max())
+        assert greatest > 0
 
 
 @pytest.mark.parametrize("antialias", [False, True])
-@pytest.mark.parametrize(("count", "scale", "degree"), [(40, 0.15, 3), (15, 0.4, 1), (60, 0.02, 2), (20, 0.2, 0)])
+@pytest.mark.parametrize(("count", "scale", "degree"), [(40, 0.15, 3), (15, 0.4, 1), (30, 0.02, 2), (20, 0.2, 0)])
 def test_slopes_are_those_of_the_equations(count, scale, degree, antialias, device):
     values = values_of(count, scale, degree)
     camera = Camera.look_at((2.0, -3.0, 1.0), (0, 0, 0), width=37, height=29)

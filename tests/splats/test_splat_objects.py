@@ -11,13 +11,14 @@ from splat_scenes import (
     FLOOR,
     TABLE,
     TABLE_TOP,
+    joined,
     one_splat,
     place,
     place_camera,
     reference_view,
 )
 
-from warpcage import Cage, Camera, NodeSelection, SplatField, bake, select_nodes, select_object
+from warpcage import Cage, Camera, Deformer, NodeSelection, SplatField, bake, select_nodes, select_object
 from warpcage.field import pick_point
 
 #: Height up to which the cup stays with the table that it stands on: two cells and what the table is rough.
@@ -32,15 +33,20 @@ def scene():
     return place()
 
 
-def ways(scene):
-    """Each way to choose the cup."""
+@pytest.fixture(scope="module")
+def cup(scene):
+    """The cup, by a point on it."""
+    return select_object(scene[0], point=ON_CUP)
+
+
+def ways():
+    """Each way to choose the cup but by a point."""
     camera = place_camera()
     seen = camera.project(MIDDLE[None] + [0.0, -CUP_RADIUS, 0.0])[0][0]
     reach = np.array([CUP_RADIUS, CUP_RADIUS, 0.5 * CUP_HEIGHT]) + 0.05
     turns = np.arange(6) * np.pi / 3
     cameras = [place_camera((*(CUP_AT + 1.1 * np.array([np.cos(a), np.sin(a)])), 1.3), MIDDLE, 120) for a in turns]
     return {
-        "point": {"point": ON_CUP},
         "pixel": {"pixel": np.floor(seen), "camera": camera},
         "box": {"box": [MIDDLE - reach, MIDDLE + reach]},
         "sphere": {"sphere": [*MIDDLE, 0.2]},
@@ -55,12 +61,12 @@ def rows_of(chosen):
 
 
 @pytest.mark.parametrize("way", ["point", "pixel", "box", "sphere", "cage", "depth"])
-def test_the_cup_without_its_table(scene, way):
+def test_the_cup_without_its_table(scene, cup, way):
     field, labels = scene
-    chosen = select_object(field, **ways(scene)[way])
-    rows, cup = rows_of(chosen), labels == CUP
-    assert not (rows & ~cup).any()
-    assert rows[cup & (field.contents.centers[:, 2] > TABLE_TOP + FOOT)].all() and rows.sum() > 0.9 * cup.sum()
+    chosen = cup if way == "point" else select_object(field, **ways()[way])
+    rows, of_cup = rows_of(chosen), labels == CUP
+    assert not (rows & ~of_cup).any()
+    assert rows[of_cup & (field.contents.centers[:, 2] > TABLE_TOP + FOOT)].all() and rows.sum() > 0.9 * of_cup.sum()
     assert chosen.floor.normal @ [0, 0, 1] > 0.999 and 0 < chosen.floor.offset - TABLE_TOP < FOOT
     assert any("cells) above the ground plane" in note for note in chosen.notes)
     # a cell of the whole room is a fifth of the cup
@@ -77,18 +83,10 @@ def test_other_things_of_the_place(scene):
     assert both[(labels == BALL) | (labels == CUP)].all()
 
 
-def with_others(field, centers, log_scales):
-    """A field with more splats, black and nearly opaque."""
-    held, count = field.contents, len(centers)
-    return SplatField(
-        np.concatenate([held.centers, centers]),
-        np.concatenate([held.log_scales, log_scales]),
-        np.concatenate([held.quaternions, np.eye(4)[[0] * count]]),
-        np.concatenate([held.logits, np.full(count, 3.0)]),
-        np.concatenate([held.harmonics, np.zeros((count, 1, 3))]),
-        up=field.up,
-        device=field.device,
-    )
+def black(centers, log_scales):
+    """Values of nearly opaque splats."""
+    count = len(centers)
+    return centers, log_scales, np.eye(4)[[0] * count], np.full(count, 3.0), np.zeros((count, 1, 3))
 
 
 def require_cup_alone(wide, labels, **ways):
@@ -102,7 +100,7 @@ def test_far_splats_make_nothing_coarser(scene):
     field, labels = scene
     sky = np.random.default_rng(3).normal(size=(60, 3))
     sky = 100.0 * sky / np.linalg.norm(sky, axis=1, keepdims=True)
-    wide = with_others(field, sky, np.full((60, 3), np.log(5.0)))
+    wide = joined(field, black(sky, np.full((60, 3), np.log(5.0))))
     assert wide.voxel_size[0] > 1.0
     require_cup_alone(wide, labels)
 
@@ -118,62 +116,43 @@ def test_far_walls_are_not_what_an_object_stands_on(scene, plane):
     walls = [(axis, end) for axis in range(3) for end in (-30.0, 30.0)]
     centers = np.concatenate([np.insert(sheet, axis, end, axis=1) for axis, end in walls])
     scales = np.concatenate([np.insert(flat, axis, np.log(0.5), axis=1) for axis, _ in walls])
-    require_cup_alone(with_others(field, centers, scales), labels, plane=plane)
+    require_cup_alone(joined(field, black(centers, scales)), labels, plane=plane)
 
 
-def test_the_cage_holds_the_cup_alone(scene):
-    field, labels = scene
-    chosen = select_object(field, point=ON_CUP)
-    cage = Cage.from_field(chosen, 80)
-    inside = cage.contains(field.contents.centers.astype(np.float64))
-    assert inside[rows_of(chosen)].all() and not (inside & (labels == TABLE)).any()
-    assert cage.check(field=chosen).field_enclosed == 1.0
-    assert chosen.floor.heights(cage.vertices).min() > -1e-9
-
-
-def test_what_is_cut_out_is_those_splats(scene):
+def test_what_is_cut_out_is_those_splats(scene, cup):
     field, _ = scene
-    chosen = select_object(field, point=ON_CUP)
-    alone, rows = chosen.cut_out(), rows_of(chosen)
+    alone, rows = cup.cut_out(), rows_of(cup)
     assert isinstance(alone, SplatField) and len(alone) == rows.sum()
     np.testing.assert_array_equal(alone.contents.centers, field.contents.centers[rows])
     camera = place_camera(size=80)
-    whole, cup = field.render(camera), alone.render(camera)
-    opaque = cup.alpha > 0.95
-    assert opaque.sum() > 20 and np.abs(whole.rgb - cup.rgb)[opaque].max() < 0.12
-    assert cup.alpha[:10].max() == 0.0
-    shown = chosen.preview(camera, color=(0, 0, 1), strength=1.0)
+    whole, seen = field.render(camera), alone.render(camera)
+    opaque = seen.alpha > 0.95
+    assert opaque.sum() > 20 and np.abs(whole.rgb - seen.rgb)[opaque].max() < 0.12
+    assert seen.alpha[:10].max() == 0.0
+    shown = cup.preview(camera, color=(0, 0, 1), strength=1.0)
     blue = np.all(np.abs(shown - [0, 0, 1]) < 0.12, axis=2)
-    assert blue[opaque].mean() > 0.9 and not blue[cup.alpha < 0.02].any()
-    posed = bake_of(alone)
-    assert len(posed) >= len(alone)
-
-
-def bake_of(field):
-    """What a bend of all of a field makes of it."""
-    from warpcage import Deformer
-
-    cage = Cage.from_field(field, 40)
-    return bake(Deformer(field, cage, resolution=16).pose(cage.bend(30, axis="x", towards="z")))
+    assert blue[opaque].mean() > 0.9 and not blue[seen.alpha < 0.02].any()
+    cage = Cage.box(*alone.bounds, segments=2)
+    bent = Deformer(alone, cage, coordinates="mean_value").pose(cage.bend(30, axis="x", towards="z"))
+    assert len(bake(bent)) >= len(alone)
 
 
 @pytest.mark.parametrize("ending", ["npz", "json"])
-def test_files_of_selections_find_their_splats(scene, ending, tmp_path):
+def test_files_of_selections_find_their_splats(scene, cup, ending, tmp_path):
     field, _ = scene
-    chosen = select_object(field, point=ON_CUP)
-    chosen.save(tmp_path / f"cup.{ending}")
     field.save(tmp_path / "place.ply")
     again = SplatField.load(tmp_path / "place.ply", device=field.device)
-    loaded = NodeSelection.load(tmp_path / f"cup.{ending}", again)
-    np.testing.assert_array_equal(loaded.mask, chosen.mask)
-    np.testing.assert_array_equal(rows_of(loaded), rows_of(chosen))
-    np.testing.assert_allclose(loaded.bounds, chosen.bounds, atol=1e-9)
-    assert loaded.notes == chosen.notes and loaded.floor.offset == chosen.floor.offset
     whole = select_nodes(field, floaters=0.1)  # on the grid of all splats
-    whole.save(tmp_path / f"whole.{ending}")
-    held = NodeSelection.load(tmp_path / f"whole.{ending}", again)
-    np.testing.assert_array_equal(held.mask, whole.mask)
-    assert len(held.cut_out()) == rows_of(held).sum() == len(whole.cut_out())
+    for name, chosen in (("cup", cup), ("whole", whole)):
+        chosen.save(tmp_path / f"{name}.{ending}")
+        held = NodeSelection.load(tmp_path / f"{name}.{ending}", again)
+        np.testing.assert_array_equal(held.mask, chosen.mask)
+        np.testing.assert_allclose(held.bounds, chosen.bounds, atol=1e-9)
+        assert held.notes == chosen.notes
+        alone, expected = (each.cut_out().contents.centers for each in (held, chosen))
+        np.testing.assert_allclose(alone, expected, atol=1e-6)
+        assert len(held.cut_out()) == rows_of(held).sum()
+    assert NodeSelection.load(tmp_path / f"cup.{ending}", again).floor.offset == cup.floor.offset
     with pytest.raises(ValueError, match="is of another field than these splats"):
         NodeSelection.load(tmp_path / f"cup.{ending}", again.chosen(np.arange(100)))
 
@@ -184,22 +163,15 @@ def test_a_ray_ends_where_half_of_its_light_is_gone(device):
     held = [
         (0.1 * rng.normal(size=3) * [1, 12, 1], rng.uniform(0.05, 0.2, 3), rng.uniform(0.1, 0.5)) for _ in range(30)
     ]
-    parts = [one_splat(device, center, scales, opacity).contents for center, scales, opacity in held]
-    names = ("centers", "log_scales", "quaternions", "logits", "harmonics")
-    field = SplatField(*(np.concatenate([getattr(each, name) for each in parts]) for name in names), device=device)
+    field = joined(*(one_splat(device, *each) for each in held))
     origin, direction = camera.center, -camera.center / np.linalg.norm(camera.center)
     far = field.distance_seen(origin, direction, spread=1.0 / camera.fx)
     order = np.argsort(field.contents.centers @ direction)
     opaque = []  # of what lies before, by the equations of views: half of the light is gone between two splats
     for count in range(1, len(order) + 1):
         rows = order[:count]
-        args = (
-            field.contents.centers[rows],
-            field.covariances[rows],
-            field.opacities[rows],
-            field.contents.harmonics[rows],
-        )
-        opaque.append(reference_view(*args, camera)[1][20, 20])
+        held = field.contents.centers, field.covariances, field.opacities, field.contents.harmonics
+        opaque.append(reference_view(*(each[rows] for each in held), camera)[1][20, 20])
     crossed = int(np.argmax(np.array(opaque) >= 0.5))
     at = (field.contents.centers[order] - origin) @ direction
     assert opaque[-1] > 0.5 and abs(far - at[crossed]) < 0.05
@@ -212,10 +184,7 @@ def test_a_click_through_haze_is_on_what_is_behind(scene):
     field, _ = scene
     camera = place_camera()
     haze = one_splat("cpu", center=camera.center + 0.5 * (MIDDLE - camera.center), scales=(0.1,) * 3, opacity=0.45)
-    held, more = field.contents, haze.contents
-    names = ("centers", "log_scales", "quaternions", "logits", "harmonics")
-    values = [np.concatenate([getattr(held, name), getattr(more, name)]) for name in names]
-    both = SplatField(*values, up=field.up, device=field.device)
+    both = joined(field, haze)
     pixel = np.floor(camera.project(MIDDLE[None])[0][0])
     found = pick_point(both, camera, pixel)
     assert np.linalg.norm(found - MIDDLE) < CUP_RADIUS + 0.05
@@ -233,7 +202,7 @@ CLICKS = {
     "in a box of no size": ({"box": [(0, 0, 1), (0, 0, 1)]}, "box"),
     "in a sphere of no size": ({"sphere": (0, 0, 0, 0)}, "a positive radius"),
     "in no cage": ({"cage": 3}, "takes a ClosedMesh, got int"),
-    "of a wall that is not there": ({"point": ON_CUP, "plane_at": (9, 9, 9)}, "no ground plane passes near"),
+    "of a wall that is not there": ({"sphere": (*MIDDLE, 0.2), "plane_at": (9, 9, 9)}, "no ground plane passes near"),
 }
 
 

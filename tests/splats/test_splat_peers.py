@@ -8,9 +8,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from splat_scenes import some_splats
-
-import warpcage
+from splat_scenes import field_of, loaded, some_splats
 
 PROGRAM = shutil.which("splat-transform")
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="splat-transform is not installed")
@@ -26,19 +24,10 @@ BOUNDS = {
 }
 
 
-def field_of(count=300, antialias=False):
-    return warpcage.SplatField.from_contents(some_splats(count, antialias=antialias), device="cpu")
-
-
-def loaded(path):
-    return warpcage.SplatField.load(path, device="cpu")
-
-
 def transform(*words):
     """Let the program write a file of another."""
-    run = subprocess.run(
-        [PROGRAM, "-q", "-w", "-g", "cpu", *map(str, words)], capture_output=True, text=True, timeout=300
-    )
+    call = [PROGRAM, "-q", "-w", "-g", "cpu", *map(str, words)]
+    run = subprocess.run(call, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, run.stderr
 
 
@@ -64,7 +53,7 @@ def assert_same(field, other, bounds, share=1.0):
 
 @pytest.mark.parametrize("ending, version", [(each, None) for each in BOUNDS if each != ".glb"] + [(".spz", 4)])
 def test_the_program_reads_what_we_write(ending, version, tmp_path):
-    field = field_of()
+    field = field_of(some_splats())
     field.save(tmp_path / f"ours{ending}", version=version)
     transform(tmp_path / f"ours{ending}", tmp_path / "theirs.ply")
     assert_same(field, loaded(tmp_path / "theirs.ply"), BOUNDS[ending])
@@ -72,17 +61,11 @@ def test_the_program_reads_what_we_write(ending, version, tmp_path):
 
 @pytest.mark.parametrize(
     "name, words",
-    [
-        ("a.compressed.ply", ()),
-        ("a.spz", ("--spz-version", "3")),
-        ("a.spz", ("--spz-version", "4")),
-        ("a.sog", ()),
-        ("meta.json", ()),
-        ("a.glb", ()),
-    ],
+    [(f"a{ending}", ()) for ending in (".compressed.ply", ".sog", ".glb")]
+    + [("meta.json", ()), ("a.spz", ("--spz-version", "3")), ("a.spz", ("--spz-version", "4"))],
 )
 def test_we_read_what_the_program_writes(name, words, tmp_path):
-    field = field_of()
+    field = field_of(some_splats())
     field.save(tmp_path / "ours.ply")
     transform(*words, tmp_path / "ours.ply", tmp_path / name)
     ending = ".sog" if name == "meta.json" else name[1:]

@@ -1,17 +1,14 @@
 """What files of splats mean: activated values, the filter of Mip-Splatting, rows and whole fields that are none."""
 
-import os
-import pathlib
 import warnings
 
 import numpy as np
 import pytest
-from splat_scenes import ring, true_field
+import splat_scenes
+from splat_scenes import DATA, field_of, needs_data, ring, true_field
 
 import warpcage
 from warpcage.splats import SplatContents
-
-SPLATS = pathlib.Path(os.environ.get("WARPCAGE_DATA", "../shared/data")) / "splats"
 
 NAMES = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
 NAMES += ["rot_0", "rot_1", "rot_2", "rot_3"]
@@ -38,7 +35,24 @@ def loaded(path, **options):
     """The field of a file, which must be read without a warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        return warpcage.SplatField.load(path, device="cpu", **options)
+        return splat_scenes.loaded(path, **options)
+
+
+def warned(path, message):
+    """The field of a file, which must be read with one warning, of one line."""
+    with pytest.warns(UserWarning, match=message) as said:
+        field = splat_scenes.loaded(path)
+    assert len(said) == 1 and "\n" not in str(said[0].message)
+    return field
+
+
+def require_same_again(field, path):
+    """What is written has the same logarithms and logits, which all programs read."""
+    field.save(path)
+    again = loaded(path)
+    for name in ("log_scales", "logits"):
+        np.testing.assert_array_equal(getattr(again.contents, name), getattr(field.contents, name))
+    return again
 
 
 def activated(columns):
@@ -51,15 +65,10 @@ def test_activated_values_are_found_and_said(tmp_path):
     columns = some_columns()
     plain = loaded(write_ply(tmp_path / "plain.ply", columns))
     path = write_ply(tmp_path / "activated.ply", activated(columns))
-    with pytest.warns(UserWarning, match="activated.ply: no .* activated=False") as said:
-        field = warpcage.SplatField.load(path, device="cpu")
-    assert len(said) == 1 and "\n" not in str(said[0].message)
+    field = warned(path, "activated.ply: no .* activated=False")
     np.testing.assert_allclose(field.scales, plain.scales, rtol=1e-6)
     np.testing.assert_allclose(field.opacities, plain.opacities, rtol=1e-6)
-    field.save(tmp_path / "again.ply")  # as logarithms and logits, which all programs read
-    again = loaded(tmp_path / "again.ply")
-    np.testing.assert_array_equal(again.contents.log_scales, field.contents.log_scales)
-    np.testing.assert_array_equal(again.contents.logits, field.contents.logits)
+    require_same_again(field, tmp_path / "again.ply")
 
 
 def test_activated_overrules_what_ranges_tell(tmp_path):
@@ -71,10 +80,10 @@ def test_activated_overrules_what_ranges_tell(tmp_path):
     plain = write_ply(tmp_path / "plain.ply", columns)
     np.testing.assert_array_equal(loaded(plain).contents.logits, columns["opacity"].astype(np.float32))
     with pytest.raises(ValueError, match="activated must be True or False"):
-        warpcage.SplatField.load(path, activated="yes", device="cpu")
+        loaded(path, activated="yes")
     loaded(plain).save(tmp_path / "a.splat")
     with pytest.raises(ValueError, match="a.splat: .* not read with activated"):
-        warpcage.SplatField.load(tmp_path / "a.splat", activated=True, device="cpu")
+        loaded(tmp_path / "a.splat", activated=True)
 
 
 def test_activated_values_are_found_with_zeros_and_rounded_ones(tmp_path):
@@ -83,11 +92,13 @@ def test_activated_values_are_found_with_zeros_and_rounded_ones(tmp_path):
     columns["scale_1"][5] = 0.0  # which is no splat
     path = write_ply(tmp_path / "activated.ply", columns)
     with pytest.warns(UserWarning) as said:
-        field = warpcage.SplatField.load(path, device="cpu")
-    assert [word in str(each.message) for word, each in zip(("activated=False", "1 of 40"), said, strict=True)] == [
-        True
-    ] * 2
+        field = splat_scenes.loaded(path)
+    words = zip(("activated=False", "1 of 40"), said, strict=True)
+    assert all(word in str(each.message) for word, each in words)
     np.testing.assert_array_equal(field.opacities[:3], [0.0, 1.0, 1.0])
+    columns = activated(some_columns()) | {"opacity": np.where(np.arange(40) == 3, 1.0, 0.5)}
+    field = loaded(write_ply(tmp_path / "told.ply", columns), activated=True)
+    assert field.opacities[3] == 1.0 and np.isposinf(field.contents.logits[3])
 
 
 @pytest.mark.parametrize("kind", ["opacity", "scale"])
@@ -95,8 +106,7 @@ def test_one_kind_of_activated_values_is_found_alone(kind, tmp_path):
     columns = some_columns(400)
     changed = {name: values for name, values in activated(columns).items() if name.startswith(kind)}
     path = write_ply(tmp_path / "half.ply", columns | changed)
-    with pytest.warns(UserWarning, match="half.ply: no .* activated=False"):
-        field = warpcage.SplatField.load(path, device="cpu").contents
+    field = warned(path, "half.ply: no .* activated=False").contents
     plain = loaded(write_ply(tmp_path / "plain.ply", columns)).contents
     np.testing.assert_allclose(field.logits, plain.logits, atol=1e-4)
     np.testing.assert_allclose(field.log_scales, plain.log_scales, atol=1e-5)
@@ -105,13 +115,17 @@ def test_one_kind_of_activated_values_is_found_alone(kind, tmp_path):
     np.testing.assert_array_equal(raw.log_scales[:, 1], (columns | changed)["scale_1"].astype(np.float32))
 
 
-@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3, 1e6])
-def test_fitted_files_are_never_taken_for_activated(size, tmp_path):
-    """In worlds of any size, from micrometres to maps: what a fit makes has logits of both signs."""
-    field = true_field("cpu")
-    shown = ring(6, 20)
+@pytest.fixture(scope="module")
+def fitted():
+    """Values after a few steps of a fit."""
+    field, shown = true_field("cpu"), ring(6, 20)
     pictures = [field.render(camera).rgb for camera in shown]
-    fitted = warpcage.fit_splats(field, shown, pictures, steps=4, progress=False).contents
+    return warpcage.fit_splats(field, shown, pictures, steps=4, progress=False).contents
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3, 1e6])
+def test_fitted_files_are_never_taken_for_activated(size, fitted, tmp_path):
+    """In worlds of any size, from micrometres to maps: what a fit makes has logits of both signs."""
     rng = np.random.default_rng(0)
     columns = {name: fitted.centers[:, k] * size for k, name in enumerate("xyz")}
     columns |= {name: np.zeros(len(fitted.centers)) for name in NAMES[3:6]} | {"opacity": fitted.logits}
@@ -121,17 +135,10 @@ def test_fitted_files_are_never_taken_for_activated(size, tmp_path):
     np.testing.assert_array_equal(field.contents.logits, fitted.logits)
 
 
-@pytest.mark.skipif(not SPLATS.is_dir(), reason="the given files of splats are not here")
+@needs_data
 def test_given_files_are_never_taken_for_activated():
     for name in ("biker.compressed.ply", "small_degree3.ply"):
-        loaded(SPLATS / name)
-
-
-def test_an_activated_opacity_of_one_is_opaque(tmp_path):
-    columns = activated(some_columns())
-    columns["opacity"][3] = 1.0
-    field = loaded(write_ply(tmp_path / "activated.ply", columns), activated=True)
-    assert field.opacities[3] == 1.0 and np.isposinf(field.contents.logits[3])
+        loaded(DATA / name)
 
 
 @pytest.mark.parametrize("kind", ["unit splats", "large splats", "one value"])
@@ -163,11 +170,8 @@ def test_the_filter_of_mip_splatting_is_applied(of_activated, tmp_path):
     np.testing.assert_allclose(field.opacities, opacities, rtol=2e-6)
     if not of_activated:
         assert field.contents.logits[0] == np.float32(columns["opacity"][0])  # no width: its bits
-    field.save(tmp_path / "plain.ply")
+    again = require_same_again(field, tmp_path / "plain.ply")
     assert b"filter_3D" not in (tmp_path / "plain.ply").read_bytes()
-    again = loaded(tmp_path / "plain.ply")
-    np.testing.assert_array_equal(again.contents.log_scales, field.contents.log_scales)
-    np.testing.assert_array_equal(again.contents.logits, field.contents.logits)
     again.save(tmp_path / "twice.ply")
     assert (tmp_path / "twice.ply").read_bytes() == (tmp_path / "plain.ply").read_bytes()
 
@@ -187,9 +191,8 @@ def test_a_few_bad_rows_are_left_out_and_counted(tmp_path):
     columns["x"][3], columns["rot_2"][7], columns["scale_1"][9] = np.nan, np.inf, -np.inf
     columns["opacity"][5], columns["opacity"][6] = np.inf, -np.inf
     path = write_ply(tmp_path / "bad.ply", columns)
-    with pytest.warns(UserWarning, match="bad.ply: 3 of 40 .* first is splat 3") as said:
-        field = warpcage.SplatField.load(path, device="cpu")
-    assert len(said) == 1 and field.splat_count == 37
+    field = warned(path, "bad.ply: 3 of 40 .* first is splat 3")
+    assert field.splat_count == 37
     assert field.opacities[4] == 1.0 and field.opacities[5] == 0.0  # opaque, and not seen
     good = np.delete(np.arange(40), [3, 7, 9])
     np.testing.assert_array_equal(field.contents.centers[:, 0], columns["x"][good].astype(np.float32))
@@ -208,19 +211,16 @@ def test_how_many_rows_are_a_few(count, bad, kept, tmp_path):
     columns["y"][1 : 1 + bad] = np.nan
     path = write_ply(tmp_path / "bad.ply", columns)
     if kept:
-        with pytest.warns(UserWarning, match=f": {bad} of {count} splats are left out"):
-            assert warpcage.SplatField.load(path, device="cpu").splat_count == count - bad
+        assert warned(path, f": {bad} of {count} splats are left out").splat_count == count - bad
     else:
         with pytest.raises(ValueError, match=f"splat 1 has .*: {bad} of {count} are such"):
-            warpcage.SplatField.load(path, device="cpu")
+            loaded(path)
 
 
 def test_fields_without_rotation_are_written_with_one(tmp_path):
     """A field may have quaternions of length zero; other programs divide by the length."""
-    values = SplatContents(
-        np.eye(3, dtype=np.float32), *(np.zeros(shape, np.float32) for shape in ((3, 3), (3, 4), 3, (3, 1, 3)))
-    )
-    warpcage.SplatField.from_contents(values, device="cpu").save(tmp_path / "a.ply")
+    zeros = [np.zeros(shape, np.float32) for shape in ((3, 3), (3, 4), 3, (3, 1, 3))]
+    field_of(SplatContents(np.eye(3, dtype=np.float32), *zeros)).save(tmp_path / "a.ply")
     again = loaded(tmp_path / "a.ply").contents
     np.testing.assert_array_equal(again.quaternions, np.repeat([[1.0, 0, 0, 0]], 3, axis=0))
     np.testing.assert_array_equal(again.centers, np.eye(3))
@@ -232,16 +232,14 @@ def test_scales_of_zero_are_left_out(tmp_path):
     rows["place"][:, 0] = range(4)
     rows["scale"][2, 1] = 0.0
     (tmp_path / "a.splat").write_bytes(rows.tobytes())
-    with pytest.warns(UserWarning, match="1 of 4 splats is left out"):
-        field = warpcage.SplatField.load(tmp_path / "a.splat", device="cpu")
+    field = warned(tmp_path / "a.splat", "1 of 4 splats is left out")
     np.testing.assert_array_equal(field.contents.centers[:, 0], [0.0, 1.0, 3.0])
 
 
 def test_a_few_rows_of_zeros_are_left_out(tmp_path):
     columns = {name: np.where(np.arange(40) == 7, 0.0, values) for name, values in some_columns().items()}
     path = write_ply(tmp_path / "a.ply", columns)
-    with pytest.warns(UserWarning, match="1 of 40 splats .* is splat 7$"):
-        assert len(warpcage.SplatField.load(path, device="cpu")) == 39
+    assert len(warned(path, "1 of 40 splats .* is splat 7$")) == 39
 
 
 BROKEN = {
@@ -272,7 +270,7 @@ def test_fields_that_no_program_meant_to_write_are_refused(name, tmp_path):
     change, words = BROKEN[name]
     path = write_ply(tmp_path / "broken.ply", change(some_columns()))
     with pytest.raises(ValueError, match=words) as error:
-        warpcage.SplatField.load(path, device="cpu")
+        loaded(path)
     assert "\n" not in str(error.value) and "broken.ply" in str(error.value)
 
 

@@ -50,9 +50,8 @@ def on_device(parts, device, *, turns=None, rows=None):
     six = covariances[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     splats.covariances = wp.array(six, dtype=wp.float32, device=device)
     splats.opacities = wp.array(opacities, dtype=wp.float32, device=device)
-    splats.harmonics = wp.array(
-        harmonics.reshape(len(harmonics), 3 * harmonics.shape[1]), dtype=wp.float32, device=device
-    )
+    rows_of = harmonics.reshape(len(harmonics), 3 * harmonics.shape[1])
+    splats.harmonics = wp.array(rows_of, dtype=wp.float32, device=device)
     splats.degree = round(harmonics.shape[1] ** 0.5) - 1
     turned = np.empty((0, 4), np.float32) if turns is None else quaternions(turns)
     splats.turns = wp.array(turned, dtype=wp.quat, device=device)
@@ -72,22 +71,25 @@ def assert_is_reference(frame, reference, *, least=75.0):
     assert both.any() and np.abs(frame.depth[both] / depth[both] - 1).max() < 1e-3
 
 
-@pytest.mark.parametrize("antialias", [False, True])
-@pytest.mark.parametrize(("count", "scale", "degree"), [(1500, 0.03, 0), (400, 0.1, 1), (300, 0.05, 2), (60, 0.5, 3)])
-def test_views_are_those_of_the_equations(count, scale, degree, antialias, device):
-    parts = random_parts(count, scale, degree=degree)
-    view = camera()
-    frame = SplatRenderer(device).render(on_device(parts, device), view, color=(1, 0.5, 0.2), antialias=antialias)
-    assert_is_reference(frame, reference_view(*parts, view, (1, 0.5, 0.2), antialias=antialias))
+#: Splats, camera and options of views.
+VIEWS = {}
+for count, scale, degree in ((500, 0.03, 0), (400, 0.1, 1), (300, 0.05, 2), (60, 0.5, 3)):
+    for kind, antialias in (("plain", False), ("antialiased", True)):
+        options = {"color": (1, 0.5, 0.2), "antialias": antialias}
+        VIEWS[f"{count} splats, {kind}"] = random_parts(count, scale, degree=degree), camera(), options
+# the principal point is off the middle, and splats are beside, behind and all around it
+AMONG = Camera(50, 60, 20, 44.5, 75, 60, Camera.look_at((0.1, 0.2, 0.1), (0, 1, 0)).camera_to_world)
+VIEWS["a camera among the splats"] = random_parts(700, 0.1), AMONG, {"near": 0.05}
+for size in ((1, 1), (16, 16), (17, 31), (300, 3)):
+    VIEWS[f"a picture of {size}"] = random_parts(100, 0.2, degree=0), camera(*size), {"color": WHITE}
 
 
-def test_a_camera_among_the_splats(device):
-    """Its principal point is off the middle, and splats are beside, behind and all around it."""
-    parts = random_parts(700, 0.1)
-    pose = Camera.look_at((0.1, 0.2, 0.1), (0, 1, 0)).camera_to_world
-    view = Camera(50, 60, 20, 44.5, 75, 60, pose)
-    frame = SplatRenderer(device).render(on_device(parts, device), view, near=0.05)
-    assert_is_reference(frame, reference_view(*parts, view, near=0.05))
+@pytest.mark.parametrize("name", VIEWS)
+def test_views_are_those_of_the_equations(name, device):
+    parts, view, options = VIEWS[name]
+    frame = SplatRenderer(device).render(on_device(parts, device), view, **options)
+    options = {{"color": "background"}.get(key, key): value for key, value in options.items()}
+    assert_is_reference(frame, reference_view(*parts, view, **options))
 
 
 def test_splats_that_are_turned_and_share_rows(device):
@@ -97,23 +99,6 @@ def test_splats_that_are_turned_and_share_rows(device):
     splats = on_device((centers, covariances, opacities, harmonics[:20]), device, turns=turns, rows=rows)
     reference = reference_view(centers, covariances, opacities, harmonics[rows], camera(), turns=turns)
     assert_is_reference(SplatRenderer(device).render(splats, camera()), reference)
-
-
-def test_a_moved_scene_is_seen_by_a_moved_camera(device):
-    parts = random_parts(300, 0.1)
-    turn = random_rotations(1, np.random.default_rng(2))[0]
-    motion = np.eye(4)
-    motion[:3, :3], motion[:3, 3] = turn, (0.5, -0.2, 0.3)
-    moved = (
-        (parts[0] @ turn.T + motion[:3, 3]).astype(np.float32),
-        (turn @ parts[1] @ turn.T).astype(np.float32),
-        *parts[2:],
-    )
-    before = camera()
-    after = Camera(before.fx, before.fy, before.cx, before.cy, 75, 60, motion @ before.camera_to_world)
-    renderer = SplatRenderer(device)
-    frame = renderer.render(on_device(moved, device, turns=np.repeat(turn[None], 300, axis=0)), after)
-    assert psnr(frame.rgb, renderer.render(on_device(parts, device), before).rgb) > 75
 
 
 @pytest.mark.parametrize("name", ["small_degree3.ply", "biker.compressed.ply"])
@@ -126,7 +111,7 @@ def test_views_of_real_files(name, device, real_data):
         field = field.chosen(field.contents.centers[:, 1] < -2.75)
     middle = np.median(field.contents.centers, axis=0)
     radius = np.percentile(np.linalg.norm(field.contents.centers - middle, axis=1), 90)
-    view = Camera.look_at(middle + radius * np.array([2, 0.5, -2]), middle, up=field.up, width=32, height=28)
+    view = Camera.look_at(middle + radius * np.array([2, 0.5, -2]), middle, up=field.up, width=24, height=21)
     held = field.contents
     parts = (held.centers, field.covariances, field.opacities, held.harmonics)
     reference = reference_view(*parts, view, WHITE, near=field.near)
@@ -212,15 +197,6 @@ def test_views_of_nothing(device):
         assert np.allclose(frame.rgb, (0.2, 0.4, 0.6)) and (frame.alpha == 0).all() and np.isinf(frame.depth).all()
 
 
-@pytest.mark.parametrize(("width", "height"), [(1, 1), (16, 16), (17, 31), (300, 3)])
-def test_pictures_of_any_size(width, height, device):
-    parts = random_parts(100, 0.2, degree=0)
-    view = camera(width, height)
-    assert_is_reference(
-        SplatRenderer(device).render(on_device(parts, device), view, color=WHITE), reference_view(*parts, view, WHITE)
-    )
-
-
 def test_the_same_view_twice_and_in_bands(device, monkeypatch):
     """Also with buffers that held something larger before, and where entries are sorted in several parts."""
     splats = on_device(random_parts(2000, 0.1), device)
@@ -259,26 +235,14 @@ def test_the_order_of_splats_does_not_matter(device):
 @pytest.mark.parametrize("antialias", [False, True])
 def test_several_rays_for_a_pixel(antialias, device):
     """The mean of a finer picture that is blurred as widely, so that the field keeps its look."""
-    parts = random_parts(500, 0.02)
+    parts = random_parts(250, 0.03)
     renderer = SplatRenderer(device)
-    view = camera(40, 30)
-    fine = reference_view(*parts, camera(120, 90), WHITE, blur=0.3 * 9, antialias=antialias)
+    view = camera(32, 24)
+    fine = reference_view(*parts, camera(96, 72), WHITE, blur=0.3 * 9, antialias=antialias)
     frame = renderer.render(on_device(parts, device), view, color=WHITE, supersampling=3, antialias=antialias)
-    assert psnr(frame.rgb, fine[0].reshape(30, 3, 40, 3, 3).mean(axis=(1, 3))) > 75
-    assert psnr(frame.alpha, fine[1].reshape(30, 3, 40, 3).mean(axis=(1, 3))) > 75
+    assert psnr(frame.rgb, fine[0].reshape(24, 3, 32, 3, 3).mean(axis=(1, 3))) > 75
+    assert psnr(frame.alpha, fine[1].reshape(24, 3, 32, 3).mean(axis=(1, 3))) > 75
     assert psnr(frame.rgb, renderer.render(on_device(parts, device), view, color=WHITE, antialias=antialias).rgb) > 30
-
-
-def test_antialiasing_keeps_the_light_of_small_splats(device):
-    """Ten times as far away a splat smaller than a pixel has a hundredth of the light; without, it stays a dot."""
-    renderer = SplatRenderer(device)
-    splats = on_device(ball(size=0.02, opacity=0.9), device)
-    light = {}
-    for antialias in (False, True):
-        views = [Camera.look_at((0, -distance, 0), (0, 0, 0), width=65, height=65) for distance in (5, 50)]
-        light[antialias] = [renderer.render(splats, view, antialias=antialias).alpha.sum() for view in views]
-    assert light[False][0] / light[False][1] < 3
-    assert light[True][1] < 1e-3 * light[False][1] or light[True][0] / light[True][1] > 30
 
 
 def test_a_field_renders(device):
@@ -298,13 +262,9 @@ def test_a_field_renders(device):
     assert_is_reference(field.render(view), reference_view(*parts, view, WHITE, near=field.near), least=65)
     frame = field.render(view, background=(0.1, 0.2, 0.3), supersampling=2, antialias=True)
     assert frame.rgb.shape == (40, 50, 3) and frame.arrays["rgb"].device == field.device
-    for options, words in (
-        ({"background": "mauve"}, "mauve"),
-        ({"supersampling": 0}, "supersampling"),
-        ({"supersampling": 99}, "supersampling"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            field.render(view, **options)
+    for option, value in (("background", "mauve"), ("supersampling", 0), ("supersampling", 99)):
+        with pytest.raises(ValueError, match="mauve" if value == "mauve" else option):
+            field.render(view, **{option: value})
     with pytest.raises(ValueError, match="Camera"):
         field.render("front")
 
@@ -314,13 +274,8 @@ def test_a_cage_around_an_object_is_its_cage_however_far_other_splats_lie(device
     rng = np.random.default_rng(0)
     centers = np.concatenate([rng.uniform(-0.5, 0.5, (600, 3)), rng.uniform(-9, 9, (600, 3)), [[5e3, -4e3, 3e3]]])
     count = len(centers)
-    values = (
-        np.full((count, 3), np.log(0.05)),
-        rng.normal(size=(count, 4)),
-        np.full(count, 2.0),
-        np.zeros((count, 1, 3)),
-    )
-    field = SplatField(centers, *values, device=device)
+    turns, rest = rng.normal(size=(count, 4)), (np.full(count, 2.0), np.zeros((count, 1, 3)))
+    field = SplatField(centers, np.full((count, 3), np.log(0.05)), turns, *rest, device=device)
     assert len(field.shown_points) > 1100 and np.abs(field.shown_points).max() < 10
     standing = standing_of_rest(Cage.box((-0.6, -0.6, -0.6), (0.6, 0.6, 0.6)), "z", field)
     assert not standing.lost and not standing.turned

@@ -32,9 +32,8 @@ def write_llff(folder, pictures, factors=(1,), *, rows=None):
         table.append([*np.stack([down, right, -forward, place, size], axis=1).ravel(), 1.5, 9.0])
     for factor in factors:
         for name, rgba in zip(pictures.names, pictures.rgba, strict=True):
-            write_image(
-                folder / ("images" if factor == 1 else f"images_{factor}") / f"{name}.png", shrunk(rgba, factor)
-            )
+            images = "images" if factor == 1 else f"images_{factor}"
+            write_image(folder / images / f"{name}.png", shrunk(rgba, factor))
     np.save(folder / "poses_bounds.npy", np.array(table)[:rows])
 
 
@@ -52,9 +51,8 @@ def write_bundler(folder, pictures, *, distortion=(0.0, 0.0), lost=(), listing="
     place.parent.mkdir(parents=True, exist_ok=True)
     place.write_text("\n".join(lines) + "\n")
     if listing:
-        names = [
-            f"{home}{name}.png 0 {camera.fx}" for name, camera in zip(pictures.names, pictures.cameras, strict=True)
-        ]
+        rows = zip(pictures.names, pictures.cameras, strict=True)
+        names = [f"{home}{name}.png 0 {camera.fx}" for name, camera in rows]
         (folder / listing).write_text("\n".join(names) + "\n")
 
 
@@ -151,6 +149,5 @@ def metashape_chunk(
 def write_metashape(folder, pictures, *, others=(), name="cameras.xml", **options):
     write_pictures(folder / "images", pictures)
     chunks = "".join([*others, metashape_chunk(pictures, **options)])
-    (folder / name).write_text(
-        f'<?xml version="1.0" encoding="UTF-8"?>\n<document version="2.0.0">{chunks}</document>\n'
-    )
+    head = '<?xml version="1.0" encoding="UTF-8"?>\n'
+    (folder / name).write_text(f'{head}<document version="2.0.0">{chunks}</document>\n')

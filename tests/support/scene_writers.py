@@ -9,6 +9,7 @@ import zlib
 
 import imageio.v3 as iio
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from warpcage import Camera
 from warpcage.reference import brick_model, render_mesh_views
@@ -44,9 +45,8 @@ def spiral_cameras(count, *, width=24, height=20, centered=False, radius=4.0):
         turn, lift = 2.4 * i, np.sin(1.3 * i)
         eye = radius * np.array([np.cos(turn) * np.cos(lift), np.sin(turn) * np.cos(lift), np.sin(lift)])
         pose = Camera.look_at(eye, [0.1, 0.0, -0.05], up=[0.1, 0.2, 1.0]).camera_to_world
-        intrinsics = (
-            (30.0, 30.0, width / 2, height / 2) if centered else (31.0, 29.5, width / 2 + 0.7, height / 2 - 0.4)
-        )
+        off = (31.0, 29.5, width / 2 + 0.7, height / 2 - 0.4)
+        intrinsics = (30.0, 30.0, width / 2, height / 2) if centered else off
         cameras.append(Camera(*intrinsics, width, height, pose))
     return cameras
 
@@ -112,17 +112,9 @@ def write_dtu(folder, pictures, *, name="cameras_sphere.npz", masks=True, seed=0
 
 
 def write_transforms(
-    folder,
-    pictures,
-    *,
-    shared=True,
-    masks=False,
-    extension=True,
-    ending=".png",
-    distortion=None,
-    name="transforms.json",
-    **top,
-):
+    folder, pictures, *, shared=True, masks=False, extension=True, ending=".png", distortion=None,
+    name="transforms.json", **top,
+):  # fmt: skip
     frames = []
     for stem, rgba, camera in zip(pictures.names, pictures.rgba, pictures.cameras, strict=True):
         write_image(folder / "images" / f"{stem}{ending}", rgba if ending == ".png" and not masks else rgba[..., :3])
@@ -131,49 +123,16 @@ def write_transforms(
         if masks:
             write_image(folder / "masks" / f"{stem}.png", rgba[..., 3])
             frame["mask_path"] = f"masks/{stem}.png"
-        intrinsics = {
-            "fl_x": camera.fx,
-            "fl_y": camera.fy,
-            "cx": camera.cx,
-            "cy": camera.cy,
-            "w": camera.width,
-            "h": camera.height,
-            **(distortion or {}),
-        }
+        intrinsics = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
+        intrinsics |= {"w": camera.width, "h": camera.height, **(distortion or {})}
         frames.append(frame if shared else frame | intrinsics)
     content = {"camera_model": "OPENCV", **(intrinsics if shared else {}), "frames": frames[::-1], **top}
     (folder / name).write_text(json.dumps(content))
 
 
-MODEL_NUMBERS = {
-    "SIMPLE_PINHOLE": 0,
-    "PINHOLE": 1,
-    "SIMPLE_RADIAL": 2,
-    "RADIAL": 3,
-    "OPENCV": 4,
-    "OPENCV_FISHEYE": 5,
-    "FULL_OPENCV": 6,
-    "EQUIRECTANGULAR": 17,
-}
-
-
-def quaternion(rotation):
-    """(w, x, y, z) of a rotation: the eigenvector that it keeps (Bar-Itzhack 2000)."""
-    r = rotation
-    k = (
-        np.array(
-            [
-                [r[0, 0] - r[1, 1] - r[2, 2], 0, 0, 0],
-                [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], 0, 0],
-                [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], 0],
-                [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
-            ]
-        )
-        / 3
-    )
-    _, vectors = np.linalg.eigh(k)
-    x, y, z, w = vectors[:, -1]
-    return np.array([w, x, y, z])
+#: COLMAP's camera models, by their numbers.
+MODELS = "SIMPLE_PINHOLE PINHOLE SIMPLE_RADIAL RADIAL OPENCV OPENCV_FISHEYE FULL_OPENCV"
+MODEL_NUMBERS = {name: number for number, name in enumerate(MODELS.split())} | {"EQUIRECTANGULAR": 17}
 
 
 def write_colmap(
@@ -192,7 +151,8 @@ def write_colmap(
             parameters = (camera.width, camera.height)
         cameras.append((i + 1, model, camera.width, camera.height, parameters))
         inverse = np.linalg.inv(camera.camera_to_world)
-        images.append((i + 1, *quaternion(inverse[:3, :3]), *inverse[:3, 3], i + 1, f"{name}.png"))
+        x, y, z, w = Rotation.from_matrix(inverse[:3, :3]).as_quat()
+        images.append((i + 1, w, x, y, z, *inverse[:3, 3], i + 1, f"{name}.png"))
     write = write_colmap_binary if binary else write_colmap_text
     points = np.zeros((0, 3)) if points is None else points
     write(folder / where, cameras, images[::-1], points, np.full((len(points), 3), 128) if colors is None else colors)

@@ -19,13 +19,8 @@ TABLE_TOP, FLOOR_TOP = -0.2, -0.8
 
 #: Density of matter, per world unit, and the colours of what there is.
 DENSITY = 60.0
-COLORS = {
-    FLOOR: (0.4, 0.4, 0.5),
-    TABLE: (0.6, 0.4, 0.2),
-    LAMP: (0.8, 0.1, 0.1),
-    BALL: (0.1, 0.2, 0.8),
-    FRAGMENT: (0, 0, 0),
-}
+COLORS = {FLOOR: (0.4, 0.4, 0.5), TABLE: (0.6, 0.4, 0.2), LAMP: (0.8, 0.1, 0.1), BALL: (0.1, 0.2, 0.8)}
+COLORS[FRAGMENT] = 0, 0, 0
 
 
 def tilt(degrees):
@@ -82,9 +77,8 @@ class TableScene:
         return self.own[:, 2] - TABLE_TOP
 
     def camera(self, eye=(2.2, -2.4, 1.6), size=96):
-        return Camera.look_at(
-            self.world(eye), self.world((0, 0, 0)), up=self.world((0, 0, 1)), fov_degrees=40, width=size, height=size
-        )
+        eye, middle, up = (self.world(place) for place in (eye, (0, 0, 0), (0, 0, 1)))
+        return Camera.look_at(eye, middle, up=up, fov_degrees=40, width=size, height=size)
 
     def pixel_of(self, camera, label):
         """(2,) a pixel of a camera that shows what has a label, by the nearest node there."""
@@ -232,10 +226,9 @@ def blob_scene(count=14, size=40, scale=1.0, offset=(0.0, 0.0, 0.0), with_alpha=
     sh[..., 0, :] = grid / 0.2820948  # colour by position
     offset = np.asarray(offset)
     field = VoxelField.from_dense(density, sh, [offset - scale, offset + scale], device=device)
-    cameras = turntable(offset, 3.2 * scale, 30, count // 2, fov_degrees=35, width=size, height=size)
-    cameras += turntable(
-        offset, 3.2 * scale, -25, count - count // 2, fov_degrees=35, width=size, height=size, start_degrees=13
-    )
+    lens = {"fov_degrees": 35, "width": size, "height": size}
+    cameras = turntable(offset, 3.2 * scale, 30, count // 2, **lens)
+    cameras += turntable(offset, 3.2 * scale, -25, count - count // 2, start_degrees=13, **lens)
     frames = [field.render(camera) for camera in cameras]
     alphas = np.stack([frame.alpha for frame in frames]) if with_alpha else None
     return Scene(np.stack([frame.rgb for frame in frames]), alphas, cameras)

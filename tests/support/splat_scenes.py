@@ -1,9 +1,12 @@
 """Splats that tests make, and their view in float64: every splat at every pixel, by the equations alone."""
 
 import dataclasses
+import os
+import pathlib
 
 import numpy as np
 import pytest
+from field_oracles import basis
 
 import warpcage
 from warpcage import Scene, SplatField, turntable
@@ -33,6 +36,31 @@ def one_splat(device, center=(0, 0, 0), scales=(0.1, 0.1, 0.1), opacity=0.5, deg
         np.full((1, (degree + 1) ** 2, 3), 0.3),
         device=device,
     )
+
+
+#: Files of other programs.
+DATA = pathlib.Path(os.environ.get("WARPCAGE_DATA", "../shared/data")) / "splats"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no data in {DATA} (set WARPCAGE_DATA)")
+
+#: What a field holds of each splat, in the order that fields are made of.
+VALUES = ("centers", "log_scales", "quaternions", "logits", "harmonics")
+
+
+def joined(field, *others, **options):
+    """A field with the splats of others after its own; others: fields, or each of their values."""
+    parts = [[getattr(each.contents, name) for name in VALUES] if isinstance(each, SplatField) else each
+             for each in (field, *others)]  # fmt: skip
+    return SplatField(*map(np.concatenate, zip(*parts, strict=True)), up=field.up, device=field.device, **options)
+
+
+def field_of(contents):
+    """A field on the CPU."""
+    return SplatField.from_contents(contents, device="cpu")
+
+
+def loaded(path, **options):
+    """A file's field on the CPU."""
+    return SplatField.load(path, device="cpu", **options)
 
 
 def zstd():
@@ -98,24 +126,14 @@ def place(device="cpu", spacing=1.0, seed=0, faint=50):
     sheet(TABLE, (-0.6, -0.4, t), (1.2, 0, 0), (0, 0.8, 0), 0.035, (0.6, 0.4, 0.2), 0.002)
     sheet(TABLE, (-0.6, -0.4, t - 0.06), (0, 0.8, 0), (1.2, 0, 0), 0.05, (0.6, 0.4, 0.2))
     for x, y in ((-0.55, -0.35), (0.5, -0.35), (-0.55, 0.3), (0.5, 0.3)):
-        for origin, along in (
-            ((x, y), (0.06, 0)),
-            ((x, y + 0.06), (0.06, 0)),
-            ((x, y), (0, 0.06)),
-            ((x + 0.06, y), (0, 0.06)),
-        ):
-            sheet(TABLE, (*origin, 0), (*along, 0), (0, 0, t - 0.06), 0.03, (0.5, 0.3, 0.1))
+        for dx, dy, *along in ((0, 0, 0.06, 0), (0, 0.06, 0.06, 0), (0, 0, 0, 0.06), (0.06, 0, 0, 0.06)):
+            sheet(TABLE, (x + dx, y + dy, 0), (*along, 0), (0, 0, t - 0.06), 0.03, (0.5, 0.3, 0.1))
     angles = np.arange(0, 2 * np.pi, spacing * 0.016 / CUP_RADIUS)
     heights = np.arange(0.005, CUP_HEIGHT, spacing * 0.016)
     a, h = (each.ravel() for each in np.meshgrid(angles, heights))
     out = np.stack([np.cos(a), np.sin(a), 0 * a], axis=1)
-    add(
-        CUP,
-        out * CUP_RADIUS + np.stack([0 * a, 0 * a, t + h], axis=1) + [*CUP_AT, 0],
-        out,
-        spacing * 0.016,
-        (0.8, 0.1, 0.1),
-    )
+    wall = out * CUP_RADIUS + np.stack([0 * a, 0 * a, t + h], axis=1) + [*CUP_AT, 0]
+    add(CUP, wall, out, spacing * 0.016, (0.8, 0.1, 0.1))
     disc = rng.uniform(-1, 1, (int(400 / spacing**2), 2))
     disc = CUP_RADIUS * disc[np.hypot(*disc.T) < 1]
     top = np.concatenate([disc + CUP_AT, np.full((len(disc), 1), t + CUP_HEIGHT)], axis=1)
@@ -124,22 +142,15 @@ def place(device="cpu", spacing=1.0, seed=0, faint=50):
     around /= np.linalg.norm(around, axis=1, keepdims=True)
     add(BALL, 0.3 * around + [1.5, 1.2, 0.3], around, 0.03 * spacing, (0.1, 0.2, 0.8))
     for middle in FLOATERS:
-        add(
-            FLOATER,
-            np.array(middle) + 0.02 * rng.normal(size=(12, 3)),
-            np.tile([0.0, 0.0, 1.0], (12, 1)),
-            0.03,
-            (0, 0, 0),
-        )
+        cloud = np.array(middle) + 0.02 * rng.normal(size=(12, 3))
+        add(FLOATER, cloud, np.tile([0.0, 0.0, 1.0], (12, 1)), 0.03, (0, 0, 0))
     label, centers, scales, turns, colors = (np.concatenate(each) for each in zip(*parts, strict=True))
     logits = rng.uniform(2.0, 4.0, len(centers))
     if faint:
         label = np.concatenate([label, np.full(faint, FLOATER)])
         centers = np.concatenate([centers, rng.uniform([-2, -2, 0.2], [2, 2, 2], (faint, 3))])
-        scales, turns = (
-            np.concatenate([scales, np.full((faint, 3), 0.02)]),
-            np.concatenate([turns, np.eye(4)[[0] * faint]]),
-        )
+        scales = np.concatenate([scales, np.full((faint, 3), 0.02)])
+        turns = np.concatenate([turns, np.eye(4)[[0] * faint]])
         colors, logits = np.concatenate([colors, np.zeros((faint, 3))]), np.concatenate([logits, np.full(faint, -7.0)])
     harmonics = ((colors - 0.5) / SH_0)[:, None]
     up = (0.0, 0.0, 1.0)
@@ -155,45 +166,10 @@ SH_0 = 0.28209479177387814
 SH_1 = 0.4886025119029199
 
 
-def harmonics_basis(d):
-    """(n, 16) real spherical harmonics of degree 0 to 3 at unit directions (n, 3), in the order and signs of 3DGS."""
-    x, y, z = d.T
-    ones = np.ones_like(x)
-    return np.stack(
-        [
-            SH_0 * ones,
-            -SH_1 * y,
-            SH_1 * z,
-            -SH_1 * x,
-            np.sqrt(15 / np.pi) / 2 * x * y,
-            -np.sqrt(15 / np.pi) / 2 * y * z,
-            np.sqrt(5 / np.pi) / 4 * (3 * z * z - 1),
-            -np.sqrt(15 / np.pi) / 2 * x * z,
-            np.sqrt(15 / np.pi) / 4 * (x * x - y * y),
-            -np.sqrt(35 / (2 * np.pi)) / 4 * y * (3 * x * x - y * y),
-            np.sqrt(105 / np.pi) / 2 * x * y * z,
-            -np.sqrt(21 / (2 * np.pi)) / 4 * y * (5 * z * z - 1),
-            np.sqrt(7 / np.pi) / 4 * z * (5 * z * z - 3),
-            -np.sqrt(21 / (2 * np.pi)) / 4 * x * (5 * z * z - 1),
-            np.sqrt(105 / np.pi) / 4 * z * (x * x - y * y),
-            -np.sqrt(35 / (2 * np.pi)) / 4 * x * (x * x - 3 * y * y),
-        ],
-        axis=1,
-    )
-
-
 def reference_view(
-    centers,
-    covariances,
-    opacities,
-    harmonics,
-    camera,
-    background=(0.0, 0.0, 0.0),
-    near=0.01,
-    blur=0.3,
-    antialias=False,
+    centers, covariances, opacities, harmonics, camera, background=(0, 0, 0), near=0.01, blur=0.3, antialias=False,
     turns=None,
-):
+):  # fmt: skip
     """Colour (h, w, 3), opacity (h, w) and depth (h, w) of splats. centres (n, 3), covariances (n, 3, 3), opacities
     (n,), harmonics (n, (degree + 1)^2, 3), turns (n, 3, 3) rotations from rest or None."""
     offset = np.asarray(centers, np.float64) - camera.center
@@ -224,7 +200,7 @@ def reference_view(
     if turns is not None:
         direction = np.einsum("nji,nj->ni", np.asarray(turns)[index], direction)
     rows = np.asarray(harmonics, np.float64)[index]
-    color = np.maximum(0, 0.5 + np.einsum("nb,nbc->nc", harmonics_basis(direction)[:, : rows.shape[1]], rows))
+    color = np.maximum(0, 0.5 + np.einsum("nb,nbc->nc", basis(direction, round(rows.shape[1] ** 0.5)), rows))
 
     pixels = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), -1).reshape(-1, 2)
     center = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
@@ -246,11 +222,8 @@ def reference_view(
     shape = (camera.height, camera.width)
     with np.errstate(divide="ignore", invalid="ignore"):
         far = np.where(opacity > 1e-3, depth / opacity, np.inf)
-    return (
-        (total + left[:, None] * np.asarray(background)).reshape(*shape, 3),
-        opacity.reshape(shape),
-        far.reshape(shape),
-    )
+    color = total + left[:, None] * np.asarray(background)
+    return color.reshape(*shape, 3), opacity.reshape(shape), far.reshape(shape)
 
 
 def true_field(device, count=250, background="black"):
