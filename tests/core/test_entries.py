@@ -13,45 +13,35 @@ TWO_UNITS = 2.0**-22
 
 
 @wp.kernel
-def fill_roots(x: wp.array(dtype=float), found: wp.array2d(dtype=float)):
+def fill(x: wp.array(dtype=float), found: wp.array2d(dtype=float)):
     n = wp.tid()
     found[n, 0] = near_root(x[n])
     found[n, 1] = near_reciprocal(x[n])
     found[n, 2] = reciprocal_root(x[n])
+    found[n, 3] = near_exp(x[n])
 
 
-def roots(x, device):
-    found = wp.zeros((len(x), 3), dtype=float, device=device)
-    wp.launch(fill_roots, len(x), inputs=[wp.array(x, dtype=float, device=device), found], device=device)
+def filled(x, device):
+    found = wp.zeros((len(x), 4), dtype=float, device=device)
+    wp.launch(fill, len(x), inputs=[wp.array(x, dtype=float, device=device), found], device=device)
     return found.numpy()
 
 
-def test_are_exact_to_two_units(device):
+def test_roots_are_exact_to_two_units(device):
     x = np.concatenate([10.0 ** np.linspace(-30, 30, 4001), np.arange(1, 257)]).astype(np.float32)
     exact = x.astype(np.float64)
     expected = np.stack([np.sqrt(exact), 1 / exact, 1 / np.sqrt(exact)], axis=1)
-    assert np.abs(roots(x, device) / expected - 1).max() <= TWO_UNITS
-
-
-@wp.kernel
-def fill_exponentials(x: wp.array(dtype=float), found: wp.array(dtype=float)):
-    n = wp.tid()
-    found[n] = near_exp(x[n])
+    assert np.abs(filled(x, device)[:, :3] / expected - 1).max() <= TWO_UNITS
+    assert filled(np.zeros(1, dtype=np.float32), device).tolist() == [[0.0, np.inf, np.inf, 1.0]]
 
 
 def test_exponentials(device):
     """To 2 + 1.2 |x| units in the last place, and without an end below: nought of what is left."""
     x = np.concatenate([np.linspace(-80, 0, 4001), -(10.0 ** np.linspace(-30, 30, 601)), [0.0]]).astype(np.float32)
-    found = wp.zeros(len(x), dtype=float, device=device)
-    wp.launch(fill_exponentials, len(x), inputs=[wp.array(x, dtype=float, device=device), found], device=device)
-    exact = np.exp(x.astype(np.float64))
+    found, exact = filled(x, device)[:, 3], np.exp(x.astype(np.float64))
     units = 2.0**-23 * np.maximum(exact, 2.0**-126)
-    assert (np.abs(found.numpy() - exact) <= (2 + 1.2 * np.abs(np.maximum(x, -200))) * units).all()
-    assert (found.numpy()[x == 0] == 1.0).all()
-
-
-def test_of_zero(device):
-    assert roots(np.zeros(1, dtype=np.float32), device).tolist() == [[0.0, np.inf, np.inf]]
+    assert (np.abs(found - exact) <= (2 + 1.2 * np.abs(np.maximum(x, -200))) * units).all()
+    assert (found[x == 0] == 1.0).all()
 
 
 @wp.kernel
@@ -70,8 +60,7 @@ def test_rows_of_bytes_with_a_zero(device):
     rows = array_view(held, wp.uint8, values.shape)
     places = [(i, j, k, last) for i in range(4) for j in range(5) for k in range(13) for last in range(min(4, 13 - k))]
     found = wp.zeros(len(places), dtype=int, device=device)
-    wp.launch(
-        fill_zeros, len(places), inputs=[rows, wp.array(places, dtype=wp.vec4i, device=device), found], device=device
-    )
+    inputs = [rows, wp.array(places, dtype=wp.vec4i, device=device), found]
+    wp.launch(fill_zeros, len(places), inputs=inputs, device=device)
     expected = [int((values[i, j, k : k + last + 1] == 0).any()) for i, j, k, last in places]
     assert found.numpy().tolist() == expected and 0 < sum(expected) < len(expected)

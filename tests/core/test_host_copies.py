@@ -31,13 +31,13 @@ def frame_of(rgb, device, alpha=1.0):
 
 @pytest.mark.parametrize("early", [True, False])
 def test_bytes_are_those_of_the_colors(device, early):
-    frame = frame_of(colors(), device)
-    if early:
-        frame.begin_copies("rgb_bytes")
-    assert frame.rgb_bytes.dtype == np.uint8
-    np.testing.assert_array_equal(frame.rgb_bytes, to_uint8(colors()))
-    assert frame.rgb_bytes is frame.rgb_bytes
-    np.testing.assert_array_equal(frame.rgb, colors())
+    ones, rgb = np.ones((SIDE, SIDE)), colors()
+    for frame in (frame_of(rgb, device), Frame(SIDE, SIDE, rgb, ones, ones)):
+        if early:
+            frame.begin_copies("rgb", "rgb_bytes", "depth")
+        assert frame.rgb_bytes.dtype == np.uint8 and frame.rgb_bytes is frame.rgb_bytes
+        np.testing.assert_array_equal(frame.rgb_bytes, to_uint8(rgb))
+        np.testing.assert_array_equal(frame.rgb, rgb)
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
@@ -86,10 +86,3 @@ def test_memory_of_copies_is_used_again_and_what_somebody_holds_is_not(device, r
     if wp.get_device(device).is_cuda:
         assert arrays.staging_memory(0).held_bytes <= room
     arrays.staging_memory.cache_clear()
-
-
-def test_a_frame_of_other_arrays_has_bytes_too():
-    rgb = colors()
-    frame = Frame(SIDE, SIDE, rgb, np.ones((SIDE, SIDE)), np.ones((SIDE, SIDE)))
-    frame.begin_copies("rgb", "rgb_bytes", "depth")
-    np.testing.assert_array_equal(frame.rgb_bytes, to_uint8(rgb))

@@ -1,5 +1,5 @@
-"""Kernel files: each imports Warp and the files it names alone, can be lifted out of warpcage, loads on every device
-present, and compiles for CUDA without a GPU."""
+"""Kernel files: each imports Warp and the files it names alone, can be copied out of warpcage, loads on every device
+present, and compiles for CUDA without a GPU; the call of a folder's README runs in a copy without warpcage."""
 
 import ast
 import functools
@@ -24,6 +24,9 @@ from warpcage.core import (
     copy_kernel,
     direct_needs,
     find_kernel,
+    host_modules,
+    kernel_call,
+    kernel_groups,
     kernel_names,
     kernel_source,
     kernel_summary,
@@ -32,14 +35,75 @@ from warpcage.core import (
 from warpcage.kernels.render.views import view_kernel
 
 NAMES = kernel_names()
+GROUPS = kernel_groups()
 WITH_KERNELS = [name for name in NAMES if "@wp.kernel" in kernel_source(name)]
 
 
-@functools.cache  # most copies hold the same files
-def relative_imports(text):
-    """Level and module of the relative imports in the text of a file."""
-    nodes = ast.walk(ast.parse(text))
-    return [(node.level, node.module) for node in nodes if isinstance(node, ast.ImportFrom) and node.level]
+#: Runs a file where the packages of the environment that are named cannot be imported.
+REFUSING = """\
+import runpy
+import sys
+
+
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in self.names:
+            raise ImportError(f"{{name}} is refused")
+
+
+sys.meta_path.insert(0, Refuse())
+sys.path.insert(0, ".")
+for call, Refuse.names in {calls}:
+    runpy.run_path(call, run_name="__main__")
+assert "my_kernels" in sys.modules and "warpcage" not in sys.modules
+"""
+
+#: What `pip install` of these names brings, as modules.
+OPTIONAL = {"scipy": "scipy", "trimesh": "trimesh", "imageio": "imageio", "pillow": "PIL", "scikit-image": "skimage",
+            "tqdm": "tqdm", "pymeshlab": "pymeshlab", "av": "av", "packaging": "packaging"}  # fmt: skip
+
+
+def copied(name, folder, *words):
+    assert main(["kernels", "copy", name, str(folder / "my_kernels"), *words]) == 0
+    return {
+        path.relative_to(folder / "my_kernels").as_posix()
+        for path in (folder / "my_kernels").rglob("*")
+        if path.is_file()
+    }
+
+
+def run_imports(tree):
+    """The relative imports that a module runs, as level, module and names."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            yield node.level, node.module or "", [alias.name for alias in node.names]
+        elif not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)):
+            yield from run_imports(node)
+
+
+@functools.cache  # copies of groups have most files in common
+def checked_imports(text):
+    assert not re.search(r"^\s*(from|import) warpcage", text, re.MULTILINE)
+    return list(run_imports(ast.parse(text)))
+
+
+def run_program(folder, text):
+    (folder / "program.py").write_text(text, encoding="utf-8")
+    run = [sys.executable, "program.py"]
+    done = subprocess.run(run, cwd=folder, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+
+
+def require_complete(root):
+    """Every relative import of every file in a copy finds its file, in a package all the way down."""
+    for path in root.rglob("*.py"):
+        assert all((root / each / "__init__.py").is_file() for each in path.relative_to(root).parents)
+        for level, module, names in checked_imports(path.read_text(encoding="utf-8")):
+            base = path.parents[level - 1].joinpath(*module.split("."))
+            assert base.with_suffix(".py").is_file() or base.is_dir(), (path, module)
+            if base.is_dir():
+                init = (base / "__init__.py").read_text(encoding="utf-8")
+                assert all((base / f"{name}.py").is_file() or name in init for name in names), (path, module, names)
 
 
 def test_every_file_is_in_a_folder():
@@ -53,79 +117,48 @@ def test_every_file_is_in_a_folder():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_imports_only_warp_and_siblings(name):
+def test_imports_only_warp_and_siblings_and_says_what_it_is_for(name):
+    # those that keep what factories of functions and kernels have made, and one that reads the C++ of kernels
+    allowed = {"import warp as wp", "import functools", "from typing import Any"}
+    if name == "core/variants":
+        allowed |= {"import inspect", "import threading", "from pathlib import Path"}
     for node in ast.walk(ast.parse(kernel_source(name))):
-        if isinstance(node, ast.Import):
-            plain = [(a.name, a.asname) for a in node.names]
-            # those that keep what factories of functions and kernels have made
-            kept = {("functools", None)} | {
-                (module, None) for module in ("inspect", "threading") if name == "core/variants"
-            }
-            assert plain == [("warp", "wp")] or set(plain) <= kept
-        elif isinstance(node, ast.ImportFrom) and node.module == "typing":
-            assert [a.name for a in node.names] == ["Any"]  # Warp's mark of a generic argument
-        elif isinstance(node, ast.ImportFrom) and node.module == "pathlib":
-            assert name == "core/variants"  # which reads the C++ of kernels
-        elif isinstance(node, ast.ImportFrom):
+        if isinstance(node, ast.ImportFrom) and node.level:
             assert node.level in (1, 2) and node.module is not None
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            assert ast.unparse(node) in allowed
     assert direct_needs(name) <= set(NAMES)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_says_what_it_is_for(name):
     assert kernel_summary(name) and "Needs:" not in kernel_source(name)  # which its imports say
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_copy_is_complete(name, tmp_path):
-    """Every relative import of every copied file finds its file in the copy, in a package all the way down."""
     paths = copy_kernel(name, tmp_path / "lifted", alone=True)
     files = {path.relative_to(tmp_path / "lifted").as_posix() for path in paths}
     needed = {name, *all_needs(name)}
     assert files == {f"{each}.py" for each in needed}.union(["LICENSE", "NOTICE"], *map(native_files, needed))
-    assert all(
-        (path.parent / "__init__.py").is_file() and (path.parent.parent / "__init__.py").is_file()
-        for path in paths
-        if path.suffix == ".py"
-    )
-    for path in (tmp_path / "lifted").rglob("*.py"):
-        for level, module in relative_imports(path.read_text(encoding="utf-8")):
-            assert path.parents[level - 1].joinpath(f"{module.replace('.', '/')}.py").is_file()
+    require_complete(tmp_path / "lifted")
 
 
-def test_copies_import_without_warpcage(tmp_path):
-    """A few that need many files, each in a package of its own."""
-    names = ["render/views", "fitting/loss_warps", "lattice/harmonic_coarse", "lattice/side_values"]
-    program = "import sys\nsys.modules['warpcage'] = None  # so that importing it fails\n"
-    for name in names:
+def test_copies_work_without_warpcage(tmp_path):
+    """A few that need many files, each in a package of its own, and the march of a CPU, whose C++ includes that of
+    another folder: it is compiled, or has the hash of what was."""
+    program = "import sys\nsys.modules['warpcage'] = None  # so that importing it fails\nimport warp as wp\n"
+    for name in ("render/views", "fitting/loss_warps", "lattice/harmonic_coarse", "lattice/side_values"):
         package = f"with_{name.partition('/')[2]}"
         assert main(["kernels", "copy", name, str(tmp_path / package), "--alone"]) == 0
         program += f"import {package}.{name.replace('/', '.')}\n"
-    (tmp_path / "program.py").write_text(program, encoding="utf-8")
-    done = subprocess.run([sys.executable, "program.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-
-
-def test_a_copy_compiles_without_warpcage(tmp_path):
-    """The march of a CPU, whose C++ includes that of another folder."""
-    names = [
+    names = {
         "field/cpp/basis_of_direction.h",
         "field/cpp/cell_place.h",
         "field/cpp/cpu_samples.h",
         "render/march_cpu.h",
-    ]
-    assert sorted(native_files("render/march_cpu")) == names
+    }
+    assert set(native_files("render/march_cpu")) == names
     paths = copy_kernel("render/march_cpu", tmp_path / "lifted", alone=True)
     assert {tmp_path / "lifted" / name for name in names} < set(paths)
-    program = (
-        "import sys\nsys.modules['warpcage'] = None\nimport warp as wp\n"
-        f"wp.config.kernel_cache_dir = {str(tmp_path / 'cache')!r}\n"
-        "from lifted.render import march_cpu\nassert wp.load_module(march_cpu, device='cpu') is not False\n"
-    )
-    (tmp_path / "program.py").write_text(program, encoding="utf-8")
-    done = subprocess.run([sys.executable, "program.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert list((tmp_path / "cache").rglob("*.o"))
+    program += "from lifted.render import march_cpu\nassert wp.load_module(march_cpu, device='cpu') is not False\n"
+    run_program(tmp_path, program)
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.rglob("*.h")), ids=lambda path: path.name)
@@ -156,9 +189,9 @@ def test_names_of_kernel_files_that_became_parts_of_others(tmp_path, capsys):
 
 def test_kernels_list(capsys):
     assert main(["kernels", "list"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == NAMES
-    assert any(re.match("coordinates/mean_value +Mean value coordinates", line) for line in lines)
+    text = capsys.readouterr().out
+    assert [line.split()[0] for line in text.splitlines()] == NAMES
+    assert re.search("^coordinates/mean_value +Mean value coordinates", text, re.MULTILINE)
 
 
 def test_kernels_copy(tmp_path, capsys):
@@ -201,15 +234,10 @@ def test_a_copy_is_whole_or_not_at_all(tmp_path):
 
 
 @pytest.mark.parametrize("name", WITH_KERNELS)
-def test_loads(name, device):
+def test_loads_and_no_loop_is_around_kernels(name, device):
+    """Warp's loop for launches of fewer threads than items keeps registers through all of a kernel."""
     for module in warp_modules(name):
         wp.load_module(module, device=device)
-
-
-@pytest.mark.parametrize("name", WITH_KERNELS)
-def test_no_loop_is_around_kernels(name):
-    """Warp's loop for launches of fewer threads than items, which keeps registers through all of a kernel."""
-    for module in warp_modules(name):
         assert module.options["default_grid_stride"] is False and module.options["enable_backward"] is False
         assert not any(kernel.options.get("grid_stride") for kernel in module.kernels.values())
 
@@ -273,3 +301,73 @@ def test_no_kernel_is_defined_outside_the_folder():
     for path in paths:
         source = path.read_text(encoding="utf-8")
         assert "@wp.kernel" not in source and "@wp.func" not in source and "@wp.struct" not in source, path
+
+
+# -- Groups: kernels with host code, a licence and a README
+
+
+def refused_of(group, folder):
+    """What a copied group runs without: warpcage, and what its README does not name of what `pip install` brings."""
+    readme = (folder / "my_kernels" / group / "README.md").read_text(encoding="utf-8")
+    allowed = set(" ".join(re.findall(r"`pip install\s([^`]+)`", readme)).split())
+    assert "warp-lang" in allowed or "warpcage" in allowed
+    others = () if "warpcage" in allowed else [module for name, module in OPTIONAL.items() if name not in allowed]
+    return {"warpcage", *others}
+
+
+def run_calls(groups, folder):
+    """Copy groups and run their calls in one process: those that need least first."""
+    for group in groups:
+        copied(group, folder)
+        (folder / f"call_{group}.py").write_text(kernel_call(group), encoding="utf-8")
+    calls = sorted(
+        ((f"call_{group}.py", refused_of(group, folder)) for group in groups), key=lambda call: -len(call[1])
+    )
+    run_program(folder, REFUSING.format(calls=calls))
+
+
+def test_copied_groups_run_without_warpcage(tmp_path):
+    """In one process, which compiles once what they share; at night each has one of its own."""
+    run_calls(GROUPS, tmp_path)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("group", GROUPS)
+def test_a_copied_group_runs_without_warpcage(group, tmp_path):
+    run_calls([group], tmp_path)
+
+
+def test_copied_groups_are_complete(tmp_path):
+    """Kernels, the licence, and whatever a module in a copy imports; nothing names warpcage in an import."""
+    for group in GROUPS:
+        files = copied(group, tmp_path / group)
+        assert {f"{name}.py" for name in kernel_names() if name.startswith(f"{group}/")} <= files
+        assert {"LICENSE", "NOTICE", "__init__.py", f"{group}/README.md"} <= files
+        assert "import warpcage" not in kernel_call(group) and "from warpcage" not in kernel_call(group)
+        require_complete(tmp_path / group / "my_kernels")
+
+
+def test_host_code_is_what_the_call_needs():
+    """Nothing where kernels call the functions themselves; for maps the lattice, the meshes, and what they stand on."""
+    assert not any(map(host_modules, ("core", "coordinates", "view")))
+    rooms = {name.partition("/")[0] for name in host_modules("lattice")}
+    assert rooms == {"core", "errors", "lattice", "mesh", "package"}
+    assert {"lattice/harmonic", "lattice/solver", "lattice/position_map"} <= set(host_modules("lattice"))
+
+
+def test_a_file_comes_with_what_runs_it_or_alone(tmp_path, capsys):
+    files = copied("harmonic", tmp_path)
+    assert {"lattice/harmonic_coarse.py", "host/lattice/harmonic.py", "lattice/README.md"} <= files
+    modules = sum(each.startswith("host/") and each != "host/__init__.py" for each in files)
+    assert f"host: {modules} modules" in capsys.readouterr().out
+    alone = copied("harmonic", tmp_path / "other", "--alone")
+    assert {"lattice/harmonic.py", "LICENSE"} <= alone and not any(
+        "host/" in each or "README" in each for each in alone
+    )
+
+
+def test_a_copied_readme_names_the_copy(tmp_path):
+    assert main(["kernels", "copy", "mesh", str(tmp_path / "borrowed")]) == 0
+    text = (tmp_path / "borrowed" / "mesh" / "README.md").read_text(encoding="utf-8")
+    assert text == (FOLDER / "mesh" / "README.md").read_text(encoding="utf-8").replace("my_kernels", "borrowed")
+    assert "from borrowed.host.mesh.queries import" in text

@@ -5,6 +5,7 @@ import re
 import signal
 import threading
 import weakref
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -202,13 +203,12 @@ def in_turn(items, prepare, consume):
 
 @pytest.mark.parametrize(("name", "channels"), [("a.mp4", 3), ("a.gif", 3), ("a.mov", 4), ("a.webm", 4), ("b.mov", 3)])
 def test_films_are_those_that_one_thread_writes(tmp_path, monkeypatch, name, channels):
-    write_film(tmp_path / name, moving(channels=channels, size=(64, 64)), 10)  # multiples of what x264 repeats exactly
-    monkeypatch.setattr(film, "stream", in_turn)
     (tmp_path / "alone").mkdir()
-    write_film(
-        tmp_path / "alone" / name, moving(channels=channels, size=(64, 64)), 10
-    )  # multiples of what x264 repeats exactly
-    one, two = (np.frombuffer(path.read_bytes(), np.uint8) for path in (tmp_path / name, tmp_path / "alone" / name))
+    paths = [tmp_path / name, tmp_path / "alone" / name]
+    for path in paths:
+        write_film(path, moving(channels=channels, size=(64, 64)), 10)  # multiples of what x264 repeats exactly
+        monkeypatch.setattr(film, "stream", in_turn)
+    one, two = (np.frombuffer(path.read_bytes(), np.uint8) for path in paths)
     assert one.shape == two.shape
     assert (one != two).sum() <= (16 if name.endswith("webm") else 0)  # its track has a random number, twice
 
@@ -232,28 +232,36 @@ def test_a_gif_that_memory_cannot_hold_is_refused(tmp_path, monkeypatch):
 ANIMATE = ("animate", "@ball.npz", *DEFORMED, *SMALL, "--frames", 8, "--quiet", "-o")
 
 
-@pytest.mark.parametrize("output", ["film.mp4", "film.gif", "film.webm", "frames"])
-@pytest.mark.parametrize(("error", "status"), [(KeyboardInterrupt(), 130), (MemoryError("too little"), 2)])
-def test_a_film_that_ends_in_the_middle_leaves_nothing_half_written(
-    files, tmp_path, capsys, monkeypatch, output, error, status
-):
+def count_frames(monkeypatch, before):
+    """A list that grows by each frame that is rendered; before: what is done before some of them, by number."""
     render, count = Deformer.render, []
 
-    def breaks(self, *words, **options):
+    def counted(self, *words, **options):
         count.append(1)
-        if len(count) == 5:
-            raise error
+        before.get(len(count), lambda: None)()
         return render(self, *words, **options)
 
-    monkeypatch.setattr(Deformer, "render", breaks)
-    assert run(files, *ANIMATE, tmp_path / output) == status
+    monkeypatch.setattr(Deformer, "render", counted)
+    return count
+
+
+@pytest.mark.parametrize(
+    ("output", "error"),
+    [(name, kind) for name in ("film.mp4", "frames") for kind in (KeyboardInterrupt, MemoryError)]
+    + [("film.gif", MemoryError), ("film.webm", KeyboardInterrupt)],
+)
+def test_a_film_that_ends_in_the_middle_leaves_nothing_half_written(
+    files, tmp_path, capsys, monkeypatch, output, error
+):
+    with monkeypatch.context() as patch:
+        count = count_frames(patch, {5: mock.Mock(side_effect=error("too little"))})
+        assert run(files, *ANIMATE, tmp_path / output) == (130 if error is KeyboardInterrupt else 2)
     assert capsys.readouterr().err.count("\n") == 1
     left = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
     assert len(count) == 5 and not [name for name in left if name.startswith(".")]
     if output != "frames":
         assert left == []
         return
-    monkeypatch.setattr(Deformer, "render", render)
     succeed(files, *ANIMATE, tmp_path / output)  # goes on
     succeed(files, *ANIMATE, tmp_path / "whole")
     for path in (tmp_path / "whole").iterdir():
@@ -261,16 +269,10 @@ def test_a_film_that_ends_in_the_middle_leaves_nothing_half_written(
 
 
 def test_a_film_that_cannot_be_encoded_ends_the_rendering(files, tmp_path, capsys, monkeypatch):
-    render, count = Deformer.render, []
-
-    def counted(self, *words, **options):
-        count.append(1)
-        return render(self, *words, **options)
-
     def full(frame):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Deformer, "render", counted)
+    count = count_frames(monkeypatch, {})
     monkeypatch.setattr(film, "even_frame", full)
     monkeypatch.setattr("warpcage.core.overlap.SPARE", 0)
     monkeypatch.setattr("warpcage.core.overlap.PREPARING_THREADS", 1)
@@ -281,19 +283,13 @@ def test_a_film_that_cannot_be_encoded_ends_the_rendering(files, tmp_path, capsy
 
 def test_a_picture_is_written_while_the_next_are_rendered(files, tmp_path, monkeypatch):
     """The first picture's file waits until the third frame was rendered."""
-    render, write, count, third = Deformer.render, commands.write_picture, [], threading.Event()
-
-    def counted(self, *words, **options):
-        count.append(1)
-        if len(count) == 3:
-            third.set()
-        return render(self, *words, **options)
+    write, third = commands.write_picture, threading.Event()
+    count_frames(monkeypatch, {3: third.set})
 
     def waits(path, image, depth):
         assert third.wait(PATIENCE)
         write(path, image, depth)
 
-    monkeypatch.setattr(Deformer, "render", counted)
     monkeypatch.setattr(commands, "write_picture", waits)
     succeed(files, *ANIMATE, tmp_path / "frames")
     assert len(list((tmp_path / "frames").glob("*.png"))) == 8

@@ -37,7 +37,7 @@ def gpu(ordinal=0, **options):
     return types.SimpleNamespace(**({"is_cuda": True, "is_mempool_enabled": True, "ordinal": ordinal} | options))
 
 
-def test_the_threshold_follows_what_is_in_use(pool):
+def test_the_threshold_follows_what_is_in_use_and_nothing_is_kept_for_nobody(pool):
     memory = SpareMemory(gpu())
     for used in (3000, 3050, 9000, 500):
         pool.used = used * MIB
@@ -46,14 +46,9 @@ def test_the_threshold_follows_what_is_in_use(pool):
     assert pool.calls == 3  # little changes are none
     memory.keep(MIB)
     assert pool.threshold == 500 * MIB + LEAST_SPARE
-
-
-def test_nothing_is_kept_for_nobody(pool):
-    one, other = SpareMemory(gpu()), SpareMemory(gpu())
-    one.keep(100 * MIB)
+    other = SpareMemory(gpu())
     other.keep(100 * MIB)
-    assert pool.threshold > 0
-    del one
+    del memory
     gc.collect()
     assert pool.threshold == 0
     other.keep(100 * MIB)

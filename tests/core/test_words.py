@@ -1,9 +1,9 @@
-"""Words that depend on a number agree with it, wherever lines and messages count."""
+"""Words that depend on a number agree with it, wherever lines and messages count; wrong names are told right ones."""
 
 import numpy as np
 import pytest
 
-from warpcage import Cage, SplatField, harmonic_coordinates
+from warpcage import Cage, SplatField, deform_points, harmonic_coordinates
 from warpcage.cli import main
 from warpcage.core import agreed, counted
 from warpcage.mesh import MeshTopology
@@ -39,3 +39,16 @@ def test_a_file_of_one_splat_is_counted(tmp_path, monkeypatch, capsys):
     order = "bake one.ply --cage cage.obj --posed translate:0:0:1 -o moved.ply --device cpu"
     assert main(order.split()) == 0
     assert "moved.ply: 1 splat," in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "given, end",
+    [("harmonics", ", did you mean harmonic?"), ("mean-value", ", did you mean mean_value?"),
+     ("Green", ", did you mean green?"), ("biharmonic weights of old", "weights of old'"), ("x" * 100_000, "xxx"),
+     (3, "got 3")],
+)  # fmt: skip
+def test_the_name_that_is_near_is_said(given, end):
+    with pytest.raises(ValueError) as refused:
+        deform_points([[0.5, 0.5, 0.5]], BOX, BOX, coordinates=given)
+    said = str(refused.value)
+    assert said.endswith(end) and said.startswith("coordinates must be one of harmonic") and len(said) < 200

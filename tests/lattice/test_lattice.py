@@ -91,26 +91,6 @@ def test_overlapping_parts_count_once_and_cavities_are_outside(device):
     assert counts.max() == 2
 
 
-@pytest.mark.parametrize(("scale", "shift"), [(1.0, 1e4), (1e-3, 0.0), (1e3, -1e6)])
-def test_far_and_scaled_cages_have_the_same_lattice(scale, shift, device):
-    cage = Cage(*oracles.cage("icosphere"))
-    lattice = CageLattice(cage, 24, device=device).measure()
-    moved = CageLattice(Cage(cage.vertices * scale + shift, cage.faces), 24, device=device).measure()
-    assert moved.shape == lattice.shape
-    assert np.array_equal(moved.distance.numpy() < 0, lattice.distance.numpy() < 0)
-    assert np.abs(moved.distance.numpy() / scale - lattice.distance.numpy()).max() < 2e-6
-
-
-def test_filling_anew_gives_what_a_new_lattice_gives(device):
-    cage = Cage(*oracles.cage("fine icosphere"))
-    lattice = CageLattice(cage, 32, origin=(1, 2, 3), device=device).measure()
-    for pose in (cage.bend(80), cage.stretch(2), cage):
-        lattice.lay(pose).measure()
-        fresh = CageLattice(pose, 32, origin=(1, 2, 3), device=device).measure()
-        assert lattice.shape == fresh.shape
-        assert np.array_equal(lattice.distance.numpy(), fresh.distance.numpy())
-
-
 @pytest.mark.parametrize("resolution", [7, 1025, 0, -3, 16.5, "64", True])
 def test_resolutions_out_of_range_are_refused(resolution, device):
     with pytest.raises(ValueError, match="resolution must be"):
@@ -144,52 +124,37 @@ def cages_of_many_faces():
     }
 
 
-def block_middles(lattice):
-    """(blocks, 3) middles of blocks of 4 x 4 x 4 nodes, node units, and their (blocks, 3) indices."""
-    sides = [np.arange(-(-side // 4)) for side in lattice.shape]
-    index = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
-    return 4.0 * index + 1.5, index
-
-
 @pytest.mark.parametrize("side", [2, 4, 8])
 @pytest.mark.parametrize("name", ["noisy", "long", "far", "concave"])
-def test_groups_of_blocks_find_every_face_near_them_and_few_others(name, side, device, monkeypatch):
-    monkeypatch.setattr(block_faces, "GROUP_SIDE", side)
+def test_faces_near_blocks_are_those_of_a_search_through_all(name, side, device, monkeypatch):
+    """Groups of blocks hold every face near one of them, and few others."""
     cage = cages_of_many_faces()[name]
     assert len(cage.faces) >= block_faces.MANY_FACES
-    lattice = CageLattice(cage, 40, device=device).measure()
-    bits = lattice.block_faces.candidates.numpy().view(np.uint8)
-    found = np.unpackbits(bits, axis=1, bitorder="little").astype(bool)
-    assert not found[:, len(cage.faces) :].any()
-    middles, index = block_middles(lattice)
-    groups = -(-np.array([index[:, axis].max() + 1 for axis in range(3)]) // side)
-    assert len(found) == groups.prod()
-    group = np.ravel_multi_index((index // side).T, groups)
-    corners = ((cage.vertices - lattice.lower) / lattice.spacing)[cage.faces]
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    near = np.zeros_like(found)
-    for middle, own in zip(middles, group, strict=True):
-        gap = np.maximum(np.maximum(low - middle, middle - high), 0.0)
-        near[own, : len(low)] |= np.linalg.norm(gap, axis=1) <= 6.0 + 2.5981  # CLEARANCE + HALF_DIAGONAL
-    assert not (near & ~found).any()
-    assert found.sum() < 2.0 * near.sum()  # the space between the blocks of a group
-    assert side > 4 or found.mean() < 0.4  # of a lattice of 40 cells
-
-
-@pytest.mark.parametrize("name", ["noisy", "long", "far", "concave"])
-def test_faces_near_blocks_are_those_of_a_search_through_all(name, device, monkeypatch):
-    cage = cages_of_many_faces()[name]
+    monkeypatch.setattr(block_faces, "GROUP_SIDE", side)
     lattice = CageLattice(cage, 40, device=device).measure()
     for limit in ("MANY_FACES", "MANY_FACES_CPU"):
         monkeypatch.setattr(block_faces, limit, 1 << 30)
     plain = CageLattice(cage, 40, device=device).measure()
-    assert len(plain.block_faces.candidates) == len(plain.block_faces.boxes) == 0 < len(lattice.block_faces.candidates)
-    counts = lattice.block_faces.counts.numpy()
-    np.testing.assert_array_equal(counts, plain.block_faces.counts.numpy())
-    held = np.arange(lattice.block_faces.near.shape[1]) < counts[:, None]
-    np.testing.assert_array_equal(lattice.block_faces.near.numpy()[held], plain.block_faces.near.numpy()[held])
-    np.testing.assert_array_equal(lattice.block_faces.clear_octants.numpy(), plain.block_faces.clear_octants.numpy())
+    ours, theirs = lattice.block_faces, plain.block_faces
+    assert len(theirs.candidates) == len(theirs.boxes) == 0 < len(ours.candidates)
+    counts, near = ours.counts.numpy(), ours.near.numpy()
+    np.testing.assert_array_equal(counts, theirs.counts.numpy())
+    held = np.arange(near.shape[1]) < counts[:, None]
+    np.testing.assert_array_equal(near[held], theirs.near.numpy()[held])
+    np.testing.assert_array_equal(ours.clear_octants.numpy(), theirs.clear_octants.numpy())
     np.testing.assert_array_equal(lattice.distance.numpy(), plain.distance.numpy())
+
+    found = np.unpackbits(ours.candidates.numpy().view(np.uint8), axis=1, bitorder="little").astype(bool)
+    assert not found[:, len(cage.faces) :].any()
+    blocks = -(-np.array(lattice.shape) // 4)  # of 4 x 4 x 4 nodes
+    groups = -(-blocks // side)
+    assert len(found) == groups.prod() and len(counts) == blocks.prod()
+    group = np.ravel_multi_index(np.array(np.unravel_index(np.arange(len(counts)), blocks)) // side, groups)
+    needed = np.zeros_like(found)
+    needed[np.repeat(group, held.sum(axis=1)), near[held]] = True
+    assert not (needed & ~found).any()
+    assert found.sum() < 2.0 * needed.sum()  # boxes are larger, and there is space between the blocks of a group
+    assert side > 4 or found.mean() < 0.4  # of a lattice of 40 cells
 
 
 @pytest.mark.parametrize("longest", [16, 71, 1031])
@@ -200,8 +165,5 @@ def test_bits_of_faces_take_little_beside_the_nodes_and_can_be_numbered(face_cou
     assert side >= block_faces.GROUP_SIDE and 32 * words >= face_count
     assert 4 * words <= block_faces.GROUP_BYTES * (4 * side) ** 3
     assert 32 * words * groups <= 1 << 30
-
-
-def test_blocks_and_groups_are_counted():
     assert block_faces.block_count((17, 16, 1)) == 5 * 4 and block_faces.block_count((17, 16, 1), 4) == 2
     assert block_faces.group_side(5_120, 71) == 4 < block_faces.group_side(1_000_000, 71)

@@ -6,7 +6,8 @@ import numpy as np
 import oracles
 import pytest
 import trimesh
-from test_position_map import inside_points, look_up, pose_noisily
+from oracles import look_up
+from test_position_map import inside_points, pose_noisily
 
 from warpcage import Cage, PositionMap
 from warpcage.lattice import MeanValueSolver, continue_to_rings

@@ -7,11 +7,11 @@ import trimesh
 import warp as wp
 from fields import slotted
 from messages import MESSAGES
+from oracles import look_up
 
 from warpcage import Cage, PositionMap
 from warpcage.coordinates import harmonic_weights, stretched_normals
-from warpcage.core import launch, memory
-from warpcage.kernels.lattice.cage_map import sample_map
+from warpcage.core import memory
 from warpcage.lattice import GreenSolver, PoseGraph, fit_affine
 from warpcage.lattice import lattice as block_faces
 from warpcage.lattice import lattice as lattices
@@ -22,16 +22,6 @@ STORES = ("map", "weights")
 
 def cage_named(name):
     return Cage(*oracles.cage(name))
-
-
-def look_up(position_map, points):
-    """Positions (n, 3) float64 in world units and signed distances (n,)."""
-    device = position_map.device
-    local = wp.array((points - position_map.origin).astype(np.float32), dtype=wp.vec3, device=device)
-    positions = wp.empty(len(points), dtype=wp.vec3, device=device)
-    distance = wp.empty(len(points), dtype=float, device=device)
-    launch(sample_map, len(points), [position_map.data, local], [positions, distance], device=device)
-    return positions.numpy() + position_map.origin, distance.numpy()
 
 
 def inside_points(cage, count=300):
@@ -110,36 +100,32 @@ def test_cage_itself_goes_to_the_rest_cage(kind, device):
     assert np.abs(positions - expected).max() < 5e-3
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_stored_weights_give_the_same_map_and_rebind(kind, device):
-    rest = cage_named("concave")
-    deformed, other = pose_noisily(rest), rest.twist(40)
-    options = {"coordinates": kind, "resolution": 20, "device": device}
+@pytest.mark.parametrize(
+    ("kind", "name", "resolution"),
+    [("harmonic", "concave", 20), ("mean_value", "icosphere", 40), ("green", "icosphere", 40)],
+)
+def test_stored_weights_give_the_same_map_and_rebind(kind, name, resolution, device):
+    """Weights of closed forms are evaluated at all inside nodes, the map at every second one clear of the cage."""
+    rest = cage_named(name)
+    deformed, other = pose_noisily(rest, 0.1), rest.twist(40)
+    options = {"coordinates": kind, "resolution": resolution, "device": device}
     points = points_up_to(deformed)
     weights = PositionMap(rest, store="weights", **options).pose(deformed)
     by_weights, _ = look_up(weights, points)
-    by_map, _ = look_up(PositionMap(rest, **options).pose(deformed), points)
-    assert np.abs(by_weights - by_map).max() < 2e-5
+    position_map = PositionMap(rest, **options).pose(deformed)
+    assert kind == "harmonic" or position_map.launches.solver.nodes.sections.interpolated > 1000
+    inside = position_map.data.distance.numpy() < 0
+    nodes = [each.data.positions.numpy()[inside] for each in (weights, position_map)]
+    assert np.abs(nodes[0] - nodes[1]).max() < 2e-5
+    assert np.abs(by_weights - look_up(position_map, points)[0]).max() < 2e-5
     rebound, _ = look_up(weights.rebind(other), points)
     by_map, _ = look_up(PositionMap(other, origin=weights.origin, **options).pose(deformed), points)
     assert np.abs(rebound - by_map).max() < 2e-5
     assert np.abs(rebound - by_weights).max() > 1e-2
 
 
-@pytest.mark.parametrize("kind", ["mean_value", "green"])
-def test_interpolated_nodes_are_as_good_as_evaluated_ones(kind, device):
-    """Weights are evaluated at all inside nodes, the map at every second one clear of the cage."""
-    rest = cage_named("icosphere")
-    deformed = pose_noisily(rest, 0.1)
-    maps = [PositionMap(rest, coordinates=kind, resolution=40, store=store, device=device) for store in STORES]
-    positions = [position_map.pose(deformed).data.positions.numpy() for position_map in maps]
-    inside = maps[0].data.distance.numpy() < 0
-    assert maps[0].launches.solver.nodes.sections.interpolated > 1000
-    assert np.abs(positions[0] - positions[1])[inside].max() < 2e-5 * rest.size
-
-
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("scale", "shift"), [(1.0, 1e4), (1e3, 0.0), (1e-3, 0.0)])
+@pytest.mark.parametrize(("scale", "shift"), [(1.0, 1e4), (1e3, -1e6), (1e3, 0.0), (1e-3, 0.0)])
 def test_far_origin_and_scale(kind, scale, shift, device):
     rest = cage_named("icosphere")
     deformed = pose_noisily(rest)
@@ -151,52 +137,51 @@ def test_far_origin_and_scale(kind, scale, shift, device):
     assert np.abs((far - shift) / scale - positions).max() < 2e-5
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_posing_again_gives_what_a_new_map_gives(kind, device):
-    rest = cage_named("icosphere")
-    options = {"coordinates": kind, "resolution": 16, "device": device}
-    kept = PositionMap(rest, **options)
-    for deformed in (rest.bend(60), rest.scale((0.5, 1, 2)), pose_noisily(rest), rest):
-        points = inside_points(deformed, 100)
-        positions, distance = look_up(kept.pose(deformed), points)
-        fresh = look_up(PositionMap(rest, **options).pose(deformed), points)
-        assert np.array_equal(positions, fresh[0]) and np.array_equal(distance, fresh[1])
+def compare(position_map, poses, expected):
+    """Maps of poses, one after the other, are those that new maps of other options gave: (points, look-up) of each."""
+    for pose, (points, wanted) in zip(poses, expected, strict=True):
+        found = look_up(position_map.pose(pose), points)
+        assert all(np.array_equal(*pair) for pair in zip(found, wanted, strict=True))
+        yield position_map
 
 
-@pytest.mark.parametrize(("kind", "many_faces"), [*((kind, 1 << 30) for kind in KINDS), ("mean_value", 1)])
-def test_replayed_poses_are_the_same(kind, many_faces, device, monkeypatch):
-    """The launches of a pose as a CUDA graph has them, with room for other poses; on the CPU they run one by one.
+def fresh_maps(rest, poses, monkeypatch, **options):
+    """Without graphs: (points, look-up) of a new map of each pose, and how many cycles each took."""
+    set_graphs(monkeypatch, False)
+    points = [inside_points(pose, 100) for pose in poses]
+    maps = [PositionMap(rest, **options).pose(pose) for pose in poses]
+    return [(x, look_up(each, x)) for x, each in zip(points, maps, strict=True)], [each.cycles for each in maps]
 
-    With many_faces = 1 faces are looked through for groups of blocks, as they are for large cages.
-    """
+
+def set_graphs(monkeypatch, supported):
+    """Whether launches of a pose are those that a CUDA graph has; on the CPU they run one by one."""
+    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: supported))
+
+
+@pytest.mark.parametrize(
+    ("kind", "graphs", "many_faces"),
+    [*((kind, graphs, 1 << 30) for kind in KINDS for graphs in (False, True)), ("mean_value", True, 1)],
+)
+def test_posing_again_gives_what_a_new_map_gives(kind, graphs, many_faces, device, monkeypatch):
+    """A graph has room for other poses. With many_faces = 1 faces are looked through for groups of blocks, as they are
+    for large cages."""
     for limit in ("MANY_FACES", "MANY_FACES_CPU"):
         monkeypatch.setattr(block_faces, limit, many_faces)
     rest = cage_named("icosphere")
     options = {"coordinates": kind, "resolution": 16, "device": device}
-    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: False))
     poses = [pose_noisily(rest), rest.scale((1, 1.02, 0.97)), rest.rotate(20), rest.scale((1, 0.5, 0.4)), rest]
-    expected = []
-    for deformed in poses:
-        points = inside_points(deformed, 100)
-        position_map = PositionMap(rest, **options).pose(deformed)
-        expected.append((points, *look_up(position_map, points), position_map.cycles))
-    replays = []
-    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: True))
-    finish = PoseGraph.finish
+    expected, cycles = fresh_maps(rest, poses, monkeypatch, **options)
+    set_graphs(monkeypatch, graphs)
+    finish, replays = PoseGraph.finish, []
     monkeypatch.setattr(PoseGraph, "finish", lambda self: replays.append(finish(self)) or replays[-1])
-    kept = PositionMap(rest, **options)
-    for deformed, (points, positions, distance, cycles) in zip(poses, expected, strict=True):
-        found = look_up(kept.pose(deformed), points)
-        assert np.array_equal(found[0], positions) and np.array_equal(found[1], distance)
-        assert kept.cycles == cycles
-    assert sum(replays) >= 2
+    assert [kept.cycles for kept in compare(PositionMap(rest, **options), poses, expected)] == cycles
+    assert sum(replays) >= 2 if graphs else not replays
 
 
 def test_poses_that_take_turns_share_a_graph(device, monkeypatch):
     """Whichever is larger: the first two are not captured with the room that both need."""
-    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: True))
-    captures = []
-    capture = PoseGraph.capture
+    set_graphs(monkeypatch, True)
+    capture, captures = PoseGraph.capture, []
     monkeypatch.setattr(PoseGraph, "capture", lambda self: captures.append(self) or capture(self))
     rest = cage_named("icosphere")
     large, small = rest.scale((1, 1, 0.9)), rest.scale((1, 0.5, 0.6))
@@ -212,10 +197,8 @@ def test_poses_that_take_turns_share_a_graph(device, monkeypatch):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_pose_waits_for_a_graph_once_maps_are_warm(kind, device, monkeypatch):
-    """From the first pose on, whatever its proportions; and with the outcome of poses without graphs.
-
-    Lines of the first pose cross the cage more often than they have room for without graphs.
-    """
+    """From the first pose on, whatever its proportions, with the outcome of poses without graphs. Lines of the first
+    pose cross the cage more often than they have room for without graphs."""
     monkeypatch.setattr(lattices, "LINE_CAPACITY", 2)
     rest = cage_named("icosphere")
     poses = [
@@ -226,87 +209,76 @@ def test_no_pose_waits_for_a_graph_once_maps_are_warm(kind, device, monkeypatch)
         rest,
     ]
     options = {"coordinates": kind, "resolution": 24, "device": device}
-    points = [inside_points(pose, 100) for pose in poses]
-    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: False))
+    expected, _ = fresh_maps(rest, poses, monkeypatch, **options)
     assert PositionMap(rest, **options).warm().lattice is None  # nothing to be done without graphs
-    expected = [look_up(PositionMap(rest, **options).pose(pose), x) for pose, x in zip(poses, points, strict=True)]
-    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: True))
-    kept = PositionMap(rest, **options).warm()
-    captures = []
+    set_graphs(monkeypatch, True)
+    kept, captures = PositionMap(rest, **options).warm(), []
     monkeypatch.setattr(PoseGraph, "capture", lambda self: captures.append(self))
     # private, as users cannot ask which of the two ways a pose took
     monkeypatch.setattr(PositionMap, "_pose_step_by_step", lambda self, deformed: captures.append(self))
-    for pose, x, (positions, distance) in zip(poses, points, expected, strict=True):
-        found = look_up(kept.pose(pose), x)
-        assert np.array_equal(found[0], positions) and np.array_equal(found[1], distance)
-    assert captures == []
+    assert len(list(compare(kept, poses, expected))) == len(poses) and captures == []
+
+
+def require_refused(position_map, pose, cages, message):
+    """The map of a pose is as it was after cages that are refused."""
+    points = inside_points(pose, 50)
+    before = look_up(position_map.pose(pose), points)
+    for cage in cages:
+        with pytest.raises(ValueError, match=message):
+            position_map.pose(cage)
+    assert all(np.array_equal(*pair) for pair in zip(before, look_up(position_map, points), strict=True))
 
 
 @pytest.mark.parametrize("graphs", ["none", "with room", "without room"])
-def test_a_refused_pose_leaves_the_last_one(graphs, device, monkeypatch):
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_refused_pose_leaves_the_last_one(kind, graphs, device, monkeypatch):
     """Graphs start on a pose before its cage is checked."""
-    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: graphs != "none"))
+    set_graphs(monkeypatch, graphs != "none")
     if graphs == "without room":
         monkeypatch.setattr(PoseGraph, "fits", lambda self, sizes: False)
     rest = cage_named("icosphere")
-    poses = [rest.bend(30), rest.bend(29), rest.bend(31)]
     same_place = rest.bend(28).vertices.copy()
     same_place[1] = same_place[0]
-    for kind in KINDS:
-        position_map = PositionMap(rest, coordinates=kind, resolution=16, device=device)
-        for pose in poses:
-            position_map.pose(pose)
-            points = inside_points(pose, 50)
-            before = look_up(position_map, points)
-            for broken in (rest.vertices * [-1, 1, 1], same_place, 0 * rest.vertices, rest.vertices * [3, 1, 0]):
-                with pytest.raises(ValueError, match="^deformed cage "):
-                    position_map.pose(rest.with_vertices(broken))
-            after = look_up(position_map, points)
-            assert np.array_equal(before[0], after[0]) and np.array_equal(before[1], after[1])
-
-
-@pytest.mark.parametrize("graphs", [False, True])
-@pytest.mark.parametrize("kind", KINDS)
-def test_maps_that_are_begun(kind, graphs, device, monkeypatch):
-    """The last one begun is the one that is finished. What `begin` returns is the map, but for the sides of gaps."""
-    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: graphs))
-    rest = cage_named("icosphere")
-    options = {"coordinates": kind, "resolution": 24, "device": device}
-    expected = {angle: values(PositionMap(rest, **options).pose(rest.bend(angle))) for angle in (10, 20, 30)}
-    kept = PositionMap(rest, **options).warm()
-    for angle in (30, 10, 20):
-        kept.begin(rest.bend(30 - angle))
-        draft = kept.begin(rest.bend(angle))
-        assert (draft is not None) == graphs
-        assert kept.finish().data is draft or not graphs
-        assert all(np.array_equal(*pair) for pair in zip(values(kept), expected[angle], strict=True))
-
-
-def values(position_map):
-    return position_map.data.positions.numpy(), position_map.data.distance.numpy()
+    broken = (rest.vertices * [-1, 1, 1], same_place, 0 * rest.vertices, rest.vertices * [3, 1, 0])
+    position_map = PositionMap(rest, coordinates=kind, resolution=16, device=device)
+    for degrees in (30, 29, 31):
+        require_refused(position_map, rest.bend(degrees), map(rest.with_vertices, broken), "^deformed cage ")
 
 
 @pytest.mark.parametrize("graphs", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_cage_too_far_for_float32_is_refused(kind, graphs, device, monkeypatch):
     """Beyond, the rounded lattice would lie beside the cage."""
-    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: graphs))
+    set_graphs(monkeypatch, graphs)
     rest = cage_named("box")
     position_map = PositionMap(rest, coordinates=kind, resolution=64, device=device)
     with pytest.raises(ValueError, match=MESSAGES["lattice.lower_resolution"]):
         position_map.pose(rest.translate([1e6, -3e6, 0]))
-    for pose in (rest.bend(30), rest.bend(29)):
-        position_map.pose(pose)
-        points = inside_points(pose, 50)
-        before = look_up(position_map, points)
-        with pytest.raises(ValueError, match="float32"):
-            position_map.pose(rest.translate([1e6, 0, 0]))
-        assert all(np.array_equal(*pair) for pair in zip(before, look_up(position_map, points), strict=True))
+    for degrees in (30, 29):
+        require_refused(position_map, rest.bend(degrees), [rest.translate([1e6, 0, 0])], "float32")
     # where rounding is a third of a cell, all of the cage is still on the lattice
     far = rest.translate(np.array([3e4, -2e4, 1e4]))
     lattice = position_map.pose(far).lattice
     low, high = (far.bounds - lattice.lower) / lattice.spacing
     assert low.min() >= 2 and (np.array(lattice.shape) - 1 - high).min() >= 2
+
+
+@pytest.mark.parametrize("graphs", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+def test_maps_that_are_begun(kind, graphs, device, monkeypatch):
+    """The last one begun is the one that is finished. What `begin` returns is the map, but for the sides of gaps."""
+    set_graphs(monkeypatch, graphs)
+    rest = cage_named("icosphere")
+    options = {"coordinates": kind, "resolution": 24, "device": device}
+    kept = PositionMap(rest, **options).warm()
+    for angle in (30, 10, 20):
+        kept.begin(rest.bend(30 - angle))
+        draft, expected = kept.begin(rest.bend(angle)), PositionMap(rest, **options).pose(rest.bend(angle)).data
+        assert (draft is not None) == graphs
+        found = kept.finish().data
+        assert found is draft or not graphs
+        for array in ("positions", "distance"):
+            assert np.array_equal(getattr(found, array).numpy(), getattr(expected, array).numpy())
 
 
 def test_harmonic_map_reports_its_solver(device):
@@ -324,9 +296,8 @@ def test_nodes_at_narrow_gaps_are_counted(device):
     box = Cage.box((0, 0, 0), (1, 1, 1))
 
     def pair(gap):
-        return Cage(
-            np.concatenate([box.vertices, box.vertices + [1 + gap, 0, 0]]), np.concatenate([box.faces, box.faces + 8])
-        )
+        two = np.concatenate([box.vertices, box.vertices + [1 + gap, 0, 0]])
+        return Cage(two, np.concatenate([box.faces, box.faces + 8]))
 
     wide, narrow = pair(5 * 2.1 / 32), pair(0.5 * 2.1 / 32)
     position_map = PositionMap(wide, resolution=32, device=device)
@@ -337,7 +308,7 @@ def test_nodes_at_narrow_gaps_are_counted(device):
 @pytest.mark.parametrize("width", [0.02, 0.05])
 def test_sides_of_green_maps_take_the_map_beside_gaps_alone(width, device, monkeypatch):
     """Whatever crossings elsewhere hold; they are not evaluated."""
-    monkeypatch.setattr(PoseGraph, "is_supported", staticmethod(lambda device: False))
+    set_graphs(monkeypatch, False)
     launch_boundary, poison, filled = GreenSolver.launch_boundary, [0.0], []
 
     def poisoned(self, sizes, target, rows, marks, boundary):
@@ -371,20 +342,16 @@ def test_memory_is_foreseen_and_refused(device, monkeypatch):
     before = fine.memory_bytes()
     held = fine.pose(fine.rest).lattice.buffers.bytes
     assert held <= before < 2.5 * held
+    assert PositionMap(rest, resolution=128, device="cpu").memory_bytes() < 100e6
+    assert PositionMap(rest, resolution=256, device="cpu").memory_bytes() < 700e6
     monkeypatch.setattr(memory, "free_bytes", lambda device: 1 << 20)
     with pytest.raises(ValueError, match=MESSAGES["lattice.lower_or_map"]):
         PositionMap(rest, resolution=40, store="weights", device=device).pose(rest)
 
 
-def test_maps_take_less_than_100_and_700_megabytes():
-    rest = cage_named("icosphere")
-    assert PositionMap(rest, resolution=128, device="cpu").memory_bytes() < 100e6
-    assert PositionMap(rest, resolution=256, device="cpu").memory_bytes() < 700e6
-
-
 def test_bad_input_is_refused(device):
     rest = cage_named("box")
-    for options in (
+    for wrong in (
         {"coordinates": "bezier"},
         {"store": "disk"},
         {"resolution": 4},
@@ -392,23 +359,23 @@ def test_bad_input_is_refused(device):
         {"tolerance": 0},
     ):
         with pytest.raises(ValueError):
-            PositionMap(rest, device=device, **options)
+            PositionMap(rest, device=device, **wrong)
     position_map = PositionMap(rest, resolution=8, device=device)
     with pytest.raises(ValueError, match="no pose yet"):
         _ = position_map.data
-    with pytest.raises(ValueError, match="42 vertices"):
-        position_map.pose(cage_named("icosphere"))
-    with pytest.raises(ValueError, match="another order"):
-        position_map.pose(Cage(rest.vertices, rest.faces[::-1]))
-    with pytest.raises(ValueError, match="deformed cage"):
-        position_map.pose(rest.with_vertices(rest.vertices * [-1, 1, 1]))
+    for cage, message in (
+        (cage_named("icosphere"), "42 vertices"),
+        (Cage(rest.vertices, rest.faces[::-1]), "another order"),
+        (rest.with_vertices(rest.vertices * [-1, 1, 1]), "deformed cage"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            position_map.pose(cage)
     with pytest.raises(ValueError, match="weights"):
         position_map.pose(rest).rebind(rest)
     with pytest.raises(ValueError, match="no weights are kept"):
         _ = position_map.weights
-    open_cage = Cage(rest.vertices, rest.faces[1:])
     with pytest.raises(ValueError, match="rest cage"):
-        PositionMap(open_cage, device=device)
+        PositionMap(Cage(rest.vertices, rest.faces[1:]), device=device)
 
 
 def test_affine_fit_leaves_nothing_of_an_affine_pose():

@@ -377,3 +377,52 @@ def reference_distance(points, vertices, faces):
         foot = trimesh.triangles.closest_point(corners, points)
         nearest = np.minimum(nearest, np.linalg.norm(foot - points, axis=1))
     return nearest
+
+
+def arms(slot):
+    """A prism 1 x 0.9 x 0.4 with a slot of this width between two arms: vertices, faces."""
+    half = slot / 2
+    outline = np.array([[-0.5, -0.45], [0.5, -0.45], [0.5, 0.45], [half, 0.45], [half, -0.1], [-half, -0.1],
+                        [-half, 0.45], [-0.5, 0.45]])  # fmt: skip
+    top = np.array([[0, 1, 5], [1, 4, 5], [1, 2, 4], [2, 3, 4], [0, 5, 7], [5, 6, 7]])
+    sides = [face for i in range(8) for j in [(i + 1) % 8] for face in ([i, j, j + 8], [i, j + 8, i + 8])]
+    vertices = np.concatenate([np.column_stack([outline, np.full(8, height)]) for height in (-0.2, 0.2)])
+    return vertices, np.concatenate([top[:, ::-1], top + 8, sides])
+
+
+def slot_cages(width, degrees, axis=(0.3, 0.2, 1)):
+    """A narrow slot, the pose that opens it, and the turn of both."""
+    import trimesh
+
+    from warpcage import Cage
+
+    vertices, faces = arms(width)
+    turn = trimesh.transformations.rotation_matrix(np.radians(degrees), axis)[:3, :3]
+    moved = vertices.copy()
+    tips = vertices[:, 1] > 0.3
+    moved[tips, 0] += np.where(vertices[tips, 0] > 0, 0.05, -0.05)
+    return Cage(vertices @ turn.T, faces), Cage(moved @ turn.T, faces), turn
+
+
+def points_beside_slot(width, cells, turn, count=3000):
+    """Points within three cells of the walls of a slot."""
+    random = np.random.default_rng(0)
+    side = np.where(random.random(count) < 0.5, 1, -1)
+    away = width / 2 + random.uniform(1e-4, 3 / cells, count)
+    points = [side * away, random.uniform(-0.15, 0.449, count), random.uniform(-0.199, 0.199, count)]
+    return np.column_stack(points) @ turn.T
+
+
+def look_up(position_map, points):
+    """Positions (n, 3) float64 in world units and signed distances (n,)."""
+    import warp as wp
+
+    from warpcage.core import launch
+    from warpcage.kernels.lattice.cage_map import sample_map
+
+    device = position_map.device
+    local = wp.array((points - position_map.origin).astype(np.float32), dtype=wp.vec3, device=device)
+    positions = wp.empty(len(points), dtype=wp.vec3, device=device)
+    distance = wp.empty(len(points), dtype=float, device=device)
+    launch(sample_map, len(points), [position_map.data, local], [positions, distance], device=device)
+    return positions.numpy() + position_map.origin, distance.numpy()
