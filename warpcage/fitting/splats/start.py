@@ -102,7 +102,7 @@ def scene_units(scene: Scene) -> tuple[np.ndarray, float, float]:
 
 
 def starting_splats(scene: Scene, *, most: int, seed: int, device: wp.DeviceLike = None, kind: str = "auto") -> Start:
-    """At most `most` splats to begin a fit with, on a CPU the same for a seed; kind: one of STARTS. ValueError where the
+    """At most `most` splats to begin a fit with, on a CPU the same for a seed; kind: of STARTS. ValueError where the
     silhouettes have no common inside, and for points where there are none."""
     random = np.random.default_rng(seed)
     found = _captured_points(scene, most, random) if kind in ("auto", "points") else None
