@@ -36,7 +36,9 @@ def marks_of(file):
                         for decorator in node.decorator_list)  # fmt: skip
 
     whole = names.get("pytestmark", "")
-    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+    functions = [
+        node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
+    ]
     tests = [node for node in functions if node.name.lower().startswith("test")]
     return {node.name: f"{whole} {text_of(node)}" for node in tests}
 

@@ -44,7 +44,7 @@ def lacks(error):
 
 
 def skip_what_is_missing():
-    """A hook around a test or a fixture: errors of what is missing become skips."""
+    """A hook around a test or its fixtures: errors of what is missing become skips."""
     try:
         return (yield)
     except Exception as error:
@@ -57,9 +57,9 @@ def skip_what_is_missing():
 if MISSING:
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_fixture_setup():
+    def pytest_runtest_setup():
         return (yield from skip_what_is_missing())
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_pyfunc_call():
+    def pytest_runtest_call():
         return (yield from skip_what_is_missing())
