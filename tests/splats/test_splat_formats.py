@@ -469,7 +469,7 @@ def test_gltf_of_unknown_kernels_says_so(tmp_path):
 def test_a_glb_of_a_mesh_is_no_splats(tmp_path):
     warpcage.Cage.box((0, 0, 0), (1, 1, 1)).save(tmp_path / "cage.glb")
     assert not is_splat_file(tmp_path / "cage.glb")
-    with pytest.raises(ValueError, match="cage.glb.* no node of its scene has a mesh with KHR_gaussian_splatting"):
+    with pytest.raises(ValueError, match="no node of its scene has a mesh"):
         loaded(tmp_path / "cage.glb")
 
 
