@@ -171,7 +171,7 @@ DAMAGED = [
     (".ply", lambda data: data.replace(b"little", b"middle"), "'binary_middle_endian 1.0'"),
     (".ply", lambda data: data.replace(b"vertex 4", b"vertex four"), "an element needs a name and a count"),
     (".spz", lambda data: gzip.compress(gzip.decompress(data)[:9]), "header of 16 bytes, got 9"),
-    (".spz", lambda data: data[:10] + b"\xff" * 20, "what gzip packed in it cannot be unpacked"),
+    (".spz", lambda data: data[:10] + b"\xff" * 20, "gzip packed in it cannot be unpacked"),
     (".glb", lambda data: data.replace(b"splatting:SCALE", b"splatting:WIDTH"), "lack KHR_gaussian_splatting:SCALE"),
 ]
 

@@ -16,6 +16,13 @@ MARKERS = {
     "cuda": "runs on a GPU; tests over devices are marked by themselves",
 }
 
+#: Folders of tests that are quick, but for some files.
+QUICK = "core coordinates field films lattice mesh scene splats view".split()
+NOT_QUICK = (
+    "test_background test_clean_splats test_frames test_kernels test_objects test_position_map test_selection_files"
+    " test_slots test_splat_objects"
+).split()
+
 #: Drawn examples of each property, by day and at night.
 EXAMPLES, EXAMPLES_AT_NIGHT = 15, 150
 
@@ -45,6 +52,8 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker("cuda")
         if night and item.get_closest_marker("scaled"):
             item.add_marker("nightly")
+        if item.path.parent.name in QUICK and item.path.stem not in NOT_QUICK:
+            item.add_marker("quick")
     if not night:
         left = [item for item in items if item.get_closest_marker("nightly")]
         if left:
