@@ -6,6 +6,9 @@ import struct
 import numpy as np
 import pytest
 from messages import MESSAGES
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+from scipy.ndimage import shift as shifted
 
 from warpcage.captures import FrameScores, motion, pick_frames, scan_video, sharpness, write_frames
 
@@ -38,8 +41,6 @@ def write_video(path, pictures, times=None):
 
 def moving_pictures(shifts, size=(96, 128), seed=0):
     """Cut-outs of one random picture with soft patches, shifted by so many pixels."""
-    from scipy.ndimage import gaussian_filter
-
     rng = np.random.default_rng(seed)
     wide = gaussian_filter(rng.standard_normal((size[0], size[1] + int(max(shifts)) + 8, 3)), (2, 2, 0))
     wide = np.clip(128 + 200 * wide, 0, 255).astype(np.uint8)
@@ -47,8 +48,6 @@ def moving_pictures(shifts, size=(96, 128), seed=0):
 
 
 def test_blur_lowers_sharpness_whatever_is_seen():
-    from scipy.ndimage import gaussian_filter
-
     rng = np.random.default_rng(3)
     for content in (rng.uniform(0, 255, (200, 300)), gaussian_filter(rng.uniform(0, 2550, (200, 300)), 1.5)):
         values = [sharpness(gaussian_filter(content, blur)) for blur in (0.0, 0.7, 1.5, 3.0)]
@@ -58,9 +57,6 @@ def test_blur_lowers_sharpness_whatever_is_seen():
 
 @pytest.mark.parametrize("shift", [0.5, 1.0, 2.0])
 def test_motion_is_how_far_the_view_moves(shift):
-    from scipy.ndimage import gaussian_filter
-    from scipy.ndimage import shift as shifted
-
     picture = gaussian_filter(np.random.default_rng(1).uniform(0, 255, (80, 96)), 2.5) * 4
     moved = shifted(picture, (0, shift), order=3, mode="nearest")
     assert motion(picture, picture) == 0.0
@@ -88,8 +84,6 @@ def test_a_still_video_has_one_frame():
 @pytest.mark.parametrize("degrees", [90, 180, 270])
 def test_frames_are_turned_as_the_phone_was_held(tmp_path, degrees):
     """A player turns a picture clockwise by the angle of the matrix; Pillow is the judge of the turn."""
-    from PIL import Image
-
     pictures = moving_pictures([0, 9, 18])
     video = write_video(tmp_path / "v.mp4", pictures)
     turn_video(video, degrees)
@@ -110,8 +104,6 @@ def test_frames_at_uneven_times(tmp_path):
     assert len(scores.times) == 6 and np.ptp(np.diff(scores.times)) > 0
     files = [tmp_path / "a.png", tmp_path / "b.png"]
     write_frames(video, scores.times[[1, 4]], files)
-    from PIL import Image
-
     for file, picture in zip(files, (pictures[1], pictures[4]), strict=True):
         assert np.abs(np.asarray(Image.open(file)).astype(float) - picture).mean() < 6
 

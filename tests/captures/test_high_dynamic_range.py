@@ -49,12 +49,12 @@ def codes(signal, *, full=False, wide=True):
     return np.round([876 * luma + 64, 896 * cb + 512, 896 * cr + 512]).astype(np.uint16)
 
 
-def frame_of(signal, transfer, *, full=False, side=16):
-    """A frame of 10 bits with a square for each signal, in a row."""
+def frame_of(signal, transfer, *, full=False, height=16):
+    """A frame of 10 bits with a patch for each signal, 16 pixels wide."""
     import av
 
-    planes = np.repeat(np.repeat(codes(signal, full=full)[:, None], side, axis=1), side, axis=2)  # (3, side, n side)
-    frame = av.VideoFrame(planes.shape[2], side, "yuv420p10le")
+    planes = np.repeat(np.repeat(codes(signal, full=full)[:, None], height, axis=1), 16, axis=2)  # (3, height, 16 n)
+    frame = av.VideoFrame(planes.shape[2], height, "yuv420p10le")
     for plane, values in zip(frame.planes, (planes[0], planes[1, ::2, ::2], planes[2, ::2, ::2]), strict=True):
         rows = np.zeros((plane.height, plane.line_size // 2), np.uint16)
         rows[:, : values.shape[1]] = values
@@ -130,17 +130,9 @@ def write_video(path, transfer, count=4):
         stream.codec_context.color_trc, stream.codec_context.color_primaries = TRC[transfer], 9
         stream.codec_context.colorspace, stream.codec_context.color_range = 9, 1
         for index in range(count):
-            frame = frame_of(np.roll(PATCHES, index, axis=0), transfer, side=16)
-            tall = av.VideoFrame(160, 64, "yuv420p10le")
-            for plane, source in zip(tall.planes, frame.planes, strict=True):
-                rows = np.frombuffer(bytes(source), np.uint16).reshape(source.height, -1)
-                whole = np.zeros((plane.height, plane.line_size // 2), np.uint16)
-                width = min(whole.shape[1], rows.shape[1])
-                whole[:, :width] = np.tile(rows, (4, 1))[: plane.height, :width]
-                plane.update(whole.tobytes())
-            tall.color_trc, tall.color_primaries, tall.colorspace, tall.color_range = TRC[transfer], 9, 9, 1
-            tall.pts, tall.time_base = index, fractions.Fraction(1, 30)
-            container.mux(stream.encode(tall))
+            frame = frame_of(np.roll(PATCHES, index, axis=0), transfer, height=64)
+            frame.pts, frame.time_base = index, fractions.Fraction(1, 30)
+            container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     return path
 

@@ -1,15 +1,15 @@
 """What refined cameras follow from: slopes of rays against finite differences, steps, exposures and alignments."""
 
-import dataclasses
-
 import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
-from fit_oracles import photometric_gradient, training_rays
+from fit_oracles import moved_camera, photometric_gradient, poses_of, training_rays, two_cameras
 from scipy.spatial.transform import Rotation
 
 import warpcage
+from warpcage.fitting import CameraSums
+from warpcage.fitting import cameras as steps
 from warpcage.kernels.fitting import cameras as camera_kernels
 from warpcage.view import (
     Similarity,
@@ -26,14 +26,8 @@ STEP = 1e-5
 
 def changed_camera(camera, number, change, reach):
     """The camera with one of its seven numbers larger: turns about its axes, shifts along them, log of focal length."""
-    pose, factor = camera.camera_to_world.copy(), 1.0
-    if number < 3:
-        pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(change * np.eye(3)[number]).as_matrix()
-    elif number < 6:
-        pose[:3, 3] += reach * change * pose[:3, number - 3]
-    else:
-        factor = np.exp(change)
-    return dataclasses.replace(camera, fx=factor * camera.fx, fy=factor * camera.fy, camera_to_world=pose)
+    turn, shift, zoom = np.split(change * np.eye(7)[number], [3, 6])
+    return moved_camera(camera, turn, reach * shift, zoom[0])
 
 
 def rendered(field, density, sh, camera, behind):
@@ -62,10 +56,8 @@ def slopes_of(field, rays, count, device, *, behind=None, front=None, reach=1.0,
 def tile_order(height, width, size=2):
     """Rows and columns of pixels, tile after tile."""
     rows, columns = np.mgrid[:height, :width]
-    return tuple(
-        part.reshape(height // size, size, width // size, size).transpose(0, 2, 1, 3).ravel()
-        for part in (rows, columns)
-    )
+    cells = (height // size, size, width // size, size)
+    return tuple(part.reshape(cells).transpose(0, 2, 1, 3).ravel() for part in (rows, columns))
 
 
 def sky(origin, direction):
@@ -109,10 +101,7 @@ def test_camera_slopes_match_finite_differences(device, numbers, around):
         picture = rendered(field, density, sh, view, behind)
         if not has_front:
             return picture
-        origins, directions = view.rays()
-        before = np.array(
-            [[mist(*ray) for ray in zip(*rows, strict=True)] for rows in zip(origins, directions, strict=True)]
-        )
+        before = np.array([[mist(*ray) for ray in zip(*rows, strict=True)] for rows in zip(*view.rays(), strict=True)])
         return before[..., :3] + before[..., 3:] * picture
 
     backs = seen_around(sky, camera, reach, order) if has_behind else None
@@ -129,18 +118,13 @@ def test_camera_slopes_match_finite_differences(device, numbers, around):
 
 def test_sums_are_the_gradient_of_the_fits_own_loss(device):
     """2 J^T e of each camera against finite differences of the photometric loss that the field is fitted by."""
-    from warpcage.fitting import CameraSums
-
     # nothing at the faces of its box, and no empty place within: its pictures change without jumps
     links = np.full((7, 7, 7), -1, np.int32)
     links[1:-1, 1:-1, 1:-1] = np.arange(125).reshape(5, 5, 5)
     random = np.random.default_rng(0)
     density, sh = random.uniform(0.5, 3.0, 125), random.normal(0, 0.1, (125, 24))
     field = warpcage.VoxelField([[-1] * 3, [1] * 3], links, density, sh, device=device)
-    cameras = [
-        warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=38, width=8, height=6)
-        for eye in ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2])
-    ]
+    cameras = two_cameras()
     images, alphas = random.random((2, 6, 8, 3)), 0.5 + 0.5 * random.random((2, 6, 8))
     images = images * alphas[..., None] + (1 - alphas[..., None])
     gains, offsets = np.exp(0.2 * random.normal(size=(2, 3))), 0.1 * random.normal(size=(2, 3))
@@ -184,18 +168,15 @@ def test_tiles_are_drawn_from_their_view(device):
 
 def test_steps_solve_for_cameras_and_their_lenses_together(monkeypatch):
     """Against one large system in which two of three cameras share a lens."""
-    from warpcage.fitting import cameras as steps
-
     monkeypatch.setattr(steps, "DAMPING", 0.0)
     monkeypatch.setattr(steps, "LEAST_DAMPING", 0.0)
     random = np.random.default_rng(3)
     jacobians, errors = random.normal(size=(3, 40, 7)), random.normal(size=(3, 40))
     lenses = np.array([0, 1, 0])
-    whole = np.zeros((120, 20))
+    whole = np.zeros((3, 40, 20))
     for n in range(3):
-        whole[40 * n : 40 * n + 40, 6 * n : 6 * n + 6] = jacobians[n, :, :6]
-        whole[40 * n : 40 * n + 40, 18 + lenses[n]] = jacobians[n, :, 6]
-    expected = np.linalg.lstsq(whole, -errors.ravel(), rcond=None)[0]
+        whole[n, :, 6 * n : 6 * n + 6], whole[n, :, 18 + lenses[n]] = jacobians[n, :, :6], jacobians[n, :, 6]
+    expected = np.linalg.lstsq(whole.reshape(120, 20), -errors.ravel(), rcond=None)[0]
     normal, slope = np.einsum("nri,nrj->nij", jacobians, jacobians), np.einsum("nri,nr->ni", jacobians, errors)
     found = steps.camera_steps(normal, slope, lenses)
     np.testing.assert_allclose(found[:, :6].ravel(), expected[:18], rtol=1e-9)
@@ -209,8 +190,6 @@ def test_steps_solve_for_cameras_and_their_lenses_together(monkeypatch):
 
 
 def test_exposures_are_found_and_even(monkeypatch):
-    from warpcage.fitting import cameras as steps
-
     monkeypatch.setattr(steps, "EXPOSURE_PRIOR", 0.0)
     monkeypatch.setattr(steps, "OFFSET_PRIOR", 0.0)
     random = np.random.default_rng(4)
@@ -230,8 +209,7 @@ def test_exposures_are_found_and_even(monkeypatch):
 
 
 def orbit_poses(count=12):
-    views = framing_orbit(np.random.default_rng(0).normal(size=(20, 3)), count)
-    return np.array([camera.camera_to_world for camera in views])
+    return poses_of(framing_orbit(np.random.default_rng(0).normal(size=(20, 3)), count))
 
 
 def test_alignments_undo_a_similarity():
@@ -264,17 +242,10 @@ def test_pictures_align_cameras_that_turns_and_shifts_made_inexact():
     assert (by_pictures**2).sum() < 0.999 * (by_poses**2).sum()
 
 
-def bent(cameras, zoom=0.0):
-    """Cameras of a ring after what bends it smoothly: those on one side go ahead and turn right."""
-    found = []
-    for camera in cameras:
-        pose = camera.camera_to_world.copy()
-        side = pose[0, 3] / np.linalg.norm(pose[:3, 3])
-        pose[:3, 3] += 0.02 * side * pose[:3, 2]
-        pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec([0, 0.01 * side, 0]).as_matrix()
-        factor = np.exp(zoom)
-        found.append(dataclasses.replace(camera, fx=factor * camera.fx, fy=factor * camera.fy, camera_to_world=pose))
-    return found
+def bent(camera, zoom=0.0):
+    """A camera of a ring after what bends it smoothly: those on one side go ahead and turn right."""
+    side = camera.center[0] / np.linalg.norm(camera.center)
+    return moved_camera(camera, [0, 0.01 * side, 0], [0, 0, 0.02 * side], zoom)
 
 
 def ring(count, width=40):
@@ -286,21 +257,17 @@ def ring(count, width=40):
 def test_held_out_cameras_move_along_with_those_near_them():
     """A bend of a ring and a zoom, seen at every camera but every fourth, against where those truly go."""
     every = ring(40)
-    true = bent(every, zoom=0.01)
+    true = [bent(camera, zoom=0.01) for camera in every]
     kept, held = [n for n in range(40) if n % 4], range(0, 40, 4)
     given, refined = ([each[n] for n in kept] for each in (every, true))
-    found = moved_along([every[n] for n in held], given, refined)
+    starts, ends = ([each[n] for n in held] for each in (every, true))
+    found = moved_along(starts, given, refined)
     points = np.random.default_rng(1).uniform(-0.5, 0.5, (30, 3))
-    poses, ends, starts = (
-        np.array([camera.camera_to_world for camera in each])
-        for each in (found, [true[n] for n in held], [every[n] for n in held])
-    )
-    left, before = picture_shifts(poses, ends, points), picture_shifts(starts, ends, points)
+    left, before = (picture_shifts(poses_of(each), poses_of(ends), points) for each in (found, starts))
     assert left.max() < 0.15 * before.max() and before.max() > 5e-3
-    np.testing.assert_allclose([camera.fx for camera in found], [true[n].fx for n in held])
+    np.testing.assert_allclose([camera.fx for camera in found], [camera.fx for camera in ends])
     # those of the fit go where they went, and stay there; another size of the picture has the same lens
-    for camera, end in zip(moved_along(given, given, refined), refined, strict=True):
-        np.testing.assert_allclose(camera.camera_to_world, end.camera_to_world, atol=1e-12)
+    np.testing.assert_allclose(poses_of(moved_along(given, given, refined)), poses_of(refined), atol=1e-12)
     assert moved_along(refined, given, refined) == refined
     halved = moved_along([every[0].resized(20, 15)], given, refined)[0]
     assert halved.fx / every[0].resized(20, 15).fx == pytest.approx(np.exp(0.01))
@@ -309,18 +276,8 @@ def test_held_out_cameras_move_along_with_those_near_them():
 def test_cameras_do_not_go_along_with_what_is_no_ones_neighbors():
     """Cameras that were off each by itself predict nothing: held-out ones stay, nearly."""
     every, random = ring(40), np.random.default_rng(0)
-    kept, held = [n for n in range(40) if n % 4], [every[n] for n in range(0, 40, 4)]
-    given = [every[n] for n in kept]
-    refined = []
-    for camera in given:
-        pose = camera.camera_to_world.copy()
-        pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(0.01 * random.normal(size=3)).as_matrix()
-        refined.append(dataclasses.replace(camera, camera_to_world=pose))
+    given, held = [every[n] for n in range(40) if n % 4], [every[n] for n in range(0, 40, 4)]
+    refined = [moved_camera(camera, 0.01 * random.normal(size=3)) for camera in given]
     points = random.uniform(-0.5, 0.5, (30, 3))
-    starts, ends, poses = (
-        np.array([camera.camera_to_world for camera in each])
-        for each in (given, refined, moved_along(held, given, refined))
-    )
-    stayed = np.array([camera.camera_to_world for camera in held])
-    moved = np.median(picture_shifts(poses, stayed, points))
-    assert moved < 0.15 * np.median(picture_shifts(starts, ends, points))
+    moved = picture_shifts(poses_of(moved_along(held, given, refined)), poses_of(held), points)
+    assert np.median(moved) < 0.15 * np.median(picture_shifts(poses_of(given), poses_of(refined), points))

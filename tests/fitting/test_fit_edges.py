@@ -47,23 +47,22 @@ def grey(count=2):
 @pytest.mark.parametrize(
     "change, words",
     [
-        (lambda images, alphas: (images[:0], None, []), "at least one image"),
-        (lambda images, alphas: ([], None, []), "at least one image"),
-        (lambda images, alphas: ([images[0], images[1, :8]], None), MESSAGES["fitting.images_one_size"]),
-        (lambda images, alphas: (np.where(np.arange(3) == 1, np.nan, images), None), "image 0000 .* not finite"),
-        (lambda images, alphas: (np.where(np.arange(3) == 1, np.inf, images), None), "image 0000 .* not finite"),
-        (lambda images, alphas: ((255 * images).astype(np.uint8), None), MESSAGES["fitting.images_of_bytes"]),
-        (lambda images, alphas: (images, alphas * np.nan), "alphas of image 0000 .* from nan"),
-        (lambda images, alphas: (images, alphas * 255), "alphas of image 0000 .* to 255"),
-        (lambda images, alphas: (images, alphas[:, :8]), "alphas must be"),
-        (lambda images, alphas: (images, alphas, around(3)), "2 images, 3 cameras"),
-        (lambda images, alphas: (images, alphas, around(2, size=8)), "is 8x8, images are 16x16"),
+        ({"images": grey()[:0], "cameras": []}, "at least one image"),
+        ({"images": [], "cameras": []}, "at least one image"),
+        ({"images": [grey()[0], grey()[1, :8]]}, MESSAGES["fitting.images_one_size"]),
+        ({"images": np.where(np.arange(3) == 1, np.nan, grey())}, "image 0000 .* not finite"),
+        ({"images": np.where(np.arange(3) == 1, np.inf, grey())}, "image 0000 .* not finite"),
+        ({"images": (255 * grey()).astype(np.uint8)}, MESSAGES["fitting.images_of_bytes"]),
+        ({"alphas": np.full((2, SIZE, SIZE), np.nan)}, "alphas of image 0000 .* from nan"),
+        ({"alphas": np.full((2, SIZE, SIZE), 255.0)}, "alphas of image 0000 .* to 255"),
+        ({"alphas": np.ones((2, 8, SIZE))}, "alphas must be"),
+        ({"cameras": around(3)}, "2 images, 3 cameras"),
+        ({"cameras": around(2, size=8)}, "is 8x8, images are 16x16"),
     ],
 )
 def test_scenes_that_are_refused(change, words):
-    images, alphas, *cameras = change(grey(), np.ones((2, SIZE, SIZE)))
     with pytest.raises(ValueError, match=words) as caught:
-        Scene(images, alphas, cameras[0] if cameras else around(2))
+        Scene(**{"images": grey(), "alphas": None, "cameras": around(2)} | change)
     assert "\n" not in str(caught.value)
 
 
@@ -107,11 +106,16 @@ def test_poses_that_are_refused(pose, words):
         ({"bounds": [[0, 0, 0], [1, 1, 0]]}, "lower below upper"),
         ({"bounds": [[0, 0, 0], [1, 1, np.nan]]}, "finite"),
         ({"bounds": [[50] * 3, [51] * 3]}, "inside all silhouettes"),
+        ({"epoch": 3}, "no option 'epoch'"),
+        ({"quality": "best"}, "quality"),
         ({"seed": -1}, "seed"),
         ({"seed": 1.5}, "seed"),
+        ({"epochs": 0}, "epochs"),
         ({"epochs": "3"}, "epochs"),
         ({"epochs": np.nan}, "epochs"),
+        ({"resolution": 2}, "resolution"),
         ({"resolution": 16.5}, "resolution"),
+        ({"levels": 0}, "levels"),
         ({"levels": 2.5}, "levels"),
         ({"batch_rays": -5}, "batch_rays"),
         ({"variation_share": 0}, "variation_share"),
@@ -150,10 +154,9 @@ def test_cameras_that_all_look_away_are_refused(alpha):
 
 
 def test_cameras_in_one_place_that_look_around_need_bounds():
-    cameras = [
-        Camera.look_at([0, 0, 0], [np.cos(a), np.sin(a), 0.2 * np.sin(3 * a)], fov_degrees=80, width=SIZE, height=SIZE)
-        for a in 2 * np.pi * np.arange(6) / 6
-    ]
+    angles, lens = 2 * np.pi * np.arange(6) / 6, {"fov_degrees": 80, "width": SIZE, "height": SIZE}
+    ahead = np.stack([np.cos(angles), np.sin(angles), 0.2 * np.sin(3 * angles)], axis=1)
+    cameras = [Camera.look_at([0, 0, 0], each, **lens) for each in ahead]
     with pytest.raises(ValueError, match="do not tell the size .* give the bounds"):
         fit(Scene(grey(6), None, cameras), **QUICK)
     with pytest.raises(ValueError, match="size of what they look at"):
@@ -198,16 +201,9 @@ def test_cameras_inside_what_they_see(bounds):
     sh = np.zeros((32, 32, 32, 9, 3))
     sh[..., 0, :] = centers
     shell = VoxelField.from_dense(np.where(radius > 0.8, 40.0, 0.0), sh, [[-1] * 3, [1] * 3])
-    cameras = [
-        Camera.look_at(
-            0.4 * np.array([np.cos(a), np.sin(a), 0.3 * np.cos(2 * a)]),
-            [0, 0, 0],
-            fov_degrees=70,
-            width=SIZE,
-            height=SIZE,
-        )
-        for a in 2 * np.pi * np.arange(10) / 10
-    ]
+    angles, lens = 2 * np.pi * np.arange(10) / 10, {"fov_degrees": 70, "width": SIZE, "height": SIZE}
+    eyes = 0.4 * np.stack([np.cos(angles), np.sin(angles), 0.3 * np.cos(2 * angles)], axis=1)
+    cameras = [Camera.look_at(eye, [0, 0, 0], **lens) for eye in eyes]
     scene = seen(cameras, alpha=False, field=shell)
     field = fit(scene, bounds=bounds, **{**QUICK, "epochs": 10})
     assert mean_psnr(evaluate(field, scene)) > 20

@@ -4,21 +4,21 @@ import field_oracles as oracle
 import numpy as np
 import pytest
 import warp as wp
-from fit_oracles import counted_views, gradient_rows, photometric_gradient, training_rays
+from fit_oracles import counted_views, gradient_rows, photometric_gradient, training_rays, two_cameras
 
 import warpcage
 from warpcage.kernels.fitting import background_loss
 from warpcage.kernels.fitting import rmsprop as field_step
 
 
+def small_field(device):
+    size = {"resolution": (5, 5, 5), "bounds": ((-1,) * 3, (1,) * 3)}
+    return oracle.random_field(device, keep=0.7, density_scale=1.0, numbers=(24,), **size)
+
+
 def test_photometric_gradient_matches_finite_differences(device):
-    field, density, sh = oracle.random_field(
-        device, resolution=(5, 5, 5), keep=0.7, bounds=((-1,) * 3, (1,) * 3), density_scale=1.0, numbers=(24,)
-    )
-    cameras = [
-        warpcage.Camera.look_at(eye, [0, 0, 0], fov_degrees=38, width=8, height=6)
-        for eye in ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2])
-    ]
+    field, density, sh = small_field(device)
+    cameras = two_cameras()
     random = np.random.default_rng(0)
     images, alphas = random.random((2, 6, 8, 3)), np.ones((2, 6, 8))
     images = images.astype(np.float16).astype(np.float64)
@@ -31,18 +31,10 @@ def test_photometric_gradient_matches_finite_differences(device):
         total = 0.0
         for camera, image in zip(cameras, images, strict=True):
             origins, directions = camera.rays()
-            for row, column in np.ndindex(6, 8):
-                rgb, _, _ = oracle.render_ray(
-                    field,
-                    density,
-                    sh,
-                    origins[row, column],
-                    directions[row, column],
-                    field.step,
-                    background,
-                    length=6.0,
-                )
-                total += ((rgb - image[row, column]) ** 2).sum()
+            for pixel in np.ndindex(6, 8):
+                ray = origins[pixel], directions[pixel], field.step, background
+                rgb, _, _ = oracle.render_ray(field, density, sh, *ray, length=6.0)
+                total += ((rgb - image[pixel]) ** 2).sum()
         return total * scale
 
     assert abs(error.sum() * scale - loss(density, sh)) < 1e-5
@@ -65,10 +57,8 @@ def test_photometric_gradient_matches_finite_differences(device):
 
 
 def test_gradient_of_subrays_matches_finite_differences(device):
-    field, _, _ = oracle.random_field(
-        device, resolution=(5, 5, 5), keep=0.7, bounds=((-1,) * 3, (1,) * 3), density_scale=1.0, numbers=(24,)
-    )
-    camera = warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0], fov_degrees=38, width=8, height=6)
+    field, _, _ = small_field(device)
+    camera = two_cameras()[0]
     random = np.random.default_rng(0)
     rays = training_rays([camera], random.random((1, 6, 8, 3)), np.ones((1, 6, 8)), field, device, 2)
     field.grid.density.assign(np.abs(field.grid.density.numpy()) + 0.2)  # differences stay clear of the ReLU's kink
@@ -94,13 +84,10 @@ def test_gradient_by_warps_is_the_same(device, side, density_scale):
     if device == "cpu":
         pytest.skip("warp shuffles: CUDA only")
     resolution = (40, 36, 44)
-    field, _, _ = oracle.random_field(
-        device, resolution=resolution, keep=0.6, density_scale=density_scale, numbers=(24,)
-    )
-    cameras = [
-        warpcage.Camera.look_at(eye, [0, 0, 0.3], fov_degrees=60, width=7, height=5)
-        for eye in ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2], [0.1, 0.2, 0.3])
-    ]
+    options = {"resolution": resolution, "keep": 0.6, "density_scale": density_scale, "numbers": (24,)}
+    field, _, _ = oracle.random_field(device, **options)
+    eyes, lens = ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2], [0.1, 0.2, 0.3]), {"fov_degrees": 60, "width": 7, "height": 5}
+    cameras = [warpcage.Camera.look_at(eye, [0, 0, 0.3], **lens) for eye in eyes]
     random = np.random.default_rng(0)
     rays = training_rays(cameras, random.random((3, 5, 7, 3)), random.random((3, 5, 7)), field, device, side)
     how = {"random_background": 1, "seed": 5, "stop": 1e-4}
@@ -113,7 +100,7 @@ def test_gradient_by_warps_is_the_same(device, side, density_scale):
 def test_subrays_fill_their_pixel(device):
     """Four rays a pixel are nearer to the area's average than to the middle."""
     field, _, _ = oracle.random_field(device, bounds=((-1,) * 3, (1,) * 3), density_scale=1.0, numbers=(24,))
-    camera = warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0], fov_degrees=38, width=8, height=6)
+    camera = two_cameras()[0]
     fine = warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0], fov_degrees=38, width=64, height=48)
     whole = field.render(fine, background="white").rgb.reshape(6, 8, 8, 8, 3).mean(axis=(1, 3))
     middle = field.render(camera, background="white").rgb
@@ -128,7 +115,7 @@ def test_subrays_fill_their_pixel(device):
 def test_random_backgrounds_reward_the_right_alpha(device):
     """With the image's own colour and alpha rendered, no background leaves an error; with another alpha, all do."""
     field, _, _ = oracle.random_field(device, bounds=((-1,) * 3, (1,) * 3), numbers=(24,))
-    cameras = [warpcage.Camera.look_at([3.0, 0.4, 0.5], [0, 0, 0], fov_degrees=38, width=8, height=6)]
+    cameras = [two_cameras()[0]]
     frame = field.render(cameras[0], background="black")
     seen = frame.rgb + (1 - frame.alpha[..., None])  # composited on white
     for alphas, right in ((frame.alpha, True), (0.5 * frame.alpha, False)):
@@ -148,23 +135,10 @@ def test_variation_gradient_matches_finite_differences(device, counted):
     unit, scale_density, scale_sh, scale_high_degree = 0.7, 0.3, 0.2, 0.9
     views, factors, arrays = counted_views(rows, device)
     by_row = factors[views] if counted else np.ones((rows, 2))
-    wp.launch(
-        field_step.accumulate_variation_gradient,
-        dim=25 * rows,
-        device=device,
-        inputs=[
-            0,
-            field.grid,
-            wp.array(nodes, dtype=wp.vec3i, device=device),
-            3,
-            unit,
-            scale_density,
-            scale_sh,
-            scale_high_degree,
-            *(arrays if counted else (None, None)),
-        ],
-        outputs=[gradients, touched],
-    )
+    inputs = [0, field.grid, wp.array(nodes, dtype=wp.vec3i, device=device), 3, unit, scale_density, scale_sh]
+    inputs += [scale_high_degree, *(arrays if counted else (None, None))]
+    kernel, outputs = field_step.accumulate_variation_gradient, [gradients, touched]
+    wp.launch(kernel, dim=25 * rows, device=device, inputs=inputs, outputs=outputs)
     gradients = gradient_rows(gradients)
     assert touched.numpy().all()
 
@@ -203,10 +177,8 @@ def test_rmsprop_step_matches_numpy(device):
     values, moments = random.normal(size=(12, 25)), np.zeros((12, 25))
     density = wp.array(values[:, 24].astype(np.float32), device=device)
     coefficients = wp.array(values[:, :24].reshape(12, 6, 4).astype(np.float32), dtype=wp.vec4, device=device)
-    held = [
-        wp.zeros(12, dtype=wp.bfloat16, device=device),
-        wp.zeros((12, 6), dtype=field_step.four_bfloats, device=device),
-    ]
+    held = [wp.zeros(12, dtype=wp.bfloat16, device=device)]
+    held.append(wp.zeros((12, 6), dtype=field_step.four_bfloats, device=device))
     rates = np.full(25, 0.7)  # by degree: Y of 0 to 3, then O and G of 0 and 1; density
     degrees = [0] + [1] * 3 + [2] * 5 + [3] * 7 + [0, 1, 1, 1] * 2
     rates[:24] = np.array([0.5, 0.2, 0.1, 0.05])[degrees]
@@ -216,13 +188,9 @@ def test_rmsprop_step_matches_numpy(device):
         slopes = wp.array(g[:, 24].astype(np.float32), device=device)
         gradients = wp.array(g[:, :24].reshape(12, 6, 4).astype(np.float32), dtype=wp.vec4, device=device)
         touched = wp.array((g != 0).any(axis=1).astype(np.uint8), device=device)
-        wp.launch(
-            field_step.apply_rmsprop,
-            dim=12 * 7,
-            device=device,
-            inputs=[0, 0.7, wp.vec4(0.5, 0.2, 0.1, 0.05), 0.9, 1e-12, 1e-12, touched, slopes, gradients, *held],
-            outputs=[density, coefficients],
-        )
+        numbers = [0, 0.7, wp.vec4(0.5, 0.2, 0.1, 0.05), 0.9, 1e-12, 1e-12]
+        inputs, outputs = [*numbers, touched, slopes, gradients, *held], [density, coefficients]
+        wp.launch(field_step.apply_rmsprop, dim=12 * 7, device=device, inputs=inputs, outputs=outputs)
         assert not (gradients.numpy().any() or slopes.numpy().any())
         v = np.where(moments == 0, g * g, 0.9 * moments + 0.1 * g * g)
         moments = np.where(g != 0, v, moments)

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 import warp as wp
-from fit_oracles import shuffled
+from fit_oracles import finished, shuffled
 from messages import MESSAGES
 from scenes import room_scene
 from test_fit_edges import around, seen
@@ -36,19 +36,22 @@ def scene():
     return seen(around(12, size=48))
 
 
-@pytest.mark.parametrize(
-    "text, size",
-    [
-        (12345, 12345),
-        ("4GB", 4 * 10**9),
-        ("1.5 MiB", 3 * 2**19),
-        ("200kb", 200_000),
-        (".5tb", 5 * 10**11),
-        (np.int64(7), 7),
-        ("99", 99),
-        (2e6, 2_000_000),
-    ],
-)
+@pytest.fixture(scope="module")
+def large_pictures():
+    return seen(around(12, size=96))
+
+
+@pytest.fixture
+def same_threads(request, device):
+    """Two on a CPU: a level takes more memory with more of them."""
+    if wp.get_device(device).is_cpu:
+        request.getfixturevalue("two_threads")
+
+
+SIZES = {12345: 12345, "4GB": 4 * 10**9, "1.5 MiB": 3 * 2**19, "200kb": 200_000, ".5tb": 5 * 10**11, "99": 99}
+
+
+@pytest.mark.parametrize("text, size", [*SIZES.items(), (np.int64(7), 7), (2e6, 2_000_000)])
 def test_memory_sizes(text, size):
     assert memory_size(text) == size
 
@@ -148,8 +151,7 @@ def test_owners_declare_what_they_allocate(device, monkeypatch, masks, views):
     if optimizer.background is not None:
         assert optimizer.background.held_bytes > 0
     start = allocations.held - held
-    while optimizer.step_count < optimizer.total_steps:
-        optimizer.step()
+    finished(optimizer)
     gc.collect()
     assert optimizer.held_bytes == allocations.held - start and optimizer.level == optimizer.options.levels - 1
 
@@ -164,10 +166,10 @@ def test_as_many_views_as_first_voxels(device):
     "pictures, limit, least",
     [
         ("scene", "20MB", 30),
-        ("scene", "7MB", 30),
+        pytest.param("scene", "7MB", 30, marks=pytest.mark.nightly),
         ("scene", "2MB", 28),
         ("scene", "1.3MB", 24),
-        ("large_pictures", "4MB", 28),
+        pytest.param("large_pictures", "4MB", 28, marks=pytest.mark.nightly),
         ("large_pictures", "2.2MB", 26),
     ],
 )
@@ -181,11 +183,9 @@ def test_a_limit_is_kept(request, device, monkeypatch, pictures, limit, least):
     assert mean_psnr(evaluate(field, scene)) > least
 
 
-@pytest.mark.parametrize("limit", [1_200_000, 1_800_000])
-def test_a_limit_is_kept_with_what_is_around(request, device, monkeypatch, limit):
+@pytest.mark.parametrize("limit", [1_200_000, pytest.param(1_800_000, marks=pytest.mark.nightly)])
+def test_a_limit_is_kept_with_what_is_around(same_threads, device, monkeypatch, limit):
     """The sky, and what is before and behind the rays of a batch, are counted: large beside so few voxels."""
-    if wp.get_device(device).is_cpu:
-        request.getfixturevalue("two_threads")
     scene = room_scene(8, 32, masks=False)
     allocations = Allocations(monkeypatch, device)
     options = {"resolution": 32, "outer_resolution": 64, "levels": 2, "epochs": 2, "batch_rays": 8192}
@@ -197,9 +197,7 @@ def test_a_limit_is_kept_with_what_is_around(request, device, monkeypatch, limit
 def test_more_memory_is_more_detail(scene, device):
     shapes = []
     for limit in (None, "1GB", "7MB", "2MB"):
-        optimizer = FieldOptimizer(scene, device=device, max_memory=limit, least_steps=9, epochs=0.1)
-        while optimizer.step_count < optimizer.total_steps:
-            optimizer.step()
+        optimizer = finished(FieldOptimizer(scene, device=device, max_memory=limit, least_steps=9, epochs=0.1))
         shapes.append(optimizer.field.resolution)
         np.testing.assert_allclose(optimizer.field.voxel_size, optimizer.field.voxel_size[0], rtol=0.1)
     assert shapes[0] == shapes[1] and shapes[1][0] > shapes[2][0] > shapes[3][0]
@@ -227,20 +225,14 @@ def test_levels_have_no_more_voxels_than_a_launch_has_items(scene, device):
 def test_a_fit_that_meets_the_limit_says_so_and_goes_on(scene, device, monkeypatch, capsys):
     monkeypatch.setattr(memory, "MOST_ITEMS", 25 * 4000)
     field = fit(scene, device=device, least_steps=60)
-    said = [
-        line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if line.startswith("fit: the field")
-    ]
+    lines = capsys.readouterr().err.replace("\r", "\n").splitlines()
+    said = [line for line in lines if line.startswith("fit: the field")]
     assert field.voxel_count <= 4000 and mean_psnr(evaluate(field, scene)) > 24
     size = "x".join(str(n) for n in field.resolution)
     assert len(said) == 1 and f"has {size} instead of" in said[0]
 
 
 # Pictures at 8 bits a channel
-
-
-@pytest.fixture(scope="module")
-def large_pictures():
-    return seen(around(12, size=96))
 
 
 @pytest.mark.parametrize("masks", [False, "split"])
@@ -276,15 +268,8 @@ def test_what_counts_a_little_counts(device):
 def test_a_loss_compares_with_either_precision(device, bits, masks):
     """The squared error of a field with nothing in it before a colour: what the pictures hold of another colour."""
     scene = room_scene(2, 8, masks=masks)
-    optimizer = FieldOptimizer(
-        scene,
-        device=device,
-        resolution=16,
-        levels=1,
-        epochs=1,
-        background_side=4,
-        **({} if masks else {"background": "constant"}),
-    )
+    options = {"background_side": 4} if masks else {"background": "constant"}
+    optimizer = FieldOptimizer(scene, device=device, resolution=16, levels=1, epochs=1, **options)
     optimizer.batches.keep_pictures(bits)
     field = optimizer.field
     field.grid.density.zero_()
@@ -302,7 +287,7 @@ def test_a_loss_compares_with_either_precision(device, bits, masks):
     np.testing.assert_allclose(found, expected[: len(found)], atol=2e-3 if bits == 16 else 8e-3)
 
 
-@pytest.mark.parametrize("kind", ["bricks", "thin"])
+@pytest.mark.parametrize("kind", ["bricks", pytest.param("thin", marks=pytest.mark.nightly)])
 def test_8_bits_a_channel_are_enough(device, monkeypatch, kind):
     """Measured on eight small fits: 0.024 dB worse at most, 0.018 dB better at most."""
     train, test = synthetic_scene(kind, train_views=32, test_views=16, size=32, samples=2, device=device)
@@ -311,18 +296,20 @@ def test_8_bits_a_channel_are_enough(device, monkeypatch, kind):
         monkeypatch.setattr("warpcage.fitting.batches.PRECISIONS", precisions)
         optimizer = FieldOptimizer(train, device=device, resolution=32, levels=2, least_steps=100, batch_rays=2048)
         assert optimizer.pictures.bits == precisions[0]
-        while optimizer.step_count < optimizer.total_steps:
-            optimizer.step()
-        found.append(mean_psnr(evaluate(optimizer.finish(), test)))
+        found.append(mean_psnr(evaluate(finished(optimizer).finish(), test)))
     assert abs(found[0] - found[1]) < 0.1
 
 
 @pytest.mark.parametrize(
-    "limit, bits", [("12.5MB", 16), ("9MB", 8), ("4MB", 8), ("2.8MB", 16), ("2.2MB", 8), ("1.2MB", 8)]
+    "limit, bits",
+    [
+        ("2.8MB", 16),
+        ("2.2MB", 8),
+        ("1.2MB", 8),
+        *(pytest.param(*each, marks=pytest.mark.nightly) for each in (("12.5MB", 16), ("9MB", 8), ("4MB", 8))),
+    ],
 )
-def test_8_bits_are_chosen_where_they_buy_resolution(request, large_pictures, device, monkeypatch, limit, bits):
-    if wp.get_device(device).is_cpu:
-        request.getfixturevalue("two_threads")  # a level takes more memory with more of them
+def test_8_bits_are_chosen_where_they_buy_resolution(same_threads, large_pictures, device, monkeypatch, limit, bits):
     shapes, chosen = [], []
     for precisions in (PRECISIONS, PRECISIONS[:1], PRECISIONS[1:]):
         monkeypatch.setattr("warpcage.fitting.batches.PRECISIONS", precisions)
@@ -332,9 +319,7 @@ def test_8_bits_are_chosen_where_they_buy_resolution(request, large_pictures, de
             assert "images take 1.34 MB" in str(error)
             shapes.append((0, 0, 0))
             continue
-        while optimizer.step_count < optimizer.total_steps:
-            optimizer.step()
-        shapes.append(optimizer.field.resolution)
+        shapes.append(finished(optimizer).field.resolution)
         chosen.append(optimizer.pictures.bits)
     either, whole, bytewise = shapes
     if device == "cpu":
@@ -357,15 +342,12 @@ def test_a_small_device_is_not_overrun(scene, monkeypatch):
     monkeypatch.setattr("warpcage.fitting.memory.free_bytes", lambda device: 2_000_000)
     optimizer = FieldOptimizer(scene, least_steps=9, epochs=0.1)
     assert optimizer.memory_limit == 1_800_000
-    while optimizer.step_count < optimizer.total_steps:
-        optimizer.step()
+    finished(optimizer)
     assert optimizer.field.resolution[0] < optimizer.shapes[0][0] * 4
 
 
-@pytest.mark.parametrize("pictures, limit, bits", [("scene", "6MB", 16), ("large_pictures", "4MB", 8)])
-def test_a_checkpoint_of_a_limited_fit_goes_on(request, device, monkeypatch, tmp_path, pictures, limit, bits):
-    if wp.get_device(device).is_cpu:
-        request.getfixturevalue("two_threads")
+@pytest.mark.parametrize("pictures, limit, bits", [("scene", "6MB", 16), ("large_pictures", "2.2MB", 8)])
+def test_a_checkpoint_of_a_limited_fit_goes_on(request, same_threads, device, tmp_path, pictures, limit, bits):
     scene, options = request.getfixturevalue(pictures), {"max_memory": limit, "least_steps": 60, "device": device}
     optimizer = FieldOptimizer(scene, **options)
     while optimizer.level < 2:
@@ -384,13 +366,13 @@ def test_a_checkpoint_of_a_limited_fit_goes_on(request, device, monkeypatch, tmp
 
 def test_a_refinement_by_a_fraction_keeps_the_picture(scene, device):
     """The same field on a grid 1.4 times as fine renders about the same."""
-    field = fit(scene, device=device, progress=False, resolution=16, levels=1, least_steps=60)
+    field = fit(scene, device=device, progress=False, resolution=16, levels=1, least_steps=60, batch_rays=1024)
     optimizer = FieldOptimizer(scene, device=device, resolution=16, levels=1)
     shape = scaled_shape(field.resolution, 1.4)
     optimizer.current.field = field
     optimizer.current.resample(wp.ones(shape, dtype=wp.uint8, device=device))
-    views = dataclasses.replace(scene, images=np.clip([field.render(c).rgb for c in scene.cameras], 0, 1))
-    assert mean_psnr(evaluate(optimizer.field, Scene(views.images, None, scene.cameras))) > 28
+    images = np.clip([field.render(camera).rgb for camera in scene.cameras], 0, 1)
+    assert mean_psnr(evaluate(optimizer.field, Scene(images, None, scene.cameras))) > 28
 
 
 # How long it takes, said after the first steps
@@ -442,14 +424,15 @@ def test_a_level_that_takes_longer_than_foretold_is_believed(scene, device, monk
 
 
 def test_a_fit_says_what_it_will_take(scene, device, capsys, monkeypatch):
-    fit(scene, device=device, least_steps=60)
+    options = {"device": device, "least_steps": 60, "resolution": 24, "levels": 2}
+    fit(scene, **options)
     lines = capsys.readouterr().err
     assert "instead of" not in lines  # no limit was met
     said = [line for line in lines.splitlines() if line.startswith("fit: about")]
     assert len(said) == 1 and " s and " in said[0] and said[0].endswith(("MB", "GB"))
     assert "fast" not in said[0]
     monkeypatch.setattr(schedule.Pace, "left", lambda pace: 1000.0)  # on a CPU a quicker fit is named
-    fit(scene, device=device, least_steps=60)
+    fit(scene, **options)
     quicker = re.compile(r"a fast fit of pictures shrunk \d+ times takes about (\d+) (s|min)$", re.MULTILINE)
     said = quicker.findall(capsys.readouterr().err)
     if wp.get_device(device).is_cpu:

@@ -54,17 +54,29 @@ def sources_of(before, after):
     return np.array([rows[colors.tobytes()] for colors in after["harmonics"]])
 
 
+def revived(before, device, seed):
+    """Values of splats after those that are almost nothing begin anew."""
+    growing = grown(before, 0, device)
+    growing.revive(seed)
+    return growing.to_contents(1)
+
+
+def grown(contents, most, device, degree=1):
+    return GrowingSplats(contents, most, degree, wp.get_device(device))
+
+
+def opacities_of(after):
+    return 1 / (1 + np.exp(-after["logits"].astype(np.float64)))
+
+
 @pytest.mark.parametrize("opacity", [0.02, 0.3, 0.8, 0.99])
 def test_copies_share_opacity_and_size(opacity, device):
     """One living splat among dead ones: all become it, as the equations say for so many copies."""
     for dead in (1, 2, 7, 30):
         before = contents_of([opacity] + [0.004] * dead)
-        growing = GrowingSplats(before, 0, 1, wp.get_device(device))
-        growing.revive(seed=3)
-        after = growing.to_contents(1)
+        after = revived(before, device, seed=3)
         part, factor = shared(opacity, dead + 1)
-        found = 1 / (1 + np.exp(-after["logits"].astype(np.float64)))
-        assert np.allclose(found, max(part, 0.005), rtol=2e-4)
+        assert np.allclose(opacities_of(after), max(part, 0.005), rtol=2e-4)
         assert np.allclose(after["log_scales"], before.log_scales[0] + np.log(factor), atol=2e-4)
         for name in ("centers", "quaternions", "harmonics"):
             assert (after[name] == getattr(before, name)[:1]).all()
@@ -72,20 +84,16 @@ def test_copies_share_opacity_and_size(opacity, device):
 
 def test_fifty_one_copies_are_the_most_that_are_counted(device):
     before = contents_of([0.9] + [0.001] * 80)
-    growing = GrowingSplats(before, 0, 1, wp.get_device(device))
-    growing.revive(seed=0)
-    after = growing.to_contents(1)
+    after = revived(before, device, seed=0)
     part, factor = shared(0.9, 51)
-    assert np.allclose(1 / (1 + np.exp(-after["logits"].astype(np.float64))), part, rtol=1e-3)
+    assert np.allclose(opacities_of(after), part, rtol=1e-3)
     assert np.allclose(after["log_scales"], before.log_scales[0] + np.log(factor), atol=1e-3)
 
 
 def test_places_are_drawn_by_opacity_and_the_dead_are_none_of_them(device):
     opacities = np.concatenate([[0.9, 0.45, 0.1], np.full(3000, 0.003)])
     before = contents_of(opacities)
-    growing = GrowingSplats(before, 0, 1, wp.get_device(device))
-    growing.revive(seed=5)
-    drawn = np.bincount(sources_of(before, growing.to_contents(1)), minlength=3003)
+    drawn = np.bincount(sources_of(before, revived(before, device, seed=5)), minlength=3003)
     assert (drawn[3:] == 0).all() and drawn.sum() == 3003
     shares = opacities[:3] / opacities[:3].sum()
     assert np.abs((drawn[:3] - 1) / 3000 - shares).max() < 4 * np.sqrt(0.25 / 3000)
@@ -95,7 +103,7 @@ def test_sources_are_drawn_by_what_the_picture_changes_as_they_move(device):
     """By the fourth root of the size times the slope, and opacity."""
     opacities, slopes = np.array([0.9, 0.6, 0.3, 0.3]), np.array([1e-6, 1.6e-5, 1e-5, 0.0])
     before = contents_of(np.concatenate([opacities, np.full(4000, 0.003)]))
-    growing = GrowingSplats(before, 0, 1, wp.get_device(device))
+    growing = grown(before, 0, device)
     state = growing.state()
     state["squares"]["centers"][:4] = (slopes**2 / 3)[:, None]
     growing.restore(state)
@@ -108,7 +116,7 @@ def test_sources_are_drawn_by_what_the_picture_changes_as_they_move(device):
 
 def test_growth_keeps_what_is_there_and_copies_the_rest(device):
     before = contents_of(np.random.default_rng(1).uniform(0.01, 0.95, 200))
-    growing = GrowingSplats(before, 300, 1, wp.get_device(device))
+    growing = grown(before, 300, device)
     growing.grow(260, seed=2)
     assert growing.count == 260
     after = growing.to_contents(1)
@@ -127,7 +135,7 @@ def test_growth_keeps_what_is_there_and_copies_the_rest(device):
 def test_the_picture_stays_when_splats_are_copied(device):
     """What the equations are for: from straight ahead a splat and its copies look the same, nearly."""
     before = contents_of([0.7, 0.001, 0.001], degree=0)
-    growing = GrowingSplats(before, 0, 0, wp.get_device(device))
+    growing = grown(before, 0, device, degree=0)
     camera = Camera.look_at(before.centers[0] + (0, -1.0, 0), before.centers[0], width=60, height=60)
     growing.revive(seed=0)
     fields = [
@@ -139,7 +147,7 @@ def test_the_picture_stays_when_splats_are_copied(device):
 
 def test_where_nothing_lives_nothing_is_copied(device):
     before = contents_of([0.001] * 20)
-    growing = GrowingSplats(before, 30, 1, wp.get_device(device))
+    growing = grown(before, 30, device)
     growing.revive(seed=0)
     after = growing.to_contents(1)
     assert (after["centers"] == before.centers).all() and (after["logits"] == before.logits).all()
@@ -151,7 +159,7 @@ def test_the_same_seed_draws_the_same(device):
     before = contents_of(np.random.default_rng(1).uniform(0.001, 0.95, 500))
     found = []
     for seed in (4, 4, 5):
-        growing = GrowingSplats(before, 700, 1, wp.get_device(device))
+        growing = grown(before, 700, device)
         growing.revive(seed)
         growing.grow(650, seed + 1)
         found.append(growing.to_contents(1))

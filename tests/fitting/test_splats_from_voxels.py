@@ -59,12 +59,14 @@ def test_what_solid_matter_hides_has_no_splats(device):
     assert min(splats.render(camera, antialias=True).alpha[48, 48] for camera in VIEWS) > 0.98
 
 
+LINKS = np.arange(64, dtype=np.int32).reshape(4, 4, 4)
+VALUES = np.full(64, 2.0), np.zeros((64, 9, 3), np.float32)
+
+
 def test_recorded_weights_say_what_is_seen(device):
-    links = np.arange(64, dtype=np.int32).reshape(4, 4, 4)
     weights = np.where(np.arange(64) % 2, 0.5, 0.0)
-    sh = np.zeros((64, 9, 3), np.float32)
-    field = VoxelField([[-1] * 3, [1] * 3], links, np.full(64, 2.0), sh, weights=weights, device=device)
-    expected = np.argwhere(links % 2 == 1) * 0.5 - 0.75
+    field = VoxelField([[-1] * 3, [1] * 3], LINKS, *VALUES, weights=weights, device=device)
+    expected = np.argwhere(LINKS % 2 == 1) * 0.5 - 0.75
     np.testing.assert_allclose(to_splats(field).contents.centers, expected, atol=1e-6)
 
 
@@ -84,9 +86,8 @@ def test_colors_are_those_of_the_rows(device, numbers):
 
 
 def test_what_else_a_field_says_is_kept(device):
-    links, bounds = np.arange(64, dtype=np.int32).reshape(4, 4, 4), np.array([[-1.0] * 3, [1.0] * 3]) + (1e5, -2e5, 3e4)
-    values = np.full(64, 2.0), np.zeros((64, 9, 3))
-    splats = to_splats(VoxelField(bounds, links, *values, background=(0, 1, 0), up=(0, 1, 0), device=device))
+    bounds = np.array([[-1.0] * 3, [1.0] * 3]) + (1e5, -2e5, 3e4)
+    splats = to_splats(VoxelField(bounds, LINKS, *VALUES, background=(0, 1, 0), up=(0, 1, 0), device=device))
     assert np.array_equal(splats.background, [0, 1, 0]) and np.array_equal(splats.up, [0, 1, 0])
     assert splats.device == device
     np.testing.assert_allclose(splats.contents.centers.mean(axis=0), bounds.mean(axis=0), atol=1e-9)

@@ -7,6 +7,7 @@ import pytest
 import scipy.sparse
 import scipy.sparse.csgraph
 
+import warpcage.reference.brick_scene as synthetic
 from warpcage import Camera, load_scene
 from warpcage.reference import brick_model, render_mesh_views, write_brick_scene
 from warpcage.view import read_image
@@ -74,13 +75,8 @@ def test_light_comes_from_above_and_casts_shadows(device):
 def test_highlight_depends_on_the_view(device):
     floor = np.array([[-3, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]], float)
     eyes = [(-1.8, 2.4, 3.6), (1.8, 2.4, 3.6)]  # the first stands where the key light is mirrored to
-    views = render_mesh_views(
-        floor,
-        [[0, 1, 2], [0, 2, 3]],
-        np.full((2, 3), 0.3),
-        [Camera.look_at(eye, (0, 0, 0), width=9, height=9) for eye in eyes],
-        device=device,
-    )
+    cameras = [Camera.look_at(eye, (0, 0, 0), width=9, height=9) for eye in eyes]
+    views = render_mesh_views(floor, [[0, 1, 2], [0, 2, 3]], np.full((2, 3), 0.3), cameras, device=device)
     center = views[:, 4, 4, :3].mean(axis=-1)
     assert center[0] - center[1] > 0.05
 
@@ -164,8 +160,6 @@ def test_scene_depends_on_the_seed_only(tmp_path, brick_scene):
 
 
 def test_scene_is_complete_or_absent(tmp_path, monkeypatch):
-    import warpcage.reference.brick_scene as synthetic
-
     small = {"train_views": 2, "test_views": 1, "size": 8}
     real = synthetic.write_png
     written = []

@@ -3,24 +3,33 @@
 import numpy as np
 import pytest
 import warp as wp
+from fit_oracles import finished
 from scenes import room_scene
 
 import warpcage
 from warpcage import FieldOptimizer
-from warpcage.fitting import Level, PictureRays, ViewCounts, batches, load_progress, save_progress
+from warpcage.fitting import Level, PictureRays, ViewCounts, batches
 from warpcage.view import camera_array
 
 SMALL = {"resolution": 24, "levels": 2, "epochs": 4, "batch_rays": 1024}
 
 
-def test_counts_are_of_the_views_that_show_a_voxel(device):
+BOX = np.array([[-1.0] * 3, [1.0] * 3])
+CAMERAS = warpcage.turntable((0, 0, 0), 3.0, 20, 5, fov_degrees=40, width=12, height=10)
+
+
+@pytest.fixture
+def level(device):
+    """Every voxel of a grid, and the five cameras there."""
+    level = Level(wp.full((12, 12, 12), 1, dtype=wp.uint8, device=device), BOX, np.ones(3, np.float32), 1, 4.0)
+    return level, camera_array(CAMERAS, level.field.center, device)
+
+
+def test_counts_are_of_the_views_that_show_a_voxel(device, level):
     """As many as views that give it the weight when their pixels alone count; few of what is behind others."""
-    cameras = warpcage.turntable((0, 0, 0), 3.0, 20, 5, fov_degrees=40, width=12, height=10)
-    box = np.array([[-1.0] * 3, [1.0] * 3])
-    level = Level(wp.full((12, 12, 12), 1, dtype=wp.uint8, device=device), box, np.ones(3, np.float32), 1, 4.0)
+    level, placed = level
     random = np.random.default_rng(0)
     level.field.grid.density.assign(random.uniform(0.0, 8.0, level.field.voxel_count).astype(np.float32))
-    placed = camera_array(cameras, level.field.center, device)
     expected = np.zeros(level.field.voxel_count, int)
     for view in range(5):
         counted = np.zeros((5, 10, 12), np.uint8)
@@ -33,12 +42,10 @@ def test_counts_are_of_the_views_that_show_a_voxel(device):
     assert set(range(4)) <= set(expected)
 
 
-def test_a_look_has_no_more_rays_than_a_launch_has_items(device, monkeypatch):
+def test_a_look_has_no_more_rays_than_a_launch_has_items(device, level, monkeypatch):
     """Of 90 pictures of 24 million pixels there are more than 2^31: the last of them wrapped around."""
-    cameras = warpcage.turntable((0, 0, 0), 3.0, 20, 5, fov_degrees=40, width=12, height=10)
-    box = np.array([[-1.0] * 3, [1.0] * 3])
-    level = Level(wp.full((12, 12, 12), 1, dtype=wp.uint8, device=device), box, np.ones(3, np.float32), 1, 4.0)
-    rays = PictureRays(camera_array(cameras, level.field.center, device), 12, 10)
+    level, placed = level
+    rays = PictureRays(placed, 12, 10)
     level.field.grid.density.fill_(4.0)
     found, launched, launch_shards = [], [], batches.launch_shards
 
@@ -71,9 +78,7 @@ def test_voxels_that_few_views_show_are_smoother(device):
     for views in (0.5, 1000.0):
         options = SMALL | {"background": "outer", "scarcity": 1.0, "epochs": 20}
         options |= {"variation_views": views, "variation_outer_views": views}
-        optimizer = FieldOptimizer(scene, device=device, **options)
-        while optimizer.step_count < optimizer.total_steps:
-            optimizer.step()
+        optimizer = finished(FieldOptimizer(scene, device=device, **options))
         field = optimizer.field
         links, values = field.grid.links.numpy(), field.grid.sh.numpy()[:, 0]
         pairs = (links[:-1] >= 0) & (links[1:] >= 0)
@@ -82,22 +87,3 @@ def test_voxels_that_few_views_show_are_smoother(device):
         rows = [field.voxel_count, optimizer.background.outer.voxel_count]
         assert [len(each) for each in counts] == rows and all(2 < each.numpy().max() <= 8 for each in counts)
     assert rough[1] < 0.85 * rough[0]
-
-
-def test_counts_go_on_from_a_checkpoint(tmp_path):
-    scene = room_scene(6, 16, masks=False)
-    options = SMALL | {"resolution": 16, "background": "outer", "variation_views": 9, "variation_outer_views": 9}
-    stopped, resumed = (FieldOptimizer(scene, **options) for _ in range(2))
-    while stopped.step_count < stopped.total_steps * 2 // 3:
-        stopped.step()
-    save_progress(stopped, tmp_path / "c.npz")
-    load_progress(resumed, tmp_path / "c.npz")
-    for kind in (lambda fit: fit.current, lambda fit: fit.background):
-        counts = kind(stopped).views.counts.numpy()
-        assert counts.any()
-        np.testing.assert_array_equal(kind(resumed).views.counts.numpy(), counts)
-    contents = dict(np.load(tmp_path / "c.npz"))
-    for name in ("views", "outer_views"):
-        np.savez(tmp_path / "d.npz", **(contents | {name: contents[name][1:]}))
-        with pytest.raises(ValueError, match="damaged fit checkpoint"):
-            load_progress(FieldOptimizer(scene, **options), tmp_path / "d.npz")

@@ -1,13 +1,24 @@
 """What fits are compared with: the order of their tiles in whole numbers of Python, and the gradient of the photometric
 loss as their kernels give it."""
 
+import dataclasses
+
 import numpy as np
 import warp as wp
+from scipy.spatial.transform import Rotation
 
+from warpcage import Camera
 from warpcage.fitting import gradient_parts
 from warpcage.kernels.fitting import loss as field_loss
 from warpcage.kernels.fitting import loss_warps as field_loss_warps
 from warpcage.view import camera_array
+
+
+def finished(fit):
+    """The fit after all its steps."""
+    while fit.step_count < fit.total_steps:
+        fit.step()
+    return fit
 
 
 def mixed(value: int) -> int:
@@ -35,6 +46,25 @@ def shuffled_place(place: int, count: int, key: int) -> int:
 def shuffled(items: np.ndarray, key: int) -> np.ndarray:
     """Items (n,) in the order of a key."""
     return np.array([items[shuffled_place(place, len(items), key)] for place in range(len(items))])
+
+
+def moved_camera(camera, turn=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0), zoom=0.0):
+    """A camera turned in place, in radians, and shifted along its own axes, with `zoom` more in the logarithm of its
+    focal length."""
+    pose, factor = camera.camera_to_world.copy(), np.exp(zoom)
+    pose[:3, 3] += pose[:3, :3] @ shift
+    pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
+    return dataclasses.replace(camera, fx=factor * camera.fx, fy=factor * camera.fy, camera_to_world=pose)
+
+
+def poses_of(cameras):
+    return np.array([camera.camera_to_world for camera in cameras])
+
+
+def two_cameras():
+    """Views of 8 x 6 pixels of the cube from -1 to 1."""
+    lens = {"fov_degrees": 38, "width": 8, "height": 6}
+    return [Camera.look_at(eye, [0, 0, 0], **lens) for eye in ([3.0, 0.4, 0.5], [-1.0, 2.5, 1.2])]
 
 
 def training_rays(cameras, images, alphas, field, device, side=1):
