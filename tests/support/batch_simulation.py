@@ -1,7 +1,9 @@
-"""Workers under a virtual clock: the dispatcher's own code runs over thousands of them in seconds."""
+"""Workers under a virtual clock: the dispatcher's own code runs over thousands of them in seconds, and what a test does
+to one of them happens to the microsecond."""
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import heapq
 import math
@@ -42,6 +44,8 @@ class Conditions:
     bad: frozenset[int] = frozenset()
     # share of the tries that fail by chance
     flaky: float = 0.0
+    # after how many errors an item is not tried again
+    retries: int = 200
     # share of the chunks during which a worker becomes slow, and how much
     stalls: tuple[float, float] = (0.0, 10.0)
     seed: int = 0
@@ -51,9 +55,8 @@ class Conditions:
 class _Work:
     """A chunk that a worker has."""
 
-    number: int
-    items: list[int]
-    left: list[int]  # that are not begun, as the time of the chunk is over
+    chunk: Chunk
+    items: list[int]  # that are begun before the time of the chunk is over, and were not given back
     starts: np.ndarray
     ends: np.ndarray
     death: float  # when the worker dies, infinity where it does not
@@ -80,8 +83,14 @@ class SimulatedEngine:
         self.count = 0
         self.works: dict[str, list[_Work]] = {}  # of each worker, the oldest first
         self.dead: dict[str, tuple[float, list[_Work]]] = {}  # when each died that was not started since, with what
+        self.starts: dict[str, int] = {}  # how often each was started that is there
+        self.killed: dict[str, float] = {}  # when each was killed of which nobody knows yet
+        self.silent: set[str] = set()  # those that answer nothing
+        self.broken: set[str] = set()  # those whose device is lost, as their next reports say
+        self.failing: collections.Counter[int] = collections.Counter()  # tries of items that will fail
+        self.reply_seconds = conditions.latency  # on the way of an answer to what a worker is asked
         self.loaded: dict[str, int] = {}
-        self.replies: dict[int, Answer] = {}
+        self.replies: dict[int, tuple[int, Answer]] = {}
 
     def now(self) -> float:
         """The virtual time of the driver, seconds."""
@@ -90,7 +99,8 @@ class SimulatedEngine:
     def start(self, worker: str, start: int) -> None:
         """A process starts."""
         self.loaded.pop(worker, None)
-        self.later(self.time + self.conditions.start_seconds, "ready", worker, 0)
+        self.starts[worker] = start
+        self.later(self.time + self.conditions.start_seconds, "ready", worker, start)
 
     def order(self, chunk: Chunk) -> Chunk:
         return chunk
@@ -104,6 +114,8 @@ class SimulatedEngine:
             self.set_out(worker, chunk)
         elif method == "recall":
             self.recall(worker, *given)
+        elif method == "oldest":
+            self.reply(worker, method, given[0], self.oldest(worker, *given))
         elif method == "stop":
             there = self.time + self.conditions.latency
             self.spend(self.conditions.send_cost, 0)
@@ -116,16 +128,65 @@ class SimulatedEngine:
         self.spend(self.conditions.send_cost, 0)
         work, back = self.making(worker), []
         there = self.time + self.conditions.latency
-        if work is not None and work.number == number and there < work.death:
+        if work is not None and work.chunk.number == number and there < work.death:
             waiting = int(np.count_nonzero(work.starts > there))
             back = self.shorten(worker, work, len(work.items) - math.ceil(share * waiting))
+        self.reply(worker, "recall", number, back)
+
+    def oldest(self, worker: str, number: int) -> tuple[int, float] | None:
+        """The item of a chunk that is under way for longest, and how long."""
+        there, writing = self.time + self.conditions.latency, self.conditions.write_seconds
+        for work in self.works.get(worker, []):
+            under_way = (work.starts <= there) & (work.ends + writing > there)
+            if work.chunk.number == number and under_way.any():
+                place = int(np.argmax(under_way))
+                return work.items[place], there - float(work.starts[place])
+        return None
+
+    def reply(self, worker: str, method: str, number: int, found) -> None:
+        """A worker answers what it was asked."""
         self.count += 1
-        self.replies[self.count] = Answer(worker, "recall", number, back)
-        heapq.heappush(self.queue, (there + self.conditions.latency, self.count, "reply", worker, self.count))
+        self.replies[self.count] = self.starts.get(worker, 0), Answer(worker, method, number, found)
+        there = self.time + self.conditions.latency + self.reply_seconds
+        heapq.heappush(self.queue, (there, self.count, "reply", worker, self.count))
 
     def cancel(self, worker: str) -> None:
         """The process of a worker is gone."""
-        self.works.pop(worker, None)
+        if self.starts.get(worker):
+            self.bury(worker, self.killed.get(worker, self.time))
+
+    def bury(self, worker: str, death: float) -> None:
+        """A worker is no more; what it had by then is what it noted."""
+        works = self.works.pop(worker, [])
+        self.dead[worker] = min([death, *(work.death for work in works)]), works
+        self.starts[worker] = 0
+        for each in (self.silent, self.broken):
+            each.discard(worker)
+        self.killed.pop(worker, None)
+
+    # -- what a test does to a worker
+
+    def kill(self, worker: str) -> None:
+        """Its process dies now, whatever it does."""
+        if self.starts.get(worker) and worker not in self.killed:
+            self.killed[worker] = self.time
+            self.later(self.time, "killed", worker, self.starts[worker])
+
+    def slow(self, worker: str, factor: float) -> None:
+        """All that it has to make takes so many times as long from now on."""
+        work = self.making(worker)
+        if work is not None:
+            for times in (work.starts, work.ends):
+                later = times > self.time
+                times[later] = self.time + factor * (times[later] - self.time)
+            self.schedule(worker, work)
+
+    def hang(self, worker: str) -> None:
+        """What it makes or writes for longest is never there; it begins no more of that chunk."""
+        for work in self.works.get(worker, [])[:1]:
+            work.ends[work.ends + self.conditions.write_seconds > self.time] = np.inf
+            work.starts[work.starts > self.time] = np.inf
+            self.schedule(worker, work)
 
     def lost(self, item: int, error: str, attempts: int) -> None:
         """Nothing is noted."""
@@ -151,23 +212,32 @@ class SimulatedEngine:
         return answers
 
     def answer(self, what: str, worker: str, version: int) -> Answer | None:
+        if what == "killed" and version == self.starts.get(worker):
+            self.deaths += 1
+            self.bury(worker, self.killed[worker])
+            return Answer(worker, "facts", 0, None, "killed")
+        if worker in self.silent and what != "death":
+            return None
         if what == "ready":
-            return Answer(worker, "facts", 0, None)
+            return Answer(worker, "facts", 0, None) if version == self.starts.get(worker) else None
         if what == "reply":
-            return self.replies.pop(version)
+            start, answer = self.replies.pop(version)
+            return answer if start == self.starts.get(worker) else None
         works = self.works.get(worker, [])
         work = next((each for each in works if each.version == version), None)
         if work is None:
             return None
         if what == "death":
             self.deaths += 1
-            self.dead[worker] = work.death, self.works.pop(worker)
-            return Answer(worker, "run", work.number, None, "killed")
+            self.bury(worker, work.death)
+            return Answer(worker, "run", work.chunk.number, None, "killed")
         if what == "begun":
             work.begun = True
-            return Answer(worker, "begun", work.number, None) if self.conditions.overlapping else None
+            return Answer(worker, "begun", work.chunk.number, None) if self.conditions.overlapping else None
         works.remove(work)
-        return Answer(worker, "run", work.number, self.report(work, len(work.items)))
+        report = self.report(work, len(work.items))
+        report.broken = "device lost" if worker in self.broken else None
+        return Answer(worker, "run", work.chunk.number, report)
 
     def making(self, worker: str) -> _Work | None:
         """The chunk of which a worker makes items."""
@@ -184,16 +254,17 @@ class SimulatedEngine:
         changes = np.diff(groups, prepend=self.loaded.get(worker, -1)) != 0
         ends = self.time + given.latency + np.cumsum(seconds + changes * given.load_seconds)
         starts = np.concatenate([[self.time + given.latency], ends[:-1]])
-        death = np.inf
+        death = self.killed.get(worker, np.inf)
         if given.deaths_per_hour:
             death = starts[0] + self.random.exponential(3600.0 / given.deaths_per_hour)
         for place, item in enumerate(chunk.items if given.poison else ()):
             if item in given.poison:
                 death = min(death, 0.5 * (starts[place] + ends[place]))
         begun = len(items) if chunk.seconds is None else int(np.count_nonzero(starts - starts[0] <= chunk.seconds))
-        made, left = list(chunk.items[:begun]), list(chunk.items[begun:])
-        loading, self.loaded[worker] = bool(changes[0]), int(groups[begun - 1])
-        work = _Work(chunk.number, made, left, starts[:begun], ends[:begun], death, loading, 0)
+        if begun:
+            self.loaded[worker] = int(groups[begun - 1])
+        loading = bool(changes[:1].any())
+        work = _Work(chunk, list(chunk.items[:begun]), starts[:begun], ends[:begun], death, loading, 0)
         self.works.setdefault(worker, []).append(work)
         self.schedule(worker, work)
 
@@ -219,7 +290,7 @@ class SimulatedEngine:
     def noted(self, worker: str, start: int, chunk: Chunk) -> tuple[ChunkReport, list[int]]:
         """What a worker that died had settled of a chunk, and what it had begun besides."""
         death, works = self.dead[worker]
-        work = next(each for each in works if each.number == chunk.number)
+        work = next(each for each in works if each.chunk.number == chunk.number)
         settled = int(np.count_nonzero(work.ends + self.conditions.write_seconds <= death))
         report = self.report(work, settled)
         self.spend((0.0, self.conditions.receive_cost[1]), len(report.done))
@@ -227,20 +298,22 @@ class SimulatedEngine:
         return report, work.items[settled : int(np.count_nonzero(work.starts < death))]
 
     def report(self, work: _Work, settled: int) -> ChunkReport:
-        """What becomes of the first items of a chunk."""
-        report, given = ChunkReport(left=work.left, loading=work.loading), self.conditions
-        taken = (work.ends - work.starts)[:settled]
+        """What becomes of the first items of a chunk; the others, also those that were given back, are left."""
+        report, given = ChunkReport(left=list(work.chunk.items[settled:]), loading=work.loading), self.conditions
+        taken = work.ends[:settled] - work.starts[:settled]
         self.worked += float(taken.sum())
         flaky = self.random.random(settled) < given.flaky if given.flaky else np.zeros(settled, bool)
-        if not given.bad and not flaky.any():
+        if not given.bad and not self.failing and not flaky.any():
             report.done, report.seconds = list(work.items[:settled]), taken.tolist()
             self.made[report.done] += 1
             return report
-        for item, seconds, fails in zip(work.items[:settled], taken.tolist(), flaky, strict=True):
+        tries = zip(work.items[:settled], work.chunk.attempts, taken.tolist(), flaky, strict=False)
+        for item, attempts, seconds, fails in tries:
             if item in given.bad:
                 report.failed.append((item, "bad input"))
-            elif fails:
-                report.errors.append((item, "by chance"))
+            elif fails or self.failing[item] > 0:
+                self.failing[item] -= 1
+                (report.errors if attempts < given.retries else report.failed).append((item, "by chance"))
             else:
                 report.done.append(item)
                 report.seconds.append(seconds)
