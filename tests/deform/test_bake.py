@@ -108,11 +108,10 @@ def test_edits_and_what_is_not_deformed_are_baked_too(device):
 
 
 def test_a_deformer_without_lattice_is_baked_from_one(device):
-    pose = BOX.twist(30, axis="x")
-    source = shiny_field(device, resolution=24)
+    source, cage = shiny_field(device, resolution=24), Cage.box(*BOX.bounds)
     precise, lattice = (
-        bake(Deformer(source, BOX, coordinates="mean_value", resolution=resolution).pose(pose))
-        for resolution in (None, 128)
+        bake(Deformer(source, cage, coordinates="mean_value", resolution=cells).pose(cage.twist(30, axis="x")))
+        for cells in (None, 128)
     )
     np.testing.assert_array_equal(precise.grid.density.numpy(), lattice.grid.density.numpy())
 

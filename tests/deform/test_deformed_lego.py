@@ -5,6 +5,8 @@ from fields import psnr
 
 import warpcage
 
+pytestmark = pytest.mark.nightly  # by day on fields that are made for it, in tests/deform
+
 
 @pytest.fixture(scope="module")
 def bent(lego):

@@ -1,7 +1,7 @@
 """Edits that cannot meet each other, marched one by one, against the march of all at once; their boxes and orders."""
 
+import concurrent.futures
 import itertools
-import threading
 
 import numpy as np
 import pytest
@@ -12,12 +12,13 @@ from fields import (
     alter_map,
     ball,
     box_around,
-    general_march,
     make_field,
     march_in_numpy,
     marches,
+    marches_of,
     mirrored,
     psnr,
+    seen_by_marches,
     shiny,
     slotted,
     two_balls,
@@ -28,19 +29,12 @@ from fields import (
 from warpcage import Cage, CageEdit, Camera, Deformer
 from warpcage.core import recorded_launches
 from warpcage.edits import EditBoxes, box_gaps, edit_boxes, front_to_back
-from warpcage.field import tables
 from warpcage.kernels.render.rays import Picture
 from warpcage.render import FrameTables, FrameTarget
 from warpcage.view import camera_struct
 
 LEFT, MIDDLE, RIGHT = (box_around(x, 0, 0, half=0.3) for x in (-0.7, 0.0, 0.7))
 HIGH, SLOTTED = box_around(0, 0, 0.85, half=0.14), slotted(0.4).scale(0.5, center=(0, 0, 0)).translate((0, 0, -0.2))
-
-
-@pytest.fixture(params=MARCHES)
-def march(request, device, monkeypatch):
-    """Each march that there is."""
-    return use_march(request.param, device, monkeypatch)
 
 
 def shiny_balls(device):
@@ -85,21 +79,14 @@ def camera_at(eye):
     return Camera.look_at(np.array(eye), target, width=60, height=44, fov_degrees=60)
 
 
-def both(deformer, camera, **options):
-    """The frames of the marches of one edit after the other, and of the march of all; and the labels of the former."""
-    with recorded_launches() as launched:
-        by_parts = deformer.render(camera, **options)
-    with recorded_launches() as launched_at_once, general_march():
-        at_once = deformer.render(camera, **options)
-    assert marches(launched_at_once) == ["views.stack"]
-    return by_parts, at_once, marches(launched)
-
-
-def is_shaded(marched):
-    """Whether a view was marched through shaded voxels: all of it or nothing."""
-    found = {label in ("views.shades+part", "views.shades+sides+part") for label in marched}
-    assert len(found) == 1
-    return found.pop()
+def parts_by_marches(deformer, camera, monkeypatch, **options):
+    """Views by each march, one edit after the other, against the march of all at once: name of the march, labels of
+    its launches, whether it shades voxels, the frame of all at once."""
+    for march, marched, by_parts, at_once in seen_by_marches(deformer, camera, monkeypatch, **options):
+        shades = {label in ("views.shades+part", "views.shades+sides+part") for label in marched}
+        assert len(shades) == 1
+        assert_alike(by_parts, at_once, shades == {True})
+        yield march, marched, shades == {True}, at_once
 
 
 def assert_alike(by_parts, at_once, shaded):
@@ -117,75 +104,77 @@ def assert_alike(by_parts, at_once, shaded):
 
 @pytest.mark.filterwarnings("ignore:a cage has gaps narrower")
 @pytest.mark.parametrize("scene", SCENES)
-def test_edits_one_by_one_are_seen_as_all_at_once(scene, march, device):
+def test_edits_one_by_one_are_seen_as_all_at_once(scene, device, monkeypatch):
     rests, posed = SCENES[scene]()
     deformer = Deformer(shiny_balls(device), rests, coordinates="mean_value", resolution=32).pose(posed)
     orders = set()
     for eye in EYES:
-        by_parts, at_once, marched = both(deformer, camera_at(eye))
-        assert_alike(by_parts, at_once, is_shaded(marched))
-        assert at_once.alpha.max() > 0.9
-        if deformer.device.is_cpu and tables.TILES_ON_CPU:
-            assert marched == len(rests) * [TILES]
-        else:
+        for march, marched, is_shaded, at_once in parts_by_marches(deformer, camera_at(eye), monkeypatch):
+            assert at_once.alpha.max() > 0.9
+            if march == "tiles":
+                assert marched == len(rests) * [TILES]
+                continue
             gaps = sum(flat.has_sides for flat in deformer.posed_edits().tables.edits)
             is_far = np.linalg.norm(eye) > 1.5
             turns_over = scene == "with a slot"  # the map, where its slot closes
-            assert is_shaded(marched) == (march == "shaded" and is_far and not turns_over)
-            table = "shades" if is_shaded(marched) else "rows"
+            assert is_shaded == (march == "shaded" and is_far and not turns_over)
+            table = "shades" if is_shaded else "rows"
             assert marched.count(f"views.{table}+sides+part") == gaps
             assert marched.count(f"views.{table}+part") == len(rests) - gaps > 0
             assert gaps > 0 or scene != "with a slot"
             orders.add(tuple("sides" in label for label in marched))
-    assert len(orders) > 1 or scene != "with a slot" or tables.TILES_ON_CPU  # the slot's is first, second or last
+    assert len(orders) > 1 or scene != "with a slot"  # the slot's is first, second or last
 
 
-def test_samples_sent_out_are_counted_in_each_part(march, device):
+def test_samples_sent_out_are_counted_in_each_part(device, monkeypatch):
     """By maps that lead out of the rest cages, in a field that is filled all over."""
     field = make_field(lambda x: np.full(x.shape[:3], 2.0), shiny, device=device)
     posed = [LEFT.stretch(1.6, axis="z"), RIGHT.stretch(1.5, axis="y")]
     deformer = Deformer(field, [LEFT, RIGHT], coordinates="green", resolution=40).pose(posed)
-    by_parts, at_once, marched = both(deformer, view())
-    assert len(marched) == 2 and at_once.outside.max() > 3
-    assert_alike(by_parts, at_once, is_shaded(marched))
+    for _, marched, _, at_once in parts_by_marches(deformer, view(), monkeypatch):
+        assert len(marched) == 2 and at_once.outside.max() > 3
 
 
-def test_folds_and_what_is_revealed_are_kept_from_part_to_part(march, device):
+def test_folds_and_what_is_revealed_are_kept_from_part_to_part(device, monkeypatch):
     """The nearer of two maps is mirrored by hand, so that all it shows folds; the other part shrinks."""
     deformer = Deformer(shiny_balls(device), [LEFT, RIGHT], coordinates="mean_value", resolution=32)
     alter_map(deformer, lambda positions: np.float32([-1.4, 0, 0]) + mirrored(positions))
     deformer.pose([LEFT, RIGHT.scale((1, 0.5, 0.5), center=(0.7, 0, 0))])
-    by_parts, at_once, marched = both(deformer, view((-2.5, 0.4, 0.6)))
-    assert len(marched) == 2 and at_once.fold.max() > 0.9 and at_once.reveal.max() > 0.1
-    assert_alike(by_parts, at_once, is_shaded(marched))
+    for _, marched, _, at_once in parts_by_marches(deformer, view((-2.5, 0.4, 0.6)), monkeypatch):
+        assert len(marched) == 2 and at_once.fold.max() > 0.9 and at_once.reveal.max() > 0.1
 
 
 @pytest.mark.parametrize("density", ["opacity", "paper"])
-def test_edits_one_by_one_against_a_march_in_numpy(density, march, device):
+def test_edits_one_by_one_against_a_march_in_numpy(density, device, monkeypatch):
     field, (rests, posed) = shiny_balls(device), turned()
     posed[1] = MIDDLE.rotate(20, axis="x")
     options = {"coordinates": "mean_value", "resolution": 32, "density": density}
     deformer = Deformer(field, rests, **options).pose(posed)
     camera = Camera.look_at([2.0, -1.4, 1.0], (0, 0, 0), width=28, height=28, fov_degrees=45)
-    with recorded_launches() as launched:
-        frame = deformer.render(camera)
-    assert len(marches(launched)) == 3
-    assert psnr(frame.rgb, march_in_numpy(field, deformer, camera)) > 45  # turns keep lengths
-    assert psnr(frame.rgb, field.render(camera).rgb) < 30
-
-
-def test_edits_at_rest_leave_the_field(march, device):
-    field = two_balls(device)
-    deformer = Deformer(field, [box_around(-0.5, 0, 0), box_around(0.5, 0, 0)], resolution=24)
-    for width, height in ((64, 64), (1, 1), (9, 5), (31, 2)):  # some are no multiple of a tile
-        camera = Camera.look_at([2.5, 1.2, 1.0], (0, 0, 0), width=width, height=height, fov_degrees=30)
+    expected = march_in_numpy(field, deformer, camera)
+    for march in marches_of(device):
+        use_march(march, device, monkeypatch)
         with recorded_launches() as launched:
             frame = deformer.render(camera)
-        assert len(marches(launched)) == 2
-        assert psnr(frame.rgb, field.render(camera).rgb) > 50
+        assert len(marches(launched)) == 3
+        assert psnr(frame.rgb, expected) > 45  # turns keep lengths
+        assert psnr(frame.rgb, field.render(camera).rgb) < 30
 
 
-def test_other_cameras_steps_and_rays_per_pixel(march, device):
+def test_edits_at_rest_leave_the_field(device, monkeypatch):
+    field = two_balls(device)
+    deformer = Deformer(field, [box_around(-0.5, 0, 0), box_around(0.5, 0, 0)], resolution=24)
+    for march in marches_of(device):
+        use_march(march, device, monkeypatch)
+        for size in ((64, 64), (1, 1), (9, 5), (31, 2)):  # some are no multiple of a tile
+            camera = Camera.look_at([2.5, 1.2, 1.0], (0, 0, 0), width=64, height=64, fov_degrees=30).resized(*size)
+            with recorded_launches() as launched:
+                frame = deformer.render(camera)
+            assert len(marches(launched)) == 2
+            assert psnr(frame.rgb, field.render(camera).rgb) > 50
+
+
+def test_other_cameras_steps_and_rays_per_pixel(device, monkeypatch):
     """Of one pose, whose tables are kept."""
     rests, posed = of_all_sorts()
     deformer = Deformer(shiny_balls(device), rests, resolution=32).pose(posed)
@@ -193,9 +182,8 @@ def test_other_cameras_steps_and_rays_per_pixel(march, device):
     for eye, options in itertools.product(
         ((-2.6, 0.3, 0.4), (2.6, 0.3, 0.4)), ({}, {"supersampling": 2}, {"step": 0.6 * step}, {"step": 1.5 * step})
     ):
-        by_parts, at_once, marched = both(deformer, camera_at(eye), **options)
-        assert len(marched) == 4
-        assert_alike(by_parts, at_once, is_shaded(marched))
+        for _, marched, _, _ in parts_by_marches(deformer, camera_at(eye), monkeypatch, **options):
+            assert len(marched) == 4
 
 
 def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
@@ -228,23 +216,16 @@ def test_states_of_as_many_rays_as_an_array_holds(monkeypatch):
         assert [array.ptr - dot.ptr for array in arrays] == [16 * row * width * height for row in range(3)]
 
 
-def test_threads_that_share_a_deformer_see_their_own_views(march, device):
+@pytest.mark.parametrize("march", MARCHES)
+def test_threads_that_share_a_deformer_see_their_own_views(march, device, monkeypatch):
+    use_march(march, device, monkeypatch)
     rests, posed = turned()
-    deformer = Deformer(shiny_balls(device), rests, resolution=24).pose(posed)
+    deformer = Deformer(shiny_balls(device), rests, resolution=16).pose(posed)
     cameras = [camera_at(eye) for eye in EYES[:3]]
     expected = [deformer.render(camera).rgb for camera in cameras]
-    found = {}
-
-    def work(number):
-        found[number] = [deformer.render(cameras[number]).rgb for _ in range(4)]
-
-    threads = [threading.Thread(target=work, args=(number,)) for number in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    for number, rgb in enumerate(expected):
-        assert all(np.array_equal(each, rgb) for each in found[number])
+    with concurrent.futures.ThreadPoolExecutor(3) as pool:
+        found = pool.map(lambda camera: [deformer.render(camera).rgb for _ in range(4)], cameras)
+        assert all(np.array_equal(each, rgb) for own, rgb in zip(found, expected, strict=True) for each in own)
 
 
 # -- What is marched at once

@@ -28,44 +28,30 @@ from warpcage.coordinates import stretched_normals
 # -- Poses whose picture is known
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_at_rest_it_is_the_field(kind, device):
+@pytest.mark.parametrize(("kind", "resolution"), [("harmonic", 64), ("mean_value", 32), ("green", 32)])
+def test_poses_whose_picture_another_camera_sees(kind, resolution, device):
+    """At rest, rigid poses and scaled ones, one after the other."""
     field, camera = shiny_field(device), view()
-    expected = field.render(camera)
-    deformer = Deformer(field, BOX, coordinates=kind, resolution=48)
+    still = field.render(camera)
+    deformer = Deformer(field, BOX, coordinates=kind, resolution=resolution)
     for frame in (deformer.render(camera), deformer.pose(BOX).render(camera)):
-        assert psnr(frame.rgb, expected.rgb) > 50
-        seen = expected.alpha > 0.5
-        np.testing.assert_allclose(frame.depth[seen], expected.depth[seen], atol=1e-3)
+        assert psnr(frame.rgb, still.rgb) > 50
+        seen = still.alpha > 0.5
+        np.testing.assert_allclose(frame.depth[seen], still.depth[seen], atol=1e-3)
         assert frame.reveal.max() == frame.fold.max() == frame.outside.max() == 0
 
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("resolution", [48, 64])
-def test_a_rigid_pose_is_a_moved_camera(kind, resolution, device):
-    field, camera = shiny_field(device), view()
     turn, offset = rotation(40, 25), np.array([0.1, -0.05, 0.15])
-    frame = (
-        Deformer(field, BOX, coordinates=kind, resolution=resolution)
-        .pose(BOX.with_vertices(BOX.vertices @ turn.T + offset))
-        .render(camera)
-    )
-    expected = field.render(counter_moved(camera, turn, offset))
-    assert psnr(frame.rgb, expected.rgb) > 45
-    assert psnr(frame.rgb, field.render(camera).rgb) < 30  # the pose is not a small one
+    frame = deformer.pose(BOX.with_vertices(BOX.vertices @ turn.T + offset)).render(camera)
+    assert psnr(frame.rgb, field.render(counter_moved(camera, turn, offset)).rgb) > 45
+    assert psnr(frame.rgb, still.rgb) < 30  # the pose is not a small one
     assert frame.fold.max() == frame.outside.max() == 0
 
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("scale", [0.5, 1.7])
-def test_a_scaled_pose_is_a_nearer_or_farther_camera(kind, scale, device):
-    field, camera = shiny_field(device), view()
-    scaled = BOX.scale(scale, center=(0, 0, 0))
-    frame = Deformer(field, BOX, coordinates=kind, resolution=48).pose(scaled).render(camera)
-    pose = camera.camera_to_world.copy()
-    pose[:3, 3] /= scale
-    expected = field.render(Camera(camera.fx, camera.fy, camera.cx, camera.cy, SIZE, SIZE, pose))
-    assert psnr(frame.rgb, expected.rgb) > 45
+    for scale in (0.5, 1.7):
+        pose = camera.camera_to_world.copy()
+        pose[:3, 3] /= scale
+        expected = field.render(Camera(camera.fx, camera.fy, camera.cx, camera.cy, SIZE, SIZE, pose))
+        frame = deformer.pose(BOX.scale(scale, center=(0, 0, 0))).render(camera)
+        assert psnr(frame.rgb, expected.rgb) > 45
 
 
 def test_a_scene_far_from_zero(device):
@@ -97,7 +83,7 @@ def test_the_march_composites_what_to_canonical_says_and_directions_follow(devic
 def test_skipping_empty_cells_changes_nothing(kind, device):
     field, camera = shiny_field(device), view()
     pose = BOX.twist(100, axis="x").translate([0.3, 0, 0])
-    deformer = Deformer(field, BOX, coordinates=kind, resolution=48).pose(pose)
+    deformer = Deformer(field, BOX, coordinates=kind, resolution=32).pose(pose)
     skipped = deformer.render(camera)
     edits = deformer.posed_edits()
     assert all((skip.numpy() > 0).mean() > 0.3 for skip in edits.lattices.skips)  # there is something to skip
@@ -224,7 +210,7 @@ def test_to_canonical_of_a_bend_against_float64_weights(resolution, device):
     deformed = BOX.bend(50, axis="x", towards="z")
     deformer = Deformer(shiny_field(device), BOX, coordinates="mean_value", resolution=resolution).pose(deformed)
     center = deformed.vertices.mean(axis=0)
-    points = center + 0.8 * (oracles.inside_points(deformed.vertices, deformed.faces, 200) - center)
+    points = center + 0.8 * (oracles.inside_points(deformed.vertices, deformed.faces, 120) - center)
     directions = np.random.default_rng(0).normal(size=points.shape)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     inside = oracles.winding_numbers(points, deformed.vertices, deformed.faces) > 0.5
@@ -299,8 +285,8 @@ def test_samples_that_leave_the_rest_cage_are_empty_and_marked(device):
     field = make_field(lambda x: np.full(x.shape[:3], 20.0), plain([0.5, 0.5, 0.5]), device=device)
     for resolution in (48, None):
         deformer = Deformer(field, BOX, coordinates="green", resolution=resolution).pose(stretched)
-        points = oracles.inside_points(stretched.vertices, stretched.faces, 1500)
-        x, _, region, outside = deformer.to_canonical(points, np.tile([0.0, 0, 1], (1500, 1)), return_outside=True)
+        points = oracles.inside_points(stretched.vertices, stretched.faces, 800)
+        x, _, region, outside = deformer.to_canonical(points, np.tile([0.0, 0, 1], (800, 1)), return_outside=True)
         phi, psi = oracles.green_weights(points, stretched.vertices, stretched.faces)
         exact = phi @ BOX.vertices + psi @ stretched_normals(stretched, BOX)
         margin = 0.03
@@ -312,18 +298,13 @@ def test_samples_that_leave_the_rest_cage_are_empty_and_marked(device):
         assert (outside[stays] == 0).all() and (region[stays] == 2).all()
         np.testing.assert_array_equal(x[outside == 1], np.float64(points[outside == 1]))
 
-    frame = (
-        Deformer(field, BOX, coordinates="green", resolution=48)
-        .pose(stretched.translate([0, 0, 4]))
-        .render(Camera.look_at([6.0, 0, 4], (0, 0, 4), width=32, height=32, fov_degrees=24))
+    away = stretched.translate([0, 0, 4])
+    camera = Camera.look_at([6.0, 0, 4], (0, 0, 4), width=32, height=32, fov_degrees=24)
+    green, harmonic = (
+        Deformer(field, BOX, coordinates=kind, resolution=48).pose(away).render(camera)
+        for kind in ("green", "harmonic")
     )
-    assert frame.outside.max() > 2
-    harmonic = (
-        Deformer(field, BOX, resolution=48)
-        .pose(stretched.translate([0, 0, 4]))
-        .render(Camera.look_at([6.0, 0, 4], (0, 0, 4), width=32, height=32, fov_degrees=24))
-    )
-    assert harmonic.outside.max() == 0
+    assert green.outside.max() > 2 and harmonic.outside.max() == 0
 
 
 def test_a_map_that_turns_over_is_marked(device):
@@ -335,10 +316,8 @@ def test_a_map_that_turns_over_is_marked(device):
     frame = deformer.pose(BOX).render(camera)
     np.testing.assert_allclose(frame.fold, frame.alpha, atol=0.05)
     assert frame.fold.max() > 0.9
-    depth_of_mirror = field.render(
-        Camera.look_at([-2.5, 1.2, 1.0], (0, 0, 0), width=SIZE, height=SIZE, fov_degrees=50)
-    ).alpha[:, ::-1]
-    assert np.abs(frame.alpha - depth_of_mirror).mean() < 1e-3
+    mirror = field.render(view((-2.5, 1.2, 1.0))).alpha[:, ::-1]
+    assert np.abs(frame.alpha - mirror).mean() < 1e-3
 
 
 # -- Precise mode
@@ -350,7 +329,7 @@ def test_the_lattice_agrees_with_the_closed_forms(kind, device):
     cage = Cage.box([-0.75, -0.55, -0.4], [0.75, 0.55, 0.4])
     pose = cage.twist(35, axis="x")
     precise = Deformer(field, cage, coordinates=kind, resolution=None).pose(pose).render(camera)
-    lattice = Deformer(field, cage, coordinates=kind, resolution=96).pose(pose).render(camera)
+    lattice = Deformer(field, cage, coordinates=kind, resolution=64).pose(pose).render(camera)
     assert psnr(precise.rgb, lattice.rgb) > 40
     assert psnr(precise.rgb, field.render(camera).rgb) < 35
     assert precise.fold.max() == 0
@@ -382,11 +361,3 @@ def test_background_and_step(device):
     np.testing.assert_allclose(deformer.render(camera, background=(0, 0.5, 1)).rgb[0, 0], [0, 0.5, 1], atol=1e-6)
     coarse = deformer.render(camera, step=3 * field.step)
     assert psnr(coarse.rgb, field.render(camera, step=3 * field.step).rgb) > 50
-
-
-def test_a_new_pose_replaces_the_last(device):
-    field, camera = shiny_field(device), view()
-    deformer = Deformer(field, BOX, resolution=32)
-    deformer.pose(BOX.twist(90)).render(camera)
-    again = deformer.pose(BOX.bend(40)).render(camera)
-    assert psnr(again.rgb, Deformer(field, BOX, resolution=32).pose(BOX.bend(40)).render(camera).rgb) > 80

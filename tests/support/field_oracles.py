@@ -2,6 +2,7 @@
 by the coordinates of every lattice point, in a dictionary; outer fields by the contraction's formula, rays cut at every
 border."""
 
+import functools
 import itertools
 
 import numpy as np
@@ -185,32 +186,36 @@ def layer_points(background, origin, direction):
     return [*points, direction / np.abs(direction).max()]
 
 
+@functools.cache
+def surface_rows(side):
+    """{lattice point: its row among `surface_points`}."""
+    return {tuple(point): row for row, point in enumerate(surface_points(side).tolist())}
+
+
 def bilinear(values, place, side):
-    """(c,) value at a point of the surface, values: {lattice point: (c,)}."""
+    """(c,) value at a point of the surface, values: (points, c) at its lattice points."""
     axis = int(np.argmax(np.abs(place)))
     grid = (np.asarray(place) / np.abs(place[axis]) + 1) / 2 * side
     low = np.minimum(np.floor(grid).astype(int), side - 1)
     total = 0.0
     for corner in np.ndindex(2, 2):
-        node, weight = np.empty(3, int), 1.0
+        node, weight = [0, 0, 0], 1.0
         node[axis] = side if place[axis] > 0 else 0
         for other, up in zip([other for other in range(3) if other != axis], corner, strict=True):
-            node[other] = low[other] + up
+            node[other] = int(low[other]) + up
             fraction = grid[other] - low[other]
             weight *= fraction if up else 1 - fraction
-        total = total + weight * values[tuple(node)]
+        total = total + weight * values[surface_rows(side)[tuple(node)]]
     return total
 
 
 def ray_color(background, values, origin, direction):
     """(3,) what a ray sees; values (layers, nodes, 4) float64, direction of unit length."""
-    points = surface_points(background.side)
     color, transmittance = np.zeros(3), 1.0
     for layer, place in enumerate(layer_points(background, origin, direction)):
         if place is None:
             continue
-        table = {tuple(point): value for point, value in zip(points, values[layer], strict=True)}
-        value = bilinear(table, place, background.side)
+        value = bilinear(values[layer], place, background.side)
         kept = np.exp(-max(value[3], 0.0)) if layer < len(values) - 1 else 0.0
         color += transmittance * (1 - kept) * value[:3]
         transmittance *= kept
@@ -314,19 +319,17 @@ def march_outer(outer, values, origin, direction, begin=0.0, end=1e30, samples_p
         if not count:
             continue
         places = start + (np.arange(count) + 0.5)[:, None] / count * (stop - start)
-        for value in interpolate_outer(links, values, places):
-            kept = np.exp(-max(value[3], 0.0) * length / count)
-            color += light * (1 - kept) * np.maximum(value[:3], 0.0)
-            light *= kept
+        found = interpolate_outer(links, values, places)
+        kept = np.exp(-np.maximum(found[:, 3], 0.0) * length / count)
+        lights = light * np.concatenate([[1], np.cumprod(kept)])
+        color += (lights[:-1] * (1 - kept)) @ np.maximum(found[:, :3], 0.0)
+        light = lights[-1]
     return color, light
 
 
 def sky_color(outer, direction):
     """(3,) of the sky's cube in a direction."""
-    sky = outer.sky.astype(float)
-    side = outer.grid.sky.side
-    table = {tuple(point): color for point, color in zip(surface_points(side), sky, strict=True)}
-    return bilinear(table, direction, side)
+    return bilinear(outer.sky.astype(float), direction, outer.grid.sky.side)
 
 
 def front_end(outer, origin, direction):

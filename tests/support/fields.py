@@ -5,9 +5,11 @@ import math
 
 import numpy as np
 import pytest
+import warp as wp
 from field_oracles import surface_points
 
 from warpcage import Cage, Camera, VoxelField
+from warpcage.core import recorded_launches
 from warpcage.field import LayeredBackground, OuterField, harmonics_on_host, tables
 from warpcage.render import FramePlan, scene
 
@@ -162,17 +164,37 @@ def general_march():
 
 #: On a CPU by tiles; as CUDA marches near cameras and copies, by rows; and as it does else, of shaded voxels.
 MARCHES = ("tiles", "rows", "shaded")
+NEAR_VOXELS = tables.NEAR_VOXELS
+
+
+def marches_of(device):
+    """Those of MARCHES that a device has."""
+    return MARCHES if wp.get_device(device).is_cpu else MARCHES[1:]
 
 
 def use_march(name, device, monkeypatch):
     """Views by one of MARCHES, on any device that has it."""
-    if name == "tiles" and device != "cpu":
+    if name not in marches_of(device):
         pytest.skip("rays of a tile go side by side on a CPU alone")
     monkeypatch.setattr(tables, "TILES_ON_CPU", name == "tiles")
     monkeypatch.setattr(tables, "SHADES_ON_CPU", name == "shaded")
-    if name == "rows":
-        monkeypatch.setattr(tables, "NEAR_VOXELS", math.inf)
+    monkeypatch.setattr(tables, "NEAR_VOXELS", math.inf if name == "rows" else NEAR_VOXELS)
     return name
+
+
+def seen_by_marches(deformer, camera, monkeypatch, **options):
+    """A view by each march that there is, and by the one for any edits: the name of the march, the labels of its
+    launches, its frame, the frame by the march for any edits."""
+    general = None
+    for march in marches_of(deformer.device):
+        use_march(march, deformer.device, monkeypatch)
+        with recorded_launches() as launched:
+            frame = deformer.render(camera, **options)
+        if general is None:
+            with recorded_launches() as launched_generally, general_march():
+                general = deformer.render(camera, **options)
+            assert marches(launched_generally) == ["views.stack"]
+        yield march, marches(launched), frame, general
 
 
 class GridField:
