@@ -6,6 +6,7 @@ import threading
 import numpy as np
 import pytest
 from batch_simulation import Conditions, SimulatedEngine
+from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import (
     RuleBasedStateMachine,
@@ -36,6 +37,8 @@ class SteppedEngine(SimulatedEngine):
         self.told: list[Answer] = []  # again, or too late
         self.heard = NOTHING  # the newest answer
         self.blamed, self.packed = collections.Counter(), collections.Counter()
+        self.failed_at: dict[int, str] = {}  # workers at which items failed that are to be made elsewhere
+        self.packs: dict[int, int] = {}  # shards by the numbers of chunks that pack them
         self.pack_errors, self.full, self.stopped = 0, False, False
 
     def wait(self, timeout):
@@ -46,6 +49,11 @@ class SteppedEngine(SimulatedEngine):
         for self.heard in answers:
             if self.heard.method == "run" and self.heard.error is None:
                 self.heard.found.halt = "no space left" if self.full else None
+                if self.heard.number in self.packs and self.pack_errors:
+                    self.heard.found.pack_error = "no tar today"
+                    self.pack_errors -= 1
+                elif self.heard.number in self.packs:
+                    self.packed[self.packs[self.heard.number]] += 1
         return answers
 
     def submit(self, worker, method, *given):
@@ -53,16 +61,19 @@ class SteppedEngine(SimulatedEngine):
         if method == "run":
             (chunk,) = given
             assert self.starts[worker] and len(self.works.get(worker, [])) < 2
-            assert list(chunk.attempts) == [self.blamed[item] for item in chunk.items] or chunk.shard is not None
+            if chunk.shard is not None:
+                self.packs[chunk.number] = chunk.shard
+                assert chunk.attempts[0] <= self.conditions.retries
+            else:
+                assert list(chunk.attempts) == [self.blamed[item] for item in chunk.items]
+                at_home = any(self.failed_at.pop(item, "") == worker for item in chunk.items)
+                assert not at_home or self.places() == 1, "an item is tried again where it failed"
         super().submit(worker, method, *given)
 
     def report(self, work, settled):
         report = super().report(work, settled)
         self.blamed.update(item for item, _ in [*report.errors, *report.failed])
-        if work.chunk.shard is not None and work.death > self.time:
-            report.pack_error = "no tar today" if self.pack_errors > 0 else None
-            self.pack_errors -= 1
-            self.packed[work.chunk.shard] += report.pack_error is None
+        self.failed_at |= dict.fromkeys([item for item, _ in report.errors], work.worker)
         return report
 
     def bury(self, worker, death):
@@ -77,9 +88,12 @@ class SteppedEngine(SimulatedEngine):
             if start < death < end + writing
         ]
         if answer.worker == worker and answer.method == "oldest" and answer.found and answer.found[1] > LIMIT:
-            self.blamed[answer.found[0]] += 1
-        elif begun and not (answer.worker == worker and answer.method == "run" and answer.found):
-            self.blamed[begun[-1]] += 1
+            begun = [item for item in begun if item == answer.found[0]]
+        elif answer.worker == worker and answer.method == "run" and answer.found:
+            begun = []
+        for item in begun[-1:]:
+            self.blamed[item] += 1
+            self.failed_at[item] = worker
 
 
 class Run(RuleBasedStateMachine):
@@ -115,6 +129,7 @@ class Run(RuleBasedStateMachine):
         self.dispatcher = Dispatcher(chunks, retries=retries, shards=self.shards)
         for name in "012":
             self.dispatcher.add_worker(name)
+        self.engine.places = lambda: self.dispatcher.workers
         self.driver = Driver(self.dispatcher, self.engine, self.engine, item_timeout=LIMIT)
         self.thread = threading.Thread(target=self.drive, daemon=True)
         self.thread.start()
@@ -196,16 +211,16 @@ class Run(RuleBasedStateMachine):
                 self.engine.submit(name, "recall", work.chunk.number, share)
 
     @running
-    @rule(name=names, number=st.integers(1, 9))
-    def a_worker_tells_again_that_a_chunk_is_begun(self, name, number):
+    @rule(name=names, number=st.integers(1, 9), answer=st.sampled_from([("begun", None), ("recall", [0])]))
+    def a_worker_answers_twice_or_too_late(self, name, number, answer):
         chunks = [work.chunk.number for work in self.engine.works.get(name, []) if not work.begun]
         if self.engine.starts.get(name) and number not in chunks:
-            self.engine.told = [Answer(name, "begun", number, None)]
+            self.engine.told = [Answer(name, answer[0], number, answer[1])]
 
-    @unstopped
-    @rule()
-    def a_shard_cannot_be_packed(self):
-        self.engine.pack_errors += 1
+    @precondition(lambda self: not self.ended and self.shards)
+    @rule(times=st.integers(1, 3))
+    def a_shard_cannot_be_packed(self, times):
+        self.engine.pack_errors += times
 
     @unstopped
     @rule(how=st.sampled_from(["asked to", "no room"]))
@@ -237,6 +252,7 @@ class Run(RuleBasedStateMachine):
                 self.go_on(1)
         assert self.ended, "it does not end"
         self.each_item_is_somewhere_once()
+        assert not any(self.engine.works.values()), "what is begun is not waited for"
         failures, blamed = self.dispatcher.failures, self.engine.blamed
         assert all(item in self.bad or blamed[item] == self.retries + 1 for item in failures)
         if not self.given_up and not self.dispatcher.stopped:
@@ -248,4 +264,15 @@ class Run(RuleBasedStateMachine):
 
 @pytest.mark.scaled
 def test_whatever_happens_nothing_is_lost_or_made_twice():
-    run_state_machine_as_test(Run)
+    examples = 8 * settings.default.max_examples  # each takes a fiftieth of a second
+    run_state_machine_as_test(Run, settings=settings(max_examples=examples))
+
+
+def test_a_shard_that_is_packed_by_a_worker_whose_device_is_lost_is_packed_again():
+    """The other chunk of that worker says that the device is lost."""
+    run = Run()
+    run.begin(count=4, sizes=1, seconds=0.05, write_seconds=2.0, retries=1, sharded=True)
+    run.go_on(4)
+    run.a_device_is_lost("0")
+    run.teardown()
+    assert not run.dispatcher.left and sum(run.engine.packed.values()) == 4

@@ -55,6 +55,7 @@ class Conditions:
 class _Work:
     """A chunk that a worker has."""
 
+    worker: str
     chunk: Chunk
     items: list[int]  # that are begun before the time of the chunk is over, and were not given back
     starts: np.ndarray
@@ -184,8 +185,10 @@ class SimulatedEngine:
     def hang(self, worker: str) -> None:
         """What it makes or writes for longest is never there; it begins no more of that chunk."""
         for work in self.works.get(worker, [])[:1]:
-            work.ends[work.ends + self.conditions.write_seconds > self.time] = np.inf
-            work.starts[work.starts > self.time] = np.inf
+            place = int(np.count_nonzero(work.ends + self.conditions.write_seconds <= self.time))
+            work.ends[place:] = np.inf
+            rest = work.starts[place + 1 :]
+            rest[rest > self.time] = np.inf
             self.schedule(worker, work)
 
     def lost(self, item: int, error: str, attempts: int) -> None:
@@ -264,7 +267,7 @@ class SimulatedEngine:
         if begun:
             self.loaded[worker] = int(groups[begun - 1])
         loading = bool(changes[:1].any())
-        work = _Work(chunk, list(chunk.items[:begun]), starts[:begun], ends[:begun], death, loading, 0)
+        work = _Work(worker, chunk, list(chunk.items[:begun]), starts[:begun], ends[:begun], death, loading, 0)
         self.works.setdefault(worker, []).append(work)
         self.schedule(worker, work)
 

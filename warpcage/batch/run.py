@@ -338,6 +338,8 @@ class Driver:
         if report.broken is not None:
             for order in self._end(name):
                 rest, _ = self._journal.noted(name, self._starts[name], order)
+                if not order.items:  # a shard, which may not be packed
+                    rest.pack_error = report.broken
                 self._dispatcher.reported(name, rest, order.number)
         self._dispatcher.reported(name, report, number)
         if report.halt is not None and self.halt is None:
