@@ -332,21 +332,15 @@ def test_a_worker_that_is_asked_and_answers_nothing_is_ended(driven):
     assert seen.lines == ["worker 0: its worker was ended: it did not answer for 60 s: it is started again"]
 
 
-class Late(Making):
-    """Files are there a while after the next items were begun."""
-
-    def __init__(self, base, out, device):
-        super().__init__(base, out, device)
-        self.pool = concurrent.futures.ThreadPoolExecutor(40)
-
-
 @pytest.mark.parametrize("slow", [0.5, 0.0])
 def test_one_worker_alone_makes_the_next_chunk_meanwhile(tmp_path, monkeypatch, slow):
     """Unless its items are slow: who watches wants to know of each chunk before the next one is made."""
     monkeypatch.setattr("warpcage.batch.engines.processes.SLOW", slow)
     events: queue.SimpleQueue[tuple[str, int]] = queue.SimpleQueue()
 
-    class Told(Late):
+    class Told(Making):
+        pool = concurrent.futures.ThreadPoolExecutor(40)
+
         def submit(self, item, out=None):
             events.put(("made", number_of(item)))
             found = Making.submit(self, item, out)
