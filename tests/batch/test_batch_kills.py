@@ -345,7 +345,9 @@ def test_an_interrupt_keeps_what_is_made(address, job, whole, tmp_path):
         time.sleep(0.02)
     driver.send_signal(signal.SIGINT)
     said = driver.communicate()[1]
-    assert driver.returncode == 130 and said == "warpcage: interrupted\n"
+    # A warning that few items need fewer workers may come first, where a start is slow.
+    last = said.splitlines()[-1:]
+    assert driver.returncode == 130 and last == ["warpcage: interrupted"] and "Traceback" not in said, said
     found = records(out)
     assert 5 <= len(found) == len(pictures(out)) < FRAMES and left_over(out) == []
     assert run_with(job, out).kept == len(found)
