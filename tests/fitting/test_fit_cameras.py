@@ -155,6 +155,9 @@ def test_sums_are_the_gradient_of_the_fits_own_loss(device):
     x, y, a = (records[:, place].reshape(2, 48, 3).astype(np.float64) for place in (8, 9, 10))
     expected = np.stack([(x * x), (x * a), (a * a), (x * y), (a * y)], axis=-1).sum(axis=1)
     np.testing.assert_allclose(found.exposure, expected, rtol=1e-4)
+    # What is missed is x + t - (gain y + offset a + 1 - a) before white, where the light t that passes has no color.
+    passed = records[:, 0].reshape(2, 48, 3) - x + gains[:, None] * y + offsets[:, None] * a + 1 - a
+    np.testing.assert_allclose(passed, passed[..., :1] + np.zeros(3), atol=1e-5)
 
 
 def test_tiles_are_drawn_from_their_view(device):

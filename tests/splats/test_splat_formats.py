@@ -174,6 +174,16 @@ def test_spz_in_declared_axes(axes, tmp_path):
     assert_is_spz_splat(loaded(path), axes)
 
 
+def test_spz_holds_places_of_three_bytes_and_nothing_after_them(tmp_path):
+    contents = some_splats(2)
+    contents.centers[:] = [[40.25, -300.5, 7.75], [-1000.125, 9.5, 0.0]]
+    field_of(contents).save(tmp_path / "a.spz")
+    np.testing.assert_allclose(loaded(tmp_path / "a.spz").contents.centers, contents.centers, atol=1 / 4096)
+    (tmp_path / "a.spz").write_bytes(spz_file(3, [*spz_parts(3), b"more"], packed=True))  # no flag tells of extensions
+    with pytest.raises(ValueError, match="of degree 1 take 45 bytes, got 49"):
+        loaded(tmp_path / "a.spz")
+
+
 def test_spz_4_declares_its_axes(tmp_path):
     zstd()
     field_of(some_splats(5)).save(tmp_path / "a.spz", version=4)
