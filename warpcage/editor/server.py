@@ -30,10 +30,11 @@ from .commands import COMMANDS
 from .document import Edit, checked_view
 from .inspection import Checker
 from .pictures.renderer import Renderer, Request
-from .session import PARTS, Player, Session
+from .session import PARTS, Session
 from .tasks import Jobs, Tasks
 from .web.access import Access, Files
 from .web.clients import MAX_SLOW, Client, packed_vertices, unpacked_vertices
+from .web.player import Player
 
 #: Bytes of a message and of a file that a page may send, and pages that may be connected.
 MAX_MESSAGE, MAX_UPLOAD, MAX_PAGES = 4 << 20, 64 << 20, 32
