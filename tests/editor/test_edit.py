@@ -62,13 +62,33 @@ def test_an_editor_saves_when_it_is_closed_and_goes_on_later(tmp_path):
     assert (tmp_path / "ball.session.json").read_bytes() == before  # a look changes nothing
 
 
+def test_an_address_stays_while_nobody_else_can_read_it(tmp_path):
+    tiny_field().save(tmp_path / "ball.npz")
+
+    def word(**options):
+        with edit(tmp_path / "ball.npz", **options) as editor:
+            return editor.url.split("/")[3]
+
+    first, secret = word(), tmp_path / ".ball.session.secret"
+    assert word() == first == secret.read_text()
+    others = word(session=tmp_path / "other.session.json")
+    assert others != first
+    assert word(host="0.0.0.0") != first and word() == first  # where other machines may ask it is new each time
+    if os.name == "posix":
+        secret.chmod(0o644)
+        second = word()
+        assert second != first and word() == second and secret.stat().st_mode & 0o777 == 0o600
+    secret.write_text("short")
+    assert len(word()) == 32
+
+
 def test_an_editor_that_could_not_save_says_so(tmp_path, monkeypatch):
     tiny_field().save(tmp_path / "ball.npz")
     editor = edit(tmp_path / "ball.npz", BOX)
     monkeypatch.setattr(pathlib.Path, "write_text", full_disk)
     with pytest.warns(UserWarning, match="could not be saved: no space left"):
         editor.close()
-    assert os.listdir(tmp_path) == ["ball.npz"]
+    assert sorted(os.listdir(tmp_path)) == [".ball.session.secret", "ball.npz"]
 
 
 def test_an_editor_says_where_it_saved_when_another_program_wrote_its_file(tmp_path):

@@ -294,7 +294,8 @@ def test_a_connection_that_breaks_in_mid_drag_comes_back(window: Window, editor:
             settle(editor, count - 1)
         assert np.array_equal(posed(editor), CAGE.vertices)
         # what a browser says by itself of a socket that breaks
-        left = [entry for entry in window.console() if "WebSocket connection to" not in entry["message"]]
+        lost = ("WebSocket connection to", "net::ERR_CONNECTION_")
+        left = [entry for entry in window.console() if not any(word in entry["message"] for word in lost)]
         assert left == []
         window.open(editor.url)
 
@@ -452,3 +453,40 @@ def test_filling_is_set_on_the_page_of_a_field_with_layers(window: Window, edito
     until(lambda: editor.document.settings.fill, "filling is kept")
     window.click("#show-masks")
     until(lambda: window.get('!document.querySelector(".swatch.filled").closest("li").hidden'), "the legend says so")
+
+
+def test_a_pose_that_no_key_holds_is_marked_and_gone_back_to(window: Window, editor: Any) -> None:
+    window.click("#time-add")
+    window.wait("warpcage.store.sections.timeline.keys.length === 1")
+    window.click("#track")  # the middle of the film
+    until(lambda: editor.document.time > 0, "the head is in the middle")
+    assert not window.get("document.querySelector('#time-unkeyed').checkVisibility()")
+    lowest, _ = below(window)
+    window.drag([lowest, lowest + [8, 8], lowest + [50, 60]])
+    window.wait("document.querySelector('#time-unkeyed').checkVisibility()")
+    bent, middle = posed(editor), editor.document.time
+    window.click("#time-first")
+    window.wait("document.querySelector('.mark.left').checkVisibility()")
+    assert f"left at {middle:.2f} s" in window.get("document.querySelector('#toasts').textContent")
+    window.click(".mark.left")
+    until(lambda: np.array_equal(posed(editor), bent) and editor.document.time == middle, "pose and time are back")
+    window.wait("!document.querySelector('.mark.left').checkVisibility()")
+
+
+def test_a_page_goes_on_with_the_next_editor_or_says_that_it_cannot(browser: Any, tmp_path: Path) -> None:
+    tiny_field().save(tmp_path / "ball.npz")
+    with warpcage.edit(tmp_path / "ball.npz", CAGE) as first:
+        port = first.server.port
+        browser.get(first.url)
+        window = Window(browser, first.url)
+        window.wait("warpcage.store.status.connected")
+    window.wait("!warpcage.store.status.connected")
+    with warpcage.edit(tmp_path / "ball.npz", port=port) as second:
+        assert second.url == first.url
+        window.wait("warpcage.store.status.connected")
+    (tmp_path / ".ball.session.secret").unlink()
+    with warpcage.edit(tmp_path / "ball.npz", port=port):
+        window.wait("warpcage.store.status.refused")
+        assert "open the address it printed" in window.get("document.querySelector('#connection').title")
+    browser.get("about:blank")
+    browser.get_log("browser")  # that nothing answered is told there

@@ -202,11 +202,43 @@ def test_scrubbing_loses_no_pose():
     for time in (0.5, 1.5, 2.0, 1.0):
         session.scrub(time)
     assert len(labels(session)) == steps
+    assert not session.unkeyed and session.left_time is None
     drag(session, REST * 5)  # held by no key
-    session.scrub(0.0)
+    assert session.unkeyed and session.scrub(0.0)
     np.testing.assert_array_equal(posed(session), REST)
+    assert not session.scrub(0.5)  # nothing more is left
+    assert not session.unkeyed and session.left_time == 1.0
     assert session.undo() == "scrub"
     np.testing.assert_array_equal(posed(session), REST * 5)
+    assert session.document.time == 1.0 and session.unkeyed and session.left_time is None
+    session.redo()
+    assert session.document.time == 0.5
+
+
+def test_a_step_is_undone_at_the_time_that_it_was_made_at():
+    session = new_session()
+    session.run({"do": "key.add", "time": 0.0, "pose": True, "camera": True})
+    session.scrub(2.0)
+    drag(session, REST * 2)
+    there = session.document.view
+    session.run({"do": "key.add", "time": 2.0, "pose": True})
+    session.scrub(3.0)
+    session.look(dataclasses.replace(there, fov=20.0))
+    session.undo()  # the key: a new one goes where the pose is from
+    assert (session.document.time, session.document.view) == (2.0, there) and session.unkeyed
+    session.look(dataclasses.replace(there, fov=20.0))
+    session.undo()  # the drag: made at the same time, so looks around stay
+    assert session.document.time == 2.0 and session.document.view.fov == 20.0
+
+
+def test_a_film_that_ends_before_the_head_takes_it_to_its_end():
+    session = new_session()
+    session.run({"do": "key.add", "time": 1.0, "pose": True})
+    session.scrub(4.0)
+    session.run({"do": "timeline", "length": 3.0})
+    assert session.document.time == session.document.timeline.length == 3.0
+    session.run({"do": "key.add", "time": session.document.time, "pose": True})
+    assert session.document.timeline.length == 3.0
 
 
 def test_keys_follow_a_cage_at_rest_when_its_drag_ends_by_another_command():

@@ -48,6 +48,9 @@ SAVE_SECONDS = 1.0
 #: What messages may cause, with values that are missing, wrong or huge, and files that are not as they should be.
 EXPECTED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, OSError, MemoryError)
 
+#: What a page is told that leaves a pose behind.
+LEFT = "Undo goes back to it."
+
 #: What a page is told that moves on although its step has ended.
 STRAYED = "Another page, or another command, changed the scene meanwhile: this move has ended."
 
@@ -67,7 +70,7 @@ class Server:
         allowed_hosts: tuple[str, ...] = (),
     ):
         self.session, self.folder, self.host, self.port = session, folder, host, port
-        self.access = Access(host, allowed_hosts)
+        self.access = Access(host, allowed_hosts, session.path)
         self.token = self.access.token
         self.clients: dict[int, Client] = {}
         self.page_total = self.connected = 0  # pages that were ever let in, and connections of now
@@ -297,7 +300,8 @@ class Server:
         elif do == "redo":
             return session.redo()
         elif do == "time":
-            session.scrub(checked_between(message["time"], 0.0, MAX_SECONDS, "time"))
+            if session.scrub(checked_between(message["time"], 0.0, MAX_SECONDS, "time")):
+                client.notice("warning", f"No key holds the pose that was left at {session.left_time:.2f} s: {LEFT}")
         elif do == "play":
             if checked_flag(message["on"], "on"):
                 self.player.play()
@@ -413,7 +417,8 @@ class Server:
                 "pages": len(self.clients),
             }
         if name == "playback":
-            return {"time": session.document.time, "playing": self.player.playing}
+            now = {"time": session.document.time, "playing": self.player.playing}
+            return now | {"unkeyed": not self.player.playing and session.unkeyed, "left": session.left_time}
         if name == "check":
             return self.checker.section
         if name == "jobs":

@@ -31,6 +31,9 @@ from .pictures.scene import Fields
 #: Steps that can be undone.
 DEPTH = 500
 
+#: The step of leaving a pose that no key holds.
+SCRUB = "scrub"
+
 
 class History:
     """Documents before and after the present one, each with the name of the step between.
@@ -52,7 +55,7 @@ class History:
             raise InputError("there is nothing to undo")
         label, before = self.undo_steps.pop()
         self.redo_steps.append((label, present))
-        return label, seen_as(before, present)
+        return label, _as_it_was(before, present)
 
     def redo(self, present: Document) -> tuple[str, Document]:
         """The step that is done again and the document after it. Raises ValueError where there is none."""
@@ -60,7 +63,7 @@ class History:
             raise InputError("there is nothing to redo")
         label, after = self.redo_steps.pop()
         self.undo_steps.append((label, present))
-        return label, seen_as(after, present)
+        return label, _as_it_was(after, present)
 
     def summary(self) -> dict[str, object]:
         """How many steps there are each way, and the names of the next ones."""
@@ -73,9 +76,19 @@ class History:
 
 
 def seen_as(document: Document, present: Document) -> Document:
-    """A document of the history, seen from where the person looks now. Numbers that were given out stay so."""
+    """A document, seen from where the person looks now. Numbers that were given out stay so."""
     number = max(document.next_id, present.next_id)
     return dataclasses.replace(document, view=present.view, time=present.time, next_id=number)
+
+
+def _as_it_was(document: Document, present: Document) -> Document:
+    """A document of the history at the time of the film that it was left at: a key must not land elsewhere."""
+    return seen_as(
+        document,
+        present
+        if document.time == present.time
+        else dataclasses.replace(present, time=document.time, view=document.view),
+    )
 
 
 FORMAT, VERSION = "warpcage session", 2
@@ -342,20 +355,15 @@ class Session:
         """Whether a gesture of this owner is under way."""
         return self._gesture is not None and self._gesture.owner is owner
 
-    def scrub(self, time: float) -> None:
-        """Go to a time of the film, seconds: poses and camera are those of the keys around it."""
+    def scrub(self, time: float) -> bool:
+        """Go to a time of the film, seconds: poses and camera are those of the keys around it.
+        Returns whether a pose is left that no key holds; it is a step of the history."""
         self.end_gesture()
         told = {"playback", "vertices"}
-        # a pose that no key holds would be lost: it becomes a step of the history first
-        here, _ = timeline.state_at(self.document, self.document.time)
-        edits = {edit.id: edit for edit in self.document.edits}
-        astray = timeline.placed_at(self.document, self.document.time).things != self.document.things
-        if astray or any(
-            number in edits and not np.array_equal(edits[number].posed, pose) for number, pose in here.items()
-        ):
-            if not (self.history.undo_steps and _same(self.history.undo_steps[-1][1], self.document)):
-                self.history.push("scrub", self.document)
-                told.add("history")
+        leaves = self.unkeyed and not (self.history.undo_steps and _same(self.history.undo_steps[-1][1], self.document))
+        if leaves:
+            self.history.push(SCRUB, self.document)
+            told.add("history")
         poses, view = timeline.state_at(self.document, time)
         document = timeline.placed_at(self.document, time)
         document = dataclasses.replace(document, time=time, view=view or self.document.view)
@@ -367,6 +375,22 @@ class Session:
             self._take(document, told, without={"edits"})
         else:
             self._take(document, told)
+        return leaves
+
+    @property
+    def unkeyed(self) -> bool:
+        """Whether something that keys move is not where the film has it at the present time."""
+        document = self.document
+        poses, _ = timeline.state_at(document, document.time)
+        return timeline.placed_at(document, document.time).things != document.things or any(
+            edit.id in poses and not np.array_equal(edit.posed, poses[edit.id]) for edit in document.edits
+        )
+
+    @property
+    def left_time(self) -> float | None:
+        """When in the film a pose was left that no key holds and that one undo brings back, seconds; None: none was."""
+        steps = self.history.undo_steps
+        return steps[-1][1].time if steps and steps[-1][0] == SCRUB else None
 
     def _take(self, document: Document, more: Iterable[str] = (), without: Iterable[str] = ()) -> None:
         """Take a document as the newest one and tell listeners what changed."""
@@ -377,6 +401,8 @@ class Session:
             changed.add("edits")  # pages are told of those of the active thing
         self.document = document
         changed = (changed - set(without)) | set(more)
+        if changed & {"edits", "timeline", "things", "history"}:
+            changed.add("playback")  # which says whether keys hold what is seen
         if self._gesture is None:
             self.settled = document
         self._steps += "history" in changed

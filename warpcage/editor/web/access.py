@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hmac
 import ipaddress
+import os
 import pathlib
+import re
 import secrets
+import stat
 import urllib.parse
 from collections.abc import Awaitable, Callable, Iterable
 
@@ -29,14 +33,23 @@ HEADERS = {
 }
 
 
+#: Random bytes of the word in the address.
+TOKEN_BYTES = 24
+
+#: What such a word looks like.
+TOKEN = re.compile(r"[\w-]{32}", re.ASCII)
+
+
 class Access:
     """Lets those in who know the word in the address, and pages of the same origin only.
     `allowed_hosts`: names under which pages may come, beside those of this machine's loopback and `host`."""
 
     # `Host` must be a name that was told: a foreign one that leads here is refused, even where the token was learned.
 
-    def __init__(self, host: str, allowed_hosts: Iterable[str] = ()):
-        self.token = secrets.token_urlsafe(24)
+    def __init__(self, host: str, allowed_hosts: Iterable[str] = (), session: pathlib.Path | None = None):
+        # Where other machines may ask, an address that was handed out once ends with the editor.
+        stays = session is not None and host in ("localhost", "127.0.0.1", "::1")
+        self.token = _kept_token(session) if session is not None and stays else secrets.token_urlsafe(TOKEN_BYTES)
         self._hosts = {"localhost", "127.0.0.1", "::1", host.lower(), *map(str.lower, allowed_hosts)}
         self._everywhere = host in ("0.0.0.0", "::", "")
 
@@ -77,6 +90,23 @@ class Access:
             return response
 
         return guard
+
+
+def _kept_token(session: pathlib.Path) -> str:
+    """The word in the address of a session's editor: pages that are open go on where it was kept beside the session's
+    file, in a file that nobody else may read."""
+    path = session.with_name(f".{session.name.removesuffix('.json')}.secret")
+    with contextlib.suppress(OSError, UnicodeDecodeError):
+        told = path.lstat()
+        private = not hasattr(os, "getuid") or (told.st_uid == os.getuid() and not stat.S_IMODE(told.st_mode) & 0o077)
+        if stat.S_ISREG(told.st_mode) and private and TOKEN.fullmatch(token := path.read_text("ascii")):
+            return token
+    token = secrets.token_urlsafe(TOKEN_BYTES)
+    with contextlib.suppress(OSError):  # a folder that cannot be written to: pages are opened anew
+        path.unlink(missing_ok=True)
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+            file.write(token)
+    return token
 
 
 def _is_address(host: str) -> bool:

@@ -142,7 +142,7 @@ function onMessage(message) {
   } else if (message.type === "hello") {
     wait = FIRST_WAIT;
     store.sections.session = message.session ?? message.sections.session;
-    store.setStatus({ connected: true, client: message.client, attempts: 0 });
+    store.setStatus({ connected: true, client: message.client, attempts: 0, refused: false });
     for (const [name, content] of Object.entries(message.sections)) store.set(name, content);
     emit("hello", message);
   } else if (message.type === "state") {
@@ -167,6 +167,17 @@ function onLost() {
   }
   timer = setTimeout(connect, wait * (0.8 + 0.4 * Math.random()));
   wait = Math.min(2 * wait, LONGEST_WAIT);
+  lookForAnother();
+}
+
+/** Finds out whether an editor is there that does not know this page's address: it was started anew. */
+async function lookForAnother() {
+  try {
+    const { status } = await fetch(location.pathname, { cache: "no-store" });
+    if (!isConnected()) store.setStatus({ refused: status === 403 });
+  } catch {
+    store.setStatus({ refused: false }); // nothing answers
+  }
 }
 
 /** Connects to the server that gave the page, and again whenever the connection breaks. */

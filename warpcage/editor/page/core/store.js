@@ -3,6 +3,9 @@
 
 const KEPT = "warpcage.tools";
 
+/** What is said where an editor answers that does not know this page's address. */
+export const STARTED_ANEW = "The editor was started anew: open the address it printed";
+
 const defaults = {
   tool: "select", // select | move | rotate | scale | box | ruler
   pick: "rectangle", // rectangle | lasso | brush
@@ -88,7 +91,7 @@ function tell(name, content) {
 export const store = {
   sections: {}, // as the server sent them: store.sections.settings.coordinates ...
   tools: keptTools(),
-  status: { connected: false, client: null, attempts: 0, fps: 0, latency: 0, frame: null },
+  status: { connected: false, client: null, attempts: 0, refused: false, fps: 0, latency: 0, frame: null },
 
   /** Calls listener(content, name) when a section, "tools", "status" or anything ("*") changes; returns how to stop. */
   on(name, listener) {

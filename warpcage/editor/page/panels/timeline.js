@@ -55,11 +55,13 @@ function listen(track, show) {
   track.addEventListener("pointerdown", (event) => {
     if (event.button !== 0 || way) return;
     const mark = event.target.closest(".mark");
+    if (mark?.classList.contains("left")) return run("undo");
     way = { pointer: event.pointerId, id: mark ? Number(mark.dataset.key) : null, x: event.clientX };
     track.setPointerCapture(event.pointerId);
     track.focus();
     if (way.id === null) goTo(timeAt(event));
     else choose(way.id);
+    return undefined;
   });
   track.addEventListener("pointermove", (event) => {
     if (event.pointerId !== way?.pointer) return;
@@ -130,6 +132,7 @@ function bar() {
   const easing = choice({ id: "time-easing", label: "Easing of the chosen key", title: "How the way from the chosen key to the next goes", options: EASINGS, bare: true, onChange: ease });
   const gone = button({ id: "time-delete", label: "Delete key", icon: "delete", title: "Delete the chosen key (Delete on the timeline)", onClick: remove });
   const name = el("span", { id: "time-key", class: "note" });
+  const unkeyed = el("span", { id: "time-unkeyed", class: "note", title: "No key holds what is posed here: add one (K), or it stays behind when the time changes" }, "pose not kept");
   const root = el(
     "div",
     { class: "time-bar" },
@@ -140,6 +143,7 @@ function bar() {
     el("span", { class: "time-now" }, time.input, length),
     loop.input,
     el("span", { class: "spring" }),
+    unkeyed,
     name,
     easing.input,
     button({ id: "time-add", label: "Key", icon: "plus", keep: true, title: titleOf("Key of pose and camera at the present time", "key.insert"), onClick: () => add(true, true) }),
@@ -147,7 +151,7 @@ function bar() {
   );
   const show = () => {
     const { length: long, fps, loop: way } = film();
-    const { playing = false } = store.sections.playback ?? {};
+    const { playing = false, unkeyed: astray = false } = store.sections.playback ?? {};
     const key = chosenKey();
     setIcon(play, playing ? "pause" : "play");
     play.title = titleOf(playing ? "Pause" : "Play", "play");
@@ -158,6 +162,7 @@ function bar() {
     easing.input.disabled = gone.disabled = !key;
     if (key) easing.set(easingWord(key.easing));
     setText(name, key ? key.name : "");
+    unkeyed.hidden = !astray;
   };
   return { root, show };
 }
@@ -169,7 +174,8 @@ export function start() {
   const marks = el("div");
   const poses = el("div", { class: "lane tall" });
   const ways = graphs(poses);
-  poses.append(...ways.roots, marks, ...ways.handles);
+  const left = el("span", { class: "mark left", title: "The pose that was left here is held by no key: press to go back to it (undo)" });
+  poses.append(...ways.roots, marks, left, ...ways.handles);
   const cameras = el("div", { class: "lane" });
   const head = el("div", { class: "head" });
   area = el("div", { class: "track-area" }, ruler, poses, cameras, head);
@@ -205,6 +211,9 @@ export function start() {
   const showTime = () => {
     const time = now();
     head.style.left = shareOf(Math.min(time, film().length));
+    const { left: leftAt = null } = store.sections.playback ?? {};
+    left.hidden = leftAt === null;
+    left.style.left = shareOf(Math.min(leftAt ?? 0, film().length));
     track.setAttribute("aria-valuenow", short(time));
     const key = keyAt(time);
     track.setAttribute("aria-valuetext", `${seconds(time)}${key ? `, ${key.name}` : ""}`);

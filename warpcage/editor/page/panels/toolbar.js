@@ -1,6 +1,6 @@
 // The header, the tools at the left of the view and the options of those that are on.
 
-import { actions, choices, keep, kept, register, run, store } from "../core/store.js";
+import { actions, choices, keep, kept, register, run, STARTED_ANEW, store } from "../core/store.js";
 import { request } from "../core/connection.js";
 import { tellSize } from "../view/viewport.js";
 import { choice, el, icon, number, perPicture, segments, setText, titleOf } from "../core/controls.js";
@@ -177,8 +177,9 @@ const clock = (time) => {
 
 /** Whether the page is connected and the session saved. */
 function connectionText() {
-  const { connected, attempts } = store.status;
+  const { connected, attempts, refused } = store.status;
   const { saved, save_error: error } = store.sections.session ?? {};
+  if (refused) return ["lost", "Started anew", `${STARTED_ANEW}. What the one before had is saved.`];
   if (!connected) return attempts ? ["lost", "Reconnecting…", "The server is being sought; what it had is safe"] : ["wait", "Connecting…", ""];
   if (error) return ["lost", "Not saved", error];
   if (!saved) return ["wait", "Saving…", "The session is saved by itself, beside the field"];

@@ -1,6 +1,6 @@
 // The canvas: the server's picture, the cages over it, the gizmo; drawn when something has changed, at display rate.
 
-import { store } from "../core/store.js";
+import { STARTED_ANEW, store } from "../core/store.js";
 import { ask, nextSequence, send, when } from "../core/connection.js";
 import { makeCamera, pixelAt, project, projectAll } from "../geometry/camera.js";
 import { surfacePoint } from "../geometry/pick.js";
@@ -200,6 +200,7 @@ function draw() {
   if (overlay.region) D.drawRegion(context, overlay.region.shape, overlay.region.path, store.tools.brush);
   const running = operation.current();
   if (running) drawOperation(now, running);
+  else if (store.status.refused) D.drawHint(context, [STARTED_ANEW], height);
   else if (!store.status.connected) D.drawHint(context, ["No connection to the server; trying again …"], height);
   else if (!picture) D.drawHint(context, FIRST_PICTURE, height);
   if (unshown) onShown();
