@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import shlex
@@ -475,18 +476,24 @@ def test_a_pose_that_no_key_holds_is_marked_and_gone_back_to(window: Window, edi
 
 def test_a_page_goes_on_with_the_next_editor_or_says_that_it_cannot(browser: Any, tmp_path: Path) -> None:
     tiny_field().save(tmp_path / "ball.npz")
-    with warpcage.edit(tmp_path / "ball.npz", CAGE) as first:
-        port = first.server.port
-        browser.get(first.url)
-        window = Window(browser, first.url)
-        window.wait("warpcage.store.status.connected")
-    window.wait("!warpcage.store.status.connected")
-    with warpcage.edit(tmp_path / "ball.npz", port=port) as second:
-        assert second.url == first.url
-        window.wait("warpcage.store.status.connected")
-    (tmp_path / ".ball.session.secret").unlink()
-    with warpcage.edit(tmp_path / "ball.npz", port=port):
-        window.wait("warpcage.store.status.refused")
-        assert "open the address it printed" in window.get("document.querySelector('#connection').title")
+    with contextlib.ExitStack() as stack:
+        with warpcage.edit(tmp_path / "ball.npz", CAGE) as first:
+            line, address = stack.enter_context(tunnel(first.url))  # as an editor that takes its port again
+            browser.get(address)
+            window = Window(browser, address)
+            window.wait("warpcage.store.status.connected")
+        line.cut()
+        window.wait("!warpcage.store.status.connected")
+        with warpcage.edit(tmp_path / "ball.npz") as second:
+            line.target = second.server.port
+            line.restore()
+            window.wait("warpcage.store.status.connected")
+        line.cut()
+        (tmp_path / ".ball.session.secret").unlink()
+        with warpcage.edit(tmp_path / "ball.npz") as third:
+            line.target = third.server.port
+            line.restore()
+            window.wait("warpcage.store.status.refused")
+            assert "open the address it printed" in window.get("document.querySelector('#connection').title")
     browser.get("about:blank")
     browser.get_log("browser")  # that nothing answered is told there
