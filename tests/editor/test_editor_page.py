@@ -197,6 +197,7 @@ def test_keys_a_film_and_its_files(window: Window, editor: Any, tmp_path: Path, 
     window.choose("#ask-edit", "0")
     window.click("#dialog-confirm")
     until(lambda: len(editor.document.edits) == 2, "the exported cage is an edit")
+    window.wait("!document.querySelector('dialog')")
     np.testing.assert_allclose(editor.document.edits[1].rest, bent, atol=1e-8)
     window.press("Ctrl+Z")
     until(lambda: len(editor.document.edits) == 1, "the edit is gone again")

@@ -411,6 +411,7 @@ class Server:
                     "bounds": field.bounds.tolist(),
                 }
                 | {"up": [float(x) for x in field.up], "layers": field.background_model is not None, **count},
+                "folder": str(self.folder),
                 "device": str(field.device),
                 "saved": session.saved,
                 "save_error": session.save_error,

@@ -1,7 +1,7 @@
 // Toasts, questions and help. Dialogs are the browser's own: they keep the focus inside, Escape closes them.
 
 import { actions } from "./store.js";
-import { button, check, choice, el, number, text } from "./controls.js";
+import { button, check, choice, el, number, setText, text } from "./controls.js";
 
 const STAYS = { info: 4000, warning: 7000, error: 10000 }; // milliseconds
 const MAX_TOASTS = 4; // at once
@@ -69,9 +69,10 @@ function contentOf({ input }, { type, choices }) {
 
 /**
  * Asks for some values: {title, text?, fields: [{name, label, type: "number"|"text"|"choice"|"check", value, choices?,
- * min?, max?, step?, unit?, help?, optional?}], confirm}. A promise of {name: value}, or null where it was left.
+ * min?, max?, step?, unit?, help?, optional?}], confirm, send?}. A promise of {name: value}, or null where it was left.
+ * send(values): what is done with them, a promise; while it fails the dialog stays with what was typed and says why.
  */
-export function askFor({ title, text: intro, fields, confirm = "OK" }) {
+export function askFor({ title, text: intro, fields, confirm = "OK", send = null }) {
   return new Promise((resolve) => {
     let result = null;
     const controls = fields.map((field) => fieldOf(field));
@@ -87,9 +88,26 @@ export function askFor({ title, text: intro, fields, confirm = "OK" }) {
     });
     const yes = el("button", { id: "dialog-confirm", type: "submit", class: "button primary", title: `${confirm} (Enter)` }, confirm);
     const no = button({ id: "dialog-cancel", label: "Cancel", title: "Cancel (Escape)", onClick: () => close() });
+    const failed = el("p", { id: "dialog-error", class: "dialog-error", role: "alert" });
+    failed.hidden = true;
+    body.append(failed);
     const { form, close } = open(title, body, [no, yes], { onClosed: () => resolve(result) });
-    form.addEventListener("submit", () => {
-      result = Object.fromEntries(fields.map((field, index) => [field.name, contentOf(controls[index], field)]));
+    form.addEventListener("submit", async (event) => {
+      const values = Object.fromEntries(fields.map((field, index) => [field.name, contentOf(controls[index], field)]));
+      if (!send) return (result = values);
+      event.preventDefault();
+      yes.disabled = true;
+      try {
+        await send(values);
+        result = values;
+        close();
+      } catch (error) {
+        failed.hidden = false;
+        setText(failed, error.message);
+        failed.scrollIntoView({ block: "nearest" });
+      }
+      yes.disabled = false;
+      return undefined;
     });
     form.addEventListener("keydown", (event) => {
       // fields of text do so by themselves

@@ -1,7 +1,7 @@
 // The cage of the active edit: where it comes from, its fineness, and what the live check finds.
 
 import { activeEdit, selectedVertices, store, withActiveEdit } from "../core/store.js";
-import { attempt, request } from "../core/connection.js";
+import { ask, attempt, request } from "../core/connection.js";
 import { askFor, toast } from "../core/dialogs.js";
 import { isBrush } from "../tools/brush.js";
 import { nextPlace } from "../view/pointer.js";
@@ -23,6 +23,8 @@ const AROUND = [
 ];
 
 const clickHint = () => `${isBrush() ? "Paint over" : "Click"} the object in the picture; Escape leaves it.`;
+
+const HELD = "In place of a cage: its pose and those of keys are carried over to the new one.";
 
 const where = (edit) => [["new", "A new edit"], ...(edit ? [[edit.id, `"${edit.name}", in place of its cage`]] : [])];
 
@@ -112,7 +114,7 @@ async function box(edit) {
 }
 
 /** For which edit a file is: nothing to ask where there is none. */
-const editField = (edit) => (edit ? [{ name: "edit", label: "For", type: "choice", value: edit.id, choices: where(edit) }] : []);
+const editField = (edit) => (edit ? [{ name: "edit", label: "For", type: "choice", value: "new", choices: where(edit), help: HELD }] : []);
 
 const KINDS = { cage: "cages", poses: "pose files" };
 
@@ -123,15 +125,16 @@ export async function loadFrom(kind, title, command, fields = []) {
   const names = result.files.filter((file) => file.kind === kind).map(({ name }) => name);
   if (!names.length) return toast(`The session's folder has no ${KINDS[kind]}; upload one.`, "warning");
   const file = { name: "file", label: "File", type: "choice", value: names[0], choices: names };
-  const given = await askFor({ title, fields: [file, ...fields], confirm: "Load" });
-  if (given) await request({ do: command, ...given, ...(given.edit === "new" ? { edit: null } : {}) });
+  const send = (given) => ask({ do: command, ...given, ...(given.edit === "new" ? { edit: null } : {}) });
+  return askFor({ title, fields: [file, ...fields], confirm: "Load", send });
 }
 
 /** Loads a cage that was uploaded, for an edit or a new one. */
 async function loadCage(file) {
   const edit = activeEdit();
-  const given = edit ? await askFor({ title: `Load ${file}`, fields: editField(edit), confirm: "Load" }) : { edit: "new" };
-  if (given) await request({ do: "cage.load", file, edit: given.edit === "new" ? null : given.edit });
+  const send = (given) => ask({ do: "cage.load", file, edit: given.edit === "new" ? null : given.edit });
+  if (!edit) return attempt(send({ edit: "new" }));
+  return askFor({ title: `Load ${file}`, fields: editField(edit), confirm: "Load", send });
 }
 
 /** Sends a file into the session's folder; its name there, or throws Error(one line). */
@@ -188,7 +191,7 @@ export function cageGroup() {
     el(
       "div",
       { class: "grid thirds" },
-      button({ id: "cage-generate", label: "Generate…", kind: "primary", title: "Make a cage around the scene's matter", onClick: generate }),
+      button({ id: "cage-generate", label: "Generate…", kind: "primary", title: "Make a cage around everything visible", onClick: generate }),
       button({ id: "cage-load", label: "Load…", title: "Load a cage file of the session's folder", onClick: () => loadFrom("cage", "Load a cage", "cage.load", editField(activeEdit())) }),
       button({ id: "cage-upload", label: "Upload…", title: "Send a cage file (OBJ, PLY, GLB ...) from this computer", onClick: () => upload.click() }),
     ),

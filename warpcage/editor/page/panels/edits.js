@@ -134,7 +134,7 @@ export function editsGroup() {
     make: makeRow,
   });
   const name = text({ id: "edit-name", label: "Name", title: "Name of the active edit (Enter keeps it)", maxlength: 100, onChange: changeTo("name") });
-  const kind = choice({ id: "edit-kind", label: "Does", title: "What the active edit does", options: KINDS, onChange: changeTo("kind") });
+  const kind = choice({ id: "edit-kind", label: "What this cage does", title: "What the active edit does", options: KINDS, onChange: changeTo("kind") });
   const meaning = el("p", { class: "note", id: "edit-meaning" });
   const length = (options) => number({ min: 0, step: 0.05, unit: "units", ...options });
   const falloff = length({
@@ -152,7 +152,7 @@ export function editsGroup() {
   });
   const fragments = length({
     id: "edit-fragments",
-    label: "Fragments",
+    label: "Take loose pieces along, up to",
     title: "Pieces outside the cage that hang on the part alone and are smaller than this go with it. 0: they stay",
     onChange: changeTo("crumbs"),
   });

@@ -1,7 +1,7 @@
 // Keys, the film and its exports, and the work that takes a while.
 
 import { store } from "../core/store.js";
-import { request } from "../core/connection.js";
+import { ask, request } from "../core/connection.js";
 import { askFor, showText, toast } from "../core/dialogs.js";
 import { button, choice, el, followKey, group, icon, listBox, number, row, rows, setText, short, text, titleOf } from "../core/controls.js";
 import { loadFrom, uploadField } from "./cage.js";
@@ -48,7 +48,8 @@ const MOVES = [
 
 async function moveCamera() {
   const { length, keys } = film();
-  const given = await askFor({
+  let result = null;
+  await askFor({
     title: "Camera move",
     text: `From the view as it is, about its middle, over the ${seconds(length)} of the film.${keys.some(({ camera }) => camera) ? " It replaces the cameras of the keys." : ""}`,
     fields: [
@@ -56,8 +57,8 @@ async function moveCamera() {
       { name: "words", label: "Or in words", type: "text", value: "", optional: true, help: "turn:DEGREES, dolly:SHARE, crane:DEGREES, hand-held:SEED or follow, several joined by +: dolly:0.7+hand-held." },
     ],
     confirm: "Make keys",
+    send: async ({ words, move }) => (result = await ask({ do: "camera.move", move: words || move })),
   });
-  const result = given && (await request({ do: "camera.move", move: given.words || given.move }));
   if (result?.note) toast(result.note);
 }
 
@@ -158,32 +159,33 @@ const EXPORTS = [
   ["bake", "Baked field", "The deformed scene as a field of its own", "bent.npz", () => []],
 ];
 
-const HELP = {
-  file: "Is written into the session's folder; it can be downloaded when it is done.",
-  png: "A new folder for the pictures, in the session's folder.",
-};
+function helpOf(what) {
+  const { folder = "the session's folder" } = store.sections.session ?? {};
+  return what === "png" ? `A new folder for the pictures, in ${folder}.` : `Is written into ${folder}; it can be downloaded when it is done.`;
+}
 
 async function exportAs([what, label, , usual, fields]) {
   const hasSplats = things().some(({ visible, size }) => visible && size.endsWith("splats"));
   const file = what === "bake" && hasSplats ? "bent.ply" : usual;
-  const given = await askFor({
+  await askFor({
     title: `Export: ${label}`,
-    fields: [{ name: "file", label: what === "png" ? "Folder" : "File", type: "text", value: file, help: HELP[what] ?? HELP.file }, ...fields()],
+    fields: [{ name: "file", label: what === "png" ? "Folder" : "File", type: "text", value: file, help: helpOf(what) }, ...fields()],
     confirm: "Export",
+    send: ({ file: name, ...given }) => {
+      const { ending = "" } = given;
+      return ask({ do: "export", what, file: name.endsWith(ending) ? name : name + ending, ...given });
+    },
   });
-  if (!given) return;
-  const { ending } = given;
-  if (ending && !given.file.endsWith(ending)) given.file += ending;
-  await request({ do: "export", what, ...given });
 }
 
 async function showCommand() {
-  const given = await askFor({
+  let result = null;
+  await askFor({
     title: "Command line of the film",
     fields: [{ name: "file", label: "File", type: "text", value: "film.mp4", help: "What the command writes." }, ...sizes(), overlay],
     confirm: "Show",
+    send: async (given) => (result = await ask({ do: "export.command", ...given })),
   });
-  const result = given && (await request({ do: "export.command", ...given }));
   if (result) showText("Command line", "This makes the same film without the editor:", result.command);
 }
 

@@ -63,7 +63,7 @@ function begin(preset) {
   const edit = activeEdit();
   if (!edit) toast("There is no cage to pose: generate one first.", "warning");
   else if (store.sections.settings?.mode === "rest") toast("Sliders pose the cage: change to Pose first (Q).", "warning");
-  else if (isFlat()) toast(`What is selected is flat along the axis ${ways.axis}: select more, nothing for the whole cage (Alt+A), or choose another axis.`, "warning");
+  else if (isFlat()) toast(`What is selected is flat along the axis ${ways.axis}: select more, deselect all (Alt+A) to bend everything, or choose another axis.`, "warning");
   else {
     opened = preset;
     request({ do: "preset.begin", edit: edit.id, vertices: chosenVertices() });

@@ -1,7 +1,7 @@
 // The things of the scene: which fields are in it, where they stand, and what is done with them as wholes.
 
 import { store } from "../core/store.js";
-import { request } from "../core/connection.js";
+import { ask, request } from "../core/connection.js";
 import { askFor, confirmThat, toast } from "../core/dialogs.js";
 import { button, el, followKey, group, icon, listBox, number, perPicture, setIcon, setText, short, text } from "../core/controls.js";
 import { AXIS_NAMES } from "../geometry/vectors.js";
@@ -53,16 +53,15 @@ async function remove({ id, name }) {
 }
 
 async function saveStage() {
+  const nameOf = (file) => (file.endsWith(".stage.json") ? file : `${file.replace(/\.json$/, "")}.stage.json`);
   const given = await askFor({
     title: "Save stage",
     text: "The scene as one file, with places, cages and poses, which warpcage render, animate, bake and edit open.",
     fields: [{ name: "file", label: "File", type: "text", value: "scene.stage.json", help: "Is written into the session's folder." }],
     confirm: "Save",
+    send: ({ file }) => ask({ do: "stage.save", file: nameOf(file) }),
   });
-  if (!given) return;
-  const file = given.file.endsWith(".stage.json") ? given.file : `${given.file.replace(/\.json$/, "")}.stage.json`;
-  const result = await request({ do: "stage.save", file });
-  if (result) toast(`${file} is written.`);
+  if (given) toast(`${nameOf(given.file)} is written.`);
 }
 
 function makeRow({ id }) {
@@ -133,7 +132,7 @@ function placeFields() {
   const position = triple("position", "Position", "", 0.1);
   const turn = triple("turn", "Turn", ", degrees about the scene's axes, x first", 5);
   const scale = number({ id: "thing-scale", label: "Scale", title: "How many times as large as its own file has it", min: 1e-6, max: 1e6, step: 0.1, unit: "times", onChange: (value) => put(() => ({ scale: value })) });
-  const reset = button({ id: "thing-reset", label: "Where its file has it", title: "Move, turn and scale it back", onClick: () => put(() => ({ position: [0, 0, 0], turn: [0, 0, 0], scale: 1 })) });
+  const reset = button({ id: "thing-reset", label: "Back to the file's position", title: "Move, turn and scale it back", onClick: () => put(() => ({ position: [0, 0, 0], turn: [0, 0, 0], scale: 1 })) });
   const inputs = [...position.inputs, ...turn.inputs, scale.input, reset];
   const show = ({ place, locked }) => {
     position.show(place.position);

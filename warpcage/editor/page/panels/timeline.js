@@ -132,7 +132,6 @@ function bar() {
   const easing = choice({ id: "time-easing", label: "Easing of the chosen key", title: "How the way from the chosen key to the next goes", options: EASINGS, bare: true, onChange: ease });
   const gone = button({ id: "time-delete", label: "Delete key", icon: "delete", title: "Delete the chosen key (Delete on the timeline)", onClick: remove });
   const name = el("span", { id: "time-key", class: "note" });
-  const unkeyed = el("span", { id: "time-unkeyed", class: "note", title: "No key holds what is posed here: add one (K), or it stays behind when the time changes" }, "pose not kept");
   const root = el(
     "div",
     { class: "time-bar" },
@@ -143,7 +142,6 @@ function bar() {
     el("span", { class: "time-now" }, time.input, length),
     loop.input,
     el("span", { class: "spring" }),
-    unkeyed,
     name,
     easing.input,
     button({ id: "time-add", label: "Key", icon: "plus", keep: true, title: titleOf("Key of pose and camera at the present time", "key.insert"), onClick: () => add(true, true) }),
@@ -151,7 +149,7 @@ function bar() {
   );
   const show = () => {
     const { length: long, fps, loop: way } = film();
-    const { playing = false, unkeyed: astray = false } = store.sections.playback ?? {};
+    const { playing = false } = store.sections.playback ?? {};
     const key = chosenKey();
     setIcon(play, playing ? "pause" : "play");
     play.title = titleOf(playing ? "Pause" : "Play", "play");
@@ -162,7 +160,6 @@ function bar() {
     easing.input.disabled = gone.disabled = !key;
     if (key) easing.set(easingWord(key.easing));
     setText(name, key ? key.name : "");
-    unkeyed.hidden = !astray;
   };
   return { root, show };
 }
@@ -177,7 +174,8 @@ export function start() {
   const left = el("span", { class: "mark left", title: "The pose that was left here is held by no key: press to go back to it (undo)" });
   poses.append(...ways.roots, marks, left, ...ways.handles);
   const cameras = el("div", { class: "lane" });
-  const head = el("div", { class: "head" });
+  const unkeyed = el("span", { id: "time-unkeyed", class: "head-note", title: "No key holds what is posed here: add one (K), or it stays behind when the time changes" }, "pose not kept");
+  const head = el("div", { class: "head" }, unkeyed);
   area = el("div", { class: "track-area" }, ruler, poses, cameras, head);
   const track = el(
     "div",
@@ -211,7 +209,9 @@ export function start() {
   const showTime = () => {
     const time = now();
     head.style.left = shareOf(Math.min(time, film().length));
-    const { left: leftAt = null } = store.sections.playback ?? {};
+    const { left: leftAt = null, unkeyed: astray = false } = store.sections.playback ?? {};
+    unkeyed.hidden = !astray;
+    unkeyed.classList.toggle("before", time > 0.6 * film().length);
     left.hidden = leftAt === null;
     left.style.left = shareOf(Math.min(leftAt ?? 0, film().length));
     track.setAttribute("aria-valuenow", short(time));
