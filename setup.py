@@ -100,6 +100,7 @@ setup(
         "warpcage": ["py.typed", "__init__.pyi"],
         "warpcage.editor": ["page/*", "page/*/*"],
         "warpcage.examples": ["clusters/*"],
+        "warpcage.kernels": ["README.md"],
         **{f"warpcage.kernels.{room}": ["*.h", "cpp/*.h", "README.md"] for room in find_packages("kernels")},
     },
     install_requires=[

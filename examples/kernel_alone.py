@@ -53,7 +53,7 @@ def main():
     faces = wp.array(triangles, dtype=wp.vec3i, device=device)
     moved = wp.empty_like(points)
     fans = wp.empty(2 * len(triangles), dtype=wp.vec4, device=device)
-    wp.launch(prepare_fans, dim=len(triangles), inputs=[0, vertices, faces, 2.0], outputs=[fans], device=device)
+    wp.launch(prepare_fans, len(triangles), [0, vertices, faces, 2.0], [fans], device=device, record_tape=False)
 
     def move(targets):
         there = wp.array(targets.astype(np.float32), dtype=wp.vec3, device=device)

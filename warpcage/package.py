@@ -10,6 +10,9 @@ import sys
 #: dependencies are imported where they are used.
 NEEDED = {"numpy": "numpy", "warp": "warp-lang", "imageio": "imageio"}
 
+#: Whether this is the package, and not a part of it that `warpcage kernels copy` has put into somebody's.
+IS_WHOLE = __name__ == "warpcage.package"
+
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 
 _ROOT = os.path.dirname(_PACKAGE)
@@ -49,12 +52,19 @@ def find_kernels(package: str) -> None:
     vars(sys.modules[package])["kernels"] = module  # as the import system does for modules that it finds itself
 
 
+def _is_copied(package: str, module: str) -> bool:
+    """Whether a copy has a module of one of its packages."""
+    base = os.path.join(os.path.dirname(str(sys.modules[package].__file__)), *module.split("."))
+    return os.path.isfile(f"{base}.py") or os.path.isfile(os.path.join(base, "__init__.py"))
+
+
 def lazy_exports(package: str, homes: dict, rooms: list | tuple = ()) -> tuple:
     """`__getattr__`, `__dir__` and `__all__` of a package. homes: names by module, as a list or as words;
     rooms: its modules that are names themselves."""
     modules = {}
     for module, names in homes.items():
-        modules |= dict.fromkeys(names.split() if isinstance(names, str) else names, module)
+        if IS_WHOLE or _is_copied(package, module):
+            modules |= dict.fromkeys(names.split() if isinstance(names, str) else names, module)
 
     def load(name: str) -> object:
         if name not in modules and name not in rooms:

@@ -9,7 +9,7 @@ import warp as wp
 from fields import BOX, ellipsoid, make_field, plain
 from runs import SMALL, succeed, write_files
 
-from warpcage import Cage, CageEdit, Deformer, PoseFile
+from warpcage import Cage, CageEdit, Deformer, PoseFile, PositionMap, deform_points
 from warpcage.cage import cache_poses
 from warpcage.view import read_image
 
@@ -63,6 +63,18 @@ def test_vertices_of_any_library_are_a_pose(kind, deformer):
     (posed,) = deformer.pose(KINDS[kind](BENT.vertices)).deformed
     np.testing.assert_allclose(posed.vertices, BENT.vertices, atol=0 if kind in ("float64", "strided") else 1e-6)
     np.testing.assert_array_equal(posed.faces, BOX.faces)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_they_pose_points_and_maps_too(kind, device):
+    """As the cage of the same vertices does, to their precision."""
+    vertices, points = KINDS[kind](BENT.vertices), 0.5 * BOX.vertices
+    maps = [PositionMap(BOX, coordinates="green", resolution=12, device=device) for _ in range(2)]
+    found, expected = ([deform_points(points, BOX, pose, device=device)] for pose in (vertices, BENT))
+    for posed, pose, places in zip(maps, (vertices, BENT), (found, expected), strict=True):
+        places.append(posed.pose(pose).data.positions.numpy())
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, atol=0 if kind in ("float64", "strided") else 1e-5)
 
 
 def test_each_edit_takes_its_own_kind(deformer, tmp_path):

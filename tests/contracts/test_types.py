@@ -18,7 +18,7 @@ from warpcage.fitting.options import FitNames
 from warpcage.fitting.splats.options import SplatFitNames
 
 ROOT = pathlib.Path(__file__).parents[2]
-CALLS, WRONG = (ROOT / "tests" / "typed" / name for name in ("calls.py", "wrong_calls.py"))
+CALLS, PROGRAM, WRONG = (ROOT / "tests" / "typed" / name for name in ("calls.py", "program.py", "wrong_calls.py"))
 
 
 def pyright(*paths):
@@ -59,16 +59,16 @@ def test_pyright_knows_the_calls_and_every_public_name(tmp_path):
     assert len(lines) > 400
     (tmp_path / "names.py").write_text("\n".join(lines.values()))
     named = [*lines][:1] + [*lines]  # the first takes two lines
-    calls, wrong, names = pyright(CALLS, WRONG, tmp_path / "names.py")
-    assert calls == {} and {named[number - 1]: text for number, text in names.items()} == {}
+    calls, program, wrong, names = pyright(CALLS, PROGRAM, WRONG, tmp_path / "names.py")
+    assert calls == program == {} and {named[number - 1]: text for number, text in names.items()} == {}
     marked = lines_with("# wrong", WRONG)
     assert len(marked) > 10 and set(wrong) == marked
 
 
 def test_mypy_knows_the_calls():
     """Of a class with both, it asks __init__ alone what a call gives, and not __new__."""
-    calls, wrong = mypy(CALLS, WRONG)
-    assert set(calls) == lines_with("# mypy sees", CALLS)
+    calls, program, wrong = mypy(CALLS, PROGRAM, WRONG)
+    assert program == {} and set(calls) == lines_with("# mypy sees", CALLS)
     assert set(wrong) == lines_with("# wrong", WRONG) - lines_with("# mypy sees", WRONG)
 
 

@@ -10,6 +10,7 @@ import sys
 import threading
 
 import compiled
+import numpy as np
 import pytest
 import warp as wp
 from compiled import warp_modules
@@ -32,6 +33,8 @@ from warpcage.core import (
     kernel_summary,
     native_files,
 )
+from warpcage.kernels.coordinates.mean_value import map_mean_value
+from warpcage.kernels.mesh.fans import prepare_fans
 from warpcage.kernels.render.views import view_kernel
 
 NAMES = kernel_names()
@@ -39,10 +42,13 @@ GROUPS = kernel_groups()
 WITH_KERNELS = [name for name in NAMES if "@wp.kernel" in kernel_source(name)]
 
 
-#: Runs a file where the packages of the environment that are named cannot be imported.
+#: Runs a file where the packages of the environment that are named cannot be imported, on a tape that has the launches
+#: of its own kernels alone in the end.
 REFUSING = """\
 import runpy
 import sys
+
+import warp as wp
 
 
 class Refuse:
@@ -54,7 +60,9 @@ class Refuse:
 sys.meta_path.insert(0, Refuse())
 sys.path.insert(0, ".")
 for call, Refuse.names in {calls}:
-    runpy.run_path(call, run_name="__main__")
+    with wp.Tape() as tape:
+        runpy.run_path(call, run_name="__main__")
+    assert {{launch[0].module.name for launch in tape.launches}} <= {{"__main__"}}, call
 assert "my_kernels" in sys.modules and "warpcage" not in sys.modules
 """
 
@@ -361,13 +369,106 @@ def test_a_file_comes_with_what_runs_it_or_alone(tmp_path, capsys):
     modules = sum(each.startswith("host/") and each != "host/__init__.py" for each in files)
     assert f"host: {modules} modules" in capsys.readouterr().out
     alone = copied("harmonic", tmp_path / "other", "--alone")
-    assert {"lattice/harmonic.py", "LICENSE"} <= alone and not any(
-        "host/" in each or "README" in each for each in alone
+    assert {"lattice/harmonic.py", "lattice/README.md", "LICENSE"} <= alone and not any(
+        "host/" in each for each in alone
     )
+
+
+@pytest.mark.parametrize("words", [(), ("--alone",)])
+@pytest.mark.parametrize("group", GROUPS)
+def test_readmes_say_how_kernels_are_launched(group, words, tmp_path):
+    """What `first`, `span` and structs are, and where cages are to be; alone, what each kernel takes."""
+    alone = {"lattice": "harmonic", "render": "views"}.get(group, group) if words else group
+    files = copied(alone, tmp_path, *words)
+    text = (tmp_path / "my_kernels" / group / "README.md").read_text(encoding="utf-8")
+    for said in ("`first`", "`span`", "Structs", "Near the origin", "record_tape=False"):
+        assert said in text
+    assert text.startswith((FOLDER / group / "README.md").read_text(encoding="utf-8").partition("\n")[0])
+    if words and alone == "harmonic":
+        assert "- `relax_laplace(first, span, level, color, system)`: Half a Gauss-Seidel sweep" in text
+    assert ("my_kernels.host" in text) == any("host/" in each for each in files)
+
+
+def test_a_readme_with_a_call_takes_the_place_of_one_without(tmp_path):
+    """Which knows all kernel files of its folder that were copied; one of somebody's own stays."""
+    readme = tmp_path / "my_kernels" / "lattice" / "README.md"
+    for name, said in (
+        ("lattice/nodes", "`nodes.py`: "),
+        ("harmonic", "`nodes.py`: "),
+        ("harmonic", "`harmonic.py`: "),
+    ):
+        copied(name, tmp_path, "--alone")
+        assert said in readme.read_text(encoding="utf-8")
+    copied("lattice", tmp_path)
+    assert kernel_call("lattice") in readme.read_text(encoding="utf-8")
+    readme.write_text("# mine\n", encoding="utf-8")
+    copied("lattice", tmp_path)
+    assert readme.read_text(encoding="utf-8") == "# mine\n"
+
+
+#: Imports all modules of a copy below the working folder, without warpcage, and all names of its packages.
+IMPORTING = """\
+import importlib, pathlib, sys
+import warp as wp
+
+sys.modules["warpcage"] = None  # so that importing it fails
+sys.path.insert(0, ".")
+wp.init()
+before = dict(vars(wp.config))
+for path in sorted(pathlib.Path("sim").rglob("*.py")):
+    module = importlib.import_module(".".join(path.with_suffix("").parts).removesuffix(".__init__"))
+    if path.name == "__init__.py":
+        for name in dir(module):
+            getattr(module, name)
+        exec(f"from {module.__name__} import *")
+assert dict(vars(wp.config)) == before and before["log_level"] == wp.LOG_INFO
+assert not [name for name in sys.modules if name.startswith("warpcage") and sys.modules[name]]
+"""
+
+
+def test_a_copy_is_imported_by_any_name_and_leaves_the_settings_of_warp(tmp_path):
+    """In somebody's package: each module, and each name that its packages offer."""
+    for group in ("lattice", "splats"):
+        assert main(["kernels", "copy", group, str(tmp_path / "sim" / "vendor" / f"our_{group}")]) == 0
+    for folder in ("sim", "sim/vendor"):
+        (tmp_path / folder / "__init__.py").touch()
+    run_program(tmp_path, IMPORTING)
+
+
+@pytest.mark.parametrize(
+    ("segments", "offset", "error"),
+    [(0, 0, 1e-6), (0, 100, 5e-5), (0, 1000, 5e-4), (3, 0, 1e-6), (3, 100, 2e-4), (3, 1000, 2e-3)],
+)
+def test_what_cages_far_from_the_origin_cost(segments, offset, error, device):
+    """As the README.md of copies says: in kernels, as shares of the cage's size, of an octahedron and of a box.
+    What the package launches costs nothing of it."""
+    upper = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2]])
+    cage = warpcage.Cage(
+        np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1]]) / 2,
+        np.concatenate([upper, np.where(upper == 2, 5, upper)[:, ::-1]]),
+    )
+    if segments:
+        cage = warpcage.Cage.box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5), segments=segments)
+    assert len(cage.faces) == (108 if segments else 8)
+    points = np.random.default_rng(0).uniform(-0.15, 0.15, (2000, 3))
+    away, turn = np.array([1.0, 0.7, -0.3]) * offset, np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    near = [points, cage.vertices, cage.vertices @ turn.T]
+    places, vertices, targets = (wp.array(x + away, dtype=wp.vec3, device=device) for x in near)
+    faces = wp.array(cage.faces, dtype=wp.vec3i, device=device)
+    fans = wp.empty(2 * len(cage.faces), dtype=wp.vec4, device=device)
+    wp.launch(prepare_fans, len(cage.faces), [0, vertices, faces, 1.0], [fans], device=device)
+    moved = wp.empty(len(points), dtype=wp.vec3, device=device)
+    wp.launch(map_mean_value, len(points), [0, places, vertices, faces, fans, targets, 1.0], [moved], device=device)
+    expected = points @ turn.T + away
+    assert (error / 10 if offset else 0) < np.abs(moved.numpy() - expected).max() < 2 * error
+    rest, posed = (cage.with_vertices(x + away) for x in near[1:])
+    assert np.abs(warpcage.deform_points(points + away, rest, posed, device=device) - expected).max() < 1e-6
 
 
 def test_a_copied_readme_names_the_copy(tmp_path):
     assert main(["kernels", "copy", "mesh", str(tmp_path / "borrowed")]) == 0
     text = (tmp_path / "borrowed" / "mesh" / "README.md").read_text(encoding="utf-8")
-    assert text == (FOLDER / "mesh" / "README.md").read_text(encoding="utf-8").replace("my_kernels", "borrowed")
+    assert text.startswith(
+        (FOLDER / "mesh" / "README.md").read_text(encoding="utf-8").replace("my_kernels", "borrowed")
+    )
     assert "from borrowed.host.mesh.queries import" in text

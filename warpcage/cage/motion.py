@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ..core.arrays import as_host_points, is_device_array
 from ..core.checks import checked_path, checked_positive, listed, require_type
 from ..core.files import PathLike, require_file
 from ..core.names import counted
@@ -20,6 +19,7 @@ from ..mesh.io import ALL_OBJECTS, ENDINGS, MOTION_ENDINGS, file_up, object_name
 from ..mesh.io.gltf_animation import read_gltf_motion
 from ..mesh.io.usd import USD_ENDINGS, read_usd_motion
 from ..mesh.io.vertex_cache import CACHE_ENDINGS, read_vertex_cache
+from ..mesh.match import posed_mesh
 from .cage import Cage
 from .pose_file import PoseFile
 from .up_axis import load_standing, standing_of_pose
@@ -40,10 +40,9 @@ def posed_cage(rest: Cage, pose: Any, what: str) -> Cage:
     `what` begins the message where it is none of them."""
     if isinstance(pose, str | os.PathLike):
         return read_pose(pose, rest)
-    if isinstance(pose, np.ndarray) or is_device_array(pose):
-        return rest.with_vertices(as_host_points(pose, name="vertices"))
-    require_type(pose, Cage, what)
-    return pose
+    posed = posed_mesh(rest, pose, what)
+    require_type(posed, Cage, what)
+    return posed
 
 
 def read_pose(path: PathLike, rest: Cage) -> Cage:

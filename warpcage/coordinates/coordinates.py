@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ..core.arrays import (
+    DLPackArray,
     PointsLike,
     as_given,
     as_host_points,
@@ -31,7 +34,7 @@ from ..kernels.coordinates import green, local_points, mean_value
 from ..kernels.lattice import cage_map
 from ..lattice.position_map import PositionMap
 from ..mesh import faces as face_geometry
-from ..mesh.match import require_same_faces
+from ..mesh.match import posed_mesh, require_same_faces
 from ..mesh.mesh import ClosedMesh, prepared_fans, require_mesh
 from ..mesh.queries import SURFACE_TOLERANCE, inside_mesh
 from ..mesh.validity import require_usable, size_problem
@@ -161,12 +164,59 @@ def _require_room(local: _Local, columns: int) -> None:
         require_memory(size, wp.get_device("cpu"), message)
 
 
+#: Numbers that NumPy results keep; others become float64.
+_Precision = TypeVar("_Precision", np.float32, np.float64)
+
+#: An array of a library other than NumPy: results are of its class.
+_DeviceArray = TypeVar("_DeviceArray", bound=DLPackArray)
+
+
+@overload
+def deform_points(
+    points: NDArray[_Precision],
+    rest: ClosedMesh,
+    deformed: ClosedMesh | PointsLike,
+    coordinates: str = ...,
+    *,
+    device: wp.DeviceLike = ...,
+    outside: str | None = ...,
+) -> NDArray[_Precision]: ...
+@overload
+def deform_points(
+    points: NDArray[Any] | Sequence[Any],
+    rest: ClosedMesh,
+    deformed: ClosedMesh | PointsLike,
+    coordinates: str = ...,
+    *,
+    device: wp.DeviceLike = ...,
+    outside: str | None = ...,
+) -> NDArray[np.float64]: ...
+@overload
+def deform_points(
+    points: _DeviceArray,
+    rest: ClosedMesh,
+    deformed: ClosedMesh | PointsLike,
+    coordinates: str = ...,
+    *,
+    device: wp.DeviceLike = ...,
+    outside: str | None = ...,
+) -> _DeviceArray: ...
+@overload
+def deform_points(
+    points: PointsLike,
+    rest: ClosedMesh,
+    deformed: ClosedMesh | PointsLike,
+    coordinates: str = ...,
+    *,
+    device: wp.DeviceLike = ...,
+    outside: str | None = ...,
+) -> Any: ...
 @points_in_turn
 @device_by_name
 def deform_points(
     points: PointsLike,
     rest: ClosedMesh,
-    deformed: ClosedMesh,
+    deformed: ClosedMesh | PointsLike,
     coordinates: str = POINT_COORDINATES,
     *,
     device: wp.DeviceLike = None,
@@ -179,7 +229,7 @@ def deform_points(
     Args:
         points: (n, 3), world units. NumPy, Warp or any DLPack array (docs/arrays.md).
         rest: Usable Cage around the points.
-        deformed: The same faces in another pose.
+        deformed: The same faces in another pose, or its vertices (v, 3) in world units as an array of any library.
         coordinates: "mean_value" (the default here, as it holds for any point), "green" or "harmonic" (the default of a
             Deformer; here on a lattice of 128 cells along the longest side). Their poses differ: name the one that a
             Deformer has to have points go with it.
@@ -198,10 +248,9 @@ def deform_points(
             usable. For another name of coordinates or of `outside`.
     """
     move = chosen(coordinates, "coordinates", harmonic=_move_harmonic, mean_value=_move_mean_value, green=_move_green)
-    for cage, name in ((rest, "rest"), (deformed, "deformed")):
-        require_mesh(cage, f"the {name} cage must be")
+    require_mesh(rest, "the rest cage must be")
     require_usable(rest, "rest cage")
-    require_same_faces(rest, deformed)
+    deformed = posed_mesh(rest, deformed, "the deformed cage must be")
     if deformed.size > rest.size and (problem := size_problem(deformed)):
         raise InputError(f"deformed cage {problem}")
     return move(_localise(points, rest, device), rest, deformed, _way_outside(outside, coordinates))

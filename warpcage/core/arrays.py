@@ -200,7 +200,7 @@ def require_no_gradient(points: Any, name: str) -> None:
     recorded = False
     if isinstance(points, wp.array):
         recorded = points.requires_grad and _active_tape() is not None
-        remedy = "leave this call out of the tape"
+        remedy = f"give wp.clone({name}, requires_grad=False), or leave this call out of the tape"
     else:
         torch = sys.modules.get("torch")
         recorded = bool(getattr(points, "requires_grad", False)) and (torch is None or torch.is_grad_enabled())

@@ -6,11 +6,11 @@ import contextlib
 import threading
 import weakref
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import warp as wp
 
-from ..errors import InputError
+from ..errors import InputError, UseError
 from .locks import device_turn
 from .modules import Kernel, require_loaded, start_warp
 from .threads import cpu_threads, run_parts
@@ -67,7 +67,7 @@ def launch(
 
     def run(begin: int, end: int) -> None:
         arguments = [begin, *inputs]
-        wp.launch(kernel, dim=end - begin, inputs=arguments, outputs=outputs, device=device, block_dim=block_dim)
+        launch_off_tape(kernel, end - begin, arguments, outputs, device=device, block_dim=block_dim)
 
     if not device.is_cpu:
         with device_turn(device):
@@ -81,6 +81,14 @@ def launch(
         run(0, count)
     else:
         run_parts(run, count, threads, first)
+
+
+def launch_off_tape(
+    kernel: Kernel, count: int, inputs: Sequence[Any], outputs: Sequence[Any] = (), **options: Any
+) -> Any:
+    """`wp.launch` that no wp.Tape of a caller records; `options` are more of its own. All launches go through here."""
+    # A tape would go back through kernels that have no way back, and cannot through structs with an array left out.
+    return wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, record_tape=False, **options)
 
 
 class RecordedLaunch:
@@ -124,7 +132,7 @@ class RecordedLaunch:
             self._count, block_dim = count, module_block_dim(self.kernel)
             require_loaded(self.kernel, self._device, block_dim)
             options: dict[str, Any] = {"device": self._device, "block_dim": block_dim, "record_cmd": True}
-            return wp.launch(self.kernel, dim=count, inputs=arguments, **options)
+            return launch_off_tape(self.kernel, count, arguments, **options)
         for index, (argument, last) in enumerate(zip(arguments, before, strict=True)):
             if argument is not last:
                 recorded.set_param_at_index(index, argument)
@@ -194,6 +202,16 @@ def module_block_dim(kernel: Kernel) -> int:
     """Threads per block that a kernel's module is meant for: its option block_dim, 256 where it names none."""
     assert isinstance(kernel, wp.Kernel)
     return kernel.module.options["block_dim"]
+
+
+class HeldOnDevice:
+    """What holds memory of a device, and is not pickled or copied as other objects are."""
+
+    _elsewhere = "make one in each of them"  # how other processes come to have it
+
+    def __reduce__(self) -> NoReturn:
+        name = type(self).__name__
+        raise UseError(f"a {name} is held on a device and not copied between processes: {self._elsewhere}")
 
 
 class HostFlag:

@@ -29,6 +29,7 @@ HOST_DOCSTRING = '"""Modules of warpcage that launch the kernels beside this fol
 
 _PACKAGE = pathlib.Path(__file__).parents[1]
 _COPY = "my_kernels"  #: the name of a copy in the READMEs of kernel folders
+_LONE = "\n\nKernels alone. "  #: behind the title of a README without a call, which gives way to one with it
 
 _FORMER = {  # kernel files by the names that they, or parts of them, had before: this version understands these
     "core/loads": "core/entries",
@@ -143,6 +144,20 @@ def _readme(group: str) -> str:
     return (FOLDER / group / "README.md").read_text(encoding="utf-8")
 
 
+def _lone_readme(group: str, names: list[str]) -> str:
+    """The README.md of kernel files without the modules that launch them: what their kernels do."""
+    title, _, _ = _readme(group).partition("\n")
+    text = f"{title}{_LONE}Without `--alone` the modules that launch them come along.\n"
+    for name in names:
+        text += f"\n`{_stem(name)}.py`: {kernel_summary(name)}\n\n"
+        functions = [node for node in ast.walk(ast.parse(kernel_source(name))) if isinstance(node, ast.FunctionDef)]
+        for node in functions:
+            if any("wp.kernel" in ast.unparse(each) for each in node.decorator_list):
+                parameters = ", ".join(each.arg for each in node.args.args)
+                text += f"- `{node.name}({parameters})`: {' '.join((ast.get_docstring(node) or '').split())}\n"
+    return text
+
+
 def _call_imports(group: str) -> set[str]:
     """The modules that the call of a kernel folder imports: "kernels/lattice/gaps", "lattice/position_map"."""
     found = set()
@@ -225,9 +240,9 @@ def native_text(path: str) -> str:
 
 
 def copy_kernel(name: str, destination: str | os.PathLike[str], *, alone: bool = False) -> list[pathlib.Path]:
-    """Copy a kernel file, or all of a folder, with what it needs, the modules that launch it and a README with the call
-    (alone: without those) into a package that imports without warpcage. Paths, sorted; all or nothing is copied."""
-    # Files that are there with the same text stay, and so do every README and every `__init__.py`.
+    """Copy a kernel file, or all of a folder, with what it needs, the modules that launch it (alone: without those) and
+    a README into a package that imports without warpcage. Paths, sorted; all or nothing is copied."""
+    # Files that are there with the same text stay, and so do every `__init__.py` and every README with a call.
     destination = pathlib.Path(destination)
     _check_package_name(destination)
     group = name.partition("/")[0]
@@ -248,10 +263,22 @@ def copy_kernel(name: str, destination: str | os.PathLike[str], *, alone: bool =
         kept[destination / folder / "__init__.py"] = (FOLDER / folder / "__init__.py").read_text(encoding="utf-8")
     if host:
         kept[destination / "host" / "__init__.py"] = HOST_DOCSTRING
-    if not alone:
-        kept[destination / group / "README.md"] = _readme(group).replace(_COPY, destination.resolve().name)
-    _write_whole({path: text for path, text in (kept | texts).items() if not path.exists()})
+    new = {path: text for path, text in (kept | texts).items() if not path.exists()}
+    readme = destination / group / "README.md"
+    if not readme.exists() or _LONE in readme.read_text(encoding="utf-8"):
+        new[readme] = _copied_readme(group, destination, names, alone=alone)  # the last, as it may be there
+    _write_whole(new)
     return sorted(texts)
+
+
+def _copied_readme(group: str, destination: pathlib.Path, names: list[str], *, alone: bool) -> str:
+    """The README.md of a kernel folder in a copy of kernel files, beside those of the folder that are there."""
+    text = _readme(group)
+    if alone and host_modules(group):
+        there = [each for each in kernel_names() if each in names or (destination / f"{each}.py").exists()]
+        text = _lone_readme(group, [each for each in there if each.startswith(f"{group}/")])
+    launches = (FOLDER / "README.md").read_text(encoding="utf-8").partition("\n## ")[2]
+    return f"{text.replace(_COPY, destination.resolve().name)}\n## {launches}"
 
 
 def _host_file(module: str) -> tuple[str, str]:

@@ -17,6 +17,7 @@ import warp as wp
 
 from ..errors import StateError
 from ..kernels.core import variants
+from ..package import IS_WHOLE
 from . import reports
 from .locks import device_turn
 from .reports import without_driver_note
@@ -28,9 +29,9 @@ Kernel: TypeAlias = wp.Kernel | Callable[..., Any]
 _log = logging.getLogger(__name__)
 
 # Warp prints lines on stdout as it starts and for each module. It is quiet from here on, but for those who ask it,
-# by WARPCAGE_LOG=debug, or by a log level of Warp's own.
+# by WARPCAGE_LOG=debug, or by a log level of Warp's own. Programs that have a copy of this module say it themselves.
 reports.start_log()
-if wp.config.log_level == wp.LOG_INFO and reports.asked_level() != "debug":
+if IS_WHOLE and wp.config.log_level == wp.LOG_INFO and reports.asked_level() != "debug":
     wp.config.log_level = wp.LOG_WARNING
 
 

@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 from ..cage.cage import Cage
 from ..core.arrays import PointsLike
 from ..core.checks import checked_path, checked_whole, require_type
-from ..core.devices import resolve_device
+from ..core.devices import HeldOnDevice, resolve_device
 from ..core.locks import owner_lock
 from ..core.names import FIELD_COORDINATES, Coordinates, Density, SplatMap, Store
 from ..core.reports import Progress, hears
 from ..edits.edits import checked_edits
-from ..errors import InputError, UseError
+from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..mesh.validity import is_usable
 from ..render.sampled import SampledField
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 Deformable: TypeAlias = VoxelField | SplatField | SampledField | SurfaceMesh
 
 
-class Deformer:
+class Deformer(HeldOnDevice):
     """A radiance field as cages deform it: voxels, or splats (see `SplatDeformer`, which this makes of a SplatField).
 
     Before the first `pose` the cages are at rest: the deformed scene is the field itself. Any thread may use it;
@@ -158,9 +158,6 @@ class Deformer:
         """(2, 3) box of all that the field and the posed cages reach, fragments that go with them too; world units."""
         with self.lock:
             return self._backend.reached(self._posed_cages())
-
-    def __reduce__(self):
-        raise UseError("a Deformer is held on a device and not copied between processes: make one in each of them")
 
     def pose(self, deformed: PoseLike | Sequence[PoseLike | None]) -> Deformer:
         """Move the cages.

@@ -23,7 +23,7 @@ from ..core.checks import (
     listed,
     require_type,
 )
-from ..core.devices import launch, resolve_device
+from ..core.devices import HeldOnDevice, launch, resolve_device
 from ..core.files import PathLike, require_file
 from ..core.locks import in_turn
 from ..edits.edits import CageEdit
@@ -85,7 +85,7 @@ class StageItem:
         return np.stack([np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)])
 
 
-class Stage:
+class Stage(HeldOnDevice):
     """Several things in one scene: fields, meshes, and Deformers of those, each in a place of its own.
 
     Each is rendered from where the camera stands in its own coordinates, and the pictures are put together ray by ray

@@ -10,7 +10,7 @@ import warp as wp
 
 from ..core.arrays import empty_array
 from ..core.checks import warn_caller
-from ..core.devices import lane_count, launch
+from ..core.devices import lane_count, launch, launch_off_tape
 from ..core.modules import load_modules, require_loaded
 from ..core.reports import tell
 from ..errors import InputError
@@ -206,7 +206,7 @@ class HarmonicSolver(MapSolver):
         threads = 1 if self.device.is_cpu else BLOCK_THREADS
         inputs = [0, level, SWEEPS, COARSEST_SWEEPS, threads, self._system]
         require_loaded(cycle_coarse_levels, self.device, BLOCK_THREADS)
-        wp.launch(cycle_coarse_levels, dim=threads, inputs=inputs, device=self.device, block_dim=BLOCK_THREADS)
+        launch_off_tape(cycle_coarse_levels, threads, inputs, device=self.device, block_dim=BLOCK_THREADS)
 
     def _relax(self, level: int, color: int, half_sweeps: int, inside: np.ndarray) -> None:
         """Launch half sweeps, the colours in turn."""

@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.checks import require_ordinary_side
-from ..core.devices import lane_count, launch, resolve_device
+from ..core.devices import HeldOnDevice, lane_count, launch, resolve_device
 from ..core.locks import in_turn
 from ..errors import InputError
 from ..kernels.lattice.crossings import RUN, LineCrossings, cross_lines
@@ -194,7 +194,7 @@ class MapConstants(PoseConstants):
         self.affine, self.vertex_values = self.slots  # (4, 3): steps along the axes, node (0, 0, 0); (v, 3): besides
 
 
-class CageLattice:
+class CageLattice(HeldOnDevice):
     """Nodes over a usable cage, with the signed distance to it once they are measured.
     resolution: cells along its longest side; origin: world point of device arrays, None is the middle of its box."""
 

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..core.devices import launch
+from ..core.devices import HeldOnDevice, launch
 from ..kernels.lattice.rings import add_affine, gather_status
 from .buffers import HostNumbers
 from .gaps import MapNodes, MapSides, MapTarget
@@ -35,7 +35,7 @@ class PoseStatus:
     sections: NodeSections  # lengths of the lists of nodes
 
 
-class PoseLaunches:
+class PoseLaunches(HeldOnDevice):
     """The launches of a pose, in order: the layout, the map, and where it has narrow gaps their sides.
     Each takes the sizes of its pose, or bounds: a CUDA graph that holds the launches serves all poses within them."""
 

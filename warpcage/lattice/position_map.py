@@ -9,16 +9,16 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.arrays import WarpStruct, empty_array
+from ..core.arrays import PointsLike, WarpStruct, empty_array
 from ..core.checks import warn_caller
-from ..core.devices import resolve_device
+from ..core.devices import HeldOnDevice, resolve_device
 from ..core.locks import owner_lock
 from ..core.memory import free_bytes, require_memory
 from ..core.names import FIELD_COORDINATES, chosen, require_coordinates, require_store
 from ..errors import InputError
 from ..kernels.lattice.cage_map import CageMap
 from ..mesh.faces import face_area
-from ..mesh.match import require_same_faces
+from ..mesh.match import posed_mesh, require_same_faces
 from ..mesh.mesh import ClosedMesh, require_mesh
 from ..mesh.validity import require_usable
 from .closed_form import GreenSolver, MeanValueSolver
@@ -49,7 +49,7 @@ class BegunPose:
     last: ClosedMesh | None = None  # the cage of the map before, None where that is lost
 
 
-class PositionMap:
+class PositionMap(HeldOnDevice):
     """The map x -> sum_j w_j(x) v_j from a deformed cage to its rest cage, on the nodes of a lattice over the former.
 
     What is computed is the residual after the affine map that fits the cage's vertices best (least squares), which all
@@ -125,11 +125,12 @@ class PositionMap:
         self._is_at_work = False  # whether a graph may read what the host wrote for a pose
         self._is_replayable = False  # whether the graph's buffers and the lattice have seen a pose
 
-    def pose(self, deformed: ClosedMesh) -> PositionMap:
+    def pose(self, deformed: ClosedMesh | PointsLike) -> PositionMap:
         """Compute the map from a deformed cage. Buffers of the last pose are reused.
 
         Args:
-            deformed: A Cage with the faces of the rest cage.
+            deformed: A Cage with the faces of the rest cage, or its vertices (v, 3) in world units as an array of any
+                library.
 
         Returns:
             self.
@@ -144,7 +145,7 @@ class PositionMap:
             self.finish()
         return self
 
-    def begin(self, deformed: ClosedMesh) -> WarpStruct | None:
+    def begin(self, deformed: ClosedMesh | PointsLike) -> WarpStruct | None:
         """Start on a pose, so that the device is at work while the host goes on.
 
         Call `finish` before the map is used, and hold `lock` over both where threads share it.
@@ -159,8 +160,7 @@ class PositionMap:
         Raises:
             ValueError: As `pose`, for what can be told before the work.
         """
-        require_mesh(deformed, "a pose must be")
-        require_same_faces(self.rest, deformed)
+        deformed = posed_mesh(self.rest, deformed, "a pose must be")
         if deformed.size == 0.0:  # no lattice at all
             require_usable(deformed, "deformed cage")
         with self.lock:

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..core.arrays import WarpStruct, empty_array
-from ..core.devices import launch
+from ..core.devices import HeldOnDevice, launch
 from ..core.names import chosen
 from ..kernels.lattice.cage_map import apply_weights
 from ..kernels.lattice.cut_rows import CutRows
@@ -24,7 +24,7 @@ from .sizes import PoseSizes
 WeightBlock = tuple[int, wp.array, wp.array | None]
 
 
-class MapSolver(ABC):
+class MapSolver(HeldOnDevice, ABC):
     """Values of a map at the nodes of a lattice over a posed cage; `nodes` has the lists that the solver works on.
     A pose is `launch_layout`, then `launch_solution`, and where the pose opens narrow gaps `launch_boundary`."""
 
@@ -110,7 +110,7 @@ class MapSolver(ABC):
         self.cycles, self.residual = int(status[0]), float(status[1])
 
 
-class LatticeWeights:
+class LatticeWeights(HeldOnDevice):
     """Weights at the listed nodes of a solver's lattice, which has laid out a pose.
     The paper's own way, at many times the memory of a map."""
 

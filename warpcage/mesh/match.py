@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
+from ..core.arrays import is_device_array
 from ..errors import InputError
-from .mesh import ClosedMesh, connected_parts
+from .mesh import ClosedMesh, Mesh, connected_parts, require_mesh
+
+
+def posed_mesh(rest: Mesh, pose: Any, what: str) -> Mesh:
+    """A pose as callers give it: a mesh with the faces of `rest`, or vertices (v, 3) of any library in its order.
+    `what` begins the message where it is neither."""
+    if isinstance(pose, np.ndarray) or is_device_array(pose):
+        return rest.with_vertices(pose)
+    require_mesh(pose, what)
+    require_same_faces(rest, pose)
+    return pose
 
 
 def require_same_faces(rest: ClosedMesh, deformed: ClosedMesh) -> None:

@@ -9,13 +9,14 @@ import warp as wp
 
 from ..cage.cage import Cage
 from ..core.checks import MOST_SAMPLES
+from ..core.devices import HeldOnDevice
 from ..errors import InputError
 from ..field.render import FieldView
 from ..field.voxel_field import VoxelField
 from ..view.frame import Frame
 
 
-class PosedEdits(abc.ABC):
+class PosedEdits(HeldOnDevice, abc.ABC):
     """Edits on a device, as kernels take them."""
 
     map_kernel: Callable[[], Any]  # what declares the kernel that maps points; it takes `array`

@@ -11,7 +11,7 @@ import warp as wp
 
 from ..coordinates.harmonic import WeightGaps
 from ..core.arrays import empty_array
-from ..core.devices import launch
+from ..core.devices import HeldOnDevice, launch
 from ..core.memory import require_memory
 from ..core.names import chosen
 from ..core.reports import tell
@@ -111,7 +111,7 @@ CHUNK = 1 << 15
 RESOLUTION = 128
 
 
-class CageBinding:
+class CageBinding(HeldOnDevice):
     """Points in a cage at rest, and where a pose of it takes them, with the Jacobian of the map there.
     A pose costs one weighted sum a point: phi(x) = A x + t + sum_j w_j(x) r_j (kernels/splats/pose.py)."""
 
