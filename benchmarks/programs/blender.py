@@ -443,13 +443,15 @@ def motion(args) -> None:
 
         python benchmarks blender motion tests/data/blender_motion
 
-    Shape keys, an animated object, and an armature with weights between two bones. Each .glb and .usdc is written with
-    Blender's defaults; beside it NAME.npz holds `vertices` (frames, v, 3) in world units, float32.
+    Shape keys, those at 30 frames a second, an animated object, and an armature with weights between two bones. Each
+    .glb and .usdc is written with Blender's defaults; beside it NAME.npz holds `vertices` (frames, v, 3) in world
+    units, float32.
     """
     import bpy
 
     folder = args.folder
-    for name, build in (("shape_keys", shape_keys), ("moved_object", moved_object), ("armature", armature)):
+    for build in (shape_keys, shape_keys_at_30, moved_object, armature):
+        name = build.__name__
         bpy.ops.wm.read_factory_settings(use_empty=True)
         cube = subdivided_cube()
         build(cube)
@@ -481,21 +483,32 @@ def vertices_by_frame(cube) -> np.ndarray:
     return np.array(frames, np.float32)
 
 
-def shape_keys(cube) -> None:
+def shape_keys(cube, first: int = 1) -> None:
     """A bend that comes, and a height that comes and goes."""
     import bpy
 
-    bpy.context.scene.frame_end = 12
+    bpy.context.scene.frame_start, bpy.context.scene.frame_end = first, first + 11
     cube.shape_key_add(name="Basis")
     bend, tall = (cube.shape_key_add(name=name) for name in ("Bend", "Tall"))
     for vertex in bend.data:
         vertex.co.x += 0.4 * vertex.co.z**2
     for vertex in tall.data:
         vertex.co.z *= 1.5
-    for key, values in ((bend, {1: 0.0, 12: 1.0}), (tall, {1: 0.0, 6: 0.5, 12: 0.0})):
+    for key, values in ((bend, {0: 0.0, 11: 1.0}), (tall, {0: 0.0, 5: 0.5, 11: 0.0})):
         for frame, value in values.items():
             key.value = value
-            key.keyframe_insert("value", frame=frame)
+            key.keyframe_insert("value", frame=first + frame)
+
+
+def shape_keys_at_30(cube) -> None:
+    """The same at 30 frames a second from frame 10 on, below an object that is turned."""
+    import bpy
+
+    bpy.context.scene.render.fps = 30
+    shape_keys(cube, first=10)
+    cube.parent = bpy.data.objects.new("above", None)
+    bpy.context.collection.objects.link(cube.parent)
+    cube.parent.rotation_euler, cube.parent.location, cube.scale = (0.2, 0.0, 0.5), (3.0, 1.0, 0.0), (1.2, 1.0, 0.8)
 
 
 def moved_object(cube) -> None:

@@ -75,6 +75,17 @@ def test_off_with_comments_and_colors(tmp_path):
     assert len(cage.vertices) == 4 and cage.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 2]]
 
 
+def test_off_of_meshlab(tmp_path):
+    """Colours and normals stand behind the places: NCOFF."""
+    meshlab = pytest.importorskip("pymeshlab")
+    box = Cage.box((0, 0, 0), (1, 2, 3))
+    meshes = meshlab.MeshSet(verbose=False)
+    meshes.add_mesh(meshlab.Mesh(box.vertices, box.faces))
+    meshes.save_current_mesh(str(tmp_path / "c.off"))
+    assert (tmp_path / "c.off").read_text().startswith("NCOFF")
+    np.testing.assert_array_equal(Cage.load(tmp_path / "c.off").vertices, box.vertices)
+
+
 PLY = """ply
 format ascii 1.0
 comment by hand

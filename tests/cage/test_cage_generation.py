@@ -8,6 +8,7 @@ from fields import GridField, ball_densities, nodes
 
 from warpcage import Cage
 from warpcage.cage import distance_to
+from warpcage.cage.generate.shell import decimated
 from warpcage.field import visible_nodes
 
 
@@ -82,6 +83,19 @@ def test_the_same_mesh_gives_the_same_cage_at_any_place_and_scale():
     moved = trimesh.Trimesh(np.asarray(mesh.vertices) * 1e3 + 5e4, mesh.faces, process=False)
     far = Cage.from_mesh(moved, 50, method="shell")
     assert far.check(mesh=moved).mesh_enclosed == 1.0 and far.volume == pytest.approx(1e9 * one.volume, rel=0.05)
+
+
+def test_earlier_calls_of_pymeshlab_do_not_change_a_cage():
+    """What is left out in a call of it is taken from the one before."""
+    pymeshlab, ball = pytest.importorskip("pymeshlab"), trimesh.creation.icosphere(subdivisions=3)
+    first, _ = decimated(ball.vertices, ball.faces, 100)
+    meshes = pymeshlab.MeshSet(verbose=False)
+    meshes.add_mesh(pymeshlab.Mesh(ball.vertices, ball.faces))
+    meshes.meshing_decimation_quadric_edge_collapse(
+        targetfacenum=100, optimalplacement=False, qualityweight=True, preserveboundary=True, boundaryweight=9.0
+    )
+    again, _ = decimated(ball.vertices, ball.faces, 100)
+    np.testing.assert_array_equal(again, first)
 
 
 def test_a_wider_margin_is_kept():

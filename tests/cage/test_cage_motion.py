@@ -11,6 +11,7 @@ from scene_writers import GltfWriter
 from warpcage import Cage
 from warpcage.cage import are_numbered, gltf_poses, gltf_shown, numbered_files, sequence_poses
 from warpcage.mesh import read_gltf_motion
+from warpcage.render.surface_file import read_surface
 
 FIXTURES = pathlib.Path(__file__).parents[1] / "data" / "blender_motion"
 BOX = Cage.box([-1, -1, -1], [1, 1, 1])
@@ -22,7 +23,7 @@ def from_y_up(vertices):
 
 
 @pytest.mark.parametrize("ending", ["glb", "usdc"])
-@pytest.mark.parametrize("name", ["shape_keys", "moved_object", "armature"])
+@pytest.mark.parametrize("name", ["shape_keys", "shape_keys_at_30", "moved_object", "armature"])
 def test_motion_from_blender_comes_back_frame_for_frame(name, ending):
     """Shapes, skins and moved objects of either format."""
     if ending == "usdc":
@@ -30,8 +31,9 @@ def test_motion_from_blender_comes_back_frame_for_frame(name, ending):
     expected = np.load(FIXTURES / f"{name}.npz")["vertices"].astype(float)
     rest = Cage.load(FIXTURES / f"{name}.{ending}")
     file = gltf_poses(FIXTURES / f"{name}.{ending}", rest)
-    assert len(file) == len(expected) and file.fps == 24.0
-    np.testing.assert_allclose([file.times[key] for key in file.names], np.arange(len(expected)) / 24, atol=1e-9)
+    rate = 30.0 if name.endswith("30") else 24.0
+    assert len(file) == len(expected) and file.fps == rate
+    np.testing.assert_allclose([file.times[key] for key in file.names], np.arange(len(expected)) / rate, atol=1e-9)
     assert set(file.easings.values()) == {"linear"}
     # Blender's numbers of the vertices, from the first frame alone: then all frames must agree
     first = file[file.names[0]].vertices
@@ -70,6 +72,40 @@ def test_interpolation_of_keys_by_hand(tmp_path):
         np.testing.assert_allclose(points, turned + [0, 2.0 * (time >= 0.5), 0], atol=1e-6)
 
 
+@pytest.mark.parametrize("fps", [48.0, 60000 / 1001, 100.0, 30.03])
+def test_rates_that_are_not_usual_are_kept(tmp_path, fps):
+    """30.03 is what Blender 5 writes in glTF for 29.97: it divides by the base of its rate."""
+    made = GltfWriter(Y_UP, BOX.faces)
+    times = np.arange(25) / fps
+    made.animate((0, "translation", times, np.outer(times, [1, 0, 0]), "LINEAR"))
+    motion = read_gltf_motion(made.save(tmp_path / "a.gltf"))
+    assert len(motion.times) == 25 and motion.fps == pytest.approx(fps, abs=1e-4)
+    np.testing.assert_allclose(motion.times, times, atol=1e-6)
+
+
+@pytest.mark.parametrize("fps", [24.0, 30.0, 60.0])
+def test_what_jumps_does_so_in_its_frame(tmp_path, fps):
+    """Times of keys are float32, half of them a little later than those of frames."""
+    made = GltfWriter(Y_UP, BOX.faces)
+    steps = np.arange(40.0)
+    made.animate((0, "translation", steps / fps, np.outer(steps, [1, 0, 0]), "STEP"))
+    motion = read_gltf_motion(made.save(tmp_path / "a.gltf"))
+    np.testing.assert_allclose([frame[0, 0] - Y_UP[0, 0] for frame in motion.vertices], steps, atol=1e-5)
+
+
+def test_keys_between_frames_and_the_frames_between_them(tmp_path):
+    """A half turn between two keys is no straight line."""
+    made = GltfWriter(Y_UP, BOX.faces)
+    made.animate((0, "rotation", [0.0, 0.531, 1.0], [[0, 0, 0, 1], [0, 1, 0, 0], [0, 1, 0, 0]], "LINEAR"))
+    motion = read_gltf_motion(made.save(tmp_path / "a.gltf"))
+    assert len(motion.times) == 26 and motion.fps == 24.0 and (np.diff(motion.times) > 0).all()
+    for time, points in zip(motion.times, motion.vertices, strict=True):
+        angle = np.pi * min(time / 0.531, 1.0)
+        x, y, z = Y_UP.T
+        expected = [np.cos(angle) * x + np.sin(angle) * z, y, -np.sin(angle) * x + np.cos(angle) * z]
+        np.testing.assert_allclose(points, np.stack(expected, axis=1), atol=1e-5)
+
+
 def test_shapes_and_their_names(tmp_path):
     made = GltfWriter(Y_UP, BOX.faces)
     tall = Y_UP * [0, 0.5, 0]
@@ -106,6 +142,42 @@ def test_skins_by_hand(tmp_path):
     motion = read_gltf_motion(made.save(tmp_path / "skin.gltf"))
     np.testing.assert_allclose(motion.vertices[0], Y_UP, atol=1e-6)
     np.testing.assert_allclose(motion.vertices[1], Y_UP + share[:, None] * [3, 0, 0], atol=1e-6)
+    # at rest too a skin is where its bones stand, as programs show it: its node's place does not count
+    np.testing.assert_allclose(Cage.load(tmp_path / "skin.gltf").vertices, BOX.vertices, atol=1e-6)
+    made.nodes[1] |= {"translation": [5, 0, 0], "scale": [-1, 1, 1]}
+    mirrored = Cage.load(made.save(tmp_path / "moved.gltf"))
+    np.testing.assert_allclose(mirrored.vertices, BOX.vertices * [-1, 1, 1] + [5, 0, 0], atol=1e-6)
+    mirrored.require_usable()
+    np.testing.assert_allclose(read_surface(tmp_path / "moved.gltf").vertices, mirrored.vertices, atol=1e-6)
+
+
+def test_places_as_whole_numbers_and_sparse_ones(tmp_path):
+    """KHR_mesh_quantization: numbers as they are, or shares of the largest; what sparse places leave out is zero."""
+    corners, moves = np.where(Y_UP > 0, 255, 0), np.where(Y_UP > 0, 51, 0) * [0, 1, 0]
+    for shares in (False, True):
+        made = GltfWriter(corners, BOX.faces)
+        attributes = made.primitive["attributes"]
+        attributes["POSITION"] = made.add(corners, "B", **({"normalized": True} if shares else {}))
+        made.primitive["targets"] = [{"POSITION": made.add(moves, "B", **({"normalized": True} if shares else {}))}]
+        path, one = made.save(tmp_path / "a.gltf"), 1.0 if shares else 255.0
+        rest, unit = Cage.load(path), from_y_up(np.where(Y_UP > 0, 1.0, 0.0))
+        np.testing.assert_allclose(rest.vertices, one * unit, atol=1e-12)
+        shape = gltf_poses(path, rest)["shape 1"]
+        np.testing.assert_allclose(shape.vertices, one * unit * [1, 1, 1.2], atol=1e-12)
+    rows = np.arange(1, 8)
+    made = GltfWriter(Y_UP, BOX.faces)
+    made.primitive["attributes"]["POSITION"] = made.add_sparse(8, rows, (Y_UP - Y_UP[0])[rows])
+    np.testing.assert_allclose(Cage.load(made.save(tmp_path / "b.gltf")).vertices, BOX.vertices - BOX.vertices[0])
+
+
+def test_what_is_packed_or_placed_by_extensions_is_said(tmp_path):
+    made = GltfWriter(Y_UP, BOX.faces)
+    made.nodes[0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": {}}}
+    with pytest.warns(UserWarning, match="read once, not at its instances"):
+        Cage.load(made.save(tmp_path / "many.gltf"))
+    made.nodes[0], made.views[0]["extensions"] = {"mesh": 0}, {"EXT_meshopt_compression": {}}
+    with pytest.raises(ValueError, match="export it without compression"):
+        Cage.load(made.save(tmp_path / "packed.gltf"))
 
 
 def test_what_does_not_move_and_what_cannot_be_read(tmp_path):

@@ -7,6 +7,7 @@ import pytest
 from runs import run, succeed, write_files
 
 from warpcage import Cage, VoxelField
+from warpcage.field.texture import simplified
 
 RED, BLUE = (0.923, 0.077, 0.077), (0.077, 0.077, 0.923)  # 0.5 + 1.5 and - 1.5 times the first harmonic
 
@@ -86,6 +87,16 @@ def test_few_faces_keep_colors_of_vertices(files):
     clear = np.abs(mesh.vertices[:, 2]) > 0.1
     expected = np.where(mesh.vertices[:, 2:] > 0, RED, BLUE)
     np.testing.assert_allclose(mesh.visual.vertex_colors[clear, :3] / 255.0, expected[clear], atol=0.02)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e4])
+def test_few_faces_are_as_few_in_any_unit_of_length(files, unit):
+    """fast_simplification 0.2 stops at errors of its own, in the mesh's unit."""
+    whole = VoxelField.load(files / "ball.npz").extract_mesh()
+    large = whole.copy().apply_scale(unit)
+    light, expected = simplified(large, 200), simplified(whole, 200)
+    assert len(light.faces) == len(expected.faces) == pytest.approx(200, abs=10)
+    np.testing.assert_allclose(light.vertices / unit, expected.vertices, atol=1e-5)
 
 
 @pytest.mark.parametrize("words", [["-o", "@a.usdc"], ["-o", "@a.ply"], ["--colors", "-o", "@a.glb"]])

@@ -17,6 +17,7 @@ import warpcage
 from warpcage import Cage, CageEdit, Deformer, Place, Stage, SurfaceMesh
 from warpcage.mesh import write_glb, write_shown_mesh
 from warpcage.mesh.io.gltf import Texture
+from warpcage.render.surface_file import read_surface
 
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
 COLORS = np.random.default_rng(0).random((len(BALL.vertices), 3))
@@ -156,6 +157,50 @@ def test_files_with_colors_of_vertices(ending, tmp_path, device):
     expected = SurfaceMesh(BALL.vertices, BALL.faces, colors=COLORS, device=device).render(camera)
     np.testing.assert_allclose(mesh.render(camera).rgb, expected.rgb, atol=0.004)
     np.testing.assert_allclose(mesh.bounds, BALL.bounds, atol=1e-6)
+
+
+#: A square with a notch, whose fan reaches across it, and the ways in which it may stand in a file.
+NOTCHED = [(0, 0), (4, 0), (4, 4), (2, 1), (0, 4)]
+OBJ_CORNERS = "".join(f"v {x} {y} 0\n" for x, y in NOTCHED)
+PLY_HEAD = "ply\nformat ascii 1.0\nelement vertex 5\n" + "".join(f"property float {axis}\n" for axis in "xyz")
+PLY_FACES = "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+CONCAVE = {
+    "plain.obj": OBJ_CORNERS + "f 1 2 3 4 5\n",
+    "backward.obj": OBJ_CORNERS + "f -5 -4 -3 -2 -1\n",
+    "two lines.obj": OBJ_CORNERS + "f 1 2 3 \\\n4 5 # a face\n",
+    "texture.obj": OBJ_CORNERS + "vt 0 0\nvt 1 1\n" + "f 1/1 2/2 3/1 4/2 5/1\n",
+    "plain.off": "OFF\n5 1 0\n" + "".join(f"{x} {y} 0\n" for x, y in NOTCHED) + "5 0 1 2 3 4\n",
+    "plain.ply": PLY_HEAD + PLY_FACES + "".join(f"{x} {y} 0\n" for x, y in NOTCHED) + "5 0 1 2 3 4\n3 0 1 2\n",
+    "normals.ply": PLY_HEAD
+    + "".join(f"property float n{axis}\n" for axis in "xyz")
+    + PLY_FACES
+    + "".join(f"{x} {y} 0 0 0 1\n" for x, y in NOTCHED)
+    + "5 0 1 2 3 4\n3 0 1 2\n",
+}
+
+
+@pytest.mark.parametrize("name", CONCAVE)
+def test_concave_faces_stay_within_themselves(name, tmp_path):
+    (tmp_path / name).write_text(CONCAVE[name])
+    surface = read_surface(tmp_path / name)
+    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
+    areas = 0.5 * np.cross(b - a, c - a)[:, 2]
+    assert areas.min() > 0.0
+    assert areas.sum() == pytest.approx(18.0 if name.endswith(".ply") else 10.0)  # PLY has a triangle of 8 beside it
+
+
+@pytest.mark.parametrize("kind, white", [("uchar", 255), ("ushort", 65535), ("float", 1.0), ("double", 255.0)])
+def test_colors_of_ply_files_are_shares_of_what_is_white_in_their_type(kind, white, tmp_path):
+    shares = np.array([1.0, 0.5, 0.25, 0.75])
+    shown = " ".join(f"{value:g}" for value in (np.round(shares * white) if white > 1 else shares))
+    head = ["ply", "format ascii 1.0", "element vertex 3", *(f"property float {axis}" for axis in "xyz")]
+    head += [*(f"property {kind} {name}" for name in ("red", "green", "blue", "alpha")), "element face 1"]
+    head += ["property list uchar int vertex_indices", "end_header"]
+    path = tmp_path / "thing.ply"
+    path.write_text(
+        "\n".join([*head, *(f"{place} {shown}" for place in ("0 0 0", "1 0 0", "0 1 0")), "3 0 1 2"]) + "\n"
+    )
+    np.testing.assert_allclose(read_surface(path).colors, np.tile(shares, (3, 1)), atol=0.003)
 
 
 @pytest.mark.parametrize("ending", [".glb", ".obj"])

@@ -10,7 +10,7 @@ import numpy as np
 from ..core.names import counted
 from ..errors import InputError, MissingPackageError
 from ..mesh.io.gltf import Texture, middle_of
-from ..view.pictures import png_bytes
+from ..view.pictures import PictureCuts, png_bytes
 from .surface import ColorField, surface_colors
 
 if TYPE_CHECKING:
@@ -36,12 +36,13 @@ def simplified(mesh: trimesh.Trimesh, face_count: int) -> trimesh.Trimesh:
 
     if len(mesh.faces) <= face_count:
         return mesh
-    middle = middle_of(np.asarray(mesh.vertices))  # the library works in float32
-    points = (np.asarray(mesh.vertices) - middle).astype(np.float32)
+    # around the origin, where float32 is fine, and of size 1: the library's bounds on errors are in the unit of length
+    middle, size = middle_of(np.asarray(mesh.vertices)), float(mesh.extents.max())
+    points = ((np.asarray(mesh.vertices) - middle) / size).astype(np.float32)
     faces = np.asarray(mesh.faces, np.int32)
     vertices, faces = _library("fast_simplification").simplify(points, faces, target_count=face_count, agg=5)
     faces = _without_flaps(faces)
-    light = trimesh.Trimesh(vertices.astype(np.float64) + middle, faces, process=False)
+    light = trimesh.Trimesh(size * vertices.astype(np.float64) + middle, faces, process=False)
     light.remove_unreferenced_vertices()
     return light
 
@@ -70,12 +71,13 @@ def textured(
     if not len(seen):
         raise InputError(f"{size} texels a side are too few for {counted(len(faces), 'face')}: take a larger picture")
     corners = origin[faces]
-    colors = np.empty((len(seen), 3), np.float32)
+    colors, cuts = np.empty((len(seen), 3), np.float32), PictureCuts()
     for part in np.split(np.arange(len(seen)), range(POINTS, len(seen), POINTS)):
         own, share = corners[face[seen[part]]], shares[seen[part], :, None]
         along = (share * normals[own]).sum(axis=1)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-        colors[part] = surface_colors(field, (share * vertices[own]).sum(axis=1), along)
+        colors[part] = surface_colors(field, (share * vertices[own]).sum(axis=1), along, cuts)
+    cuts.warn("the texture")
     picture = _filled(seen, colors, size)
     return origin, faces, Texture(places.astype(np.float64), normals[origin], png_bytes(picture))
 

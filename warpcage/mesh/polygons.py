@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -39,6 +40,23 @@ def cut_polygon(vertices: np.ndarray, polygon: list[int]) -> list[tuple[int, int
             "the program that made it"
         )
     return EarCutter(vertices[polygon], polygon, normal).cut()
+
+
+def concave_polygons(vertices: np.ndarray, polygons: Sequence[Sequence[int]]) -> dict[int, list[tuple[int, int, int]]]:
+    """Number and triangles, of places in it, of each polygon of vertices (v, 3) that `cut_polygon` cuts to no fan.
+    Those that name vertices that are not there are left out."""
+    there = [bool(polygon) and min(polygon) >= 0 and max(polygon) < len(vertices) for polygon in polygons]
+    sizes, found = np.array([len(polygon) * known for polygon, known in zip(polygons, there, strict=True)]), {}
+    for size in np.unique(sizes[sizes > 3]).tolist():
+        numbers = np.flatnonzero(sizes == size).tolist()
+        corners = vertices[np.array([polygons[number] for number in numbers])]
+        around = corners - corners[:, :1]
+        normal = np.cross(around, np.roll(around, -1, axis=1)).sum(axis=1, keepdims=True)
+        backward = (np.cross(around[:, 1:-1], around[:, 2:]) * normal).sum(axis=2).min(axis=1) <= 0.0
+        fan = [(0, k, k + 1) for k in range(1, size - 1)]
+        cuts = {int(k): cut_polygon(corners[k], list(range(size))) for k in np.flatnonzero(backward)}
+        found |= {numbers[k]: triangles for k, triangles in cuts.items() if triangles != fan}
+    return found
 
 
 def _heights(vertices, triangles, normal) -> np.ndarray:

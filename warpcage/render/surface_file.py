@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import pathlib
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +17,9 @@ from ..mesh.io import ALL_OBJECTS, ENDINGS, read_object, turned_up
 from ..mesh.io.gltf import (
     errors_of_file,
     mesh_nodes,
+    node_matrices,
     opened,
+    placed_nodes,
     primitive_faces,
     read_buffers,
     require_room,
@@ -23,6 +27,10 @@ from ..mesh.io.gltf import (
     uri_bytes,
     values_of,
 )
+from ..mesh.io.gltf_meshes import node_points
+from ..mesh.io.obj_off import read_obj, read_off
+from ..mesh.io.ply import CHANNELS, ply_header, read_ply, read_ply_points
+from ..mesh.polygons import concave_polygons
 from ..view.exr import screen_colors
 from ..view.pictures import rgba_pixels
 
@@ -68,7 +76,10 @@ def read_surface(path: PathLike) -> Surface:
     if ending in (".glb", ".gltf"):
         surface = _gltf_surface(path)
     elif ending in _TRIMESH_ENDINGS:
-        surface = _trimesh_surface(load_trimesh(path))
+        mesh: Any = load_trimesh(path)
+        surface = _trimesh_surface(mesh)
+        if ending == ".ply" and mesh.visual.kind == "vertex":
+            _set_ply_colors(path, surface.colors)
     else:
         found = read_object(path, object=ALL_OBJECTS)
         surface = plain_surface(found.vertices, found.faces)
@@ -87,16 +98,83 @@ def read_surface(path: PathLike) -> Surface:
 def load_trimesh(path: pathlib.Path) -> trimesh.Trimesh:
     """A mesh file as trimesh reads it, vertices in their order. Raises ValueError for one without triangles."""
     import trimesh
+    from trimesh.resolvers import FilePathResolver
 
+    text = _cut_obj(path) if path.suffix.lower() == ".obj" else None
+    source: Any = path if text is None else io.BytesIO(text)
+    words: dict[str, Any] = {} if text is None else {"file_type": "obj", "resolver": FilePathResolver(str(path))}
     try:
-        mesh = trimesh.load(path, force="mesh", process=False, maintain_order=True)
+        mesh: Any = trimesh.load(source, force="mesh", process=False, maintain_order=True, **words)
     except Exception as error:
         raise InputError(f"{path} cannot be read as a mesh, it is cut off or damaged: {error}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         if path.suffix.lower() == ".ply":
             read_object(path)  # which tells of points without faces
         raise InputError(f"{path} holds no triangles")
+    visual: Any = mesh.visual
+    if path.suffix.lower() in (".ply", ".off") and visual.kind in (None, "vertex"):
+        _cut_faces(path, mesh)
     return mesh
+
+
+# -- Concave polygons, which trimesh 5.2 takes for fans
+
+
+#: Bytes in which the header of a PLY file ends.
+_HEADER_ROOM = 1 << 20
+
+
+def _cut_obj(path: pathlib.Path) -> bytes | None:
+    """The text of an OBJ file with triangles in place of its concave faces; None where it has none."""
+    data = path.read_bytes()
+    if not re.search(rb"^[ \t]*f([ \t]+[-\d/]+){4}|\\[ \t]*\r?$", data, re.MULTILINE):
+        return None
+    vertices, polygons = read_obj(path)
+    cuts = concave_polygons(vertices, [polygon for _, polygon in polygons])
+    if not cuts:
+        return None
+    lines = data.decode("utf-8-sig", errors="surrogateescape").splitlines()
+    for number, triangles in cuts.items():
+        last = int(polygons[number][0])
+        first = last
+        while first > 1 and lines[first - 2].split("#")[0].rstrip().endswith("\\"):  # which joins lines
+            first -= 1
+        joined = " ".join(line.split("#")[0].rstrip().removesuffix("\\") for line in lines[first - 1 : last])
+        corners = joined.split()[1:]
+        lines[first - 1 : last] = [""] * (last - first) + [
+            "\n".join("f " + " ".join(corners[k] for k in each) for each in triangles)
+        ]
+    return ("\n".join(lines) + "\n").encode("utf-8", errors="surrogateescape")
+
+
+def _cut_faces(path: pathlib.Path, mesh: trimesh.Trimesh) -> None:
+    """Give a mesh of a PLY or OFF file its concave faces cut as those of cages are."""
+    is_ply = path.suffix.lower() == ".ply"
+    if is_ply and _ply_element(path, "face")[0] == len(mesh.faces):
+        return  # triangles
+    vertices, rows = read_ply(path, joined=False) if is_ply else read_off(path)
+    polygons = [polygon for _, polygon in rows]
+    cuts = concave_polygons(vertices, polygons)
+    if cuts:
+        fans = {number: [(0, k, k + 1) for k in range(1, len(polygon) - 1)] for number, polygon in enumerate(polygons)}
+        mesh.faces = [[polygons[n][k] for k in each] for n, triangles in (fans | cuts).items() for each in triangles]
+
+
+def _set_ply_colors(path: pathlib.Path, colors: np.ndarray) -> None:
+    """Put the colours of a PLY file into those (v, 4) that trimesh gives, where they are no bytes."""
+    # trimesh 5.2 keeps the low byte of 16-bit ones, and takes all floats from 1 on for white
+    kinds = dict(_ply_element(path, "vertex")[1])
+    channels = (*CHANNELS, "alpha")[: 4 if "alpha" in kinds else 3]
+    if set(channels) <= set(kinds) and {kinds[name] for name in channels} != {"u1"}:
+        colors[:, : len(channels)] = read_ply_points(path, channels)[1]
+
+
+def _ply_element(path: pathlib.Path, name: str) -> tuple[int, list[tuple[str, Any]]]:
+    """How many there are of an element of a PLY file, and its properties; none where it has no such."""
+    with path.open("rb") as file:
+        elements = ply_header(path, file.read(_HEADER_ROOM))[1]
+    found = {element: (count, properties) for element, count, properties in elements}
+    return found.get(name, (0, []))
 
 
 def _trimesh_surface(mesh: trimesh.Trimesh) -> Surface:
@@ -128,14 +206,14 @@ def _gltf_surface(path: pathlib.Path) -> Surface:
     """All surfaces of the scene of a glTF file, each with its material."""
     with errors_of_file(path):
         document, chunk = opened(path)
-        nodes = mesh_nodes(document)
-        require_room(document, nodes)
-        buffers = read_buffers(path, document, chunk)
+        require_room(document, mesh_nodes(document))
+        buffers, matrices = read_buffers(path, document, chunk), node_matrices(document)
         pictures: dict[tuple, int] = {}  # numbers of ours by those of the file, and what is left of their opacity
         parts = [
-            _gltf_part(document, buffers, primitive, matrix, pictures)
-            for mesh, matrix in nodes
-            for primitive in surface_primitives(document["meshes"][mesh])
+            _gltf_part(document, buffers, primitive, points[primitive["attributes"]["POSITION"]], pictures)
+            for node, _ in placed_nodes(document)
+            for points in [node_points(document, buffers, node, matrices)]
+            for primitive in surface_primitives(document["meshes"][document["nodes"][node]["mesh"]])
         ]
         if not any(len(part.faces) for part in parts):
             raise InputError(f"{path}: no faces in it")
@@ -149,11 +227,10 @@ def _gltf_surface(path: pathlib.Path) -> Surface:
 
 
 def _gltf_part(
-    document: dict, buffers: list[bytes], primitive: dict, matrix: np.ndarray, pictures: dict[tuple, int]
+    document: dict, buffers: list[bytes], primitive: dict, points: np.ndarray, pictures: dict[tuple, int]
 ) -> Surface:
-    """A primitive in the place that a matrix (4, 4) gives it."""
+    """A primitive whose vertices are at points (v, 3)."""
     attributes, faces = primitive["attributes"], primitive_faces(document, buffers, primitive)
-    points = values_of(document, buffers, attributes["POSITION"]).astype(np.float64)
     material = document["materials"][primitive["material"]] if "material" in primitive else {}
     metal, mode = material.get("pbrMetallicRoughness", {}), material.get("alphaMode", "OPAQUE")
     light = np.tile(np.asarray(metal.get("baseColorFactor", np.ones(4)), np.float64), (len(points), 1))
@@ -173,7 +250,7 @@ def _gltf_part(
         uv = _shares(values_of(document, buffers, attributes[places]))
         least = material.get("alphaCutoff", 0.5) if mode == "MASK" else None
         look = pictures.setdefault((texture["index"], mode, least), len(pictures))
-    made = plain_surface(points @ matrix[:3, :3].T + matrix[:3, 3], faces, look=look)
+    made = plain_surface(points, faces, look=look)
     return dataclasses.replace(made, colors=colors.astype(np.float32), uv=uv.astype(np.float32))
 
 

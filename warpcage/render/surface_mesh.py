@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_points, local_points
 from ..core.checks import checked_direction, real_array, require_ordinary_side, require_type
-from ..core.devices import launch, resolve_device
+from ..core.devices import HeldOnDevice, launch, resolve_device
 from ..core.files import PathLike
 from ..core.locks import in_turn
 from ..core.names import counted
-from ..errors import InputError, UseError
+from ..errors import InputError
 from ..field.render import picture_arrays
 from ..kernels.render.surface import SurfaceColors, cast_surface_rays
 from ..splats.io import is_splat_file
@@ -32,7 +32,7 @@ from ..view.frame import (
     parse_background,
     view_background,
 )
-from ..view.pictures import to_uint8
+from ..view.pictures import PictureCuts, to_uint8
 from .surface_file import GREY, HEADLIGHT, NO_PICTURE, SURFACE_ENDINGS, Surface, plain_surface, read_surface
 
 #: How far behind a clear surface the next one is looked for, as a share of the mesh's size.
@@ -42,7 +42,7 @@ SKIP = 1e-6
 RAY_WORK = 60
 
 
-class SurfaceMesh:
+class SurfaceMesh(HeldOnDevice):
     """A triangle mesh with its colours, as a thing of a `Stage`; `Deformer(mesh, cage)` poses its vertices by a cage.
 
     Colours are shown as they are, without light: what warpcage exports, and a scan, has the light of its place in them.
@@ -160,9 +160,6 @@ class SurfaceMesh:
 
     def __len__(self) -> int:
         return len(self.faces)
-
-    def __reduce__(self):
-        raise UseError("a SurfaceMesh is held on a device and not copied between processes: make one in each of them")
 
     def to(self, device: wp.DeviceLike) -> SurfaceMesh:
         """The same mesh on another device.
@@ -301,7 +298,9 @@ def _checked_surface(
     made = dataclasses.replace(made, colors=np.ascontiguousarray(np.broadcast_to(rgba, (len(places), 4))))
     if texture is None:
         return made
-    spots, pixels = real_array(uv, "uv", np.float32), to_uint8(texture)
+    cuts = PictureCuts()
+    spots, pixels = real_array(uv, "uv", np.float32), to_uint8(texture, cuts)
+    cuts.warn("the texture")
     if spots.shape != (len(places), 2) or not np.isfinite(spots).all():
         raise InputError(f"uv must be finite ({len(places)}, 2), got {spots.shape}")
     if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or 0 in pixels.shape:

@@ -369,9 +369,11 @@ def decimated(vertices, faces, vertex_count) -> tuple[np.ndarray, np.ndarray]:
     target = 2 * vertex_count - (2 * len(vertices) - len(faces))
     meshes = pymeshlab.MeshSet(verbose=False)
     meshes.add_mesh(pymeshlab.Mesh(vertices, faces))
+    # every one: PyMeshLab takes what is left out from the last call in the process, somebody else's too
     meshes.meshing_decimation_quadric_edge_collapse(
-        targetfacenum=int(target), qualitythr=1.0, preservenormal=True, preservetopology=True, planarquadric=True,
-        planarweight=0.01,
+        targetfacenum=int(target), targetperc=0.0, qualitythr=1.0, preserveboundary=False, boundaryweight=1.0,
+        preservenormal=True, preservetopology=True, optimalplacement=True, planarquadric=True, planarweight=0.01,
+        qualityweight=False, autoclean=True, selected=False,
     )  # fmt: skip
     result = meshes.current_mesh()
     return np.array(result.vertex_matrix()), np.array(result.face_matrix())

@@ -11,7 +11,8 @@ import numpy as np
 
 from ...core.checks import registered_formats, require_endings
 from ...errors import InputError
-from .gltf import gltf_object_names, read_gltf, write_glb, write_gltf
+from .gltf import gltf_object_names, write_glb, write_gltf
+from .gltf_meshes import read_gltf
 from .obj_off import Polygons, obj_object_names, read_obj, read_obj_object, read_off, write_obj, write_off
 from .ply import read_ply, write_ply
 from .usd import read_usd, usd_object_names, write_usd, write_usda

@@ -19,7 +19,6 @@ from ...core.checks import shown
 from ...core.files import JSON_ROOM, read_limited
 from ...core.memory import require_host_memory
 from ...errors import InputError
-from ..faces import joined_rows
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # of the type checker
@@ -185,11 +184,31 @@ def values_of(document: dict, buffers: list[bytes], index: int, *, empty: int | 
     return values
 
 
+def points_of(document: dict, buffers: list[bytes], index: int, *, empty: int | None = None) -> np.ndarray:
+    """Points or moves (count, 3) float64 of an accessor; whole numbers are themselves, or shares where it says so
+    (KHR_mesh_quantization)."""
+    accessor = document["accessors"][index]
+    if "sparse" in accessor:  # it may hold all that is not zero
+        empty = accessor["count"]
+    values = values_of(document, buffers, index, empty=empty)
+    return (as_floats(values) if accessor.get("normalized") else values.astype(np.float64)).reshape(-1, 3)
+
+
+def as_floats(values: np.ndarray) -> np.ndarray:
+    """Numbers of an accessor as float64; whole ones stand for shares of the largest (normalised integers)."""
+    if values.dtype.kind == "f":
+        return values.astype(np.float64)
+    return np.maximum(values.astype(np.float64) / np.iinfo(values.dtype).max, -1.0)
+
+
 def _viewed(
     document: dict, buffers: list[bytes], place: dict, kind: np.dtype, width: int, count: int, what: str
 ) -> np.ndarray:
     """(count, width) numbers of a part of a buffer."""
     view = document["bufferViews"][place["bufferView"]]
+    packed = [name for name in view.get("extensions", {}) if name.endswith("meshopt_compression")]
+    if packed:
+        raise InputError(f"it is compressed ({packed[0]}): export it without compression")
     start, item = view.get("byteOffset", 0) + place.get("byteOffset", 0), kind.itemsize * width
     stride = view.get("byteStride", item)
     data = buffers[view["buffer"]]
@@ -226,30 +245,6 @@ def object_name(document: dict, node: int) -> str:
     return str(own.get("name") or document["meshes"][own["mesh"]].get("name") or f"node {node}")
 
 
-def read_gltf(path: pathlib.Path, name: str = "") -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (v, 3) float64, y up as in the file, and triangles (t, 3) int64 of a glTF file, or of the nodes of one
-    name."""
-    with errors_of_file(path):
-        document, chunk = opened(path)
-        nodes = mesh_nodes(document, name)
-        require_room(document, nodes)  # nodes may share a mesh: a few bytes stand for a triangle each time
-        buffers = read_buffers(path, document, chunk)
-        meshes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        vertices, triangles, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
-        for mesh, matrix in nodes:
-            if mesh not in meshes:
-                meshes[mesh] = _mesh(document, buffers, document["meshes"][mesh])
-            points, faces = meshes[mesh]
-            vertices.append(points @ matrix[:3, :3].T + matrix[:3, 3])
-            # a mirrored node: its faces are turned, so that they look the same way
-            triangles.append((faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0.0 else faces) + count)
-            count += len(points)
-    joined = np.concatenate(vertices)
-    if not np.isfinite(joined).all():
-        raise InputError(f"{path}: glTF vertex {np.flatnonzero(~np.isfinite(joined).all(axis=1))[0]} is not finite")
-    return joined, np.concatenate(triangles)
-
-
 def require_room(document: dict, nodes: list[tuple[int, np.ndarray]]) -> None:
     """Refuse more triangles than a mesh may have, or than there is memory for, before the first is read."""
     counts = {mesh: _counts(document, document["meshes"][mesh]) for mesh in {mesh for mesh, _ in nodes}}
@@ -271,15 +266,6 @@ def _counts(document: dict, mesh: dict) -> tuple[int, int]:
     return sum(accessors[index]["count"] for index in set(positions)), triangles
 
 
-def _mesh(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (v, 3) float64 and triangles (f, 3) of all primitives, split vertices joined."""
-    positions, faces, _, split = mesh_parts(document, buffers, mesh)
-    if not split:  # positions alone are taken as they are
-        return positions, faces
-    first, number = joined_rows(positions)
-    return positions[first], number[faces]
-
-
 def mesh_parts(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.ndarray, np.ndarray, list[dict], bool]:
     """Positions (v, 3) float64 and triangles (f, 3) int64 of a mesh, a primitive for each range of positions, in their
     order, and whether vertices may be split."""
@@ -289,7 +275,7 @@ def mesh_parts(document: dict, buffers: list[bytes], mesh: dict) -> tuple[np.nda
         split |= len(primitive["attributes"]) > 1
         if accessor not in starts:  # primitives may share their vertices
             starts[accessor] = sum(map(len, positions))
-            positions.append(values_of(document, buffers, accessor).astype(np.float64).reshape(-1, 3))
+            positions.append(points_of(document, buffers, accessor))
             owners.append(primitive)
         faces.append(primitive_faces(document, buffers, primitive) + starts[accessor])
     if not positions:

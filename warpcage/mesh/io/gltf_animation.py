@@ -4,18 +4,33 @@ from __future__ import annotations
 
 import dataclasses
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...core.checks import listed
 from ...core.memory import require_host_memory
 from ...errors import InputError
-from ..faces import joined_rows
-from .gltf import errors_of_file, mesh_parts, node_matrices, object_name, opened, placed_nodes, read_buffers, values_of
+from .gltf import (
+    as_floats,
+    errors_of_file,
+    mesh_nodes,
+    node_matrices,
+    object_name,
+    opened,
+    placed_nodes,
+    read_buffers,
+    require_room,
+    values_of,
+)
+from .gltf_meshes import Body
 
 #: Rates at which programs write animations, in the order in which they are tried.
-RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 12.0, 15.0, 120.0, 30000 / 1001, 24000 / 1001)
+RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 12.0, 15.0, 48.0, 120.0, 30000 / 1001, 24000 / 1001, 60000 / 1001)
+
+#: Frames per second that a file's own rate may be; others are counts of ticks, or of whole seconds.
+OWN_RATES = (10.0, 240.0)
 
 #: Times of keys fall on frames up to this share of a frame: files hold float32.
 ON_FRAME = 0.02
@@ -65,13 +80,20 @@ def read_gltf_motion(path: pathlib.Path, name: str = "", object: str = "") -> Gl
         return GltfMotion(shapes, [moving.vertices(shapes={shape: 1.0}) for shape in shapes], shown=shown)
 
 
+def gltf_animation_names(path: pathlib.Path) -> list[str]:
+    """The names of the animations of a glTF file that move a mesh."""
+    with errors_of_file(path):
+        document, chunk = opened(path)
+        return list(_Moving(document, read_buffers(path, document, chunk), "").animations())
+
+
 def _sampled(moving: _Moving, channels: list[Channel]) -> GltfMotion:
     """The frames of an animation."""
     keys = np.unique(np.concatenate([channel.times for channel in channels]))
     times, fps = frames_of(keys)
     require_host_memory(24 * moving.count * len(times), f"its {len(times)} frames of {moving.count} vertices need")
     poses = []
-    for time in times:
+    for time in at_keys(times, keys, ON_FRAME / fps):
         places: dict[int, dict] = {}
         weights: dict[int, np.ndarray] = {}
         for channel in channels:
@@ -84,21 +106,43 @@ def _sampled(moving: _Moving, channels: list[Channel]) -> GltfMotion:
     return GltfMotion(names, poses, tuple(time - times[0] for time in times), fps)
 
 
-def frames_of(keys: np.ndarray) -> tuple[list[float], float]:
-    """Times to sample at, and the rate: that on whose frames all keys lie, or the keys themselves."""
+def frames_of(keys: np.ndarray, rates: Sequence[float] = ()) -> tuple[list[float], float]:
+    """Times to sample at, and the rate on whose frames all keys lie, one of the file's or a usual one, or that of keys
+    which are evenly apart; else keys and frames."""
     begin, end = float(keys[0]), float(keys[-1])
-    for fps in RATES:
+    known, even = [*rates, *RATES], (len(keys) - 1) / (end - begin) if end > begin else 0.0
+    if len(keys) > 2 and even >= OWN_RATES[0]:
+        known += [round(even, 3), even]
+    for fps in known:
         frames = (keys - begin) * fps
         if np.abs(frames - np.round(frames)).max() < ON_FRAME:
-            count = round((end - begin) * fps) + 1
-            if count > MAX_FRAMES:
-                raise InputError(
-                    f"its animation of {end - begin:g} s has {count} frames, at most {MAX_FRAMES} are read"
-                )
-            return [begin + index / fps for index in range(count)], fps
-    if len(keys) > MAX_FRAMES:
-        raise InputError(f"its animation has {len(keys)} keys, at most {MAX_FRAMES} are read")
-    return keys.tolist(), RATES[0]
+            count = _require_frames(begin, end, fps)
+            if count > 1 or len(keys) == 1:
+                return [begin + index / fps for index in range(count)], fps
+    # what turns or bends between its keys is not straight there
+    if len(keys) + _require_frames(begin, end, known[0]) > MAX_FRAMES:
+        raise InputError(f"its animation has {len(keys)} keys between frames, at most {MAX_FRAMES} are read")
+    between = np.arange(begin, end, 1.0 / known[0])
+    return np.union1d(keys, at_keys(between, keys, ON_FRAME / known[0])).tolist(), known[0]
+
+
+def _require_frames(begin: float, end: float, fps: float) -> int:
+    """The frames between two times; more than MAX_FRAMES are refused."""
+    count = round((end - begin) * fps) + 1
+    if count > MAX_FRAMES:
+        raise InputError(f"its animation of {end - begin:g} s has {count:.9g} frames, at most {MAX_FRAMES} are read")
+    return count
+
+
+def at_keys(times: ArrayLike, keys: np.ndarray, tolerance: float) -> np.ndarray:
+    """Times (n,), those at most a tolerance from one of the keys, which ascend, at it."""
+    # values that jump at a key would come a frame late where float32 has it a little later
+    times = np.asarray(times, np.float64)
+    after = np.searchsorted(keys, times).clip(1, max(1, len(keys) - 1))
+    near = np.where(
+        times - keys[after - 1] <= keys[after % len(keys)] - times, keys[after - 1], keys[after % len(keys)]
+    )
+    return np.where(np.abs(near - times) <= tolerance, near, times)
 
 
 class Channel:
@@ -109,7 +153,7 @@ class Channel:
         self.times = values_of(document, buffers, sampler["input"]).reshape(-1).astype(np.float64)
         self.interpolation = sampler.get("interpolation", "LINEAR")
         values = values_of(document, buffers, sampler["output"])
-        numbers = _as_floats(values)
+        numbers = as_floats(values)
         width = {"rotation": 4, "weights": shape_count}.get(self.path, 3)
         sets = 3 if self.interpolation == "CUBICSPLINE" else 1
         if not len(self.times) or numbers.size != len(self.times) * sets * width or (np.diff(self.times) < 0).any():
@@ -157,95 +201,14 @@ def _turned(begin: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
     return (np.sin((1.0 - share) * angle) * begin + np.sin(share * angle) * end) / np.sin(angle)
 
 
-def _as_floats(values: np.ndarray) -> np.ndarray:
-    """Numbers of an accessor; whole ones stand for shares of the largest (normalised integers)."""
-    if values.dtype.kind == "f":
-        return values.astype(np.float64)
-    return np.maximum(values.astype(np.float64) / np.iinfo(values.dtype).max, -1.0)
-
-
-class _Body:
-    """The vertices of one node with a mesh."""
-
-    def __init__(self, document: dict, buffers: list[bytes], node: int):
-        self.node = node
-        mesh = document["meshes"][document["nodes"][node]["mesh"]]
-        positions, _, primitives, split = mesh_parts(document, buffers, mesh)
-        self.kept = joined_rows(positions)[0] if split else np.arange(len(positions))
-        self.positions = positions[self.kept]
-        counts = [document["accessors"][one["attributes"]["POSITION"]]["count"] for one in primitives]
-
-        def gathered(read) -> np.ndarray:
-            parts = [read(one, count) for one, count in zip(primitives, counts, strict=True)]
-            return np.concatenate(parts)[self.kept] if parts else np.zeros((0, 3))
-
-        def moved(one: dict, count: int, k: int) -> np.ndarray:
-            target = one.get("targets", [])[k]
-            if "POSITION" not in target:
-                return np.zeros((count, 3))
-            return _as_floats(values_of(document, buffers, target["POSITION"], empty=count)).reshape(count, 3)
-
-        shape_count = max((len(one.get("targets", [])) for one in primitives), default=0)
-        if any(len(one.get("targets", [])) != shape_count for one in primitives):
-            raise InputError("the parts of its mesh have different numbers of shapes")
-        require_host_memory(24 * shape_count * len(positions), f"its {shape_count} shapes need")
-        self.shapes = [gathered(lambda one, count, k=k: moved(one, count, k)) for k in range(shape_count)]
-        names = mesh.get("extras", {}).get("targetNames", []) if isinstance(mesh.get("extras", {}), dict) else []
-        self.names = [str(names[k]) if k < len(names) else f"shape {k + 1}" for k in range(shape_count)]
-        weights = document["nodes"][node].get("weights", mesh.get("weights", [0.0] * shape_count))
-        self.weights = np.array(weights, np.float64)
-        if self.weights.shape != (shape_count,):
-            raise InputError(f"a mesh of {shape_count} shapes has {self.weights.size} weights")
-        self.skin = document["nodes"][node].get("skin")
-        if self.skin is not None:
-            self._read_skin(document, buffers, gathered)
-
-    def _read_skin(self, document: dict, buffers: list[bytes], gathered) -> None:
-        skin = document["skins"][self.skin]
-        self.joints = list(skin["joints"])
-        binds = np.tile(np.eye(4), (len(self.joints), 1, 1))
-        if "inverseBindMatrices" in skin:
-            read = values_of(document, buffers, skin["inverseBindMatrices"]).astype(np.float64)
-            binds = read.reshape(-1, 4, 4).transpose(0, 2, 1)
-        if len(binds) < len(self.joints):
-            raise InputError(f"a skin of {len(self.joints)} joints has {len(binds)} matrices")
-        self.binds = binds
-        sets = range(8)
-
-        def attribute(one: dict, name: str) -> list[np.ndarray]:
-            found = [one["attributes"].get(f"{name}_{k}") for k in sets]
-            return [values_of(document, buffers, index) for index in found if index is not None]
-
-        self.bones = gathered(lambda one, count: np.concatenate(attribute(one, "JOINTS"), axis=1).astype(np.int64))
-        shares = gathered(
-            lambda one, count: np.concatenate([_as_floats(each) for each in attribute(one, "WEIGHTS")], axis=1)
-        )
-        if self.bones.shape != shares.shape or (self.bones.size and self.bones.max() >= len(self.joints)):
-            raise InputError(f"a skin of {len(self.joints)} joints has bones up to {self.bones.max(initial=0)}")
-        total = shares.sum(axis=1, keepdims=True)
-        self.shares = np.divide(shares, total, out=np.zeros_like(shares), where=total > 0.0)
-
-    def at(self, weights: np.ndarray, matrices: Mapping[int, np.ndarray]) -> np.ndarray:
-        """(v, 3) places in the world."""
-        points = self.positions
-        for weight, shape in zip(weights, self.shapes, strict=True):
-            if weight:
-                points = points + weight * shape
-        matrix = matrices[self.node]
-        if self.skin is None:
-            return points @ matrix[:3, :3].T + matrix[:3, 3]
-        bones = np.stack([matrices[joint] @ bind for joint, bind in zip(self.joints, self.binds, strict=False)])
-        blended = np.einsum("vb,vbij->vij", self.shares, bones[self.bones])
-        return np.einsum("vij,vj->vi", blended[:, :3, :3], points) + blended[:, :3, 3]
-
-
 class _Moving:
     """The meshes of a scene, and how their vertices follow nodes and shapes."""
 
     def __init__(self, document: dict, buffers: list[bytes], name: str = ""):
         self.document, self.buffers = document, buffers
+        require_room(document, mesh_nodes(document, name))
         nodes = [node for node, _ in placed_nodes(document) if not name or object_name(document, node) == name]
-        self.bodies = [_Body(document, buffers, node) for node in nodes]
+        self.bodies = [Body(document, buffers, node) for node in nodes]
         self.count = sum(len(body.positions) for body in self.bodies)
 
     def animations(self) -> dict[str, list[Channel]]:
@@ -309,7 +272,7 @@ class _Moving:
 
     @staticmethod
     def _weights(
-        body: _Body, weights: Mapping[int, np.ndarray] | None, shapes: Mapping[str, float] | None
+        body: Body, weights: Mapping[int, np.ndarray] | None, shapes: Mapping[str, float] | None
     ) -> np.ndarray:
         if shapes is not None:
             return np.array([shapes.get(name, 0.0) for name in body.names])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import re
 from collections.abc import Iterator
 from typing import NoReturn
 
@@ -101,7 +102,8 @@ def read_off(path: pathlib.Path) -> tuple[np.ndarray, Polygons]:
     """Vertices (v, 3) float64, and (line, indices of vertices) of each polygon of an OFF file."""
     lines = text_lines(path)
     line, words = next(lines, (1, []))
-    if not words or not words[0].upper().endswith("OFF") or words[0].upper() not in ("OFF", "COFF", "NOFF", "CNOFF"):
+    # with colours, normals and texture coordinates behind the places, in either order (MeshLab: NCOFF)
+    if not words or not re.fullmatch(r"(ST)?(C?N?|NC)OFF", words[0].upper()):
         raise InputError(f"{path}:{line}: an OFF file begins with 'OFF', got {shown(' '.join(words[:3]))}")
     words = words[1:]
     if not words:

@@ -30,20 +30,27 @@ Rows = tuple[str, list[tuple[str, Any]], Any]
 PROPERTY_BYTES, LIST_ROOM = 300, 40
 
 
-def read_ply(path: pathlib.Path) -> tuple[np.ndarray, list[tuple[int | str, list[int]]]]:
-    """Vertices (v, 3) float64, and (line or name, indices of vertices) of each polygon of a PLY file."""
-    vertices, polygons, _ = _read(path, colors=False)
+def read_ply(path: pathlib.Path, *, joined: bool = True) -> tuple[np.ndarray, list[tuple[int | str, list[int]]]]:
+    """Vertices (v, 3) float64, and (line or name, indices of vertices) of each polygon of a PLY file.
+    joined: those that a seam splits are one."""
+    vertices, polygons, _ = _read(path, joined=joined)
     return vertices, polygons
 
 
-def read_ply_points(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Vertices (v, 3) float64 of a PLY file and their colours (v, 3) float32 in [0, 1], None where it has none."""
-    vertices, _, colors = _read(path, colors=True)
+#: Properties of a vertex that are its colour, and what is white in those of whole numbers.
+CHANNELS, WHITE = ("red", "green", "blue"), {"u1": 255.0, "u2": 65535.0}
+
+
+def read_ply_points(path: pathlib.Path, channels: tuple[str, ...] = CHANNELS) -> tuple[np.ndarray, np.ndarray | None]:
+    """Vertices (v, 3) float64 of a PLY file and their colours (v, channels) float32 in [0, 1], or None."""
+    vertices, _, colors = _read(path, channels, joined=False)
     return vertices, colors
 
 
-def _read(path: pathlib.Path, *, colors: bool) -> tuple[np.ndarray, list, np.ndarray | None]:
-    """Vertices, polygons, and where they are asked for and there, colours of the vertices."""
+def _read(
+    path: pathlib.Path, channels: tuple[str, ...] = (), *, joined: bool
+) -> tuple[np.ndarray, list, np.ndarray | None]:
+    """Vertices, polygons, and where channels are asked for and there, colours of the vertices."""
     data = read_limited(path, "PLY file")
     order, elements, body, body_line = ply_header(path, data)
     if order == "ascii":
@@ -58,9 +65,9 @@ def _read(path: pathlib.Path, *, colors: bool) -> tuple[np.ndarray, list, np.nda
             if not {"x", "y", "z"} <= set(names):
                 raise InputError(f"{path}: PLY vertices need properties x, y, z, got {listed(names)}")
             vertices = _columns(values, [names.index(axis) for axis in "xyz"])
-            seams = None if colors else _seams(properties, values)
-            if colors and set(CHANNELS) <= set(names):
-                shades = _vertex_colors(path, properties, values)
+            seams = _seams(properties, values) if joined else None
+            if channels and set(channels) <= set(names):
+                shades = _vertex_colors(path, channels, properties, values)
             if not np.isfinite(vertices).all():
                 number = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
                 raise InputError(f"{path}: PLY vertex {number} is not finite")
@@ -101,20 +108,18 @@ def _columns(values: Any, columns: list[int]) -> np.ndarray:
     return np.array([[row[column] for column in columns] for _, row in values], np.float64).reshape(-1, len(columns))
 
 
-#: Properties of a vertex that are its colour, and what is white in those of whole numbers.
-CHANNELS, WHITE = ("red", "green", "blue"), {"u1": 255.0, "u2": 65535.0}
-
-
-def _vertex_colors(path: pathlib.Path, properties: list[tuple[str, Any]], values: Any) -> np.ndarray:
-    """(v, 3) float32 in [0, 1], of properties of any type; numbers with a point reach to 1, or to 255."""
+def _vertex_colors(
+    path: pathlib.Path, channels: tuple[str, ...], properties: list[tuple[str, Any]], values: Any
+) -> np.ndarray:
+    """(v, channels) float32 in [0, 1], of properties of any type; numbers with a point reach to 1, or to 255."""
     kinds = dict(properties)
-    if any(isinstance(kinds[name], tuple) for name in CHANNELS):
+    if any(isinstance(kinds[name], tuple) for name in channels):
         raise InputError(f"{path}: PLY colours must be numbers, not lists")
     names = [each[0] for each in properties]
-    colors = _columns(values, [names.index(name) for name in CHANNELS])
-    whites = [WHITE.get(kinds[name]) for name in CHANNELS]
+    colors = _columns(values, [names.index(name) for name in channels])
+    whites = [WHITE.get(kinds[name]) for name in channels]
     if None in whites:  # other types say nothing, their values do
-        whites = [1.0 if colors.max(initial=0.0) <= 1.0 and kinds["red"][0] == "f" else 255.0] * 3
+        whites = [1.0 if colors.max(initial=0.0) <= 1.0 and kinds["red"][0] == "f" else 255.0] * len(channels)
     colors = colors / whites
     if not (colors.min(initial=0.0) >= 0.0 and colors.max(initial=0.0) <= 1.0):  # false for NaN too
         wrong = int(np.flatnonzero(~((colors >= 0.0) & (colors <= 1.0)).all(axis=1))[0])

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import importlib
+import math
 import pathlib
 import tempfile
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from ...core.checks import listed, warn_caller
 from ...core.memory import require_host_memory
 from ...core.names import counted
-from ...errors import InputError, MissingPackageError
+from ...errors import InputError
 from .gltf import linear_light, middle_of
-from .gltf_animation import MAX_FRAMES, GltfMotion
+from .gltf_animation import ON_FRAME, OWN_RATES, GltfMotion, at_keys, frames_of
 from .obj_off import Polygons
+from .usd_stage import attribute_times, errors_of_stage, opened_stage, placers_of, step_matrix, usd_library
 
 #: How files of USD end: either kind, text, binary.
 USD_ENDINGS = (".usd", ".usda", ".usdc")
@@ -23,38 +26,88 @@ USD_ENDINGS = (".usd", ".usda", ".usdc")
 MAX_CORNERS = 30_000_000
 
 
-def _library() -> Any:
-    """The package of usd-core."""
-    try:
-        for part in ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdSkel", "Vt"):
-            importlib.import_module(f"pxr.{part}")
-        return importlib.import_module("pxr")
-    except ImportError as error:
-        raise MissingPackageError('USD needs its library: pip install "warpcage[usd]"') from error
-
-
 # -- Reading
 
 
-class _Stage:
-    """The meshes of a stage, those of one name, or with "" all."""
+class _Body:
+    """A mesh of a stage with what moves its points: the shapes that it has, the skeleton that it follows."""
 
+    def __init__(self, mesh: Any, skinning: Any = None, skeleton: Any = None, bones: Any = None):
+        pxr = usd_library()
+        self.mesh, self.skinning, self.skeleton = mesh, skinning, skeleton
+        animation = skeleton.GetAnimQuery() if skeleton else None
+        self.animation = animation if animation and animation.GetPrim() else None
+        self.follows = bool(skinning and skinning.HasJointInfluences())
+        self.place = bones.GetPrim() if self.follows else mesh.GetPrim()  # in whose place the points lie
+        self.shape_names: list[str] = []
+        if skinning and skinning.HasBlendShapes():
+            self.shape_names = list(skinning.GetBlendShapeOrder() or ())
+            self.shapes = pxr.UsdSkel.BlendShapeQuery(pxr.UsdSkel.BindingAPI(mesh.GetPrim()))
+            self.offsets = (self.shapes.ComputeBlendShapePointIndices(), self.shapes.ComputeSubShapePointOffsets())
+        # keys of joints and of the weights of shapes: more than one is a film, at whose rest they do not count
+        self.joint_keys = self.animation.GetJointTransformTimeSamples() if self.follows and self.animation else []
+        self.shape_keys = self.animation.GetBlendShapeWeightTimeSamples() if self.shape_names and self.animation else []
+
+    def weights(self, time: Any) -> list[float]:
+        """Of its shapes at a time; none where the file has none."""
+        if not self.shape_names or self.animation is None:
+            return []
+        held = self.animation.ComputeBlendShapeWeights(time)
+        return list(self.skinning.GetBlendShapeMapper().Remap(held)) if len(held) else []
+
+    def shape(self, points: Any, weights: Sequence[float]) -> bool:
+        """Move points, in place, by its shapes; False where those do not fit it."""
+        if not any(weights):
+            return True
+        if len(weights) != self.shapes.GetNumBlendShapes():
+            return False
+        chosen = self.shapes.ComputeSubShapeWeights(usd_library().Vt.FloatArray(weights))
+        return self.shapes.ComputeDeformedPoints(*chosen, *self.offsets, points)
+
+
+class _Stage:
+    """The meshes of a stage, those of one name, or with "" all. Times are its own codes; None is what stands still."""
+
+    # All is found at each time anew. A film that UsdSkel bakes into the stage is straight between its keys, and in a
+    # layer of another rate (24 where nothing says another), by which USD rescales its times.
     def __init__(self, path: pathlib.Path, name: str = ""):
-        pxr = _library()
+        pxr = usd_library()
         self.path, self.geometry = path, pxr.UsdGeom
-        try:
-            self.stage = pxr.Usd.Stage.Open(str(path))
-        except pxr.Tf.ErrorException as error:
-            line = " ".join(str(error).split())[-160:]
-            raise InputError(f"{path}: not a USD file that can be read: {line}") from None
-        # skins and shapes become places of points, in a layer that is not written
-        with pxr.Usd.EditContext(self.stage, self.stage.GetSessionLayer()):
-            pxr.UsdSkel.BakeSkinning(self.stage.Traverse())
-        found = self.stage.Traverse(pxr.Usd.TraverseInstanceProxies())
-        self.meshes = [pxr.UsdGeom.Mesh(prim) for prim in found if prim.IsA(pxr.UsdGeom.Mesh)]
-        if name:
-            self.meshes = [mesh for mesh in self.meshes if self.name_of(mesh) == name]
+        self.stage = opened_stage(path)
         self.turned = pxr.UsdGeom.GetStageUpAxis(self.stage) == pxr.UsdGeom.Tokens.y
+        self.steps: dict[Any, tuple[list[Any], bool]] = {}
+        self.still: dict[Any, np.ndarray] = {}
+        with errors_of_stage(path):
+            bodies = self._bodies()
+            self.bodies = [body for body in bodies if not name or self.name_of(body.mesh) == name]
+            self.keys = self._keys()
+        self.begin = pxr.Usd.TimeCode(self.keys[0]) if self.keys else pxr.Usd.TimeCode.Default()
+
+    def _bodies(self) -> list[_Body]:
+        """All meshes, those of instances too."""
+        pxr = usd_library()
+        everywhere, cache = pxr.Usd.TraverseInstanceProxies(), pxr.UsdSkel.Cache()
+        found = list(pxr.Usd.PrimRange.Stage(self.stage, everywhere))
+        bound: dict[Any, tuple[Any, Any, Any]] = {}
+        for root in (pxr.UsdSkel.Root(prim) for prim in found if prim.IsA(pxr.UsdSkel.Root)):
+            cache.Populate(root, everywhere)
+            for binding in cache.ComputeSkelBindings(root, everywhere):
+                bones = binding.GetSkeleton()  # of an instance: its skeleton's query knows the prototype alone
+                skeleton = cache.GetSkelQuery(bones)
+                bound |= {skin.GetPrim().GetPath(): (skin, skeleton, bones) for skin in binding.GetSkinningTargets()}
+        placers = [prim for prim in found if prim.IsA(pxr.UsdGeom.PointInstancer)]
+        if placers:
+            names = listed([prim.GetName() for prim in placers], 4)
+            warn_caller(
+                f"{self.path}: what its point instancers place is not read ({names}): make it meshes of its own"
+            )
+        inside = [prim.GetPath() for prim in placers]
+        meshes = [
+            pxr.UsdGeom.Mesh(prim)
+            for prim in found
+            if prim.IsA(pxr.UsdGeom.Mesh) and not any(map(prim.GetPath().HasPrefix, inside))
+        ]
+        return [_Body(mesh, *bound.get(mesh.GetPath(), ())) for mesh in meshes]
 
     def name_of(self, mesh: Any) -> str:
         """What a mesh is called: Blender gives the object's name to the transform above it."""
@@ -63,56 +116,101 @@ class _Stage:
         of_object = above.IsA(self.geometry.Xform) and above != self.stage.GetDefaultPrim()
         return (above if of_object else prim).GetName()
 
-    def times(self) -> list[float]:
-        """Times, in the stage's own count, at which something is said of where points are."""
+    def _keys(self) -> list[float]:
+        """Times at which something is said of where points are."""
         found: set[float] = set()
-        for mesh in self.meshes:
-            found.update(mesh.GetPointsAttr().GetTimeSamples())
-            prim = mesh.GetPrim()
-            while prim and not prim.IsPseudoRoot():
-                if prim.IsA(self.geometry.Xformable):
-                    found.update(self.geometry.Xformable(prim).GetTimeSamples())
-                prim = prim.GetParent()
+        for body in self.bodies:
+            found |= {*body.joint_keys, *body.shape_keys, *attribute_times(body.mesh.GetPointsAttr())}
+            for above in placers_of(body.place):
+                found.update(*(attribute_times(each.GetAttr()) for each in above.GetOrderedXformOps()))
+        if not all(map(math.isfinite, found)):
+            raise InputError(f"{self.path}: it has a time that is not finite")
         return sorted(found)
 
-    def matrices(self, time: Any) -> list[np.ndarray]:
-        """(4, 4) of each mesh, for rows of points, to the stage's world."""
-        cache = self.geometry.XformCache(time)
-        return [np.array(cache.GetLocalToWorldTransform(mesh.GetPrim())) for mesh in self.meshes]
+    def matrix(self, prim: Any, time: Any) -> np.ndarray:
+        """(4, 4) float64 from a prim to the stage's world, for rows of points."""
+        matrix = np.eye(4)
+        for above in placers_of(prim):
+            path = above.GetPath()
+            if path not in self.steps:
+                steps = list(reversed(above.GetOrderedXformOps()))
+                self.steps[path] = steps, any(attribute_times(step.GetAttr()) for step in steps)
+            steps, moves = self.steps[path]
+            if not moves and path not in self.still:
+                self.still[path] = self._matrix_of(steps, None)
+            matrix = matrix @ (self._matrix_of(steps, time) if moves else self.still[path])
+        return matrix
 
-    def vertices(self, time: Any) -> np.ndarray:
+    def _matrix_of(self, steps: list[Any], time: Any) -> np.ndarray:
+        """(4, 4) of the steps of a transform, the last of the file first."""
+        matrix = np.eye(4)
+        for step in steps:
+            when = time
+            if time is None:
+                when = usd_library().Usd.TimeCode.Default() if step.Get() is not None else self.begin
+            matrix = matrix @ step_matrix(step, when)
+        return matrix
+
+    def value(self, attribute: Any, time: Any) -> Any:
+        """What an attribute says; of what stands still that which is said without a time, or else at first."""
+        if time is not None:
+            return attribute.Get(time)
+        held = attribute.Get()
+        return attribute.Get(self.begin) if held is None else held
+
+    def points(self, body: _Body, time: Any, shapes: Mapping[str, float] | None = None) -> np.ndarray:
+        """(v, 3) float64 of a mesh in the stage's world; shapes: weights by name in place of the file's."""
+        pxr = usd_library()
+        points = pxr.Vt.Vec3fArray(self.value(body.mesh.GetPointsAttr(), time) or ())
+        when = self.begin if time is None else pxr.Usd.TimeCode(time)
+        if shapes is not None:
+            weights = [shapes.get(name, 0.0) for name in body.shape_names]
+        else:
+            weights = body.weights(when) if time is not None or len(body.shape_keys) < 2 else []
+        if not body.shape(points, weights):
+            raise InputError(f"{self.path}: mesh {self.name_of(body.mesh)!r} and its shapes do not fit each other")
+        matrix = self.placed(body, time)
+        if body.follows and (time is not None or len(body.joint_keys) < 2):
+            joints = body.skeleton.ComputeSkinningTransforms(when)
+            if not len(joints) or not body.skinning.ComputeSkinnedPoints(joints, points, when):
+                raise InputError(
+                    f"{self.path}: mesh {self.name_of(body.mesh)!r} and its skeleton do not fit each other"
+                )
+            matrix = self.matrix(body.place, time)
+        found = np.array(points, np.float64).reshape(-1, 3)
+        if not (np.isfinite(found).all() and np.isfinite(matrix).all()):
+            raise InputError(f"{self.path}: it holds places that are not finite")
+        return found @ matrix[:3, :3] + matrix[3, :3]
+
+    def placed(self, body: _Body, time: Any) -> np.ndarray:
+        """(4, 4) of the points of a mesh, for rows, where its skeleton is bound."""
+        matrix = self.matrix(body.place, time)
+        return np.array(body.skinning.GetGeomBindTransform()) @ matrix if body.follows else matrix
+
+    def vertices(self, time: Any = None, shapes: Mapping[str, float] | None = None) -> np.ndarray:
         """(v, 3) float64, z up."""
-        parts = [np.zeros((0, 3))]
-        for mesh, matrix in zip(self.meshes, self.matrices(time), strict=True):
-            points = np.array(mesh.GetPointsAttr().Get(time) or (), np.float64).reshape(-1, 3)
-            if not (np.isfinite(points).all() and np.isfinite(matrix).all()):
-                raise InputError(f"{self.path}: it holds places that are not finite")
-            parts.append(points @ matrix[:3, :3] + matrix[3, :3])
-        joined = np.concatenate(parts)
+        with errors_of_stage(self.path):
+            joined = np.concatenate([np.zeros((0, 3)), *(self.points(body, time, shapes) for body in self.bodies)])
         return joined @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]) if self.turned else joined
-
-    def first(self) -> Any:
-        """The time of what stands still: what is said without one, else the first."""
-        pxr = _library()
-        without = all(mesh.GetPointsAttr().Get() is not None for mesh in self.meshes)
-        times = self.times()
-        return pxr.Usd.TimeCode.Default() if without or not times else pxr.Usd.TimeCode(times[0])
 
     def polygons(self) -> Polygons:
         """Faces with numbers of vertices, all looking outward as the stage means them."""
         found: Polygons = []
-        start, time = 0, self.first()
-        for mesh, matrix in zip(self.meshes, self.matrices(time), strict=True):
-            counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or (), np.int64)
-            corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or (), np.int64)
+        start = 0
+        for body in self.bodies:
+            mesh = body.mesh
+            counts, corners = (
+                np.array(self.value(each, None) or (), np.int64)
+                for each in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
+            )
             if (counts < 0).any() or counts.sum() != len(corners) or len(corners) > MAX_CORNERS:
                 raise InputError(
                     f"{self.path}: mesh {self.name_of(mesh)!r} has {counted(len(corners), 'corner')} for "
                     f"{counted(len(counts), 'face')} of {counts.sum()}"
                 )
-            left = mesh.GetOrientationAttr().Get(time) == self.geometry.Tokens.leftHanded
-            mirrored = left != (np.linalg.det(matrix[:3, :3]) < 0.0)
-            points = len(mesh.GetPointsAttr().Get(time) or ())
+            left = self.value(mesh.GetOrientationAttr(), None) == self.geometry.Tokens.leftHanded
+            mirrored = left != (np.linalg.det(self.placed(body, None)[:3, :3]) < 0.0)
+            points = len(self.value(mesh.GetPointsAttr(), None) or ())
             if len(corners) and not 0 <= corners.min() <= corners.max() < points:
                 raise InputError(
                     f"{self.path}: corners {corners.min()} to {corners.max()} of a mesh of {points} points"
@@ -126,38 +224,53 @@ class _Stage:
 def usd_object_names(path: pathlib.Path) -> list[str]:
     """The names of the objects with meshes of a USD file, in the order of `read_usd`."""
     stage = _Stage(path)
-    return list(dict.fromkeys(map(stage.name_of, stage.meshes)))
+    return list(dict.fromkeys(stage.name_of(body.mesh) for body in stage.bodies))
 
 
 def read_usd(path: pathlib.Path, name: str = "") -> tuple[np.ndarray, Polygons]:
     """Vertices (v, 3) float64, z up whatever the file has, and polygons of a file, or of objects of one name."""
     stage = _Stage(path, name)
-    return stage.vertices(stage.first()), stage.polygons()
+    lost = [body for body in stage.bodies if body.shape_names and body.animation and not body.weights(stage.begin)]
+    if lost:  # Blender writes them with "Animation" among its options alone
+        names = listed(lost[0].shape_names, 4)
+        warn_caller(f"{path}: its shapes have no values ({names}): they are off, and as poses each is at 1")
+    return stage.vertices(), stage.polygons()
 
 
 def read_usd_motion(path: pathlib.Path, name: str = "", object: str = "") -> GltfMotion | None:
-    """How the vertices of a USD file move, z up, in the order of `read_usd`; None where nothing does.
-    name: there are no animations to choose from, so "" alone; object: as `read_usd` takes a name."""
+    """How the vertices of a USD file move, z up, in the order of `read_usd`; None where nothing does. Where no shape
+    has a weight either, each shape is a pose. name: of a shape, "" is the film; object: as `read_usd` takes a name."""
     stage = _Stage(path, object)
+    shapes = tuple(dict.fromkeys(shape for body in stage.bodies for shape in body.shape_names))
+    if name and name not in shapes:
+        held = f"only the shapes {listed(shapes)}" if shapes else "a USD file has one motion, without a name"
+        raise InputError(f"{path}: there is no animation or shape {name!r}: {held}")
     if name:
-        raise InputError(f"{path}: there is no animation or shape {name!r}: a USD file has one motion, without a name")
-    codes = stage.times()
-    if len(codes) < 2:
+        return GltfMotion((name,), [stage.vertices(shapes={name: 1.0})])
+    if len(stage.keys) > 1:
+        return _film(stage)
+    if not shapes or any(body.weights(stage.begin) for body in stage.bodies):
         return None
-    fps = float(stage.stage.GetTimeCodesPerSecond())
-    if all(code == round(code) for code in codes):  # a frame each, those too at which nothing is said
-        codes = [
-            float(code) for code in range(round(codes[0]), min(round(codes[-1]), round(codes[0]) + MAX_FRAMES) + 1)
-        ]
-    if len(codes) > MAX_FRAMES:
-        raise InputError(f"{path}: its motion has more frames than the {MAX_FRAMES} that are read")
-    count = len(stage.vertices(codes[0]))
-    require_host_memory(24 * count * len(codes), f"its {len(codes)} frames of {count} vertices need")
-    frames = [stage.vertices(code) for code in codes]
+    return GltfMotion(shapes, [stage.vertices(shapes={shape: 1.0}) for shape in shapes])
+
+
+def _film(stage: _Stage) -> GltfMotion:
+    """The frames of a stage, at its own rate where its keys are on those frames."""
+    path, a_second, begin = stage.path, float(stage.stage.GetTimeCodesPerSecond()), stage.keys[0]
+    said = [float(stage.stage.GetFramesPerSecond())] if stage.stage.HasAuthoredMetadata("framesPerSecond") else []
+    rates = [a_second] if a_second in said or OWN_RATES[0] <= a_second <= OWN_RATES[1] else []
+    if not 0.0 < a_second < math.inf:
+        raise InputError(f"{path}: {a_second:g} time codes a second")
+    keys = (np.array(stage.keys) - begin) / a_second
+    with errors_of_stage(path):
+        times, fps = frames_of(keys, [rate for rate in [*rates, *said] if 0.0 < rate < math.inf])
+    count = len(stage.vertices())
+    require_host_memory(24 * count * len(times), f"its {len(times)} frames of {count} vertices need")
+    codes = at_keys(begin + np.array(times) * a_second, np.array(stage.keys), ON_FRAME * a_second / fps)
+    frames = [stage.vertices(code) for code in codes.tolist()]
     if any(len(frame) != count for frame in frames):
         raise InputError(f"{path}: the number of its points changes from frame to frame")
-    names = tuple(f"frame {index + 1}" for index in range(len(codes)))
-    return GltfMotion(names, frames, tuple((code - codes[0]) / fps for code in codes), fps)
+    return GltfMotion(tuple(f"frame {index + 1}" for index in range(len(codes))), frames, tuple(times), fps)
 
 
 # -- Writing
@@ -175,7 +288,7 @@ def write_usd(
 ) -> bytes:
     """A USD file of one mesh, vertices (v, 3) with z up, a unit a metre; colors (v, 3) in [0, 1], sRGB.
     frames: (n, v, 3), time samples from 0 on, fps a second; the vertices are what is said without a time."""
-    pxr = _library()
+    pxr = usd_library()
     middle = middle_of(vertices)  # points are float32, and keep their digits around it
     stage = pxr.Usd.Stage.CreateInMemory()
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.z)
