@@ -9,7 +9,7 @@ from field_oracles import basis
 from hypothesis import given
 from hypothesis import strategies as st
 from messages import MESSAGES
-from splat_scenes import DATA, VALUES, field_of, loaded, needs_data, require_read_or_refused, some_splats
+from splat_scenes import DATA, VALUES, field_of, loaded, needs_data, require_read_or_refused, require_usd, some_splats
 
 import warpcage
 from warpcage.splats import WRITERS, is_splat_file, turned_over
@@ -97,6 +97,17 @@ def test_words_of_a_compressed_file_by_hand(tmp_path):
     np.testing.assert_allclose(color, [128 / 255, 64 / 255, 32 / 255], atol=1e-6)
 
 
+def test_opaque_splats_are_finite_in_a_file(tmp_path):
+    """gsplat's exporter writes no splat at all where one logit is infinite."""
+    field = warpcage.SplatField.from_arrays(
+        np.zeros((3, 3)), np.full((3, 3), 0.1), np.tile([1.0, 0, 0, 0], (3, 1)), [0.0, 0.5, 1.0], colors=np.ones((3, 3))
+    )
+    field.save(tmp_path / "a.ply")
+    again = loaded(tmp_path / "a.ply")
+    assert np.isfinite(again.contents.logits).all()
+    np.testing.assert_allclose(again.opacities, [0.0, 0.5, 1.0], atol=1e-12)
+
+
 def test_spz_is_turned_over_and_back(tmp_path):
     """Half a turn about x: what is seen along a direction is seen along the turned one."""
     contents = some_splats(20)
@@ -149,6 +160,14 @@ def test_other_layouts_are_refused_in_one_line(change, said, tmp_path):
     assert "\n" not in str(error.value) and "bad.ply" in str(error.value)
 
 
+def test_harmonics_that_are_none_are_refused(tmp_path):
+    field_of(some_splats(5)).save(tmp_path / "a.compressed.ply")
+    data = (tmp_path / "a.compressed.ply").read_bytes()
+    (tmp_path / "b.compressed.ply").write_bytes(data.replace(b"uchar f_rest_9\n", b"uchar g_rest_9\n"))
+    with pytest.raises(ValueError, match="'sh' must have 9, 24 or 45 bytes"):
+        loaded(tmp_path / "b.compressed.ply")
+
+
 def test_files_of_no_splats(tmp_path):
     with pytest.raises(FileNotFoundError, match="not there"):
         warpcage.SplatField.load(tmp_path / "none.ply")
@@ -191,6 +210,8 @@ def test_damage_is_told_in_one_line(ending, change, said, tmp_path):
 @given(data=st.data())
 def test_damaged_files_are_refused_or_read(ending, data, tmp_path_factory):
     """Bytes cut off, changed or put in never give anything but ValueError."""
+    if ending.startswith(".usd"):
+        require_usd()
     whole = WRITERS[ending](some_splats(4, degree=1))
     if ending == ".spz" and data.draw(st.booleans()):
         whole = gzip.decompress(whole)

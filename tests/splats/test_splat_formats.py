@@ -13,7 +13,7 @@ from entry_points import plug
 from field_oracles import basis
 from messages import MESSAGES
 from PIL import Image
-from splat_scenes import DATA, SH_0, SH_1, VALUES, field_of, loaded, needs_data, some_splats, zstd
+from splat_scenes import DATA, SH_0, SH_1, VALUES, field_of, loaded, needs_data, require_usd, some_splats, zstd
 
 import warpcage
 from warpcage.cli import main
@@ -40,6 +40,7 @@ FORMATS = {  # ending, version: errors of place, logarithm of scale, turn, opaci
     (".ply", None): (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     (".compressed.ply", None): (2e-3, 2e-3, 2e-3, 2e-3, 3e-3, 1.6e-2),
     (".splat", None): (0.0, 1e-6, 1.2e-2, 2e-3, 7e-3, 0.0),
+    **{(ending, None): (0.0, 1e-6, 1e-6, 1e-7, 0.0, 0.0) for ending in (".usd", ".usda", ".usdc", ".usdz")},
 }
 
 
@@ -47,6 +48,8 @@ FORMATS = {  # ending, version: errors of place, logarithm of scale, turn, opaci
 def test_round_trips_keep_what_they_say(ending, version, tmp_path):
     if version == 4:
         zstd()
+    if ending.startswith(".usd"):
+        require_usd()
     field = field_of(some_splats())
     field.save(tmp_path / f"a{ending}", version=version)
     again = loaded(tmp_path / f"a{ending}")
@@ -68,9 +71,11 @@ def test_round_trips_keep_what_they_say(ending, version, tmp_path):
         np.testing.assert_array_equal(getattr(new, name), getattr(old, name))
 
 
-@pytest.mark.parametrize("ending", [".ply", ".spz", ".sog", ".glb"])
+@pytest.mark.parametrize("ending", [".ply", ".spz", ".sog", ".glb", ".usdc"])
 @pytest.mark.parametrize("degree, count", [(0, 1), (1, 7), (2, 0), (2, 5)])
 def test_any_degree_and_number(ending, degree, count, tmp_path):
+    if ending.startswith(".usd"):
+        require_usd()
     contents = some_splats(count, degree)
     field_of(contents).save(tmp_path / f"a{ending}")
     again = loaded(tmp_path / f"a{ending}")

@@ -19,12 +19,13 @@ from hostile import (
     rows,
     save_splats,
     spz_4,
+    swap,
     tree,
     whole,
     write_archive,
 )
 from PIL import Image
-from splat_scenes import some_splats, zstd
+from splat_scenes import require_usd, some_splats, zstd
 
 import warpcage
 from warpcage.core import MemoryShortage
@@ -194,10 +195,38 @@ CLAIMS = {
         (lambda data: second_chunk(data, 0xFFFFFFF0), "a chunk of 4294967280 bytes"),
         (lambda data: second_chunk(data, 8), ""),
     ],
+    "splats usda": [
+        (swap("Degree = 1", "Degree = 9"), "degree 0 to 3, got 9"),
+        (swap("Degree = 1", 'Degree = "1"'), "whole.usda"),
+        (swap("Degree = 1", "Degree = 2147483647"), "got 2147483647"),
+        (swap("opacities = [", "opacities = [9, "), "opacities must be in [0, 1], got 9"),
+        (swap("scales = [", "scales = [(-4, 0, 0), "), "scales must be above 0, got -4"),
+        (swap("point3f[] positions", "string[] positions"), "whole.usda"),
+        (swap("def Particle", "over Particle"), "it has no splats"),
+        (swap('"Y"', '"Q"'), "upAxis of a stage is Y or Z, got 'Q'"),
+        (instead("#usda 1.0\n" + "(" * 10_000), "whole.usda"),
+        (instead("#usda 1.0\n" + '"' * 10_001), "whole.usda"),
+    ],
+    "splats usdc": [
+        (packed("<Q", 16, 1 << 60), "whole.usdc"),
+        (packed("<B", 8, 99), "whole.usdc"),
+        (instead(b"PXR-USDC" + bytes(80)), "whole.usdc"),
+        (instead(b"#usda 1.0\n"), "begins as .usda files do, not as .usdc files"),
+    ],
+    "splats usdz": [
+        (instead(write_archive({"readme.txt": b"no stage"})), "whole.usdz"),
+        (instead(write_archive({"../a.usda": b"#usda 1.0\n"})), "whole.usdz"),
+        (instead(write_archive({"a.usda": b"#usda 1.0\n"})), "whole.usdz"),  # packed, which no .usdz is
+        (instead(b"PK\x03\x04 no archive"), "whole.usdz"),
+    ],
 }
 SHARES = (0.0, 0.01, 0.3, 0.6, 0.9)
+#: The last byte, but of texts and packages of USD, which end before it.
+LAST = {name: [(cut(-1), "")] for name in CLAIMS if name not in ("splats usda", "splats usdz")}
 TABLE = {
-    name: [("", damage, words) for damage, words in [*group, *((cut(share), "") for share in SHARES), (cut(-1), "")]]
+    name: [
+        ("", damage, words) for damage, words in [*group, *((cut(share), "") for share in SHARES), *LAST.get(name, [])]
+    ]
     for name, group in CLAIMS.items()
 }
 
@@ -235,8 +264,10 @@ def test_a_folder_of_sog_reads_no_other_folder_and_no_words_that_are_none(tmp_pa
         assert not is_splat_file(tmp_path / "set")
 
 
-@pytest.mark.parametrize("ending", [".spz", ".sog", ".glb", ".ply"])
+@pytest.mark.parametrize("ending", [".spz", ".sog", ".glb", ".ply", ".usdc"])
 def test_what_cannot_be_written_leaves_what_was_there(ending, tmp_path, monkeypatch):
+    if ending == ".usdc":
+        require_usd()
     path = tmp_path / f"whole{ending}"
     save_splats(path)
     before = path.read_bytes()

@@ -73,3 +73,28 @@ def test_we_read_what_the_program_writes(name, words, tmp_path):
     bounds = (*BOUNDS[ending][:5], 0.07) if ending == ".spz" else BOUNDS[ending]
     share = 0.5 if ending == ".sog" else 1.0
     assert_same(field, loaded(tmp_path if name == "meta.json" else tmp_path / name), bounds, share)
+
+
+@pytest.mark.parametrize("ending", [".ply", ".compressed.ply", ".spz", ".glb"])
+def test_opaque_and_clear_splats_and_long_quaternions_stay(ending, tmp_path):
+    """Its files have infinite logits for bytes of 0 and 255, and quaternions of any length."""
+    contents = some_splats(60, 1)
+    contents.logits[:5] = np.inf, -np.inf, 30.0, -30.0, 6.5
+    contents.quaternions[:] *= np.geomspace(1e-3, 1e3, 60, dtype=np.float32)[:, None]
+    field = field_of(contents)
+    field.save(tmp_path / "ours.ply")
+    transform(tmp_path / "ours.ply", tmp_path / f"theirs{ending}")
+    if ending != ".glb":  # which it only writes
+        field.save(tmp_path / f"ours{ending}")
+        transform(tmp_path / f"ours{ending}", tmp_path / "back.ply")
+        assert_same(field, loaded(tmp_path / "back.ply"), BOUNDS[ending])
+    bounds = (*BOUNDS[ending][:5], 0.07) if ending == ".spz" else BOUNDS[ending]
+    assert_same(field, loaded(tmp_path / f"theirs{ending}"), bounds)
+
+
+def test_what_it_mirrors_is_no_splats(tmp_path):
+    """A scale below 0 makes sizes that are no numbers."""
+    field_of(some_splats(60)).save(tmp_path / "ours.ply")
+    transform(tmp_path / "ours.ply", "-s", "-1", tmp_path / "theirs.ply")
+    with pytest.raises(ValueError, match="log_scales that are not finite"):
+        loaded(tmp_path / "theirs.ply")

@@ -67,6 +67,19 @@ def test_an_exr_holds_light_times_opacity_and_depth(files, tmp_path):
     assert set(white) == {"RGB", "Z"} and (white["RGB"][0, 0] == 1).all()
 
 
+@pytest.mark.parametrize("channels", [3, 4])
+def test_an_exr_of_a_turned_picture_is_the_picture(tmp_path, channels):
+    pytest.importorskip("OpenEXR")  # 3.5 reads memory in a row, whatever the strides
+    image = np.random.default_rng(0).random((channels, 5, 7)).astype(np.float32)
+    for turned in (image.transpose(1, 2, 0), image.transpose(2, 1, 0), np.rot90(image.transpose(1, 2, 0))):
+        write_exr(tmp_path / "turned.exr", turned)
+        write_exr(tmp_path / "plain.exr", np.array(turned, order="C"))
+        (one,), (other,) = (read_exr(tmp_path / name).values() for name in ("turned.exr", "plain.exr"))
+        np.testing.assert_array_equal(one, other)
+        if channels == 4:
+            np.testing.assert_allclose(one[..., 3], turned[..., 3], atol=1e-3)
+
+
 def test_depth_in_a_file_is_along_the_view():
     camera = Camera.look_at([0, -4, 0], (0, 0, 0), width=9, height=7, fov_degrees=80)
     _origins, directions = camera.rays()

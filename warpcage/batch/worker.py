@@ -37,9 +37,10 @@ from ..scene.scene import Scene
 from ..splats.splat_field import AnyField, read_field
 from ..view.camera import Camera, CameraKey, camera_json
 from ..view.exr import mean_picture, write_picture
-from ..view.film import write_film_frame
+from ..view.film import deep_pixels, write_film_frame
 from ..view.frame import RGB_BYTES, Frame, depth_along_view
 from ..view.frame_parts import picture
+from ..view.pictures import LIGHT_KEPT, PictureCuts, to_uint8
 from .items import EvaluateItem, FitItem, FrameItem, Item, digest
 from .job_file import Fingerprints
 from .manifest import CHECKPOINTS, PARTS, MadeItem, Writer, write_array, write_outputs
@@ -119,12 +120,25 @@ class Shot(NamedTuple):
     bound_key: Hashable
 
 
+class WorkerCuts(PictureCuts):
+    """Counts over all pictures of a worker, and says it once."""
+
+    def __init__(self, device: wp.Device):
+        super().__init__()
+        self.floats = not device.is_cuda  # from a GPU come bytes alone where they do: it has cut them
+        self.said = False
+
+    def tell(self, path: str) -> None:
+        """Say what was cut up to now, with the picture that showed it first."""
+        self.said = self.said or self.warn(path, f"{LIGHT_KEPT}; others are not told of")
+
+
 class FrameMaker:
     """Renders frames, and keeps what the next ones need: fields, deformers, and the map of the last pose.
     memory: bytes of deformers beside their fields, one stays whatever it takes; None is a quarter of what is free."""
 
     def __init__(self, references: References, fields: LoadedFields, memory: int | None = None):
-        self.references, self.fields, self.counts = references, fields, Counts()
+        self.references, self.fields, self.counts, self.cuts = references, fields, Counts(), WorkerCuts(fields.device)
         limit = int(MEMORY_SHARE * free_bytes(fields.device)) // 2 if memory is None else memory
         self.kept: LRUCache[Bound] = LRUCache(MOST_DEFORMERS, limit, _bound_bytes)
         fields.dropped = self._drop_bound_to
@@ -154,7 +168,7 @@ class FrameMaker:
         frame.begin_copies(*needed)  # on their way to the host when this returns
         mean = mean_picture(images) if images else None
         pictures = [(part, path) for part, path in item.outputs.items() if part not in OF_RECORDS]
-        writers = {path: _writer(part, path, item, middle, mean) for part, path in pictures}
+        writers = {path: _writer(part, path, item, middle, mean, self.cuts) for part, path in pictures}
         writers |= _record_writers(item, middle.camera, middle.posed)
         self.fields.kept.settle(field_key)
         self.kept.settle(bound_key)
@@ -261,7 +275,7 @@ def _record_writers(item: FrameItem, camera: Camera, posed: list[Cage | None]) -
     return {item.outputs[part]: write for part, write in writers.items() if part in item.outputs}
 
 
-def _writer(part: str, path: str, item: FrameItem, shot: Shot, mean: np.ndarray | None) -> Writer:
+def _writer(part: str, path: str, item: FrameItem, shot: Shot, mean: np.ndarray | None, cuts: WorkerCuts) -> Writer:
     """What writes a picture of a frame; mean: its colours where they are those of several moments."""
     frame, camera = shot.frame, shot.camera
     ending = pathlib.PurePosixPath(path).suffix.lower()
@@ -272,7 +286,7 @@ def _writer(part: str, path: str, item: FrameItem, shot: Shot, mean: np.ndarray 
 
     def image() -> np.ndarray:
         if is_bytes(item, part, path):
-            return frame.rgb_bytes
+            return frame.rgb if cuts.floats else frame.rgb_bytes
         if part in ("rgb", "film"):
             return item.look.picture(frame, camera, shot.drawn) if mean is None else mean
         if part in ("reveal", "fold"):
@@ -281,9 +295,16 @@ def _writer(part: str, path: str, item: FrameItem, shot: Shot, mean: np.ndarray 
 
     if ending == ".exr":
         shown = (lambda: np.repeat(frame.alpha[..., None], 3, axis=-1)) if part == "depth" else image
-        return lambda temporary: write_picture(temporary, shown(), depth_along_view(frame, camera))
-    write = write_film_frame if part == "film" else write_picture
-    return lambda temporary: write(temporary, image())
+        return lambda temporary: write_picture(temporary, shown(), depth_along_view(frame, camera), cuts=cuts)
+
+    def write(temporary: pathlib.Path) -> None:
+        if part == "film":
+            write_film_frame(temporary, deep_pixels(image(), cuts))
+        else:
+            write_picture(temporary, to_uint8(image(), cuts))
+        cuts.tell(path)
+
+    return write
 
 
 def _scene(item: FitItem | EvaluateItem, references: References, background: Any, **options: Any) -> Scene:

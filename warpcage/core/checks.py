@@ -9,6 +9,7 @@ import math
 import os
 import pathlib
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
@@ -26,6 +27,9 @@ MOST_SAMPLES = 100_000
 #: Smallest and largest longest side of what float32 kernels compute in world units, whose squares and ratios to voxels
 #: they hold.
 SMALLEST_SIDE, LARGEST_SIDE = 1e-9, 1e9
+
+#: The largest float16.
+MAX_HALF = 65504.0
 
 #: Names of the axes, in their order.
 AXES = "xyz"
@@ -239,6 +243,50 @@ def warn_caller(message: str) -> None:
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         depth, frame = depth + 1, frame.f_back
     warnings.warn(message, stacklevel=depth + 1)
+
+
+class Cuts:
+    """What numbers lose on their way into a file whose numbers reach less far, for one warning a file."""
+
+    # All of it is said; with these, only where more than a share of the numbers is more than `beside` beyond the range,
+    # or one more than `far`.
+    def __init__(self, *, beside: float = 0.0, share: float = 0.0, far: float = 0.0):
+        self._beside, self._share, self._far = beside, share, far
+        # how many are cut, how many by more than `beside`, of how many, and by how much at most, by what they are
+        self._found: dict[str, tuple[int, int, int, float]] = {}
+        self._lock = threading.Lock()
+
+    def clip(self, what: str, values: np.ndarray, low: float, high: float, step: float) -> np.ndarray:
+        """Numbers cut to a range. Counted are those beyond it by more than half a step of the format.
+        what: they are, in the plural."""
+        if not values.size:
+            return values
+        beyond = max(low - float(values.min()), float(values.max()) - high)
+        cut, wide = (
+            int(np.count_nonzero((values < low - each) | (values > high + each))) if beyond > each else 0
+            for each in (0.5 * step, max(0.5 * step, self._beside))
+        )
+        what = f"{what} beyond {low:.3g} to {high:.3g}" if low < high else f"{what} other than {low:.3g}"
+        with self._lock:
+            old = self._found.get(what, (0, 0, 0, 0.0))
+            self._found[what] = (old[0] + cut, old[1] + wide, old[2] + values.size, max(old[3], beyond))
+        return np.clip(values, low, high) if beyond > 0.0 else values
+
+    def warn(self, file: object, kept: str = "") -> bool:
+        """Say what was cut, if anything was; whether it was. kept: which format keeps it, as the line ends."""
+        text = self.text(kept)
+        if text:
+            warn_caller(f"{file}: {text}")
+        return bool(text)
+
+    def text(self, kept: str = "") -> str:
+        """What a warning says of the file, "" where nothing is to be said."""
+        parts = [
+            f"{cut} of {total} {what}, by up to {most:.3g}"
+            for what, (cut, wide, total, most) in self._found.items()
+            if wide > self._share * total or (cut and most > self._far)
+        ]
+        return f"cut to what its format holds: {'; '.join(parts)}{f': {kept}' if kept else ''}" if parts else ""
 
 
 def registered_formats(group: str, what: str, require: Callable[[object], None]) -> Iterable[Any]:

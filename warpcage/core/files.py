@@ -136,14 +136,40 @@ def _opened_npz(path: PathLike, what: str) -> Iterator[zipfile.ZipFile]:
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         if isinstance(error, zipfile.BadZipFile) and not zipfile.is_zipfile(path):
-            reason = "it is cut off or damaged" if _begins_as_archive(path) else "it holds something else"
+            reason = "it is cut off or damaged" if begins_as_archive(path) else f"it looks like {kind_seen(path)}"
         raise InputError(f"{path} is not an .npz {what}: {reason}") from error
 
 
-def _begins_as_archive(path: pathlib.Path) -> bool:
+def begins_as_archive(path: pathlib.Path) -> bool:
     """Whether a file begins as .npz files do."""
     with path.open("rb") as opened:
         return opened.read(4) == b"PK\x03\x04"
+
+
+#: What files are by how they begin, and by their endings where that does not tell.
+_BEGINNINGS = {
+    b"\x89PNG": "a picture", b"\xff\xd8\xff": "a picture", b"GIF8": "a picture", b"v/1\x01": "a picture",
+    b"ply": "a .ply file", b"glTF": "a glTF file", b"PXR-USDC": "a USD file", b"#usda": "a USD file",
+    b"NGSP": "splats", b"{": "JSON", b"[": "JSON",
+}  # fmt: skip
+_ENDINGS = {
+    "a mesh": ".obj .off .stl .gltf .fbx", "a film": ".mp4 .mov .webm .mkv", "text": ".txt .md .csv",
+    "a picture": ".tif .tiff .hdr .webp", "a Blender file": ".blend",
+}  # fmt: skip
+
+
+def kind_seen(path: pathlib.Path) -> str:
+    """What a file looks like, in words such as "a mesh", for a message that asks for another kind."""
+    with path.open("rb") as opened:
+        head = opened.read(16)
+    if not head:
+        return "an empty file"
+    for begin, kind in _BEGINNINGS.items():
+        if head.startswith(begin):
+            return kind
+    ending = path.suffix.lower()
+    named = (kind for kind, endings in _ENDINGS.items() if ending and ending in endings.split())
+    return next(named, "another kind of file")
 
 
 def _members(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
@@ -374,8 +400,8 @@ def file_stamp(path: PathLike) -> tuple[int, int]:
 DAMAGED = (KeyError, TypeError, AttributeError, OverflowError, RecursionError)
 
 
-def read_json(path: PathLike, what: str) -> dict[str, Any]:
-    """The object that a JSON file holds; a ValueError says what is wrong without the path."""
+def read_json(path: PathLike, what: str, kinds: type | tuple[type, ...] = dict) -> Any:
+    """The object, or what else of `kinds`, that a JSON file holds; a ValueError says what is wrong without the path."""
     data = read_limited(path, what, JSON_ROOM)
     try:
         content = json.loads(data.decode("utf-8"))
@@ -389,7 +415,7 @@ def read_json(path: PathLike, what: str) -> dict[str, Any]:
         raise InputError(f"{not_a(what)}: {wrong}") from None
     except ValueError:  # of Python, which reads no longer ones
         raise InputError(f"{not_a(what)}: a number in it has thousands of digits") from None
-    if not isinstance(content, dict):
+    if not isinstance(content, kinds):
         raise InputError(f"{not_a(what)}: it holds no JSON object")
     return content
 

@@ -28,7 +28,7 @@ from ..splats.io.formats import format_to_write
 from ..splats.splat_field import AnyField, SplatField, field_size
 from ..view.camera import Camera
 from ..view.film import checked_rate, require_clear_film, write_film
-from ..view.pictures import write_png
+from ..view.pictures import picture_cuts, write_png
 from .checks import checked_flag
 from .document import MAIN, Document
 from .pictures.scene import Fields, PosedScene, view_camera
@@ -78,11 +78,11 @@ def export_film(
     if rate is not None:
         write_film(target, pictures, rate, loop=document.timeline.loop != "once")
     else:
-        with atomic_folder(target) as folder, BackgroundWriter() as beside:
+        with picture_cuts(target) as cuts, atomic_folder(target) as folder, BackgroundWriter() as beside:
             digits = max(4, len(str(len(times) - 1)))
             for index, picture in enumerate(pictures):
                 path = folder / f"frame_{index:0{digits}d}.png"
-                beside.run(functools.partial(write_png, path, picture), picture.nbytes)
+                beside.run(functools.partial(write_png, path, picture, cuts=cuts), picture.nbytes)
     return len(times)
 
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_positive
+from ..core.checks import Cuts, checked_positive
 from ..errors import InputError
 from ..mesh.mesh import connected_parts
+from ..view.pictures import PictureCuts
 
 if TYPE_CHECKING:
     import trimesh
@@ -146,7 +147,7 @@ def _largest_part(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 FIRST, LAST, SPACING = -1.5, 3.0, 0.5
 
 
-def surface_colors(field: ColorField, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def surface_colors(field: ColorField, points: np.ndarray, normals: np.ndarray, cuts: Cuts) -> np.ndarray:
     """Colours (n, 3) float32 in [0, 1], sRGB, at surface points (n, 3) with outward unit normals (n, 3).
     As seen along the normal, without highlights elsewhere; the field's background where no sample has matter."""
     voxel = float(np.prod(field.voxel_size) ** (1.0 / 3.0))
@@ -159,12 +160,14 @@ def surface_colors(field: ColorField, points: np.ndarray, normals: np.ndarray) -
         weights += opacity
         through -= opacity
     shown = np.where(weights[:, None] > 0.0, colors / np.maximum(weights, 1e-12)[:, None], field.background)
-    return np.clip(shown, 0.0, 1.0).astype(np.float32)
+    return cuts.clip("values of colors", shown, 0.0, 1.0, 1.0 / 255.0).astype(np.float32)
 
 
 def color_vertices(field: ColorField, mesh: trimesh.Trimesh) -> None:
     """Give the vertices of a mesh the colours of the surface, as `surface_colors` has them."""
     from trimesh.visual import ColorVisuals
 
-    shown = surface_colors(field, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals))
+    cuts = PictureCuts()
+    shown = surface_colors(field, np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), cuts)
+    cuts.warn("colors of the mesh")
     mesh.visual = ColorVisuals(mesh, vertex_colors=np.round(255.0 * shown).astype(np.uint8))

@@ -22,10 +22,10 @@ from ..core.checks import (
     require_type,
     warn_caller,
 )
-from ..core.devices import launch, resolve_device
+from ..core.devices import HeldOnDevice, launch, resolve_device
 from ..core.locks import device_turn, in_turn
 from ..core.reports import Progress, hears, tell
-from ..errors import InputError, UseError
+from ..errors import InputError
 from ..kernels.field.grid import VoxelGrid, sample_field
 from ..view.camera import Camera, camera_struct, rigid_motion
 from ..view.camera_path import RefinedCameras
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     import trimesh
 
 
-class VoxelField:
+class VoxelField(HeldOnDevice):
     """A sparse voxel grid with trilinear density and spherical harmonics (Plenoxels, CVPR 2022).
 
     density(x) = max(0, trilinear sigma), colour(x, d) = max(0, trilinear SH . Y(d) + 0.5), d from the camera into the
@@ -91,6 +91,8 @@ class VoxelField:
             nearest whose nodes have rows, 0 there: rays step over so many.
         marching: What marches read instead of it.
     """
+
+    _elsewhere = "save it, and load the file in each of them"
 
     def __init__(
         self,
@@ -204,12 +206,6 @@ class VoxelField:
         size = "x".join(str(n) for n in self.resolution)
         bounds = np.round(self.bounds, 4).tolist()
         return f"VoxelField({size}, {self.voxel_count} voxels, bounds {bounds}, {self.device})"
-
-    def __reduce__(self):
-        raise UseError(
-            "a VoxelField is held on a device and not copied between processes: save it, and load the file "
-            "in each of them"
-        )
 
     @in_turn
     def sample(self, points: Any, directions: Any) -> tuple[Any, Any]:
@@ -396,6 +392,7 @@ class VoxelField:
             path: The file; it must end in .npz. As .nvdb (NanoVDB) and .vdb (OpenVDB, whose Python module is needed) it
                 holds the grids "density" and "color" for other programs, without what depends on the direction.
             format: Of .npz: "warpcage"; "compact", quantised to a third of that; or "svox2", a Plenoxels checkpoint.
+                Harmonics are half floats, in a compact file from -256 to 256: what is beyond is cut, with a warning.
 
         Raises:
             ValueError: For another format or ending.

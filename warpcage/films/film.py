@@ -39,6 +39,7 @@ from ..view.exr import mean_picture, require_openexr
 from ..view.film import checked_rate, require_clear_film, write_film
 from ..view.frame import Frame
 from ..view.motion import frame_rate, frame_times
+from ..view.pictures import picture_cuts
 from .folder import checked_film_path, frame_path, make_folder
 from .render import Look, Scene, drawn_cages, finished, picture_task
 from .timeline import SIDES, CameraTrack, middle, moving_track, shown_corners
@@ -165,9 +166,11 @@ class Film:
 
     def write_pictures(self, paths: Iterable[pathlib.Path]) -> None:
         """Write the frames to a file each."""
-        with BackgroundWriter() as beside:
+        paths = list(paths)
+        named = paths[0] if len(paths) == 1 else f"{len(paths)} pictures"
+        with picture_cuts(named) as cuts, BackgroundWriter() as beside:
             for index, path in enumerate(paths):
-                task = picture_task(path, *self.taken(index))
+                task = picture_task(path, *self.taken(index), cuts)
                 beside.run(*task)
                 del task  # what is rendered next may take its place
 
@@ -182,9 +185,9 @@ class Film:
         """Write the frames that a folder does not have yet, and return how many it had."""
 
         def make(missing: list[int], begin: Callable[[], None]) -> None:
-            with told(missing) as frames, BackgroundWriter() as beside:
+            with told(missing) as frames, picture_cuts(folder) as cuts, BackgroundWriter() as beside:
                 for index in frames:
-                    task = picture_task(frame_path(folder, index, settings["format"]), *self.taken(index))
+                    task = picture_task(frame_path(folder, index, settings["format"]), *self.taken(index), cuts)
                     if index == missing[0]:
                         begin()
                     beside.run(*task)

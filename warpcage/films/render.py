@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ..cage.cage import Cage
+from ..core.checks import Cuts
 from ..core.files import PathLike, atomic_path
 from ..core.names import TRANSPARENT
 from ..deform.deformer import Deformer
@@ -116,17 +117,19 @@ def finished(image: np.ndarray) -> np.ndarray:
 
 
 def picture_task(
-    path: str | os.PathLike[str], image: np.ndarray, frame: Frame, camera: Camera
+    path: str | os.PathLike[str], image: np.ndarray, frame: Frame, camera: Camera, cuts: Cuts
 ) -> tuple[Callable[[], None], int]:
-    """What writes a picture of a frame, .png, .npz, or .exr with its depth, in any thread, and the bytes it holds."""
+    """What writes a picture of a frame, .png, .npz, or .exr with its depth, in any thread, and the bytes it holds.
+    cuts: counts what is cut of all pictures of a film."""
     # It needs neither the frame any more, nor what that has on a device.
     if os.fspath(path).lower().endswith(".npz"):
-        return functools.partial(_write_film_frame, path, image), image.nbytes
+        return functools.partial(_write_film_frame, path, image, cuts), image.nbytes
     depth = depth_along_view(frame, camera) if os.fspath(path).lower().endswith(".exr") else None
-    return functools.partial(write_picture, path, image, depth), image.nbytes + (0 if depth is None else depth.nbytes)
+    write = functools.partial(write_picture, path, image, depth, cuts=cuts)
+    return write, image.nbytes + (0 if depth is None else depth.nbytes)
 
 
-def _write_film_frame(path: PathLike, image: np.ndarray) -> None:
+def _write_film_frame(path: PathLike, image: np.ndarray, cuts: Cuts) -> None:
     """The frame of a film with 16 bits, whole or not at all."""
     with atomic_path(path) as temporary:
-        write_film_frame(temporary, image)
+        write_film_frame(temporary, image, cuts=cuts)

@@ -32,7 +32,7 @@ from ..cage.pose_file import PoseFile, Preset, cage_hash, is_preset, known_easin
 from ..cage.random_poses import PoseProbe, RandomPoses
 from ..cage.up_axis import UpAxis, load_standing
 from ..core.checks import shown
-from ..core.files import DAMAGED, NpyFile, file_stamp, require_file
+from ..core.files import DAMAGED, NpyFile, errors_of, file_stamp, read_json, require_file
 from ..core.memory import LRUCache
 from ..core.names import counted
 from ..edits.words import RANDOM, EditWords, canonical, split_reference
@@ -41,6 +41,7 @@ from ..mesh.io import ENDINGS
 from ..scene.formats.transforms import TransformsCameras
 from ..splats.splat_field import AnyField
 from ..view.camera import Camera, CameraFile, camera_from_json, fitted
+from ..view.camera_file import camera_program
 from ..view.camera_path import timed_keys
 
 
@@ -429,10 +430,11 @@ def _read_inline(value: str) -> Camera:
 
 
 def _read_cameras(path: pathlib.Path) -> CameraFile | TransformsCameras:
-    """The cameras of a JSON file of ours, or of a scene."""
-    with path.open("rb") as file:
-        is_ours = b'"warpcage cameras"' in file.read(1 << 12)
-    return CameraFile.load(path) if is_ours else TransformsCameras(path)
+    """The cameras of a JSON file of ours or another program's, or of a scene."""
+    with errors_of(path, "camera file"):
+        content = read_json(path, "camera file", (dict, list))
+    is_path = camera_program(content) or content.get("format") == "warpcage cameras"
+    return CameraFile.load(path) if is_path else TransformsCameras(path)
 
 
 def _named(cameras: CameraFile, place: str, name: str) -> Camera:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
+import pathlib
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -14,19 +15,19 @@ from numpy.typing import ArrayLike
 
 from ..core.arrays import as_host_array, empty_array
 from ..core.checks import checked_bounds, checked_direction, checked_flag, checked_vector, real_array, renamed
-from ..core.devices import resolve_device
-from ..core.files import PathLike
+from ..core.devices import HeldOnDevice, resolve_device
+from ..core.files import PathLike, begins_as_archive, kind_seen, require_file
 from ..core.locks import in_turn
 from ..core.names import counted
 from ..core.reports import Progress, hears, tell
-from ..errors import InputError, UseError
+from ..errors import InputError
 from ..field.io import load_field as load_voxels
 from ..field.io.field_file import Y0, FieldContents
 from ..field.voxel_field import VoxelField
 from ..kernels.splats.splats import Splats
 from ..view.camera import Camera
 from ..view.frame import Frame, parse_background
-from .io import is_splat_file, read_splats, write_splats
+from .io import SPLAT_ENDINGS, is_splat_file, own_background, read_splats, write_splats
 from .io.contents import (
     LEAST_OPACITY,
     PlyLayout,
@@ -41,7 +42,7 @@ from .matter import REACH, RESOLUTION, SPLAT_NODE, SplatDensity, finest_side, ha
 from .render import SplatRenderer, near_distance, render_field
 
 
-class SplatField:
+class SplatField(HeldOnDevice):
     """3D Gaussian splats: matter around centres, with spherical harmonics of degree 0 to 3.
 
     Opacity o exp(-1/2 (x - c)^T S^-1 (x - c)), S = R diag(s^2) R^T, colour max(0, 0.5 + SH . Y(d)), d from the camera
@@ -74,6 +75,8 @@ class SplatField:
         antialias: Whether views are antialiased where nobody says otherwise. Files of .spz and .sog tell.
         device: Warp device.
     """
+
+    _elsewhere = "save it, and load the file in each of them"
 
     straightening = background_model = None
 
@@ -130,7 +133,8 @@ class SplatField:
 
         Args:
             path: A .ply of 3DGS, a .compressed.ply of SuperSplat, a .splat, .spz, .ksplat, .sog, .glb or .gltf, or a
-                folder of SOG, which has a meta.json; and what other packages registered.
+                folder of SOG, which has a meta.json; and what other packages registered. Or an output folder of 3D
+                Gaussian Splatting, of which the newest iteration is read, with the background of its fit.
             activated: Of .ply files: whether they have opacities and scales instead of logits and logarithms. None
                 finds out from their ranges, and says so in a warning where they have.
             device: Warp device. None is CUDA where there is one.
@@ -150,7 +154,7 @@ class SplatField:
         tell(0, 2, "splats: their file")
         contents = read_splats(path, activated=activated)
         tell(1, 2, "splats: their tables")
-        field = cls.from_contents(contents, device=device)
+        field = cls.from_contents(contents, device=device, **own_background(path))
         tell(2, 2, "splats: their tables")
         return field
 
@@ -211,9 +215,10 @@ class SplatField:
         """Write the splats to a file, whole or not at all.
 
         What was loaded from a .ply and is saved as one is the same file, bit for bit. The other formats quantise:
-        .compressed.ply positions and scales to 11 bits of a chunk's range, .spz positions to 1 / 4096 of a unit,
-        .splat has no harmonics but the first, .sog positions to 16 bits of the logarithm of their range. A .glb has
-        float32 numbers.
+        .compressed.ply positions and scales to 11 bits of a chunk's range, for which fine splats may be put in another
+        order, .spz positions to 1 / 4096 of a unit or finer, .splat has no harmonics but the first, .sog positions to
+        16 bits of the logarithm of their range. A .glb has float32 numbers. Numbers beyond the range of a format are
+        cut; a warning counts them.
 
         Args:
             path: The file; it must end in .ply, .compressed.ply, .splat, .spz, .sog or .glb, or as another package's.
@@ -496,12 +501,6 @@ class SplatField:
         bounds = np.round(self.bounds, 4).tolist()
         return f"SplatField({self.splat_count} splats of degree {self.degree}, bounds {bounds}, {self.device})"
 
-    def __reduce__(self):
-        raise UseError(
-            "a SplatField is held on a device and not copied between processes: save it, and load the file "
-            "in each of them"
-        )
-
 
 #: What a Deformer poses.
 AnyField: TypeAlias = VoxelField | SplatField
@@ -516,11 +515,22 @@ def read_field(path: PathLike, *, scene_scale: float = 1.0) -> Callable[[wp.Devi
     """Read a field into the host's memory, for which no device is needed; returns what makes the field on a device.
     That may raise a ValueError of parts that do not fit."""
     if not is_splat_file(path):
+        _require_field_file(path)
         return functools.partial(_voxels_of, load_voxels(path, scene_scale=scene_scale), path)
     if scene_scale != 1.0:
         raise InputError(f"{path} holds splats, which keep their scale: leave the scene scale out")
-    splats = read_splats(path)
-    return lambda device: SplatField.from_contents(splats, device=device)
+    splats, background = read_splats(path), own_background(path)
+    return lambda device: SplatField.from_contents(splats, device=device, **background)
+
+
+def _require_field_file(path: PathLike) -> None:
+    """Refuse a file that is of another kind, with what fields are."""
+    file = require_file(path, "field file")
+    if file.suffix.lower() not in (".npz", "") and not begins_as_archive(file):
+        endings = " ".join(dict.fromkeys(pathlib.Path(f"x{ending}").suffix for ending in SPLAT_ENDINGS))
+        raise InputError(
+            f"{path} is no field: fields are .npz (voxels) or {endings} (splats), this looks like {kind_seen(file)}"
+        )
 
 
 def _voxels_of(contents: FieldContents, path: PathLike, device: wp.DeviceLike) -> VoxelField:

@@ -528,9 +528,11 @@ class CameraFile(list[CameraKey]):
 
         Args:
             path: A file that `save` wrote, or a glTF file (.glb, .gltf) with perspective cameras, as Blender exports
-                them; those that are animated become keys at the times of the file.
-            size: Width and height of the pictures of glTF cameras, which have none. None is 400 pixels in width, and
-                the height that the file says. Cameras of JSON files have their own.
+                them; those that are animated become keys at the times of the file. Also JSON of other programs:
+                cameras.json of 3D Gaussian Splatting, camera_path.json of nerfstudio in the world of its field, and
+                settings.json of SuperSplat's viewer or document.json of its projects in coordinates of the .ply.
+            size: Width and height of the pictures of cameras of glTF and SuperSplat, which have none. None is 400
+                pixels in width, and the height that a glTF file says, or 225. Others have their own.
 
         Returns:
             The cameras.

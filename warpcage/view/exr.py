@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.checks import MAX_HALF, Cuts
 from ..core.files import atomic_path, require_file
 from ..errors import InputError
-from .pictures import path_with_ending, write_jpeg, write_png
+from .pictures import COLORS, path_with_ending, picture_cuts, write_jpeg, write_png
 
 #: Depth where nothing is seen, as Blender writes it.
 NOTHING = 1e10
@@ -57,33 +58,34 @@ def mean_picture(pictures: Sequence[np.ndarray]) -> np.ndarray:
     return np.where(same, first, mean.astype(np.float32))
 
 
-def write_picture(path: str | os.PathLike[str], image: ArrayLike, depth: ArrayLike | None = None) -> None:
+def write_picture(
+    path: str | os.PathLike[str], image: ArrayLike, depth: ArrayLike | None = None, *, cuts: Cuts | None = None
+) -> None:
     """Write a picture as the ending says, whole or not at all: .png, .jpg, or .exr, which alone has depth (h, w).
-    The image is as `write_png`, `write_jpeg` and `write_exr` take it."""
+    The image and `cuts` are as `write_png`, `write_jpeg` and `write_exr` take them."""
     ending = pathlib.Path(path).suffix.lower()
     if ending == ".exr":
-        write_exr(path, image, depth)
+        write_exr(path, image, depth, cuts=cuts)
     elif ending in (".jpg", ".jpeg"):
-        write_jpeg(path, image)
+        write_jpeg(path, image, cuts=cuts)
     else:
-        write_png(path, image)
+        write_png(path, image, cuts=cuts)
 
 
-def write_exr(path: str | os.PathLike[str], image: ArrayLike, depth: ArrayLike | None = None) -> None:
+def write_exr(
+    path: str | os.PathLike[str], image: ArrayLike, depth: ArrayLike | None = None, *, cuts: Cuts | None = None
+) -> None:
     """Write an OpenEXR file, whole or not at all: half floats of linear light; depth (h, w), world units, in floats.
     The image is (h, w, 3), or (h, w, 4) with straight colours, as screens take them (sRGB): 0 black, 1 white."""
     path = path_with_ending(path, ".exr")
     exr = require_openexr()
-    pixels = np.asarray(image, np.float32)
+    pixels = np.ascontiguousarray(image, np.float32)  # OpenEXR 3.5 does not heed strides
     if pixels.ndim != 3 or pixels.shape[-1] not in (3, 4) or 0 in pixels.shape:
         raise InputError(f"an EXR picture must be (h, w, 3) or (h, w, 4), got {pixels.shape}")
     if not np.isfinite(pixels).all():
         raise InputError("an image holds values that are not finite")
-    light = linear_light(pixels[..., :3])
-    channels: dict[str, np.ndarray] = {"RGB": light.astype(np.float16)}
-    if pixels.shape[-1] == 4:
-        alpha = np.clip(pixels[..., 3:], 0.0, 1.0)  # associated: colours are multiplied by it in the file
-        channels = {"RGBA": np.concatenate([light * alpha, alpha], axis=-1).astype(np.float16)}
+    with picture_cuts(path, cuts) as held:
+        channels = _light_channels(pixels, held)
     if depth is not None:
         channels["Z"] = np.ascontiguousarray(depth, np.float32)
         if channels["Z"].shape != pixels.shape[:2]:
@@ -91,6 +93,16 @@ def write_exr(path: str | os.PathLike[str], image: ArrayLike, depth: ArrayLike |
     header = {"type": exr.scanlineimage, "compression": exr.ZIP_COMPRESSION, "chromaticities": _PRIMARIES}
     with atomic_path(path) as temporary:
         exr.File(header, channels).write(str(temporary))
+
+
+def _light_channels(pixels: np.ndarray, cuts: Cuts) -> dict[str, np.ndarray]:
+    """The channels of pictures (h, w, 3 or 4) float32 as half floats of light."""
+    light = linear_light(cuts.clip(COLORS, pixels[..., :3], 0.0, float(screen_colors(np.array(MAX_HALF))), 0.0))
+    parts = [light]
+    if pixels.shape[-1] == 4:
+        alpha = cuts.clip(COLORS, pixels[..., 3:], 0.0, 1.0, 0.0)
+        parts = [light * alpha, alpha]  # associated: colours are multiplied by it in the file
+    return {"RGBA"[: pixels.shape[-1]]: np.concatenate(parts, axis=-1).astype(np.float16)}
 
 
 def read_exr(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:

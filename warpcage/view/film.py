@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_positive, checked_whole
+from ..core.checks import Cuts, checked_positive, checked_whole
 from ..core.files import atomic_path, read_npz, require_numbers
 from ..core.memory import require_host_memory
 from ..core.overlap import stream
@@ -22,7 +22,7 @@ from ..core.reports import Progress, hears, tell
 from ..errors import InputError
 from .motion import frame_rate
 from .opacity import with_spread_colors
-from .pictures import as_rgb, path_with_ending, read_image, to_uint8
+from .pictures import COLORS, as_rgb, path_with_ending, picture_cuts, read_image, to_uint8
 
 #: How names of films end, and those of films with opacity.
 FILM_ENDINGS, CLEAR_ENDINGS = (".mp4", ".gif", ".mov", ".webm"), (".mov", ".webm")
@@ -99,8 +99,9 @@ def write_clear_video(path: str | os.PathLike[str], frames: Iterable[ArrayLike],
     if ending not in CLEAR_ENDINGS:
         raise InputError(f"{str(path)!r} must end in {' or '.join(CLEAR_ENDINGS)}")
     rate = checked_rate(fps, ending)
-    with atomic_path(path) as temporary:
-        stream(_own(frames), deep_pixels, functools.partial(_encode_clear, temporary, ending, rate))
+    with picture_cuts(path) as cuts, atomic_path(path) as temporary:
+        prepare = functools.partial(deep_pixels, cuts=cuts)
+        stream(_own(frames), prepare, functools.partial(_encode_clear, temporary, ending, rate))
 
 
 def _encode_clear(path: pathlib.Path, ending: str, rate: Fraction, images: Iterable[np.ndarray]) -> None:
@@ -114,26 +115,35 @@ def _encode_clear(path: pathlib.Path, ending: str, rate: Fraction, images: Itera
     with av.open(str(path), "w", format=ending[1:]) as container:
         video = container.add_stream(codec, rate=rate, options=options)
         video.width, video.height, video.pix_fmt = width, height, pixel_format
-        video.color_range, video.color_primaries, video.color_trc, video.colorspace = _LIMITED, 1, 1, 1
+        _tag_colors(video)
         if ending == ".webm" and channels == 4:
             video.metadata["alpha_mode"] = "1"
         for image in itertools.chain([first], images):
             frame = av.VideoFrame.from_ndarray(image, format="rgba64le" if channels == 4 else "rgb48le")
-            converted = frame.reformat(format=pixel_format, dst_colorspace="ITU709", dst_color_range="MPEG", **_alone())
-            container.mux(video.encode(converted))
+            container.mux(video.encode(frame.reformat(format=pixel_format, **_converted())))
         container.mux(video.encode(None))
-
-
-def _alone() -> dict[str, Any]:
-    """The option of a conversion in one thread."""
-    # Threads of the conversion, which PyAV 17 brought, race: now and then a part of a plane is not written (FFmpeg 8).
-    import av
-
-    return {"threads": 1} if int(av.__version__.split(".")[0]) >= 17 else {}
 
 
 #: Limited range (AVCOL_RANGE_MPEG), and BT.709, which is number 1 of primaries, transfer and matrix.
 _LIMITED = 1
+
+
+def _tag_colors(video: Any) -> None:
+    """Say what the colours of a stream are, which players guess otherwise; PyAV does not convert by it."""
+    video.color_range, video.color_primaries, video.color_trc, video.colorspace = _LIMITED, 1, 1, 1
+
+
+def _converted() -> dict[str, Any]:
+    """The options of a conversion to those colours."""
+    return {"dst_colorspace": "ITU709", "dst_color_range": "MPEG", **one_thread()}
+
+
+def one_thread() -> dict[str, Any]:
+    """The option of a conversion of a frame in one thread."""
+    # Threads of the conversion, which PyAV 17 brought, race: now and then a part of a plane is not written (FFmpeg 8).
+    import av
+
+    return {"threads": 1} if int(av.__version__.split(".")[0]) >= 17 else {}
 
 
 def _clear_codec(ending: str, clear: bool) -> tuple[str, str, dict[str, str]]:
@@ -153,7 +163,7 @@ def _own(frames: Iterable[ArrayLike]) -> Iterator[np.ndarray]:
         yield pixels.copy() if pixels.flags.writeable else pixels
 
 
-def deep_pixels(pixels: np.ndarray) -> np.ndarray:
+def deep_pixels(pixels: np.ndarray, cuts: Cuts | None = None) -> np.ndarray:
     """A frame as films with 16 bits take it: (h, w, 3) or (h, w, 4) uint16, colours spread beyond edges.
     It is (h, w), (h, w, 3) or (h, w, 4) with straight colours, in [0, 1] or uint8; or uint16, which stays as it is."""
     if pixels.dtype == np.uint16:
@@ -165,13 +175,17 @@ def deep_pixels(pixels: np.ndarray) -> np.ndarray:
         image = as_rgb(pixels)
     if not np.isfinite(image).all():
         raise InputError("an image holds values that are not finite")
+    if cuts is not None:
+        cuts.clip(COLORS, image, 0.0, 1.0, 1.0 / 65535.0)
     return np.round(np.clip(image, 0.0, 1.0) * 65535.0).astype(np.uint16)
 
 
-def write_film_frame(path: str | os.PathLike[str], picture: ArrayLike) -> None:
-    """Write a frame of a film with 16 bits (.npz), without loss and with all that its encoder needs, in place."""
+def write_film_frame(path: str | os.PathLike[str], picture: ArrayLike, *, cuts: Cuts | None = None) -> None:
+    """Write a frame of a film with 16 bits (.npz), without loss and with all that its encoder needs, in place.
+    cuts: as of `write_png`."""
     data = io.BytesIO()
-    np.savez_compressed(data, pixels=deep_pixels(np.asarray(picture)))
+    with picture_cuts(path, cuts) as held:
+        np.savez_compressed(data, pixels=deep_pixels(np.asarray(picture), held))
     pathlib.Path(path).write_bytes(data.getbuffer())
 
 
@@ -190,9 +204,9 @@ def read_film_frame(path: str | os.PathLike[str]) -> np.ndarray:
     return pixels
 
 
-def _byte_pixels(pixels: np.ndarray) -> np.ndarray:
+def _byte_pixels(pixels: np.ndarray, cuts: Cuts) -> np.ndarray:
     """A frame as (h, w, 3) uint8."""
-    return to_uint8(as_rgb(pixels))
+    return to_uint8(as_rgb(pixels), cuts)
 
 
 def write_video(path: str | os.PathLike[str], frames: Iterable[ArrayLike], fps: float | Fraction = 24.0) -> None:
@@ -200,8 +214,9 @@ def write_video(path: str | os.PathLike[str], frames: Iterable[ArrayLike], fps: 
     Frames are (h, w, 3) of one size, in [0, 1] or uint8, and are taken one by one."""
     path = path_with_ending(path, ".mp4")
     rate = checked_rate(fps, ".mp4")
-    with atomic_path(path) as temporary:
-        stream(_own(frames), _byte_pixels, functools.partial(_encode_video, temporary, rate))
+    with picture_cuts(path) as cuts, atomic_path(path) as temporary:
+        prepare = functools.partial(_byte_pixels, cuts=cuts)
+        stream(_own(frames), prepare, functools.partial(_encode_video, temporary, rate))
 
 
 def _encode_video(path: pathlib.Path, rate: Fraction, images: Iterable[np.ndarray]) -> None:
@@ -214,8 +229,9 @@ def _encode_video(path: pathlib.Path, rate: Fraction, images: Iterable[np.ndarra
     with open(path, "w+b") as file, av.open(file, "w", format="mp4") as container:
         video = container.add_stream("libx264", rate=rate)
         video.height, video.width, video.pix_fmt = *first.shape[:2], "yuv420p"
+        _tag_colors(video)
         for image in itertools.chain([first], images):
-            frame = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format="yuv420p", **_alone())
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format="yuv420p", **_converted())
             container.mux(video.encode(frame))
         container.mux(video.encode(None))
 
@@ -236,7 +252,9 @@ def write_gif(
     rate = checked_rate(fps, ".gif")
     colors = checked_whole(colors, "colors", MIN_COLORS, MAX_COLORS)
     images: list[np.ndarray] = []
-    stream(_own(frames), _byte_pixels, lambda ready: images.extend(_that_fit(_of_one_size(ready))))
+    with picture_cuts(path) as cuts:
+        prepare = functools.partial(_byte_pixels, cuts=cuts)
+        stream(_own(frames), prepare, lambda ready: images.extend(_that_fit(_of_one_size(ready))))
     # one palette for all frames, from a thinned strip of them, so that still regions stay still
     strip = np.concatenate(images[:: max(1, len(images) // PALETTE_FRAMES)])
     palette = Image.fromarray(strip).quantize(colors - 1, method=Image.Quantize.MEDIANCUT)

@@ -23,7 +23,7 @@ from ..errors import InputError
 from ..kernels.view import pictures
 from .camera import Camera
 from .exr import NOTHING, write_picture
-from .pictures import NOT_FINITE, png_bytes, to_uint8, with_opacity
+from .pictures import COLORS, NOT_FINITE, picture_cuts, png_bytes, to_uint8, with_opacity
 
 #: Parts of every frame.
 PART_NAMES = ("rgb", "alpha", "depth")
@@ -112,7 +112,7 @@ class Frame:
 
     def _repr_png_(self) -> bytes:
         """The picture in notebooks."""
-        return png_bytes(self._colors())
+        return png_bytes(self.rgba if self.transparent else self.rgb_bytes)
 
     def _view(self) -> dict[str, Any]:
         """How the frame was seen."""
@@ -302,10 +302,11 @@ class Frame:
         """Write the frame to a file, whole or not at all.
 
         Args:
-            path: The file. Its ending says what is written: .png and .jpg the colours, clipped to [0, 1]; .exr light as
-                compositing programs take it, with depth along the camera's axis as channel Z (see docs/films.md); .npz
-                all arrays by name as float32, with z_depth and background where they are known. PNG and EXR have
-                opacity where the frame was rendered with `background="transparent"`.
+            path: The file. Its ending says what is written: .png and .jpg the colours, clipped to [0, 1], with a
+                warning where that is much; .exr light as compositing programs take it, with depth along the camera's
+                axis as channel Z (see docs/films.md); .npz all arrays by name as float32, with z_depth and background
+                where they are known. PNG and EXR have opacity where the frame was rendered with
+                `background="transparent"`.
 
         Raises:
             ValueError: For another ending, opacity in a JPEG, colours that are not finite, or an EXR without its
@@ -319,7 +320,10 @@ class Frame:
             )
         if ending != ".npz":
             depth = None if ending != ".exr" or self.camera is None else depth_along_view(self, self.camera)
-            write_picture(path, self.rgb if ending == ".exr" and not self.transparent else self._colors(), depth)
+            with picture_cuts(path) as cuts:
+                if self.transparent:
+                    cuts.clip(COLORS, self.rgb, 0.0, 1.0, 1.0 / 255.0)  # which `rgba` cuts
+                write_picture(path, self.rgba if self.transparent else self.rgb, depth, cuts=cuts)
             return
         arrays = {name: getattr(self, name) for name in self.arrays}
         if self.camera is not None:
@@ -328,10 +332,6 @@ class Frame:
             arrays["background"] = self.background
         with atomic_path(path) as temporary:
             np.savez(temporary, **arrays)
-
-    def _colors(self) -> np.ndarray:
-        """What files of 8 bits show."""
-        return self.rgba if self.transparent else self.rgb_bytes
 
     def begin_copies(self, *names: str) -> None:
         """Let arrays come from a CUDA device to the host while the device is given other work.

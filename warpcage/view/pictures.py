@@ -15,6 +15,7 @@ import imageio.v3 as iio
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.checks import Cuts
 from ..core.files import atomic_path, require_file
 from ..core.names import error_line
 from ..errors import InputError
@@ -43,6 +44,16 @@ PNG_STRATEGY = zlib.Z_RLE
 
 #: What is said of an image that cannot be shown.
 NOT_FINITE = "an image holds values that are not finite"
+
+#: Colours above 1 are highlights, and harmonics swing over edges: frames of captures had 0.4 % of their values beyond
+#: [0, 1], by up to 0.38. Said is what more of a picture has beyond this, or any value that is farther.
+BESIDE, SHARE, FAR = 0.1, 0.01, 0.5
+
+#: What pictures hold, in a message.
+COLORS = "values of pixels"
+
+#: Which files keep what pictures for screens do not, in a message.
+LIGHT_KEPT = ".exr files keep light above 1"
 
 #: The largest picture that is read: a few bytes can declare any size.
 MAX_PIXELS = 89_000_000
@@ -191,12 +202,31 @@ def _read_deep_png(path: pathlib.Path) -> np.ndarray:
         return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
-def write_png(path: str | os.PathLike[str], image: ArrayLike) -> None:
-    """Write a PNG file, whole or not at all: (h, w), (h, w, 3) or (h, w, 4), in [0, 1] or uint8."""
-    path = path_with_ending(path, ".png")
-    pixels = _png_pixels(image)
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:  # by name, some names are taken for addresses
-        _encode_png(file, pixels)
+class PictureCuts(Cuts):
+    """Counts the colours that pictures cut; little beside [0, 1] is not said."""
+
+    def __init__(self) -> None:
+        super().__init__(beside=BESIDE, share=SHARE, far=FAR)
+
+
+@contextlib.contextmanager
+def picture_cuts(path: object, held: Cuts | None = None) -> Iterator[Cuts]:
+    """Counts the colours that are cut in the block, and says so at its end, where it does not count for others too.
+    path: for the message; held: of more pictures."""
+    cuts = PictureCuts() if held is None else held
+    yield cuts
+    if held is None:
+        cuts.warn(path, "" if str(path).lower().endswith(".exr") else LIGHT_KEPT)
+
+
+def write_png(path: str | os.PathLike[str], image: ArrayLike, *, cuts: Cuts | None = None) -> None:
+    """Write a PNG file, whole or not at all: (h, w), (h, w, 3) or (h, w, 4), in [0, 1] or uint8.
+    cuts: counts for a warning what is far outside [0, 1]; None for one of this file."""
+    with picture_cuts(path, cuts) as held:
+        pixels = _png_pixels(image, held)
+        path = path_with_ending(path, ".png")
+        with atomic_path(path) as temporary, open(temporary, "wb") as file:  # by name, some are taken for addresses
+            _encode_png(file, pixels)
 
 
 def png_bytes(image: ArrayLike) -> bytes:
@@ -206,8 +236,8 @@ def png_bytes(image: ArrayLike) -> bytes:
     return data.getvalue()
 
 
-def _png_pixels(image: ArrayLike) -> np.ndarray:
-    pixels = to_uint8(image)
+def _png_pixels(image: ArrayLike, cuts: Cuts | None = None) -> np.ndarray:
+    pixels = to_uint8(image, cuts)
     if pixels.ndim == 3 and pixels.shape[-1] == 1:
         pixels = pixels[..., 0]
     if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[-1] in (3, 4))) or 0 in pixels.shape:
@@ -219,16 +249,17 @@ def _encode_png(file: BinaryIO, pixels: np.ndarray) -> None:
     iio.imwrite(file, pixels, extension=".png", compress_level=1, compress_type=PNG_STRATEGY)
 
 
-def write_jpeg(path: str | os.PathLike[str], image: ArrayLike, *, quality: int = 95) -> None:
-    """Write a JPEG file, whole or not at all: (h, w) or (h, w, 3), in [0, 1] or uint8."""
+def write_jpeg(path: str | os.PathLike[str], image: ArrayLike, *, quality: int = 95, cuts: Cuts | None = None) -> None:
+    """Write a JPEG file, whole or not at all: (h, w) or (h, w, 3), in [0, 1] or uint8; cuts: as of `write_png`."""
     path = pathlib.Path(path)
     if path.suffix.lower() not in (".jpg", ".jpeg"):
         raise InputError(f"{str(path)!r} must end in .jpg or .jpeg")
-    pixels = to_uint8(image)
-    if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[-1] == 3)) or 0 in pixels.shape:
-        raise InputError(f"a JPEG holds (h, w) or (h, w, 3), got shape {pixels.shape}")
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        iio.imwrite(file, pixels, extension=".jpg", quality=quality, subsampling=0)  # 4:4:4: colours at full size
+    with picture_cuts(path, cuts) as held:
+        pixels = to_uint8(image, held)
+        if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[-1] == 3)) or 0 in pixels.shape:
+            raise InputError(f"a JPEG holds (h, w) or (h, w, 3), got shape {pixels.shape}")
+        with atomic_path(path) as temporary, open(temporary, "wb") as file:
+            iio.imwrite(file, pixels, extension=".jpg", quality=quality, subsampling=0)  # 4:4:4: colours at full size
 
 
 def path_with_ending(path: str | os.PathLike[str], ending: str) -> pathlib.Path:
@@ -239,13 +270,16 @@ def path_with_ending(path: str | os.PathLike[str], ending: str) -> pathlib.Path:
     return path
 
 
-def to_uint8(image: ArrayLike) -> np.ndarray:
-    """An image of any shape, in [0, 1], in bytes, rounded and clipped; the same array for uint8."""
+def to_uint8(image: ArrayLike, cuts: Cuts | None = None) -> np.ndarray:
+    """An image of any shape, in [0, 1], in bytes, rounded and clipped; the same array for uint8.
+    cuts: counts what is clipped."""
     pixels = np.asarray(image)
     if pixels.dtype == np.uint8:
         return pixels
     if not np.isfinite(pixels).all():
         raise InputError(NOT_FINITE)
+    if cuts is not None:
+        cuts.clip(COLORS, pixels, 0.0, 1.0, 1.0 / 255.0)
     scaled = np.asarray(np.clip(pixels, 0.0, 1.0) * 255.0)
     return np.rint(scaled, out=scaled).astype(np.uint8)
 

@@ -8,9 +8,10 @@ import pathlib
 
 import numpy as np
 
-from ...core.checks import checked_path, checked_positive, listed
+from ...core.checks import Cuts, checked_path, checked_positive, listed
 from ...core.files import atomic_path, npz_names, read_npz
 from ...errors import InputError
+from ...view.pictures import PictureCuts
 from . import field_file
 from .field_file import LAYER_NAMES, OUTER_NAMES, OWN_NAMES, FieldContents, are_finite, own_arrays, read_own, voxel_side
 from .svox2 import SVOX2_KEYS, SVOX2_LAYERS, read_svox2, svox2_arrays
@@ -22,16 +23,17 @@ KNOWN_NAMES = frozenset((*OWN_NAMES, *field_file.COMPACT_NAMES, *LAYER_NAMES, *O
 ROOM = 6
 
 
-def _write_own(path: pathlib.Path, field: FieldContents) -> None:
-    np.savez(path, **own_arrays(field))
+def _write_own(path: pathlib.Path, field: FieldContents, cuts: Cuts) -> None:
+    np.savez(path, **own_arrays(field, cuts))
 
 
-def _write_compact(path: pathlib.Path, field: FieldContents) -> None:
-    field_file.write(path, field_file.pack(own_arrays(field), voxel_side(field.bounds, field.links.shape)))
+def _write_compact(path: pathlib.Path, field: FieldContents, cuts: Cuts) -> None:
+    side = voxel_side(field.bounds, field.links.shape)
+    field_file.write(path, field_file.pack(own_arrays(field, cuts), side, cuts))
 
 
-def _write_svox2(path: pathlib.Path, field: FieldContents) -> None:
-    np.savez(path, **svox2_arrays(field))
+def _write_svox2(path: pathlib.Path, field: FieldContents, cuts: Cuts) -> None:
+    np.savez(path, **svox2_arrays(field, cuts))
 
 
 #: Files of volumes for other programs, NanoVDB and OpenVDB, which are written alone.
@@ -53,10 +55,12 @@ def save_field(field: FieldContents, path: str | os.PathLike[str], *, format: st
         raise InputError(f"a field file ends in .npz, got {str(path)!r}")
     if format not in WRITERS:
         raise InputError(f"field format {format!r} is not known: {', '.join(WRITERS)}")
+    cuts = PictureCuts()  # bytes of a background's colours are cut as those of pictures are
     with atomic_path(path) as temporary:
         # "warpcage": packed occupancy bits, float32 densities, float16 harmonics and weights, the rest as RGBA bytes.
         # "compact": quantised and deflated, a third. "svox2": Plenoxels' SparseGrid.save; warns of what it leaves out.
-        WRITERS[format](temporary, field)
+        WRITERS[format](temporary, field, cuts)
+    cuts.warn(path)
 
 
 def load_field(path: str | os.PathLike[str], *, scene_scale: float = 1.0) -> FieldContents:

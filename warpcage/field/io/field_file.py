@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ...core.checks import MAX_HALF, Cuts
 from ...core.files import require_numbers
 from ...core.memory import free_host_bytes
 from ...core.threads import run_parallel
@@ -35,11 +36,11 @@ RGB_NUMBERS, LUMINANCE_NUMBERS = 3 * BASIS_COUNT, 24
 #: Of a luminous row, those of degree 0 to 2, by their places in an RGB row's channel.
 _LUMINANCE, _ORANGE, _GREEN = slice(0, BASIS_COUNT), slice(16, 20), slice(20, 24)
 
+#: What a field's colours are, in a message.
+HARMONICS = "harmonics"
+
 #: Numbers that a thread converts or looks through at once.
 PART_NUMBERS = 1 << 22
-
-#: The largest float16.
-MAX_HALF = 65504.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,9 +119,14 @@ def voxel_side(bounds: np.ndarray, shape: tuple[int, ...]) -> float:
     return float(((bounds[1] - bounds[0]) / shape).min())
 
 
-def as_half(values: np.ndarray) -> np.ndarray:
-    """Numbers as float16, those beyond its range cut to the largest."""
-    return np.clip(values, -MAX_HALF, MAX_HALF).astype(np.float16)
+def as_half(what: str, values: np.ndarray, cuts: Cuts) -> np.ndarray:
+    """Numbers as float16, those beyond its range cut to the largest. what: they are, in a message."""
+    return cuts.clip(what, values, -MAX_HALF, MAX_HALF, 0.0).astype(np.float16)
+
+
+def _as_bytes(what: str, values: np.ndarray, cuts: Cuts) -> np.ndarray:
+    """Numbers from 0 to 1 as bytes, others cut to that. what: they are, in a message."""
+    return np.rint(255 * cuts.clip(what, values, 0.0, 1.0, 1.0 / 255.0)).astype(np.uint8)
 
 
 def as_single(values: np.ndarray) -> np.ndarray:
@@ -174,19 +180,24 @@ SH_STEP = 1 / 128  #: harmonics are multiples of this: trilinear weights and the
 DENSITY_BITS, HALF_BITS = 7, 10
 
 
-def pack(contents: dict[str, Any], voxel_side: float) -> dict[str, Any]:
-    """The arrays of a compact file from those of the plain one, by name; voxel_side: the smallest, world units."""
+def pack(contents: dict[str, Any], voxel_side: float, cuts: Cuts) -> dict[str, Any]:
+    """The arrays of a compact file from those of the plain one, by name; voxel_side: the smallest, world units.
+    cuts: counts what is cut."""
     packed = {name: value for name, value in contents.items() if name not in ("sh", "density", "weights")}
-    levels = np.rint(np.asarray(contents["sh"], np.float32) / SH_STEP)
-    levels = np.clip(levels, -(2**15), 2**15 - 1).astype(np.int16).reshape(len(levels), -1).T
+    sh = cuts.clip(
+        HARMONICS, np.asarray(contents["sh"], np.float32), -(2**15) * SH_STEP, (2**15 - 1) * SH_STEP, SH_STEP
+    )
+    levels = np.rint(sh / SH_STEP).astype(np.int16).reshape(len(sh), -1).T
     packed["sh_step"] = np.array(SH_STEP)
     packed["sh_low"] = (levels & 255).astype(np.uint8)  # bytes of one kind together: deflate finds those alike
     packed["sh_high"] = (levels >> 8).astype(np.int8)
-    opacity = np.clip(contents["density"] * voxel_side, -MAX_HALF, MAX_HALF).astype(np.float16).view(np.uint16)
+    opacity = as_half("densities of a voxel's side", contents["density"] * voxel_side, cuts).view(np.uint16)
     spare = HALF_BITS - DENSITY_BITS
-    packed["opacity"] = (opacity >> spare << spare).view(np.float16)
+    size = opacity & 0x7FFF  # ties go to the even one, and nothing to infinity
+    nearest = np.minimum(size + (1 << spare - 1) - 1 + (size >> spare & 1), 0x7BFF) >> spare << spare
+    packed["opacity"] = (nearest | (opacity & 0x8000)).view(np.float16)
     if "weights" in contents:
-        packed["weight_roots"] = np.rint(255 * np.sqrt(np.clip(contents["weights"], 0, 1))).astype(np.uint8)
+        packed["weight_roots"] = _as_bytes("roots of weights", np.sqrt(np.maximum(contents["weights"], 0)), cuts)
     return packed
 
 
@@ -246,7 +257,7 @@ SEEN_DIFFERENCE = 1e-6
 LAYER_NODE_BYTES = 40
 
 
-def layer_arrays(layers: LayerContents) -> dict[str, np.ndarray]:
+def layer_arrays(layers: LayerContents, cuts: Cuts) -> dict[str, np.ndarray]:
     """The arrays of background layers, by name."""
     values, rest = layers.values, layers.unseen
     seen = np.ones(values.shape[:2], bool)
@@ -254,7 +265,7 @@ def layer_arrays(layers: LayerContents) -> dict[str, np.ndarray]:
         seen = (np.abs(values - rest) > SEEN_DIFFERENCE).any(axis=-1)
     rows = values[seen]
     rgba = np.empty(rows.shape, np.uint8)  # colours and, for optical depths, opacities below 1, to 1/255
-    rgba[:, :3] = np.rint(255 * np.clip(rows[:, :3], 0, 1))
+    rgba[:, :3] = _as_bytes("colors of background layers", rows[:, :3], cuts)
     rgba[:, 3] = np.rint(255 * -np.expm1(-np.maximum(rows[:, 3], 0)))
     contents = {
         "center": layers.center,
@@ -320,13 +331,13 @@ OUTER_NODE_BYTES, OUTER_ROW_BYTES = 10, 40
 MOST_OPACITY = 254.5
 
 
-def outer_arrays(outer: OuterContents) -> dict[str, np.ndarray]:
+def outer_arrays(outer: OuterContents, cuts: Cuts) -> dict[str, np.ndarray]:
     """The arrays of an outer field, by name."""
     occupied = outer.links >= 0
     values = outer.values[outer.links[occupied]]  # the file's rows are in memory order
     side = len(outer.links)
     rgba = np.empty(values.shape, np.uint8)  # colours and, for densities, opacities of a voxel below 1, to 1/255
-    rgba[:, :3] = np.rint(255 * np.clip(values[:, :3], 0, 1))
+    rgba[:, :3] = _as_bytes("colors of the outer field", values[:, :3], cuts)
     rgba[:, 3] = np.rint(255 * -np.expm1(-np.maximum(values[:, 3], 0) * (4.0 / side)))
     contents = {
         "center": outer.center,
@@ -334,7 +345,7 @@ def outer_arrays(outer: OuterContents) -> dict[str, np.ndarray]:
         "side": np.array(side),
         "occupancy": np.packbits(occupied.ravel()),
         "rgba": rgba,
-        "sky": np.rint(255 * np.clip(outer.sky, 0, 1)).astype(np.uint8),
+        "sky": _as_bytes("colors of the sky", outer.sky, cuts),
     }
     return {OUTER_PREFIX + name: array for name, array in contents.items()}
 
@@ -385,8 +396,9 @@ OWN_NAMES = (
 )
 
 
-def own_arrays(field: FieldContents) -> dict[str, Any]:
-    """The arrays of a plain file, by name, of a field with background, up and supersampling."""
+def own_arrays(field: FieldContents, cuts: Cuts) -> dict[str, Any]:
+    """The arrays of a plain file, by name, of a field with background, up and supersampling.
+    cuts: counts what is cut."""
     occupied = field.links >= 0
     order = field.links[occupied]  # the file's rows are in memory order
     contents = {
@@ -399,18 +411,18 @@ def own_arrays(field: FieldContents) -> dict[str, Any]:
         "resolution": np.array(field.links.shape, np.int32),
         "occupancy": np.packbits(occupied.ravel()),
         "density": field.density[order],
-        "sh": _file_harmonics(field.sh[order]),
+        "sh": _file_harmonics(field.sh[order], cuts),
     }
     if field.straightening is not None:
         contents["straightening"] = field.straightening
     if field.weights is not None:
-        contents["weights"] = as_half(field.weights[order])
+        contents["weights"] = as_half("weights", field.weights[order], cuts)
     if field.refined is not None:
         contents["refined_cameras"] = np.frombuffer(json.dumps(field.refined.entries()).encode(), np.uint8)
     if field.layers is not None:
-        contents |= layer_arrays(field.layers)
+        contents |= layer_arrays(field.layers, cuts)
     if field.outer is not None:
-        contents |= outer_arrays(field.outer)
+        contents |= outer_arrays(field.outer, cuts)
     return contents
 
 
@@ -423,9 +435,9 @@ def _least_version(field: FieldContents) -> int:
     return 1 if field.layers is None else LAYERS_VERSION
 
 
-def _file_harmonics(sh: np.ndarray) -> np.ndarray:
+def _file_harmonics(sh: np.ndarray, cuts: Cuts) -> np.ndarray:
     """Harmonics as files have them: (rows, rgb, basis), or luminous rows as they are."""
-    return as_half(sh if sh.ndim == 2 else sh.transpose(0, 2, 1))
+    return as_half(HARMONICS, sh if sh.ndim == 2 else sh.transpose(0, 2, 1), cuts)
 
 
 def _read_harmonics(contents: dict[str, np.ndarray], rows: int, path: pathlib.Path) -> np.ndarray:

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import warn_caller
+from ...core.checks import Cuts, warn_caller
 from ...core.files import require_numbers
 from ...errors import InputError
-from .field_file import BASIS_COUNT, MAX_VOXELS, FieldContents, as_half, rgb_harmonics
+from .field_file import BASIS_COUNT, HARMONICS, MAX_VOXELS, FieldContents, as_half, rgb_harmonics
 
 #: Arrays that every svox2 file has.
 SVOX2_KEYS = ("radius", "center", "links", "density_data", "sh_data", "basis_type")
@@ -22,7 +22,7 @@ SVOX2_LAYERS = "background_data"
 SVOX2_BASIS_SH = 1
 
 
-def svox2_arrays(field: FieldContents) -> dict[str, Any]:
+def svox2_arrays(field: FieldContents, cuts: Cuts) -> dict[str, Any]:
     """The arrays of a svox2 file; layers, outer fields and harmonics of degree 3 are left out, with a warning."""
     if field.layers is not None:
         warn_caller("a svox2 file holds the field without its background layers")
@@ -39,7 +39,7 @@ def svox2_arrays(field: FieldContents) -> dict[str, Any]:
         "center": field.bounds.mean(axis=0).astype(np.float32),
         "links": field.links,
         "density_data": field.density[:, None],
-        "sh_data": as_half(sh.reshape(len(sh), -1)),
+        "sh_data": as_half(HARMONICS, sh.reshape(len(sh), -1), cuts),
         "basis_type": np.array(SVOX2_BASIS_SH),
     }
 

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from ...errors import InputError, MissingPackageError, StateError
-from ...mesh.io.gltf import linear_light
+from ...view.exr import linear_light
 from .field_file import Y0, FieldContents, rgb_harmonics
 
 #: Voxels along a side of a tile, the least part of a volume that is held.

@@ -5,11 +5,12 @@ from __future__ import annotations
 import pathlib
 from typing import Any
 
-from ...core.checks import checked_path, warn_caller
+from ...core.checks import Cuts, checked_path, warn_caller
 from ...core.files import PathLike, atomic_path, require_file
 from ...errors import InputError
-from .contents import SplatContents, rounding_of, sound_contents
-from .formats import BUILT_IN, format_to_read, format_to_write, holding_format, require_own_beginning
+from ...scene.formats.datasets.splatting import iterations, output_of, trained_background
+from .contents import LOGS, SplatContents, bounded_values, rounding_of, seen_logs, sound_contents
+from .formats import BUILT_IN, SplatFormat, format_to_read, format_to_write, holding_format, require_own_beginning
 from .sog import META
 
 #: Endings of the files, and what writes them. The first that fits counts.
@@ -19,9 +20,20 @@ SPLAT_ENDINGS = tuple(WRITERS)
 
 
 def splat_path(path: PathLike) -> pathlib.Path:
-    """The file of a path: of a folder that holds splats the one that tells of the others."""
+    """The file of a path: of a folder that holds splats the one that tells of the others, or the newest of 3D Gaussian
+    Splatting."""
     file = checked_path(path, "the file of splats")
-    return file / META if file.is_dir() and (file / META).is_file() else file
+    if not file.is_dir():
+        return file
+    return file / META if (file / META).is_file() else [file, *iterations(file).values()][-1]
+
+
+def own_background(path: PathLike) -> dict[str, str]:
+    """The background that splats in an output folder of 3D Gaussian Splatting were fitted with, as an option of the
+    field; nothing for other files."""
+    folder = output_of(splat_path(path))
+    color = None if folder is None else trained_background(folder)
+    return {} if color is None else {"background": color}
 
 
 def read_splats(path: PathLike, **options: Any) -> SplatContents:
@@ -42,16 +54,29 @@ def write_splats(contents: SplatContents, path: PathLike, **options: Any) -> Non
     format = format_to_write(path)
     given = _given(options, format.write_options, f"{format.name} files are not written", path)
     assert format.write is not None
-    data = format.write(contents, **given)
-    if format.rounds:
-        rounded, size = rounding_of(contents)
-        if rounded:  # .spz refuses what is so far away
-            warn_caller(
-                f"{path}: {format.endings[0]} files hold float32, which rounds positions so far from the origin to "
-                f"{rounded:.3g} units, and splats of {size:.3g} units with them: a .ply file keeps them"
-            )
+    data, cuts = format.write(contents, **given), Cuts()
+    values_of = bounded_values(contents) | {LOGS: seen_logs(contents)}
+    for what, values in values_of.items():
+        if what in format.ranges:
+            cuts.clip(f"values of {what}", values, *format.ranges[what])
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
+    lines = [text for text in (cuts.text(".ply files keep it"), _rounding_text(contents, format)) if text]
+    if lines:
+        warn_caller(f"{path}: {'; '.join(lines)}")
+
+
+def _rounding_text(contents: SplatContents, format: SplatFormat) -> str:
+    """What a warning says where a format rounds positions by much beside the usual splat; "" elsewhere."""
+    step = format.rounds(contents) if callable(format.rounds) else None
+    rounded, size = rounding_of(contents, step) if format.rounds else (0.0, 0.0)
+    if not rounded:
+        return ""
+    how = "hold float32, which rounds positions so far from the origin" if step is None else "round these positions"
+    return (
+        f"{format.endings[0]} files {how} to {rounded:.3g} units, and splats of {size:.3g} units with them: a .ply "
+        "file keeps them"
+    )
 
 
 def is_splat_file(path: PathLike) -> bool:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...errors import InputError
 from .contents import SplatContents
 
 #: Where x, y and z of each kind of file point: right or left, down or up, front or back. A field has those of PLY.
@@ -68,6 +69,26 @@ def placed(contents: SplatContents, rotation: np.ndarray, offset: ArrayLike, sca
         log_scales=log_scales.astype(contents.log_scales.dtype),
         layout=None,
     )
+
+
+#: How far a node's axes may be from those of a turned and evenly scaled one.
+_EVEN = 1e-4
+
+
+def placed_by(contents: SplatContents, matrix: np.ndarray, where: str = "a node") -> SplatContents:
+    """Splats at the place of a node, a matrix (4, 4) for columns; ValueError for one that stretches them unevenly.
+    Where it moves them the centers are float64. where: for messages."""
+    if np.array_equal(matrix, np.eye(4)):
+        return contents
+    axes = matrix[:3, :3]
+    if not np.isfinite(matrix).all():
+        raise InputError(f"{where} is at no place: its matrix is not finite")
+    scale = float(np.cbrt(abs(np.linalg.det(axes))))
+    if not scale > 0.0 or np.abs(axes.T @ axes / scale**2 - np.eye(3)).max() > _EVEN:
+        raise InputError(f"{where} stretches its splats unevenly: only turned, moved and evenly scaled ones are read")
+    left, _, right = np.linalg.svd(axes / scale)
+    moved = dataclasses.replace(contents, centers=contents.centers.astype(np.float64))
+    return placed(moved, left @ right, matrix[:3, 3], scale)
 
 
 def joined(parts: Sequence[SplatContents]) -> SplatContents:

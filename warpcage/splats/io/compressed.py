@@ -6,10 +6,20 @@ import pathlib
 
 import numpy as np
 
-from ...core.checks import listed
+from ...core.checks import float32_spacing, listed
 from ...errors import InputError
 from ...field.io.field_file import Y0
-from .contents import SplatContents, byte_logits, opacities_of, unit_quaternions
+from .contents import (
+    FINEST,
+    FURTHER,
+    LOGS,
+    SplatContents,
+    byte_logits,
+    chosen_contents,
+    opacities_of,
+    unit_quaternions,
+    usual_size,
+)
 from .ply import PlyParts
 
 #: Splats of a chunk.
@@ -17,6 +27,9 @@ CHUNK = 256
 
 #: Scales of files beyond exp(+-20) are cut.
 MOST_LOG_SCALE = 20.0
+
+#: What files hold beside what each chunk says of its own values: the least and the largest, and the step between two.
+RANGES = {FURTHER: (-4.0, 4.0, 8.0 / 256.0), LOGS: (-MOST_LOG_SCALE, MOST_LOG_SCALE, 0.0)}
 
 _WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 
@@ -71,7 +84,8 @@ def read_compressed_ply(path: pathlib.Path, parts: PlyParts) -> SplatContents:
 
 
 def write_compressed_ply(contents: SplatContents) -> bytes:
-    """A .compressed.ply file. The splats keep their order."""
+    """A .compressed.ply file. The splats keep their order where that does not round their positions by much."""
+    contents = _near_together(contents)
     count = contents.count
     begins = np.arange(0, count, CHUNK)
     scales = np.clip(contents.log_scales.astype(np.float64), -MOST_LOG_SCALE, MOST_LOG_SCALE)
@@ -108,6 +122,33 @@ def write_compressed_ply(contents: SplatContents) -> bytes:
         lines += [f"element sh {count}", *(f"property uchar f_rest_{k}" for k in range(octets.shape[1]))]
     header = "\n".join([*lines, "end_header", ""])
     return header.encode() + chunk.tobytes() + vertex.tobytes() + octets.tobytes()
+
+
+def position_step(contents: SplatContents) -> float:
+    """From one position of a file to the next in the usual chunk, world units: the largest of the three axes, or that
+    of float32, which the corners of chunks are."""
+    if not contents.count:
+        return 0.0
+    return max(_step(_near_together(contents)), float32_spacing(float(np.abs(contents.centers).max())))
+
+
+def _near_together(contents: SplatContents) -> SplatContents:
+    """Splats whose chunks lie in small boxes: as they are where these are, otherwise along a curve (Morton's)."""
+    if contents.count <= CHUNK or _step(contents) <= FINEST * usual_size(contents):
+        return contents
+    low, span = contents.centers.min(axis=0), np.ptp(contents.centers, axis=0)
+    cells = ((contents.centers - low) / np.where(span > 0.0, span, 1.0) * (2**21 - 1)).astype(np.int64)
+    codes = np.zeros(contents.count, np.int64)
+    for bit in range(21):
+        for axis in range(3):
+            codes |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
+    return chosen_contents(contents, np.argsort(codes, kind="stable"))
+
+
+def _step(contents: SplatContents) -> float:
+    begins = np.arange(0, contents.count, CHUNK)
+    low, high = (end.reduceat(contents.centers, begins, axis=0) for end in (np.minimum, np.maximum))
+    return float(np.median(((high - low) / (2047.0, 1023.0, 2047.0)).max(axis=1)))
 
 
 def _further(path: pathlib.Path, parts: PlyParts, count: int) -> np.ndarray:

@@ -33,6 +33,12 @@ _ARRAYS = ("centers", "log_scales", "quaternions", "logits", "harmonics")
 MOST_LOG_SCALE = 40.0
 
 
+#: What formats of files may bound: coefficients of degree 0, as PLY files call them, those of higher ones, and scales.
+FIRST, FURTHER, LOGS = "f_dc", "f_rest", "log scales"
+
+#: The same of a format with float32 scales: below the least of them they are zero, which no splat has.
+FLOAT_LOGS = (float(np.log(np.finfo(np.float32).tiny)), MOST_LOG_SCALE, 0.0)
+
 #: Splats that may all be the same: made by hand they are few.
 _FEW_EQUAL = 16
 
@@ -102,14 +108,31 @@ def _require_shapes(contents: SplatContents) -> None:
         raise InputError(f"splats need {listed(DEGREES)} harmonics a channel, got {width}")
 
 
-def rounding_of(contents: SplatContents) -> tuple[float, float]:
-    """By how much float32 rounds positions, and the length of the usual splat, world units; 0 for the first where that
-    is little beside the second, as it is anywhere near the origin."""
+def rounding_of(contents: SplatContents, step: float | None = None) -> tuple[float, float]:
+    """By how much positions are rounded, and the length of the usual splat, world units; 0 for the first where that is
+    little beside the second, as it is near the origin. step: between two of a file, None for those of float32."""
     if not contents.count:
         return 0.0, 0.0
-    rounded = float32_spacing(float(np.abs(contents.centers).max()))
-    size = float(np.median(np.exp(contents.log_scales.max(axis=1).astype(np.float64))))
+    rounded = float32_spacing(float(np.abs(contents.centers).max())) if step is None else step
+    size = usual_size(contents)
     return (rounded if rounded > FINEST * size else 0.0), size
+
+
+def usual_size(contents: SplatContents) -> float:
+    """The largest standard deviation of the usual splat, world units."""
+    return float(np.median(np.exp(contents.log_scales.max(axis=1).astype(np.float64))))
+
+
+def bounded_values(contents: SplatContents) -> dict[str, np.ndarray]:
+    """The arrays that formats may bound, by what they are."""
+    harmonics = contents.harmonics
+    return {FIRST: harmonics[:, 0], FURTHER: harmonics[:, 1:], LOGS: contents.log_scales}
+
+
+def seen_logs(contents: SplatContents) -> np.ndarray:
+    """Logarithms of scales (n, 3), none below FINEST of the usual splat: what is as thin or small looks the same."""
+    logs = contents.log_scales
+    return np.maximum(logs, np.log(FINEST * usual_size(contents))) if contents.count else logs
 
 
 def joined(parts: list[SplatContents], degree: int) -> SplatContents:

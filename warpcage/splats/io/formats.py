@@ -5,18 +5,20 @@ from __future__ import annotations
 import dataclasses
 import functools
 import pathlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import cast
 
 from ...core.checks import checked_path, registered_formats, require_endings, require_type
 from ...core.files import PathLike
 from ...errors import InputError
+from . import compressed, gltf, sog, spz, usd, web_viewers
 from .compressed import is_compressed, read_compressed_ply, write_compressed_ply
 from .contents import SplatContents
 from .gltf import has_splats, read_gltf_splats, write_glb_splats
 from .ply import read_parts, read_splat_ply, write_splat_ply
 from .sog import META, has_sog_meta, read_sog, write_sog
 from .spz import read_spz, write_spz
+from .usd import USD_ENDINGS, has_usd_splats, read_usd_splats, write_usd_splats
 from .web_viewers import read_ksplat, read_splat, write_splat
 
 #: Where other packages register a SplatFormat, in the entry points of their setup.
@@ -35,7 +37,10 @@ class SplatFormat:
     recognize: Callable[[pathlib.Path], bool] | None = None
     read_options: tuple[str, ...] = ()  # names of options of `SplatField.load` that `read` takes
     write_options: tuple[str, ...] = ()  # names of options of `SplatField.save` that `write` takes
-    rounds: bool = False  # whether `write` keeps positions as float32, which is said where that rounds them by much
+    # whether `write` keeps positions as float32, or what gives their step, world units; it is said where that is much
+    rounds: bool | Callable[[SplatContents], float] = False
+    # the least and largest numbers that its files hold, and the step between two, by what they are (`bounded_values`)
+    ranges: Mapping[str, tuple[float, float, float]] = dataclasses.field(default_factory=dict, compare=False)
 
     def has_ending(self, path: PathLike) -> bool:
         """Whether a path ends as files of the format do."""
@@ -73,16 +78,33 @@ _GLTF = "glTF with KHR_gaussian_splatting"
 #: All that warpcage knows by itself. The first whose ending fits counts.
 BUILT_IN = (
     SplatFormat(
-        "SuperSplat compressed PLY", (".compressed.ply",), read_ply, write_compressed_ply, _is_splat_ply, rounds=True
+        "SuperSplat compressed PLY",
+        (".compressed.ply",),
+        read_ply,
+        write_compressed_ply,
+        _is_splat_ply,
+        ranges=compressed.RANGES,
+        rounds=compressed.position_step,
     ),
     SplatFormat("3DGS PLY", (".ply",), read_ply, write_splat_ply, _is_splat_ply, ("activated",)),
-    SplatFormat("splat of web viewers", (".splat",), read_splat, write_splat, rounds=True),
-    SplatFormat("Niantic SPZ", (".spz",), read_spz, write_spz, None, (), ("version",)),
-    SplatFormat("GaussianSplats3D ksplat", (".ksplat",), read_ksplat),
-    SplatFormat("PlayCanvas SOG", (".sog",), read_sog, write_sog, rounds=True),
+    SplatFormat("splat of web viewers", (".splat",), read_splat, write_splat, ranges=web_viewers.RANGES, rounds=True),
+    SplatFormat("Niantic SPZ", (".spz",), read_spz, write_spz, None, (), ("version",), spz.position_step, spz.RANGES),
+    SplatFormat("GaussianSplats3D ksplat", (".ksplat",), read_ksplat, ranges=web_viewers.KSPLAT_RANGES),
+    SplatFormat("PlayCanvas SOG", (".sog",), read_sog, write_sog, rounds=sog.position_step),
     SplatFormat("PlayCanvas SOG in a folder", (META,), read_sog, None, has_sog_meta),
-    SplatFormat(_GLTF, (".glb",), read_gltf_splats, write_glb_splats, has_splats, rounds=True),
+    SplatFormat(_GLTF, (".glb",), read_gltf_splats, write_glb_splats, has_splats, ranges=gltf.RANGES, rounds=True),
     SplatFormat(_GLTF, (".gltf",), read_gltf_splats, None, has_splats),
+    *(
+        SplatFormat(
+            "USD with ParticleField3DGaussianSplat",
+            (ending,),
+            read_usd_splats,
+            functools.partial(write_usd_splats, ending=ending),
+            has_usd_splats,
+            ranges=usd.RANGES,
+        )
+        for ending in USD_ENDINGS
+    ),
 )
 
 
@@ -138,17 +160,25 @@ def _format_by_ending(path: PathLike, way: Callable[[SplatFormat], object], know
     raise InputError(f"splat file {str(path)!r} must end in {known()}")
 
 
-#: What files of some formats begin with, by their endings.
-_BEGINNINGS = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK\x03\x04": ".sog", b"glTF": ".glb"}
+#: What files of some formats begin with, and their endings.
+_BEGINNINGS = {
+    b"ply": (".ply",),
+    b"NGSP": (".spz",),
+    b"\x1f\x8b": (".spz",),
+    b"PK\x03\x04": (".sog", ".usdz"),
+    b"glTF": (".glb",),
+    b"#usd": (".usda", ".usd"),
+    b"PXR-": (".usdc", ".usd"),
+}
 
 
 def require_own_beginning(path: pathlib.Path, format: SplatFormat) -> None:
     """Refuse a file that begins as those of another format do, whatever its ending says."""
     with path.open("rb") as opened:
         head = opened.read(4)
-    meant = next((ending for mark, ending in _BEGINNINGS.items() if head.startswith(mark)), None)
+    meant = next((endings for mark, endings in _BEGINNINGS.items() if head.startswith(mark)), None)
     if format in BUILT_IN and meant is not None and not any(each.endswith(meant) for each in format.endings):
-        raise InputError(f"{path} begins as {meant} files do, not as {format.endings[0]} files: give it that ending")
+        raise InputError(f"{path} begins as {meant[0]} files do, not as {format.endings[0]} files: give it that ending")
 
 
 def holding_format(path: PathLike) -> SplatFormat | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import pathlib
 import struct
@@ -14,15 +15,27 @@ from ...core.files import JSON_ROOM
 from ...core.memory import require_host_memory
 from ...errors import InputError
 from ...field.io.field_file import Y0
-from ...mesh.io.gltf import BINARY_CHUNK, JSON_CHUNK, errors_of_file, mesh_nodes, opened, read_buffers, values_of
-from .axes import GLTF_AXES, axes_matrix, turned
-from .contents import SplatContents, joined, logits_of, logs_of, opacities_of, unit_quaternions
+from ...mesh.io.gltf import (
+    BINARY_CHUNK,
+    JSON_CHUNK,
+    errors_of_file,
+    mesh_nodes,
+    node_matrices,
+    opened,
+    read_buffers,
+    values_of,
+)
+from .axes import GLTF_AXES, axes_matrix, placed_by, turned
+from .contents import FLOAT_LOGS, LOGS, SplatContents, joined, logits_of, logs_of, opacities_of, unit_quaternions
 from .spz import read_spz_data
 
 EXTENSION = "KHR_gaussian_splatting"
 
 #: Its companions for SPZ, the newest first.
 SPZ_EXTENSIONS = (f"{EXTENSION}_compression_spz_2", f"{EXTENSION}_compression_spz")
+
+#: What files hold that are written.
+RANGES = {LOGS: FLOAT_LOGS}
 
 #: What splats are that are drawn as here: what the extension calls so.
 _KERNEL, _COLORS = "ellipse", "srgb_rec709_display"
@@ -34,9 +47,6 @@ _SPLAT_BYTES = 1500
 
 #: Numbers that are whole stand for shares of these, where an accessor says that they do.
 _MOST = {"i1": 127.0, "u1": 255.0, "i2": 32767.0, "u2": 65535.0}
-
-#: How far a node's axes may be from those of a turned and evenly scaled one.
-_EVEN = 1e-4
 
 
 def has_splats(path: pathlib.Path) -> bool:
@@ -53,6 +63,20 @@ def has_splats(path: pathlib.Path) -> bool:
             return EXTENSION.encode() in file.read(min(length, path.stat().st_size))
     except OSError:
         return False
+
+
+def gltf_counts(path: pathlib.Path) -> dict[str, int]:
+    """How many of each kind of thing the scene of a file holds."""
+    with errors_of_file(path):
+        document, _ = opened(path)
+        parts = [document["meshes"][mesh]["primitives"] for mesh, _ in mesh_nodes(document)]
+        of_splats = [any(EXTENSION in each.get("extensions", {}) for each in primitives) for primitives in parts]
+        return {
+            "mesh": of_splats.count(False),
+            "camera": sum("camera" in document["nodes"][node] for node in node_matrices(document)),
+            "skeleton": len(document.get("skins", [])),
+            "prim of splats": of_splats.count(True),
+        }
 
 
 def read_gltf_splats(path: pathlib.Path) -> SplatContents:
@@ -72,7 +96,8 @@ def read_gltf_splats(path: pathlib.Path) -> SplatContents:
             _SPLAT_BYTES * sum(counts), f"its {len(nodes)} nodes come to {sum(counts)} splats, which need"
         )
         buffers = read_buffers(path, document, chunk)
-        parts = [_placed(_primitive(path, document, buffers, each), matrix) for each, matrix in nodes]
+        parts = [placed_by(_primitive(path, document, buffers, each), matrix) for each, matrix in nodes]
+        parts = [dataclasses.replace(part, centers=part.centers.astype(np.float32)) for part in parts]
         contents = parts[0] if len(parts) == 1 else joined(parts, max(part.degree for part in parts))
         return turned(contents, axes_matrix(GLTF_AXES))
 
@@ -83,8 +108,7 @@ def write_glb_splats(contents: SplatContents) -> bytes:
     opacities = opacities_of(contents.logits)
     colors = 0.5 + Y0 * contents.harmonics[:, 0].astype(np.float64)
     places = contents.centers.astype("<f4")
-    with np.errstate(over="ignore"):
-        scales = np.exp(contents.log_scales.astype(np.float64)).astype("<f4")
+    scales = np.exp(np.maximum(contents.log_scales.astype(np.float64), FLOAT_LOGS[0])).astype("<f4")
     attributes: dict[str, np.ndarray] = {
         "POSITION": places,
         # what programs that know no splats colour the points by
@@ -209,25 +233,3 @@ def _plain(document: dict, buffers: list[bytes], attributes: dict[str, int]) -> 
             logits_of(np.clip(values(f"{EXTENSION}:OPACITY", 1)[:, 0], 0.0, 1.0)),
             harmonics,
         )
-
-
-def _placed(contents: SplatContents, matrix: np.ndarray) -> SplatContents:
-    """Splats at the place of a node; ValueError for one that stretches them unevenly."""
-    if np.array_equal(matrix, np.eye(4)):
-        return contents
-    axes = matrix[:3, :3]
-    if not np.isfinite(matrix).all():
-        raise InputError("a node's place is not finite")
-    scale = float(np.cbrt(abs(np.linalg.det(axes))))
-    if not scale > 0.0 or np.abs(axes.T @ axes / scale**2 - np.eye(3)).max() > _EVEN:
-        raise InputError("a node stretches its splats unevenly: only turned, moved and evenly scaled ones are read")
-    left, _, right = np.linalg.svd(axes / scale)
-    moved = turned(contents, left @ right)
-    return SplatContents(
-        (moved.centers.astype(np.float64) * scale + matrix[:3, 3]).astype(np.float32),
-        (moved.log_scales.astype(np.float64) + np.log(scale)).astype(np.float32),
-        moved.quaternions,
-        moved.logits,
-        moved.harmonics,
-        antialias=moved.antialias,
-    )

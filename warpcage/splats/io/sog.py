@@ -62,25 +62,44 @@ def palette(vectors: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
     count = len(vectors)
     if count <= most:
         return vectors, np.arange(count)
-    # cells are halved at the middle of the direction in which they are widest, all of one level at once
+    # cells are halved at the middle of the direction in which they are widest, all of one level at once; three quarters
+    # of them are those with the largest errors, cut at the mean there, so that few far vectors have one of their own
     labels, cells = np.zeros(count, np.int64), 1
-    while 2 * cells <= most:
-        sizes = np.bincount(labels, minlength=cells)
-        spread = np.empty((cells, vectors.shape[1]))
-        for k in range(vectors.shape[1]):
-            mean = np.bincount(labels, vectors[:, k], cells) / np.maximum(sizes, 1)
-            spread[:, k] = np.bincount(labels, (vectors[:, k] - mean[labels]) ** 2, cells)
-        along = vectors[np.arange(count), spread.argmax(axis=1)[labels]]
+    while 8 * cells <= most:
+        sizes, _, along = _widest(vectors, labels, cells)
         order = np.lexsort((along, labels))
         begins = np.cumsum(sizes) - sizes
         rank = np.empty(count, np.int64)
         rank[order] = np.arange(count) - begins[labels[order]]
         labels = 2 * labels + (rank >= (sizes[labels] + 1) // 2)
         cells *= 2
+    while cells < most:
+        sizes, errors, along = _widest(vectors, labels, cells)
+        room = -(-3 * (most - cells) // 4)
+        worst = np.argsort(-errors, kind="stable")[:room]
+        worst = worst[errors[worst] > 0.0]
+        if not len(worst):
+            break
+        new = np.full(cells, -1)
+        new[worst] = cells + np.arange(len(worst))
+        middles = np.bincount(labels, along, cells) / np.maximum(sizes, 1)
+        labels = np.where((new[labels] >= 0) & (along > middles[labels]), new[labels], labels)
+        cells += len(worst)
     used, labels = np.unique(labels, return_inverse=True)
     sizes = np.bincount(labels, minlength=len(used))
     means = [np.bincount(labels, vectors[:, k], len(used)) / sizes for k in range(vectors.shape[1])]
     return np.stack(means, axis=1), labels
+
+
+def _widest(vectors: np.ndarray, labels: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of cells of vectors (n, d), which labels (n,) name: how many each has (k,), the sum of their squared distances
+    from the mean (k,), and each vector's number (n,) in the direction in which its cell is widest."""
+    sizes = np.bincount(labels, minlength=cells)
+    spread = np.empty((cells, vectors.shape[1]))
+    for k in range(vectors.shape[1]):
+        mean = np.bincount(labels, vectors[:, k], cells) / np.maximum(sizes, 1)
+        spread[:, k] = np.bincount(labels, (vectors[:, k] - mean[labels]) ** 2, cells)
+    return sizes, spread.sum(axis=1), vectors[np.arange(len(vectors)), spread.argmax(axis=1)[labels]]
 
 
 #: The file that tells of the others.
@@ -170,6 +189,15 @@ def write_sog(contents: SplatContents) -> bytes:
         if "shN" in meta:
             _put(archive, "shN_centroids.webp", _picture_bytes(cells.reshape(rows, _ROW * further, 3)))
     return packed.getvalue()
+
+
+def position_step(contents: SplatContents) -> float:
+    """From one position of a file to the next at the usual place, world units: the largest of the three axes."""
+    if not contents.count:
+        return 0.0
+    places = np.abs(contents.centers.astype(np.float64))
+    span = np.ptp(np.sign(contents.centers) * np.log1p(places), axis=0)
+    return float((span / 65535.0 * (1.0 + np.median(places, axis=0))).max())
 
 
 def _put(archive: zipfile.ZipFile, name: str, data: bytes) -> None:

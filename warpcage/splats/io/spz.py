@@ -17,7 +17,7 @@ from ...core.memory import require_host_memory
 from ...errors import InputError
 from .axes import SPZ_AXES, axes_matrix, turned, turned_over
 from .compressed import with_largest, without_largest
-from .contents import DEGREES, SplatContents, byte_logits, opacities_of
+from .contents import DEGREES, FINEST, FIRST, FURTHER, LOGS, SplatContents, byte_logits, opacities_of, usual_size
 from .unpacking import gunzipped, gunzipped_head, require_packed, unzstd, zstd_packed
 
 _HEADER, _HEADER_4 = struct.Struct("<4sIIBBBB"), struct.Struct("<4sIIBBBBI12x")
@@ -29,6 +29,16 @@ _MAGIC, _GZIP = b"NGSP", b"\x1f\x8b"
 
 #: What the colours of a file are scaled by, and bits after the point of the positions that are written.
 COLOR_SCALE, FRACTIONAL_BITS = 0.15, 12
+
+#: Most bits after the point.
+_MOST_BITS = 23
+
+#: What files hold: the least and the largest, and the step between two.
+RANGES = {
+    FIRST: (-0.5 / COLOR_SCALE, 0.5 / COLOR_SCALE, 1.0 / 255.0 / COLOR_SCALE),
+    FURTHER: (-1.0, 127.0 / 128.0, 1.0 / 128.0),
+    LOGS: (-10.0, 255.0 / 16.0 - 10.0, 1.0 / 16.0),
+}
 
 #: The most that a position of 24 bits holds, in its units.
 _MOST = (1 << 23) - 1
@@ -67,8 +77,10 @@ def read_spz_data(path: pathlib.Path, data: bytes) -> SplatContents:
     if not 1 <= version <= (3 if packed else 4):
         most = "1 to 3 in gzip" if packed else "1 to 4"
         raise InputError(f"{path}: .spz files of version {most} are read, this is version {version}")
-    if degree > 4 or bits > 23:
-        raise InputError(f"{path}: harmonics of degree {degree} and {bits} bits after the point: at most 4 and 23")
+    if degree > 4 or bits > _MOST_BITS:
+        raise InputError(
+            f"{path}: harmonics of degree {degree} and {bits} bits after the point: at most 4 and {_MOST_BITS}"
+        )
     further = (degree + 1) ** 2 - 1
     widths = (6 if version == 1 else 9, 1, 3, 3, 3 if version < 3 else 4, 3 * further)
     size = count * sum(widths)
@@ -100,12 +112,7 @@ def write_spz(contents: SplatContents, version: int = 3) -> bytes:
         raise InputError(f".spz files of version 3 and 4 are written, got {shown(version)}")
     contents = turned_over(contents)
     count, degree = contents.count, DEGREES[contents.harmonics.shape[1]]
-    reach = float(np.abs(contents.centers).max()) if count else 0.0
-    bits = FRACTIONAL_BITS
-    while bits > 0 and reach * (1 << bits) > _MOST:
-        bits -= 1
-    if reach * (1 << bits) > _MOST:
-        raise InputError(f"an .spz file holds positions up to {_MOST}, a splat is {reach:.4g} away: move or scale it")
+    bits = _fractional_bits(contents)
     fixed = np.round(contents.centers.astype(np.float64) * (1 << bits)).astype(np.int32)
     places = np.stack([(fixed >> shift) & 255 for shift in (0, 8, 16)], axis=-1)
     alphas = np.round(255.0 * opacities_of(contents.logits))
@@ -120,6 +127,25 @@ def write_spz(contents: SplatContents, version: int = 3) -> bytes:
     packer = zlib.compressobj(9, zlib.DEFLATED, 31)
     header = _HEADER.pack(_MAGIC, 3, count, degree, bits, flags, 0)
     return packer.compress(header + b"".join(body)) + packer.flush()
+
+
+def _fractional_bits(contents: SplatContents) -> int:
+    """Bits after the point of positions: those that all programs write, more for finer splats, fewer for far ones."""
+    if not contents.count:
+        return FRACTIONAL_BITS
+    finest = FINEST * usual_size(contents)
+    bits = int(np.clip(np.ceil(-np.log2(finest)), FRACTIONAL_BITS, _MOST_BITS))
+    reach = float(np.abs(contents.centers).max())
+    while bits > 0 and reach * (1 << bits) > _MOST:
+        bits -= 1
+    if reach * (1 << bits) > _MOST:
+        raise InputError(f"an .spz file holds positions up to {_MOST}, a splat is {reach:.4g} away: move or scale it")
+    return bits
+
+
+def position_step(contents: SplatContents) -> float:
+    """From one position of a file to the next, world units."""
+    return 0.5 ** _fractional_bits(contents)
 
 
 def _streams(path: pathlib.Path, data: bytes, sizes: list[int]) -> tuple[list[bytes], bytes]:

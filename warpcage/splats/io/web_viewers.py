@@ -11,9 +11,24 @@ from ...core.files import read_limited
 from ...core.memory import require_host_memory
 from ...errors import InputError
 from ...field.io.field_file import Y0
-from .contents import SplatContents, byte_logits, joined, logs_of, opacities_of, unit_quaternions
+from .contents import (
+    FIRST,
+    FLOAT_LOGS,
+    FURTHER,
+    LOGS,
+    SplatContents,
+    byte_logits,
+    joined,
+    logs_of,
+    opacities_of,
+    unit_quaternions,
+)
 
 _ROW = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
+
+#: What .splat files hold, which have bytes of colours alone, and .ksplat files: see `SplatFormat`.
+KSPLAT_RANGES = {FIRST: (-0.5 / Y0, 0.5 / Y0, 1.0 / 255.0 / Y0)}
+RANGES = {**KSPLAT_RANGES, FURTHER: (0.0, 0.0, 0.0), LOGS: FLOAT_LOGS}
 
 #: Bytes of memory that a byte of a .splat file takes until its splats are made.
 _SPLAT_ROOM = 8
@@ -39,7 +54,7 @@ def write_splat(contents: SplatContents) -> bytes:
     """A .splat file. Harmonics of degree 1 and up, which it has no place for, are left out."""
     table = np.zeros(contents.count, _ROW)
     table["position"] = contents.centers
-    table["scale"] = np.exp(contents.log_scales.astype(np.float64))
+    table["scale"] = np.exp(np.maximum(contents.log_scales.astype(np.float64), FLOAT_LOGS[0]))
     color = 0.5 + Y0 * contents.harmonics[:, 0].astype(np.float64)
     shares = np.column_stack([color, opacities_of(contents.logits)])
     table["color"] = np.clip(np.round(255.0 * shares), 0, 255)
