@@ -4,14 +4,18 @@ points are compared with the formulas of each format's own documentation."""
 import dataclasses
 import functools
 import json
+import re
 import shutil
+import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 
+import dataset_writers as datasets
 import numpy as np
 import pytest
 from messages import MESSAGES
 from phone_writers import write_arkitscenes, write_json, write_polycam, write_record3d, write_stray
+from PIL import Image
 from program_writers import (
     SHADES,
     SQUARE,
@@ -39,6 +43,7 @@ from scipy.spatial.transform import Rotation
 
 from warpcage import Camera, load_scene
 from warpcage.scene import COEFFICIENTS, distort, undistort, undistorted_intrinsics
+from warpcage.scene.formats.transforms import TransformsCameras
 from warpcage.view import write_png
 
 BACKGROUND = (0.1, 0.5, 0.9)
@@ -165,6 +170,10 @@ def has_square(_folder, scene):
     np.testing.assert_allclose(scene.point_colors, SHADES / 255, atol=1e-6)
 
 
+def has_points(_folder, scene):
+    np.testing.assert_allclose(scene.points, SQUARE, atol=1e-12)
+
+
 def has_y_up(_folder, scene):
     np.testing.assert_allclose(scene.to_source @ [0, 0, 1, 1], [0, 1, 0, 1], atol=1e-12)
 
@@ -256,10 +265,24 @@ def kinds():
         write = with_options(write_arkitscenes, place=place)
         yield f"arkitscenes {place}", Kind("arkitscenes", write, seen=seen_by_arkitscenes, checks=(has_square,))
     yield "stray", Kind("stray", write_stray, seen=seen_by_stray, checks=(has_y_up,))
+    one = {"centered": True, "seen": datasets.seen_by_scannet}
+    for home, name in (("", "intrinsic/intrinsic_color.txt"), ("frames", "intrinsic_color.txt")):
+        write = with_options(datasets.write_scannet, home=home, intrinsics=name)
+        yield f"scannet {home}", Kind("scannet", write, **one)
+    yield "replica", Kind("replica", datasets.write_replica, seen=datasets.seen_by_replica)
+    parts = {"train": KEPT, "val": HELD_OUT, "all": ALL}
+    write = with_options(datasets.write_nerfies, word="tangential_distortion")
+    yield "nerfies", Kind("nerfies", write, parts, seen=datasets.seen_by_nerfies, checks=(has_points,))
+    for images in ("images", "blended_images"):
+        write = with_options(datasets.write_blendedmvs, images=images)
+        yield f"blendedmvs {images}", Kind("blendedmvs", write, seen=datasets.seen_by_blendedmvs)
+    parts = {"train": ALL[:7], "val": ALL[7:9], "test": ALL[9:]}
+    yield "nerfpp", Kind("nerfpp", datasets.write_nerfpp, parts, seen=datasets.seen_by_nerfpp)
 
 
 FORMATS = {name.strip(): kind for name, kind in kinds()}
-NUMBERED = {"nsvf", "dtu", "record3d", "arkitscenes", "stray"}  # formats with names of their own
+#: Formats with names of their own, or a last split that is not the first pictures.
+NUMBERED = {"nsvf", "dtu", "record3d", "arkitscenes", "stray", "scannet", "replica", "nerfies", "blendedmvs", "nerfpp"}
 BY_FORMAT = {kind.format: kind for kind in FORMATS.values()}
 
 
@@ -378,6 +401,7 @@ def lens_scenes():
     k1, k2, p1, p2 = LENSES["all"]
     given = {"k1": k1, "k2": k2, "p1": p2, "p2": p1}  # in the order of its manual
     yield "metashape", "all", with_options(write_metashape, lens=given), two, False
+    yield "nerfies", "all", with_options(datasets.write_nerfies, lens=(k1, k2, 0.0, p1, p2), held=(0,)), two, False
 
 
 LENS_SCENES = {f"{name} {lens}": (lens, *rest) for name, lens, *rest in lens_scenes()}
@@ -517,6 +541,73 @@ def test_transforms_with_angles_instead_of_focal_lengths(tmp_path, centered):
     assert load(tmp_path).cameras[0].fy == pytest.approx(25.0)
 
 
+def as_matrix(values, form):
+    """A camera matrix as exporters write it."""
+    k = [[values["fl_x"], 0.0, values["cx"]], [0.0, values["fl_y"], values["cy"]], [0.0, 0.0, 1.0]]
+    if form == "rows":
+        return k
+    if form == "4x4":
+        return [*([*row, 0.0] for row in k), [0.0, 0.0, 0.0, 1.0]]
+    return np.ravel(k if form == "flat" else np.transpose(k)).tolist()
+
+
+INTRINSICS = ("fl_x", "fl_y", "cx", "cy")
+
+
+@pytest.mark.parametrize("file", ["transforms.json", "transforms_train.json"])
+@pytest.mark.parametrize(
+    "name, form, each",
+    [("K", "rows", True), ("K", "flat", True), ("K", "columns", False), ("intrinsic_matrix", "4x4", True)]
+    + [("camera_matrix", "rows", False), ("intrinsics", "4x4", True)],
+)
+def test_camera_matrices_of_transforms(tmp_path, bricks, name, form, each, file):
+    """In place of fl_x and others, of the file or of each frame; a wrong angle of the file's does not count."""
+    write_transforms(tmp_path, bricks, shared=not each, name=file, camera_angle_x=2.9)
+
+    def change(content):
+        for values in content["frames"] if each else [content]:
+            values[name] = as_matrix(values, form)
+            for word in INTRINSICS:
+                del values[word]
+        content["frames"].reverse()
+
+    rewrite(tmp_path / file, change)
+    split = "all" if file == "transforms.json" else "train"
+    require_equal(load(tmp_path, split=split), bricks)
+    path = str(tmp_path / file)
+    camera = TransformsCameras(path).camera("view_03")
+    assert camera.fx == pytest.approx(bricks.cameras[3].fx) and camera.cy == pytest.approx(bricks.cameras[3].cy)
+
+
+def test_a_matrix_of_a_frame_goes_before_what_the_file_says(tmp_path, bricks):
+    write_transforms(tmp_path, bricks)
+    other = {"fl_x": 40.0, "fl_y": 41.0, "cx": 11.0, "cy": 9.0}
+    rewrite(tmp_path / "transforms.json", lambda content: content["frames"][0].update(K=as_matrix(other, "rows")))
+    cameras = load(tmp_path, split="all").cameras
+    assert [cameras[9].fx, cameras[9].fy, cameras[9].cx, cameras[9].cy] == [40.0, 41.0, 11.0, 9.0]
+    assert cameras[0].fx == bricks.cameras[0].fx
+    rewrite(tmp_path / "transforms.json", lambda content: content["frames"][0].update(camera_angle_x=0.9, K=None))
+    assert load(tmp_path, split="all").cameras[9].fx == pytest.approx(12 / np.tan(0.45))
+
+
+@pytest.mark.parametrize(
+    "matrix, said",
+    [
+        ([[40.0, 1.0, 12.0], [0, 40.0, 10.0], [0, 0, 1.0]], MESSAGES["scene.matrix_skew"]),
+        ([[40.0, 0, 12.0], [0, 40.0, 10.0], [0, 0.1, 1.0]], "K must be a camera matrix, fx 0 cx"),
+        ([[40.0, 0], [0, 40.0], [0, 0]], "K must be a camera matrix, fx 0 cx"),
+        ([[40.0, 0, "a"], [0, 40.0, 10.0], [0, 0, 1.0]], r"K\[0\]\[2\] must be a finite number"),
+        ([[40.0, 0, 12.0], [0, 40.0, 10.0], [0, 0, 1.0]], MESSAGES["scene.matrix_beside"]),
+        ([[0.9, 0, 0.5], [0, 0.9, 0.5], [0, 0, 1.0]], "K has fl_x 0.9, beside it"),
+    ],
+)
+def test_matrices_that_are_none_are_refused(tmp_path, bricks, matrix, said):
+    write_transforms(tmp_path, bricks)
+    rewrite(tmp_path / "transforms.json", lambda content: content.update(K=matrix))
+    with pytest.raises(ValueError, match=said):
+        load(tmp_path)
+
+
 def test_points_of_transforms_give_the_bounds(tmp_path, bricks):
     points = CLOUD[4:].astype("<f4")
     write_transforms(tmp_path, bricks, ply_file_path="sparse_pc.ply")
@@ -585,6 +676,41 @@ def test_of_several_models_the_one_with_most_pictures_is_read(tmp_path, bricks, 
         load_scene(tmp_path, model="7")
 
 
+UNDONE = {"dense": ("dense/sparse", "dense/images"), "undistorted": ("undistorted/sparse", "undistorted/images")}
+
+
+@pytest.mark.parametrize("pictures", ["beside both", "beside their model", "in images"])
+@pytest.mark.parametrize("kind", [*UNDONE, "numbered"])
+@pytest.mark.filterwarnings("ignore:.*2 of them are not there")
+def test_of_models_for_several_sizes_the_one_that_fits_the_pictures_is_read(tmp_path, bricks, kind, pictures):
+    """As COLMAP's undistorter leaves them: sparse/0 of pictures as they were taken, dense/ of what it made of them."""
+    model, home = UNDONE.get(kind, ("sparse/1", "other/images"))
+    small = Pictures(bricks.rgba[:, 1:, :21], [dataclasses.replace(c, width=21, height=19) for c in bricks.cameras])
+    write_colmap(tmp_path, bricks, binary=True)
+    write_colmap(tmp_path / "small", small.pick(range(8)), binary=True)
+    (tmp_path / model).parent.mkdir(exist_ok=True)
+    (tmp_path / "small/sparse/0").rename(tmp_path / model)
+    if pictures != "beside both":
+        shutil.rmtree(tmp_path / "images")
+    place = "images" if pictures == "in images" or kind == "numbered" else home
+    if not (tmp_path / place).is_dir():
+        (tmp_path / "small/images").rename(tmp_path / place)
+    if pictures == "beside both":
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            require_equal(load(tmp_path, split="all"), bricks)
+        assert len(caught) == (kind == "numbered")  # that sparse/1 is for others
+    else:
+        said = MESSAGES["scene.model_of_size"].format(model)
+        with pytest.warns(UserWarning, match=said) as caught:
+            require_equal(load(tmp_path, split="all"), small.pick(range(8)))
+        assert len(caught) == 1
+        with pytest.raises(ValueError, match="sizes differ in 7 of 7|more than half"):
+            load(tmp_path, model="sparse/0")
+    if kind != "numbered":
+        require_equal(load(tmp_path, split="all", model=model), small.pick(range(8)))
+
+
 @pytest.mark.parametrize("kept", ["none", "some"])
 def test_images_without_a_line_of_keypoints_are_all_read(tmp_path, bricks, kept):
     """As tools write images.txt that have no features; a name of digits alone is no keypoint."""
@@ -628,11 +754,88 @@ def test_llff_takes_the_pictures_of_the_size_that_is_asked_for(tmp_path, centere
         assert read.fx / read.width == pytest.approx(written.fx / written.width, rel=1e-12)
 
 
-def test_llff_without_large_pictures_says_which_there_are(tmp_path, centered):
-    write_llff(tmp_path, centered, (4, 2))
-    with pytest.raises(FileNotFoundError, match=MESSAGES["scene.llff_sizes"]):
-        load(tmp_path)
-    assert load(tmp_path, downscale=2).cameras[0].width == 12
+COPIES = {
+    "llff": (write_llff, lambda camera: camera.fx),
+    "colmap": (functools.partial(write_colmap, binary=True), None),
+    "transforms": (write_transforms, None),
+    "transforms of no size": (functools.partial(write_transforms, sized=False), None),
+}
+
+
+@pytest.mark.parametrize("downscale, read, total", [(1, 2, 2), (2, 2, 2), (3, 4, 4), (4, 4, 4), (6, 2, 6), (7, 4, 8)])
+@pytest.mark.parametrize("name", COPIES)
+def test_smaller_copies_alone_are_read(tmp_path, name, downscale, read, total):
+    """images_2/, images_4/ beside cameras of images/, as mip-NeRF 360 scenes are handed on: cameras are scaled by the
+    true sizes, and it is said where pictures become smaller than was asked for."""
+    pictures = brick_pictures(10, centered=True, width=48, height=40)
+    COPIES[name][0](tmp_path, pictures)
+    shutil.rmtree(tmp_path / "images")
+    white = Pictures(np.full_like(pictures.rgba, 255), pictures.cameras)
+    write_llff(tmp_path / "more", white, (2, 4))
+    for factor in (2, 4):
+        (tmp_path / f"more/images_{factor}").rename(tmp_path / f"images_{factor}")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene = load(tmp_path, split="all", downscale=downscale)
+    said = [str(warning.message) for warning in caught]
+    assert [bool(re.search(MESSAGES["scene.copies"].format(read, total), each)) for each in said] == (
+        [True] if total != downscale else []
+    )
+    assert scene.images.min() > 0.999 and len(scene) == 10
+    for camera, whole in zip(scene.cameras, pictures.cameras, strict=True):
+        assert (camera.width, camera.height) == (round(48 / total), round(40 / total))
+        np.testing.assert_allclose(
+            camera.project(SQUARE)[0] / [camera.width, camera.height], whole.project(SQUARE)[0] / [48, 40], atol=1e-9
+        )
+
+
+def resized(folder, size, ending=None):
+    """Make all pictures of a folder another size."""
+    for file in sorted(folder.rglob("*.png")):
+        image = Image.open(file).resize(size)
+        file.unlink()
+        image.save(file if ending is None else file.with_suffix(ending))
+
+
+@pytest.mark.parametrize("write, bent", [(write_transforms, {"distortion": {"k1": -0.01}}), (write_colmap, None)])
+@pytest.mark.parametrize(
+    "size, share",
+    [((12, 10), 0.5), ((8, 7), 1 / 3), ((48, 40), 2.0), ((14, 12), 0.59), ((36, 30), 1.5)]
+    + [((23, 20), None), ((26, 22), None), ((25, 21), None), ((12, 20), None), ((23, 21), None)],
+)
+def test_pictures_of_another_size_by_one_factor(tmp_path, bricks, write, bent, size, share):
+    """They were made smaller; of other sizes they were cropped, which a factor near one is too, and refused once."""
+    options = {"binary": False} if write is write_colmap else {}
+    write(tmp_path / "a", bricks, **options)
+    resized(tmp_path / "a/images", size)
+    if share is None:
+        said = MESSAGES["scene.sizes_differ"].format(*size, 8, 8)
+        with pytest.raises(ValueError, match=said):
+            load(tmp_path / "a")
+        return
+    with pytest.warns(UserWarning, match=MESSAGES["scene.sizes_scaled"].format(*size)) as caught:
+        scene = load(tmp_path / "a", split="all")
+    assert len(caught) == 1
+    for camera, whole in zip(scene.cameras, bricks.cameras, strict=True):
+        assert (camera.width, camera.height) == size
+        np.testing.assert_allclose(camera.project(SQUARE)[0] / size, whole.project(SQUARE)[0] / [24, 20], atol=1e-9)
+    if bent:  # what undoes a lens may have made pictures of any size, but for half and double
+        write(tmp_path / "b", bricks, **bent)
+        resized(tmp_path / "b/images", size)
+        if share in (0.5, 1 / 3, 2.0):
+            with pytest.warns(UserWarning, match="cameras are scaled"):
+                assert load(tmp_path / "b").cameras[0].fx > 0.9 * share * bricks.cameras[1].fx
+        else:
+            with pytest.raises(ValueError, match="before a lens was undone"):
+                load(tmp_path / "b")
+
+
+def test_one_picture_of_another_size_is_refused(tmp_path, bricks):
+    write_transforms(tmp_path, bricks)
+    image = Image.open(tmp_path / "images/view_03.png").resize((12, 10))
+    image.save(tmp_path / "images/view_03.png")
+    with pytest.raises(ValueError, match=MESSAGES["scene.sizes_differ"].format(12, 10, 1, 10)):
+        load(tmp_path, split="all")
 
 
 def test_llff_poses_that_do_not_fit_its_pictures_are_refused(tmp_path, centered):
@@ -809,6 +1012,47 @@ def test_a_model_that_colmap_wrote(tmp_path, bricks, binary):
     require_same_as_colmap(scene, theirs)
     points = np.array([point.xyz for point in theirs.points3D.values()])
     assert (scene.bounds[0] < np.median(points, axis=0)).all() and (scene.bounds[1] > np.median(points, axis=0)).all()
+
+
+def test_pictures_of_a_model_in_any_order_with_quaternions_of_any_length(tmp_path, bricks):
+    """As pycolmap writes what it is given."""
+    pycolmap = pytest.importorskip("pycolmap", minversion="4")
+    theirs = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(camera_id=1, model="PINHOLE", width=24, height=20, params=[30, 28, 12, 10])
+    theirs.add_camera_with_trivial_rig(camera)
+    for number in (7, 2, 9, 4):
+        turn = pycolmap.Rotation3d(number * np.array([0.1 * number, 0.2, 0.3, 1.0]))
+        image = pycolmap.Image(name=f"{9 - number}.png" if number < 9 else "z.png", image_id=number, camera_id=1)
+        theirs.add_image_with_trivial_frame(image, pycolmap.Rigid3d(turn, [number, 0.0, 1.0]))
+    folder = tmp_path / "sparse" / "0"
+    folder.mkdir(parents=True)
+    (tmp_path / "images").mkdir()
+    for image in theirs.images.values():
+        write_png(tmp_path / "images" / image.name, bricks.rgba[0])
+    theirs.write_text(folder)
+    scene = load(tmp_path, split="all")
+    assert scene.names == ["2", "5", "7", "z"]
+    for camera, image in zip(scene.cameras, sorted(theirs.images.values(), key=lambda each: each.name), strict=True):
+        turn = Rotation.from_quat(image.cam_from_world().rotation.quat)  # of length 1 by SciPy
+        np.testing.assert_allclose(camera.rotation, turn.as_matrix().T, atol=1e-12)
+        center = -turn.inv().apply(image.cam_from_world().translation)
+        np.testing.assert_allclose(camera.center, center, atol=1e-12)
+
+
+@pytest.mark.parametrize("edited", [False, True])
+def test_text_beside_binary_files_that_says_something_else(tmp_path, bricks, recwarn, edited):
+    """Which pycolmap 4.2 ignores without a word."""
+    for name, binary in (("scene", True), ("text", False)):
+        write_colmap(tmp_path / name, bricks, binary=binary)
+    before = load(tmp_path / "scene", split="all")
+    for path in (tmp_path / "text" / "sparse" / "0").iterdir():
+        text = path.read_text()
+        if edited and path.name == "cameras.txt":
+            text = f"{text.rsplit(' ', 1)[0]} 7.25\n"
+        (tmp_path / "scene" / "sparse" / "0" / path.name).write_text(text)
+    scene = load(tmp_path / "scene", split="all")
+    assert [camera.cy for camera in scene.cameras] == [camera.cy for camera in before.cameras]
+    assert sum("beside them say something else" in str(each.message) for each in recwarn) == edited
 
 
 def require_same_as_colmap(scene, theirs):

@@ -10,10 +10,12 @@ import warnings
 import numpy as np
 import pytest
 from messages import MESSAGES
-from scene_writers import brick_pictures, write_colmap, write_nsvf, write_transforms
+from scene_writers import brick_pictures, write_colmap, write_image, write_nsvf, write_transforms
 from test_scene_formats import load, require_equal
 
+import warpcage
 from warpcage import load_scene
+from warpcage.scene.formats.transforms import TransformsCameras
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +145,88 @@ def test_endings_in_other_letters(tmp_path, bricks, name):
     for picture in (tmp_path / "images").iterdir():
         picture.rename(picture.with_suffix(".PNG"))
     require_equal(load(tmp_path, split="all"), bricks)
+
+
+@pytest.mark.parametrize("start", ["", *ELSEWHERE])
+@pytest.mark.parametrize("name", ["transforms", "colmap"])
+def test_endings_that_changed(tmp_path, bricks, name, start):
+    """/home/somebody/capture/images/1.jpeg where images/1.png is there; of several that it may be, none is taken."""
+    FORMATS[name][0](tmp_path, bricks)
+    listing = tmp_path / {"transforms": "transforms.json", "colmap": "sparse/0/images.txt"}[name]
+    plain = {"transforms": "images/view_", "colmap": "view_"}[name]
+    written = (
+        f"{json.dumps(start)[1:-1]}view_" if start and name == "transforms" else f"{start}view_" if start else plain
+    )
+    listing.write_text(listing.read_text().replace(plain, written).replace(".png", ".jpeg"))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        require_equal(load(tmp_path, split="all"), bricks)
+    (message,) = (str(warning.message) for warning in caught)
+    assert "3 files with another ending, the first is " in message and (MESSAGES["scene.moved"] in message) == bool(
+        start
+    )
+    (tmp_path / "images" / "view_01.png").with_suffix(".webp").write_bytes(b"")
+    with pytest.raises(ValueError, match=MESSAGES["scene.ending_of_several"]):
+        load(tmp_path, split="all")
+
+
+@pytest.mark.parametrize("name", ["transforms", "colmap"])
+def test_pictures_of_rigs_keep_their_folders_in_every_split(tmp_path, name):
+    """Where two have one name, all splits have the folders, also those in which no two have: in evaluations and camera
+    files, and where a picture's camera is asked for."""
+    pictures = brick_pictures(9)
+    files = [f"rig{k % 2}/{k // 2:04d}.png" for k in range(8)] + ["rig0/0009.png"]
+    FORMATS[name][0](tmp_path / "scene", pictures)
+    for old, new in zip(pictures.names, files, strict=True):
+        (tmp_path / "scene/images" / new).parent.mkdir(exist_ok=True)
+        (tmp_path / f"scene/images/{old}.png").rename(tmp_path / "scene/images" / new)
+        rewrite(tmp_path / "scene", lambda text, old=old, new=new: text.replace(f"{old}.png", new).encode())
+    expected = sorted(file.removesuffix(".png") for file in files)
+    test, train = load(tmp_path / "scene", split="test"), load(tmp_path / "scene")
+    assert test.names == expected[::8] and sorted(test.names + train.names) == expected
+    field = warpcage.VoxelField.from_dense(
+        np.ones((4, 4, 4)), np.zeros((4, 4, 4, 9, 3)), [[-1] * 3, [1] * 3], device="cpu"
+    )
+    assert [row["view"] for row in warpcage.evaluate(field, test)] == test.names
+    again = load(tmp_path / "scene", split="test", cameras=saved(test, tmp_path / "cameras.json"))
+    assert again.names == test.names
+    if name == "transforms":
+        path = tmp_path / "scene/transforms.json"
+        for asked, row in {"rig1/0001": 3, "0009": 8, "1": 7}.items():  # of the picture, or the number of the frame
+            found = TransformsCameras(path).camera(asked)
+            np.testing.assert_allclose(found.camera_to_world, pictures.cameras[row].camera_to_world)
+        with pytest.raises(ValueError, match=MESSAGES["scene.rig_frames"]):
+            TransformsCameras(path).camera("0001")
+    test.save(tmp_path / "saved")
+    assert sorted(load(tmp_path / "saved", split="all").names) == [each.replace("/", "_") for each in test.names]
+
+
+def saved(scene, path):
+    keys = [warpcage.CameraKey(camera, name=name) for name, camera in zip(scene.names, scene.cameras, strict=True)]
+    warpcage.CameraFile(keys).save(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    "files, expected",
+    [
+        ("images/a.png images/b.png", "a b"),
+        ("a/left/1.png b/left/1.png b/right/1.png", "a/left/1 b/left/1 b/right/1"),
+        ("images/1.png images/rig/1.png", "images/1 rig/1"),
+        ("images/1.png images/1.jpg images/2.jpg", "1.png 1.jpg 2.jpg"),
+        ("r/1.png r/1.jpg s/1.jpg", "r/1.png r/1.jpg s/1.jpg"),
+    ],
+)
+def test_names_tell_pictures_apart_by_as_little_as_it_takes(tmp_path, files, expected):
+    pictures, files = brick_pictures(len(files.split())), files.split()
+    write_transforms(tmp_path, pictures)
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    for frame, file in zip(reversed(content["frames"]), files, strict=True):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        write_image(tmp_path / file, np.zeros((20, 24, 3), np.uint8))
+        frame["file_path"] = file
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    assert sorted(load_scene(tmp_path, split="all").names) == sorted(expected.split())
 
 
 def test_no_file_outside_of_the_folder_is_taken(tmp_path, bricks):

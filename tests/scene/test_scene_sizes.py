@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -16,12 +17,14 @@ from scene_writers import (
     write_transforms,
 )
 from scenes import blob_scene
+from splat_scenes import ring, scene_of, true_field
 from test_scene_formats import BACKGROUND, load, require_equal
 
 import warpcage
 from warpcage import evaluate, mean_psnr
 from warpcage.cli import main
 from warpcage.fitting import tuned_scene
+from warpcage.fitting.splats import SplatFit
 from warpcage.reference import brick_model, render_mesh_views
 from warpcage.scene.pictures import View, flight_bytes
 from warpcage.view import read_image
@@ -237,6 +240,54 @@ def test_fits_of_two_sizes_are_as_good(two_threads, representation, tmp_path):
         assert row["psnr"] == pytest.approx(warpcage.psnr(rgb, test.cut(index, test.images[index])))
 
 
+def squares(rgb, scene, index):
+    """Mean squared error of the pixels of a picture that count, by NumPy."""
+    counts = scene.cut(index, scene.weights[index]) > 0
+    errors = np.clip(rgb.astype(np.float64), 0, 1) - np.clip(scene.cut(index, scene.images[index]), 0, 1)
+    return float((errors[counts] ** 2).mean())
+
+
+@pytest.mark.parametrize("representation", ["voxels", "splats"])
+def test_the_last_line_of_a_fit_is_over_real_pixels(two_threads, representation):
+    """What lies beyond small pictures is garbage, and some pixels are ignored: they are no part of the figure."""
+    if representation == "voxels":
+        whole, options = blob_scene(count=6, size=24, device="cpu"), {"resolution": 16, "levels": 1, "epochs": 6}
+    else:
+        truth = true_field("cpu", 60)
+        whole = scene_of(truth, ring(6, 20, (24, 24)), points=np.repeat(truth.contents.centers, 2, axis=0))
+        options = {"steps": 60, "most_splats": 200, "pixels_per_splat": 1.0, "start": "points"}
+    scene, lines = two_sizes(whole, 21, 18), []
+    scene.weights[:, 3:5, 3:9] = 0.0
+    told = {"progress": lambda done, total, words: lines.append(words)}
+    field = warpcage.fit(scene, representation=representation, device="cpu", **told, **options)
+    last = float(re.fullmatch(r"fit: (\S+) dB, .*", lines[-1])[1])
+    renders = [field.render(camera, background=scene.background).rgb for camera in scene.cameras]
+    by_hand = np.mean([-10 * np.log10(squares(rgb, scene, index)) for index, rgb in enumerate(renders)])
+    assert last == pytest.approx(by_hand, abs=0.006)
+    assert last == pytest.approx(mean_psnr(evaluate(field, scene)), abs=0.006)
+
+
+def test_figures_of_steps_are_over_real_pixels(two_threads):
+    """Of splats on what the field has behind it, not on the random colours of a step; of voxels without the parts of
+    tiles that lie beyond the picture."""
+    truth = true_field("cpu", 60)
+    whole = scene_of(truth, ring(4, 20, (24, 24)), points=np.repeat(truth.contents.centers, 2, axis=0))
+    scene = two_sizes(whole, 21, 18)
+    fit = SplatFit(scene, device="cpu", steps=40, most_splats=200, pixels_per_splat=1.0, start="points")
+    for _ in range(36):
+        fit.step()
+    for _ in range(4):  # of which picture nobody says
+        field = fit.field
+        rows = [row["psnr"] for row in evaluate(field, scene)]
+        fit.step()
+        assert min(abs(fit.measure_psnr() - row) for row in rows) < 0.02
+    blobs = blob_scene(count=3, size=24, device="cpu")
+    voxels = warpcage.FieldOptimizer(blobs, device="cpu", resolution=16, levels=1, tile_size=5, batch_rays=100_000)
+    voxels.step()
+    by_hand = voxels.batches.squared_error.numpy().sum() / blobs.images.size
+    assert voxels.measure_psnr() == pytest.approx(-10 * np.log10(by_hand), abs=1e-4)
+
+
 def test_cameras_that_a_fit_refines_keep_their_sizes(two_threads, tmp_path):
     """Where the first picture is a small one, too: rays and pruning are of the frames that hold all."""
     scene = blob_scene(count=8, size=24, device="cpu")
@@ -258,7 +309,8 @@ def test_cameras_that_a_fit_refines_keep_their_sizes(two_threads, tmp_path):
 def test_the_command_line_shows_pictures_of_their_own_size(tmp_path, bricks, capsys):
     write_colmap(tmp_path / "scene", cut(bricks, [WIDE, TALL]), binary=True)
     main(["info", str(tmp_path / "scene"), "--split", "all"])
-    assert "10 of 16x20 to 24x14" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "10 of 16x20 to 24x14" in shown and re.search(r"ignored +0.0 % of pixels", shown)
     parts = np.ones((4, 4, 4)), np.zeros((4, 4, 4, 9, 3)), [[-1] * 3, [1] * 3]
     warpcage.VoxelField.from_dense(*parts, device="cpu").save(tmp_path / "f.npz")
     files = ["--worst", str(tmp_path / "worst.png"), "--json", str(tmp_path / "report.json"), "--device", "cpu"]

@@ -64,15 +64,54 @@ def test_what_is_known_is_listed_from_one_table(plugged, toy_scene, tmp_path, ca
     names = [each.name for each in scene_formats()]
     assert names[-1] == "toy" and len(set(names)) == len(names)
     (tmp_path / "empty").mkdir()
-    for call in (lambda: load_scene(tmp_path / "empty"), lambda: load_scene(tmp_path / "empty", format="other")):
-        with pytest.raises(ValueError) as error:
-            call()
-        assert all(name in str(error.value) for name in names) and "\n" not in str(error.value)
+    with pytest.raises(ValueError) as error:
+        load_scene(tmp_path / "empty", format="other")
+    assert all(name in str(error.value) for name in names) and "\n" not in str(error.value)
     succeed(toy_scene[0], "info")
     said = capsys.readouterr().out
     assert all(f"{each.name}: {each.mark}" in said for each in scene_formats())
     succeed(toy_scene[0].parent, "info", f"@{toy_scene[0].name}")
     assert "toy" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "files, form, has, missing",
+    [
+        ("images/1.png sparse/0/cameras.bin", "colmap", "images/, sparse/0/ and ", "sparse/0/images.bin or .* is"),
+        ("images/1.png sparse/0/rigs.txt", "colmap", "images/ and sparse/0/,", "cameras.bin or .*images.txt are"),
+        ("rgb/0.png pose/0.txt", "nsvf", "rgb/ and pose/", "intrinsics.txt is"),
+        ("dataset.json rgb/1x/0.png", "nerfies", "dataset.json and rgb/", "camera/ is"),
+        ("traj.txt", "replica", "traj.txt", "results/ or rgb/ is"),
+        ("cfg_args cameras.json", "3dgs", "cameras.json and cfg_args", "point_cloud/ and .*cloud.ply are"),
+    ],
+)
+def test_an_unknown_folder_says_what_is_nearest(tmp_path, files, form, has, missing):
+    require_said(tmp_path, files, MESSAGES["scene.nearest"].format(form, has, missing))
+
+
+@pytest.mark.parametrize(
+    "files, said",
+    [
+        ("images/1.png", "`warpcage capture .*images -o scene`"),
+        ("scene0000_00.sens", "intrinsic/ with its SensReader"),
+        ("images/1.png Barn_COLMAP_SfM.log", "its pictures with ns-process-data"),
+        ("habitat/mesh_semantic.ply", "Replica's own download holds meshes"),
+        ("config.yml nerfstudio_models/step.ckpt", "ns-export gaussian-splat"),
+        ("walk.mp4", "warpcage capture VIDEO"),
+        ("notes.txt", "that are known; it holds notes.txt"),
+    ],
+)
+def test_a_folder_that_is_not_read_says_what_to_do(tmp_path, files, said):
+    require_said(tmp_path, files, said)
+
+
+def require_said(folder, files, said):
+    for file in files.split():
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / file).touch()
+    with pytest.raises(ValueError, match=said) as error:
+        load_scene(folder)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 500
 
 
 @pytest.mark.parametrize("wrong", [None, ImportError("no module"), SceneFormat("colmap", "x", bool, read_toy)])

@@ -9,11 +9,13 @@ import json
 import operator
 import pathlib
 import resource
+import shutil
 import struct
 import tempfile
 import tracemalloc
 import zipfile
 
+import dataset_writers as datasets
 import numpy as np
 import phone_writers as phone
 import program_writers as program
@@ -23,7 +25,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from runs import DEFAULTS
 from scenes import blob_scene
-from splat_scenes import some_splats, zstd
+from splat_scenes import require_usd, some_splats, zstd
 
 import warpcage
 from warpcage.batch import JobFile, write_jobs
@@ -62,7 +64,39 @@ def scene(write, **options):
     return Format(lambda folder: write(folder, bricks(3), **options), warpcage.load_scene, check)
 
 
+def write_output(folder, pictures):
+    """An output folder of 3D Gaussian Splatting with the scene of its pictures in it."""
+    plain.write_colmap(folder / "truck", pictures, binary=False)
+    splats = warpcage.SplatField.from_contents(some_splats(4, 0), device="cpu")
+    datasets.write_output(folder, splats, pictures.cameras, pictures.names, "/no/truck", iterations=(7,))
+
+
 LENS, BENT, MOVED = {"k1": -0.02, "p1": 0.001}, (-0.02, 0, 0, 0), {"applied_transform": np.eye(4)[:3].tolist()}
+
+
+def with_matrices(folder, pictures):
+    """A camera matrix a frame, and masks of the pictures' names, of which nothing is said."""
+    plain.write_transforms(folder, pictures, shared=False, masks=True)
+    content = json.loads((folder / "transforms.json").read_text())
+    for frame in content["frames"]:
+        fx, fy, cx, cy = (frame.pop(word) for word in ("fl_x", "fl_y", "cx", "cy"))
+        frame["K"] = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
+        del frame["mask_path"]
+    (folder / "transforms.json").write_text(json.dumps(content))
+
+
+def models_and_copies(folder, pictures):
+    """A model of pictures that are there in images_2/ alone, beside one of no pictures, and masks of theirs."""
+    plain.write_colmap(folder, pictures, binary=True, masks=True)
+    plain.write_colmap(folder / "dense", pictures.pick([0, 1]), binary=False, where="sparse")
+    for kind in ("images", "masks"):
+        for file in (folder / kind).iterdir():
+            image = Image.open(file)
+            plain.write_image(folder / f"{kind}_2" / file.name, np.asarray(image)[::2, ::2])
+            file.unlink()
+        (folder / kind).rmdir()
+    shutil.rmtree(folder / "dense/images")
+
 
 SCENES = {
     "blender": scene(plain.write_blender),
@@ -70,6 +104,8 @@ SCENES = {
     "dtu": scene(plain.write_dtu),
     "transforms": scene(plain.write_transforms, masks=True),
     "transforms lens": scene(plain.write_transforms, shared=False, masks=True, distortion=LENS, **MOVED),
+    "transforms matrix": scene(with_matrices),
+    "colmap copies": scene(models_and_copies),
     "colmap text": scene(plain.write_colmap, binary=False, points=np.eye(3)[[0, 1, 2] * 4]),
     "colmap binary": scene(plain.write_colmap, binary=True, model="OPENCV", distortion=BENT, points=np.eye(3)),
     "colmap fisheye": scene(plain.write_colmap, binary=True, model="OPENCV_FISHEYE", distortion=(0.02, -0.002, 0, 0)),
@@ -82,6 +118,12 @@ SCENES = {
     "bundler": scene(program.write_bundler, distortion=(-0.02, 0.001)),
     "opensfm": scene(program.write_opensfm, **LENS),
     "metashape": scene(program.write_metashape, lens=LENS),
+    "scannet": scene(datasets.write_scannet),
+    "replica": scene(datasets.write_replica),
+    "nerfies": scene(datasets.write_nerfies, lens=(-0.02, 0, 0, 0.001, 0), held=()),
+    "blendedmvs": scene(datasets.write_blendedmvs, images="images"),
+    "nerfpp": scene(datasets.write_nerfpp, splits={"train": range(3)}),
+    "3dgs": scene(write_output),
 }
 
 
@@ -156,6 +198,11 @@ def save_spz_4(path):
     save_splats(path, version=4)
 
 
+def save_usd(path):
+    require_usd()  # or the test is skipped
+    save_splats(path)
+
+
 def is_splats(field):
     return np.isfinite(field.bounds).all() and field.splat_count == len(field.covariances)
 
@@ -188,6 +235,7 @@ SPLATS = {
     "splats ply": splat_format("whole.ply"),
     "compressed ply": splat_format("whole.compressed.ply"),
     "splat": splat_format("whole.splat"),
+    **{f"splats {kind}": splat_format(f"whole.{kind}", save_usd) for kind in ("usda", "usdc", "usdz")},
 }
 
 
@@ -237,6 +285,24 @@ def save_cameras(path):
     warpcage.CameraFile([warpcage.CameraKey(view, name=f"at {time}", time=time) for time in (0, 1)], fps=24).save(path)
 
 
+def save_path(path):
+    eye = {"position": [1.0, 2.0, 3.0], "target": [0.0, 0.0, 0.0], "fov": 50}
+    frame = {"camera_to_world": np.eye(4).ravel().tolist(), "fov": 50, "aspect": 1.5}
+    values = {"position": [1, 2, 3, 2, 2, 2], "target": [0] * 6, "fov": [50, 60]}
+    track = {"name": "fly", "frameRate": 30, "loopMode": "none", "keyframes": {"times": [0, 9], "values": values}}
+    contents = {
+        "cameras": datasets.camera_rows(bricks(3).cameras, ["a", "b", "c"]),
+        "camera_path": {"camera_path": [frame] * 2, "render_width": 6, "render_height": 4, "seconds": 2, "fps": 1},
+        "settings": {"version": 2, "cameras": [{"initial": eye}], "animTracks": [track]},
+        "document": {
+            "camera": {"fov": 50},
+            "poseSets": [{"poses": [eye | {"frame": 9}]}],
+            "timeline": {"frameRate": 30},
+        },
+    }
+    path.write_text(json.dumps(contents[path.stem]))
+
+
 def save_jobs(path):
     write_jobs(path, [{"id": f"shot/{k}", "posed": f"poses.npy#{k}"} for k in (0, 1)], defaults=DEFAULTS)
 
@@ -258,6 +324,11 @@ def read_selection(path):
 OTHERS = {
     "poses.json": one_file("poses.json", save_cage, warpcage.PoseFile.load, lambda file: is_cage(file.rest)),
     "cameras.json": one_file("cameras.json", save_cameras, warpcage.CameraFile.load),
+    "3dgs cameras": one_file("cameras.json", save_path, warpcage.CameraFile.load),
+    **{
+        name: one_file(f"{name}.json", save_path, warpcage.CameraFile.load)
+        for name in ("camera_path", "settings", "document")
+    },
     "jobs.jsonl": one_file("jobs.jsonl", save_jobs, read_jobs),
     "chosen.npz": one_file("chosen.npz", save_selection, read_selection),
     "chosen.json": one_file("chosen.json", save_selection, read_selection),

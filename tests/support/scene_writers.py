@@ -112,7 +112,7 @@ def write_dtu(folder, pictures, *, name="cameras_sphere.npz", masks=True, seed=0
 
 
 def write_transforms(
-    folder, pictures, *, shared=True, masks=False, extension=True, ending=".png", distortion=None,
+    folder, pictures, *, shared=True, masks=False, extension=True, ending=".png", distortion=None, sized=True,
     name="transforms.json", **top,
 ):  # fmt: skip
     frames = []
@@ -124,7 +124,7 @@ def write_transforms(
             write_image(folder / "masks" / f"{stem}.png", rgba[..., 3])
             frame["mask_path"] = f"masks/{stem}.png"
         intrinsics = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
-        intrinsics |= {"w": camera.width, "h": camera.height, **(distortion or {})}
+        intrinsics |= ({"w": camera.width, "h": camera.height} if sized else {}) | (distortion or {})
         frames.append(frame if shared else frame | intrinsics)
     content = {"camera_model": "OPENCV", **(intrinsics if shared else {}), "frames": frames[::-1], **top}
     (folder / name).write_text(json.dumps(content))

@@ -71,6 +71,12 @@ def zstd():
         return pytest.importorskip("zstandard").ZstdCompressor().compress
 
 
+def require_usd():
+    """Skip without a usd-core that has splats."""
+    if not hasattr(pytest.importorskip("pxr.UsdVol"), "ParticleField3DGaussianSplat"):
+        pytest.skip("usd-core has no splats before 26.3")
+
+
 def covariances_of(splats):
     """(n, 3, 3) of a Splats."""
     return splats.covariances.numpy()[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3).astype(np.float64)

@@ -13,6 +13,33 @@ from ..errors import InputError
 #: Focal lengths and principal point (fx, fy, cx, cy), pixels.
 Intrinsics = tuple[float, float, float, float]
 
+#: Pixels by which pictures of another size may miss the shape of those that a camera is for: sides are rounded.
+ROUNDING = 1.0
+
+#: Shares of a side by which a principal point may miss the middle; further off, it is that of pictures of another size.
+FURTHEST_MIDDLE = 0.25
+
+
+def intrinsics_at(
+    given: Intrinsics, size: tuple[float, float], actual: tuple[int, int], where: str, rounding: float = ROUNDING
+) -> Intrinsics:
+    """The intrinsics of a picture of the same shape as one of `size`, width and height, that they are given for.
+    rounding: pixels by which it may miss that shape."""
+    across, down = actual[0] / size[0], actual[1] / size[1]
+    if abs(across - down) * max(size) > rounding * max(1.0, across, down):
+        raise InputError(
+            f"{where}: the camera is for {size[0]:g}x{size[1]:g} pixels, its picture has {actual[0]}x{actual[1]}, "
+            "which is another shape"
+        )
+    fx, fy, cx, cy = given[0] * across, given[1] * down, given[2] * across, given[3] * down
+    if max(abs(cx / actual[0] - 0.5), abs(cy / actual[1] - 0.5)) > FURTHEST_MIDDLE:
+        raise InputError(
+            f"{where}: the principal point ({cx:g}, {cy:g}) is far from the middle of a picture of "
+            f"{actual[0]}x{actual[1]} pixels: it is that of pictures of another size"
+        )
+    return fx, fy, cx, cy
+
+
 #: Takes rays (x, y, z) of any shape and a lens's values to where they meet the picture, in focal lengths from the
 #: principal point; NaN where they do not.
 Projection = Callable[..., tuple[np.ndarray, np.ndarray]]

@@ -42,13 +42,15 @@ def load_scene(
         path: Folder of the scene.
         split: "train", "val" or "test" as the format has them. Where it has none, every eighth picture is "test", the
             others are "train", and "all" is both.
-        downscale: Whole factor by which width and height shrink, by area averages of premultiplied colour.
+        downscale: Whole factor by which width and height shrink, by area averages of premultiplied colour. Where
+            smaller copies of the pictures alone are there (images_4), it counts from the size that they are copies of.
         format: "blender" (NeRF-synthetic), "nsvf", "dtu" (IDR layout), "transforms" (nerfstudio, instant-ngp),
             "colmap", "polycam" (its raw data), "record3d", "arkitscenes", "stray" (Stray Scanner), "opensfm",
             "metashape", "bundler", "realityscan" (its .csv), "llff", or one that another package adds. None takes the
             first of these that fits.
         background: Colour put behind transparent pixels, a name or (3,) in [0, 1].
-        masks: True makes mask files alphas, and what they hide the background. "split" keeps what they hide as the
+        masks: True makes mask files alphas, and what they hide the background: those that the format names, or else
+            those in masks/ with the names of the pictures (NAME.png, NAME.jpg.png). "split" keeps what they hide as the
             scene's surroundings, which `fit` puts into layers behind the object. "weights" makes them `Scene.weights`:
             pictures stay whole, and what is black in a mask is ignored. False leaves the pictures whole. But for
             False, what is not black in `dynamic_mask_NAME.png` beside picture NAME is ignored, as instant-ngp does.
@@ -60,7 +62,8 @@ def load_scene(
             them after a fit. They are in the world that `orient` leads to. None takes those of the scene's files.
         model: Which of several COLMAP models, by its folder such as "1" or "sparse/1", of several reconstructions of
             OpenSfM, by its number, or of several chunks of Metashape, by its label. None takes the one with most
-            pictures. Of ARKitScenes the folder of pictures; None takes that of the largest.
+            pictures, of COLMAP models one for pictures of the size that is there. Of ARKitScenes the folder of
+            pictures; None takes that of the largest.
         progress: True shows a bar on stderr. A function is told (done, total, words), in pictures, and ends the work by
             returning False or by raising.
 
@@ -119,17 +122,94 @@ def _straightening(scene: Scene) -> np.ndarray | None:
 
 
 def holding_format(path: str | os.PathLike[str]) -> SceneFormat:
-    """The first format that fits a scene folder; ValueError, with what is known and what is there, where none does."""
-    folder, tried = pathlib.Path(path), []
+    """The first format that fits a scene folder; ValueError, with what is nearest and what is there, where none is."""
+    folder = pathlib.Path(path)
     for each in candidates():
         if each.is_scene(folder):
             return each
-        tried.append(f"{each.name}: {each.mark}")
     there = listed(sorted(entry.name + "/" * entry.is_dir() for entry in folder.iterdir()), none="nothing")
     inner = next((entry for entry in sorted(folder.iterdir()) if entry.is_dir() and _is_scene(entry)), None)
     hint = "" if inner is None else f": give its folder {inner.name!r}, which is a scene"
     hint = scene_around(folder) or hint  # a folder of COLMAP's model, of pictures
-    raise InputError(f"{str(folder)!r} is no scene of a known format ({'; '.join(tried)}); it holds {there}{hint}")
+    near = _said_of(folder, NOT_READ) or _nearest(folder) or _said_of(folder, dict([VIDEOS])) or UNKNOWN
+    raise InputError(f"{str(folder)!r} is no scene of a known format: {near}; it holds {there}{hint}")
+
+
+#: What folders hold that is not read, by names of which one is enough, and what to do.
+NOT_READ = {
+    "*.sens": "ScanNet's .sens is not read: export color/, pose/ and intrinsic/ with its SensReader",
+    "*_COLMAP_SfM.log": "Tanks and Temples as its authors publish it has poses without focal lengths and is not read: "
+    "convert its pictures with ns-process-data, or find cameras with `warpcage capture`",
+    "habitat/ mesh_semantic.ply": "Replica's own download holds meshes and no pictures: take renders of it (traj.txt)",
+    "nerfstudio_models/": "a result of nerfstudio is no scene: `ns-export gaussian-splat` writes its splats, and the "
+    "scene is the folder that was given to ns-train",
+}
+
+#: Words for a folder that nothing is known of.
+VIDEOS = "*.mp4 *.mov *.MP4 *.MOV", "a video has no cameras: `warpcage capture VIDEO -o scene` finds them"
+UNKNOWN = "`warpcage info` lists those that are known"
+
+#: What folders of each format hold, to name what is missing in one that is almost a scene: folders end in a slash, of
+#: names with | between them one is enough.
+PARTS = {
+    "colmap": "images/ sparse/0/|sparse/ sparse/0/cameras.bin|sparse/0/cameras.txt|sparse/cameras.* "
+    "sparse/0/images.bin|sparse/0/images.txt|sparse/images.*",
+    "blender": "transforms_train.json train/",
+    "transforms": "transforms.json images/",
+    "nsvf": "rgb/ pose/ intrinsics.txt",
+    "dtu": "image/ cameras_sphere.npz|cameras.npz",
+    "polycam": "keyframes/ keyframes/cameras/ keyframes/images/",
+    "nerfies": "dataset.json camera/ rgb/",
+    "record3d": "metadata.json|metadata rgb/|rgbd/",
+    "arkitscenes": "lowres_wide.traj lowres_wide/ lowres_wide_intrinsics/",
+    "stray": "odometry.csv camera_matrix.csv rgb/|rgb.mp4",
+    "opensfm": "reconstruction.json images/",
+    "metashape": "cameras.xml images/",
+    "bundler": "bundle/bundle.out|bundle.out list.txt|bundle/list.txt",
+    "llff": "poses_bounds.npy images/",
+    "scannet": "color/ pose/ intrinsic/",
+    "replica": "traj.txt|traj_w_c.txt results/|rgb/",
+    "blendedmvs": "cams/*_cam.txt blended_images/|images/",
+    "nerfpp": "train/rgb/ train/pose/ train/intrinsics/",
+    "3dgs": "cameras.json cfg_args point_cloud/ point_cloud/iteration_*/point_cloud.ply",
+}
+
+#: Folders of pictures, which say nothing of a format by themselves.
+PICTURES_ALONE = ("images/", "rgb/", "image/", "train/", "train/rgb/", "color/", "results/", "blended_images/")
+
+
+def _said_of(folder: pathlib.Path, kinds: dict[str, str]) -> str:
+    """What is said of the first kind of which a folder holds one of the names; "" for none."""
+    return next((said for names, said in kinds.items() if any(_holds(folder, name) for name in names.split())), "")
+
+
+def _nearest(folder: pathlib.Path) -> str:
+    """What the format that is nearest to a folder has of it, and what is missing; "" where none is near."""
+    nearest, most = "", 0.0
+    for form, parts in PARTS.items():
+        found = [
+            (part.split("|"), [name for name in part.split("|") if _holds(folder, name)]) for part in parts.split()
+        ]
+        there = [names[0] for _, names in found if names]
+        missing = [" or ".join(names[:2]) for names, held in found if not held]
+        if len(there) / len(found) > most and missing and set(there) - set(PICTURES_ALONE):
+            verb = "is" if len(missing) == 1 else "are"
+            nearest = f"nearest is {form}: it has {_joined(there)}, but {_joined(missing)} {verb} missing"
+            most = len(there) / len(found)
+    pictures = next((name for name in PICTURES_ALONE if _holds(folder, name)), None)
+    if nearest or pictures is None:
+        return nearest
+    return f"it has pictures in {pictures}, but no cameras: `warpcage capture {folder / pictures} -o scene` finds them"
+
+
+def _holds(folder: pathlib.Path, name: str) -> bool:
+    """Whether a folder holds a file, or a folder where the name ends in a slash; with * as in names of files."""
+    return any(found.is_dir() == name.endswith("/") for found in folder.glob(name.rstrip("/")))
+
+
+def _joined(words: list[str]) -> str:
+    """Words in a sentence."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def scene_around(path: pathlib.Path) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 import pathlib
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -16,11 +15,13 @@ from ..core.memory import free_host_bytes
 from ..core.reports import tell
 from ..errors import InputError, MissingFileError
 from ..view.camera import Camera
-from ..view.pictures import Rows, image_size, is_on_its_side, read_rows, shrink, shrink_weights, shrunk_size
+from ..view.pictures import Rows, read_rows, shrink, shrink_weights, shrunk_size
 from .box import Bounds, find_box
-from .formats.parsing import DYNAMIC_MASK, is_file
+from .formats.parsing import is_file, names_apart, smaller_copies
 from .lenses import Intrinsics, Lens, Part, pinhole_parts
+from .masks import opacity_rows, with_masks
 from .scene import Scene
+from .sizes import Size, fitted_sizes, frames_of_sizes, of_copies, require_known_sizes, sizes_there, times, upright
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's order; the first few may be given
 
@@ -29,9 +30,6 @@ MAX_ZOOM = 4.0
 
 #: Shortest focal length in shares of a side, 171 degrees: shorter ones are no pixels, but shares or millimetres.
 SHORTEST_FOCAL = 0.04
-
-#: Width and height, pixels.
-Size = tuple[int, int]
 
 
 def distort(x: np.ndarray, y: np.ndarray, coefficients: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -118,9 +116,6 @@ STRIP_BYTES = 1 << 22
 MOST_WORKERS = 32
 
 
-#: What is cut off pictures so that all of a scene have one size, pixels, and as a share of the smallest, at most.
-MOST_CUT, MOST_CUT_SHARE = 2, 0.01
-
 #: By how much opacities miss 1 where opaque pictures were shrunk or a lens was undone.
 ALPHA_ROUNDING = 1e-5
 
@@ -158,18 +153,24 @@ class View:
         """Whether some pixels may count less than others."""
         return self.counted is not None or self.ignored is not None or self.part is not None
 
+    def intrinsics_of(self, size: Size) -> Intrinsics:
+        """(fx, fy, cx, cy) of its picture of some size."""
+        fx, fy, cx, cy = self.intrinsics(size) if callable(self.intrinsics) else self.intrinsics
+        return float(fx), float(fy), float(cx), float(cy)
+
 
 def views_there(views: list[View], listing: pathlib.Path) -> list[View]:
     """The views whose picture is there; all of them where none is, so that the first is named as missing. It warns
     where some are missing, and raises FileNotFoundError for more than half; listing: the file that lists them."""
     there = [view for view in views if is_file(view.file)]
+    there = there or [view for view in views if smaller_copies(view.file, listing)]
     if not there or len(there) == len(views):
         return views
-    missing = next(view.file for view in views if not is_file(view.file))
+    missing = next(view.file for view in views if view not in there)
     count = f"{listing} lists {len(views)} pictures, {len(views) - len(there)} of them are not there"
     if 2 * len(there) < len(views):
         raise MissingFileError(f"{count}, more than half; the first is {str(missing)!r}")
-    warnings.warn(f"{count} and are left out, the first is {_printable(missing.name)}", stacklevel=3)
+    warn_caller(f"{count} and are left out, the first is {_printable(missing.name)}")
     return there
 
 
@@ -194,23 +195,23 @@ def make_scene(
     """Read the pictures of views, undo their distortion, shrink them and put them on the background."""
     # The bounds are taken from the points, if there are no others: those that the cameras look at.
     _refuse_doubles(views)
-    views = [_with_masks(view, masks) for view in views]
+    views, beside, downscale, factor = of_copies(folder, views, beside, downscale)
+    views = with_masks(folder, views, masks, beside)
     allowed = Bounds(folder)
     for view in views:
         for file in view.files:
             allowed.require(file, view.where)
     if masks == "split" and any(view.mask is None for view in views):
         raise InputError(f"{views[0].where}: masks='split' needs a mask file for every picture")
-    views = _upright(views)
-    views, sizes = _parted(views, _sizes(views))  # of the files
-    intrinsics = [_intrinsics(view, size) for view, size in zip(views, sizes, strict=True)]
+    views, sizes = _parted(*fitted_sizes(upright(views), factor, folder))  # of the files
+    intrinsics = [view.intrinsics_of(size) for view, size in zip(views, sizes, strict=True)]
     shapes = [size if view.part is None else view.part.size for view, size in zip(views, sizes, strict=True)]
     has_parts = any(view.part is not None for view in views)
-    frames, canvas = _frames(
-        shapes, [] if has_parts else _sizes_there(beside, upright=any(view.turned for view in views))
+    frames, canvas = frames_of_sizes(
+        shapes, [] if has_parts else sizes_there(beside, upright=any(view.turned for view in views))
     )
     if frames is shapes:
-        _require_known_sizes(views, shapes)
+        require_known_sizes(views, shapes)
     pinholes = [pinhole_intrinsics(*each) for each in zip(views, intrinsics, frames, strict=True)]
     cameras = [_camera(*each) for each in zip(views, pinholes, frames, strict=True)]
     shrunk = [shrunk_size(frame, downscale) for frame in frames]
@@ -275,7 +276,7 @@ def make_scene(
         None if opaque else alphas,
         cameras,
         background,
-        _names(views),
+        _names(views, beside),
         bounds=bounds if found is None else found.bounds,
         found=found,
         to_source=to_source,
@@ -285,17 +286,6 @@ def make_scene(
         point_colors=point_colors if has_points else None,
         weights=None if weights is None or weights.min() == 1.0 else weights,
     )
-
-
-def _with_masks(view: View, masks: bool | str) -> View:
-    """A view with the masks that are asked for, as `load_scene` has it, and those of what is to be ignored."""
-    if not masks:
-        return dataclasses.replace(view, mask=None)
-    dynamic = view.file.with_name(f"{DYNAMIC_MASK}{view.file.stem}.png")
-    ignored = dynamic if is_file(dynamic) else None
-    if masks == "weights":
-        return dataclasses.replace(view, mask=None, counted=view.mask, ignored=ignored)
-    return dataclasses.replace(view, ignored=ignored)
 
 
 def _refuse_doubles(views: list[View]) -> None:
@@ -308,57 +298,13 @@ def _refuse_doubles(views: list[View]) -> None:
         seen[key] = view.where
 
 
-def _upright(views: list[View]) -> list[View]:
-    """The views with the files of theirs that must be turned to have the width and height of the camera, which their
-    orientation tags say: pictures, and masks that were not turned before."""
-    return [
-        view
-        if view.size is None
-        else dataclasses.replace(view, turned=frozenset(file for file in view.files if _is_turned(file, view.size)))
-        for view in views
-    ]
-
-
-def _is_turned(file: pathlib.Path, size: Size) -> bool:
-    """Whether a picture is on its side, and upright has a size that it has not."""
-    found = image_size(file)
-    return found != tuple(size) and found[::-1] == tuple(size) and is_on_its_side(file)
-
-
-def _sizes(views: list[View]) -> list[Size]:
-    """Width and height of each picture, by its header, once it is upright; its masks must have the same."""
-
-    def size_of(view: View, file: pathlib.Path) -> Size:
-        width, height = image_size(file)
-        return (height, width) if file in view.turned else (width, height)
-
-    with ThreadPoolExecutor() as pool:
-        sizes = list(pool.map(lambda view: size_of(view, view.file), views))
-    for view, size in zip(views, sizes, strict=True):
-        if view.size is not None and size != tuple(view.size):
-            hint = ""
-            if size[::-1] == tuple(view.size):
-                hint = ", which is on its side and has no tag that says which: turn the file by a quarter"
-            raise InputError(
-                f"{view.where}: the camera is for {_times(view.size)} pixels, image {view.file.name!r} "
-                f"has {_times(size)}{hint}"
-            )
-        for mask in view.mask_files:
-            if size_of(view, mask) != size:
-                raise InputError(
-                    f"{view.where}: mask {mask.name!r} is {_times(size_of(view, mask))}, its image {view.file.name!r} "
-                    f"is {_times(size)}"
-                )
-    return sizes
-
-
 def _parted(views: list[View], sizes: list[Size]) -> tuple[list[View], list[Size]]:
     """The views, those of lenses as the pinhole views that their pictures become; and the size of the file of each."""
     parted, of_files, known = [], [], {}
     for view, size in zip(views, sizes, strict=True):
         parts = [view]
         if view.lens is not None:
-            given = _intrinsics(view, size)
+            given = view.intrinsics_of(size)
             key = (view.lens, given, size)
             if key not in known:
                 _camera(view, given, size)  # refuses what cannot be a camera
@@ -374,61 +320,6 @@ def _turned(pose: np.ndarray, part: Part) -> np.ndarray:
     turn = np.eye(4)
     turn[:3, :3] = part.rotation
     return pose @ turn
-
-
-def _sizes_there(files: Sequence[pathlib.Path], *, upright: bool) -> list[Size]:
-    """Sizes of pictures of other splits that can be read: what is wrong with the rest is told with their split.
-    upright: whether pictures on their side are turned."""
-
-    def size_of(file: pathlib.Path) -> Size | None:
-        try:
-            width, height = image_size(file)
-            return (height, width) if upright and is_on_its_side(file) else (width, height)
-        except (ValueError, OSError):
-            return None
-
-    with ThreadPoolExecutor() as pool:
-        return [size for size in pool.map(size_of, files) if size is not None]
-
-
-def _frames(sizes: list[Size], others: list[Size]) -> tuple[list[Size], Size]:
-    """Width and height that are taken of each picture, from its upper left, and those that hold all of a scene's."""
-    # COLMAP's undistorter rounds the sizes of cameras that are almost the same: a few pixels are cut off, and all
-    # pictures count as a whole. Others keep their size.
-    everything = np.array([*sizes, *others])
-    least, most = everything.min(axis=0), everything.max(axis=0)
-    if (most - least <= np.maximum(MOST_CUT, MOST_CUT_SHARE * least)).all():
-        return [(int(least[0]), int(least[1]))] * len(sizes), (int(least[0]), int(least[1]))
-    return sizes, (int(most[0]), int(most[1]))
-
-
-def _require_known_sizes(views: list[View], sizes: list[Size]) -> None:
-    """Refuse pictures of several sizes where nothing says for which of them a camera in pixels is."""
-    usual = max(sizes, key=sizes.count)
-    other = next((index for index, size in enumerate(sizes) if size != usual), None)
-    for view, size in zip(views, sizes, strict=True):
-        doubled = (2 * size[0], 2 * size[1])
-        if (
-            other is not None
-            and view.size is None
-            and view.part is None
-            and _intrinsics(view, size) == _intrinsics(view, doubled)
-        ):
-            raise InputError(
-                f"{view.where}: nothing says the size that the camera is for, and pictures must have one size: "
-                f"{views[other].file.name!r} is {_times(sizes[other])}, others are {_times(usual)}"
-            )
-
-
-def _times(size: Size) -> str:
-    """A size in messages."""
-    return f"{size[0]}x{size[1]}"
-
-
-def _intrinsics(view: View, size: Size) -> Intrinsics:
-    """(fx, fy, cx, cy) of a view's picture of some size."""
-    fx, fy, cx, cy = view.intrinsics(size) if callable(view.intrinsics) else view.intrinsics
-    return float(fx), float(fy), float(cx), float(cy)
 
 
 def pinhole_intrinsics(view: View, intrinsics: Intrinsics, size: Size) -> Intrinsics:
@@ -461,7 +352,7 @@ def _workers(views: list[View], spans: list[Size], canvas: Size, downscale: int,
     flight, free, size = max(flights), free_host_bytes(), canvas
     if flight >= free:
         raise InputError(
-            f"reading a picture of {_times(size)} needs {flight / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free: "
+            f"reading a picture of {times(size)} needs {flight / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free: "
             "shrink the files"
         )
     if held > free - flight:
@@ -502,6 +393,7 @@ def _reader(view: View, background: np.ndarray, split: bool) -> Reader:
     files = view.file, view.mask, view.counted, view.ignored
     rows = [None if file is None else read_rows(file, upright=file in view.turned) for file in files]
     picture, mask, counted, ignored = rows
+    mask, counted = (each if each is None else opacity_rows(each) for each in (mask, counted))
     assert picture is not None
 
     def read(first: int, last: int | None, width: int | None) -> tuple[np.ndarray, np.ndarray]:
@@ -586,13 +478,12 @@ def _premultiplied(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     return image
 
 
-def _names(views: list[View]) -> list[str]:
-    """File names without ending, and sides of a cube; with the folder where that does not tell them apart."""
+def _names(views: list[View], beside: Sequence[pathlib.Path]) -> list[str]:
+    """File names without ending, with folders where pictures of any split have the same, and sides of a cube."""
+    files = list(dict.fromkeys([*files_of(views), *beside]))
+    names = dict(zip(files, names_apart(files), strict=True))
     sides = ["" if view.part is None or not view.part.name else f"_{view.part.name}" for view in views]
-    names = [view.file.stem + side for view, side in zip(views, sides, strict=True)]
-    if len(set(names)) < len(names):
-        names = [f"{view.file.parent.name}/{name}" for view, name in zip(views, names, strict=True)]
-    return [_printable(name) for name in names]
+    return [_printable(names[view.file] + side) for view, side in zip(views, sides, strict=True)]
 
 
 def _printable(name: str) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.checks import checked_path
+from ..core.checks import checked_path, warn_caller
 from ..core.files import PathLike, atomic_path
 from ..core.threads import cpu_threads
 from ..errors import InputError
@@ -34,6 +34,13 @@ def save_scene(scene: Scene, folder: PathLike) -> None:
         (folder / name).mkdir(parents=True)
     with ThreadPoolExecutor(cpu_threads()) as pool:
         frames = list(pool.map(lambda index: _write_view(scene, index, folder, files[index]), range(len(scene))))
+    if scene.weights is not None:
+        partly = int(np.count_nonzero((scene.weights > 0.0) & (scene.weights < 1.0)))
+        if partly:
+            warn_caller(
+                f"{folder}: its masks know pixels that count and those that do not: {partly} of {scene.weights.size} "
+                "that count in part count no more"
+            )
     content: dict[str, Any] = {"camera_model": "PINHOLE"}
     if scene.points is not None:
         colors = None if scene.point_colors is None else np.round(255.0 * np.clip(scene.point_colors, 0.0, 1.0))

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import array
+import contextlib
 import dataclasses
 import pathlib
 import struct
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...core.checks import listed, warn_caller
 from ...core.files import read_limited
 from ...core.names import error_line
 from ...errors import InputError, MissingFileError
+from ...view.pictures import image_size
+from ..box import Bounds
 from ..lenses import Lens, all_around
 from ..pictures import COEFFICIENTS, View, files_of, make_scene, views_there
 from ..scene import Scene
-from .parsing import PICTURE_ENDINGS, PictureFinder, chosen_part, floats, held_out, inside, is_file, read_text
+from .parsing import PictureFinder, chosen_part, floats, held_out, inside, is_file, read_text
 
 #: Bytes of memory that a byte of a binary file takes at most: a picture of 73 bytes becomes a record of some 700.
 BINARY_ROOM = 12
@@ -112,15 +117,15 @@ def read_images(folder: pathlib.Path) -> list[ModelImage]:
     return (_images_bin if binary else _images_txt)(folder / f"images{'.bin' if binary else '.txt'}")
 
 
-def read_model(folder: pathlib.Path) -> Model:
-    """Read a model, binary where cameras.bin is there."""
+def read_model(folder: pathlib.Path, *, points: bool = True) -> Model:
+    """Read a model, binary where cameras.bin is there; points: its points too."""
     binary = (folder / "cameras.bin").is_file()
     ending = ".bin" if binary else ".txt"
-    cameras, images, points = (folder / f"{name}{ending}" for name in ("cameras", "images", "points3D"))
+    cameras, images, cloud = (folder / f"{name}{ending}" for name in ("cameras", "images", "points3D"))
     return Model(
         (_cameras_bin if binary else _cameras_txt)(cameras),
         (_images_bin if binary else _images_txt)(images),
-        *((_points_bin if binary else _points_txt)(points) if points.is_file() else (None, None)),
+        *((_points_bin if binary else _points_txt)(cloud) if points and cloud.is_file() else (None, None)),
         cameras,
         images,
     )
@@ -278,29 +283,37 @@ def _points_bin(path: pathlib.Path) -> tuple[np.ndarray, np.ndarray]:
 
 MARK = "sparse/0/ with cameras and images, .bin or .txt"
 
-#: Where models lie, themselves or in folders by number: COLMAP's own folders, nerfstudio's, hloc's, and beside the
-#: pictures, as RealityScan exports them.
-MODEL_FOLDERS = ("sparse", "colmap/sparse", "sparse/0/models", "dense/sparse", "dense/0/sparse", "")
+#: Where models lie, themselves or in folders by number: COLMAP's own folders, nerfstudio's, hloc's, those of pictures
+#: whose lens was undone, and beside the pictures, as RealityScan exports them.
+MODEL_FOLDERS = (
+    *("sparse", "colmap/sparse", "sparse/0/models", "dense/sparse", "dense/0/sparse"),
+    *("undistorted/sparse", "undistorted", ""),
+)
 
 #: Where their pictures lie.
-PICTURE_FOLDERS = ("images", "dense/images", "dense/0/images", "")
+PICTURE_FOLDERS = ("images", "dense/images", "dense/0/images", "undistorted/images", "")
+
+#: Numbers of text and of binary files are the same within this.
+SAME = 1e-4
+
+#: Pictures, evenly, whose sizes are compared with those that a model's cameras are for.
+COMPARED = 12
 
 
 def is_scene(folder: pathlib.Path) -> bool:
     """Whether a folder holds a COLMAP model."""
-    return bool(_models(folder))
+    return any(_models(folder))
 
 
-def _models(folder: pathlib.Path) -> list[str]:
-    """Models of a scene, relative to it: of the first of MODEL_FOLDERS that has any."""
+def _models(folder: pathlib.Path) -> Iterator[list[str]]:
+    """Models of a scene, relative to it: those of each of MODEL_FOLDERS that has any."""
     for name in MODEL_FOLDERS:
         base = folder / name
         numbers = [path.name for path in base.iterdir() if path.name.isdigit()] if name and base.is_dir() else []
         found = [f"{name}/{number}" for number in sorted(numbers, key=int)] + [name]
         models = [each for each in found if _has_model(folder / each)]
         if models:
-            return models
-    return []
+            yield models
 
 
 def _has_model(folder: pathlib.Path) -> bool:
@@ -308,37 +321,118 @@ def _has_model(folder: pathlib.Path) -> bool:
 
 
 def _chosen_model(folder: pathlib.Path, wanted: str | None) -> pathlib.Path:
-    """The folder of the model that was asked for, or of the one with most pictures; others are told of."""
-    models = _models(folder)
-    if not models:
+    """The folder of the model that was asked for; or of the one with most pictures, in the first of MODEL_FOLDERS with
+    models for pictures of the sizes that are there. Others are told of."""
+    groups = list(_models(folder))
+    if not groups:
         raise MissingFileError(f"{str(folder)!r} holds no COLMAP model ({MARK})")
-    counts = {name: len(read_images(folder / name)) if len(models) > 1 else 0 for name in models}
-    return folder / chosen_part(counts, wanted, folder, "COLMAP model")
+    names = [name for models in groups for name in models]
+    if wanted is not None:
+        return folder / chosen_part(dict.fromkeys(names, 0), wanted, folder, "COLMAP model")
+    chosen = groups[0]
+    if len(names) > 1:
+        fitting = (
+            [name for name in models if _fits(folder, read_model(folder / name, points=False))] for models in groups
+        )
+        chosen = next(filter(None, fitting), chosen)
+    counts = {name: len(read_images(folder / name)) if len(chosen) > 1 else 0 for name in chosen}
+    taken = chosen_part(counts, None, folder, "COLMAP model")
+    others = [name or "." for name in groups[0] if name not in chosen]
+    if others:
+        warn_caller(
+            f"{folder}: the COLMAP model {taken or '.'} is taken, whose cameras are for pictures of the size that is "
+            f"there; those of {listed(others)} are for pictures of another; model= chooses (--model)"
+        )
+    return folder / taken
 
 
-def read(folder: pathlib.Path, *, split: str, masks: bool | str, model: str | None = None, **options: Any) -> Scene:
+def _fits(folder: pathlib.Path, model: Model) -> bool:
+    """Whether a model's cameras are for pictures of the sizes that they have."""
+    return _fitting_count(folder, _picture_folders(folder, model)[0], model) > 0
+
+
+def _fitting_count(folder: pathlib.Path, home: str, model: Model) -> int:
+    """How many of some pictures of a model, in a folder of the scene, have the size that their camera is for, upright
+    or not; 0 where fewer than half have."""
+    bounds, there = Bounds(folder), [image for image in model.images if is_file(folder / home / image.name)]
+    some, count = there[:: max(1, len(there) // COMPARED)], 0
+    for image in some:
+        with contextlib.suppress(ValueError, OSError):  # a damaged one, or one that lies elsewhere
+            size = image_size(bounds.require(inside(folder / home, image.name, ""), ""))
+            camera = model.cameras.get(image.camera)
+            count += camera is not None and camera.size in (size, size[::-1])
+    return count if 2 * count >= len(some) else 0
+
+
+def read(folder: pathlib.Path, *, split: str, model: str | None = None, **options: Any) -> Scene:
     """Read a split: every eighth image, by name, is `test`, the others are `train`. Options as for `load_scene`."""
-    # masks/<name>.png, as COLMAP itself takes it, or masks/<name> is the mask; the bulk of the points the bounds.
     found = read_model(_chosen_model(folder, model))
+    _tell_of_text(found)
     if not found.images:
         raise InputError(f"{found.images_path} holds no images")
-    has_masks = bool(masks) and (folder / "masks").is_dir()
     finder = PictureFinder(folder, _picture_folders(folder, found))
-    views = [_view(folder, finder, found, image, has_masks) for image in found.images]
+    views = [_view(finder, found, image) for image in found.images]
     views = sorted(views_there(views, found.images_path), key=lambda view: str(view.file))
     finder.tell(found.images_path)
     chosen = [views[index] for index in held_out(len(views), split, folder)]
     options |= {"points": found.points, "point_colors": found.colors, "beside": files_of(views)}
-    return make_scene(folder, chosen, masks=masks, **options)
+    return make_scene(folder, chosen, **options)
+
+
+def _tell_of_text(model: Model) -> None:
+    """Warn where text files beside the binary ones that are read, as COLMAP does too, say something else."""
+    cameras, images = (path.with_suffix(".txt") for path in (model.cameras_path, model.images_path))
+    if model.cameras_path.suffix == ".txt" or not (cameras.is_file() and images.is_file()):
+        return
+    try:
+        same = _is_same(model, Model(_cameras_txt(cameras), _images_txt(images), None, None, cameras, images))
+    except InputError:  # of another program, or half edited
+        same = False
+    if not same:
+        warn_caller(
+            f"{model.cameras_path} and {model.images_path.name} are read, and the .txt files beside them say something "
+            "else: remove those that are not wanted"
+        )
+
+
+def _is_same(one: Model, other: Model) -> bool:
+    """Whether two models have the same pictures, lenses and poses, up to the digits of text."""
+    held = [{image.name: image for image in model.images} for model in (one, other)]
+    if held[0].keys() != held[1].keys():
+        return False
+    for name in held[0]:
+        lenses = [model.cameras.get(each[name].camera) for model, each in zip((one, other), held, strict=True)]
+        poses = [
+            each[name].camera_to_world(f"{model.images_path}: image {name!r}")
+            for model, each in zip((one, other), held, strict=True)
+        ]
+        if not np.allclose(*poses, rtol=SAME, atol=SAME) or not _is_same_lens(*lenses):
+            return False
+    return True
+
+
+def _is_same_lens(one: ModelCamera | None, other: ModelCamera | None) -> bool:
+    """Whether two cameras of models are the same."""
+    if (
+        one is None
+        or other is None
+        or (one.model, one.size, len(one.parameters)) != (other.model, other.size, len(other.parameters))
+    ):
+        return one is other
+    return np.allclose(one.parameters, other.parameters, rtol=SAME, atol=SAME)
 
 
 def _picture_folders(folder: pathlib.Path, model: Model) -> list[str]:
-    """The folders of pictures: first the one where most of the model's are, the usual one where none is."""
-    counts = {name: sum(is_file(folder / name / image.name) for image in model.images) for name in PICTURE_FOLDERS}
-    return sorted(PICTURE_FOLDERS, key=counts.__getitem__, reverse=True)
+    """The folders of pictures: first the one where most of the model's are, of its size; the usual one if none is."""
+
+    def order(name: str) -> tuple[int, int]:
+        count = sum(is_file(folder / name / image.name) for image in model.images)
+        return count, _fitting_count(folder, name, model) if count else 0
+
+    return sorted(PICTURE_FOLDERS, key=order, reverse=True)
 
 
-def _view(folder: pathlib.Path, finder: PictureFinder, model: Model, image: ModelImage, has_masks: bool) -> View:
+def _view(finder: PictureFinder, model: Model, image: ModelImage) -> View:
     """One picture of a model with its camera."""
     where = f"{model.images_path}: image {image.name!r}"
     file = finder.find(image.name, where)
@@ -346,8 +440,7 @@ def _view(folder: pathlib.Path, finder: PictureFinder, model: Model, image: Mode
     if camera is None:
         raise InputError(f"{where} has camera {image.camera}, which {model.cameras_path} lacks")
     lens = _lens(camera, f"{model.cameras_path}: camera {image.camera}")
-    mask = _mask_file(folder / "masks", finder.name_of(file), where) if has_masks else None
-    return View(file, image.camera_to_world(where), where, size=camera.size, mask=mask, **lens)
+    return View(file, image.camera_to_world(where), where, size=camera.size, **lens)
 
 
 def _lens(camera: ModelCamera, where: str) -> dict[str, Any]:
@@ -370,10 +463,3 @@ def _lens(camera: ModelCamera, where: str) -> dict[str, Any]:
         return {"intrinsics": intrinsics, "distortion": tuple(given.get(name, 0.0) for name in COEFFICIENTS)}
     first = names.index("cy") + 1
     return {"intrinsics": intrinsics, "lens": Lens(found.lens, tuple(camera.parameters[first:]))}
-
-
-def _mask_file(folder: pathlib.Path, name: str, where: str) -> pathlib.Path:
-    """The mask of a picture; it may not be there."""
-    path = inside(folder, name, where)
-    candidates = [path.with_name(path.name + ".png"), *(path.with_suffix(ending) for ending in PICTURE_ENDINGS)]
-    return next((candidate for candidate in candidates if is_file(candidate)), candidates[0])

@@ -14,7 +14,8 @@ from ...errors import InputError, MissingFileError
 from ..lenses import Intrinsics
 from ..pictures import View, make_scene
 from ..scene import Scene
-from .parsing import held_out, pictures_in
+from ..sizes import chosen_copy
+from .parsing import held_out, numbered_folders, pictures_in
 
 MARK = "poses_bounds.npy beside images/, images_4/ or others"
 FILE = "poses_bounds.npy"
@@ -36,7 +37,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, **options: Any) ->
     if len(file.shape) != 2 or file.shape[1] != 17 or not file.shape[0]:
         raise InputError(f"{path} must be (n, 17), a row for each picture, got {file.shape}")
     rows = file.read().astype(np.float64)
-    images, factor = _pictures_folder(folder, downscale)
+    images, rest = _pictures_folder(folder, downscale)
     pictures = pictures_in(images)
     if len(pictures) != len(rows):
         raise InputError(
@@ -47,22 +48,18 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, **options: Any) ->
     for index in held_out(len(pictures), split, folder):
         where = f"{path}: row {index}"
         views.append(_view(pictures[index], rows[index], where))
-    return make_scene(folder, views, downscale=downscale // factor, **options, beside=pictures)
+    return make_scene(folder, views, downscale=rest, **options, beside=pictures)
 
 
 def _pictures_folder(folder: pathlib.Path, downscale: int) -> tuple[pathlib.Path, int]:
-    """The folder of the pictures that are nearest to a downscale and not below it, and by how much they are smaller."""
-    sizes = {1: folder / "images"} if (folder / "images").is_dir() else {}
-    for path in folder.glob("images_*"):
-        number = path.name.removeprefix("images_")
-        if path.is_dir() and number.isdecimal() and len(number) < 4 and int(number) > 1:
-            sizes[int(number)] = path
-    fitting = [factor for factor in sizes if downscale % factor == 0]
-    if not fitting:
-        there = f", only {', '.join(sizes[factor].name for factor in sorted(sizes))}: give downscale=" if sizes else ""
-        least = min(sizes) if sizes else ""
-        raise MissingFileError(f"{str(folder)!r} holds no pictures in images{there}{least}")
-    return sizes[max(fitting)], max(fitting)
+    """The folder of the pictures that are nearest to a downscale and not below it, and the downscale that is left."""
+    sizes = numbered_folders(folder)
+    if (folder / "images").is_dir():
+        sizes[1] = folder / "images"
+    if not sizes:
+        raise MissingFileError(f"{str(folder)!r} holds no pictures in images/, images_4/ or others")
+    factor, rest = chosen_copy(sizes, downscale, folder)
+    return sizes[factor], rest
 
 
 def _view(file: pathlib.Path, row: np.ndarray, where: str) -> View:

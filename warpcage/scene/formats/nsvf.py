@@ -12,7 +12,7 @@ from ...errors import InputError
 from ..box import Bounds
 from ..pictures import View, make_scene
 from ..scene import Scene
-from .parsing import floats, missing_split, pictures_in, read_text
+from .parsing import floats, intrinsics_of, missing_split, pictures_in, read_text
 
 MARK = "rgb/, pose/ and intrinsics.txt"
 PREFIXES = {"train": "0_", "val": "1_", "test": "2_"}
@@ -43,10 +43,7 @@ def _read_intrinsics(path: pathlib.Path) -> tuple[float, float, float, float]:
     text = read_text(path, "file")
     values = floats(text, str(path))
     if len(values) in (9, 16):
-        k = np.reshape(values, (3, 3) if len(values) == 9 else (4, 4))
-        if k[0, 1] != 0 or k[1, 0] != 0:
-            raise InputError(f"{path}: a camera matrix with skew {k[0, 1]:g} is not read")
-        return k[0, 0], k[1, 1], k[0, 2], k[1, 2]
+        return intrinsics_of(np.reshape(values, (3, 3) if len(values) == 9 else (4, 4)), str(path))
     first = floats(text.strip().splitlines()[0], str(path)) if values else []
     if len(first) not in (3, 4):
         raise InputError(f"{path}: a 4x4 or 3x3 matrix or a line 'f cx cy 0' expected, got {len(values)} numbers")

@@ -17,8 +17,9 @@ import numpy as np
 
 from ...core.checks import listed, shown, warn_caller
 from ...core.files import JSON_ROOM, TEXT_ROOM, read_limited, require_file
-from ...core.names import error_line
+from ...core.names import counted, error_line
 from ...errors import InputError, MissingFileError
+from ..lenses import Intrinsics
 
 #: Endings of pictures, and what is tried where a name has none.
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".avif", ".heic", ".heif")
@@ -111,6 +112,23 @@ def matrix(value: object, shape: tuple[int, int], where: str) -> np.ndarray:
     )
 
 
+def matrix_file(path: pathlib.Path, sides: Sequence[int], text: str | None = None) -> np.ndarray:
+    """The square matrix of a text file, of one of some sides, float64; text: what the file holds, if it was read."""
+    values = floats(read_text(path, "matrix file") if text is None else text, str(path))
+    side = next((each for each in sides if each * each == len(values)), None)
+    if side is None:
+        wanted = " or ".join(f"{each}x{each}" for each in sides)
+        raise InputError(f"{path} must hold a {wanted} matrix, got {len(values)} numbers")
+    return np.reshape(values, (side, side))
+
+
+def intrinsics_of(k: np.ndarray, where: str) -> Intrinsics:
+    """What a camera matrix (3, 3) or (4, 4) says; refused with skew."""
+    if max(abs(k[0, 1]), abs(k[1, 0])) > 1e-6 * abs(k[0, 0]):
+        raise InputError(f"{where}: a camera matrix with skew {k[0, 1]:g} is not read")
+    return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])
+
+
 def inside(folder: pathlib.Path, name: object, where: str) -> pathlib.Path:
     """The path of `name` in `folder`; refused where it is the folder, or leads out of it by its words alone."""
     if not isinstance(name, str) or not name.strip() or "\0" in name or len(name) > 4000:
@@ -133,25 +151,34 @@ class PictureFinder:
         self.homes = [folder / home for home in homes]  # where names begin, the usual one first
         self.places = list(dict.fromkeys([*self.homes, folder / "images", folder]))  # where files of other paths may be
         self.moved: list[str] = []  # names that were found by their ends
+        self.changed: list[str] = []  # names that were found with another ending
+        self._known: dict[pathlib.Path, dict[str, list[pathlib.Path]]] = {}
 
     def find(self, name: object, where: str) -> pathlib.Path:
         """The file of a name, of a picture where it has no ending; it may not be there. ValueError where a name leads
-        out of the folder, and no file in it has its end."""
+        out of the folder, and no file in it has its end, or may be one of several with other endings."""
         usual = None
         with contextlib.suppress(ValueError):
             usual = _with_ending(inside(self.homes[0], name, where))
         if usual is not None and is_file(usual):
             return usual
         if isinstance(name, str):
-            for spelled in _spellings(name):
-                if not _leads_out(self.homes[0], spelled):
-                    found = self._first(self.homes, spelled)
-                else:
-                    found = next(filter(None, (self._first(self.places, end) for end in _ends(spelled))), None)
-                    self.moved += [name] if found else []
-                if found is not None:
-                    return found
+            found = self._spelled(name) or self._of_other_ending(name, where)
+            if found is not None:
+                return found
         return _with_ending(inside(self.homes[0], name, where)) if usual is None else usual
+
+    def _spelled(self, name: str) -> pathlib.Path | None:
+        """The file of a name as it may be meant, or of the end of a path of elsewhere."""
+        for spelled in _spellings(name):
+            if not _leads_out(self.homes[0], spelled):
+                found = self._first(self.homes, spelled)
+            else:
+                found = next(filter(None, (self._first(self.places, end) for end in _ends(spelled))), None)
+                self.moved += [name] if found else []
+            if found is not None:
+                return found
+        return None
 
     def _first(self, folders: Iterable[pathlib.Path], name: str) -> pathlib.Path | None:
         """The first of some folders' files of a name."""
@@ -162,17 +189,50 @@ class PictureFinder:
                     return path
         return None
 
-    def name_of(self, file: pathlib.Path) -> str:
-        """The name of a picture, relative to the folder of pictures that it is in."""
-        home = next(home for home in [*self.homes, file.parent] if file.is_relative_to(home))
-        return str(file.relative_to(home))
+    def _of_other_ending(self, name: str, where: str) -> pathlib.Path | None:
+        """The picture of a name, or of the end of a path of elsewhere, with another ending; what it would be, where its
+        smaller copies alone are there. ValueError for several."""
+        is_moved = _leads_out(self.homes[0], name)
+        for end in _ends(name) if is_moved else [name]:
+            for home in self.places if is_moved else self.homes:
+                path = None
+                with contextlib.suppress(ValueError):  # no name of a file
+                    path = inside(home, end, "")
+                if path is None or path.suffix.lower() not in PICTURE_ENDINGS:
+                    continue
+                found = self._pictures_of(path.parent).get(path.stem, [])
+                if len(found) > 1:
+                    raise InputError(
+                        f"{where}: {shown(name)} is not there, and {listed(sorted(each.name for each in found))} may "
+                        f"each be what it means: name the one in the list, or leave it alone in {str(path.parent)!r}"
+                    )
+                if found or smaller_copies(path, self.folder):
+                    self.moved += [name] if is_moved else []
+                    self.changed += [name] if found else []
+                    return found[0] if found else path
+        return None
+
+    def _pictures_of(self, folder: pathlib.Path) -> dict[str, list[pathlib.Path]]:
+        """The pictures of a folder by their names without ending."""
+        if folder not in self._known:
+            known: dict[str, list[pathlib.Path]] = {}
+            for file in folder.glob("*") if is_folder(folder) else ():
+                if file.suffix.lower() in PICTURE_ENDINGS:
+                    known.setdefault(file.stem, []).append(file)
+            self._known[folder] = known
+        return self._known[folder]
 
     def tell(self, listing: pathlib.Path) -> None:
-        """Warn where pictures were found by the ends of their paths; listing: the file that lists them."""
-        if self.moved:
+        """Warn where pictures were found by the ends of their paths, or with other endings; listing: the file that
+        lists them."""
+        said = [
+            f"{counted(len(names), 'file')} {how}, the first is {shown(names[0])}"
+            for names, how in ((self.moved, "by paths of another folder"), (self.changed, "with another ending"))
+            if names
+        ]
+        if said:
             warn_caller(
-                f"{listing} names {len(self.moved)} files by paths of another folder, the first is "
-                f"{shown(self.moved[0])}: files of these names in {str(self.folder)!r} are taken"
+                f"{listing} names {', and '.join(said)}: files of these names in {str(self.folder)!r} are taken"
             )
 
 
@@ -232,6 +292,42 @@ def _with_ending(path: pathlib.Path) -> pathlib.Path:
     return next((candidate for candidate in candidates if is_file(candidate)), candidates[0])
 
 
+def names_apart(files: Sequence[pathlib.PurePath]) -> list[str]:
+    """Names of different files: those without ending, with as many folders, and then the ending, as it takes to tell
+    all of them apart."""
+
+    def named(count: int, whole: bool) -> list[str]:
+        return ["/".join([*file.parts[-count:-1], file.name if whole else file.stem]) for file in files]
+
+    most = max((len(file.parts) for file in files), default=1)
+    tried = (named(count, whole) for whole in (False, True) for count in range(1, most + 1))
+    return next((names for names in tried if len({*names}) == len(files)), named(most, True))
+
+
+def smaller_copies(file: pathlib.Path, scene: pathlib.Path) -> dict[int, pathlib.Path]:
+    """The smaller copies of a picture of images/, by how many times they are: those of its name, with this ending or
+    another, in images_2/, images_4/ and others beside. scene: the folder of the scene, or a file in it."""
+    home = next((parent for parent in file.parents if parent.name == "images"), None)
+    if home is None or home in (scene, *scene.parents):
+        return {}
+    found = {}
+    for factor, folder in numbered_folders(home.parent).items():
+        path = folder / file.relative_to(home)
+        copies = filter(is_file, [path, *(path.with_suffix(ending) for ending in GUESSED_ENDINGS)])
+        found[factor] = next(copies, None)
+    return {factor: copy for factor, copy in found.items() if copy is not None}
+
+
+def numbered_folders(folder: pathlib.Path) -> dict[int, pathlib.Path]:
+    """The folders images_2, images_4 and others of a folder, by their numbers."""
+    found = {}
+    for path in folder.glob("images_*") if is_folder(folder) else ():
+        number = path.name.removeprefix("images_")
+        if path.is_dir() and number.isdecimal() and len(number) < 4 and int(number) > 1:
+            found[int(number)] = path
+    return found
+
+
 #: What begins the names of masks of what moves, which instant-ngp's scripts write beside the pictures.
 DYNAMIC_MASK = "dynamic_mask_"
 
@@ -253,6 +349,14 @@ def is_file(path: pathlib.Path) -> bool:
         return False
 
 
+def is_folder(path: pathlib.Path) -> bool:
+    """Whether a folder is there; no for names that no folder can have."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
+
+
 def held_out(count: int, split: str, folder: pathlib.Path) -> list[int]:
     """Indices of a split where the format has none: every eighth is `test`, the rest `train`; `all` is both."""
     splits = {
@@ -268,6 +372,15 @@ def held_out(count: int, split: str, folder: pathlib.Path) -> list[int]:
             f"'test', and there is {count}"
         )
     return splits[split]
+
+
+#: Videos have 30 or 60 pictures a second: no more than this are taken, evenly, as nerfstudio does.
+MOST_PICTURES = 300
+
+
+def evenly(count: int) -> list[int]:
+    """Indices of all pictures, or of MOST_PICTURES evenly."""
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_PICTURES)).round().astype(int)).tolist()
 
 
 def chosen_part(counts: dict[str, int], wanted: str | None, where: pathlib.Path, kind: str) -> str:

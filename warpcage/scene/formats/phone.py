@@ -20,6 +20,7 @@ from .parsing import (
     PICTURE_ENDINGS,
     TO_OPENCV,
     chosen_part,
+    evenly,
     floats,
     held_out,
     is_file,
@@ -79,9 +80,6 @@ def _polycam_view(file: pathlib.Path, images: pathlib.Path) -> View:
 
 RECORD3D_MARK = "metadata or metadata.json with poses, beside rgb/ or rgbd/"
 
-#: Captures have 60 pictures a second: no more than this are taken, evenly, as nerfstudio does.
-MOST_PICTURES = 300
-
 
 def is_record3d(folder: pathlib.Path) -> bool:
     """Whether a folder holds a capture of Record3D."""
@@ -98,14 +96,9 @@ def read_record3d(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     if not isinstance(poses, list) or not poses:
         raise InputError(f"{path} holds no poses")
     images = folder / ("rgb" if (folder / "rgb").is_dir() else "rgbd")
-    views = views_there([_record3d_view(path, images, given, poses, index) for index in _evenly(len(poses))], path)
+    views = views_there([_record3d_view(path, images, given, poses, index) for index in evenly(len(poses))], path)
     chosen = [views[index] for index in held_out(len(views), split, folder)]
     return make_scene(folder, chosen, **options, beside=files_of(views), to_source=np.linalg.inv(TO_Z_UP))
-
-
-def _evenly(count: int) -> list[int]:
-    """Indices of all pictures, or of MOST_PICTURES evenly."""
-    return np.unique(np.linspace(0, count - 1, min(count, MOST_PICTURES)).round().astype(int)).tolist()
 
 
 def _metadata(folder: pathlib.Path) -> pathlib.Path | None:
@@ -191,7 +184,7 @@ def read_arkitscenes(folder: pathlib.Path, *, split: str, model: str | None = No
             found.append((file, pose, lens))
     if not found:
         raise InputError(f"{path} has no pose at the time of a picture in {homes[name]} that has intrinsics (.pincam)")
-    taken = [found[index] for index in _evenly(len(found))]
+    taken = [found[index] for index in evenly(len(found))]
     views = [_pincam_view(file, pose, lens, bounds) for file, pose, lens in taken]
     chosen = [views[index] for index in held_out(len(views), split, folder)]
     points = colors = None
@@ -279,7 +272,7 @@ def read_stray(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
     if 2 * len(there) < len(rows):
         raise MissingFileError(f"{path} has poses of {len(rows)} frames, {images} pictures of {len(there)} of them")
     views = []
-    for index in _evenly(len(there)):
+    for index in evenly(len(there)):
         frame = there[index]
         where = f"{path}: frame {frame}"
         x, y, z, *turn = rows[frame]

@@ -12,6 +12,7 @@ from ...core.checks import registered_formats, require_type, shown
 from ...errors import InputError
 from ..scene import Scene
 from . import bundler, colmap, dtu, llff, metashape, nsvf, opensfm, phone, realityscan, transforms
+from .datasets import rooms, splatting, views
 
 #: Where other packages register a SceneFormat, in the entry points of their setup.
 ENTRY_POINTS = "warpcage.scene_formats"
@@ -30,7 +31,8 @@ class SceneFormat:
     round_bounds: bool = False  # whether bounds are those of a ball around the origin
 
 
-#: All that warpcage knows by itself, in the order in which they are tried.
+#: All that warpcage knows by itself, in the order in which they are tried: Nerfies before Record3D, which has a
+#: metadata.json beside rgb/ too.
 BUILT_IN = (
     SceneFormat("blender", transforms.BLENDER_MARK, transforms.is_blender, transforms.read_blender),
     SceneFormat("nsvf", nsvf.MARK, nsvf.is_scene, nsvf.read),
@@ -38,6 +40,7 @@ BUILT_IN = (
     SceneFormat("transforms", transforms.TRANSFORMS_MARK, transforms.is_transforms, transforms.read_transforms),
     SceneFormat("colmap", colmap.MARK, colmap.is_scene, colmap.read, ("model",)),
     SceneFormat("polycam", phone.POLYCAM_MARK, phone.is_polycam, phone.read_polycam),
+    SceneFormat("nerfies", views.NERFIES_MARK, views.is_nerfies, views.read_nerfies),
     SceneFormat("record3d", phone.RECORD3D_MARK, phone.is_record3d, phone.read_record3d),
     SceneFormat("arkitscenes", phone.ARKITSCENES_MARK, phone.is_arkitscenes, phone.read_arkitscenes, ("model",)),
     SceneFormat("stray", phone.STRAY_MARK, phone.is_stray, phone.read_stray),
@@ -46,6 +49,11 @@ BUILT_IN = (
     SceneFormat("bundler", bundler.MARK, bundler.is_scene, bundler.read),
     SceneFormat("realityscan", realityscan.MARK, realityscan.is_scene, realityscan.read),
     SceneFormat("llff", llff.MARK, llff.is_scene, llff.read),
+    SceneFormat("scannet", rooms.SCANNET_MARK, rooms.is_scannet, rooms.read_scannet),
+    SceneFormat("replica", rooms.REPLICA_MARK, rooms.is_replica, rooms.read_replica),
+    SceneFormat("blendedmvs", views.BLENDEDMVS_MARK, views.is_blendedmvs, views.read_blendedmvs),
+    SceneFormat("nerfpp", views.NERFPP_MARK, views.is_nerfpp, views.read_nerfpp),
+    SceneFormat(splatting.NAME, splatting.MARK, splatting.is_output, splatting.read),
 )
 
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from ...core.checks import listed, shown
 from ...core.files import PathLike, require_file
-from ...errors import InputError
+from ...errors import InputError, MissingFileError
 from ...mesh.io.ply import read_ply_points
+from ...view.alignment import Similarity
 from ...view.camera import Camera
 from ...view.pictures import image_size
 from ..box import Bounds
@@ -23,19 +24,24 @@ from .parsing import (
     find_picture,
     frames_of,
     held_out,
+    intrinsics_of,
     matrix,
     missing_split,
+    names_apart,
     number,
     picture_size,
     read_json,
     split_file,
 )
 
-TRANSFORMS_MARK = "transforms.json, or transforms_train.json with fl_x"
+TRANSFORMS_MARK = "transforms.json, or transforms_train.json with fl_x or K"
 
 #: camera_model values that mean a pinhole with or without OpenCV's distortion, and those of lenses that see more.
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 LENSES = ("OPENCV_FISHEYE", "EQUIRECTANGULAR")
+
+#: Pixels by which a camera matrix may differ from what is said beside it: numbers are rounded, half a pixel is moved.
+SAME = 1.0
 
 
 def is_transforms(folder: pathlib.Path) -> bool:
@@ -43,7 +49,61 @@ def is_transforms(folder: pathlib.Path) -> bool:
     if (folder / "transforms.json").is_file():
         return True
     files = sorted(folder.glob("transforms_*.json"))
-    return bool(files) and "fl_x" in read_json(files[0])
+    return bool(files) and _says_intrinsics(read_json(files[0]))
+
+
+#: What exporters call the camera matrix of the file or of a frame: (3, 3) to (4, 4), or 9 or 16 numbers in a row.
+MATRICES = ("K", "camera_matrix", "intrinsic_matrix", "intrinsics", "intrinsic", "camera_intrinsics", "cam_intrinsics")
+
+
+def _says_intrinsics(content: dict) -> bool:
+    """Whether a file, or its first frame, says more of the cameras than an angle of view."""
+    frames = content.get("frames")
+    first = frames[0] if isinstance(frames, list) and frames else None
+    levels = [content, first] if isinstance(first, dict) else [content]
+    return any("fl_x" in level or _matrix_rows(level) is not None for level in levels)
+
+
+def _matrix_rows(values: dict) -> tuple[str, list] | None:
+    """The camera matrix among the values of a file or a frame as lists of rows, and its name; None without one."""
+    for name in MATRICES:
+        rows = values.get(name)
+        if isinstance(rows, list) and len(rows) in (9, 16) and not any(isinstance(each, list) for each in rows):
+            side = 3 if len(rows) == 9 else 4
+            rows = [rows[first : first + side] for first in range(0, len(rows), side)]
+        if isinstance(rows, list) and len(rows) in (3, 4) and all(isinstance(each, list) for each in rows):
+            return name, rows
+    return None
+
+
+def _given(transforms: dict, frame: dict, where: str) -> dict:
+    """What a file says of a frame: its own values before those of the file, camera matrices as fl_x, fl_y, cx, cy."""
+    top = _with_matrix({name: transforms[name] for name in transforms if name != "frames"}, where)
+    own = _with_matrix(frame, where)
+    for axis in "xy":  # an angle of the frame's own goes before the file's focal length
+        if own.get(f"camera_angle_{axis}") is not None and own.get(f"fl_{axis}") is None:
+            top.pop(f"fl_{axis}", None)
+    return {**top, **own}
+
+
+def _with_matrix(values: dict, where: str) -> dict:
+    """Values with what their camera matrix says, which must not be something else than they say themselves."""
+    found = _matrix_rows(values)
+    if found is None:
+        return dict(values)
+    name, rows = found
+    where = f"{where}: {name}"
+    k = matrix(rows, (len(rows), len(rows[0]) if rows[0] else 3), where)
+    if k.shape == (3, 3) and not k[:2, 2].any() and k[2, :2].any():  # column by column, as Record3D has it
+        k = k.T
+    if k.shape not in ((3, 3), (3, 4), (4, 4)) or not np.allclose(k[2, :3], [0, 0, 1], atol=1e-9):
+        raise InputError(f"{where} must be a camera matrix, fx 0 cx, 0 fy cy, 0 0 1, got {shown(rows)}")
+    said = dict(zip(("fl_x", "fl_y", "cx", "cy"), intrinsics_of(k, where), strict=True))
+    for word, value in said.items():
+        other = _optional(values, word, where)
+        if other is not None and abs(other - value) > SAME:
+            raise InputError(f"{where} has {word} {value:g}, beside it {word} is {other:g}: which is right?")
+    return values | said
 
 
 def read_transforms(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
@@ -67,7 +127,7 @@ def read_transforms(folder: pathlib.Path, *, split: str, **options: Any) -> Scen
 
 
 def _view(finder: PictureFinder, transforms: dict, where: str, frame: dict) -> View:
-    given = {**{name: transforms[name] for name in transforms if name != "frames"}, **frame}
+    given = _given(transforms, frame, where)
     model = given.get("camera_model", "OPENCV")
     if model not in (*MODELS, *LENSES):
         raise InputError(f"{where}: camera_model {shown(model)} is not read, only {', '.join((*MODELS, *LENSES))}")
@@ -75,15 +135,12 @@ def _view(finder: PictureFinder, transforms: dict, where: str, frame: dict) -> V
     if "w" in given or "h" in given:
         size = picture_size(_positive(given, "w", where), _positive(given, "h", where), where)
     pose = matrix(_with_last_row(frame.get("transform_matrix")), (4, 4), f"{where}: transform_matrix") @ TO_OPENCV
-    mask = frame.get("mask_path")
-    return View(
-        finder.find(frame.get("file_path"), f"{where}: file_path"),
-        pose,
-        where,
-        size=size,
-        mask=None if mask is None else finder.find(mask, f"{where}: mask_path"),
-        **_lens(given, model, where),
-    )
+    file, mask = finder.find(frame.get("file_path"), f"{where}: file_path"), None
+    if frame.get("mask_path") is not None:
+        mask = finder.find(frame["mask_path"], f"{where}: mask_path")
+        if mask == file:  # by the end of a path of another machine
+            raise MissingFileError(f"{where}: mask_path: {shown(frame['mask_path'])} is not there")
+    return View(file, pose, where, size=size, mask=mask, **_lens(given, model, where))
 
 
 def _lens(given: dict, model: str, where: str) -> dict[str, Any]:
@@ -113,7 +170,7 @@ def frame_intrinsics(given: dict, size: tuple[int, int], where: str) -> Intrinsi
     focal = [_focal(given, axis, side, where) for axis, side in zip("xy", size, strict=True)]
     known = [value for value in focal if value is not None]
     if not known:
-        raise InputError(f"{where} has no fl_x and no camera_angle_x, nor has the file")
+        raise InputError(f"{where} has no fl_x and no camera_angle_x, nor a camera matrix K, nor has the file")
     fx, fy = (known[0] if value is None else value for value in focal)
     cx, cy = (_optional(given, name, where) for name in ("cx", "cy"))
     return fx, fy, size[0] / 2 if cx is None else cx, size[1] / 2 if cy is None else cy
@@ -187,6 +244,30 @@ def _to_source(transforms: dict, path: pathlib.Path) -> np.ndarray | None:
     return np.linalg.inv(applied)
 
 
+#: nerfstudio's file of how it moved a dataset before it was fitted, and what its exports are in.
+FRAME_FILE = "dataparser_transforms.json"
+
+
+#: Scales and shifts of frames are no larger, and scales no smaller than one over it.
+MOST_SCALE = 1e9
+
+
+def read_frame(path: PathLike) -> Similarity:
+    """What takes the coordinates of a dataset, before its applied_transform, to nerfstudio's frame, by its file."""
+    # poses are multiplied by `transform` from the left, which holds applied_transform too, and their places by `scale`
+    path = require_file(path, "frame file")
+    content = read_json(path)
+    rows, where = content.get("transform"), f"{path}: transform"
+    motion = matrix(_with_last_row(rows), (4, 4), where)
+    scale = _positive(content, "scale", str(path))
+    left, lengths, right = np.linalg.svd(motion[:3, :3])
+    if np.abs(lengths - 1.0).max() > 1e-3 or np.linalg.det(left @ right) < 0.0 or (motion[3] != (0, 0, 0, 1)).any():
+        raise InputError(f"{where} must be a turn and a shift: it changes lengths, mirrors, or has another last row")
+    if not (1.0 / MOST_SCALE <= scale <= MOST_SCALE and np.abs(motion[:3, 3]).max() <= MOST_SCALE):
+        raise InputError(f"{path}: a scale of {scale:g} or a shift of {shown(motion[:3, 3].tolist())} is no frame's")
+    return Similarity(scale, left @ right, scale * motion[:3, 3])  # rounded to float32 in the file
+
+
 BLENDER_MARK = "transforms_train.json with camera_angle_x"
 
 
@@ -196,7 +277,7 @@ def is_blender(folder: pathlib.Path) -> bool:
     if not transforms:
         return False
     content = read_json(transforms[0])
-    return "camera_angle_x" in content and "fl_x" not in content
+    return "camera_angle_x" in content and not _says_intrinsics(content)
 
 
 def read_blender(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
@@ -211,11 +292,12 @@ def read_blender(folder: pathlib.Path, *, split: str, **options: Any) -> Scene:
         focal = 0.5 * size[0] / np.tan(0.5 * angle)
         return focal, focal, size[0] / 2, size[1] / 2
 
-    views = []
+    views, finder = [], PictureFinder(folder)
     for where, frame in frames_of(transforms, path):
-        file = find_picture(folder, frame.get("file_path"), f"{where}: file_path")
+        file = finder.find(frame.get("file_path"), f"{where}: file_path")
         pose = matrix(frame.get("transform_matrix"), (4, 4), f"{where}: transform_matrix") @ TO_OPENCV
         views.append(View(file, pose, where, intrinsics))
+    finder.tell(path)
     return make_scene(folder, views, **options)
 
 
@@ -234,7 +316,7 @@ class TransformsCameras:
         """The camera of a frame, in the world of the file: by number from 0, or by its picture, with or without folder
         and ending. size: width and height where the file does not say them; None takes those of the picture."""
         where, frame = self._found(name)
-        given = {**{key: value for key, value in self._content.items() if key != "frames"}, **frame}
+        given = _given(self._content, frame, where)
         if "w" in given and "h" in given:
             width, height = (number(given[side], f"{where}: {side}") for side in "wh")
             width, height = picture_size(width, height, where)
@@ -253,11 +335,16 @@ class TransformsCameras:
             raise InputError(f"{where}: {error}") from None
 
     def _found(self, name: str) -> tuple[str, dict[str, Any]]:
-        if name.isdigit() and int(name) < len(self._frames):
-            return self._frames[int(name)]
+        number = int(name) if name.isdecimal() and len(name) < 10 and int(name) < len(self._frames) else None
+        if number is not None and str(number) == name:
+            return self._frames[number]
         names = [str(frame.get("file_path")) for _, frame in self._frames]
-        short = [pathlib.PurePosixPath(each).stem for each in names]
-        chosen = [index for index, each in enumerate(names) if name in (each, short[index])]
+        paths = [pathlib.PurePosixPath(each) for each in names]
+        short = names_apart(paths) if len({*paths}) == len(paths) else names
+        words = [(names[k], short[k], each.stem, names[k].removesuffix(each.suffix)) for k, each in enumerate(paths)]
+        chosen = [index for index, each in enumerate(words) if name in each]
+        if not chosen and number is not None:
+            chosen = [number]
         if len(chosen) == 1:
             return self._frames[chosen[0]]
         wrong = f"{len(chosen)} frames" if chosen else "no frame"

@@ -1,0 +1,1 @@
+"""Scene folders as data sets of research publish them."""
