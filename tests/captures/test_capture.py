@@ -30,7 +30,7 @@ def test_cameras_of_a_video(walk):
     numbers = np.array([int(name.removeprefix("frame_")) for name in names])
     degrees, off = camera_errors(poses, [true[number] for number in numbers])
     assert report.registered_count == len(names) == 18
-    assert np.median(degrees) < 0.2 and np.median(off) < 0.005, (degrees, off)
+    assert np.median(degrees) < 0.35 and np.median(off) < 0.005, (degrees, off)
     assert (numbers % 6 == 5).sum() == 0 and np.diff(numbers).max() <= 4  # of blurred frames chance takes 3
 
 

@@ -197,7 +197,7 @@ def test_pictures_and_films(folder, capsys):
         (["check", "scene.ply"], "scene.ply holds splats, without faces, no mesh and no cage"),
         (["check", "scene.compressed.ply"], "holds splats"),
         (["cage", "header.ply", "-o", "a.ply"], "cannot be read as a mesh, it is cut off or damaged"),
-        (["render", "cage.obj", "-o", "a.png"], "cage.obj is not an .npz field file: it holds something else"),
+        (["render", "cage.obj", "-o", "a.png"], "cage.obj is no field: fields are .npz (voxels) or "),
         (["render", ".", "-o", "a.png"], "field file '.' is a folder"),
     ],
 )

@@ -191,7 +191,7 @@ def test_cameras_and_poses_with_times_go_together(files, tmp_path):
         (b"\n", "it is empty"),
         (b"\xff\xfe\x00", "it holds no text"),
         (b'{"format": "warpcage cam', "its JSON breaks off or is damaged at line 1, column 12"),
-        (b"[]", "it holds no JSON object"),
+        (b"5", "it holds no JSON object"),
         (b"{}", "it lacks 'format'"),
         (b'{"format": "warpcage cameras", "version": 1}', "it lacks 'cameras'"),
         (b'{"format": "warpcage cameras", "version": 1, "cameras": [7]}', "of another kind than it should be"),

@@ -6,6 +6,8 @@ __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
         "agreement": "agreement_of ahead_share held_groups rays_meet",
+        "scene_check": "camera_doubt",
+        "feature_masks": "still_features",
         "colmap": "Solver expected_seconds time_line",
         "solving": "doubts solve",
         "video": "FrameScores motion pick_frames scan_video sharpness write_frames",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import importlib.metadata
 import json
 import os
@@ -14,20 +15,21 @@ from types import TracebackType
 
 import numpy as np
 
-from ..core.checks import checked_path, checked_whole, listed
+from ..core.checks import checked_flag, checked_path, checked_whole, listed
 from ..core.files import atomic_path, check_parent
 from ..core.names import agreed, counted
 from ..core.reports import Progress, heard
 from ..errors import InputError, MissingFileError
 from ..scene.box_picture import box_text, draw_box
 from ..scene.coverage import draw_coverage, find_coverage
-from ..view.pictures import write_png
+from ..view.pictures import image_size, write_png
 from .colmap import Solver, load_pycolmap
+from .feature_masks import PictureMask, masks_of, write_feature_masks
 from .report import MOST_THUMBNAILS, THUMBNAIL, CaptureReport, make_contact_sheet, make_report
 from .scene_folder import cameras_of, object_box, placed, write_scene
 from .solving import HOW_TO, LEAST_PICTURES, Solution, doubts, solve
 from .sources import Source, chosen_names, read_sources, shrink_factor
-from .video import FrameScores, pick_frames, scan_video, shrink_all, write_frames
+from .video import LEAST_STEP, FrameScores, pick_frames, scan_video, shrink_all, write_frames
 
 #: Counts up when what the folder holds changes its meaning.
 LAYOUT = 1
@@ -86,6 +88,9 @@ def publish(new: pathlib.Path, output: pathlib.Path) -> None:
 #: Fewest features that a usual picture must have.
 LEAST_FEATURES = 40
 
+#: As LEAST_STEP of `pick_frames`, where an object turns before a still wall, which most of a picture shows.
+TURNTABLE_STEP = 0.1 * LEAST_STEP
+
 #: Bounds of the options.
 MOST_FRAMES, LEAST_SIZE, MOST_SIZE = 2000, 100, 8000
 
@@ -95,6 +100,8 @@ def capture(
     output: str | os.PathLike[str],
     *,
     pictures: str | os.PathLike[str] | Sequence[str] | None = None,
+    masks: bool | str | os.PathLike[str] = True,
+    turntable: bool = False,
     frames: int = 120,
     feature_size: int = 800,
     seed: int = 0,
@@ -120,10 +127,16 @@ def capture(
         output: The folder to write, new or empty.
         pictures: Names of the pictures of the folder to use, with or without endings: a list, or a text file with one
             a line. None is all.
+        masks: What hides parts of the pictures, in which no features are looked for: a folder with NAME.png or
+            NAME.jpg.png for picture NAME.jpg (of a video frame_00012.png, for its frame 12, counted from 0), or one
+            picture for all. True takes `masks` in the folder of pictures or beside it, `dynamic_mask_NAME.png` beside a
+            picture, and the pictures' own opacity, by the rules of `load_scene`; False looks at whole pictures. The
+            scene has masks/ and dynamic_mask_NAME.png, and so do fits.
+        turntable: Whether an object turns before a camera that stands still: what stays at its pixels does not count.
         frames: Most frames of a video that are taken.
         feature_size: Longer side at which features are looked for, pixels; larger pictures are shrunk for that. More
             finds cameras more exactly, and takes longer.
-        seed: Seed of what COLMAP draws by lot. The same pictures, up to 200, give the same cameras on the same machine.
+        seed: Seed of COLMAP's random numbers. The same pictures, up to 200, give the same cameras on the same machine.
         progress: Whether bars are shown, and before the matches about how long it takes. A function is told how much is
             done, of how much (0: not known) and of which step, and ends the work by returning False or by raising.
 
@@ -135,7 +148,7 @@ def capture(
         ValueError: For an output that is there, a video that cannot be read, and pictures whose cameras cannot be
             found: too few, too little texture, no overlap; and cameras that come out wrong, torn in parts or inside
             out, by the matches. The message says what to do. Also for names in `pictures` that are not in the folder,
-            and where pycolmap is not installed.
+            and where pycolmap is not installed; for masks of another size than their pictures, or of none of them.
         Cancelled: Where `progress` returned False. The same call continues there.
 
     Warns:
@@ -151,36 +164,54 @@ def capture(
     chosen = None if pictures is None else sorted(set(chosen_names(pictures)))
     if chosen is not None and not source.is_dir():
         raise InputError(f"pictures chooses from a folder of pictures, and {str(source)!r} is a video: give frames")
+    turntable = checked_flag(turntable, "turntable")
+    masked = masks if isinstance(masks, bool) else checked_path(masks, "masks")
     load_pycolmap()
     job = {
         "source": str(source.resolve()),
         "files": _stamps(source),
         "pictures": chosen,
+        "masks": [masked if isinstance(masked, bool) else str(masked.resolve()), *_mask_stamps(source, masked)],
+        "turntable": turntable,
         "frames": frames,
         "feature_size": feature_size,
         "seed": seed,
         "pycolmap": importlib.metadata.version("pycolmap"),
     }
     with heard(None if isinstance(progress, bool) else progress), WorkFolder(output, job) as work:
-        return _capture(source, output, work, chosen, frames, feature_size, seed, progress is True)
+        given = _Given(source, output, work, chosen, masked, turntable, frames, feature_size, seed, progress is True)
+        return _capture(given)
 
 
-def _capture(
-    source: pathlib.Path,
-    output: pathlib.Path,
-    work: pathlib.Path,
-    chosen: list[str] | None,
-    frames: int,
-    feature_size: int,
-    seed: int,
-    progress: bool,
-) -> CaptureReport:
-    video = not source.is_dir()
+@dataclasses.dataclass(frozen=True)
+class _Given:
+    """What is captured, and how: the arguments of `capture`, checked."""
+
+    source: pathlib.Path
+    output: pathlib.Path
+    work: pathlib.Path  # the hidden folder
+    pictures: list[str] | None
+    masks: bool | pathlib.Path
+    turntable: bool
+    frames: int
+    feature_size: int
+    seed: int
+    progress: bool
+
+    @property
+    def is_video(self) -> bool:
+        """Whether the source is a video, not a folder."""
+        return not self.source.is_dir()
+
+
+def _capture(given: _Given) -> CaptureReport:
+    source, output, work, feature_size = given.source, given.output, given.work, given.feature_size
     facts: dict[str, object] = {}
-    sources = _video_sources(source, work, frames, facts, progress) if video else read_sources(source, chosen)
-    _require_several(len(sources), source, video)
-    names, sharp = shrink_all(sources, work / "small", feature_size, progress)
-    solution = _find(source, work, sources, names, video, feature_size, seed, progress)
+    sources = _video_sources(given, facts) if given.is_video else read_sources(source, given.pictures)
+    _require_several(len(sources), source, given.is_video)
+    masks = masks_of(source, sources, given.masks)
+    names, sharp = shrink_all(sources, work / "small", feature_size, given.progress)
+    solution = _find(given, sources, masks, names, facts)
     found = placed(solution.found)
     facts["share_of_matches_that_agree"] = round(solution.agreement.share, 4)
     box = object_box(found)
@@ -189,7 +220,7 @@ def _capture(
     new = work / "scene"
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir()
-    size, reshaped = write_scene(new, sources, sharp, found, feature_size, progress=progress)
+    size, reshaped = write_scene(new, sources, sharp, found, feature_size, masks=masks, progress=given.progress)
     if reshaped:
         facts["pictures_cut_or_turned_to_that_size"] = reshaped
     to_pixels = 1.0 / shrink_factor(size, feature_size)
@@ -198,6 +229,11 @@ def _capture(
     seen = find_coverage(cameras, np.zeros(3))
     report = make_report(output, source.name or str(source), kept, sharp, found, size, to_pixels, facts, seen)
     report.advice.extend(doubts(solution, kept))
+    if given.turntable and (masks is None or not all(mask.opacity or mask.ignored for mask in masks)):
+        report.advice.append(
+            "What stands still was left out where cameras were looked for, and is in the pictures: before a fit, which "
+            "would take it to turn around the object, write masks/NAME.png for each, white where the object is."
+        )
     write_png(new / "box.png", draw_box(cameras, found.points, box))
     write_png(new / "seen.png", draw_coverage(seen, cameras, box.bounds))
     _write_contact_sheet(new / "contact.png", [work / "small" / name for name in names], report)
@@ -221,6 +257,12 @@ def _stamps(source: pathlib.Path) -> list[list[object]]:
     return [[file.name, file.stat().st_size, file.stat().st_mtime_ns] for file in files if file.is_file()]
 
 
+def _mask_stamps(source: pathlib.Path, masks: bool | pathlib.Path) -> list[list[object]]:
+    """The same of the masks of a capture."""
+    homes = [masks] if isinstance(masks, pathlib.Path) else [source / "masks", source.parent / "masks"] if masks else []
+    return [stamp for home in homes if home.exists() for stamp in _stamps(home)]
+
+
 def _require_several(count: int, source: pathlib.Path, video: bool) -> None:
     if count >= LEAST_PICTURES:
         return
@@ -235,12 +277,11 @@ def _require_several(count: int, source: pathlib.Path, video: bool) -> None:
     )
 
 
-def _video_sources(
-    video: pathlib.Path, work: pathlib.Path, count: int, facts: dict[str, object], progress: bool
-) -> list[Source]:
+def _video_sources(given: _Given, facts: dict[str, object]) -> list[Source]:
     """The picked frames of a video, written as pictures."""
+    video, work, progress = given.source, given.work, given.progress
     scores = _kept_scores(video, work / "scores.npz", progress)
-    picked = pick_frames(scores, count)
+    picked = pick_frames(scores, given.frames, TURNTABLE_STEP if given.turntable else LEAST_STEP)
     facts["frames_of_the_video"] = len(scores.times)
     facts["frames_that_cannot_be_decoded"] = scores.broken
     if scores.transfer:
@@ -283,19 +324,19 @@ def _kept_scores(video: pathlib.Path, file: pathlib.Path, progress: bool) -> Fra
 
 
 def _find(
-    source: pathlib.Path,
-    work: pathlib.Path,
+    given: _Given,
     sources: Sequence[Source],
+    masks: Sequence[PictureMask] | None,
     names: list[str],
-    video: bool,
-    feature_size: int,
-    seed: int,
-    progress: bool,
+    facts: dict[str, object],
 ) -> Solution:
     """Cameras and points, from an earlier run where there was one."""
-    from PIL import Image
-
-    sizes = [Image.open(work / "small" / name).size for name in names]
+    source, work, feature_size = given.source, given.work, given.feature_size
+    small = [work / "small" / name for name in names]
+    share = None if masks is None else write_feature_masks(work / "masks", sources, masks, small)
+    if share is not None:
+        facts["share_of_pixels_that_count"] = round(share, 4)
+    sizes = [image_size(file) for file in small]
     cameras = list(dict.fromkeys(each.camera for each in sources))
     groups = [cameras.index(each.camera) for each in sources]
     first = [groups.index(camera) for camera in range(len(cameras))]
@@ -310,26 +351,42 @@ def _find(
         groups,
         focals,
         [sizes[k] for k in first],
-        seed=seed,
-        progress=progress,
+        masks=None if share is None else work / "masks",
+        seed=given.seed,
+        progress=given.progress,
     )
     kept, labels = work / "model", [each.name for each in sources]
+    if kept.is_dir() and given.turntable:
+        solver.leave_out_still()
     if kept.is_dir():
         return solve(solver, work / "mapping", source, labels, kept)
-    features = solver.find_features()
-    usual = float(np.median(features))
-    if usual < LEAST_FEATURES:
-        raise InputError(
-            f"the pictures of {str(source)!r} show too little to hold on to, {usual:.0f} features each: more light, "
-            "sharper pictures, or something with a pattern around the object, such as a newspaper under it, help"
-        )
-    pairs, alike = solver.match(video=video)
+    _require_features(given, solver.find_features(), "" if share is None else " in what masks leave of them")
+    if given.turntable:
+        had, left = solver.leave_out_still().T
+        facts["share_of_features_that_stand_still"] = round(1.0 - float(left.sum()) / max(float(had.sum()), 1.0), 4)
+        _require_features(given, left, f" that turns, where {had.sum() - left.sum()} features stay at their pixels")
+    pairs, alike = solver.match(video=given.is_video)
     if not alike:
         raise InputError(
             f"no two pictures of {str(source)!r} show the same ({pairs} pairs were compared): {HOW_TO}; what shines or "
             "moves cannot be matched"
         )
     return solve(solver, work / "mapping", source, labels, kept)
+
+
+def _require_features(given: _Given, counts: np.ndarray, where: str) -> None:
+    """Raises ValueError for pictures of too few features."""
+    usual = float(np.median(counts))
+    if usual < LEAST_FEATURES:
+        help_by = (
+            "a pattern on the object, or on the turntable under it"
+            if given.turntable
+            else "something with a pattern around the object, such as a newspaper under it,"
+        )
+        raise InputError(
+            f"the pictures of {str(given.source)!r} show too little to hold on to{where}, {usual:.0f} features each: "
+            f"more light, sharper pictures, or {help_by} help"
+        )
 
 
 def _write_contact_sheet(path: pathlib.Path, files: Sequence[pathlib.Path], report: CaptureReport) -> None:

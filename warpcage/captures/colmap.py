@@ -17,6 +17,7 @@ from ..core.names import counted
 from ..core.threads import cpu_threads
 from ..errors import InputError
 from ..scene.pictures import COEFFICIENTS, distort
+from .feature_masks import still_features
 from .sources import StepBar
 
 
@@ -130,7 +131,12 @@ def largest_features(scales: np.ndarray, descriptors: np.ndarray) -> np.ndarray:
     """Descriptors (n, 128) uint8 of the largest features of a picture, by their sizes (n,), as unit vectors.
     Returns (k, 128) float32, k at most LARGEST."""
     chosen = np.argsort(-scales, kind="stable")[:LARGEST]
-    vectors = descriptors[chosen].astype(np.float32)
+    return unit_vectors(descriptors[chosen])
+
+
+def unit_vectors(descriptors: np.ndarray) -> np.ndarray:
+    """Descriptors (k, 128) as float32 of length 1."""
+    vectors = descriptors.astype(np.float32)
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-6)
 
 
@@ -251,10 +257,11 @@ class Solver:
         focals: Sequence[float | None],  # pixels, of each camera; None where not known
         sizes: Sequence[tuple[int, int]],  # width and height of each camera's pictures
         *,
+        masks: pathlib.Path | None = None,  # folder with NAME.png for each NAME, black where no feature counts
         seed: int = 0,
         progress: bool = False,
     ):
-        self.colmap = load_pycolmap()
+        self.colmap, self.masks = load_pycolmap(), masks
         self.database, self.folder, self.names = database, folder, list(names)
         self.groups, self.focals, self.sizes = list(groups), list(focals), list(sizes)
         self.seed, self.progress, self.threads = seed, progress, cpu_threads()
@@ -268,6 +275,7 @@ class Solver:
         options = colmap.FeatureExtractionOptions()
         options.num_threads, options.use_gpu = self.threads, False
         options.sift.max_num_features = MOST_FEATURES
+        reading = {} if self.masks is None else {"reader_options": colmap.ImageReaderOptions(mask_path=self.masks)}
         counts = self._feature_counts()
         left = [name for name, count in zip(self.names, counts, strict=True) if count < 0]
         with self._begin(len(self.names), "features", done=len(self.names) - len(left)) as shown:
@@ -280,9 +288,34 @@ class Solver:
                     image_names=part,
                     extraction_options=options,
                     device=colmap.Device.cpu,
+                    **reading,
                 )
                 shown.update(len(part))
         return np.maximum(self._feature_counts(), 0)
+
+    def leave_out_still(self) -> np.ndarray:
+        """Leave out the features that stay at their pixels, in a copy of the database that all further steps work on.
+        Returns (n, 2) how many each picture had, and has left."""
+        source, self.database = self.database, self.database.with_name("moving.db")
+        if not self.database.exists():
+            with self._opened(source) as database:
+                numbers = self._numbers(database)
+                keypoints = [np.asarray(_array(database.read_keypoints(number))) for number in numbers]
+                described = [database.read_descriptors(number) for number in numbers]
+            vectors = [unit_vectors(np.asarray(_array(each))) for each in described]
+            still = still_features([each[:, :2] for each in keypoints], vectors)
+            unfinished = source.with_name("unfinished.db")
+            shutil.copy(source, unfinished)
+            with self._opened(unfinished) as database:
+                database.clear_keypoints()
+                database.clear_descriptors()
+                for number, points, each, left_out in zip(numbers, keypoints, described, still, strict=True):
+                    each.data = np.ascontiguousarray(np.asarray(each.data)[~left_out])
+                    database.write_keypoints(number, np.ascontiguousarray(points[~left_out]))
+                    database.write_descriptors(number, each)
+            unfinished.replace(self.database)
+        before, after = (self._feature_counts(each) for each in (source, None))
+        return np.stack([before, after], axis=1)
 
     def match(self, *, video: bool) -> tuple[int, int]:
         """Match the pairs of pictures that are worth it and have not been matched; video: pictures follow one another.
@@ -470,9 +503,9 @@ class Solver:
         numbers = {image.name: image.image_id for image in database.read_all_images()}
         return [numbers[name] for name in self.names]
 
-    def _feature_counts(self) -> np.ndarray:
-        """(n,) features of each picture; -1 where they have not been looked for."""
-        with self._opened() as database:
+    def _feature_counts(self, path: pathlib.Path | None = None) -> np.ndarray:
+        """(n,) features of each picture, of another database too; -1 where they have not been looked for."""
+        with self._opened(path) as database:
             return np.array(
                 [
                     database.num_keypoints_for_image(number) if database.exists_keypoints(number) else -1
@@ -481,8 +514,8 @@ class Solver:
             )
 
     @contextlib.contextmanager
-    def _opened(self) -> Iterator[Any]:
-        database = self.colmap.Database.open(self.database)
+    def _opened(self, path: pathlib.Path | None = None) -> Iterator[Any]:
+        database = self.colmap.Database.open(path or self.database)
         try:
             yield database
         finally:

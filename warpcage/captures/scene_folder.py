@@ -11,11 +11,13 @@ import numpy as np
 
 from ..core.threads import cpu_threads
 from ..scene.box import FoundBox, find_box
+from ..scene.formats.parsing import DYNAMIC_MASK
 from ..scene.pictures import distort, undistorted_intrinsics
 from ..scene.save import transforms_frame
 from ..scene.scene import rotation_to
 from ..view.camera import Camera, common_up
 from .colmap import Found, Lens
+from .feature_masks import PictureMask, ignored_pixels, mask_opacity
 from .sources import Source, StepBar, load_upright, shrink_factor
 
 
@@ -113,22 +115,34 @@ def write_scene(
     found: Found,
     feature_size: int,  # longer side that pictures were shrunk to where they are longer, pixels
     *,
+    masks: Sequence[PictureMask] | None = None,
     progress: bool = False,
 ) -> tuple[tuple[int, int], int]:
-    """Write the pictures that have a camera, their cameras and the points to an empty folder, in nerfstudio's
+    """Write the pictures that have a camera, their masks and cameras and the points to an empty folder, in nerfstudio's
     conventions. Returns width and height of the pictures as they are written, and how many had another shape before."""
     chosen = [sources[picture] for picture in found.pictures]
     size = common_size([source.size for source in chosen])
     pinholes = _pinholes(chosen, found, size, feature_size)
     (folder / "images").mkdir()
     frames = []
-    for source, pinhole, pose, picture in zip(chosen, pinholes, found.poses, found.pictures, strict=True):
+    given = [PictureMask() if masks is None else masks[picture] for picture in found.pictures]
+    if any(mask.opacity for mask in given):
+        (folder / "masks").mkdir()
+    for source, pinhole, pose, picture, mask in zip(chosen, pinholes, found.poses, found.pictures, given, strict=True):
         file = f"images/{source.name}{'.png' if source.lossless else '.jpg'}"
         frames.append(transforms_frame(file, pinhole.camera(pose), sharpness=round(float(sharpness[picture]), 4)))
+        if mask.opacity is not None:
+            frames[-1]["mask_path"] = f"masks/{source.name}.png"
     with StepBar(len(chosen), "undistort", progress) as shown, ThreadPoolExecutor(cpu_threads()) as pool:
 
         def write(index: int) -> None:
-            _write_picture(folder / frames[index]["file_path"], chosen[index], pinholes[index])
+            source, pinhole, mask = chosen[index], pinholes[index], given[index]
+            _write_picture(folder / frames[index]["file_path"], source, pinhole)
+            if mask.opacity is not None:
+                _write_mask(folder / frames[index]["mask_path"], mask_opacity(source, mask.opacity), pinhole)
+            if mask.ignored is not None:
+                name = f"images/{DYNAMIC_MASK}{source.name}.png"
+                _write_mask(folder / name, ignored_pixels(source, mask.ignored), pinhole)
 
         for pinhole in dict.fromkeys(pinholes):  # by camera, whose table of pixels is large
             members = [index for index, other in enumerate(pinholes) if other is pinhole]
@@ -177,6 +191,14 @@ def _write_picture(path: pathlib.Path, source: Source, pinhole: Pinhole) -> None
         picture.convert("RGB").save(path, quality=95, subsampling=0)
     else:
         picture.save(path, compress_level=4)
+
+
+def _write_mask(path: pathlib.Path, mask: np.ndarray, pinhole: Pinhole) -> None:
+    """Write a mask (h, w) in [0, 1] as its picture is."""
+    from PIL import Image
+
+    grey = np.repeat(np.rint(255.0 * mask).astype(np.uint8)[..., None], 3, axis=-1)
+    Image.fromarray(pinhole.picture(grey)[..., 0]).save(path, compress_level=4)
 
 
 def placed(found: Found) -> Found:

@@ -15,6 +15,7 @@ from ..core.checks import checked_path, listed, shown
 from ..core.files import require_file
 from ..core.names import agreed
 from ..errors import InputError, MissingFileError
+from ..scene.formats.parsing import DYNAMIC_MASK
 from ..view.pictures import MAX_PIXELS
 
 #: Endings of pictures that are read, and of those that are not but are often there.
@@ -41,7 +42,8 @@ class Source:
     size: tuple[int, int]  # width and height as it is looked at, pixels
     focal: float | None  # focal length that its camera wrote, pixels of that size; None where it says nothing
     camera: tuple  # what pictures of one camera and zoom have in common
-    lossless: bool  # its pixels were kept exactly
+    lossless: bool  # its pixels were kept exactly, or it has opacity
+    has_opacity: bool = False
 
 
 def chosen_names(pictures: str | os.PathLike | Sequence[str]) -> list[str]:
@@ -64,6 +66,7 @@ def read_sources(folder: pathlib.Path, chosen: Sequence[str] | None = None) -> l
     chosen: names of those to use, with or without their endings; None is all."""
     entries = sorted(entry for entry in folder.iterdir() if entry.is_file() and not entry.name.startswith("."))
     files = [entry for entry in entries if entry.suffix.lower() in ENDINGS]
+    files = [file for file in files if not file.name.startswith(DYNAMIC_MASK)]  # of what does not count in a picture
     if not files:
         raise MissingFileError(_no_pictures(folder, entries))
     if chosen is not None:
@@ -132,13 +135,14 @@ def _source(file: pathlib.Path, name: str) -> Source:
         exif = picture.getexif()
         block = exif.get_ifd(EXIF_BLOCK)
         picture.load()
-        kind = str(picture.format)
+        has_opacity = "A" in picture.mode or "transparency" in picture.info
+        lossless = has_opacity or str(picture.format) not in ("JPEG", "MPO", "WEBP")  # the first has no opacity
     size = (height, width) if exif.get(ORIENTATION, 1) in (5, 6, 7, 8) else (width, height)
     equivalent = _positive(block.get(FOCAL_35))
     focal = None if equivalent is None else equivalent * float(np.hypot(width, height)) / FILM_DIAGONAL
     made_by = tuple(str(exif.get(tag, "")).strip("\0 ") for tag in (MAKER, MODEL))
     camera = (size, *made_by, _positive(block.get(FOCAL)), equivalent)
-    return Source(name, file, size, focal, camera, kind not in ("JPEG", "MPO", "WEBP"))
+    return Source(name, file, size, focal, camera, lossless, has_opacity)
 
 
 def _positive(value: object) -> float | None:

@@ -1,4 +1,4 @@
-"""Frames of high dynamic range, as phones film them (HLG, PQ), in the colours of sRGB."""
+"""Frames of videos in the colours of sRGB, those of high dynamic range too, as phones film them (HLG, PQ)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..view.exr import screen_colors
+from ..view.film import one_thread
 
 #: Transfer characteristics of ISO/IEC 23091-2 (H.273) that are tone-mapped, by their numbers: SMPTE ST 2084 and ARIB
 #: STD-B67, the two of BT.2100.
@@ -14,6 +15,9 @@ TRANSFERS = {16: "PQ", 18: "HLG"}
 
 #: Numbers of H.273: matrix and primaries of BT.709, nothing said, and range of all codes.
 _BT709, _UNSAID, _FULL_RANGE = 1, 2, 2
+
+#: Matrices of H.273 other than BT.601's, by their numbers, as PyAV calls them.
+_MATRICES = {_BT709: "ITU709", 4: "FCC", 7: "SMPTE240M"}
 
 #: Shares of red and blue in luma of BT.2020 and BT.709, non-constant luminance.
 _LUMA = {True: (0.2627, 0.0593), False: (0.2126, 0.0722)}
@@ -40,6 +44,13 @@ def transfer_of(frame: Any, context: Any = None) -> str:
         if number is not None and int(number) in TRANSFERS:
             return TRANSFERS[int(number)]
     return ""
+
+
+def plain_picture(frame: Any) -> np.ndarray:
+    """(h, w, 3) uint8 of a frame, as it is stored, by the matrix that it names."""
+    # PyAV 14 takes that of BT.601 whatever the frame says
+    named = _MATRICES.get(int(getattr(frame, "colorspace", _UNSAID) or _UNSAID))
+    return frame.reformat(format="rgb24", src_colorspace=named, **one_thread()).to_ndarray()
 
 
 def mapped_picture(frame: Any, transfer: str) -> np.ndarray:

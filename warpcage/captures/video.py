@@ -16,7 +16,7 @@ from ..core.names import agreed, counted
 from ..core.threads import cpu_threads
 from ..errors import InputError
 from .sources import Source, StepBar, load_upright, shrink_factor
-from .tones import mapped_picture, transfer_of
+from .tones import mapped_picture, plain_picture, transfer_of
 
 #: Pictures are compared at this width or height, whichever is longer, pixels.
 COMPARED_SIZE = 640
@@ -119,11 +119,11 @@ def scan_video(path: pathlib.Path, *, progress: bool = False) -> FrameScores:
     return FrameScores(np.array(times, np.int64), np.array(scores), way, size, broken[0], transfer)
 
 
-def pick_frames(scores: FrameScores, count: int) -> np.ndarray:
-    """Indices (k,) int64, ascending, of at most `count` frames that are worth their while."""
+def pick_frames(scores: FrameScores, count: int, least_step: float = LEAST_STEP) -> np.ndarray:
+    """Indices (k,) int64, ascending, of at most `count` frames that are worth their while, at least a step apart."""
     # The sharpest of each of `count` equal parts of the way, fewer where it is short, however fast the camera moves.
     length = float(scores.way[-1])
-    parts = int(min(count, len(scores.times), max(1, length / LEAST_STEP)))
+    parts = int(min(count, len(scores.times), max(1, length / least_step)))
     part = np.minimum((scores.way / max(length, 1e-12) * parts).astype(np.int64), parts - 1)
     order = np.lexsort((np.arange(len(part)), -scores.sharpness, part))  # by part, then the sharpest first
     first = np.concatenate([[True], np.diff(part[order]) > 0])
@@ -148,7 +148,7 @@ def write_frames(path: pathlib.Path, times: np.ndarray, files: list[pathlib.Path
                 file = missing.pop(frame.pts, None)
                 if file is not None:
                     transfer = transfer_of(frame, context)
-                    stored = mapped_picture(frame, transfer) if transfer else frame.to_ndarray(format="rgb24")
+                    stored = mapped_picture(frame, transfer) if transfer else plain_picture(frame)
                     picture = np.rot90(stored, _quarters(frame))
                     with atomic_path(file) as temporary:
                         Image.fromarray(np.ascontiguousarray(picture)).save(temporary, quality=97, subsampling=0)

@@ -77,6 +77,11 @@ def run_animate(args: argparse.Namespace) -> None:
     if not here and (args.add or shared.is_stage(args.field)):
         raise InputError("--workers and --jobs render a field alone: leave them out where several things are shown")
     field, stage = read_things(args)
+    if not here and getattr(args, "is_moved", False):
+        raise InputError(
+            "--workers and --jobs render the field as its file has it: write it where its dataset is first, with "
+            "warpcage bake --frame"
+        )
     if args.show == "masks":
         require_voxels(field, "--show masks")
     shared.require_fillable(args, field)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import functools
 import pathlib
@@ -12,14 +13,19 @@ from fractions import Fraction
 
 import numpy as np
 
+from ..core.files import errors_of, read_json
 from ..errors import InputError
 from ..films.edits import Deformation
 from ..films.timeline import SIDES, CameraTrack, Timeline, keyed_track, middle, moving_track
 from ..films.words import file_and_name
+from ..render.belonging import SceneViews
 from ..scene.coverage import within_sight
-from ..scene.load import load_scene
+from ..scene.formats.datasets.splatting import CAMERAS, is_output
+from ..scene.formats.datasets.splatting import NAME as SPLATTING
+from ..scene.load import holding_format, load_scene
 from ..splats.splat_field import AnyField
 from ..view.camera import Camera, CameraFile, CameraKey, fitted, framing_orbit
+from ..view.camera_file import camera_program
 from ..view.camera_path import CameraMove, MovingCamera, camera_moves
 from ..view.motion import cameras_along
 from .arguments import options
@@ -48,7 +54,9 @@ def chosen_camera(args: argparse.Namespace, points: np.ndarray) -> Camera:
         if any(given is not None for given in (args.eye, args.target, args.view, args.frame)):
             raise InputError("--camera cannot be combined with --eye, --target, --view or --frame")
         if named := camera_file(args.camera):
-            return fitted_to(Camera.load(*named, size=file_size(args)), args)
+            cameras = _file_cameras(args, named[0])
+            with errors_of(named[0], "camera file"):
+                return fitted_to(cameras.named(named[1]), args)
         return fitted_to(scene_camera(args, args.camera), args)
     width, height = size or DEFAULT_SIZE
     view = {"up": args.up, "fov_degrees": args.fov, "width": width, "height": height}
@@ -78,9 +86,20 @@ def camera_file(text: str) -> tuple[str, str] | None:
 def camera_keys(args: argparse.Namespace, text: str) -> list[CameraKey]:
     """The cameras of a file as keys, at --size where it is given."""
     path, name = camera_file(text) or (text, "")
-    cameras = CameraFile.load(path, size=file_size(args))
-    keys = cameras.path(name)
+    keys = _file_cameras(args, path).path(name)
     return [dataclasses.replace(key, camera=fitted_to(key.camera, args)) for key in keys]
+
+
+def _file_cameras(args: argparse.Namespace, path: str) -> CameraFile:
+    """The cameras of a file; a path of nerfstudio goes along with a field that was taken out of its frame."""
+    file, motion = CameraFile.load(path, size=file_size(args)), getattr(args, "frame_motion", None)
+    if motion is None or not path.lower().endswith(".json"):
+        return file
+    if camera_program(read_json(path, "camera file", (dict, list))) != "nerfstudio":
+        return file
+    moved = motion.moved([key.camera for key in file])
+    keys = [dataclasses.replace(key, camera=camera) for key, camera in zip(file, moved, strict=True)]
+    return CameraFile(keys, fps=file.fps, loop=file.loop)
 
 
 def check_saved(args: argparse.Namespace) -> None:
@@ -147,11 +166,20 @@ def file_size(args: argparse.Namespace) -> tuple[int, int] | None:
 
 
 def scene_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
-    """The cameras that SCENE[:SPLIT] names, in the order of the pictures."""
+    """The cameras that SCENE[:SPLIT] names, in the order of the pictures; without a split all of an output folder of
+    3D Gaussian Splatting."""
     path, split = text, "train"
     if not pathlib.Path(path).exists() and ":" in path:
         path, _, split = path.rpartition(":")
-    return [moved_to_field(args, camera) for camera in _loaded_cameras(path, split)]
+    elif splatting_output(path):
+        return [moved_to_field(args, key.camera) for key in CameraFile.load(pathlib.Path(path) / CAMERAS)]
+    return [moved_to_field(args, camera) for camera in _loaded(path, split).cameras]
+
+
+def splatting_output(path: str) -> bool:
+    """Whether a folder is an output folder of 3D Gaussian Splatting, and no scene of another format."""
+    folder = pathlib.Path(path)
+    return is_output(folder) and holding_format(folder).name == SPLATTING
 
 
 def seen_cameras(args: argparse.Namespace, field: AnyField) -> list[Camera]:
@@ -171,9 +199,26 @@ def seen_cameras(args: argparse.Namespace, field: AnyField) -> list[Camera]:
 
 
 @functools.lru_cache(maxsize=2)
-def _loaded_cameras(path: str, split: str) -> list[Camera]:
-    """The cameras of a scene, without its pictures; a command may ask for them twice."""
-    return load_scene(path, split=split).cameras
+def _loaded(path: str, split: str) -> SceneViews:
+    """The cameras of a scene, with few of its pictures; a command may ask for them twice."""
+    return SceneViews.of(load_scene(path, split=split))
+
+
+def named_scene(args: argparse.Namespace) -> tuple[pathlib.Path, SceneViews] | None:
+    """The folder and the views of the scene whose cameras a command's options name; None where they name none, or one
+    that cannot be read, which is told where its cameras are taken."""
+    camera, _, index = (getattr(args, "camera", None) or "").rpartition(":")
+    path_of_film = None if getattr(args, "turn", None) is not None else getattr(args, "cameras", None)
+    for text in (getattr(args, "scene", None), path_of_film, camera):
+        if not isinstance(text, str) or camera_file(text):
+            continue
+        path, split = (text, "train") if pathlib.Path(text).exists() else text.rpartition(":")[::2]
+        if path and pathlib.Path(path).is_dir():
+            with contextlib.suppress(ValueError, OSError):
+                views = _loaded(path, split)
+                if text != camera or not index.isdigit() or int(index) < len(views.cameras):
+                    return pathlib.Path(path), views
+    return None
 
 
 def moved_to_field(args: argparse.Namespace, camera: Camera) -> Camera:
@@ -188,8 +233,10 @@ def sized_cameras(args: argparse.Namespace, text: str) -> list[Camera]:
 
 
 def scene_camera(args: argparse.Namespace, text: str) -> Camera:
-    """The camera that SCENE:[SPLIT:]INDEX names."""
+    """The camera that SCENE:[SPLIT:]INDEX names; of an output folder of 3D Gaussian Splatting also by its picture."""
     path, separator, index = text.rpartition(":")
+    if separator and splatting_output(path):
+        return moved_to_field(args, Camera.load(pathlib.Path(path) / CAMERAS, index))
     if not separator or not index.isdigit():
         raise InputError(
             f"--camera must be a camera file (.json, .glb, .gltf), SCENE:INDEX or SCENE:SPLIT:INDEX, got {text!r}"

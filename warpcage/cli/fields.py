@@ -72,7 +72,7 @@ def run_bake(args: argparse.Namespace) -> None:
         raise InputError("--frames 1 would write the pose at rest alone: give 2 or more, or leave it out")
     if args.frames is None and of_splats and "##" in output.name:
         raise InputError("-o with # for a number writes numbered files: give --frames, how many")
-    if (args.selection is None and not is_volume) or args.frames is not None:
+    if (args.selection is None and not is_volume and args.frame_file is None) or args.frames is not None:
         shared.require_deformation(args, "bake" if args.frames is None else "--frames")
     elif args.voxels is not None and not is_deformed(args):
         raise InputError("--voxels is for a deformed scene: what is only cut out keeps its voxels")
@@ -98,7 +98,7 @@ def run_bake(args: argparse.Namespace) -> None:
 
 def _bake_stage(args: argparse.Namespace) -> None:
     """Merge the things of a stage file."""
-    given = ("frames", "overwrite", "selection", "cage", "edit", "edits")
+    given = ("frames", "overwrite", "selection", "cage", "edit", "edits", "frame_file")
     if wrong := [name for name in given if getattr(args, name) not in (None, False)]:
         raise InputError(f"--{wrong[0]} does not go with a stage file, whose things are merged as they are")
     output = options.check_output(args.output, (".npz", *shared.splat_outputs()), "field file")

@@ -11,8 +11,10 @@ import numpy as np
 import warp as wp
 
 from ..cage.cage import Cage
+from ..cage.motion import GLTF_ENDINGS
 from ..cage.pose_file import PoseFile
-from ..core.checks import format_lines
+from ..captures.scene_check import camera_doubt
+from ..core.checks import format_lines, listed
 from ..core.files import check_parent, read_json
 from ..core.kernel_files import copy_kernel, find_kernel, kernel_groups, kernel_names, kernel_summary
 from ..core.modules import start_warp
@@ -27,20 +29,32 @@ from ..films.render import require_voxels
 from ..fitting.silhouettes import Silhouettes
 from ..mesh.io import object_names
 from ..mesh.io.formats import mesh_endings, mesh_formats
+from ..mesh.io.gltf_animation import gltf_animation_names, read_gltf_motion
+from ..mesh.io.usd import read_usd_motion
 from ..scene.box import scene_box
 from ..scene.box_picture import box_text, draw_box
 from ..scene.coverage import draw_coverage, find_coverage
+from ..scene.formats.datasets.splatting import CAMERAS, is_output, iterations, source_of, trained_background
 from ..scene.formats.table import format_lines as scene_lines
+from ..scene.formats.transforms import FRAME_FILE
 from ..scene.load import holding_format, load_scene, scene_around
 from ..scene.scene import Scene
 from ..splats.io import is_splat_file, splat_path
-from ..splats.io.formats import endings_read, format_to_read, splat_formats
+from ..splats.io.contents import bounded_values
+from ..splats.io.formats import SplatFormat, endings_read, format_to_read, splat_formats
+from ..splats.io.gltf import gltf_counts
+from ..splats.io.usd import USD_ENDINGS, usd_counts
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera, CameraFile
+from ..view.camera_file import camera_program
 from ..view.pictures import contact_sheet, shrink, write_png
 from . import shared
 from .arguments import options
 from .arguments.info import SHEET_PICTURES, SHEET_SIDE
+from .cameras import named_scene, splatting_output
+
+#: Plurals of what stages hold, where an s does not make them.
+_PLURALS = {"mesh": ("mesh", "meshes"), "prim of splats": ("prim of splats", "prims of splats")}
 
 #: Names and values, one per printed line.
 Rows = list[tuple[str, object]]
@@ -52,7 +66,10 @@ def run_info(args: argparse.Namespace) -> None:
     box = None if args.box is None else options.check_output(args.box, (".png",), "picture")
     args.seen = None if args.seen is None else options.check_output(args.seen, (".png",), "picture")
     path = None if args.field is None else pathlib.Path(args.field)
-    of_splats = path is not None and path.exists() and is_splat_file(path)
+    of_pictures = path is not None and path.is_dir() and (sheet or box or args.seen)
+    of_splats = path is not None and path.exists() and is_splat_file(path) and not of_pictures
+    if path is not None and is_output(path) and not splatting_output(str(path)):
+        of_splats = False  # a scene that its splats were written to
     if not (path is not None and path.is_dir() and not of_splats):
         if sheet is not None:
             raise InputError(f"--sheet shows the pictures of a scene folder, got {args.field!r}")
@@ -63,13 +80,15 @@ def run_info(args: argparse.Namespace) -> None:
     if path is None:
         rows = _machine()
     elif of_splats:
-        rows = _splats(splat_path(path))
+        rows = _splats(splat_path(path), args) + (_output(path) if path.is_dir() else [])
     elif path.is_dir():
-        rows = _scene(path, args, sheet, box)
+        rows = _scene(path, args, sheet, box) + (_output(path) if is_output(path) else [])
     elif not path.exists():
         raise MissingFileError(f"file {args.field!r} is not there")
     elif path.suffix.lower() == ".npz":
         rows = _field(path, args)
+    elif path.suffix.lower() in USD_ENDINGS and not (path.suffix.lower() != ".usdz" and usd_counts(path)["mesh"]):
+        rows = [("kind", "stage of USD"), *_held(path), ("file", _file_size(path))]
     elif path.suffix.lower() in mesh_endings():
         rows = _cage(path)
     elif path.suffix.lower() == ".json":
@@ -134,14 +153,19 @@ def _field(path: pathlib.Path, args: argparse.Namespace) -> Rows:
     ]
 
 
-def _splats(path: pathlib.Path) -> Rows:
-    field = SplatField.load(path)
-    layout = field.contents.layout
+def _splats(path: pathlib.Path, args: argparse.Namespace) -> Rows:
+    of_file = SplatField.load(path, device=shared.chosen_device(args))
+    args.field, layout, beside = str(path), of_file.contents.layout, path.parent / FRAME_FILE
+    field = shared.in_world_of_scene(args, of_file, named_scene(args))
+    assert isinstance(field, SplatField)
     return [
         ("kind", "splats"),
         ("format", format_to_read(path).name),
+        *_held(path),
         ("splats", field.splat_count),
         ("harmonics", f"degree {field.degree}"),
+        *_ranges(of_file, format_to_read(path)),
+        *([("frame", f"of nerfstudio, as {beside} says: --frame takes it out")] if beside.is_file() else []),
         ("bounds", _box(*field.bounds)),
         ("most of it in", _box(*field.shown_bounds)),
         ("scales", _range(field.scales, "world units")),
@@ -151,6 +175,68 @@ def _splats(path: pathlib.Path) -> Rows:
         ("up", field.up.round(3).tolist()),
         ("file", _file_size(path)),
     ]
+
+
+def _ranges(field: SplatField, format: SplatFormat) -> Rows:
+    """Numbers of splats that formats bound, what that of the file holds, and how many may have been cut."""
+    rows: Rows = []
+    for what, values in bounded_values(field.contents).items():
+        text = _range(values, "").strip()
+        if what in format.ranges and values.size:
+            low, high, step = format.ranges[what]
+            ends = int(np.count_nonzero((values < low + 0.25 * step) | (values > high - 0.25 * step)))
+            text += f"; {format.endings[0]} holds {low:.4g} to {high:.4g}" + f", {ends} at its ends" * (ends > 0)
+        rows.append((what, text))
+    return rows
+
+
+def _output(folder: pathlib.Path) -> Rows:
+    """What else an output folder of 3D Gaussian Splatting holds; nothing for other folders of splats."""
+    found = iterations(folder)
+    if not found:
+        return []
+    rows: Rows = [("iterations", f"{', '.join(map(str, found))}" + ": the newest is read" * (len(found) > 1))]
+    if (folder / CAMERAS).is_file():
+        cameras = [key.camera for key in CameraFile.load(folder / CAMERAS)]
+        last = len(cameras) - 1
+        sizes = listed(dict.fromkeys(f"{camera.width}x{camera.height}" for camera in cameras), 3)
+        rows.append(("cameras", f"{len(cameras)} of {sizes}: --camera {folder}:0 to :{last}"))
+    rows.append(("background", trained_background(folder) or "not known"))
+    try:
+        return [*rows, ("pictures", source_of(folder))]
+    except FileNotFoundError as error:
+        return [*rows, ("pictures", str(error).removeprefix(f"{folder}: "))]
+
+
+def _held(path: pathlib.Path) -> Rows:
+    """What is in a stage of USD or the scene of a glTF file, and how long what moves takes."""
+    ending = path.suffix.lower()
+    if ending not in (*USD_ENDINGS, *GLTF_ENDINGS):
+        return []
+    counts = usd_counts(path) if ending in USD_ENDINGS else gltf_counts(path)
+    named = [counted(count, *_PLURALS.get(kind, (kind,))) for kind, count in counts.items() if count]
+    rows: Rows = [("holds", listed(named, none="no mesh, camera, skeleton or splats"))]
+    if not counts["mesh"] or ending == ".usdz":
+        return rows
+    names = gltf_animation_names(path) if ending in GLTF_ENDINGS else []
+    for name in names or [""]:
+        rows += _frames(path, name)
+    return rows
+
+
+def _frames(path: pathlib.Path, name: str) -> Rows:
+    """How many frames an animation has, "" for the one without a name, and how long they take; or the shapes."""
+    read = read_usd_motion if path.suffix.lower() in USD_ENDINGS else read_gltf_motion
+    try:
+        motion = read(path, name)
+    except ValueError as error:
+        return [("moves", f"cannot be read: {error}")]
+    if motion is None:
+        return []
+    if motion.times is None:
+        return [("shapes", listed(motion.names))]
+    long = f"{motion.times[-1]:.4g} s, {motion.fps:.6g} a second"
+    return [(f"animation {name!r}" if name else "moves", f"{counted(len(motion.times), 'frame')} in {long}")]
 
 
 def _turn(straightening: np.ndarray | None) -> str:
@@ -184,6 +270,7 @@ def _cage(path: pathlib.Path) -> Rows:
         state = f"no: {error}"
     return [
         ("kind", "cage"),
+        *_held(path),
         ("vertices", len(cage.vertices)),
         ("faces", len(cage.faces)),
         ("edges", len(cage.edges)),
@@ -202,7 +289,7 @@ def _objects(path: pathlib.Path, names: list[str]) -> Rows:
         cage = Cage.load(path, object=name)
         counts = f"{counted(len(cage.vertices), 'vertex', 'vertices')}, {counted(len(cage.faces), 'face')}"
         rows.append((f"object {name!r}", f"{counts}, {_box(*cage.bounds)}"))
-    return [*rows, ("file", _file_size(path))]
+    return [*rows, *_held(path), ("file", _file_size(path))]
 
 
 def _json(path: pathlib.Path) -> Rows:
@@ -210,7 +297,9 @@ def _json(path: pathlib.Path) -> Rows:
     kinds = {"warpcage poses": _poses, "warpcage cameras": _cameras, "warpcage edits": _edits}
     kinds |= {"warpcage stage": _stage, "warpcage place": _place}
     try:
-        content = read_json(path, "file of warpcage")
+        content = read_json(path, "file of warpcage", (dict, list))
+        if program := camera_program(content):
+            return [("kind", f"cameras of {program}"), *_cameras(path)[1:]]
         kind = content.get("format", "warpcage place" if content.keys() & PLACE_WORDS else None)  # made by hand
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
@@ -304,8 +393,8 @@ def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | N
         ("format", form),
         ("split", args.split),
         ("pictures", f"{len(scene)} of {' to '.join(f'{w}x{h}' for w, h in dict.fromkeys((sizes[0], sizes[-1])))}"),
-        ("colours", _range(scene.images, "of 1")),
-        ("opacity", "no" if scene.alphas is None else f"yes, {100 * float(scene.alphas.mean()):.1f} % covered"),
+        ("colours", _range(np.array([[image.min(), image.max()] for image in _cut(scene, scene.images)]), "of 1")),
+        ("opacity", "no" if scene.alphas is None else f"yes, {_percent(scene, scene.alphas)} covered"),
         ("focal length", _range(focal, "pixels")),
         ("cameras in", _box(centers.min(axis=0), centers.max(axis=0))),
         ("up", scene.up.round(3).tolist()),
@@ -315,10 +404,23 @@ def _scene(path: pathlib.Path, args: argparse.Namespace, sheet: pathlib.Path | N
         ("memory", f"{(scene.images.nbytes + (0 if scene.alphas is None else scene.alphas.nbytes)) / 1e6:.0f} MB"),
     ]
     if scene.weights is not None:
-        rows.append(("ignored", f"{100 * float((scene.weights == 0.0).mean()):.1f} % of pixels"))
+        rows.append(("ignored", f"{_percent(scene, scene.weights == 0.0)} of pixels"))
+    if (doubt := camera_doubt(scene)) is not None:
+        rows.append(("doubtful", doubt))
     if sheet is not None:
         rows.append(("sheet", _write_sheet(scene, sheet)))
     return rows
+
+
+def _cut(scene: Scene, array: np.ndarray) -> list[np.ndarray]:
+    """What belongs to each picture of a scene of an array as large as the images."""
+    return [scene.cut(index, array[index]) for index in range(len(scene))]
+
+
+def _percent(scene: Scene, shares: np.ndarray) -> str:
+    """The mean of shares (n, h, w) over the pixels of all pictures."""
+    parts = _cut(scene, shares)
+    return f"{100 * sum(float(part.sum()) for part in parts) / sum(part.size for part in parts):.1f} %"
 
 
 def _seen(
@@ -398,5 +500,5 @@ def run_kernels(args: argparse.Namespace) -> None:
             print(f"  {path}")
     if host:
         print(f"  {destination / 'host'}: {counted(len(host), 'module')} that launch kernels")
-    if not args.alone:
-        print(f"a call that runs as it stands: {destination / name.partition('/')[0] / 'README.md'}")
+    what = "what kernels take, and how they are launched" if args.alone else "a call that runs as it stands"
+    print(f"{what}: {destination / name.partition('/')[0] / 'README.md'}")

@@ -26,7 +26,7 @@ from ..view.exr import require_openexr
 from ..view.film import FILM_ENDINGS, film_size, require_clear_film
 from ..view.frame_parts import MASKS
 from ..view.motion import cameras_along
-from ..view.pictures import write_png
+from ..view.pictures import picture_cuts, write_png
 from . import shared
 from .arguments import options
 from .arguments.render import STEPS
@@ -220,11 +220,19 @@ def run_render(args: argparse.Namespace) -> None:
     shared.set_lattice(args, camera)
     film = film_of(args, [camera], posed_moment(args, field, deformation, things))
     image, frame, _ = film.taken(0)
-    write, _ = picture_task(output, image, frame, camera)
-    write()
+    with picture_cuts(output) as cuts:
+        write, _ = picture_task(output, image, frame, camera, cuts)
+        write()
     for kind, path in extra.items():
         write_png(path, frame_parts.picture(frame, kind))
     save_cameras(args, [camera])
+    if not (frame.alpha > 0.0).any():
+        places = " to ".join(str(corner.round(3).tolist()) for corner in field.bounds)
+        print(
+            f"warpcage: warning: nothing is in the picture: the camera at {camera.center.round(3).tolist()} looks "
+            f"elsewhere than where the field's matter is, {places}",
+            file=sys.stderr,
+        )
     if args.save_stage is not None and things is not None:
         things.stage.save(args.save_stage)
     names = " and ".join(map(str, [output, *extra.values()]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import pathlib
 
 from ..captures.capture import capture
 from ..core.files import atomic_path
@@ -22,6 +23,8 @@ from ..fitting.evaluation import (
 )
 from ..fitting.fit import fit
 from ..fitting.memory import memory_size
+from ..render.belonging import SceneViews
+from ..scene.formats.datasets.splatting import is_output
 from ..splats.splat_field import SplatField
 from ..view.pictures import side_by_side, write_png
 from . import shared
@@ -33,6 +36,8 @@ def run_capture(args: argparse.Namespace) -> None:
         args.source,
         args.output,
         pictures=args.pictures,
+        masks=args.masks,
+        turntable=args.turntable,
         frames=args.frames,
         feature_size=args.feature_size,
         seed=args.seed,
@@ -47,11 +52,16 @@ def run_capture(args: argparse.Namespace) -> None:
 def run_evaluate(args: argparse.Namespace) -> None:
     report = None if args.json is None else options.check_output(args.json, (".json",), "report")
     worst = None if args.worst is None else options.check_output(args.worst, (".png",), "picture")
+    if args.scene is None:
+        if not is_output(pathlib.Path(args.field)):
+            raise InputError("give the folder of the scene: only output folders of 3D Gaussian Splatting name theirs")
+        args.scene = args.field
     options.require_folder(args.scene)
-    field = shared.read_field(args)
+    field = shared.read_field_file(args)
 
     background = field.background if args.background is None else args.background
     scene = shared.read_scene(args, background)
+    field = shared.in_world_of_scene(args, field, (pathlib.Path(args.scene), SceneViews.of(scene)))
     scene, given = in_world_of(field, scene), None
     if args.tune_cameras:
         scene = tuned_scene(require_voxels(field, "--tune-cameras"), scene)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import pathlib
 import re
+import sys
 from fractions import Fraction
 from typing import Any
 
@@ -16,7 +17,7 @@ from ..cage.cage import Cage
 from ..cage.up_axis import object_points
 from ..core.checks import warn_caller
 from ..core.devices import resolve_device
-from ..core.files import read_json, require_file
+from ..core.files import PathLike, read_json, require_file
 from ..core.names import BACKGROUNDS, TRANSPARENT
 from ..deform.deformer import Deformer
 from ..deform.stage import Stage
@@ -33,15 +34,19 @@ from ..films.edits import Deformation, EditReader, Keyframes, PosedEdit, named, 
 from ..films.render import Look
 from ..films.timeline import Things, shown_corners
 from ..mesh.queries import inside_mesh
+from ..render.belonging import SceneViews, likeness, mismatch, moved_field, out_of_frame
 from ..render.surface_mesh import load_thing
+from ..scene.formats.transforms import FRAME_FILE, read_frame
 from ..scene.load import load_scene
 from ..scene.scene import Scene
 from ..splats.io import is_splat_file, splat_path
 from ..splats.io.formats import endings_written
-from ..splats.splat_field import AnyField, load_field
+from ..splats.splat_field import AnyField, SplatField, load_field
+from ..view.alignment import Similarity
 from ..view.camera import Camera
 from .arguments import options
 from .arguments.options import CAGE_ENDINGS, positive_float
+from .cameras import named_scene
 
 
 def edit_reader(
@@ -180,8 +185,13 @@ def chosen_device(args: argparse.Namespace) -> wp.Device:
 
 
 def read_field(args: argparse.Namespace) -> AnyField:
-    """The field file of a command, voxels or splats, on the chosen device; sets `args.straightening`, and `args.up`
-    where --up is not given."""
+    """The field file of a command, voxels or splats, on the chosen device, in the world of the scene that its options
+    name; sets `args.straightening`, and `args.up` where --up is not given."""
+    return in_world_of_scene(args, read_field_file(args), named_scene(args))
+
+
+def read_field_file(args: argparse.Namespace) -> AnyField:
+    """The same in the coordinates of its file."""
     args.field = str(splat_path(args.field))
     require_file(args.field, "field file")  # before Warp starts, which takes a while
     if is_splat_file(args.field):
@@ -195,6 +205,48 @@ def read_field(args: argparse.Namespace) -> AnyField:
         args.up = tuple(field.up)
     args.straightening = field.straightening  # cameras of scenes are moved by it
     return field
+
+
+def in_world_of_scene(
+    args: argparse.Namespace, field: AnyField, named: tuple[pathlib.Path, SceneViews] | None
+) -> AnyField:
+    """A field taken out of nerfstudio's frame where that is asked for, or a file beside says so and it then shows the
+    scene's pictures; told like fields that do not. named: folder and views of the scene, in the world of its files."""
+    source = None if named is None else named[1].to_source
+    given = getattr(args, "frame_file", None)
+    if given is not None:
+        frame = read_frame(given)
+        motion = out_of_frame(frame, source)
+        field = moved_field(field, motion)
+        _say_moved(args, given, frame, motion)
+    if named is None:
+        return field
+    folder, views = named[0], named[1].moved(field.straightening)
+    if (words := mismatch(field, views)) is None:
+        return field
+    beside = {path.resolve(): path for path in (pathlib.Path(args.field).parent / FRAME_FILE, folder / FRAME_FILE)}
+    for path in beside.values() if given is None and isinstance(field, SplatField) else ():
+        if path.is_file():
+            frame = read_frame(path)
+            motion = out_of_frame(frame, source)
+            if not likeness(field, views.glimpses, motion).is_doubtful:
+                _say_moved(args, path, frame, motion)
+                return moved_field(field, motion)
+            words += f", nor does {path}"
+    print(
+        f"warpcage: warning: {args.field} and the cameras of {folder} do not belong together: {words}", file=sys.stderr
+    )
+    return field
+
+
+def _say_moved(args: argparse.Namespace, path: PathLike, frame: Similarity, motion: Similarity) -> None:
+    """Tell that a field was taken out of nerfstudio's frame; set `args.is_moved`, and `args.frame_motion` by which."""
+    args.is_moved, args.frame_motion = True, motion  # camera paths of nerfstudio go along
+    print(
+        f"warpcage: {args.field} is taken out of nerfstudio's frame by {path}: {1.0 / frame.scale:.4g} times as large, "
+        "turned and moved to where its dataset is",
+        file=sys.stderr,
+    )
 
 
 def read_scene(args: argparse.Namespace, background: str | ArrayLike, orient: str | None = None) -> Scene:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.devices import launch, module_block_dim
+from ..core.devices import launch, launch_off_tape, module_block_dim
 from ..core.files import require_numbers
 from ..core.locks import device_turn
 from ..core.modules import Kernel, require_loaded
@@ -283,8 +283,11 @@ class Batches:
 
     def psnr(self) -> float:
         """PSNR in dB of the last batch over all pixels that count: those that see no voxel count as right."""
-        total = self.tile_total if self.counted is None else int(self.counted.sum())
-        error = float(self.squared_error.numpy().mean()) / 3.0 * self.active_tiles / total
+        side = self.rays.tile_size
+        rows, columns = (np.minimum(side, n - np.arange(0, n, side)) for n in (self.rays.height, self.rays.width))
+        pixels = np.tile(np.outer(rows, columns).ravel(), self.rays.cameras.shape[0])  # of each tile: less at the edges
+        total = int(pixels.sum() if self.counted is None else pixels[self.counted].sum())
+        error = float(self.squared_error.numpy().mean()) / 3.0 * self.active_tiles * side**2 / total
         return -10.0 * math.log10(max(error, LEAST_ERROR))
 
 
@@ -326,11 +329,11 @@ def launch_shards(works: Sequence[ShardedWork], shards: int, device: wp.Device) 
                 if stopped.is_set():
                     return
                 begin, end = (work.items * edge for edge in (part, min(part + most, last)))
-                wp.launch(
+                launch_off_tape(
                     work.kernel,
-                    dim=end - begin,
-                    inputs=[begin, *work.inputs],
-                    outputs=list(work.outputs[shard]),
+                    end - begin,
+                    [begin, *work.inputs],
+                    list(work.outputs[shard]),
                     device=device,
                     block_dim=module_block_dim(work.kernel),
                 )

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import logging
 import os
 import pathlib
 import sys
 import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Literal, overload
 
+import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..core.checks import checked_path
+from ..captures.scene_check import camera_doubt
+from ..core.checks import checked_path, require_type, warn_caller
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
 from ..core.reports import Progress, hears, is_heard, span_text, tell
@@ -23,8 +29,9 @@ from ..scene.scene import Scene
 from ..splats.splat_field import SplatField
 from ..view.pictures import side_by_side, write_png
 from . import checkpoint as voxel_checkpoint
+from .batches import counted_pixels
 from .checkpoint import require_writable
-from .evaluation import comparison
+from .evaluation import comparison, evaluate, mean_psnr
 from .memory import memory_text
 from .optimizer import FieldOptimizer
 from .options import FitNames, checked_options
@@ -40,6 +47,9 @@ _log = logging.getLogger(__name__)
 
 #: Seconds between two updates of the progress bar.
 SHOWN_EVERY = 1.0
+
+#: Pixels of the pictures that its last line is about, at most, but one picture at least: a few seconds on a CPU.
+LAST_PIXELS = 2_000_000
 
 #: What a fit can make of pictures.
 REPRESENTATIONS = ("voxels", "splats")
@@ -82,8 +92,9 @@ def fit(
             and for little elsewhere.
         device: Warp device. None is CUDA where there is one.
         seed: Of the pixel order and the backgrounds; see FieldOptimizer.
-        progress: True shows a bar with the PSNR of the last batch on stderr. A function is told (done, total, words),
-            in steps, and ends the fit by returning False or by raising; a checkpoint stays then as it was last written.
+        progress: True shows a bar with the PSNR of the last batch on stderr, and at the end that of the field over some
+            of the pictures, as `evaluate` has it. A function is told (done, total, words), in steps, and ends the fit
+            by returning False or by raising; a checkpoint stays then as it was last written.
         bounds: (2, 3) box of the object, world units, for voxels. None finds it: the visual hull where the images have
             alpha.
         checkpoint: File (.npz) that holds the progress, always whole. The fit goes on from a file that is there, and
@@ -103,11 +114,17 @@ def fit(
         ValueError: For a scene with nothing in it, options out of range, too little memory, or a checkpoint of another
             scene or other options.
         Cancelled: Where `progress` returned False.
+
+    Warns:
+        UserWarning: For cameras that what matches in some of the pictures disagrees with, or that look at places of
+            which hardly a picture shows two.
     """
     held = None if checkpoint is None else require_writable(checkpoint)
     picture = None if preview is None else _preview_path(preview)
     if representation not in REPRESENTATIONS:
         raise InputError(f"representation must be one of {', '.join(REPRESENTATIONS)}, got {representation!r}")
+    require_type(scene, Scene, "a fit needs")
+    looking = None if held is not None and held.exists() else _beside(functools.partial(camera_doubt, scene))
     turn = device_turn(resolve_device(device))
     kept: Any = voxel_checkpoint if representation == "voxels" else splat_checkpoint
     optimizer: FieldOptimizer | SplatFit
@@ -130,6 +147,9 @@ def fit(
     pace = optimizer.pace() if isinstance(optimizer, FieldOptimizer) else None
     while optimizer.step_count < optimizer.total_steps:
         tell(optimizer.step_count, optimizer.total_steps, words)
+        if looking is not None and looking.done():
+            _warn_of(looking)
+            looking = None
         if pace is None or not isinstance(optimizer, FieldOptimizer):
             optimizer.step()
         elif pace.time(optimizer.step):
@@ -154,7 +174,13 @@ def fit(
     optimizer.measure_psnr()
     if optimizer.coarser:
         _say(optimizer.coarser, progress)
+    if looking is not None:
+        _warn_of(looking)
     field = optimizer.finish()
+    if is_heard():
+        cameras = optimizer.cameras if isinstance(optimizer, FieldOptimizer) else scene.cameras
+        decibels = _last_psnr(field, dataclasses.replace(scene, cameras=cameras))
+        tell(optimizer.step_count, optimizer.total_steps, f"fit: {decibels:.2f} dB, {optimizer.size_text}")
     if held is not None:
         held.unlink(missing_ok=True)
     if picture is not None:
@@ -162,11 +188,36 @@ def fit(
     return field
 
 
+def _beside(look: Callable[[], str | None]) -> Future[str | None]:
+    """What a look at the pictures finds, in a thread of its own: it takes seconds, in which a GPU fits half a scene."""
+    pool = ThreadPoolExecutor(1, "warpcage-cameras")
+    found = pool.submit(look)
+    pool.shutdown(wait=False)
+    return found
+
+
+def _warn_of(looking: Future[str | None]) -> None:
+    """Warn of what a look has found, if anything; wait for it."""
+    if (doubt := looking.result()) is not None:
+        warn_caller(doubt)
+
+
+def _last_psnr(field: VoxelField | SplatField, scene: Scene) -> float:
+    """Mean PSNR, dB, of a field over pictures evenly among those that count, as `evaluate` has it."""
+    counting = np.arange(len(scene))
+    if scene.weights is not None:
+        counting = counting[scene.weights.any(axis=(1, 2))]
+    size = np.mean([scene.cameras[view].width * scene.cameras[view].height for view in counting])
+    places = np.linspace(0, len(counting) - 1, int(np.clip(LAST_PIXELS // size, 1, len(counting))))
+    views = scene.subset(counting[places.round().astype(int)].tolist())
+    return mean_psnr(evaluate(field, views, progress=lambda *_: None))  # part of the fit, without a bar of its own
+
+
 def _forecast(optimizer: FieldOptimizer, pace: Pace, taken: float) -> str:
     """What a fit will take, in words; taken: seconds so far."""
     seconds = pace.left() + taken
     words = f"about {span_text(seconds)} and {memory_text(optimizer.peak_bytes(pace.rows))}"
-    rays, pixels = optimizer.total_steps * optimizer.batch_rays, optimizer.scene.images[..., 0].size
+    rays, pixels = optimizer.total_steps * optimizer.batch_rays, counted_pixels(optimizer.scene)
     if (found := pace.quicker(seconds, rays, pixels, checked_options({"quality": "fast"}))) is None:
         return words
     factor, shorter = found

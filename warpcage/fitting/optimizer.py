@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_bounds, require_type
-from ..core.devices import resolve_device
+from ..core.devices import HeldOnDevice, resolve_device
 from ..core.locks import in_turn
 from ..core.modules import load_modules
 from ..errors import InputError
@@ -44,7 +44,7 @@ from .surroundings import (
 SMALLEST_GRID = (2, 2, 2)
 
 
-class FieldOptimizer:
+class FieldOptimizer(HeldOnDevice):
     """Plenoxels' optimisation of a VoxelField, step by step.
 
     It goes from coarse to fine by RMSProp with total variation, and prunes voxels by their rendering weight

@@ -74,7 +74,7 @@ options:
 command(
     "check",
     "cages",
-    "examine a cage, what it encloses and what a pose does to it; exit status 1 if it is of no use",
+    "examine a cage, what it encloses and what a pose does to it; exit status 1 if it cannot be used",
     """\
   warpcage check cage.obj
   warpcage check cage.obj --object lego.npz --posed posed.obj

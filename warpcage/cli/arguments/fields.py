@@ -9,6 +9,8 @@ from .options import (
     CAGE_UP_FOUND,
     CAGES,
     FOLLOWING,
+    FRAME,
+    FRAME_VALUE,
     MESHES,
     MOTION_ENDINGS,
     SCALE_AND_DEVICE,
@@ -146,9 +148,10 @@ command(
   warpcage bake scene.ply --cage cage.obj --posed bend:40:x:z -o bend_####.ply --frames 30
   warpcage bake room.npz --selection cup.npz -o cup_alone.npz
   warpcage bake place.ply --selection cup.npz -o cup.ply
+  warpcage bake splat.ply --frame dataparser_transforms.json -o splat_in_dataset.ply      of nerfstudio
   warpcage bake lego.npz -o lego.nvdb                   for Houdini and others: docs/blender.md
 """,
-    """
+    f"""
 field
 -o FIELD  field to write (.npz, of splats as they come; .nvdb, .vdb: a volume for other programs, deformed or not)
 --voxels N  voxels along the longest side of the deformed scene (default: voxels as large as the field's)
@@ -156,8 +159,10 @@ field
 --frames N  splats only: so many files from rest to the pose, -o walk_####.ply with the # for the number
 --overwrite  of --frames: also remove the files of a longer sequence of that name (default: a warning names them)
 --selection FILE  only what is chosen, cut out of its scene, by warpcage select (.npz, .json)
+{FRAME}
 """,
     deformation(resolution="128"),
     SCALE_AND_DEVICE,
     format=("warpcage", "svox2"),
+    frame=FRAME_VALUE,
 )

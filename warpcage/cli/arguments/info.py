@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .options import CAGES, SCALE_AND_DEVICE, SPLATS_READ, add_rows, command
+from .options import CAGES, FRAME, FRAME_VALUE, SCALE_AND_DEVICE, SPLATS_READ, add_rows, command
 
 #: Most pictures on a contact sheet, and their longest side there.
 SHEET_PICTURES, SHEET_SIDE = 100, 160
@@ -30,10 +30,13 @@ field  field (.npz), splats ({" ".join(SPLATS_READ)}), cage ({CAGES}), poses, ed
 --box PICTURE  write a picture of a scene's cameras, points and object's box (.png)
 --seen PICTURE  write a map of what the cameras of a scene, or those that a field's fit refined, saw of the object:
     directions and places that fewer than three cameras show are guesswork (.png)
+--scene SCENE[:SPLIT]  scene whose cameras a field is compared with: whether they look at its matter
+{FRAME}
 """,
     SCALE_AND_DEVICE,
     field={"nargs": "?", "metavar": "file"},
     split="train",
+    frame=FRAME_VALUE,
 )
 
 

@@ -23,8 +23,8 @@ MESH_ENDINGS = (".obj", ".ply", ".off", ".stl", *MOTION_ENDINGS)
 
 SELECTION_ENDINGS = (".npz", ".json")
 
-#: Files of splats that are written: 3DGS' and SuperSplat's .ply, those of web viewers, Niantic's, PlayCanvas' and glTF.
-SPLAT_ENDINGS = (".ply", ".compressed.ply", ".splat", ".spz", ".sog", ".glb")
+#: Files of splats that are written: 3DGS' and SuperSplat's .ply, of web viewers, Niantic's, PlayCanvas', glTF and USD.
+SPLAT_ENDINGS = (".ply", ".compressed.ply", ".splat", ".spz", ".sog", ".glb", ".usd", ".usda", ".usdc", ".usdz")
 
 #: Those that are read. A folder of SOG has a meta.json.
 SPLATS_READ = (*SPLAT_ENDINGS, ".gltf", ".ksplat", "meta.json")
@@ -235,6 +235,18 @@ class OldName(argparse.Action):
         setattr(namespace, self.dest, values)
 
 
+class _FrameWord(argparse.Action):
+    """Takes the word of --frame: what a picture is framed by, or the file of the frame that a field is in."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option_string: Any = None) -> None:
+        if values.lower().endswith(".json"):
+            namespace.frame_file = values
+        elif values in ("rest", "posed"):
+            setattr(namespace, self.dest, values)
+        else:
+            parser.error(f"argument {option_string}: takes rest, posed or a .json file, got {values!r}")
+
+
 #: What takes the values of options that stand for them so.
 TYPES = {
     "N": positive_int,
@@ -251,7 +263,8 @@ COLORS = f"{', '.join(BACKGROUNDS)}, or three numbers in [0, 1] such as 0.2,0.3,
 
 #: Options of several commands, which name them alone.
 SHARED = f"""
-field  field file: voxels (.npz) or splats ({" ".join(SPLATS_READ)})
+field  field file: voxels (.npz) or splats ({" ".join(SPLATS_READ)}), or an output
+    folder of 3D Gaussian Splatting
 --antialias  splats only: weaken those that are smaller than a pixel, for files that were fitted in that way
     (Mip-Splatting); others get thinner where they are far away (default: as the file says)
 --cage-object NAME  the object that is the cage in a file of several (OBJ, glTF); '*' takes all as one cage
@@ -286,7 +299,7 @@ SHARED_VALUES: dict[str, Any] = {
     "edit": {"action": "append"},
     "fill": {"action": "store_true", "default": None},
     "fragments": positive_float,
-    "frame": ("rest", "posed"),
+    "frame": {"action": _FrameWord},
     "fov": {"type": field_of_view, "default": 40.0},
     "map": SPLAT_MAPS,
     "no_masks": {"dest": "masks", "action": "store_false", "default": True},
@@ -308,8 +321,7 @@ CAGE_UP = """
 """
 
 CAGE_UP_FOUND = """
---cage-up  axis that points up in cage files (default: found by what the cage holds of the object; where that does not
-    tell, y for glTF, z for others)
+--cage-up  axis that points up in cage files (default: guessed from the object; if unsure, y for glTF, z for others)
 --cage-object
 """
 
@@ -324,18 +336,26 @@ options:
 CLEAR_BACKGROUND = f"""
 --background COLOUR  {COLORS} (default: the field's own); {TRANSPARENT}: none, for files that keep opacity
 --transparent  the same as --background {TRANSPARENT}
---format  what a folder of pictures holds: png (straight colours), or exr (linear light, multiplied by opacity, with
-    depth) (default: png)
+--format  what a folder of pictures holds: png (colours not multiplied by opacity), or exr (linear light, multiplied by
+    opacity, with depth) (default: png)
 """
 
+#: What is said of a file of --frame.
+FRAME_HELP = """a file of
+    nerfstudio (dataparser_transforms.json): the splats are in its frame, and are taken to where the dataset is"""
+
+#: That of commands without a view, and how its value is taken.
+FRAME = f"--frame FILE  {FRAME_HELP}"
+FRAME_VALUE = {"dest": "frame_file"}
+
 #: The camera of a picture.
-VIEW = """
+VIEW = f"""
 view (default: from above and to one side, with the whole object in the picture):
 --camera FILE[:NAME]|SCENE:[SPLIT:]INDEX  camera of a file (--save-camera writes one; .glb and .gltf as Blender exports
     them), or of a scene's picture, e.g. data/lego:test:3 (default split: train)
 --view  side that the camera looks from, with the field's up (default: corner)
---frame  what is in the picture where no camera is given: the field at rest, so that pictures of all poses can be
-    compared, or the cages at rest and posed, and what lies in none of them (default: rest)
+--frame rest|posed|FILE  what is in the picture where no camera is given: the field at rest, so that pictures of all
+    poses can be compared, or the cages at rest and posed, and what lies in none of them (default: rest); {FRAME_HELP}
 --save-camera FILE  also write the camera, or all of a film (.json)
 --eye X Y Z  position of the camera, world units
 --target X Y Z  point that it looks at, world units

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ...core.names import QUALITIES
-from .options import COLORS, SCALE_AND_DEVICE, SCENE, SPLATS, command, positive_float
+from .options import COLORS, FRAME, FRAME_VALUE, SCALE_AND_DEVICE, SCENE, SPLATS, command, positive_float
 
 command(
     "capture",
@@ -13,19 +13,27 @@ command(
   warpcage capture walk.mp4 -o scene
   warpcage capture pictures -o scene --feature-size 1600
   warpcage capture pictures -o scene --pictures names.txt
+  warpcage capture pictures -o scene --masks masks
+  warpcage capture turning.mp4 -o scene --turntable
   warpcage fit scene -o object.npz
 """,
     """
 source  video, or folder of pictures (.jpg .png .webp .bmp .tif)
 -o SCENE  folder to write, new or empty: a scene for fit
 --pictures FILE  text file that names the pictures of the folder to use, one a line
+--masks FOLDER  masks of the pictures, whose white parts alone count: NAME.png or NAME.jpg.png for picture NAME.jpg,
+    frame_00012.png for frame 12 of a video; or one picture for all (default: `masks` in the folder of pictures or
+    beside it, and the pictures' own opacity)
+--no-masks  look at whole pictures
+--turntable  an object turns before a camera that stands still: what stays at its pixels does not count
 --frames N  most frames of a video that are taken: the sharp ones, spread along its way (default: %(default)s)
 --feature-size PIXELS  longer side at which features are looked for; more is more exact and takes longer (default:
     %(default)s)
---seed  seed of what is drawn by lot (default: %(default)s)
+--seed  seed of the random numbers (default: %(default)s)
 --quiet
 """,
     source={"metavar": "VIDEO|FOLDER"},
+    masks={"metavar": "FOLDER|PICTURE", "default": True},
     frames=120,
     feature_size=800,
     seed={"type": int, "default": 0},
@@ -93,6 +101,7 @@ command(
     """\
   warpcage evaluate lego.npz data/lego
   warpcage evaluate lego.npz data/lego --split test --downscale 2 --json psnr.json --worst worst.png
+  warpcage evaluate output/truck         an output folder of 3D Gaussian Splatting, and the pictures that it names
 """,
     "field",
     SCENE,
@@ -100,6 +109,8 @@ command(
 --background COLOUR  {COLORS} (default: the field's own)
 --json FILE  also write the figures to this file (.json)
 --worst FILE  write the worst view (.png): picture, render, and their difference
+{FRAME} (default: one beside the field or
+    the scene, where that makes it show the pictures)
 one of:
 --given-cameras  keep the cameras of the views as they are given. Otherwise those of fields of refined cameras go along
     with the refined ones near them, no view being looked at, and the mean of the given ones is told too
@@ -109,4 +120,6 @@ one of:
     SCALE_AND_DEVICE,
     "--quiet",
     split="test",
+    scene={"nargs": "?"},
+    frame=FRAME_VALUE,
 )

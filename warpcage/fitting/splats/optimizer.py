@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ...core.arrays import empty_array, struct_array
 from ...core.checks import require_type
-from ...core.devices import launch, resolve_device
+from ...core.devices import HeldOnDevice, launch, resolve_device
 from ...core.locks import device_turn, in_turn
 from ...core.modules import load_modules
 from ...core.names import counted
@@ -98,7 +98,7 @@ class TrainingView(SplatGradients):
         return super()._write(grid, total, seen)
 
 
-class SplatFit:
+class SplatFit(HeldOnDevice):
     """Fits Gaussian splats to the images of a Scene.
 
     Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo" (NeurIPS 2024), on the slopes of Kerbl et al.
@@ -176,6 +176,7 @@ class SplatFit:
         self._pictures = TrainingPictures(scene, bits, self.device)
         self._exposures = PictureExposures(len(scene) if self.options.exposure else 0, self.device)
         self._graph: Any = None
+        self._drawn: tuple[wp.array, wp.array] | None = None  # colours and opacity of the last step's picture
         self._is_warm = False  # whether a step ran by launches since sizes changed last
         self._shrinkage = 0
         with device_turn(self.device):
@@ -354,7 +355,7 @@ class SplatFit:
         self._truth = empty_array(self._width * self._height, wp.vec3, device)
         self._weights = empty_array(self._width * self._height if counted.size else 0, wp.float32, device)
         self._exposed = empty_array(self._width * self._height if self._exposures.count else 0, wp.vec3, device)
-        self._view = TrainingView(self._width, self._height, device)
+        self._view, self._drawn = TrainingView(self._width, self._height, device), None
         self._find_floors()
         self._find_room()
         self._change()
@@ -392,7 +393,7 @@ class SplatFit:
         outputs = [rgb, self._truth, self._exposed, self._weights]
         launch(splat_step.take_picture, view.pixels, inputs, outputs, device=device)
         shown, weights = self._exposed if exposures.count else rgb, self._weights if self._weights.size else None
-        slopes = self._loss.slopes(shown, self._truth, weights)
+        slopes, self._drawn = self._loss.slopes(shown, self._truth, weights), (shown, alpha)
         exposures.take_back(self._step, view.missed, alpha, rgb, slopes)
         sums = view.sum_slopes(slopes)
         rows = [splats.values, splats.means, splats.squares]
@@ -405,12 +406,23 @@ class SplatFit:
         launch(splat_step.step_harmonics, splats.count * bases, inputs, arrays, device=device)
 
     def measure_psnr(self) -> float:
-        """PSNR in dB of the last picture, before its step."""
-        if self.step_count:
+        """PSNR in dB of the last picture that has pixels which count, over those alone, before its step."""
+        if self._drawn is not None:
             with device_turn(self.device):
-                error = float(self._loss.errors.numpy().mean())
-            self.psnr = -10.0 * math.log10(max(error, LEAST_ERROR))
+                errors, weights = self._errors(*self._drawn), np.asarray(self._weights.numpy(), np.float64)
+            weights = weights if weights.size else np.ones(errors.shape)
+            if weights.any():  # beyond a smaller picture they are 0
+                error = float(np.average(errors, weights=weights))
+                self.psnr = -10.0 * math.log10(max(error, LEAST_ERROR))
         return self.psnr
+
+    def _errors(self, shown: wp.array, alpha: wp.array) -> np.ndarray:
+        """(h * w,) squared errors of the last picture as the field shows it: of whole ones on black."""
+        if self._background() is not None or self.scene.alphas is not None:
+            return self._loss.errors.numpy()
+        step: Any = self._step.numpy()
+        random = (1.0 - alpha.numpy()[:, None]) * step["background"][0]  # behind what is not filled yet
+        return ((np.clip(shown.numpy() - random, 0.0, 1.0) - self._truth.numpy()) ** 2).mean(axis=1)
 
     @property
     def missed_steps(self) -> int:

@@ -1,0 +1,228 @@
+"""Whether the cameras of a scene fit to its pictures: matches of some of these, judged as `capture` judges its own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.names import counted
+from ..core.threads import run_parallel
+from ..scene.box import find_looks
+from ..scene.coverage import picture_counts
+from ..scene.scene import Scene
+from ..view.pictures import shrink
+from .agreement import Agreement, agreement_of, ahead_share
+from .colmap import LARGEST, LEAST_GROUP
+from .solving import LEAST_ACROSS, LEAST_PARALLAX, LEAST_SHARE, MOST_TORN, NAMED
+
+#: Pictures that are looked at, at most, and their longer side, pixels: seconds. Those below the last show nothing.
+MOST_PICTURES, SIDE, LEAST_SIDE = 40, 320, 96
+
+#: Pictures that each one is compared with: those most alike by so many of their largest features.
+MOST_ALIKE, FEW = 8, 300
+
+#: Fewest matches that a geometry of two pictures alone explains, by so many tries, each within so many pixels of it.
+LEAST_MATCHES, TRIES, PIXELS = 16, 200, 1.0
+
+#: Pictures of which fewer of the matches fit one geometry show things that only look alike; as descriptors do that are
+#: not nearer than the next by this ratio (Lowe 2004).
+LEAST_INLIERS, RATIO = 0.5, 0.8
+
+#: A match agrees where its rays miss each other by so many pixels of the shrunk pictures.
+TOLERANCE = 1.5
+
+#: Fewer matches than this say nothing of the cameras.
+ENOUGH_MATCHES = 200
+
+#: Features nearer than this to what is cut out or does not count are of its edge, pixels.
+EDGE = 5
+
+#: Cameras are doubtful where fewer of the matches agree; right ones have 0.9 and more.
+GOOD_SHARE = 0.75
+
+#: Groups fell apart where fewer of the matches between them agree, about as many as do by chance.
+CHANCE = 0.15
+
+#: Places belong together where more than this share of the cameras show two of them.
+BOTH_SHARE = 0.25
+
+Matches = dict[tuple[int, int], np.ndarray]
+
+
+def camera_doubt(scene: Scene) -> str | None:
+    """What is doubtful about the cameras of a scene, one line with what to do; None where nothing is.
+    It takes some seconds, whatever the number of pictures; pictures of few pixels are judged by their cameras alone."""
+    numbers = np.unique(np.linspace(0, len(scene) - 1, min(len(scene), MOST_PICTURES)).round().astype(int))
+    found = matched_agreement(scene.subset(numbers.tolist()))
+    lines = (
+        _one_place(scene),
+        None if found is None else _disagreement(scene, numbers, found),
+        _several_places(scene, numbers, found),
+    )
+    return next((line for line in lines if line is not None), None)
+
+
+def matched_agreement(scene: Scene) -> Agreement | None:
+    """How far matches of a scene's pictures agree with its cameras; None where too few are found to say."""
+    if min(min(camera.width, camera.height) for camera in scene.cameras) < LEAST_SIDE:
+        return None
+    features: list = [None] * len(scene)
+
+    def look(view: int) -> None:
+        features[view] = _features(scene, view)
+
+    run_parallel([lambda view=view: look(view) for view in range(len(scene))])
+    focals = np.array([factor * camera.fx for (_, _, factor), camera in zip(features, scene.cameras, strict=True)])
+    slopes = [
+        (places / factor - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+        for (places, _, factor), camera in zip(features, scene.cameras, strict=True)
+    ]
+    matches = _verified(slopes, [each[1] for each in features], focals)
+    if sum(map(len, matches.values())) < ENOUGH_MATCHES:
+        return None
+    poses = np.stack([camera.camera_to_world for camera in scene.cameras])
+    return agreement_of(slopes, matches, poses, TOLERANCE / focals)
+
+
+def _features(scene: Scene, view: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Places (k, 2) of a picture's features, pixels of it shrunk; their descriptors (k, 128); by what it was shrunk."""
+    from scipy.ndimage import minimum_filter
+    from skimage.feature import SIFT
+
+    image = scene.cut(view, scene.images[view])
+    step = max(1, round(max(image.shape[:2]) / SIDE))
+    height, width = (side // step * step for side in image.shape[:2])
+    grey = shrink(image[:height, :width], step).mean(axis=-1, dtype=np.float64)
+    counts = np.ones(image.shape[:2], np.float32)
+    for part in (scene.weights, scene.alphas):
+        if part is not None:
+            counts = np.minimum(counts, scene.cut(view, part[view]))
+    detector = SIFT(n_octaves=4)
+    factor = 1.0 / step
+    try:
+        detector.detect_and_extract(grey)
+    except RuntimeError:  # "SIFT found no features"
+        return np.zeros((0, 2)), np.zeros((0, 128), np.float32), factor
+    places = np.asarray(detector.positions, np.float64)[:, ::-1] + 0.5
+    clear = minimum_filter(counts, 2 * EDGE * step + 1) > 0.5
+    rows, columns = (np.minimum((places[:, k] / factor).astype(int), image.shape[1 - k] - 1) for k in (1, 0))
+    order = np.argsort(-np.asarray(detector.sigmas), kind="stable")
+    order = order[clear[rows, columns][order]][: 2 * LARGEST]
+    vectors = np.asarray(detector.descriptors, np.float32)[order]
+    vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-6)
+    return places[order], vectors, factor
+
+
+def _verified(slopes: list[np.ndarray], descriptors: list[np.ndarray], focals: np.ndarray) -> Matches:
+    """The (m, 2) features that match in pairs of pictures, as a geometry of these two alone explains."""
+    count = len(slopes)
+    alike = np.zeros((count, count), np.int64)
+    for b in range(count):
+        for a in range(b):
+            alike[a, b] = alike[b, a] = len(_matches(descriptors[a][:FEW], descriptors[b][:FEW]))
+    best = np.argsort(-alike, axis=1, kind="stable")[:, :MOST_ALIKE]
+    chosen = {(min(a, int(b)), max(a, int(b))) for a in range(count) for b in best[a] if a != b}
+    random, found = np.random.default_rng(0), {}
+    for a, b in sorted(chosen):
+        rows = _matches(descriptors[a], descriptors[b])
+        if len(rows) >= LEAST_MATCHES:
+            limit = PIXELS * 0.5 * (1.0 / focals[a] + 1.0 / focals[b])
+            good = epipolar_inliers(slopes[a][rows[:, 0]], slopes[b][rows[:, 1]], limit, random)
+            if good.sum() >= max(LEAST_MATCHES, LEAST_INLIERS * len(rows)):
+                found[a, b] = rows[good]
+    return found
+
+
+def _matches(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(m, 2) features of two pictures, each the other's nearest and clearly nearer than the next, by unit vectors."""
+    if min(len(first), len(second)) < 2:
+        return np.zeros((0, 2), np.int64)
+    cosines = first @ second.T
+    nearest, back = cosines.argmax(axis=1), cosines.argmax(axis=0)
+    mutual = np.flatnonzero(back[nearest] == np.arange(len(first)))
+    two = np.partition(cosines[mutual], -2, axis=1)[:, -2:]
+    near, following = (np.sqrt(np.maximum(2.0 - 2.0 * two[:, k], 0.0)) for k in (1, 0))
+    kept = mutual[near < RATIO * following]
+    return np.stack([kept, nearest[kept]], axis=1)
+
+
+def epipolar_inliers(first: np.ndarray, second: np.ndarray, limit: float, random: np.random.Generator) -> np.ndarray:
+    """(n,) bool, which pairs of slopes (n, 2) the best fundamental matrix explains within a limit (RANSAC)."""
+    u, v = (np.pad(part, ((0, 0), (0, 1)), constant_values=1.0) for part in (first, second))
+    rows = np.argsort(random.random((TRIES, len(u))), axis=1)[:, :8]
+    system = (v[rows][..., :, None] * u[rows][..., None, :]).reshape(TRIES, 8, 9)
+    matrices = np.linalg.svd(system)[2][:, -1].reshape(-1, 3, 3)  # Longuet-Higgins 1981
+    across, back = u @ matrices.transpose(0, 2, 1), v @ matrices
+    squared = (across * v).sum(axis=-1) ** 2
+    slope = (across[..., :2] ** 2).sum(axis=-1) + (back[..., :2] ** 2).sum(axis=-1)
+    good = squared < limit**2 * np.maximum(slope, 1e-300)  # Sampson's distance
+    return good[np.argmax(good.sum(axis=1))]
+
+
+def _disagreement(scene: Scene, numbers: np.ndarray, found: Agreement) -> str | None:
+    """What matches say against cameras."""
+    first, *others = found.groups
+    for group in others:
+        total, good = found.across(group)
+        if len(group) < max(LEAST_GROUP, MOST_TORN * len(numbers)):
+            break  # they are ordered by size
+        if total >= max(LEAST_ACROSS * found.inside(group), 2 * LEAST_MATCHES) and good < CHANCE * total:
+            names = [f"{len(part)} ({_spread(scene, numbers[part])})" for part in (first, group)]
+            return (
+                f"the cameras fell apart: of {len(numbers)} pictures that were compared {names[0]} do not fit to "
+                f"{names[1]}, of {total} matches between them {good} agree: find the cameras anew (warpcage capture), "
+                "or fit the pictures of one of these groups alone"
+            )
+    if found.share >= GOOD_SHARE:
+        return None
+    inside_out = found.share < LEAST_SHARE and ahead_share(scene.cameras) <= 0.5
+    wrong = "are inside out: what all look at lies behind them, and" if inside_out else "do not fit to the pictures:"
+    return (
+        f"the cameras {wrong} of {int(found.counts.sum())} matches between pictures {100 * found.share:.0f} % agree "
+        "with them: look whether the format's axes and lens are right, and whether pictures and cameras belong "
+        "together, or find the cameras anew (warpcage capture)"
+    )
+
+
+def _one_place(scene: Scene) -> str | None:
+    """That all pictures were taken from about one place, which says nothing of depth."""
+    if scene.points is None or not len(scene.points) or len(scene) < LEAST_GROUP:
+        return None
+    places = np.stack([camera.center for camera in scene.cameras])
+    spread = float(np.linalg.norm(np.ptp(places, axis=0)))
+    away = float(np.median(np.linalg.norm(scene.points - places.mean(axis=0), axis=1)))
+    if spread >= LEAST_PARALLAX * away:
+        return None
+    return (
+        f"the cameras stand at about one place, {100 * spread / max(away, 1e-300):.0f} % of the way to what they show "
+        "apart, which says nothing about depth: add pictures from other places"
+    )
+
+
+def _several_places(scene: Scene, numbers: np.ndarray, found: Agreement | None) -> str | None:
+    """That cameras look at several places, of which hardly a picture shows two and which no matches tie.
+    found: of the pictures of these numbers."""
+    looks = find_looks(scene.cameras)
+    if len(looks) < 2:
+        return None
+    places = np.stack([look.point for look in looks])
+    if np.mean([picture_counts([camera], places).sum() > 1 for camera in scene.cameras]) > BOTH_SHARE:
+        return None
+    look_of = np.full(len(scene), -1)
+    for index, look in enumerate(looks):
+        look_of[look.cameras] = index
+    if found is not None:
+        first, second = look_of[numbers[found.pairs]].T
+        if (found.agreeing[(first != second) & (np.minimum(first, second) >= 0)] >= LEAST_MATCHES).any():
+            return None
+    parts = [f"{len(look.cameras)} ({_spread(scene, look.cameras)})" for look in looks]
+    return (
+        f"{' and '.join(parts)} of {counted(len(scene), 'camera')} look at {len(looks)} places, of which hardly "
+        f"a picture shows two: several objects, or cameras that fell apart: fit the pictures of one group "
+        "alone, or find the cameras anew (warpcage capture)"
+    )
+
+
+def _spread(scene: Scene, group: np.ndarray) -> str:
+    """The names of a group of pictures: a few of them all, of more the first and the last."""
+    names = [scene.names[int(picture)] for picture in group]
+    return ", ".join(names) if len(names) <= NAMED else f"{names[0]} to {names[-1]}"
