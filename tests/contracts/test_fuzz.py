@@ -19,6 +19,7 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 KNOWN = [
     ("bundler", "list.txt", hostile.swap("images/view_00", "[" * 3000 + "images/view_00")),
     ("opensfm", "reconstruction.json", hostile.swap('"translation": [', '"translation": [1e300, 0, 0], "x": [')),
+    ("transforms", "transforms.json", hostile.swap("images/view_00.png", f"images/{'b' * 300}/images/x.jpg")),
     ("stray", "odometry.csv", lambda data: data + b"nan\n"),
     ("bundler", "bundle/bundle.out", hostile.instead("# Bundle file v0.3\n3")),
     ("metashape", "cameras.xml", hostile.swap('<resolution width="24"', '<resolution width=""')),
@@ -48,8 +49,18 @@ def test_drawn_damages(tmp_path, name):
 #: What stands in place of each value of a file, and of each array, by day and at night.
 VALUES = [LEFT_OUT, "x", -1, 10**400, float("nan"), None, [], True, {}, 1e300, "../x.png", [[1, 2], [3]]]
 ARRAYS_BY_DAY = [1, 2, 3, 5, 7, 9, 13]
-HAVING_PLACES = ["blender", "transforms", "transforms lens", "record3d", "opensfm", "dtu", *hostile.FIELDS, "sog"]
-HAVING_PLACES += ["splats glb", "cage.glb", "cage.gltf", *hostile.OTHERS]
+HAVING_PLACES = [
+    "blender",
+    "transforms",
+    "transforms lens",
+    "transforms matrix",
+    "record3d",
+    "opensfm",
+    "dtu",
+    *hostile.FIELDS,
+    "sog",
+]
+HAVING_PLACES += ["replica", "nerfies", "3dgs", "splats glb", "cage.glb", "cage.gltf", *hostile.OTHERS]
 
 
 @pytest.mark.scaled

@@ -197,6 +197,8 @@ WRONG = {
         ("", swap("property float x", "property float w"), "PLY vertices need properties x, y, z"),
         ("", instead(f"{PLY} 0\nproperty list uchar int vertex_indices\nend_header\n"), "no vertices in it"),
         ("", swap("end_header", ""), "the PLY header has no end_header"),
+        ("", swap("format ascii 1.0\n", ""), "the PLY header names no format"),
+        ("", swap("vertex_indices", "corners"), "PLY faces need a list property vertex_indices"),
         ("", lambda data: data[: data.rstrip().rfind(b"\n")], "PLY elements 'face' announced"),
     ],
     "cage.ply": [("", cut(0.3), "the PLY file ends within its")],

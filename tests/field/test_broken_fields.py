@@ -97,7 +97,7 @@ HEADERS = [
 ]
 FIELDS = {
     "field": [
-        ("", cut(0.0), f"{NO_FIELD}: | something else"),
+        ("", cut(0.0), f"{NO_FIELD}: | an empty file"),
         *(("", cut(share), f"{NO_FIELD}: | cut off or damaged") for share in (0.1, 0.5, 0.9, 0.999)),
         *(("", members(arrays), words) for arrays, words in ARRAYS),
         *(("", npz(header(descr, shape), bytes(80)), words) for descr, shape, words in HEADERS),

@@ -333,7 +333,7 @@ class Tasks:
         if not isinstance(name, str) or not name or name != pathlib.PurePosixPath(name).name or "\\" in name:
             raise InputError(f"{str(name)[:100]!r}: use a name without folders, such as film.mp4")
         if name.startswith(".") or not name.isprintable():
-            raise InputError(f"{name[:100]!r}: use a name that does not begin with a dot and can be printed, such as film.mp4")
+            raise InputError(f"{name[:100]!r}: use a printable name that begins with no dot, such as film.mp4")
         path = self.folder / name
         if path.resolve().parent != self.folder.resolve():
             raise InputError(f"{name[:100]!r} is no file of the session's folder: it leads out of it")
