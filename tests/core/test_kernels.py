@@ -458,7 +458,8 @@ def test_what_cages_far_from_the_origin_cost(segments, offset, error, device):
     fans = wp.empty(2 * len(cage.faces), dtype=wp.vec4, device=device)
     wp.launch(prepare_fans, len(cage.faces), [0, vertices, faces, 1.0], [fans], device=device)
     moved = wp.empty(len(points), dtype=wp.vec3, device=device)
-    wp.launch(map_mean_value, len(points), [0, places, vertices, faces, fans, targets, 1.0], [moved], device=device)
+    inputs, threads = [0, places, vertices, faces, fans, targets, 1.0], map_mean_value.module.options["block_dim"]
+    wp.launch(map_mean_value, len(points), inputs, [moved], device=device, block_dim=threads)
     expected = points @ turn.T + away
     assert (error / 10 if offset else 0) < np.abs(moved.numpy() - expected).max() < 2 * error
     rest, posed = (cage.with_vertices(x + away) for x in near[1:])

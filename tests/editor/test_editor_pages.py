@@ -281,6 +281,20 @@ def test_a_film_plays_stops_for_a_hand_and_ends_with_the_last_page(tmp_path):
     with_pages(test, tmp_path, 2)
 
 
+def test_a_film_plays_from_its_start_where_no_key_lies_ahead(tmp_path):
+    async def test(host, page):
+        await page.do(do="key.add", time=0.0, pose=True)
+        await page.do(do="time", time=1.0)
+        await page.do(do="pose.set", edit=1, vertices=(REST * 1.5).tolist())
+        await page.do(do="key.add", time=1.0, pose=True)
+        await page.do(do="time", time=1.5)  # the film is 4 s long: still pictures alone from here on
+        await page.do(do="play", on=True)
+        await page.until(lambda: 1.01 < page.posed()[7, 0] / REST[7, 0] < 1.49)
+        await page.do(do="play", on=False)
+
+    with_pages(test, tmp_path)
+
+
 def test_a_film_that_cannot_go_on_stops(tmp_path, monkeypatch):
     async def test(host, page):
         def scrub(time):

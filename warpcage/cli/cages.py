@@ -533,7 +533,12 @@ def run_edit(args: argparse.Namespace) -> None:
         print(f"edit {args.field} at {editor.url}\n(Ctrl+C ends; the session is kept in {kept})", flush=True)
         if not args.no_browser and not _opened(editor.url):
             print("no browser could be opened here: open the address above", file=sys.stderr)
-        editor.wait()
+        try:
+            editor.wait()
+        except KeyboardInterrupt as interrupt:  # the way to end it: all is kept
+            if type(interrupt) is not KeyboardInterrupt:  # a signal that asks any program to end
+                raise
+            print()
 
 
 @contextlib.contextmanager

@@ -31,7 +31,7 @@ class Player:
         return self._task is not None
 
     def play(self) -> None:
-        """Play from where the timeline stands, or from the start where it stands at the end."""
+        """Play from where the timeline stands, or from the start where no key lies ahead."""
         self.stop()
         self._task = asyncio.create_task(self._play())
         self._tell()
@@ -60,7 +60,7 @@ class Player:
     async def _go_on(self) -> None:
         loop, session = asyncio.get_running_loop(), self._session
         film, begin = session.document.timeline, session.document.time
-        if begin >= film.length:
+        if begin >= film.length or (film.keys and begin >= film.keys[-1].time):
             begin = 0.0
         started = loop.time()
         while True:
