@@ -286,9 +286,9 @@ def test_a_picture_is_written_while_the_next_are_rendered(files, tmp_path, monke
     write, third = commands.write_picture, threading.Event()
     count_frames(monkeypatch, {3: third.set})
 
-    def waits(path, image, depth):
+    def waits(path, image, depth, **options):
         assert third.wait(PATIENCE)
-        write(path, image, depth)
+        write(path, image, depth, **options)
 
     monkeypatch.setattr(commands, "write_picture", waits)
     succeed(files, *ANIMATE, tmp_path / "frames")
@@ -298,10 +298,10 @@ def test_a_picture_is_written_while_the_next_are_rendered(files, tmp_path, monke
 def test_a_picture_that_cannot_be_written_costs_itself_alone(files, tmp_path, capsys, monkeypatch):
     write = commands.write_picture
 
-    def fails(path, image, depth):
+    def fails(path, image, depth, **options):
         if path.name == "frame_0002.png":
             raise OSError(28, "No space left on device", str(path))
-        write(path, image, depth)
+        write(path, image, depth, **options)
 
     with monkeypatch.context() as patch:
         patch.setattr(commands, "write_picture", fails)
