@@ -2,8 +2,10 @@
 
 import base64
 import dataclasses
+import gzip
 import io
 import json
+import struct
 import subprocess
 import sys
 import textwrap
@@ -29,7 +31,7 @@ from hostile import (
     write_glb,
 )
 
-from warpcage import FieldOptimizer, VoxelField
+from warpcage import FieldOptimizer, SplatField, VoxelField
 from warpcage.cli.cages import read_mesh as read_object
 from warpcage.core import (
     UNKNOWN,
@@ -352,6 +354,14 @@ def test_lists_of_a_ply_are_counted_before_they_are_read(tmp_path, monkeypatch):
     refused(lambda: read_mesh(path), "ends within its 100000000000 elements 'face'")
     path.write_bytes(header.format("face 2", "char").encode() + b"\xff" * 100)
     refused(lambda: read_mesh(path), "ends within element 0 of 2 'face'")
+
+
+def test_splats_of_an_spz_file_are_counted_before_they_are_unpacked(tmp_path, monkeypatch):
+    path = tmp_path / "a.spz"
+    path.write_bytes(gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, 1_000_000, 0, 12, 0, 0) + bytes(20_000_000)))
+    monkeypatch.setattr("warpcage.core.memory.free_host_bytes", lambda: 1 << 28)
+    said = "a.spz: its 1000000 splats of degree 0 need 0."
+    refused(lambda: SplatField.load(path), said, error=MemoryShortage, most=1 << 22)
 
 
 def test_long_lines_are_cut_in_messages(tmp_path):
