@@ -8,9 +8,9 @@ import pytest
 from messages import MESSAGES
 from scene_writers import GltfWriter
 
-from warpcage import Cage
+from warpcage import Cage, PoseFile
 from warpcage.cage import are_numbered, gltf_poses, gltf_shown, numbered_files, sequence_poses
-from warpcage.mesh import read_gltf_motion
+from warpcage.mesh import read_gltf_motion, write_shown_mesh
 from warpcage.render.surface_file import read_surface
 
 FIXTURES = pathlib.Path(__file__).parents[1] / "data" / "blender_motion"
@@ -51,6 +51,30 @@ def test_a_cage_in_another_order_moves_along():
     one, two = (gltf_poses(FIXTURES / "moved_object.glb", cage) for cage in (own, rest))
     for key in one.names:
         np.testing.assert_array_equal(two[key].vertices, one[key].vertices[shuffle])
+
+
+@pytest.mark.parametrize("ending", ["glb", "usdc", "obj"])
+@pytest.mark.parametrize("ordered", [True, False])
+def test_a_film_may_begin_flat(tmp_path, ending, ordered):
+    """Vertices are told apart by their numbers, also where the first frame has several at one place."""
+    if ending == "usdc":
+        pytest.importorskip("pxr")
+    own = Cage.box([-1, -1.2, -1.5], [1, 1, 1.1], segments=2)
+    frames = own.vertices[None] * np.linspace([1, 1, 0], [1, 1, 1], 5)[:, None]
+    if ending == "obj":
+        for index, frame in enumerate(frames):
+            own.with_vertices(frame).save(tmp_path / f"grow_{index}.obj")
+        path = tmp_path / "grow_#.obj"
+    else:
+        path = tmp_path / f"grow.{ending}"
+        write_shown_mesh(path, frames[0], own.faces, frames=frames, fps=24.0)
+    shuffle = np.arange(len(own.vertices))
+    if not ordered:
+        shuffle = np.random.default_rng(1).permutation(len(own.vertices))
+    rest = Cage(own.vertices[shuffle], np.argsort(shuffle)[own.faces])
+    file = PoseFile.load(path, rest, up="y" if ending == "glb" else "z")
+    for name, frame in zip(file.timed, frames, strict=True):
+        np.testing.assert_allclose(file[name].vertices, frame[shuffle], atol=1e-6)
 
 
 def test_interpolation_of_keys_by_hand(tmp_path):

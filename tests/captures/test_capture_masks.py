@@ -121,8 +121,8 @@ def test_opacity_and_what_is_to_be_ignored_hide_features(tmp_path):
     lying = np.zeros((40, 60), np.uint8)
     lying[:, :15] = 255  # of the picture's left side, which is on top once it is upright
     save_masks(folder / "masks", [np.full((40, 60), 255, np.uint8), lying, np.full((40, 60), 255, np.uint8)])
-    moved = np.zeros((40, 60), np.uint8)
-    moved[30:] = 255
+    moved = np.full((40, 60, 2), (0, 255), np.uint8)  # grey and opacity
+    moved[30:, :, 0] = 255
     Image.fromarray(moved).save(folder / "dynamic_mask_p002.png")
     sources = read_sources(folder)
     assert [source.name for source in sources] == ["p000", "p001", "p002"] and sources[0].lossless

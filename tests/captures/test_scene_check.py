@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+import threading
 
 import numpy as np
 import pytest
@@ -76,6 +77,17 @@ def test_places_that_no_picture_shows_together():
     line = camera_doubt(scene)
     assert line is not None and line.startswith("6 (0000 to 0005) and 6 (0006 to 0011) of 12 cameras look at 2 places")
     assert camera_doubt(scene.subset(range(6))) is None
+
+
+def test_a_check_ends_with_the_fit_that_is_cancelled(scene):
+    with pytest.raises(warpcage.Cancelled):
+        warpcage.fit(scene, resolution=8, levels=1, bounds=[[-1] * 3, [1] * 3], progress=lambda *_: False)
+    assert not [each.name for each in threading.enumerate() if each.name.startswith("warpcage-cameras")]
+
+
+def test_parts_of_a_panorama_have_nothing_to_compare():
+    cameras = warpcage.turntable((0, 0, 0), 2.0, 20, 2, width=6400, height=96, fov_degrees=90)
+    assert camera_doubt(Scene(np.zeros((2, 96, 6400, 3), np.float32), None, cameras)) is None
 
 
 def test_pictures_of_one_place_say_nothing_of_depth():

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -82,6 +83,7 @@ def test_without_the_file_it_is_said(place, capsys):
     psnr, said = evaluated(place, capsys, "export")
     assert psnr < 20 and said.count("\n") == 1
     assert "do not belong together" in said and "neither a turn by 90 degrees nor a scale explains it" in said
+    assert "--frame dataparser_transforms.json" in said
 
 
 def test_a_file_that_is_not_needed_changes_nothing(place, capsys):
@@ -106,6 +108,20 @@ def test_other_commands_say_it_too(place, tmp_path, capsys, command):
     main([command, str(place / "export" / "splat.ply"), "--device", "cpu", *words])
     said = capsys.readouterr().err
     assert "taken out of nerfstudio's frame" in said and "belong together" not in said
+
+
+def test_figures_in_python_and_in_job_files_warn_of_it(place, tmp_path):
+    scene = warpcage.load_scene(place / "scene", split="all")
+    with pytest.warns(UserWarning, match="do not belong together"):
+        warpcage.evaluate(SplatField.load(place / "export" / "splat.ply", device="cpu"), scene)
+    words = {"id": "a", "kind": "evaluate", "field": f"{place / 'export' / 'splat.ply'}", "scene": f"{place / 'scene'}"}
+    lines = [{"format": "warpcage jobs", "version": 1}, words | {"split": "all", "output": "a.json"}]
+    (tmp_path / "jobs.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    with pytest.warns(UserWarning, match="do not belong together"):
+        warpcage.run_jobs(tmp_path / "jobs.jsonl", tmp_path / "out", device="cpu")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warpcage.evaluate(SplatField.load(place / "own" / "splat.ply", device="cpu"), scene)
 
 
 def test_bake_writes_splats_where_the_dataset_is(place, tmp_path, capsys):
@@ -149,8 +165,9 @@ def test_nothing_in_the_picture_is_said(place, tmp_path, capsys):
     [
         ("[1]", "must hold a JSON object"),
         ("{", "is no JSON file"),
-        ({"scale": 1}, "transform must be a 4x4 matrix"),
-        ({"transform": np.eye(4)[:3].tolist()}, "scale must be a finite number"),
+        ({"scale": 1}, "has no transform and scale"),
+        ({"transform": 3, "scale": 1}, "transform must be a 4x4 matrix"),
+        ({"transform": np.eye(4)[:3].tolist(), "scale": None}, "scale must be a finite number"),
         ({"transform": np.eye(4)[:3].tolist(), "scale": 0}, "scale must be positive"),
         ({"transform": np.eye(4)[:3].tolist(), "scale": 1e999}, "scale must be a finite number"),
         ({"transform": (2 * np.eye(4))[:3].tolist(), "scale": 1}, "must be a turn and a shift"),

@@ -8,7 +8,20 @@ import numpy as np
 import pytest
 from runs import DEFORMED, SMALL, run, succeed, write_files
 
-from warpcage import Cage, Camera, Deformer, Place, PoseFile, SplatField, Stage, SurfaceMesh, VoxelField, load_scene
+from warpcage import (
+    Cage,
+    Camera,
+    CameraFile,
+    CameraKey,
+    Deformer,
+    Place,
+    PoseFile,
+    SplatField,
+    Stage,
+    SurfaceMesh,
+    VoxelField,
+    load_scene,
+)
 from warpcage.field import harmonics_on_host
 from warpcage.mesh import write_shown_mesh
 from warpcage.view import read_image, write_png
@@ -275,6 +288,16 @@ def test_a_width_alone_keeps_the_shape_of_a_cameras_picture(files, tmp_path):
         command = ["animate", "@ball.npz", "--quiet"] if film else ["render", "@ball.npz"]
         succeed(files, *command, "-o", out, *words, "--size", 36)
         assert read_image(out / "frame_0000.png" if film else out).shape == (24, 36, 3)
+
+
+@pytest.mark.parametrize(("count", "said"), [(3, True), (9, False), (8, False)])
+def test_a_film_that_shows_cameras_in_another_time_says_so(files, tmp_path, capsys, count, said):
+    camera = Camera.look_at((0, -3, 0), (0, 0, 0), width=16, height=16)
+    CameraFile([CameraKey(camera, 0.0), CameraKey(camera, 1.0)]).save(tmp_path / "path.json")
+    words = ["--cameras", tmp_path / "path.json", "--fps", 8, "--frames", count, "--quiet"]
+    succeed(files, "animate", "@ball.npz", "-o", tmp_path / "film", *words)
+    line = "path.json take 1 s, and are shown in 0.375 s: --frames 9 keeps their times"
+    assert (line in capsys.readouterr().err) == said
 
 
 def test_films_in_which_nothing_moves_say_so(files, tmp_path, capsys):

@@ -17,7 +17,7 @@ from warpcage.core import (
     checked_whole,
     warn_caller,
 )
-from warpcage.core.checks import real_array
+from warpcage.core.checks import Cuts, real_array
 
 
 @pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.int64(2), np.array(2.0)])
@@ -69,6 +69,13 @@ def test_warnings_point_at_the_caller():
     with pytest.warns(UserWarning, match="mind the gap") as caught:
         warn_caller("mind the gap")
     assert caught[0].filename == __file__
+
+
+def test_what_is_no_number_hides_no_cut():
+    cuts = Cuts()
+    cut = cuts.clip("values", np.array([np.nan, 5.0, -3.0, 0.5], np.float32), 0.0, 1.0, 0.0)
+    np.testing.assert_array_equal(cut, [np.nan, 1.0, 0.0, 0.5])
+    assert cuts.text() == "cut to what its format holds: 2 of 4 values beyond 0 to 1, by up to 4"
 
 
 def test_arrays_of_numbers_hold_numbers_alone():

@@ -372,6 +372,9 @@ def test_a_file_comes_with_what_runs_it_or_alone(tmp_path, capsys):
     assert {"lattice/harmonic.py", "lattice/README.md", "LICENSE"} <= alone and not any(
         "host/" in each for each in alone
     )
+    assert "coordinates/green.py" not in copied("mean_value", tmp_path / "third", "--alone")  # which the call imports
+    text = (tmp_path / "third" / "my_kernels" / "coordinates" / "README.md").read_text(encoding="utf-8")
+    assert "coordinates.green" not in text and "- `mean_value_position(x, vertices, faces, fans, targets" in text
 
 
 @pytest.mark.parametrize("words", [(), ("--alone",)])

@@ -78,6 +78,9 @@ def test_an_address_stays_while_nobody_else_can_read_it(tmp_path):
         secret.chmod(0o644)
         second = word()
         assert second != first and word() == second and secret.stat().st_mode & 0o777 == 0o600
+        secret.rename(tmp_path / "elsewhere")
+        secret.symlink_to(tmp_path / "elsewhere")
+        assert word() != second and not secret.is_symlink()
     secret.write_text("short")
     assert len(word()) == 32
 

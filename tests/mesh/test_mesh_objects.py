@@ -10,7 +10,7 @@ from entry_points import plug
 from runs import run, succeed, write_files
 from scene_writers import GltfWriter
 
-from warpcage import Cage
+from warpcage import Cage, PoseFile
 from warpcage.cli.cages import read_mesh as read_object
 from warpcage.mesh import MeshFormat, mesh_formats
 from warpcage.mesh.io import object_names
@@ -116,6 +116,30 @@ def test_objects_of_gltf_files(tmp_path):
     assert np.allclose(body.vertices, BALL.vertices, atol=1e-6) and np.array_equal(body.faces, BALL.faces)
     posed = Cage.load(write_nodes(tmp_path / "posed.gltf", (("lamp", BOX), ("body", BENT))), reference=body)
     assert np.allclose(posed.vertices, BENT.vertices, atol=1e-6)
+    posed = Cage.load(write_nodes(tmp_path / "named.gltf", (("lamp", BOX), ("cage", BENT))), reference=body)  # its mesh
+    assert np.allclose(posed.vertices, BENT.vertices, atol=1e-6)
+
+
+@pytest.mark.parametrize("named", ["body", "cage"])
+def test_a_film_of_several_objects_is_that_of_its_cage(tmp_path, named):
+    """By its name, which Blender gives the transform or, of what has shapes, the skeleton's root; or by its mesh."""
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdGeom, UsdSkel
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "film.usda"))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    for kind, name, cage, shift in ((UsdGeom.Xform, "lamp", BOX, 0.0), (UsdSkel.Root, named, BALL, 2.0)):
+        kind.Define(stage, f"/root/{name}")
+        mesh = UsdGeom.Mesh.Define(stage, f"/root/{name}/Mesh")
+        mesh.CreatePointsAttr(cage.vertices)
+        mesh.CreateFaceVertexCountsAttr([3] * len(cage.faces))
+        mesh.CreateFaceVertexIndicesAttr(np.ravel(cage.faces).tolist())
+        for frame in (0, 24):
+            mesh.GetPointsAttr().Set((cage.vertices + shift * frame / 24).astype(np.float32), frame)
+    stage.Save()
+    assert object_names(tmp_path / "film.usda") == ["lamp", named]
+    film = PoseFile.load(tmp_path / "film.usda", BALL.named("body"))
+    np.testing.assert_allclose(film.at_time(1.0).vertices, BALL.vertices + 2.0, atol=1e-6)
 
 
 def test_commands_choose_objects(tmp_path, capsys):

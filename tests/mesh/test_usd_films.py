@@ -1,6 +1,8 @@
 """Films in USD as usd-core writes them, beside where float64 NumPy puts each vertex: rates, references, splines,
 quaternions, skins and shapes."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -342,6 +344,19 @@ def test_instances_of_a_skin_move(tmp_path):
     for code, frame in enumerate(frames):
         expected = placed("skin", values[code])
         np.testing.assert_allclose(frame, np.concatenate([expected, expected + [0, 10, 0]]), atol=4e-6)
+
+
+def test_a_file_that_is_another_one_by_now_is_read_anew(tmp_path):
+    """USD keeps the layers of stages that somebody holds; edits that were not saved stay."""
+    path = tmp_path / "a.usda"
+    Cage.box([0, 0, 0], [1, 1, 1]).save(path)
+    held = Usd.Stage.Open(str(path))
+    Cage.box([0, 0, 0], [3, 3, 3]).save(path)
+    os.utime(path, (2e9, 2e9))
+    assert Cage.load(path).vertices.max() == 3.0
+    held.GetDefaultPrim().SetCustomDataByKey("mine", 1)
+    Cage.load(path)
+    assert held.GetDefaultPrim().GetCustomDataByKey("mine") == 1
 
 
 def test_what_point_instancers_place_is_not_read_and_said(tmp_path):

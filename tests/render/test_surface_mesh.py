@@ -189,6 +189,21 @@ def test_concave_faces_stay_within_themselves(name, tmp_path):
     assert areas.sum() == pytest.approx(18.0 if name.endswith(".ply") else 10.0)  # PLY has a triangle of 8 beside it
 
 
+@pytest.mark.parametrize("kind, white", [("uchar", 255), ("ushort", 65535), ("float", 1.0)])
+def test_faces_of_ply_files_with_colors_are_cut_in_their_own(kind, white, tmp_path):
+    head = PLY_HEAD + PLY_FACES.removesuffix("end_header\n")
+    head += "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue")) + "end_header\n"
+    dark = round(0.2 * white, 0 if white > 1 else 3)
+    rows = [f"{x} {y} 0" for x, y in NOTCHED] + [f"5 0 1 2 3 4 {white} 0 {dark}", f"3 0 1 2 0 {white} 0"]
+    (tmp_path / "thing.ply").write_text(head + "\n".join(rows) + "\n")
+    surface = read_surface(tmp_path / "thing.ply")
+    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
+    areas, shown = 0.5 * np.cross(b - a, c - a)[:, 2], surface.colors[surface.faces]
+    assert areas.min() > 0.0 and areas[:3].sum() == pytest.approx(10.0)
+    np.testing.assert_allclose(shown[:3], np.broadcast_to([1.0, 0.0, 0.2, 1.0], (3, 3, 4)), atol=1e-5)
+    np.testing.assert_allclose(shown[3:], np.broadcast_to([0.0, 1.0, 0.0, 1.0], (1, 3, 4)), atol=1e-5)
+
+
 @pytest.mark.parametrize("kind, white", [("uchar", 255), ("ushort", 65535), ("float", 1.0), ("double", 255.0)])
 def test_colors_of_ply_files_are_shares_of_what_is_white_in_their_type(kind, white, tmp_path):
     shares = np.array([1.0, 0.5, 0.25, 0.75])

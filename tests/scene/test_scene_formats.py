@@ -1014,6 +1014,28 @@ def test_a_model_that_colmap_wrote(tmp_path, bricks, binary):
     assert (scene.bounds[0] < np.median(points, axis=0)).all() and (scene.bounds[1] > np.median(points, axis=0)).all()
 
 
+@pytest.mark.parametrize("binary", [False, True])
+def test_pictures_without_a_camera_are_counted(tmp_path, bricks, binary):
+    """pycolmap leaves images without a pose out of what it writes, and says nothing."""
+    pycolmap = pytest.importorskip("pycolmap", minversion="4")
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_cameras_per_rig, options.num_frames_per_rig, options.num_points3D = 1, 1, 6, 20
+    options.camera_width, options.camera_height, options.camera_model_id = 24, 20, pycolmap.CameraModelId.PINHOLE
+    options.camera_params = [30.0, 28.0, 12.0, 10.0]
+    theirs = pycolmap.synthesize_dataset(options)
+    names = sorted(image.name for image in theirs.images.values())
+    folder = tmp_path / "sparse" / "0"
+    folder.mkdir(parents=True)
+    theirs.deregister_frame(next(image.frame_id for image in theirs.images.values() if image.name == names[2]))
+    theirs.write_binary(folder) if binary else theirs.write_text(folder)
+    for name in (*names, "dynamic_mask_" + names[0], names[0] + ".png"):  # masks are no pictures
+        path = tmp_path / "images" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_png(path, bricks.rgba[0])
+    with pytest.warns(UserWarning, match=f"1 of 6 pictures have no camera.*{names[2]}"):
+        assert len(load(tmp_path, split="all")) == 5
+
+
 def test_pictures_of_a_model_in_any_order_with_quaternions_of_any_length(tmp_path, bricks):
     """As pycolmap writes what it is given."""
     pycolmap = pytest.importorskip("pycolmap", minversion="4")
@@ -1053,6 +1075,18 @@ def test_text_beside_binary_files_that_says_something_else(tmp_path, bricks, rec
     scene = load(tmp_path / "scene", split="all")
     assert [camera.cy for camera in scene.cameras] == [camera.cy for camera in before.cameras]
     assert sum("beside them say something else" in str(each.message) for each in recwarn) == edited
+
+
+def test_text_beside_binary_files_that_memory_is_short_for(tmp_path, bricks, monkeypatch):
+    """Of many keypoints: it is not needed, and nothing is said of it."""
+    write_colmap(tmp_path / "scene", bricks, binary=True)
+    write_colmap(tmp_path / "text", bricks, binary=False)
+    for path in (tmp_path / "text" / "sparse" / "0").iterdir():
+        (tmp_path / "scene" / "sparse" / "0" / path.name).write_bytes(path.read_bytes() + b"#" * (1 << 22))
+    monkeypatch.setattr("warpcage.core.memory.free_host_bytes", lambda: 1 << 26)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load(tmp_path / "scene", split="all")
 
 
 def require_same_as_colmap(scene, theirs):

@@ -138,6 +138,17 @@ def test_paths_of_another_machine(tmp_path, bricks, name, start):
         require_equal(load(tmp_path, split="all"), bricks)
 
 
+@pytest.mark.parametrize("start", ELSEWHERE)
+def test_paths_of_another_machine_may_be_missing(tmp_path, bricks, start):
+    """As other names that are not there: left out, and counted."""
+    write_transforms(tmp_path, bricks)
+    listing = tmp_path / "transforms.json"
+    listing.write_text(listing.read_text().replace("images/view_", f"{json.dumps(start)[1:-1]}view_"))
+    (tmp_path / "images" / "view_01.png").unlink()
+    with pytest.warns(UserWarning, match="left out, the first is view_01.png"):
+        assert len(load(tmp_path, split="all").names) == len(bricks.names) - 1
+
+
 @pytest.mark.parametrize("name", ["transforms", "colmap"])
 def test_endings_in_other_letters(tmp_path, bricks, name):
     """IMG.JPG in place of IMG.jpg, as programs and file systems change them."""

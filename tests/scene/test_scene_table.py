@@ -92,7 +92,8 @@ def test_an_unknown_folder_says_what_is_nearest(tmp_path, files, form, has, miss
 @pytest.mark.parametrize(
     "files, said",
     [
-        ("images/1.png", "`warpcage capture .*images -o scene`"),
+        ("images/1.png", "in images/, but no cameras: `warpcage capture .*images -o"),
+        ("1.png 2.jpg", "pictures, but no cameras: `warpcage capture .* -o"),
         ("scene0000_00.sens", "intrinsic/ with its SensReader"),
         ("images/1.png Barn_COLMAP_SfM.log", "its pictures with ns-process-data"),
         ("habitat/mesh_semantic.ply", "Replica's own download holds meshes"),

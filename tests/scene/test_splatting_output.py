@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shutil
+import warnings
 
 import numpy as np
 import pytest
@@ -66,6 +67,16 @@ def test_the_folder_is_a_field_with_views(output, shown, capsys):
     assert "no camera '10'" in capsys.readouterr().err
 
 
+def test_items_of_a_job_file_take_the_folder(output):
+    lines = [{"format": "warpcage jobs", "version": 1, "defaults": {"camera": "out/cameras.json#2"}}]
+    newest = "out/point_cloud/iteration_30000/point_cloud.ply"
+    lines += [{"id": name, "field": field} for name, field in (("folder", "out"), ("file", newest))]
+    (output.parent / "jobs.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    succeed(output.parent, "run", "@jobs.jsonl", "-o", "@made", "--device", "cpu")
+    folder, file = ((output.parent / "made" / f"{name}.png").read_bytes() for name in ("folder", "file"))
+    assert folder == file
+
+
 def test_evaluate_takes_the_pictures_that_it_names(output, capsys):
     for words in ([], ["@out"], ["@truck"]):
         succeed(output.parent, "evaluate", "@out", *words, "--device", "cpu", "--json", "@report.json", "--quiet")
@@ -92,6 +103,9 @@ def test_cameras_are_those_of_the_fit(output, shown):
     (output / "cfg_args").write_text((output / "cfg_args").read_text().replace("eval=True", "eval=False"))
     with pytest.warns(UserWarning, match="fitted to the pictures of 'test' too"):
         load_scene(output, split="test")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_scene(output, split="all")
     rows = json.loads((output / "cameras.json").read_text())
     rows[4]["position"][0] += 0.3
     (output / "cameras.json").write_text(json.dumps(rows))
@@ -146,7 +160,7 @@ def test_pictures_of_the_size_of_the_fit(tmp_path, shown):
         ("x" * 20000, "must be of some hundred bytes"),
         ("Namespace(source_path='/no/where\\0')", "names no source_path|must hold"),
         ("", r"must hold Namespace\(...\)"),
-        (None, "names no source_path"),
+        (None, "cfg_args is not there"),
         ("Namespace(source_path='/')", "is no scene of a known format"),
     ],
 )
@@ -171,4 +185,8 @@ def test_its_cameras_are_a_camera_file(tmp_path, shown):
         np.testing.assert_array_equal(key.camera.camera_to_world, camera.camera_to_world)
         assert (key.camera.fx, key.camera.width, key.camera.height) == (55.0, 48, 36)
         assert (key.camera.cx, key.camera.cy) == ((20.0, 11.0) if index == 1 else (24.0, 18.0))
-    assert Camera.load(tmp_path / "cameras.json", "view_03").camera_to_world[0, 3] == pictures.cameras[3].center[0]
+    for name in ("view_03", "view_03.JPG", "3"):
+        assert Camera.load(tmp_path / "cameras.json", name).camera_to_world[0, 3] == pictures.cameras[3].center[0]
+    (tmp_path / "cameras.json").write_text(json.dumps([row | {"img_name": f"{5 - row['id']:04}.jpg"} for row in rows]))
+    for name in ("0005", "0005.png", "0005.jpg", "0"):
+        assert Camera.load(tmp_path / "cameras.json", name).camera_to_world[0, 3] == pictures.cameras[0].center[0]

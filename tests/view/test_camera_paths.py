@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from messages import MESSAGES
 
-from warpcage import Camera, CameraFile, CameraKey, camera_at, turntable
+from warpcage import Cage, Camera, CameraFile, CameraKey, camera_at, turntable
 from warpcage.view import MovingCamera, axis_rotation, camera_moves, eased_share, path_cameras, timed_keys
 
 LENS = {"fov_degrees": 50, "width": 60, "height": 40}
@@ -87,6 +87,9 @@ def test_files_that_cannot_be_read_are_refused_in_one_line(tmp_path):
         Camera.load(tmp_path / "good.json")
     with pytest.raises(ValueError, match="it holds no camera 'side', only 0, 1"):
         Camera.load(tmp_path / "good.json", "side")
+    with pytest.raises(ValueError, match="^[^:]*shot.gltf: there is no camera"):
+        Cage.box([0, 0, 0], [1, 1, 1]).save(tmp_path / "shot.gltf")
+        Camera.load(tmp_path / "shot.gltf")
     with pytest.raises(ValueError, match="must end in .json"):
         some_cameras(1)[0].save(tmp_path / "camera.txt")
     assert not (tmp_path / "camera.txt").exists()

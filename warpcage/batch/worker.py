@@ -29,11 +29,12 @@ from ..field.voxel_field import VoxelField
 from ..films.render import HeldPose, drawn_cages, require_fillable
 from ..films.words import References, RestCage
 from ..fitting.cameras import tuned_scene
-from ..fitting.evaluation import evaluation_report, in_world_of, moved_scene, refined_cameras_of
+from ..fitting.evaluation import evaluation_report, in_world_of, moved_scene, refined_cameras_of, warn_of_mismatch
 from ..fitting.fit import fit
 from ..scene.formats.parsing import TO_OPENCV
 from ..scene.load import load_scene
 from ..scene.scene import Scene
+from ..splats.io import splat_path
 from ..splats.splat_field import AnyField, read_field
 from ..view.camera import Camera, CameraKey, camera_json
 from ..view.exr import mean_picture, write_picture
@@ -100,7 +101,7 @@ class LoadedFields:
 
     def get(self, name: str, scene_scale: float) -> tuple[Hashable, AnyField]:
         """A key that is another where the file has changed, and the field; scene_scale: as `VoxelField.load` has it."""
-        path, stamp = self.references.stamped(name, "field file")
+        path, stamp = self.references.stamped(str(splat_path(self.references.path(name))), "field file")
 
         def load() -> AnyField:
             self.read_count += 1
@@ -365,6 +366,7 @@ def make_evaluation(item: EvaluateItem, references: References, fields: LoadedFi
     elif refined_cameras_of(field) is not None and not item.given_cameras:
         scene, given = moved_scene(field, scene), scene
     found = evaluation_report(field, scene, given=given)
+    warn_of_mismatch(field, scene)
     fields.kept.settle(key)
     content = {
         "field": item.field,

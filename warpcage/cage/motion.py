@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import os
 import pathlib
@@ -15,14 +16,14 @@ from ..core.checks import checked_path, checked_positive, listed, require_type
 from ..core.files import PathLike, require_file
 from ..core.names import counted
 from ..errors import InputError
-from ..mesh.io import ALL_OBJECTS, ENDINGS, MOTION_ENDINGS, file_up, object_names, turned_up
+from ..mesh.io import ALL_OBJECTS, ENDINGS, MOTION_ENDINGS, file_up, object_names, read_object, turned_up
 from ..mesh.io.gltf_animation import read_gltf_motion
 from ..mesh.io.usd import USD_ENDINGS, read_usd_motion
 from ..mesh.io.vertex_cache import CACHE_ENDINGS, read_vertex_cache
-from ..mesh.match import posed_mesh
+from ..mesh.match import in_order, matched_order, posed_mesh
 from .cage import Cage
 from .pose_file import PoseFile
-from .up_axis import load_standing, standing_of_pose
+from .up_axis import is_pose, load_standing, standing_of_pose
 
 #: Frames per second where nothing says another rate.
 USUAL_RATE = 24.0
@@ -131,7 +132,7 @@ def gltf_poses(path: PathLike, rest: Cage, *, name: str = "", up: str | None = N
     order = _order(rest, base, str(path))
     file = PoseFile(rest)
     for key, vertices in zip(motion.names, motion.vertices, strict=True):
-        file[key] = turned_up(vertices, was, "z")[order]
+        file[key] = in_order(rest, turned_up(vertices, was, "z"), order)
         if motion.times is not None:
             file.times[key], file.easings[key] = motion.times[len(file) - 1], "linear"
     file.fps = motion.fps
@@ -150,12 +151,15 @@ def gltf_shown(path: PathLike, rest: Cage, *, up: str | None = None) -> Cage | N
         return None
     was = up or "y"
     order = _order(rest, Cage.load(path, up=was, object=chosen or ALL_OBJECTS), str(path))
-    return rest.with_vertices(turned_up(motion.shown, was, "z")[order])
+    return rest.with_vertices(in_order(rest, turned_up(motion.shown, was, "z"), order))
 
 
 def _object_of(path: pathlib.Path, rest: Cage) -> str:
-    """The object of a glTF file that is called as the cage at rest, "" for all of it."""
-    return rest.object_name if rest.object_name and rest.object_name in object_names(path) else ""
+    """The object of a glTF or USD file that is called as the cage at rest, or alone has its mesh, "" for all of it."""
+    names = object_names(path)
+    if rest.object_name in names or len(names) < 2:
+        return rest.object_name if rest.object_name in names else ""
+    return read_object(path, fits=functools.partial(is_pose, rest)).name
 
 
 def sequence_poses(
@@ -176,7 +180,7 @@ def sequence_poses(
         if cage.faces.shape != first.faces.shape or not np.array_equal(cage.faces, first.faces):
             raise InputError(f"cage {str(path)!r} has other faces than {str(paths[0])!r}: one cage moves in a sequence")
         name = pathlib.Path(path).stem
-        file[name] = cage.vertices[order]
+        file[name] = in_order(rest, cage.vertices, order)
         file.times[name], file.easings[name] = (number - numbers[0]) / rate, "linear"
     file.fps = rate
     return file
@@ -219,8 +223,6 @@ def _order(rest: Cage, mesh: Cage, name: str) -> np.ndarray:
     """(v,) numbers of a mesh's vertices in the order of a cage. It is found once: a symmetric cage could be laid over
     its poses in several ways."""
     try:
-        matched = rest.match(mesh).vertices
+        return matched_order(rest, mesh)
     except ValueError as error:
         raise InputError(f"cage {name!r} does not fit its rest cage: {error}") from None
-    numbers = {vertex.tobytes(): index for index, vertex in reversed(list(enumerate(mesh.vertices + 0.0)))}
-    return np.array([numbers[vertex.tobytes()] for vertex in matched + 0.0])

@@ -82,7 +82,7 @@ def load_standing(
     # object: as `read_object` takes it; without it the pose of a cage is that of its name, or the only one that fits
     chosen = up or expected or file_up(path)
     rest = reference if isinstance(reference, ClosedMesh) else None
-    fits = None if rest is None else functools.partial(_fits, rest)
+    fits = None if rest is None else functools.partial(is_pose, rest)
     file = read_object(path, chosen, object, fits, "" if rest is None else rest.object_name)
     path = file.path
     try:
@@ -100,7 +100,7 @@ def load_standing(
     return restood(cage, chosen, standing.up), standing
 
 
-def _fits(rest: ClosedMesh, vertices: np.ndarray, faces: np.ndarray) -> bool:
+def is_pose(rest: ClosedMesh, vertices: np.ndarray, faces: np.ndarray) -> bool:
     """Whether a mesh is a pose of a cage."""
     try:
         matched_vertices(rest, ClosedMesh(vertices, faces))

@@ -110,7 +110,8 @@ def mask_opacity(source: Source, file: pathlib.Path) -> np.ndarray:
 
 def ignored_pixels(source: Source, file: pathlib.Path) -> np.ndarray:
     """(h, w) float32 how bright a mask of what does not count is; ValueError for one of another size."""
-    return _upright(source, file)[..., :3].max(axis=-1)
+    image = _upright(source, file)
+    return image[..., : 3 if image.shape[-1] > 2 else 1].max(axis=-1)  # of grey and opacity the grey
 
 
 def _upright(source: Source, file: pathlib.Path) -> np.ndarray:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
 from ..core.names import counted
-from ..core.threads import run_parallel
+from ..core.reports import tell
+from ..core.threads import cpu_threads
 from ..scene.box import find_looks
 from ..scene.coverage import picture_counts
 from ..scene.scene import Scene
@@ -16,6 +20,9 @@ from .solving import LEAST_ACROSS, LEAST_PARALLAX, LEAST_SHARE, MOST_TORN, NAMED
 
 #: Pictures that are looked at, at most, and their longer side, pixels: seconds. Those below the last show nothing.
 MOST_PICTURES, SIDE, LEAST_SIDE = 40, 320, 96
+
+#: Of shrunk pictures as narrow as this, such as parts of a panorama, there is nothing to compare.
+NARROW = 12
 
 #: Pictures that each one is compared with: those most alike by so many of their largest features.
 MOST_ALIKE, FEW = 8, 300
@@ -45,6 +52,9 @@ CHANCE = 0.15
 #: Places belong together where more than this share of the cameras show two of them.
 BOTH_SHARE = 0.25
 
+#: What a check says that it does.
+WORDS = "compare pictures"
+
 Matches = dict[tuple[int, int], np.ndarray]
 
 
@@ -52,7 +62,7 @@ def camera_doubt(scene: Scene) -> str | None:
     """What is doubtful about the cameras of a scene, one line with what to do; None where nothing is.
     It takes some seconds, whatever the number of pictures; pictures of few pixels are judged by their cameras alone."""
     numbers = np.unique(np.linspace(0, len(scene) - 1, min(len(scene), MOST_PICTURES)).round().astype(int))
-    found = matched_agreement(scene.subset(numbers.tolist()))
+    found = matched_agreement(scene, numbers.tolist())
     lines = (
         _one_place(scene),
         None if found is None else _disagreement(scene, numbers, found),
@@ -61,25 +71,31 @@ def camera_doubt(scene: Scene) -> str | None:
     return next((line for line in lines if line is not None), None)
 
 
-def matched_agreement(scene: Scene) -> Agreement | None:
-    """How far matches of a scene's pictures agree with its cameras; None where too few are found to say."""
-    if min(min(camera.width, camera.height) for camera in scene.cameras) < LEAST_SIDE:
+def matched_agreement(scene: Scene, numbers: Sequence[int]) -> Agreement | None:
+    """How far matches of some of a scene's pictures agree with their cameras, counted as `numbers` has them; None where
+    too few are found to say."""
+    cameras = [scene.cameras[number] for number in numbers]
+    if min(min(camera.width, camera.height) for camera in cameras) < LEAST_SIDE:
         return None
-    features: list = [None] * len(scene)
-
-    def look(view: int) -> None:
-        features[view] = _features(scene, view)
-
-    run_parallel([lambda view=view: look(view) for view in range(len(scene))])
-    focals = np.array([factor * camera.fx for (_, _, factor), camera in zip(features, scene.cameras, strict=True)])
+    features = []
+    # threads of its own: launches on the CPU would wait in the shared ones behind pictures
+    with ThreadPoolExecutor(cpu_threads()) as pool:
+        try:
+            for each in pool.map(lambda number: _features(scene, number), numbers):
+                features.append(each)
+                tell(len(features), len(numbers), WORDS)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    focals = np.array([factor * camera.fx for (_, _, factor), camera in zip(features, cameras, strict=True)])
     slopes = [
         (places / factor - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-        for (places, _, factor), camera in zip(features, scene.cameras, strict=True)
+        for (places, _, factor), camera in zip(features, cameras, strict=True)
     ]
     matches = _verified(slopes, [each[1] for each in features], focals)
     if sum(map(len, matches.values())) < ENOUGH_MATCHES:
         return None
-    poses = np.stack([camera.camera_to_world for camera in scene.cameras])
+    poses = np.stack([camera.camera_to_world for camera in cameras])
     return agreement_of(slopes, matches, poses, TOLERANCE / focals)
 
 
@@ -96,12 +112,14 @@ def _features(scene: Scene, view: int) -> tuple[np.ndarray, np.ndarray, float]:
     for part in (scene.weights, scene.alphas):
         if part is not None:
             counts = np.minimum(counts, scene.cut(view, part[view]))
-    detector = SIFT(n_octaves=4)
-    factor = 1.0 / step
+    detector, factor = SIFT(n_octaves=4), 1.0 / step
+    nothing = np.zeros((0, 2)), np.zeros((0, 128), np.float32), factor
+    if min(grey.shape) < NARROW:
+        return nothing
     try:
         detector.detect_and_extract(grey)
     except RuntimeError:  # "SIFT found no features"
-        return np.zeros((0, 2)), np.zeros((0, 128), np.float32), factor
+        return nothing
     places = np.asarray(detector.positions, np.float64)[:, ::-1] + 0.5
     clear = minimum_filter(counts, 2 * EDGE * step + 1) > 0.5
     rows, columns = (np.minimum((places[:, k] / factor).astype(int), image.shape[1 - k] - 1) for k in (1, 0))
@@ -117,12 +135,14 @@ def _verified(slopes: list[np.ndarray], descriptors: list[np.ndarray], focals: n
     count = len(slopes)
     alike = np.zeros((count, count), np.int64)
     for b in range(count):
+        tell(b, count, WORDS)
         for a in range(b):
             alike[a, b] = alike[b, a] = len(_matches(descriptors[a][:FEW], descriptors[b][:FEW]))
     best = np.argsort(-alike, axis=1, kind="stable")[:, :MOST_ALIKE]
     chosen = {(min(a, int(b)), max(a, int(b))) for a in range(count) for b in best[a] if a != b}
     random, found = np.random.default_rng(0), {}
-    for a, b in sorted(chosen):
+    for number, (a, b) in enumerate(sorted(chosen)):
+        tell(number, len(chosen), WORDS)
         rows = _matches(descriptors[a], descriptors[b])
         if len(rows) >= LEAST_MATCHES:
             limit = PIXELS * 0.5 * (1.0 / focals[a] + 1.0 / focals[b])

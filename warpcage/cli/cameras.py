@@ -247,6 +247,18 @@ def scene_camera(args: argparse.Namespace, text: str) -> Camera:
     return cameras[int(index)]
 
 
+def _say_pace(args: argparse.Namespace, keys: Sequence[CameraKey], timeline: Timeline) -> None:
+    """Say where keys of cameras at times are shown in another time, that of a film without times of its own."""
+    last = max((key.time for key in keys if key.time is not None), default=0.0)
+    own = round(last * args.fps) + 1
+    if timeline.keys is None and last > 0.0 and abs(own - args.frames) > 1:
+        print(
+            f"warpcage: the cameras of {args.cameras} take {last:g} s, and are shown in "
+            f"{float(args.frames / args.fps):g} s: --frames {own} keeps their times",
+            file=sys.stderr,
+        )
+
+
 def camera_track(
     args: argparse.Namespace,
     field: AnyField,
@@ -277,6 +289,8 @@ def camera_track(
     if any(given is not None for given in (args.turn, args.camera, args.view, args.frame, args.eye, args.target)):
         raise InputError("--cameras cannot be combined with --turn, --camera, --view, --frame, --eye or --target")
     if camera_file(args.cameras):
-        return keyed_track(camera_keys(args, args.cameras), timeline)
+        keys = camera_keys(args, args.cameras)
+        _say_pace(args, keys, timeline)
+        return keyed_track(keys, timeline)
     cameras = sized_cameras(args, args.cameras)
     return lambda frames: cameras_along(cameras, args.frames, args.interpolation, frames)

@@ -300,6 +300,8 @@ def _json(path: pathlib.Path) -> Rows:
         content = read_json(path, "file of warpcage", (dict, list))
         if program := camera_program(content):
             return [("kind", f"cameras of {program}"), *_cameras(path)[1:]]
+        if content.keys() == {"transform", "scale"}:
+            raise InputError("a frame of nerfstudio (dataparser_transforms.json): give it as --frame, beside its field")
         kind = content.get("format", "warpcage place" if content.keys() & PLACE_WORDS else None)  # made by hand
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None

@@ -261,7 +261,8 @@ class Cuts:
         what: they are, in the plural."""
         if not values.size:
             return values
-        beyond = max(low - float(values.min()), float(values.max()) - high)
+        least, most = (float(each.reduce(values, axis=None)) for each in (np.fmin, np.fmax))  # NaN is none
+        beyond = max(low - least, most - high)
         cut, wide = (
             int(np.count_nonzero((values < low - each) | (values > high + each))) if beyond > each else 0
             for each in (0.5 * step, max(0.5 * step, self._beside))

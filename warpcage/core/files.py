@@ -435,7 +435,7 @@ def errors_of(path: PathLike, what: str) -> Iterator[None]:
     except DAMAGED as error:
         raise InputError(f"{path}: {damage(what, error)}") from None
     except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
 
 
 def read_document(path: PathLike, what: str, form: str, newest: int, **usual: Any) -> dict[str, Any]:

@@ -147,12 +147,13 @@ def _readme(group: str) -> str:
 def _lone_readme(group: str, names: list[str]) -> str:
     """The README.md of kernel files without the modules that launch them: what their kernels do."""
     title, _, _ = _readme(group).partition("\n")
-    text = f"{title}{_LONE}Without `--alone` the modules that launch them come along.\n"
+    text = f"{title}{_LONE}Without `--alone` what runs them comes along, with an example.\n"
     for name in names:
         text += f"\n`{_stem(name)}.py`: {kernel_summary(name)}\n\n"
         functions = [node for node in ast.walk(ast.parse(kernel_source(name))) if isinstance(node, ast.FunctionDef)]
-        for node in functions:
-            if any("wp.kernel" in ast.unparse(each) for each in node.decorator_list):
+        for node in functions:  # kernels, and what the call takes
+            is_kernel = any("wp.kernel" in ast.unparse(each) for each in node.decorator_list)
+            if is_kernel or f"import {node.name}\n" in kernel_call(group):
                 parameters = ", ".join(each.arg for each in node.args.args)
                 text += f"- `{node.name}({parameters})`: {' '.join((ast.get_docstring(node) or '').split())}\n"
     return text
@@ -274,8 +275,8 @@ def copy_kernel(name: str, destination: str | os.PathLike[str], *, alone: bool =
 def _copied_readme(group: str, destination: pathlib.Path, names: list[str], *, alone: bool) -> str:
     """The README.md of a kernel folder in a copy of kernel files, beside those of the folder that are there."""
     text = _readme(group)
-    if alone and host_modules(group):
-        there = [each for each in kernel_names() if each in names or (destination / f"{each}.py").exists()]
+    there = [each for each in kernel_names() if each in names or (destination / f"{each}.py").exists()]
+    if alone and not {_kernel_name(module) for module in _call_imports(group)} <= {*there}:
         text = _lone_readme(group, [each for each in there if each.startswith(f"{group}/")])
     launches = (FOLDER / "README.md").read_text(encoding="utf-8").partition("\n## ")[2]
     return f"{text.replace(_COPY, destination.resolve().name)}\n## {launches}"

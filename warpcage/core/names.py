@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import pathlib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
@@ -138,3 +139,8 @@ def error_line(error: object, limit: int | None = None, *, named: bool = False, 
     elif isinstance(error, KeyError):
         text = f"{text[:60] or repr('')} is missing"
     return text[:limit] or type(error).__name__
+
+
+def picture_stem(name: str) -> str:
+    """The name of a picture without its ending; `.1` is none."""
+    return re.sub(r"\.[A-Za-z]\w*$", "", name)

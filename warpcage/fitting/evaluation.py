@@ -9,9 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..core.checks import real_array, require_type
+from ..core.checks import real_array, require_type, warn_caller
 from ..core.reports import Progress, hears, tell
 from ..errors import InputError
+from ..field.voxel_field import VoxelField
+from ..render.belonging import SceneViews, likeness
 from ..scene.scene import Scene
 from ..splats.splat_field import SplatField
 from ..view.camera import Camera
@@ -161,7 +163,37 @@ def evaluate(
         ValueError: For anything but a Scene, one of which nothing counts, or `moved_along` and a field whose cameras
             were not refined.
         Cancelled: Where `progress` returned False.
+
+    Warns:
+        UserWarning: Where a field shows nothing of what the pictures do, as one in the frame of another program.
     """
+    rows = view_figures(renderer, scene, similarity=similarity, moved_along=moved_along)
+    warn_of_mismatch(renderer, scene)
+    return rows
+
+
+def warn_of_mismatch(renderer: Renderer, scene: Scene) -> None:
+    """Warn of a field that shows something else than a scene's pictures do."""
+    if not isinstance(renderer, (VoxelField, SplatField)):
+        return  # a pose may be unlike them
+    found = likeness(renderer, SceneViews.of(in_world_of(renderer, scene)).glimpses)
+    if found.is_doubtful:
+        warn_caller(
+            f"the field and the cameras of the scene do not belong together: what it shows is unlike the pictures "
+            f"(correlation {found.correlation:.2f}); `warpcage evaluate` looks for a turn or a scale that explains it"
+        )
+
+
+@hears
+def view_figures(
+    renderer: Renderer,
+    scene: Scene,
+    *,
+    similarity: bool = False,
+    moved_along: bool = False,
+    progress: bool | Progress = False,
+) -> list[dict[str, Any]]:
+    """As `evaluate`, without a look at whether the field and the scene belong together."""
     require_type(scene, Scene, "evaluate compares with")
     if not hasattr(renderer, "render"):
         raise InputError(f"evaluate needs a field or a Deformer, got {type(renderer).__name__}")
@@ -292,8 +324,8 @@ def evaluation_report(
     """Compare a field with the pictures of a scene; the structural similarity too where they are large enough.
     given: the scene before its cameras moved along with refined ones, of which the mean is told too."""
     sides = [min(camera.width, camera.height) for camera in scene.cameras]
-    rows = evaluate(field, scene, similarity=min(sides) >= SSIM_WINDOW, progress=progress)
-    return Report(rows, None if given is None else mean_psnr(evaluate(field, given)))
+    rows = view_figures(field, scene, similarity=min(sides) >= SSIM_WINDOW, progress=progress)
+    return Report(rows, None if given is None else mean_psnr(view_figures(field, given)))
 
 
 def finite(decibels: float | None) -> float | None:

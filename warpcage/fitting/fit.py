@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import logging
 import os
 import pathlib
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Literal, overload
 
@@ -21,7 +23,7 @@ from ..captures.scene_check import camera_doubt
 from ..core.checks import checked_path, require_type, warn_caller
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
-from ..core.reports import Progress, hears, is_heard, span_text, tell
+from ..core.reports import Progress, heard, hears, is_heard, span_text, tell
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..scene.box_picture import box_text, draw_box
@@ -31,7 +33,7 @@ from ..view.pictures import side_by_side, write_png
 from . import checkpoint as voxel_checkpoint
 from .batches import counted_pixels
 from .checkpoint import require_writable
-from .evaluation import comparison, evaluate, mean_psnr
+from .evaluation import comparison, mean_psnr, view_figures
 from .memory import memory_text
 from .optimizer import FieldOptimizer
 from .options import FitNames, checked_options
@@ -124,7 +126,7 @@ def fit(
     if representation not in REPRESENTATIONS:
         raise InputError(f"representation must be one of {', '.join(REPRESENTATIONS)}, got {representation!r}")
     require_type(scene, Scene, "a fit needs")
-    looking = None if held is not None and held.exists() else _beside(functools.partial(camera_doubt, scene))
+    goes_on = held is not None and held.exists()
     turn = device_turn(resolve_device(device))
     kept: Any = voxel_checkpoint if representation == "voxels" else splat_checkpoint
     optimizer: FieldOptimizer | SplatFit
@@ -145,37 +147,38 @@ def fit(
     start = shown = saved = pictured = time.monotonic()
     words, looked = "fit", isinstance(optimizer, SplatFit) or optimizer.camera_errors is not None
     pace = optimizer.pace() if isinstance(optimizer, FieldOptimizer) else None
-    while optimizer.step_count < optimizer.total_steps:
+    with contextlib.nullcontext() if goes_on else _beside(functools.partial(camera_doubt, scene)) as looking:
+        while optimizer.step_count < optimizer.total_steps:
+            tell(optimizer.step_count, optimizer.total_steps, words)
+            if looking is not None and looking.done():
+                _warn_of(looking)
+                looking = None
+            if pace is None or not isinstance(optimizer, FieldOptimizer):
+                optimizer.step()
+            elif pace.time(optimizer.step):
+                _say(_forecast(optimizer, pace, time.monotonic() - start), progress)
+            if not looked and isinstance(optimizer, FieldOptimizer) and optimizer.camera_errors is not None:
+                looked = True
+                _say(str(optimizer.camera_errors), progress)
+            if is_heard() and time.monotonic() - shown > SHOWN_EVERY:
+                shown = time.monotonic()
+                words = f"fit: {optimizer.measure_psnr():.2f} dB, {optimizer.size_text}"
+                if pace is not None and pace.is_known:
+                    words += f", about {span_text(pace.left())} left"
+            if held is not None and time.monotonic() - saved > checkpoint_seconds:
+                with turn:
+                    kept.save_progress(optimizer, held)
+                saved = time.monotonic()
+            if picture is not None and time.monotonic() - pictured > preview_seconds:
+                with turn:
+                    _write_preview(picture, optimizer.field, scene)
+                pictured = time.monotonic()
         tell(optimizer.step_count, optimizer.total_steps, words)
-        if looking is not None and looking.done():
+        optimizer.measure_psnr()
+        if optimizer.coarser:
+            _say(optimizer.coarser, progress)
+        if looking is not None:
             _warn_of(looking)
-            looking = None
-        if pace is None or not isinstance(optimizer, FieldOptimizer):
-            optimizer.step()
-        elif pace.time(optimizer.step):
-            _say(_forecast(optimizer, pace, time.monotonic() - start), progress)
-        if not looked and isinstance(optimizer, FieldOptimizer) and optimizer.camera_errors is not None:
-            looked = True
-            _say(str(optimizer.camera_errors), progress)
-        if is_heard() and time.monotonic() - shown > SHOWN_EVERY:
-            shown = time.monotonic()
-            words = f"fit: {optimizer.measure_psnr():.2f} dB, {optimizer.size_text}"
-            if pace is not None and pace.is_known:
-                words += f", about {span_text(pace.left())} left"
-        if held is not None and time.monotonic() - saved > checkpoint_seconds:
-            with turn:
-                kept.save_progress(optimizer, held)
-            saved = time.monotonic()
-        if picture is not None and time.monotonic() - pictured > preview_seconds:
-            with turn:
-                _write_preview(picture, optimizer.field, scene)
-            pictured = time.monotonic()
-    tell(optimizer.step_count, optimizer.total_steps, words)
-    optimizer.measure_psnr()
-    if optimizer.coarser:
-        _say(optimizer.coarser, progress)
-    if looking is not None:
-        _warn_of(looking)
     field = optimizer.finish()
     if is_heard():
         cameras = optimizer.cameras if isinstance(optimizer, FieldOptimizer) else scene.cameras
@@ -188,12 +191,21 @@ def fit(
     return field
 
 
-def _beside(look: Callable[[], str | None]) -> Future[str | None]:
-    """What a look at the pictures finds, in a thread of its own: it takes seconds, in which a GPU fits half a scene."""
-    pool = ThreadPoolExecutor(1, "warpcage-cameras")
-    found = pool.submit(look)
-    pool.shutdown(wait=False)
-    return found
+@contextlib.contextmanager
+def _beside(look: Callable[[], str | None]) -> Iterator[Future[str | None]]:
+    """What a look at the pictures finds, in a thread of its own: it takes seconds, in which a GPU fits half a scene.
+    It ends with the block, however that ends."""
+    ended = threading.Event()
+
+    def heed() -> str | None:
+        with heard(lambda *_: not ended.is_set()):
+            return look()
+
+    with ThreadPoolExecutor(1, "warpcage-cameras") as pool:
+        try:
+            yield pool.submit(heed)
+        finally:
+            ended.set()
 
 
 def _warn_of(looking: Future[str | None]) -> None:
@@ -210,7 +222,7 @@ def _last_psnr(field: VoxelField | SplatField, scene: Scene) -> float:
     size = np.mean([scene.cameras[view].width * scene.cameras[view].height for view in counting])
     places = np.linspace(0, len(counting) - 1, int(np.clip(LAST_PIXELS // size, 1, len(counting))))
     views = scene.subset(counting[places.round().astype(int)].tolist())
-    return mean_psnr(evaluate(field, views, progress=lambda *_: None))  # part of the fit, without a bar of its own
+    return mean_psnr(view_figures(field, views, progress=lambda *_: None))  # part of the fit, without a bar of its own
 
 
 def _forecast(optimizer: FieldOptimizer, pace: Pace, taken: float) -> str:

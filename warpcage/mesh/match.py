@@ -57,10 +57,20 @@ _CLEARLY_BETTER = 0.98
 def matched_vertices(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
     """The vertices (v, 3) float64 of a pose in the order of its rest mesh; unused ones of `rest` stay where they are.
     A ValueError begins with "the pose ", and says how the two differ."""
+    return in_order(rest, pose.vertices, matched_order(rest, pose))
+
+
+def in_order(rest: ClosedMesh, vertices: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Vertices (v, 3) of a pose, or (n, 3) of a frame of it, by a `matched_order`."""
+    return np.where((order < 0)[:, None], rest.vertices, vertices[order])
+
+
+def matched_order(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
+    """(v,) numbers of a pose's vertices in the order of its rest mesh, -1 for unused ones; errors as above."""
     # Also accepts faces in another order or begun at another corner, quads cut along other diagonals, and vertices in
     # any order or repeated at one place, as programs write that store one normal for each corner.
     if len(rest.vertices) == len(pose.vertices) and same_patches(rest.faces, pose.faces):
-        return pose.vertices.copy()
+        return np.arange(len(pose.vertices))
     vertices, faces = pose.vertices, pose.faces.astype(np.int64)
     if _used_count(faces) > _used_count(rest.faces):
         vertices, faces = _welded(pose)
@@ -72,9 +82,9 @@ def matched_vertices(rest: ClosedMesh, pose: ClosedMesh) -> np.ndarray:
     order = _correspondence(_Mesh.of(rest.vertices, rest.faces), _Mesh.of(vertices, faces))
     if order is None:
         raise InputError(f"the pose {_difference(rest, vertices, faces)}")
-    matched = rest.vertices.copy()
+    matched = np.full(len(rest.vertices), -1)
     used = np.unique(rest.faces)
-    matched[used] = vertices[order[used]]
+    matched[used] = order[used]
     return matched
 
 

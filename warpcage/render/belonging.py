@@ -128,7 +128,10 @@ def mismatch(field: AnyField, views: SceneViews) -> str | None:
     if fitting:
         what, best = min(fitting, key=lambda each: each[1].left)
         return f"{words}; {what} would explain it (correlation {best.correlation:.2f})"
-    return f"{words}; neither a turn by 90 degrees nor a scale explains it"
+    return (
+        f"{words}; neither a turn by 90 degrees nor a scale explains it (splats of nerfstudio: --frame "
+        "dataparser_transforms.json)"
+    )
 
 
 def _explanations(field: AnyField, glimpses: list[Glimpse]) -> Iterator[tuple[str, Likeness]]:

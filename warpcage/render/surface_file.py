@@ -6,7 +6,7 @@ import dataclasses
 import io
 import pathlib
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,7 +29,7 @@ from ..mesh.io.gltf import (
 )
 from ..mesh.io.gltf_meshes import node_points
 from ..mesh.io.obj_off import read_obj, read_off
-from ..mesh.io.ply import CHANNELS, ply_header, read_ply, read_ply_points
+from ..mesh.io.ply import CHANNELS, ply_header, read_ply, read_ply_faces, read_ply_points
 from ..mesh.polygons import concave_polygons
 from ..view.exr import screen_colors
 from ..view.pictures import rgba_pixels
@@ -75,6 +75,8 @@ def read_surface(path: PathLike) -> Surface:
     ending = path.suffix.lower()
     if ending in (".glb", ".gltf"):
         surface = _gltf_surface(path)
+    elif ending == ".ply" and _has_face_colors(path):
+        surface = _face_colored_surface(path)
     elif ending in _TRIMESH_ENDINGS:
         mesh: Any = load_trimesh(path)
         surface = _trimesh_surface(mesh)
@@ -164,9 +166,31 @@ def _set_ply_colors(path: pathlib.Path, colors: np.ndarray) -> None:
     """Put the colours of a PLY file into those (v, 4) that trimesh gives, where they are no bytes."""
     # trimesh 5.2 keeps the low byte of 16-bit ones, and takes all floats from 1 on for white
     kinds = dict(_ply_element(path, "vertex")[1])
-    channels = (*CHANNELS, "alpha")[: 4 if "alpha" in kinds else 3]
+    channels = _ply_channels(kinds)
     if set(channels) <= set(kinds) and {kinds[name] for name in channels} != {"u1"}:
         colors[:, : len(channels)] = read_ply_points(path, channels)[1]
+
+
+def _has_face_colors(path: pathlib.Path) -> bool:
+    """Whether the faces of a PLY file have colours, and neither its vertices nor a picture have."""
+    vertex, face = (dict(_ply_element(path, name)[1]) for name in ("vertex", "face"))
+    return set(CHANNELS) <= set(face) and not set(CHANNELS) <= set(vertex) and "texcoord" not in face
+
+
+def _face_colored_surface(path: pathlib.Path) -> Surface:
+    """A PLY file with colours of faces, which trimesh 5.2 refuses where they are no triangles: a vertex a corner."""
+    found = read_object(path)
+    _, polygons, colors = read_ply_faces(path, _ply_channels(dict(_ply_element(path, "face")[1])))
+    assert colors is not None
+    places = found.vertices[found.faces].reshape(-1, 3)
+    made = plain_surface(places, np.arange(len(places)).reshape(-1, 3), np.ones(4), NO_PICTURE)
+    made.colors[:, : colors.shape[1]] = np.repeat(colors, [3 * (len(polygon) - 2) for _, polygon in polygons], axis=0)
+    return made
+
+
+def _ply_channels(kinds: Mapping[str, Any]) -> tuple[str, ...]:
+    """Which properties of an element of a PLY file are its colour, and opacity where it has that."""
+    return (*CHANNELS, "alpha")[: 4 if "alpha" in kinds else 3]
 
 
 def _ply_element(path: pathlib.Path, name: str) -> tuple[int, list[tuple[str, Any]]]:

@@ -14,6 +14,7 @@ from ..core.reports import Progress, hears
 from ..errors import InputError, MissingFileError
 from ..view.camera import CameraFile, rigid_motion
 from ..view.frame import parse_background
+from .formats.parsing import PICTURE_ENDINGS
 from .formats.table import SceneFormat, candidates, format_named
 from .scene import Scene, rotation_to
 
@@ -197,9 +198,12 @@ def _nearest(folder: pathlib.Path) -> str:
             nearest = f"nearest is {form}: it has {_joined(there)}, but {_joined(missing)} {verb} missing"
             most = len(there) / len(found)
     pictures = next((name for name in PICTURES_ALONE if _holds(folder, name)), None)
-    if nearest or pictures is None:
+    if nearest:
         return nearest
-    return f"it has pictures in {pictures}, but no cameras: `warpcage capture {folder / pictures} -o scene` finds them"
+    if pictures is None and not any(file.suffix.lower() in PICTURE_ENDINGS for file in folder.iterdir()):
+        return ""
+    place, where = (folder, "") if pictures is None else (folder / pictures, f" in {pictures}")
+    return f"it has pictures{where}, but no cameras: `warpcage capture {place} -o scene` finds them"
 
 
 def _holds(folder: pathlib.Path, name: str) -> bool:

@@ -26,7 +26,7 @@ from ..core.checks import (
     warn_caller,
 )
 from ..core.files import PathLike, errors_of, require_file
-from ..core.names import LOOPS, Easing, require_name
+from ..core.names import LOOPS, Easing, picture_stem, require_name
 from ..errors import InputError
 from ..kernels.view.rays import TILE_HEIGHT, TILE_SIZE, TILE_WIDTH, PinholeCamera
 from .camera_file import CAMERA_NUMBERS, read_camera_document, write_camera_document
@@ -481,7 +481,7 @@ class CameraFile(list[CameraKey]):
         """One of the cameras.
 
         Args:
-            name: Its name, or its number from 0; empty where there is only one.
+            name: Its name, with its picture's ending or without, or its number from 0; empty where there is only one.
 
         Returns:
             The camera.
@@ -491,8 +491,10 @@ class CameraFile(list[CameraKey]):
         """
         require_type(name, str, "the name of a camera must be")
         found = [key for key in self if key.name == name] if name else list(self)
-        if not found and name.isdigit() and int(name) < len(self):
+        if not found and name.isdecimal() and name == str(int(name)) and int(name) < len(self):
             found = [self[int(name)]]
+        if not found:  # 0013 of picture 0013.jpg, and the other way round
+            found = [key for key in self if key.name and picture_stem(key.name) == picture_stem(name)]
         if len(found) == 1:
             return found[0].camera
         names = listed(dict.fromkeys(key.name or str(index) for index, key in enumerate(self)))

@@ -225,7 +225,8 @@ def _read_gltf_entries(path: pathlib.Path, size: tuple[int, int] | None) -> list
         for node in found:
             lens = _lens(document["cameras"][nodes[node]["camera"]], size)
             name = _name(document, node)
-            moving = [each for each in channels if each.node in _above(document, node)]
+            above = _above(document, node)
+            moving = [each for each in channels if each.node in above]
             if not moving:
                 entries.append({"name": name, **lens, "camera_to_world": _pose(at_rest[node])})
                 continue

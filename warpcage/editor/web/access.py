@@ -39,6 +39,9 @@ TOKEN_BYTES = 24
 #: What such a word looks like.
 TOKEN = re.compile(r"[\w-]{32}", re.ASCII)
 
+#: How a file is opened that may be a link or a pipe by then: not through the one, without waiting for the other.
+_AS_IT_IS = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+
 
 class Access:
     """Lets those in who know the word in the address, and pages of the same origin only.
@@ -96,10 +99,10 @@ def _kept_token(session: pathlib.Path) -> str:
     """The word in the address of a session's editor: pages that are open go on where it was kept beside the session's
     file, in a file that nobody else may read."""
     path = session.with_name(f".{session.name.removesuffix('.json')}.secret")
-    with contextlib.suppress(OSError, UnicodeDecodeError):
-        told = path.lstat()
+    with contextlib.suppress(OSError, UnicodeDecodeError), open(os.open(path, _AS_IT_IS), encoding="ascii") as file:
+        told = os.fstat(file.fileno())
         private = not hasattr(os, "getuid") or (told.st_uid == os.getuid() and not stat.S_IMODE(told.st_mode) & 0o077)
-        if stat.S_ISREG(told.st_mode) and private and TOKEN.fullmatch(token := path.read_text("ascii")):
+        if stat.S_ISREG(told.st_mode) and private and TOKEN.fullmatch(token := file.read(TOKEN_BYTES * 2)):
             return token
     token = secrets.token_urlsafe(TOKEN_BYTES)
     with contextlib.suppress(OSError):  # a folder that cannot be written to: pages are opened anew

@@ -120,13 +120,13 @@ def _chosen(
         return "" if names in ([], [UNNAMED]) else names[0]
     if likely in names:
         return likely
+    fitting = [] if fits is None else [name for name in names if _fits(path, format, name, fits)]
+    if len(fitting) == 1:
+        return fitting[0]
     if format.together:
         return ""
     what = f"{path} holds {counted(len(names), 'object')} ({listed(names)})"
     if fits is not None:
-        fitting = [name for name in names if _fits(path, format, name, fits)]
-        if len(fitting) == 1:
-            return fitting[0]
         what += f", of which {listed(fitting)} fit the cage at rest"
     raise InputError(f"{what}: choose one by object= (--cage-object NAME), or {ALL_OBJECTS!r} for all as one")
 

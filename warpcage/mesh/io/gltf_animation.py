@@ -68,7 +68,7 @@ def read_gltf_motion(path: pathlib.Path, name: str = "", object: str = "") -> Gl
         if len(animations) > 1 and not name:
             raise InputError(
                 f"it holds {len(animations)} animations ({listed(animations)}): name one, as in {path.name}:"
-                f"{next(iter(animations))}"
+                f"{next(iter(animations))}, or export them as one (Blender: Animation Mode, Active actions merged)"
             )
         if animations and (not name or name in animations):
             return _sampled(moving, animations[name or next(iter(animations))])  # at its keys' frames, as written

@@ -47,10 +47,15 @@ def read_ply_points(path: pathlib.Path, channels: tuple[str, ...] = CHANNELS) ->
     return vertices, colors
 
 
+def read_ply_faces(path: pathlib.Path, channels: tuple[str, ...]) -> tuple[np.ndarray, list, np.ndarray | None]:
+    """Vertices and polygons of a PLY file, as of `read_ply`, and colours (f, channels) of the polygons, or None."""
+    return _read(path, channels, "face", joined=False)
+
+
 def _read(
-    path: pathlib.Path, channels: tuple[str, ...] = (), *, joined: bool
+    path: pathlib.Path, channels: tuple[str, ...] = (), colored: str = "vertex", *, joined: bool
 ) -> tuple[np.ndarray, list, np.ndarray | None]:
-    """Vertices, polygons, and where channels are asked for and there, colours of the vertices."""
+    """Vertices, polygons, and where channels are asked for and there, colours of the vertices or of each "face"."""
     data = read_limited(path, "PLY file")
     order, elements, body, body_line = ply_header(path, data)
     if order == "ascii":
@@ -66,8 +71,6 @@ def _read(
                 raise InputError(f"{path}: PLY vertices need properties x, y, z, got {listed(names)}")
             vertices = _columns(values, [names.index(axis) for axis in "xyz"])
             seams = _seams(properties, values) if joined else None
-            if channels and set(channels) <= set(names):
-                shades = _vertex_colors(path, channels, properties, values)
             if not np.isfinite(vertices).all():
                 number = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
                 raise InputError(f"{path}: PLY vertex {number} is not finite")
@@ -76,6 +79,8 @@ def _read(
             if column is None or isinstance(values, np.ndarray) or not isinstance(properties[column][1], tuple):
                 raise InputError(f"{path}: PLY faces need a list property vertex_indices, got {listed(names)}")
             polygons = [(line, [int(index) for index in row[column]]) for line, row in values]
+        if name == colored and channels and set(channels) <= set(names):
+            shades = _element_colors(path, channels, name, properties, values)
     if vertices is None:
         raise InputError(f"{path}: no vertices in it")
     if seams is not None:
@@ -108,10 +113,10 @@ def _columns(values: Any, columns: list[int]) -> np.ndarray:
     return np.array([[row[column] for column in columns] for _, row in values], np.float64).reshape(-1, len(columns))
 
 
-def _vertex_colors(
-    path: pathlib.Path, channels: tuple[str, ...], properties: list[tuple[str, Any]], values: Any
+def _element_colors(
+    path: pathlib.Path, channels: tuple[str, ...], element: str, properties: list[tuple[str, Any]], values: Any
 ) -> np.ndarray:
-    """(v, channels) float32 in [0, 1], of properties of any type; numbers with a point reach to 1, or to 255."""
+    """(rows, channels) float32 in [0, 1], of properties of any type; numbers with a point reach to 1, or to 255."""
     kinds = dict(properties)
     if any(isinstance(kinds[name], tuple) for name in channels):
         raise InputError(f"{path}: PLY colours must be numbers, not lists")
@@ -123,7 +128,9 @@ def _vertex_colors(
     colors = colors / whites
     if not (colors.min(initial=0.0) >= 0.0 and colors.max(initial=0.0) <= 1.0):  # false for NaN too
         wrong = int(np.flatnonzero(~((colors >= 0.0) & (colors <= 1.0)).all(axis=1))[0])
-        raise InputError(f"{path}: the colour of PLY vertex {wrong} is no colour: {(colors[wrong] * whites).tolist()}")
+        raise InputError(
+            f"{path}: the colour of PLY {element} {wrong} is no colour: {(colors[wrong] * whites).tolist()}"
+        )
     return colors.astype(np.float32)
 
 

@@ -113,8 +113,10 @@ class _Stage:
         """What a mesh is called: Blender gives the object's name to the transform above it."""
         prim = mesh.GetPrim()
         above = prim.GetParent()
-        of_object = above.IsA(self.geometry.Xform) and above != self.stage.GetDefaultPrim()
-        return (above if of_object else prim).GetName()
+        of_object = above.IsA(self.geometry.Xform)
+        if above.IsA(usd_library().UsdSkel.Root):  # that of one mesh with shapes
+            of_object = sum(child.IsA(self.geometry.Mesh) for child in above.GetChildren()) == 1
+        return (above if of_object and above != self.stage.GetDefaultPrim() else prim).GetName()
 
     def _keys(self) -> list[float]:
         """Times at which something is said of where points are."""

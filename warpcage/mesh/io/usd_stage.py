@@ -45,9 +45,13 @@ def _reason_of(error: Exception) -> str:
 
 
 def opened_stage(path: pathlib.Path) -> Any:
-    """The stage of a USD file."""
+    """The stage of a USD file as it is now."""
     with errors_of_stage(path):
-        return usd_library().Usd.Stage.Open(str(path))
+        stage = usd_library().Usd.Stage.Open(str(path))
+        for layer in stage.GetUsedLayers():  # USD keeps layers that somebody holds, such as the frames of an error
+            if not (layer.anonymous or layer.dirty):
+                layer.Reload()  # where its file is another one by now
+        return stage
 
 
 def attribute_times(attribute: Any) -> list[float]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ...core.checks import listed, warn_caller
 from ...core.files import read_limited
+from ...core.memory import MemoryShortage
 from ...core.names import error_line
 from ...errors import InputError, MissingFileError
 from ...view.pictures import image_size
@@ -21,7 +22,7 @@ from ..box import Bounds
 from ..lenses import Lens, all_around
 from ..pictures import COEFFICIENTS, View, files_of, make_scene, views_there
 from ..scene import Scene
-from .parsing import PictureFinder, chosen_part, floats, held_out, inside, is_file, read_text
+from .parsing import DYNAMIC_MASK, PictureFinder, chosen_part, floats, held_out, inside, is_file, read_text
 
 #: Bytes of memory that a byte of a binary file takes at most: a picture of 73 bytes becomes a record of some 700.
 BINARY_ROOM = 12
@@ -376,7 +377,29 @@ def read(folder: pathlib.Path, *, split: str, model: str | None = None, **option
     finder.tell(found.images_path)
     chosen = [views[index] for index in held_out(len(views), split, folder)]
     options |= {"points": found.points, "point_colors": found.colors, "beside": files_of(views)}
-    return make_scene(folder, chosen, **options)
+    scene = make_scene(folder, chosen, **options)  # which looks at whether they lie within the folder
+    _tell_of_others(views, found.images_path)
+    return scene
+
+
+def _tell_of_others(views: list[View], path: pathlib.Path) -> None:
+    """Warn of pictures beside those of a model that it has no camera for."""
+    known = {(view.file.parent, view.file.stem) for view in views}
+    endings = {view.file.suffix.lower() for view in views}
+    folders = {view.file.parent for view in views if view.file.parent.is_dir()}  # smaller copies may stand for it
+    beside = (file for folder in folders for file in folder.iterdir())
+    others = sorted(
+        file.name
+        for file in beside
+        if file.suffix.lower() in endings
+        and not {(file.parent, file.stem), (file.parent, pathlib.Path(file.stem).stem)} & known  # 1.png.png is a mask
+        and not file.name.startswith((DYNAMIC_MASK, "."))
+    )
+    if others:
+        count = len(others)
+        warn_caller(
+            f"{path}: {count} of {len(views) + count} pictures have no camera and are left out ({listed(others, 3)})"
+        )
 
 
 def _tell_of_text(model: Model) -> None:
@@ -386,6 +409,8 @@ def _tell_of_text(model: Model) -> None:
         return
     try:
         same = _is_same(model, Model(_cameras_txt(cameras), _images_txt(images), None, None, cameras, images))
+    except MemoryShortage:  # of many keypoints: what is read does not need it
+        return
     except InputError:  # of another program, or half edited
         same = False
     if not same:

@@ -156,7 +156,7 @@ class PictureFinder:
 
     def find(self, name: object, where: str) -> pathlib.Path:
         """The file of a name, of a picture where it has no ending; it may not be there. ValueError where a name leads
-        out of the folder, and no file in it has its end, or may be one of several with other endings."""
+        out of the folder to a file, and none in it has its end, or may be one of several with other endings."""
         usual = None
         with contextlib.suppress(ValueError):
             usual = _with_ending(inside(self.homes[0], name, where))
@@ -166,6 +166,9 @@ class PictureFinder:
             found = self._spelled(name) or self._of_other_ending(name, where)
             if found is not None:
                 return found
+            own = [*_ends(name)][-1:]
+            if usual is None and own and "\0" not in name and not os.path.lexists(self.homes[0] / name):
+                return _with_ending(inside(self.homes[0], own[0], where))  # a path of another machine
         return _with_ending(inside(self.homes[0], name, where)) if usual is None else usual
 
     def _spelled(self, name: str) -> pathlib.Path | None:

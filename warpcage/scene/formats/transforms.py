@@ -257,7 +257,9 @@ def read_frame(path: PathLike) -> Similarity:
     # poses are multiplied by `transform` from the left, which holds applied_transform too, and their places by `scale`
     path = require_file(path, "frame file")
     content = read_json(path)
-    rows, where = content.get("transform"), f"{path}: transform"
+    if not {"transform", "scale"} <= content.keys():
+        raise InputError(f"{path} has no transform and scale, as dataparser_transforms.json of nerfstudio has them")
+    rows, where = content["transform"], f"{path}: transform"
     motion = matrix(_with_last_row(rows), (4, 4), where)
     scale = _positive(content, "scale", str(path))
     left, lengths, right = np.linalg.svd(motion[:3, :3])

@@ -79,7 +79,8 @@ def source_of(folder: pathlib.Path) -> pathlib.Path:
     """The scene of the pictures, where cfg_args says, or by its name in the output folder or beside it."""
     named = trained_options(folder).get("source_path")
     if not isinstance(named, str) or not named or "\0" in named:
-        raise MissingFileError(f"{folder / OPTIONS} names no source_path: give the folder of the scene itself")
+        lacks = "names no source_path" if (folder / OPTIONS).is_file() else "is not there"
+        raise MissingFileError(f"{folder / OPTIONS} {lacks}: give the folder of the scene itself")
     name = pathlib.PurePath(named.replace("\\", "/")).name
     places = [pathlib.Path(named), *(home / name for home in (folder, folder.absolute().parent) if name)]
     for place in places:
@@ -104,7 +105,7 @@ def read(folder: pathlib.Path, *, split: str, downscale: int, **options: Any) ->
     smaller = re.fullmatch(r"images_([1-9]\d?)", str(given.get("images")))
     factor = int(smaller[1]) if smaller else 1
     scene = found.read(source, split=split, downscale=downscale * factor, **options)
-    if split != "train" and given.get("eval") is False:
+    if split not in ("train", "all") and given.get("eval") is False:
         warn_caller(f"{folder}: eval=False in {OPTIONS}: the splats were fitted to the pictures of {split!r} too")
     return scene.with_cameras(_cameras_of(scene, folder / CAMERAS, str(source)))
 
