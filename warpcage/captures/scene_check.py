@@ -25,7 +25,7 @@ MOST_PICTURES, SIDE, LEAST_SIDE = 40, 320, 96
 NARROW = 12
 
 #: Pictures that each one is compared with: those most alike by so many of their largest features.
-MOST_ALIKE, FEW = 8, 300
+MOST_ALIKE, FEW = 8, 100
 
 #: Fewest matches that a geometry of two pictures alone explains, by so many tries, each within so many pixels of it.
 LEAST_MATCHES, TRIES, PIXELS = 16, 200, 1.0
@@ -112,7 +112,7 @@ def _features(scene: Scene, view: int) -> tuple[np.ndarray, np.ndarray, float]:
     for part in (scene.weights, scene.alphas):
         if part is not None:
             counts = np.minimum(counts, scene.cut(view, part[view]))
-    detector, factor = SIFT(n_octaves=4), 1.0 / step
+    detector, factor = SIFT(upsampling=1, n_octaves=4), 1.0 / step
     nothing = np.zeros((0, 2)), np.zeros((0, 128), np.float32), factor
     if min(grey.shape) < NARROW:
         return nothing
@@ -124,7 +124,7 @@ def _features(scene: Scene, view: int) -> tuple[np.ndarray, np.ndarray, float]:
     clear = minimum_filter(counts, 2 * EDGE * step + 1) > 0.5
     rows, columns = (np.minimum((places[:, k] / factor).astype(int), image.shape[1 - k] - 1) for k in (1, 0))
     order = np.argsort(-np.asarray(detector.sigmas), kind="stable")
-    order = order[clear[rows, columns][order]][: 2 * LARGEST]
+    order = order[clear[rows, columns][order]][:LARGEST]
     vectors = np.asarray(detector.descriptors, np.float32)[order]
     vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-6)
     return places[order], vectors, factor

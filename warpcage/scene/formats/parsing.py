@@ -166,8 +166,9 @@ class PictureFinder:
             found = self._spelled(name) or self._of_other_ending(name, where)
             if found is not None:
                 return found
+            foreign = pathlib.PurePosixPath(name).is_absolute() or pathlib.PureWindowsPath(name).is_absolute()
             own = [*_ends(name)][-1:]
-            if usual is None and own and "\0" not in name and not os.path.lexists(self.homes[0] / name):
+            if foreign and usual is None and own and "\0" not in name and not os.path.lexists(self.homes[0] / name):
                 return _with_ending(inside(self.homes[0], own[0], where))  # a path of another machine
         return _with_ending(inside(self.homes[0], name, where)) if usual is None else usual
 
