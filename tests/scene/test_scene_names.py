@@ -138,7 +138,7 @@ def test_paths_of_another_machine(tmp_path, bricks, name, start):
         require_equal(load(tmp_path, split="all"), bricks)
 
 
-@pytest.mark.parametrize("start", ELSEWHERE)
+@pytest.mark.parametrize("start", [start for start in ELSEWHERE if not start.startswith("..")])
 def test_paths_of_another_machine_may_be_missing(tmp_path, bricks, start):
     """As other names that are not there: left out, and counted."""
     write_transforms(tmp_path, bricks)
