@@ -15,16 +15,13 @@ from ..scene.coverage import picture_counts
 from ..scene.scene import Scene
 from ..view.pictures import shrink
 from .agreement import Agreement, agreement_of, ahead_share
-from .colmap import LARGEST, LEAST_GROUP
+from .colmap import LEAST_GROUP
 from .solving import LEAST_ACROSS, LEAST_PARALLAX, LEAST_SHARE, MOST_TORN, NAMED
 
 #: Pictures that are looked at, at most, and their longer side, pixels: seconds. Those below the last show nothing.
 MOST_PICTURES, SIDE, LEAST_SIDE = 40, 320, 96
 
-#: Of shrunk pictures as narrow as this, such as parts of a panorama, there is nothing to compare.
-NARROW = 12
-
-#: Pictures that each one is compared with: those most alike by so many of their largest features.
+#: Pictures that each one is compared with: those most alike by so many of their corners.
 MOST_ALIKE, FEW = 8, 100
 
 #: Fewest matches that a geometry of two pictures alone explains, by so many tries, each within so many pixels of it.
@@ -39,6 +36,12 @@ TOLERANCE = 1.5
 
 #: Fewer matches than this say nothing of the cameras.
 ENOUGH_MATCHES = 200
+
+#: Corners of a picture, of half and of a quarter of it, at most, and the least strength that is one.
+MOST_CORNERS, LEAST_STRENGTH = (200, 80, 40), 1e-5
+
+#: Samples along a side of the patch around a corner, pixels between two, and how far it reaches.
+PATCH, SPACING, REACH = 8, 3.0, 18
 
 #: Features nearer than this to what is cut out or does not count are of its edge, pixels.
 EDGE = 5
@@ -100,34 +103,66 @@ def matched_agreement(scene: Scene, numbers: Sequence[int]) -> Agreement | None:
 
 
 def _features(scene: Scene, view: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Places (k, 2) of a picture's features, pixels of it shrunk; their descriptors (k, 128); by what it was shrunk."""
+    """Places (k, 2) of a picture's corners, pixels of it shrunk; their descriptors (k, 64); by what it was shrunk."""
     from scipy.ndimage import minimum_filter
-    from skimage.feature import SIFT
 
     image = scene.cut(view, scene.images[view])
     step = max(1, round(max(image.shape[:2]) / SIDE))
     height, width = (side // step * step for side in image.shape[:2])
-    grey = shrink(image[:height, :width], step).mean(axis=-1, dtype=np.float64)
-    counts = np.ones(image.shape[:2], np.float32)
+    grey = shrink(image[:height, :width], step).mean(axis=-1, dtype=np.float32)
+    clear = np.ones(grey.shape, bool)
     for part in (scene.weights, scene.alphas):
         if part is not None:
-            counts = np.minimum(counts, scene.cut(view, part[view]))
-    detector, factor = SIFT(upsampling=1, n_octaves=4), 1.0 / step
-    nothing = np.zeros((0, 2)), np.zeros((0, 128), np.float32), factor
-    if min(grey.shape) < NARROW:
-        return nothing
-    try:
-        detector.detect_and_extract(grey)
-    except RuntimeError:  # "SIFT found no features"
-        return nothing
-    places = np.asarray(detector.positions, np.float64)[:, ::-1] + 0.5
-    clear = minimum_filter(counts, 2 * EDGE * step + 1) > 0.5
-    rows, columns = (np.minimum((places[:, k] / factor).astype(int), image.shape[1 - k] - 1) for k in (1, 0))
-    order = np.argsort(-np.asarray(detector.sigmas), kind="stable")
-    order = order[clear[rows, columns][order]][:LARGEST]
-    vectors = np.asarray(detector.descriptors, np.float32)[order]
-    vectors /= np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-6)
-    return places[order], vectors, factor
+            counts = shrink(scene.cut(view, part[view])[:height, :width, None], step)[..., 0]
+            clear &= minimum_filter(counts, 2 * EDGE + 1) > 0.5
+    places, vectors, scale = [np.zeros((0, 2))], [np.zeros((0, PATCH**2), np.float32)], 1
+    for most in MOST_CORNERS:
+        if min(grey.shape) < 2 * REACH + 2:
+            break
+        found = corners(grey, most)
+        places.append(scale * found)
+        vectors.append(patches(grey, found))
+        scale *= 2
+        grey = shrink(grey[: grey.shape[0] // 2 * 2, : grey.shape[1] // 2 * 2, None], 2)[..., 0]
+    where = np.concatenate(places)
+    rows, columns = (np.minimum(where[:, k].astype(int), clear.shape[1 - k] - 1) for k in (1, 0))
+    kept = clear[rows, columns]
+    return where[kept], np.concatenate(vectors)[kept], 1.0 / step
+
+
+def corners(grey: np.ndarray, most: int) -> np.ndarray:
+    """(k, 2) places, pixels, of the strongest corners of a picture (h, w): Brown, Szeliski and Winder 2005."""
+    from scipy.ndimage import gaussian_filter, maximum_filter
+
+    down, right = np.gradient(gaussian_filter(grey, 1.0))
+    yy, xy, xx = (gaussian_filter(product, 1.5) for product in (down * down, down * right, right * right))
+    strength = (xx * yy - xy * xy) / np.maximum(xx + yy, 1e-12)  # harmonic mean of the eigenvalues
+    peaks = (strength == maximum_filter(strength, 7)) & (strength > LEAST_STRENGTH)
+    peaks[:REACH], peaks[-REACH:], peaks[:, :REACH], peaks[:, -REACH:] = False, False, False, False
+    y, x = np.nonzero(peaks)
+    order = np.argsort(-strength[y, x], kind="stable")[:most]
+    y, x = y[order], x[order]
+    center = strength[y, x]
+    shifts = []  # to the top of the parabola through three values along each axis
+    for before, after in ((strength[y, x - 1], strength[y, x + 1]), (strength[y - 1, x], strength[y + 1, x])):
+        bend = np.minimum(before + after - 2.0 * center, -1e-12)
+        shifts.append(np.clip(0.5 * (before - after) / bend, -0.5, 0.5))
+    return np.stack([x, y], axis=1) + np.stack(shifts, axis=1) + 0.5
+
+
+def patches(grey: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(k, PATCH^2) what is around places, turned to the slope there, as unit vectors without their mean."""
+    from scipy.ndimage import gaussian_filter, map_coordinates
+
+    x, y = places.T - 0.5
+    slopes = [map_coordinates(part, [y, x], order=1) for part in np.gradient(gaussian_filter(grey, 4.5))]
+    angle = np.arctan2(*slopes)
+    across, down = (part.ravel() * SPACING for part in np.meshgrid(*2 * [np.arange(PATCH) - 0.5 * (PATCH - 1)]))
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    points = [y[:, None] + sine * across + cosine * down, x[:, None] + cosine * across - sine * down]
+    values = map_coordinates(gaussian_filter(grey, 0.5 * SPACING), points, order=1, mode="nearest")
+    values -= values.mean(axis=1, keepdims=True)
+    return values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-6)
 
 
 def _verified(slopes: list[np.ndarray], descriptors: list[np.ndarray], focals: np.ndarray) -> Matches:
