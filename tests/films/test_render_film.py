@@ -2,6 +2,7 @@
 
 import math
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
 from fields import BOX, shiny_field, view
@@ -126,7 +127,10 @@ def test_what_shows_what_was_shown_last_is_not_rendered_again(field, deformer, t
     pictures = map(read_image, warpcage.render_film(stage, tmp_path / "each", camera=CAMERA, fps=8))
     assert len(rendered) == 10
     write_film(tmp_path / "again.mp4", pictures, 8, loop=False)
-    assert (tmp_path / "whole.mp4").read_bytes() == (tmp_path / "again.mp4").read_bytes()
+    films = [iio.imread(tmp_path / name, plugin="pyav") for name in ("whole.mp4", "again.mp4")]
+    assert films[0].shape == films[1].shape and len(films[0]) == 6
+    # Not byte by byte: of hundreds of runs an encoder gave one other byte once.
+    assert np.abs(films[0].astype(float) - films[1]).max() <= 2
     stage.hide("ball")
     warpcage.render_film(stage, tmp_path / "hidden.mp4", camera=CAMERA, fps=8)
     assert len(rendered) == 11
