@@ -32,7 +32,7 @@ class Shared:
     """An array of a library that speaks DLPack."""
 
     def __dlpack__(self, stream: int | None = None) -> object:
-        raise NotImplementedError
+        return np.zeros((4, 3)).__dlpack__()
 
 
 def kinds(cage: Cage, posed: NDArray[np.float64], on_device: wp.array[wp.vec3], anything: ArrayLike) -> None:
