@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from messages import MESSAGES
 
@@ -320,6 +320,7 @@ WORDS = sorted({word for maker in Item.kinds.values() for word in maker.known})
     st.dictionaries(st.sampled_from(WORDS), anything, min_size=1, max_size=4),
     st.dictionaries(st.sampled_from(WORDS), anything, max_size=2),
 )
+@example(FRAME, {"antialias": None}, {"moments": [None]})
 def test_any_words_make_an_item_or_one_line(entry, words, defaults):
     try:
         item = Item.from_json(entry | words, defaults)

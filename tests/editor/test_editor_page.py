@@ -168,7 +168,7 @@ def test_keys_a_film_and_its_files(window: Window, editor: Any, tmp_path: Path, 
     window.click("#export-mp4")
     for field, value in (("#ask-width", "48"), ("#ask-height", "32")):
         window.fill(field, value)
-    window.click("#dialog-confirm")
+    window.confirm()
     job = window.job(1)
     assert job["state"] == "done", job
     film = iio.imread(tmp_path / "film.mp4", plugin="pyav")
@@ -179,7 +179,7 @@ def test_keys_a_film_and_its_files(window: Window, editor: Any, tmp_path: Path, 
     assert urllib.request.urlopen(link).read() == (tmp_path / "film.mp4").read_bytes()
 
     window.click("#export-cage")
-    window.click("#dialog-confirm")
+    window.confirm()
     assert window.job(2)["state"] == "done"
     names = "[...document.querySelectorAll(arguments[0])].map((it) => it.textContent)"
     newest_first = ["Write posed.obj", "Write film.mp4"]
@@ -195,9 +195,8 @@ def test_keys_a_film_and_its_files(window: Window, editor: Any, tmp_path: Path, 
     window.click("#cage-load")  # and in the page, as a new edit
     window.wait('document.getElementById("ask-edit")')
     window.choose("#ask-edit", "0")
-    window.click("#dialog-confirm")
+    window.confirm()
     until(lambda: len(editor.document.edits) == 2, "the exported cage is an edit")
-    window.wait("!document.querySelector('dialog')")
     np.testing.assert_allclose(editor.document.edits[1].rest, bent, atol=1e-8)
     window.press("Ctrl+Z")
     until(lambda: len(editor.document.edits) == 1, "the edit is gone again")
@@ -411,7 +410,7 @@ def table() -> TableScene:
 def test_a_cage_around_a_click_and_one_on_the_other_side(window: Window, editor: Any) -> None:
     window.click("#cage-mirror")
     window.fill("#ask-place", "2")
-    window.click("#dialog-confirm")
+    window.confirm()
     until(lambda: len(editor.document.edits) == 2, "there is a mirrored edit")
     np.testing.assert_allclose(editor.document.edits[1].rest, CAGE.vertices * [-1, 1, 1] + [4, 0, 0], atol=1e-12)
     box = window.box

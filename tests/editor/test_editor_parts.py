@@ -356,7 +356,7 @@ def test_a_move_of_the_camera_becomes_keys(window: Window, editor: Any) -> None:
     window.click("#camera-move")
     window.wait("document.getElementById('ask-move')")
     window.choose("#ask-move", "2")
-    window.click("#dialog-confirm")
+    window.confirm()
     until(lambda: len(editor.document.timeline.keys) == 3, "a quarter is two parts")
     keys = editor.document.timeline.keys
     assert [key.time for key in keys] == [0.0, 2.0, 4.0] and all(key.view and key.poses is None for key in keys)

@@ -36,8 +36,8 @@ def add(window: Window, name: str) -> int:
     window.wait('document.getElementById("ask-file")')
     names = window.get('[...document.getElementById("ask-file").options].map((one) => one.textContent)')
     window.choose("#ask-file", str(names.index(name)))
-    window.click("#dialog-confirm")
-    window.wait("warpcage.store.sections.things.length === 2 && !document.querySelector('dialog')", "two things")
+    window.confirm()
+    window.wait("warpcage.store.sections.things.length === 2", "two things")
     return window.section("things")[1]["id"]
 
 
@@ -78,13 +78,8 @@ def test_a_thing_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, 
     until(lambda: editor.document.thing(number).place.position[2] == 1.25, "the typed number")
     window.press("Ctrl+Z")
     until(lambda: editor.document.thing(number).place == place, "undone")
-
-    def redo():
-        """Pressed until the page has heard that there is something to do again."""
-        window.press("Ctrl+Shift+Z")
-        return editor.document.thing(number).place.position[2] == 1.25
-
-    until(redo, "done again")
+    window.press("Ctrl+Shift+Z")
+    until(lambda: editor.document.thing(number).place.position[2] == 1.25, "done again")
 
     # a click picks the ball, then the green one
     window.rest()
@@ -119,7 +114,7 @@ def test_a_thing_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, 
     window.click("#export-mp4")
     for field, value in (("#ask-width", "64"), ("#ask-height", "48")):
         window.fill(field, value)
-    window.click("#dialog-confirm")
+    window.confirm()
     job = window.job(1)
     assert job["state"] == "done", job
     film = iio.imread(tmp_path / "film.mp4", plugin="pyav")
@@ -130,7 +125,7 @@ def test_a_thing_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, 
 
     # the stage that is saved is one of the library
     window.click("#stage-save")
-    window.click("#dialog-confirm")
+    window.confirm()
     until((tmp_path / "scene.stage.json").exists, "the stage is written")
     stage = warpcage.Stage.load(tmp_path / "scene.stage.json")
     assert list(stage.items) == ["ball", "green"] and stage.length == 1.0
@@ -145,7 +140,7 @@ def test_a_thing_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, 
     window.click("#thing-list li:last-child .eye:not(.lock)")
     window.wait("!warpcage.store.sections.things[2].visible && !document.getElementById('thing-remove').disabled")
     window.click("#thing-remove")
-    window.click("#dialog-confirm")
+    window.confirm()
     window.wait("warpcage.store.sections.things.length === 2")
 
 

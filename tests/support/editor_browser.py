@@ -34,14 +34,21 @@ KEYS = {"Tab": (9, ""), "Enter": (13, "\r"), "Escape": (27, ""), "Space": (32, "
 KEYS |= {"ArrowLeft": (37, ""), "ArrowUp": (38, ""), "ArrowRight": (39, ""), "ArrowDown": (40, ""), "Delete": (46, "")}
 KEYS |= {".": (190, "."), "-": (189, "-"), "]": (221, "]"), "[": (219, "[")}
 
-#: What is on the page and takes the pointer, and whether something else lies over its middle.
+#: What is on the page and takes the pointer, and whether its middle keeps its place for two frames with nothing over it.
 PLACE = """
 const found = document.querySelector(arguments[0]);
 if (!found) return null;
 const inView = () => { const b = found.getBoundingClientRect(); return [b.left + b.width / 2, b.top + b.height / 2]; };
 found.scrollIntoView({ block: "nearest", inline: "nearest" });
-const [x, y] = inView(), top = document.elementFromPoint(x, y);
-return { x, y, free: found === top || found.contains(top) || Boolean(top?.closest("label")?.contains(found)) };
+const [x, y] = inView();
+return new Promise((done) => {
+  setTimeout(done, 200);  // a page that is behind another has no frames
+  requestAnimationFrame(() => requestAnimationFrame(done));
+}).then(() => {
+  const top = document.elementFromPoint(x, y), still = String(inView()) === String([x, y]);
+  const free = found === top || found.contains(top) || Boolean(top?.closest("label")?.contains(found));
+  return { x, y, free: free && still };
+});
 """
 
 
@@ -172,6 +179,11 @@ class Window:
             pointer(self.driver, "mouseMoved", place["x"], place["y"])
             pointer(self.driver, "mousePressed", place["x"], place["y"], button="left", clickCount=count)
             pointer(self.driver, "mouseReleased", place["x"], place["y"], button="left", clickCount=count)
+
+    def confirm(self) -> None:
+        """Confirm the dialog and wait until it is gone, which is when the server has answered."""
+        self.click("#dialog-confirm")
+        self.wait("!document.querySelector('dialog')")
 
     def drag(self, path: Any, keys: int = 0) -> None:
         """Drag along places of the page."""

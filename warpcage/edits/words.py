@@ -129,6 +129,8 @@ def anything(value: Any, word: str) -> Any:
 
 def checked_words(entry: Mapping[str, Any], known: Mapping[str, Checker], what: str) -> dict[str, Any]:
     """The words of an object, each checked; null is a word that was left out."""
+    if not isinstance(entry, Mapping):
+        raise InputError(f"{what} must be an object, got {shown(entry)}")
     unknown = next((word for word in entry if word not in known), None)
     if unknown is not None:
         raise InputError(f"{what} has no {shown(unknown)}, only {listed(known, most=40)}")

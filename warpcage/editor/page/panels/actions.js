@@ -58,8 +58,8 @@ const toggle = (name) => () => store.setTool(name, !store.tools[name]);
 const cycle = (name) => () => store.setTool(name, next(choices[name].map(([value]) => value), store.tools[name]));
 
 for (const [name, label, keys] of [["undo", "Undo", ["Ctrl+Z"]], ["redo", "Redo", ["Ctrl+Shift+Z", "Ctrl+Y"]]]) {
-  const enabled = () => (store.sections.history?.[name] ?? 0) > 0;
-  register(name, { label, keys, group: "Edit", repeat: true, enabled, run: () => request({ do: name }) });
+  // asked even where the page knows of no step: the one just made may not have been heard of yet
+  register(name, { label, keys, group: "Edit", repeat: true, run: () => request({ do: name }) });
 }
 register("key.insert", {
   label: "Key of pose and camera at the present time",
