@@ -34,7 +34,7 @@ KEYS = {"Tab": (9, ""), "Enter": (13, "\r"), "Escape": (27, ""), "Space": (32, "
 KEYS |= {"ArrowLeft": (37, ""), "ArrowUp": (38, ""), "ArrowRight": (39, ""), "ArrowDown": (40, ""), "Delete": (46, "")}
 KEYS |= {".": (190, "."), "-": (189, "-"), "]": (221, "]"), "[": (219, "[")}
 
-#: What is on the page and takes the pointer, and whether its middle keeps its place for two frames with nothing over it.
+#: What is on the page and takes the pointer; whether its middle keeps its place for two frames with nothing over it.
 PLACE = """
 const found = document.querySelector(arguments[0]);
 if (!found) return null;
