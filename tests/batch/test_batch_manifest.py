@@ -33,7 +33,7 @@ def test_notes_replace_what_the_manifest_said(tmp_path):
         record("e", "failed", error="x"),
     ]
     write(tmp_path / "one.jsonl", *one, torn='{"id": "c", "state": "do')
-    write(tmp_path / "two.jsonl", *two)
+    write(tmp_path / "two.jsonl", *two, torn=json.dumps(record("f", seconds=1)))  # 1, or the start of 17.5
     merge_notes(manifest, [tmp_path / "one.jsonl", tmp_path / "two.jsonl"])
     found = read(manifest)
     # b may be tried again and c was being made: nobody knows what their files hold

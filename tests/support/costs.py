@@ -123,6 +123,7 @@ class Costs:
             "all": {"tests": tests, "collection and imports of workers": rest, "the process that hands tests out": own},
         }
         path = self.config.getoption("--costs")
+        os.makedirs(os.path.dirname(os.path.abspath(path)), exist_ok=True)
         with open(path, "w", encoding="utf-8") as file:
             json.dump({kind: {name: [round(each, 2) for each in costs] for name, costs in table.items()}
                        for kind, table in rows.items()}, file, indent=1)  # fmt: skip
