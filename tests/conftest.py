@@ -120,6 +120,14 @@ def bricks():
     return brick_pictures(10)
 
 
+@pytest.fixture(scope="module")
+def centered():
+    """The same with one focal length and a principal point in the middle."""
+    from scene_writers import brick_pictures
+
+    return brick_pictures(10, centered=True)
+
+
 @pytest.fixture
 def real_data():
     """Folder that holds lego_800 and the like; the test is skipped without it."""

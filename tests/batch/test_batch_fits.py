@@ -5,7 +5,7 @@ import json
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from runs import run
+from runs import run, without
 
 import warpcage
 from warpcage import Camera, FieldOptimizer, SplatField, VoxelField, load_scene
@@ -105,10 +105,6 @@ def test_fits_of_one_scene_read_its_pictures_once(files, tmp_path):
             worker.run(item)
         one, two = (VoxelField.load(tmp_path / place / f"{item.id}.npz") for place in ("together", "alone"))
         np.testing.assert_array_equal(one.grid.density.numpy(), two.grid.density.numpy())
-
-
-def without(entry, *names):
-    return {name: value for name, value in entry.items() if name not in names}
 
 
 def test_a_fit_that_died_goes_on_from_its_progress(files, tmp_path, monkeypatch):

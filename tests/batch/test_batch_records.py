@@ -8,6 +8,7 @@ import tarfile
 import numpy as np
 import pytest
 from messages import MESSAGES
+from refusals import refused
 from runs import write_files
 
 from warpcage import Cage, CameraFile, RandomPoses, load_scene, turntable
@@ -226,8 +227,7 @@ def test_a_shard_that_cannot_be_written_stays_as_it_was(shard, monkeypatch):
     loose.parent.mkdir(parents=True)
     loose.write_bytes(b"new")
     missing = {"id": "x", "outputs": {"x.jpg": 3}}
-    with pytest.raises(FileNotFoundError, match=r"'x.jpg' is not there"):
-        pack_shard(out, 0, [*records, missing])
+    refused(lambda: pack_shard(out, 0, [*records, missing]), match=r"'x.jpg' is not there", error=FileNotFoundError)
     written = 0
 
     def full(self, info, file=None):
@@ -239,8 +239,7 @@ def test_a_shard_that_cannot_be_written_stays_as_it_was(shard, monkeypatch):
 
     real = tarfile.TarFile.addfile
     monkeypatch.setattr(tarfile.TarFile, "addfile", full)
-    with pytest.raises(OSError, match="No space left"):
-        pack_shard(out, 0, records)
+    refused(lambda: pack_shard(out, 0, records), match="No space left", error=OSError)
     assert shard_path(out, 0).read_bytes() == whole and loose.read_bytes() == b"new" and staged_shards(out) == [0]
     assert sorted(path.name for path in out.iterdir()) == [".warpcage", "shard-000000.tar"]
 
@@ -275,8 +274,7 @@ def test_items_that_are_no_records_are_refused(files, tmp_path, line, records, m
     usual = {"field": "ball.npz", "camera": "cameras.json#0", "background": "transparent"}
     entry = {"id": "frame"} | line
     defaults = {} if entry.get("kind") else usual
-    with pytest.raises(ValueError, match=message):
-        write_jobs(tmp_path / "job.jsonl", [entry], defaults=defaults, records=records)
+    refused(lambda: write_jobs(tmp_path / "job.jsonl", [entry], defaults=defaults, records=records), match=message)
     lines = [{"format": "warpcage jobs", "version": 1, "defaults": defaults, "records": records}, entry]
     (tmp_path / "job.jsonl").write_text("".join(json.dumps(each) + "\n" for each in lines))
     with JobFile(tmp_path / "job.jsonl") as job, pytest.raises(ValueError, match=f"line 2.*{message}"):
@@ -286,8 +284,7 @@ def test_items_that_are_no_records_are_refused(files, tmp_path, line, records, m
 def test_a_header_with_records_and_outputs_is_refused(tmp_path):
     header = {"format": "warpcage jobs", "version": 1, "defaults": {"outputs": {"rgb": "{id}.png"}}}
     (tmp_path / "job.jsonl").write_text(json.dumps(header | {"records": {"kind": "folder"}}) + "\n")
-    with pytest.raises(ValueError, match="line 1: 'records' say what is written"):
-        JobFile(tmp_path / "job.jsonl")
+    refused(lambda: JobFile(tmp_path / "job.jsonl"), match="line 1: 'records' say what is written")
 
 
 def test_items_of_a_job_with_records_can_be_written_into_another(files, made, tmp_path):

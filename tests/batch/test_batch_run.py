@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from makers import Making, Moody
 from messages import MESSAGES
+from refusals import refused
 from runs import RECORDS, SUPPORT, left_over, pictures, records, run_with, write_frames, write_records
 
 import warpcage
@@ -131,19 +132,21 @@ def test_what_cannot_be_run_is_refused_in_one_line(files, tmp_path, capsys, faul
 def test_nothing_stays_of_a_run_that_made_nothing(tmp_path):
     job, out = write_frames(tmp_path / "job", 2), tmp_path / "new" / "out"
 
-    def refused():
-        with pytest.raises(ValueError, match="cuda:99"):
-            warpcage.run_jobs(job, out, device="cuda:99")
+    def left_over_of_it():
+        refused(lambda: warpcage.run_jobs(job, out, device="cuda:99"), match="cuda:99")
         return sorted(path.name for path in out.iterdir()) if out.exists() else None
 
-    assert refused() is None and not out.parent.exists()
+    assert left_over_of_it() is None and not out.parent.exists()
     out.mkdir(parents=True)
-    assert refused() == []
+    assert left_over_of_it() == []
     (out / "mine.txt").write_text("mine")
-    assert refused() == ["mine.txt"]
+    assert left_over_of_it() == ["mine.txt"]
     assert run_with(job, out).complete
     (out / "shot" / "f0000.png").unlink()
-    assert refused() == [".warpcage", "manifest.jsonl", "mine.txt", "shot"] and (out / "shot" / "f0001.png").exists()
+    assert (
+        left_over_of_it() == [".warpcage", "manifest.jsonl", "mine.txt", "shot"]
+        and (out / "shot" / "f0001.png").exists()
+    )
 
 
 def test_a_second_driver_is_refused_and_the_first_one_killed_frees_the_folder(files, tmp_path, capsys):
@@ -215,8 +218,7 @@ class Touching(Making):
 def test_a_job_file_that_changes_while_it_runs_ends_the_run(tmp_path):
     path, out = write_frames(tmp_path / "job", 30), tmp_path / "out"
     Touching.path = path
-    with pytest.raises(ValueError, match=r"jobs.jsonl was changed while it ran"):
-        run_with(path, out, Touching)
+    refused(lambda: run_with(path, out, Touching), match=r"jobs.jsonl was changed while it ran")
     some = len(records(out))
     assert 0 < some < 30 and left_over(out) == []
     assert run_with(path, out, Making).made == 30 - some
@@ -376,8 +378,7 @@ def test_progress_tells_how_far_it_is(files, tmp_path):
     ],
 )
 def test_options_that_cannot_be_are_refused(files, tmp_path, words):
-    with pytest.raises(ValueError, match=next(iter(words))):
-        warpcage.run_jobs(files / "jobs.jsonl", tmp_path, **words)
+    refused(lambda: warpcage.run_jobs(files / "jobs.jsonl", tmp_path, **words), match=next(iter(words)))
 
 
 def test_shards_are_packed_when_their_items_are_settled(tmp_path):

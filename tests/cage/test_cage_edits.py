@@ -1,9 +1,12 @@
 """Several edits in one scene, sources kept or removed, and input that is refused."""
 
+import functools
+
 import numpy as np
 import pytest
 from fields import BOX, ellipsoid, make_field, plain, psnr, shiny_field, view
 from messages import MESSAGES
+from refusals import refused
 
 from warpcage import Cage, CageEdit, Camera, Deformer
 
@@ -75,8 +78,7 @@ def test_overlapping_edits_resolve_in_order(device, side_view):
     ],
 )
 def test_bad_options_are_refused(options, message):
-    with pytest.raises(ValueError, match=message):
-        Deformer(shiny_field(None, resolution=8), BOX, **options)
+    refused(lambda: Deformer(shiny_field(None, resolution=8), BOX, **options), match=message)
 
 
 def test_bad_cages_are_refused():
@@ -84,16 +86,11 @@ def test_bad_cages_are_refused():
     open_cage = Cage(BOX.vertices, BOX.faces[1:])
     inverted = Cage(BOX.vertices, BOX.faces[:, ::-1])
     for cage in (open_cage, inverted):
-        with pytest.raises(ValueError, match="the rest cage"):
-            Deformer(field, cage)
-    with pytest.raises(ValueError, match="Cage"):
-        Deformer(field, BOX.vertices)
-    with pytest.raises(ValueError, match="VoxelField"):
-        Deformer(BOX, BOX)
-    with pytest.raises(ValueError, match="1 to"):
-        Deformer(field, [])
-    with pytest.raises(ValueError, match="keep the source"):
-        CageEdit(BOX, keep_source=True, remove=True)
+        refused(functools.partial(Deformer, field, cage), match="the rest cage")
+    refused(lambda: Deformer(field, BOX.vertices), match="Cage")
+    refused(lambda: Deformer(BOX, BOX), match="VoxelField")
+    refused(lambda: Deformer(field, []), match="1 to")
+    refused(lambda: CageEdit(BOX, keep_source=True, remove=True), match="keep the source")
 
 
 def test_bad_poses_are_refused_and_the_last_one_stays():
@@ -113,26 +110,20 @@ def test_bad_poses_are_refused_and_the_last_one_stays():
         (BOX.vertices[1:], "vertices"),
         (None, "a Cage, got NoneType"),
     ):
-        with pytest.raises(ValueError, match=message):
-            deformer.pose(pose)
+        refused(functools.partial(deformer.pose, pose), match=message)
         np.testing.assert_array_equal(deformer.render(camera).rgb, before)
-    with pytest.raises(ValueError, match="finite"):
-        deformer.pose(BOX.with_vertices(BOX.vertices * np.nan))
+    refused(lambda: deformer.pose(BOX.with_vertices(BOX.vertices * np.nan)), match="finite")
 
 
 def test_bad_points_and_steps_are_refused():
     deformer = Deformer(shiny_field(None, resolution=8), BOX, resolution=8)
-    with pytest.raises(ValueError, match="as many"):
-        deformer.to_canonical(np.zeros((2, 3)), np.zeros((3, 3)))
-    with pytest.raises(ValueError, match="points must be"):
-        deformer.to_canonical(np.zeros((2, 2)), np.zeros((2, 2)))
-    with pytest.raises(ValueError, match="finite"):
-        deformer.to_canonical(np.full((2, 3), np.nan), np.zeros((2, 3)))
+    refused(lambda: deformer.to_canonical(np.zeros((2, 3)), np.zeros((3, 3))), match="as many")
+    refused(lambda: deformer.to_canonical(np.zeros((2, 2)), np.zeros((2, 2))), match="points must be")
+    refused(lambda: deformer.to_canonical(np.full((2, 3), np.nan), np.zeros((2, 3))), match="finite")
     for step in (0, -1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="step must be"):
             deformer.render(view(), step=step)
-    with pytest.raises(ValueError, match="background"):
-        deformer.render(view(), background="plaid")
+    refused(lambda: deformer.render(view(), background="plaid"), match="background")
 
 
 @pytest.mark.parametrize(("width", "height"), [(0, 4), (4, 0), (-1, 4)])

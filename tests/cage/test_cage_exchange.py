@@ -8,6 +8,7 @@ import struct
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from warpcage import Cage
 from warpcage.mesh import cut_polygon
@@ -83,8 +84,7 @@ def test_up_turns_there_and_back(tmp_path, ending, axis):
     raw = Cage.load(tmp_path / f"c.{ending}", up="z")
     expected = cage.vertices[:, [0, 2, 1]] * [1, 1, -1] if y_up else cage.vertices
     assert np.allclose(raw.vertices, expected, atol=1e-6) and raw.volume == pytest.approx(cage.volume, rel=1e-5)
-    with pytest.raises(ValueError, match="up must be"):
-        Cage.load(tmp_path / f"c.{ending}", up="x")
+    refused(lambda: Cage.load(tmp_path / f"c.{ending}", up="x"), match="up must be")
 
 
 def gltf(**changes):
@@ -131,9 +131,7 @@ def test_nodes_place_turn_and_mirror_their_mesh(tmp_path):
 def test_broken_gltf_is_refused_in_one_line(tmp_path, content, message):
     data = content if isinstance(content, bytes) else json.dumps(content).encode()
     (tmp_path / "c.gltf").write_bytes(data)
-    with pytest.raises(ValueError) as error:
-        Cage.load(tmp_path / "c.gltf")
-    assert message in str(error.value) and "\n" not in str(error.value) and "c.gltf" in str(error.value)
+    refused(lambda: Cage.load(tmp_path / "c.gltf"), message, "c.gltf")
 
 
 def test_concave_polygons_are_cut_without_folds():

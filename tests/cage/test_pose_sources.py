@@ -6,7 +6,8 @@ import struct
 import numpy as np
 import pytest
 import warp as wp
-from fields import BOX, ellipsoid, make_field, plain
+from fields import BOX, OnlyDLPack, ellipsoid, make_field, plain
+from refusals import refused
 from runs import SMALL, succeed, write_files
 
 from warpcage import Cage, CageEdit, Deformer, PoseFile, PositionMap, deform_points
@@ -36,25 +37,12 @@ def mdd(vertices, times):
     return head + vertices.astype(">f4").tobytes()
 
 
-class Foreign:
-    """An array of another library, which is read through DLPack alone."""
-
-    def __init__(self, values):
-        self.values = np.array(values)
-
-    def __dlpack__(self, **options):
-        return self.values.__dlpack__(**options)
-
-    def __dlpack_device__(self):
-        return self.values.__dlpack_device__()
-
-
 KINDS = {
     "float64": lambda vertices: vertices,
     "float32": lambda vertices: vertices.astype(np.float32),
     "strided": lambda vertices: np.repeat(vertices, 2, axis=0)[::2],
     "warp": lambda vertices: wp.array(vertices.astype(np.float32), dtype=wp.vec3, device="cpu"),
-    "dlpack": Foreign,
+    "dlpack": lambda vertices: OnlyDLPack(np.array(vertices)),
 }
 
 
@@ -99,8 +87,7 @@ def test_each_edit_takes_its_own_kind(deformer, tmp_path):
 )
 def test_what_is_no_pose_is_told_and_the_pose_before_stays(pose, message, deformer):
     before = deformer.pose(BENT).deformed
-    with pytest.raises((ValueError, FileNotFoundError), match=message):
-        deformer.pose(pose)
+    refused(lambda: deformer.pose(pose), match=message, error=(ValueError, FileNotFoundError))
     assert deformer.deformed is before
 
 
@@ -115,8 +102,7 @@ def test_files_of_one_pose_are_a_pose(deformer, tmp_path):
         np.testing.assert_allclose(posed.vertices, BENT.vertices, atol=1e-6)
     file["wave"] = BOX
     file.save(tmp_path / "two.json")
-    with pytest.raises(ValueError, match="holds 2 poses .bow, wave.: take one"):
-        deformer.pose(tmp_path / "two.json")
+    refused(lambda: deformer.pose(tmp_path / "two.json"), match="holds 2 poses .bow, wave.: take one")
 
 
 @pytest.mark.parametrize("name", ["shape_keys", "moved_object", "armature"])
@@ -137,8 +123,7 @@ def test_numbered_cages_and_a_cage_alone_are_read_too(tmp_path):
     assert file.names == ("walk_000", "walk_001", "walk_002") and file.times["walk_002"] == pytest.approx(0.2)
     one = PoseFile.load(tmp_path / "walk_002.ply", BOX)
     np.testing.assert_array_equal(one["walk_002"].vertices, MOVES[2])
-    with pytest.raises(ValueError, match="give the cage at rest"):
-        PoseFile.load(tmp_path / "walk_002.ply")
+    refused(lambda: PoseFile.load(tmp_path / "walk_002.ply"), match="give the cage at rest")
 
 
 def test_caches_are_read_as_published(tmp_path):
@@ -172,8 +157,7 @@ def test_a_cache_comes_back_as_it_was_written(ending, tmp_path):
     for index, name in enumerate(again.names):
         assert again.times[name] == pytest.approx(index / 8)
         np.testing.assert_allclose(again[name].vertices, file.at_time(index / 8).vertices, atol=1e-6)
-    with pytest.raises(ValueError, match="needs a keyframe"):
-        PoseFile(BOX).save(tmp_path / f"none{ending}")
+    refused(lambda: PoseFile(BOX).save(tmp_path / f"none{ending}"), match="needs a keyframe")
     assert not (tmp_path / f"none{ending}").exists()
 
 
@@ -197,9 +181,7 @@ DAMAGES = {
 def test_a_damaged_cache_takes_one_line(damage, tmp_path):
     path = tmp_path / "bad.mdd"
     path.write_bytes(DAMAGES[damage])
-    with pytest.raises(ValueError, match="bad.mdd") as caught:
-        PoseFile.load(path, BOX)
-    assert "\n" not in str(caught.value)
+    refused(lambda: PoseFile.load(path, BOX), match="bad.mdd")
 
 
 def test_the_command_line_reads_caches_alike(tmp_path):

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from refusals import refused
 
 from warpcage import Cage
 from warpcage.cage import poses
@@ -79,8 +80,7 @@ def test_an_axis_from_its_other_end():
         assert not np.allclose(against, pose(heap, amount, axis="z", limits=(0, 0.5)), atol=0.05)
     assert np.allclose(poses.bend(rod, 40, axis="-z", center=[0, 0, 5])[5], rod[5])  # what lies at its beginning stays
     assert np.allclose(poses.rotate(rod, 30, axis="-z"), poses.rotate(rod, -30, axis="z"))
-    with pytest.raises(ValueError, match="axis must be"):
-        poses.twist(rod, 10, axis="-q")
+    refused(lambda: poses.twist(rod, 10, axis="-q"), match="axis must be")
 
 
 def test_scale_translate_rotate():
@@ -131,6 +131,4 @@ def test_bounds_pose_a_part_along_with_the_whole():
     ],
 )
 def test_poses_refuse_what_makes_no_sense(pose):
-    with pytest.raises(ValueError) as error:
-        pose(Cage.box([0, 0, 0], [1, 1, 1]))
-    assert "\n" not in str(error.value)
+    refused(lambda: pose(Cage.box([0, 0, 0], [1, 1, 1])))

@@ -72,11 +72,11 @@ def public_names():
 
 
 def help_text(command=""):
-    """What --help of a command says, in 240 columns."""
+    """What --help all of a command says, in 240 columns."""
     said = io.StringIO()
     with mock.patch.dict(os.environ, {"COLUMNS": "240", "NO_COLOR": "1"}), contextlib.redirect_stdout(said):
         with contextlib.suppress(SystemExit):
-            main([*([command] if command else []), "--help"])
+            main([*([command] if command else []), "--help", "all"])
     return said.getvalue()
 
 

@@ -4,7 +4,8 @@ import io
 
 import numpy as np
 import pytest
-from hostile import cut, gone, instead, members, put, refused, require_refused, rows, swap, tree, whole
+from hostile import cut, gone, instead, members, put, require_refused, rows, swap, tree, whole
+from refusals import refused
 from scene_writers import png_bytes
 
 from warpcage import load_scene
@@ -112,6 +113,8 @@ SKEWED = np.eye(4) + np.eye(4, k=1) * [0, 0.5, 0, 0]
 CAMERAS = {
     "blender": [
         *frames("transforms_train.json"),
+        edit("transforms_train.json", lambda c: c.update(camera_angle_x=0.0), "camera_angle_x"),
+        edit("transforms_train.json", lambda c: c.update(fl_x=9.0, w=24, h=21), "24x21 pixels"),
         ("transforms_train.json", instead(b"\xff\xfe{"), "no JSON file"),
         ("transforms_train.json", instead(b"[" * 100000), "no JSON file"),
         ("transforms_train.json", instead(b"[1]"), "must hold a JSON object"),

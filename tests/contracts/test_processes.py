@@ -11,6 +11,7 @@ import time
 import numpy as np
 import pytest
 from messages import MESSAGES
+from refusals import refused
 
 from warpcage import Cage, PositionMap, deform_points
 from warpcage.core import THREADS_VARIABLE, cpu_threads, limit_threads, run_parallel
@@ -120,5 +121,4 @@ def test_the_environment_limits_threads(monkeypatch):
     assert cpu_threads() == os.cpu_count()
     for wrong in ("0", "-1", "many", "1.5"):
         monkeypatch.setenv(THREADS_VARIABLE, wrong)
-        with pytest.raises(ValueError, match=MESSAGES["core.threads_variable"].format(wrong=wrong)):
-            cpu_threads()
+        refused(cpu_threads, match=MESSAGES["core.threads_variable"].format(wrong=wrong))

@@ -6,6 +6,7 @@ import functools
 import numpy as np
 import pytest
 from fields import BOX, shiny_field, view
+from refusals import refused
 from runs import write_files
 from scenes import blob_scene
 from splat_scenes import scene_of, splats_in_box
@@ -138,8 +139,7 @@ def test_a_bar_goes_to_stderr(things, capfd):
 
 @pytest.mark.parametrize("progress", [5, "yes", []])
 def test_what_is_no_progress_is_told(progress, things):
-    with pytest.raises(ValueError, match="progress must be True, False"):
-        WORK["harmonic weights"](things, progress=progress)
+    refused(lambda: WORK["harmonic weights"](things, progress=progress), match="progress must be True, False")
 
 
 def test_a_cage_of_a_mesh_can_be_ended():

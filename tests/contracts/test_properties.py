@@ -3,9 +3,9 @@ among them) are no cages."""
 
 import numpy as np
 import pytest
-from hostile import refused
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused
 
 from warpcage import Cage, PoseFile
 

@@ -14,6 +14,7 @@ import pytest
 import warp as wp
 from fields import BOX, KINDS, MARCHES, shiny_field, use_march, view
 from messages import MESSAGES
+from refusals import refused
 from runs import SUPPORT
 
 from warpcage import CageEdit, Deformer, PositionMap, Scene, bake, deform_points, fit, turntable
@@ -156,10 +157,8 @@ def test_a_pose_leaves_the_pose_of_its_deformer(device):
     solid = bake(shared, resolution=12).node_densities()
     handle.render(CAMERA)
     assert same(bake(shared, resolution=12).node_densities(), solid, device)
-    with pytest.raises(ValueError, match=MESSAGES["deform.one_cage_per_edit"]):
-        shared.posed([POSES[0], POSES[0]])
-    with pytest.raises(ValueError, match="looks inward"):
-        shared.posed(BOX.with_vertices(-BOX.vertices))
+    refused(lambda: shared.posed([POSES[0], POSES[0]]), match=MESSAGES["deform.one_cage_per_edit"])
+    refused(lambda: shared.posed(BOX.with_vertices(-BOX.vertices)), match="looks inward")
     assert same(shared.render(CAMERA).rgb, own[0], device)
 
 
@@ -368,8 +367,7 @@ def test_damaged_kernel_files_are_compiled_again(ending, averaged, tmp_path, mon
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", lambda *names: (_ for _ in ()).throw(PermissionError("read-only")))
         message = MESSAGES["core.damaged_kernels"].format(folder=re.escape(str(path.parent)))
-        with pytest.raises(StateError, match=message):
-            averaged()
+        refused(averaged, match=message, error=StateError)
     assert averaged() == 3.0
     assert len(path.read_bytes()) == len(whole) and not list(tmp_path.glob("**/*damaged*"))
 

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 import warp as wp
 from messages import MESSAGES
+from refusals import refused
 
 from warpcage import Cage, deform_points, green_coordinates, mean_value_coordinates
 from warpcage.coordinates import stretched_normals
@@ -274,10 +275,8 @@ def test_points_too_far_for_the_formula_are_refused(distance, on_device, device)
     points = np.array([[0, 0, 0], [0, -distance, 1], [900, 0, 0]])
     if on_device:
         points = wp.array(points.astype(np.float32), dtype=wp.vec3, device=device)
-    with pytest.raises(ValueError, match=MESSAGES["coordinates.far_point"]):
-        mean_value_coordinates(points, cage, device=device)
-    with pytest.raises(ValueError, match=MESSAGES["coordinates.far_point"]):
-        deform_points(points, cage, cage, device=device)
+    refused(lambda: mean_value_coordinates(points, cage, device=device), match=MESSAGES["coordinates.far_point"])
+    refused(lambda: deform_points(points, cage, cage, device=device), match=MESSAGES["coordinates.far_point"])
     phi, _ = green_coordinates(points, cage, device=device, outside="nan")
     phi = np.asarray(phi.numpy() if on_device else phi)
     assert np.isfinite(phi[0]).all() and np.isnan(phi[1:]).all()

@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from warpcage.cli import main
+from warpcage.core import reports
 
 STAGES = """
 from warpcage.core import reports
@@ -38,6 +39,28 @@ def test_a_log_has_one_line_of_each_stage():
         "cameras: 5 in TIME",
         "",
     ]
+
+
+def test_a_log_has_a_line_each_ten_seconds(monkeypatch, capsys):
+    """Of what is done, of how much, and the time left; a bar that is not shown has none."""
+    now = [0.0]
+    monkeypatch.setattr("tqdm.std.time", lambda: now[0])
+    for shown in (True, False):
+        with reports.bar(60, "fit", shown=shown) as bar:
+            for _ in range(30):
+                now[0] += 1.0
+                bar.update(1)
+    assert capsys.readouterr().err.splitlines() == [
+        "fit: 10/60, about 50 s left",
+        "fit: 20/60, about 40 s left",
+        "fit: 30/60, about 30 s left",
+        "fit: 30/60 in 00:30",
+    ]
+    with reports.bar(20, "fit") as bar:
+        now[0] += 11.0
+        bar.set_postfix_str("31 dB, about 5 s left", refresh=False)
+        bar.update(10)
+    assert capsys.readouterr().err.startswith("fit: 10/20, 31 dB, about 5 s left\n")  # not told twice
 
 
 def test_a_terminal_has_bars():

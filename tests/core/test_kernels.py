@@ -15,6 +15,7 @@ import pytest
 import warp as wp
 from compiled import warp_modules
 from messages import MESSAGES
+from refusals import refused
 
 import warpcage
 from warpcage.cli import main
@@ -177,12 +178,9 @@ def test_a_kernel_reads_every_file_of_native_code(path):
 def test_names_of_kernel_files():
     for text in ("mean_value", "coordinates/mean_value", "coordinates.mean_value"):
         assert find_kernel(text) == "coordinates/mean_value"
-    with pytest.raises(ValueError, match=MESSAGES["core.kernel_meant"]):
-        find_kernel("mean_valu")
-    with pytest.raises(ValueError, match=MESSAGES["core.kernel_of_several"]):
-        find_kernel("march")
-    with pytest.raises(ValueError, match="'zzz'; `warpcage kernels list`"):
-        find_kernel("zzz")
+    refused(lambda: find_kernel("mean_valu"), match=MESSAGES["core.kernel_meant"])
+    refused(lambda: find_kernel("march"), match=MESSAGES["core.kernel_of_several"])
+    refused(lambda: find_kernel("zzz"), match="'zzz'; `warpcage kernels list`")
 
 
 def test_names_of_kernel_files_that_became_parts_of_others(tmp_path, capsys):
@@ -236,8 +234,7 @@ def test_kernels_copy_refuses_what_would_not_import(tmp_path, capsys):
 def test_a_copy_is_whole_or_not_at_all(tmp_path):
     (tmp_path / "lifted").mkdir()
     (tmp_path / "lifted" / "mesh").write_text("a file where a folder belongs")
-    with pytest.raises(OSError):
-        copy_kernel("coordinates/mean_value", tmp_path / "lifted")
+    refused(lambda: copy_kernel("coordinates/mean_value", tmp_path / "lifted"), error=OSError)
     assert [path.name for path in (tmp_path / "lifted").iterdir()] == ["mesh"]
 
 

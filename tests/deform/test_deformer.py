@@ -8,6 +8,7 @@ from fields import (
     BOX,
     KINDS,
     SIZE,
+    OnlyDLPack,
     alter_map,
     counter_moved,
     ellipsoid,
@@ -244,19 +245,6 @@ def test_to_canonical_at_the_cage_looks_back(device):
     np.testing.assert_allclose(d, outward, atol=1e-3)
 
 
-class Foreign:
-    """An array of another library: DLPack and nothing else."""
-
-    def __init__(self, array):
-        self.array = array
-
-    def __dlpack__(self, **options):
-        return self.array.__dlpack__()
-
-    def __dlpack_device__(self):
-        return self.array.__dlpack_device__()
-
-
 def test_arrays_of_a_device_stay_there(device):
     _, _, pose = affine_pose()
     deformer = Deformer(shiny_field(device, origin=(3, 2, 1)), BOX.translate([3, 2, 1]), resolution=24)
@@ -267,7 +255,7 @@ def test_arrays_of_a_device_stay_there(device):
     assert all(isinstance(array, np.ndarray) for array in expected)
     assert expected[0].dtype == np.float32 and deformer.to_canonical(points.astype(float), directions)[0].dtype == float
     on_device = [wp.array(array, dtype=wp.vec3, device=device) for array in (points, directions)]
-    foreign = [Foreign(wp.array(array, dtype=wp.float32, device=device)) for array in (points, directions)]
+    foreign = [OnlyDLPack(wp.array(array, dtype=wp.float32, device=device)) for array in (points, directions)]
     for given in (on_device, foreign):
         got = deformer.to_canonical(*given)
         assert all(isinstance(array, wp.array) and array.device == wp.get_device(device) for array in got)

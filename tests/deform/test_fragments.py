@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from fields import INSIDE, KINDS, NUB, PART, boxes, make_field, nodes, plain, psnr, rotation
 from messages import MESSAGES
+from refusals import refused
 
 from warpcage import Cage, CageEdit, Camera, Deformer, VoxelField, bake
 from warpcage.edits import fragment_voxels
@@ -196,8 +197,7 @@ def test_a_size_that_finds_no_fragments_changes_nothing(scene, recwarn):
     plain = Deformer(scene, CageEdit(PART), resolution=16).pose(PART.translate([0, 0, -0.9]))
     np.testing.assert_array_equal(none.render(CAMERA).rgb, plain.render(CAMERA).rgb)
     assert not recwarn.list
-    with pytest.raises(ValueError, match="fragments of an edit must be a size"):
-        CageEdit(PART, fragments=-0.1)
+    refused(lambda: CageEdit(PART, fragments=-0.1), match="fragments of an edit must be a size")
 
 
 def test_the_old_name_is_taken_with_a_warning():

@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 from fields import BOX, box_around, make_field, plain, rotation, shiny_field, two_balls, view
 from messages import MESSAGES
+from refusals import refused
 from splat_scenes import splats_in_box
 
 from warpcage import CageEdit, Camera, Deformer, Frames, deform_points, turntable
@@ -105,8 +106,7 @@ def test_splats_too(device):
     assert equal_frames(frames, [deformer.render(camera) for camera in cameras])
     frames = deformer.render_poses([TWISTED, BENT], cameras[0])
     assert equal(frames[1], deformer.render(cameras[0])) and not equal(frames[0], frames[1])
-    with pytest.raises(ValueError, match="splats move forward"):
-        deformer.render(cameras, outputs=["canonical"])
+    refused(lambda: deformer.render(cameras, outputs=["canonical"]), match="splats move forward")
 
 
 def test_frames_are_pickled_as_numpy():
@@ -321,6 +321,4 @@ REFUSED = {
 @pytest.mark.parametrize("message", REFUSED)
 def test_refusals(message):
     deformer = Deformer(shiny_field("cpu", resolution=12), BOX, coordinates="mean_value", resolution=8)
-    with pytest.raises(ValueError, match=message) as caught:
-        REFUSED[message](deformer)
-    assert "\n" not in str(caught.value)
+    refused(lambda: REFUSED[message](deformer), match=message)

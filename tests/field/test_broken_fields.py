@@ -12,7 +12,8 @@ import zipfile
 
 import numpy as np
 import pytest
-from hostile import cut, instead, members, refused, require_refused, rows, small_field, whole
+from hostile import cut, instead, members, require_refused, rows, small_field, whole
+from refusals import refused
 
 from warpcage import VoxelField
 from warpcage.core import read_npz
@@ -95,7 +96,29 @@ HEADERS = [
     ("('<f8', (1000000,))", "(2,)", NO_NUMBERS),
     ("'|O'", "(10,)", "pickled objects"),
 ]
+BEHIND = {
+    "layers": [
+        ({"layers_rgba": np.zeros((3, 4), np.uint8)}, "layers_rgba"),
+        ({"layers_seen": np.zeros(3, np.uint8)}, "layers_seen"),
+        ({"layers_side": np.array(10**6)}, "cells along an edge"),
+        ({"layers_count": np.array(1)}, "cells along an edge"),
+        ({"layers_half": np.array(np.nan)}, "half side"),
+        ({"layers_center": np.array([0, np.inf, 0])}, "center"),
+        ({"layers_unseen": None}, "layers_unseen"),
+        ({"layers_count": None}, "layers_count"),
+    ],
+    "outer": [
+        ({"outer_rgba": np.zeros((3, 4), np.uint8)}, "outer_rgba"),
+        ({"outer_rgba": None}, "outer_rgba"),
+        ({"outer_occupancy": np.zeros(3, np.uint8)}, "outer_occupancy"),
+        ({"outer_side": np.array(10**6)}, "voxels along a side"),
+        ({"outer_half": np.array([1.0, -1.0, 1.0])}, "half sides"),
+        ({"outer_center": np.array([0, np.inf, 0])}, "center"),
+        ({"outer_sky": None}, "outer_sky"),
+    ],
+}
 FIELDS = {
+    **{name: [("", members(arrays), words) for arrays, words in group] for name, group in BEHIND.items()},
     "field": [
         ("", cut(0.0), f"{NO_FIELD}: | an empty file"),
         *(("", cut(share), f"{NO_FIELD}: | cut off or damaged") for share in (0.1, 0.5, 0.9, 0.999)),

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from fields import GridField
+from refusals import refused
 from scenes import FLOOR_TOP, TABLE_TOP, TableScene, tilt
 from scipy.ndimage import gaussian_filter
 
@@ -93,10 +94,8 @@ def test_kinds_of_planes_go_by_what_is_up():
     (top,) = find_planes(GridField(block), up=(0.2, 0, 1))
     assert np.allclose(top.normal, [0, 0, 1], atol=0.02) and len(find_planes(GridField(block), "any")) == 6
     assert find_planes(scene.field, "any", up=(1, 0, 0))[0].normal @ up > 0.999
-    with pytest.raises(ValueError, match="plane must be one of ground, wall, any"):
-        find_planes(scene.field, "sky")
-    with pytest.raises(ValueError, match="up must be a direction"):
-        find_planes(scene.field, up=(0, 0, 0))
+    refused(lambda: find_planes(scene.field, "sky"), match="plane must be one of ground, wall, any")
+    refused(lambda: find_planes(scene.field, up=(0, 0, 0)), match="up must be a direction")
 
 
 def test_a_wall_that_is_rough_for_its_voxels():
@@ -145,5 +144,4 @@ def test_a_plane_goes_on_around_a_cup_and_not_around_the_back_of_a_seat():
 
 def test_a_plane_is_one():
     assert np.allclose(Plane((0, 0, 2), 0.5).heights([[1, 2, 3], [0, 0, 0.5]]), [2.5, 0.0])
-    with pytest.raises(ValueError, match="must not be zero"):
-        Plane((0, 0, 0), 1.0)
+    refused(lambda: Plane((0, 0, 0), 1.0), match="must not be zero")

@@ -6,6 +6,7 @@ import pickle
 import numpy as np
 import pytest
 import warp as wp
+from refusals import refused
 
 from warpcage import Camera, Frame
 from warpcage.view import camera_struct
@@ -61,8 +62,7 @@ def test_a_frame_takes_numpy():
     ],
 )
 def test_a_frame_refuses_what_does_not_fit(size, rgb, masks, message):
-    with pytest.raises(ValueError, match=message):
-        Frame(*size, rgb, np.zeros(size[0] * size[1]), np.zeros(size[0] * size[1]), **masks)
+    refused(lambda: Frame(*size, rgb, np.zeros(size[0] * size[1]), np.zeros(size[0] * size[1]), **masks), match=message)
 
 
 def test_camera_struct_subtracts_the_origin_before_float32():

@@ -1,11 +1,13 @@
 """Selection files, views of selections, and what commands make of them; from pictures to a lamp that moved."""
 
+import functools
 import json
 
 import numpy as np
 import pytest
 import trimesh
 from fields import GridField
+from refusals import refused
 from runs import run, succeed
 from scenes import BALL, LAMP, TableScene
 
@@ -61,10 +63,10 @@ def test_any_mask_comes_back(tmp_path, ending):
 
 def test_files_for_other_fields_and_damaged_ones(files, table, lamp, tmp_path):
     other = TableScene(degrees=9.0, floor=False, fragments=False)
-    refused = [(files / "lamp.npz", other.field, "is of another field in the same box")]
-    refused.append((files / "lamp.npz", TableScene(32).field, "is of another field, of 64x64x64 voxels"))
+    wrong = [(files / "lamp.npz", other.field, "is of another field in the same box")]
+    wrong.append((files / "lamp.npz", TableScene(32).field, "is of another field, of 64x64x64 voxels"))
     moved = GridField(table.field.node_densities(), upper=(1, 1, 1.1))
-    refused.append((files / "lamp.json", moved, "is of another field, from"))
+    wrong.append((files / "lamp.json", moved, "is of another field, from"))
     document = json.loads((files / "lamp.json").read_text())
     changes = {
         "format": ("warpcage cameras", "not a selection file"),
@@ -80,25 +82,21 @@ def test_files_for_other_fields_and_damaged_ones(files, table, lamp, tmp_path):
     for name, (value, message) in changes.items():
         path = tmp_path / f"{name}.json"
         path.write_text(json.dumps({**document, name: value}))
-        refused.append((path, table.field, message))
+        wrong.append((path, table.field, message))
     lacking = {key: value for key, value in document.items() if key != "runs"}
     (tmp_path / "lacking.json").write_text(json.dumps(lacking))
-    refused.append((tmp_path / "lacking.json", table.field, "lacks 'runs'"))
+    wrong.append((tmp_path / "lacking.json", table.field, "lacks 'runs'"))
     (tmp_path / "cut.npz").write_bytes((files / "lamp.npz").read_bytes()[:200])
-    refused.append((tmp_path / "cut.npz", table.field, "selection file"))
+    wrong.append((tmp_path / "cut.npz", table.field, "selection file"))
     np.savez(tmp_path / "numbers.npz", selection=np.zeros(3), chosen=np.zeros(3, np.uint8))
-    refused.append((tmp_path / "numbers.npz", table.field, "not a selection file"))
-    refused.append((files / "table.npz", table.field, "not a selection file"))
+    wrong.append((tmp_path / "numbers.npz", table.field, "not a selection file"))
+    wrong.append((files / "table.npz", table.field, "not a selection file"))
     NodeSelection(table.field, np.zeros_like(lamp.mask)).save(tmp_path / "empty.npz")
-    refused.append((tmp_path / "empty.npz", table.field, "holds no voxels"))
-    for path, field, message in refused:
-        with pytest.raises(ValueError) as error:
-            NodeSelection.load(path, field)
-        assert message in str(error.value) and path.name in str(error.value) and "\n" not in str(error.value)
-    with pytest.raises(FileNotFoundError):
-        NodeSelection.load(tmp_path / "none.npz", table.field)
-    with pytest.raises(ValueError, match="must end in .npz or .json"):
-        lamp.save(tmp_path / "lamp.txt")
+    wrong.append((tmp_path / "empty.npz", table.field, "holds no voxels"))
+    for path, field, message in wrong:
+        refused(functools.partial(NodeSelection.load, path, field), message, path.name)
+    refused(lambda: NodeSelection.load(tmp_path / "none.npz", table.field), error=FileNotFoundError)
+    refused(lambda: lamp.save(tmp_path / "lamp.txt"), match="must end in .npz or .json")
     assert not (tmp_path / "lamp.txt").exists()
 
 
@@ -132,10 +130,8 @@ def test_what_is_cut_out_is_alone(table, lamp, device):
     assert np.allclose(alone.bounds, expected, atol=1e-9) and np.allclose(alone.voxel_size, voxel, atol=1e-9)
     within = ((table.cells > alone.bounds[0]) & (table.cells < alone.bounds[1])).all(axis=1)
     assert not alone.node_densities().ravel()[~inside[within]].any()
-    with pytest.raises(ValueError, match="nothing is chosen"):
-        NodeSelection(field, np.zeros_like(lamp.mask)).cut_out()
-    with pytest.raises(ValueError, match="must be of a VoxelField"):
-        select_nodes(GridField(np.ones((8, 8, 8)) * 50)).cut_out()
+    refused(lambda: NodeSelection(field, np.zeros_like(lamp.mask)).cut_out(), match="nothing is chosen")
+    refused(lambda: select_nodes(GridField(np.ones((8, 8, 8)) * 50)).cut_out(), match="must be of a VoxelField")
 
 
 def test_select_from_the_command_line(files, table, lamp, capsys):

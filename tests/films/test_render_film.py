@@ -6,6 +6,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 from fields import BOX, shiny_field, view
+from refusals import refused
 
 import warpcage
 from warpcage import CameraFile, CameraKey, Cancelled, Deformer, Place, PlaceFile, PoseFile, Stage
@@ -168,8 +169,7 @@ def test_a_folder_goes_on_after_an_interrupt(deformer, field, tmp_path):
         with pytest.raises(ValueError, match="frames of another film"):
             warpcage.render_film(deformer, tmp_path / "film", **(film | other))
     brighter = Deformer(shiny_field("cpu", resolution=10), BOX, coordinates="mean_value", resolution=12)
-    with pytest.raises(ValueError, match="other field"):
-        warpcage.render_film(brighter, tmp_path / "film", **film)
+    refused(lambda: warpcage.render_film(brighter, tmp_path / "film", **film), match="other field")
     again = warpcage.render_film(deformer, tmp_path / "film", overwrite=True, **(film | {"poses": BENDS[::-1]}))
     np.testing.assert_array_equal(held(again), bits(frames_of(field, BENDS[::-1], [CAMERA] * 3)))
 
@@ -203,18 +203,14 @@ def test_frames_that_are_equal_are_rendered_once(deformer, tmp_path, monkeypatch
     ],
 )
 def test_what_cannot_be_is_refused_and_leaves_nothing(deformer, tmp_path, options, message):
-    with pytest.raises(warpcage.Error, match=message):
-        warpcage.render_film(deformer, tmp_path / "film", **options)
+    refused(lambda: warpcage.render_film(deformer, tmp_path / "film", **options), match=message, error=warpcage.Error)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_other_things_than_scenes_and_films_are_refused(deformer, field, tmp_path):
-    with pytest.raises(ValueError, match="a Deformer, got a VoxelField"):
-        warpcage.render_film(field, tmp_path / "film", poses=BENDS)
-    with pytest.raises(ValueError, match="Deformer or a Stage, got Cage"):
-        warpcage.render_film(BOX, tmp_path / "film")
-    with pytest.raises(ValueError, match="must end in .mp4"):
-        warpcage.render_film(deformer, tmp_path / "film.avi")
+    refused(lambda: warpcage.render_film(field, tmp_path / "film", poses=BENDS), match="a Deformer, got a VoxelField")
+    refused(lambda: warpcage.render_film(BOX, tmp_path / "film"), match="Deformer or a Stage, got Cage")
+    refused(lambda: warpcage.render_film(deformer, tmp_path / "film.avi"), match="must end in .mp4")
     with pytest.raises(ValueError, match="has no opacity"):
         warpcage.render_film(deformer, tmp_path / "film.mp4", background="transparent")
     with pytest.raises(FileNotFoundError):

@@ -9,6 +9,7 @@ import pytest
 import warp as wp
 from fit_oracles import finished, shuffled
 from messages import MESSAGES
+from refusals import refused
 from scenes import room_scene
 from test_fit_edges import around, seen
 
@@ -58,8 +59,7 @@ def test_memory_sizes(text, size):
 
 @pytest.mark.parametrize("wrong", ["4 apples", "", "-1GB", "GB", 0, -5, np.nan, np.inf, True, [1], "1e3 MB"])
 def test_wrong_memory_sizes(wrong, scene):
-    with pytest.raises(ValueError, match="memory size"):
-        FieldOptimizer(scene, max_memory=wrong)
+    refused(lambda: FieldOptimizer(scene, max_memory=wrong), match="memory size")
 
 
 def test_estimates_match_what_is_allocated(scene, device):
@@ -329,8 +329,7 @@ def test_8_bits_are_chosen_where_they_buy_resolution(same_threads, large_picture
 
 
 def test_limits_that_cannot_be_kept(scene, device):
-    with pytest.raises(ValueError, match=MESSAGES["fitting.images_memory"]):
-        FieldOptimizer(scene, max_memory="100kB")
+    refused(lambda: FieldOptimizer(scene, max_memory="100kB"), match=MESSAGES["fitting.images_memory"])
     images = picture_bytes(scene, 8)
     tables = len(scene) * 49 * 49 * 4
     with pytest.raises(ValueError, match="not possible: the images take"):

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from refusals import refused
 from runs import run, succeed, write_files
 
 from warpcage import Cage, PoseFile, VoxelField, deform_points
@@ -130,8 +131,7 @@ def test_frames_of_any_motion_are_kept(tmp_path):
     assert shapes == 8 and times[-1] == 0.5
     write_shown_mesh(tmp_path / "still.gltf", BOX.vertices, BOX.faces, frames=np.stack([BOX.vertices] * 3))
     np.testing.assert_allclose(gltf_frames(tmp_path / "still.gltf")[0][2], BOX.vertices, atol=2e-6)
-    with pytest.raises(ValueError, match="motion"):
-        write_shown_mesh(tmp_path / "a.obj", BOX.vertices, BOX.faces, frames=frames)
+    refused(lambda: write_shown_mesh(tmp_path / "a.obj", BOX.vertices, BOX.faces, frames=frames), match="motion")
 
 
 # -- The surface of a field, posed in one step
@@ -273,8 +273,7 @@ def test_a_stage_of_another_program_is_read(tmp_path, up, orientation):
     cage.require_usable()
     assert cage.volume == pytest.approx(8.0)
     assert np.array_equal(Cage.load(path, object="Body").vertices, cage.vertices)
-    with pytest.raises(ValueError, match="only Body"):
-        Cage.load(path, object="Head")
+    refused(lambda: Cage.load(path, object="Head"), match="only Body")
     file = PoseFile.load(path)
     assert len(file) == 5 and file.fps == 25 and file.times["frame 5"] == pytest.approx(4 / 25)
     angle = np.radians(45.0)
@@ -289,9 +288,7 @@ def test_a_damaged_stage_is_refused_in_one_line(tmp_path, damage):
     pytest.importorskip("pxr")
     path = tmp_path / "bad.usd"
     path.write_bytes(damage)
-    with pytest.raises(ValueError, match="bad.usd") as caught:
-        Cage.load(path)
-    assert "\n" not in str(caught.value)
+    refused(lambda: Cage.load(path), match="bad.usd")
 
 
 @pytest.mark.parametrize(
@@ -304,14 +301,12 @@ def test_a_stage_whose_parts_do_not_fit_is_refused(tmp_path, old, new):
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
-    with pytest.raises(ValueError, match="bad.usda"):
-        Cage.load(path)
+    refused(lambda: Cage.load(path), match="bad.usda")
 
 
 def test_without_its_library_usd_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pxr", None)
     (tmp_path / "a.usda").write_text("#usda 1.0\n")
     for attempt in (lambda: BOX.save(tmp_path / "b.usdc"), lambda: Cage.load(tmp_path / "a.usda")):
-        with pytest.raises(ImportError, match=r'pip install "warpcage\[usd\]"'):
-            attempt()
+        refused(attempt, match=r'pip install "warpcage\[usd\]"', error=ImportError)
     assert not (tmp_path / "b.usdc").exists()

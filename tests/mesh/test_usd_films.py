@@ -5,6 +5,7 @@ import os
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from warpcage import Cage, PoseFile
 
@@ -316,8 +317,7 @@ def test_shapes_without_values_are_poses(tmp_path):
     with pytest.warns(UserWarning, match="its shapes have no values"):
         rest = Cage.load(path)
     np.testing.assert_allclose(rest.vertices, placed("shape", 0.0), atol=1e-6)
-    with pytest.raises(ValueError, match="only the shapes up"):
-        PoseFile.load(path, rest, name="down")
+    refused(lambda: PoseFile.load(path, rest, name="down"), match="only the shapes up")
     stage.GetPrimAtPath("/set/bones/film").GetAttribute("blendShapeWeights").Set([0.5])  # a value: it is shown
     rest = Cage.load(saved(stage, tmp_path / "b.usdc"))
     np.testing.assert_allclose(rest.vertices, placed("shape", 0.5), atol=1e-6)
@@ -386,6 +386,4 @@ def test_films_that_cannot_be_are_refused_in_one_line(tmp_path, kind, old, new, 
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
-    with pytest.raises(ValueError, match=message) as caught:
-        PoseFile.load(path)
-    assert "\n" not in str(caught.value) and "bad.usda" in str(caught.value)
+    refused(lambda: PoseFile.load(path), "bad.usda", match=message)

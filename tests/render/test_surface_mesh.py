@@ -1,6 +1,7 @@
 """Meshes with their colours against rays that are cast in float64, files of them, their poses, and what is refused."""
 
 import concurrent.futures
+import functools
 import io
 import json
 import struct
@@ -12,6 +13,7 @@ import trimesh
 from fields import BOX, make_field, plain, view
 from messages import MESSAGES
 from PIL import Image
+from refusals import refused
 
 import warpcage
 from warpcage import Cage, CageEdit, Deformer, Place, Stage, SurfaceMesh
@@ -322,11 +324,8 @@ def test_broken_files_are_told_in_one_line(tmp_path):
     }
     for name, (content, message) in wrong.items():
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(warpcage.Error, match=message) as caught:
-            SurfaceMesh.load(tmp_path / name)
-        assert name in str(caught.value) and "\n" not in str(caught.value)
-    with pytest.raises(FileNotFoundError):
-        SurfaceMesh.load(tmp_path / "nothing.glb")
+        refused(functools.partial(SurfaceMesh.load, tmp_path / name), name, match=message, error=warpcage.Error)
+    refused(lambda: SurfaceMesh.load(tmp_path / "nothing.glb"), error=FileNotFoundError)
     uv = SQUARE_UV.astype("<f4").tobytes()  # places that are none are taken for the corner
     (tmp_path / "uv.glb").write_bytes(data.replace(uv, np.full((4, 2), np.nan, "<f4").tobytes()))
     frame = SurfaceMesh.load(tmp_path / "uv.glb", device="cpu").render(view((0.0, 0.1, 2.0), size=9))
@@ -351,10 +350,8 @@ def test_what_a_mesh_refuses(device):
         with pytest.raises(ValueError, match=message):
             SurfaceMesh(**{"vertices": vertices, "faces": faces, "device": device, **options})
     mesh = SurfaceMesh(vertices, faces, device=device)
-    with pytest.raises(ValueError, match="has 4 vertices, got 3"):
-        mesh.with_vertices(vertices[:3])
-    with pytest.raises(ValueError, match="render needs a Camera"):
-        mesh.render(5)
+    refused(lambda: mesh.with_vertices(vertices[:3]), match="has 4 vertices, got 3")
+    refused(lambda: mesh.render(5), match="render needs a Camera")
     assert mesh.to(device) is mesh and "2 faces" in repr(mesh)
 
 
@@ -449,7 +446,7 @@ def test_what_a_posed_mesh_refuses(device):
     mesh = SurfaceMesh(BALL.vertices, BALL.faces, device=device)
     cage = Cage.box((-0.6,) * 3, (0.6,) * 3)
     deformer = Deformer(mesh, cage, coordinates="mean_value")
-    for refused, message in (
+    for attempt, message in (
         (lambda: Deformer(mesh, CageEdit(cage, falloff=0.1)), MESSAGES["surface.falloff"]),
         (lambda: Deformer(mesh, cage, map="backward"), "map must be"),
         (lambda: Deformer(mesh, cage, store="weights"), 'store must be "map"'),
@@ -460,8 +457,7 @@ def test_what_a_posed_mesh_refuses(device):
         (lambda: deformer.render(view(), outputs="canonical"), "meshes do"),
         (lambda: warpcage.bake(deformer), "a VoxelField"),
     ):
-        with pytest.raises(ValueError, match=message):
-            refused()
+        refused(attempt, match=message)
 
 
 # stages ---------------------------------------------------------------------------------------------------------------
@@ -526,8 +522,7 @@ def test_a_stage_file_with_a_posed_mesh_is_opened_again(tmp_path, device):
     camera = view((0.5, 4, 1), size=40)
     np.testing.assert_array_equal(again.render(camera).rgb, stage.render(camera).rgb)
     assert isinstance(again["other"], SurfaceMesh) and isinstance(again["ball"], Deformer)
-    with pytest.raises(ValueError, match=MESSAGES["surface.merged"]):
-        again.merged()
+    refused(again.merged, match=MESSAGES["surface.merged"])
     assert again.hide("ball").hide("other").merged().voxel_count > 0
     far = np.abs(again.hide("box").hide("other", False).shown_points).max()
     assert far == pytest.approx(1.7, abs=1e-3)

@@ -5,6 +5,7 @@ import json
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from refusals import refused
 
 import warpcage
 from warpcage import Camera, load_scene, turntable
@@ -70,55 +71,16 @@ def test_real_scene(real_data):
     np.testing.assert_allclose([np.linalg.norm(c.center) for c in scene.cameras], 4.0311, atol=1e-3)
 
 
-def write_and_change(folder, name, change):
-    """A scene with one of its files changed; change: the bytes of the file, None for none, or words of its JSON."""
-    write_folder(folder, [rgba()])
-    if isinstance(change, dict):
-        change = json.dumps(json.loads((folder / name).read_text()) | change).encode()
-    (folder / name).unlink() if change is None else (folder / name).write_bytes(change)
-
-
-PICTURE, LISTING = "train/r_0.png", "transforms_train.json"
-DAMAGED = {
-    "missing image": (lambda folder: write_and_change(folder, PICTURE, None), FileNotFoundError, "r_0.png"),
-    "sizes": (
-        lambda folder: write_and_change(folder, LISTING, {"fl_x": 9.0, "w": 12, "h": 9}),
-        ValueError,
-        "12x9 pixels",
-    ),
-    "angle": (lambda folder: write_folder(folder, [rgba()], angle=0.0), ValueError, "camera_angle_x"),
-    "no frames": (lambda folder: write_folder(folder, []), ValueError, "no frames"),
-    "json": (lambda folder: write_and_change(folder, LISTING, b"{ camera_angle_x"), ValueError, "no JSON"),
-    "pose": (lambda folder: write_folder(folder, [rgba()], poses=[np.full((4, 4), 2.0)]), ValueError, "rotation"),
-    "broken image": (lambda folder: write_and_change(folder, PICTURE, b"no picture"), ValueError, "cannot be read"),
-    "empty": (lambda folder: None, ValueError, "no scene"),
-}
-
-
-@pytest.mark.parametrize("kind", DAMAGED)
-def test_damaged_folders_are_named_in_one_line(tmp_path, kind):
-    damage, error, word = DAMAGED[kind]
-    damage(tmp_path)
-    with pytest.raises(error, match=word) as caught:
-        load_scene(tmp_path)
-    assert "\n" not in str(caught.value)
-
-
 def test_bad_arguments(tmp_path):
     write_folder(tmp_path, [rgba()])
-    with pytest.raises(FileNotFoundError, match="splits: train"):
-        load_scene(tmp_path, split="val")
-    with pytest.raises(FileNotFoundError, match="is not there"):
-        load_scene(tmp_path / "none")
+    refused(lambda: load_scene(tmp_path, split="val"), match="splits: train", error=FileNotFoundError)
+    refused(lambda: load_scene(tmp_path / "none"), match="is not there", error=FileNotFoundError)
     (tmp_path / "file.txt").write_text("")
     with pytest.raises(FileNotFoundError, match="scene folder .*file.txt' is a file"):
         load_scene(tmp_path / "file.txt")
-    with pytest.raises(ValueError, match="downscale"):
-        load_scene(tmp_path, downscale=0)
-    with pytest.raises(ValueError, match="background"):
-        load_scene(tmp_path, background="transparent")
-    with pytest.raises(ValueError, match="not known"):
-        load_scene(tmp_path, format="other")
+    refused(lambda: load_scene(tmp_path, downscale=0), match="downscale")
+    refused(lambda: load_scene(tmp_path, background="transparent"), match="background")
+    refused(lambda: load_scene(tmp_path, format="other"), match="not known")
 
 
 def test_a_scene_is_told_in_one_short_line():
@@ -131,12 +93,9 @@ def test_a_scene_is_told_in_one_short_line():
 
 def test_scene_refuses_what_does_not_fit():
     camera = Camera.look_at([3, 0, 0], [0, 0, 0], width=4, height=4)
-    with pytest.raises(ValueError, match="finite"):
-        warpcage.Scene(np.full((1, 4, 4, 3), np.nan), None, [camera])
-    with pytest.raises(ValueError, match="4x4, images are 5x4"):
-        warpcage.Scene(np.zeros((1, 4, 5, 3)), None, [camera])
-    with pytest.raises(ValueError, match="1 images, 2 cameras"):
-        warpcage.Scene(np.zeros((1, 4, 4, 3)), None, [camera] * 2)
+    refused(lambda: warpcage.Scene(np.full((1, 4, 4, 3), np.nan), None, [camera]), match="finite")
+    refused(lambda: warpcage.Scene(np.zeros((1, 4, 5, 3)), None, [camera]), match="4x4, images are 5x4")
+    refused(lambda: warpcage.Scene(np.zeros((1, 4, 4, 3)), None, [camera] * 2), match="1 images, 2 cameras")
 
 
 def test_camera_projects_its_own_rays():
@@ -180,5 +139,4 @@ def test_turntable_goes_round():
 )
 def test_bad_cameras(changes, word):
     good = {"fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0, "width": 2, "height": 2, "camera_to_world": np.eye(4)}
-    with pytest.raises(ValueError, match=word):
-        Camera(**{**good, **changes})
+    refused(lambda: Camera(**{**good, **changes}), match=word)

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from warpcage import Camera, Scene
 from warpcage.scene import are_inliers, draw_box, find_box
@@ -136,8 +137,7 @@ def test_cameras_that_look_at_nothing_in_common_are_a_place():
         found = find_box(cameras)
         assert found.looks == () and "a place" in found.reason and inside(found.bounds, cameras) == 30
     turning = looking(np.zeros((12, 3)), ring(12))
-    with pytest.raises(ValueError, match="do not tell the size"):
-        find_box(turning)
+    refused(lambda: find_box(turning), match="do not tell the size")
 
 
 def test_parallel_cameras_look_ahead():

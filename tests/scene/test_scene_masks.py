@@ -10,6 +10,8 @@ import pytest
 from messages import MESSAGES
 from phone_writers import write_arkitscenes, write_polycam, write_record3d, write_stray
 from program_writers import write_bundler, write_llff, write_metashape, write_opensfm, write_realityscan
+from refusals import refused
+from scene_readers import load
 from scene_writers import (
     Pictures,
     brick_pictures,
@@ -20,7 +22,6 @@ from scene_writers import (
     write_nsvf,
     write_transforms,
 )
-from test_scene_formats import load
 
 from warpcage import load_scene
 
@@ -173,8 +174,7 @@ def test_a_mask_of_two_pictures_is_refused(tmp_path, bricks):
     write_image(tmp_path / "images" / "view_00.jpg", bricks.rgba[1, ..., :3])
     for name in ("view_00", *bricks.names[2:]):
         write_image(tmp_path / "masks" / f"{name}.png", half_masks(1)[0])
-    with pytest.raises(ValueError, match=MESSAGES["scene.mask_of_two"]):
-        load_scene(tmp_path)
+    refused(lambda: load_scene(tmp_path), match=MESSAGES["scene.mask_of_two"])
     write_image(tmp_path / "masks" / "view_00.jpg.png", half_masks(1)[0])
     assert "view_00.jpg" in load_scene(tmp_path, split="all").names
 
@@ -217,8 +217,7 @@ def test_masks_of_smaller_copies(tmp_path, opaque):
         write_image(tmp_path / "masks" / f"{name}.png", half_masks(1)[0])
     np.testing.assert_allclose(load_scene(tmp_path, split="all", downscale=2).alphas, small / 255, atol=1e-6)
     shutil.rmtree(tmp_path / "masks_2")
-    with pytest.raises(ValueError, match=MESSAGES["scene.mask_size"]):
-        load_scene(tmp_path, split="all", downscale=2)
+    refused(lambda: load_scene(tmp_path, split="all", downscale=2), match=MESSAGES["scene.mask_size"])
 
 
 def test_a_format_that_names_its_masks_keeps_to_them(tmp_path, bricks):
@@ -231,8 +230,7 @@ def test_a_format_that_names_its_masks_keeps_to_them(tmp_path, bricks):
     path.write_text(path.read_text().replace("masks/view", "masks/m_view"))
     np.testing.assert_allclose(load(tmp_path / "a", split="all").alphas, bricks.rgba[..., 3] / 255, atol=1e-6)
     path.write_text(path.read_text().replace("masks/m_view_00", "/home/somebody/view_00"))
-    with pytest.raises(FileNotFoundError, match=MESSAGES["scene.mask_path_lost"]):
-        load(tmp_path / "a", split="all")
+    refused(lambda: load(tmp_path / "a", split="all"), match=MESSAGES["scene.mask_path_lost"], error=FileNotFoundError)
     write_dtu(tmp_path / "b", dataclasses.replace(bricks))
     write_image(tmp_path / "b/masks/000000.png", np.full((20, 24), 9, np.uint8))
     np.testing.assert_allclose(load(tmp_path / "b", split="all").alphas, bricks.rgba[..., 3] / 255, atol=1e-6)

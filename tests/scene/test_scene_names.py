@@ -10,8 +10,9 @@ import warnings
 import numpy as np
 import pytest
 from messages import MESSAGES
+from refusals import refused
+from scene_readers import load, require_equal
 from scene_writers import brick_pictures, write_colmap, write_image, write_nsvf, write_transforms
-from test_scene_formats import load, require_equal
 
 import warpcage
 from warpcage import load_scene
@@ -111,8 +112,7 @@ def test_decimal_commas(tmp_path, bricks, name):
     require_equal(load(tmp_path, split=split), bricks)
     mixed = next(path for path in text_files(tmp_path) if path.name in ("images.txt", "intrinsics.txt"))
     mixed.write_text(mixed.read_text().replace(",", ".", 1))
-    with pytest.raises(ValueError, match=f"{mixed.name}.*decimal commas beside points"):
-        load(tmp_path, split=split)
+    refused(lambda: load(tmp_path, split=split), match=f"{mixed.name}.*decimal commas beside points")
 
 
 ELSEWHERE = ["/home/somebody/capture/images/", "C:\\Users\\somebody\\capture\\images\\", "../capture/images/", "D:/x/"]
@@ -132,7 +132,7 @@ def test_paths_of_another_machine(tmp_path, bricks, name, start):
         warnings.simplefilter("always")
         require_equal(load(tmp_path, split="all"), bricks)
     assert [MESSAGES["scene.moved"] in str(warning.message) for warning in caught] == [True]
-    assert pathlib.Path(caught[0].filename).name == "test_scene_formats.py"  # where it was called
+    assert pathlib.Path(caught[0].filename).name == "scene_readers.py"  # where it was called
     listing.write_text(text.replace(plain, f"{written}other/sub/view_"))
     with pytest.warns(UserWarning, match=MESSAGES["scene.moved"]):
         require_equal(load(tmp_path, split="all"), bricks)
@@ -177,8 +177,7 @@ def test_endings_that_changed(tmp_path, bricks, name, start):
         start
     )
     (tmp_path / "images" / "view_01.png").with_suffix(".webp").write_bytes(b"")
-    with pytest.raises(ValueError, match=MESSAGES["scene.ending_of_several"]):
-        load(tmp_path, split="all")
+    refused(lambda: load(tmp_path, split="all"), match=MESSAGES["scene.ending_of_several"])
 
 
 @pytest.mark.parametrize("name", ["transforms", "colmap"])
@@ -206,8 +205,7 @@ def test_pictures_of_rigs_keep_their_folders_in_every_split(tmp_path, name):
         for asked, row in {"rig1/0001": 3, "0009": 8, "1": 7}.items():  # of the picture, or the number of the frame
             found = TransformsCameras(path).camera(asked)
             np.testing.assert_allclose(found.camera_to_world, pictures.cameras[row].camera_to_world)
-        with pytest.raises(ValueError, match=MESSAGES["scene.rig_frames"]):
-            TransformsCameras(path).camera("0001")
+        refused(lambda: TransformsCameras(path).camera("0001"), match=MESSAGES["scene.rig_frames"])
     test.save(tmp_path / "saved")
     assert sorted(load(tmp_path / "saved", split="all").names) == [each.replace("/", "_") for each in test.names]
 
@@ -249,5 +247,4 @@ def test_no_file_outside_of_the_folder_is_taken(tmp_path, bricks):
     original = path.read_text()
     for name in (str(outside), "../images/outside.png", "images/../../images/outside.png"):
         path.write_text(original.replace("images/view_00.png", name))
-        with pytest.raises(ValueError, match="leads out of the data folder"):
-            load_scene(tmp_path / "scene")
+        refused(lambda: load_scene(tmp_path / "scene"), match="leads out of the data folder")

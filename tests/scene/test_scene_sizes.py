@@ -1,13 +1,22 @@
 """Pictures of several sizes in one scene: every reader, cuts of a few pixels, frames, fits and figures."""
 
 import dataclasses
+import functools
 import json
 import re
+import shutil
+import warnings
 
 import numpy as np
 import pytest
+from messages import MESSAGES
 from phone_writers import write_polycam
+from PIL import Image
+from program_writers import SQUARE, write_llff
+from refusals import refused
+from scene_readers import BACKGROUND, load, require_equal
 from scene_writers import (
+    Pictures,
     brick_pictures,
     spiral_cameras,
     write_blender,
@@ -18,7 +27,6 @@ from scene_writers import (
 )
 from scenes import blob_scene
 from splat_scenes import ring, scene_of, true_field
-from test_scene_formats import BACKGROUND, load, require_equal
 
 import warpcage
 from warpcage import evaluate, mean_psnr
@@ -54,27 +62,19 @@ def cut(pictures, sizes):
 
 
 WRITERS = {
-    "transforms": lambda folder, pictures: write_transforms(folder, pictures, shared=False),
-    "transforms with masks": lambda folder, pictures: write_transforms(folder, pictures, shared=False, masks=True),
-    "colmap": lambda folder, pictures: write_colmap(folder, pictures, binary=True),
-    "colmap text with masks": lambda folder, pictures: write_colmap(folder, pictures, binary=False, masks=True),
-    "polycam": lambda folder, pictures: write_polycam(folder, pictures, kinds=("corrected_",)),
+    "transforms": functools.partial(write_transforms, shared=False),
+    "transforms with masks": functools.partial(write_transforms, shared=False, masks=True),
+    "colmap": functools.partial(write_colmap, binary=True),
+    "colmap text with masks": functools.partial(write_colmap, binary=False, masks=True),
+    "polycam": functools.partial(write_polycam, kinds=("corrected_",)),
 }
-
-
-def write_unsaid(folder, pictures):
-    write_transforms(folder, pictures, shared=False)
-    content = json.loads((folder / "transforms.json").read_text())
-    for frame in content["frames"]:
-        del frame["w"], frame["h"]
-    (folder / "transforms.json").write_text(json.dumps(content))
 
 
 #: Formats that do not say for which size a camera is.
 UNSAID = {
     "dtu": write_dtu,
     "nsvf": lambda folder, pictures: write_nsvf(folder, pictures, "0" * len(pictures.cameras)),
-    "transforms without sizes": write_unsaid,
+    "transforms without sizes": functools.partial(write_transforms, shared=False, sized=False),
 }
 
 
@@ -110,9 +110,7 @@ def test_portrait_and_landscape(tmp_path, bricks, kind):
 def test_sizes_that_nothing_says_are_refused(tmp_path, bricks, kind):
     """A picture of half the size may be a part of a larger one, or all of it: cameras say which, or it is not read."""
     UNSAID[kind](tmp_path, cut(bricks, [WIDE, WIDE, TALL]))
-    with pytest.raises(ValueError, match="is 16x20, others are 24x14") as caught:
-        load(tmp_path)
-    assert "nothing says the size" in str(caught.value) and "\n" not in str(caught.value)
+    refused(lambda: load(tmp_path), "nothing says the size", match="is 16x20, others are 24x14")
 
 
 def test_blender_with_one_angle_of_view(tmp_path):
@@ -135,15 +133,11 @@ def test_a_pixel_more_is_cut_off(tmp_path, bricks, kind):
     scene = load(tmp_path) if kind == "nsvf" else load(tmp_path, split="all")
     assert scene.weights is None and not scene.has_sizes
     same = cut(bricks, [(23, 19)])
-    require_equal(scene, brick_cut(same))
+    same = Pictures(np.stack(same.rgba), same.cameras)
+    require_equal(scene, same)
     if kind != "nsvf":
-        require_equal(load(tmp_path, split="test"), brick_cut(same.pick([0, 8])))
-        require_equal(load(tmp_path), brick_cut(same.pick([1, 2, 3, 4, 5, 6, 7, 9])))
-
-
-def brick_cut(sized):
-    """Pictures of one size as the other tests of readers have them."""
-    return type(brick_pictures(1))(np.stack(sized.rgba), sized.cameras)
+        require_equal(load(tmp_path, split="test"), same.pick([0, 8]))
+        require_equal(load(tmp_path), same.pick([1, 2, 3, 4, 5, 6, 7, 9]))
 
 
 @pytest.mark.parametrize("factor", [2, 3])
@@ -175,18 +169,15 @@ def test_refined_cameras_keep_their_sizes(tmp_path, bricks):
     warpcage.CameraFile(names).save(tmp_path / "refined.json")
     again = load(tmp_path, cameras=tmp_path / "refined.json")
     assert [(c.width, c.height) for c in again.cameras] == [(c.width, c.height) for c in scene.cameras]
-    with pytest.raises(ValueError, match="a whole factor"):
-        scene.with_cameras(scene.cameras[::-1])
+    refused(lambda: scene.with_cameras(scene.cameras[::-1]), match="a whole factor")
 
 
 def test_a_smaller_camera_needs_weights_of_nothing_beyond():
     scene = blob_scene(count=2, size=16, device="cpu")
     cameras = [scene.cameras[0], dataclasses.replace(scene.cameras[1], height=12)]
     weights = np.ones(scene.images.shape[:3])
-    with pytest.raises(ValueError, match="weights must be 0"):
-        warpcage.Scene(scene.images, scene.alphas, cameras, weights=weights)
-    with pytest.raises(ValueError, match="is 16x12, images are 16x16"):
-        warpcage.Scene(scene.images, scene.alphas, cameras)
+    refused(lambda: warpcage.Scene(scene.images, scene.alphas, cameras, weights=weights), match="weights must be 0")
+    refused(lambda: warpcage.Scene(scene.images, scene.alphas, cameras), match="is 16x12, images are 16x16")
     weights[1, 12:] = 0.0
     assert warpcage.Scene(scene.images, scene.alphas, cameras, weights=weights).cut(1, weights[1]).shape == (12, 16)
 
@@ -199,8 +190,7 @@ def test_memory_is_that_of_the_frames_that_hold_all(tmp_path, bricks, monkeypatc
     monkeypatch.setattr("warpcage.scene.pictures.free_host_bytes", lambda: held + flight)
     assert len(load(tmp_path, split="all")) == 10
     monkeypatch.setattr("warpcage.scene.pictures.free_host_bytes", lambda: held + flight - 1)
-    with pytest.raises(ValueError, match="pictures of 24x20 need"):
-        load(tmp_path, split="all")
+    refused(lambda: load(tmp_path, split="all"), match="pictures of 24x20 need")
 
 
 def two_sizes(scene, width, height):
@@ -318,3 +308,94 @@ def test_the_command_line_shows_pictures_of_their_own_size(tmp_path, bricks, cap
     worst = json.loads((tmp_path / "report.json").read_text())["worst_view"]
     width, height = (WIDE, TALL)[int(worst[-1]) % 2]
     assert read_image(tmp_path / "worst.png").shape[:2] == (height, 3 * width + 8)
+
+
+# Smaller copies, and pictures that were made another size
+
+
+@pytest.mark.parametrize("downscale, taken", [(1, 1), (2, 2), (4, 4), (5, 1)])
+def test_llff_takes_the_pictures_of_the_size_that_is_asked_for(tmp_path, centered, downscale, taken):
+    black = Pictures(np.zeros_like(centered.rgba) + np.uint8([0, 0, 0, 255]), centered.cameras)
+    write_llff(tmp_path, black, (1, 2, 4))
+    white = Pictures(np.full_like(centered.rgba, 255), centered.cameras)
+    write_llff(tmp_path, white, (taken,))
+    scene = load(tmp_path, split="all", downscale=downscale)
+    assert scene.images.min() > 0.999
+    for read, written in zip(scene.cameras, centered.cameras, strict=True):
+        assert (read.width, read.height) == (round(written.width / downscale), round(written.height / downscale))
+        assert read.fx / read.width == pytest.approx(written.fx / written.width, rel=1e-12)
+
+
+COPIES = {
+    "llff": write_llff,
+    "colmap": functools.partial(write_colmap, binary=True),
+    "transforms": write_transforms,
+    "transforms of no size": functools.partial(write_transforms, sized=False),
+}
+
+
+@pytest.mark.parametrize("downscale, read, total", [(1, 2, 2), (2, 2, 2), (3, 4, 4), (4, 4, 4), (6, 2, 6), (7, 4, 8)])
+@pytest.mark.parametrize("name", COPIES)
+def test_smaller_copies_alone_are_read(tmp_path, name, downscale, read, total):
+    """images_2/, images_4/ beside cameras of images/, as mip-NeRF 360 scenes are handed on: cameras are scaled by the
+    true sizes, and it is said where pictures become smaller than was asked for."""
+    pictures = brick_pictures(10, centered=True, width=48, height=40)
+    COPIES[name](tmp_path, pictures)
+    shutil.rmtree(tmp_path / "images")
+    white = Pictures(np.full_like(pictures.rgba, 255), pictures.cameras)
+    write_llff(tmp_path / "more", white, (2, 4))
+    for factor in (2, 4):
+        (tmp_path / f"more/images_{factor}").rename(tmp_path / f"images_{factor}")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene = load(tmp_path, split="all", downscale=downscale)
+    said = re.compile(MESSAGES["scene.copies"].format(read, total))
+    assert [bool(said.search(str(each.message))) for each in caught] == [True] * (total != downscale)
+    assert scene.images.min() > 0.999 and len(scene) == 10
+    for camera, whole in zip(scene.cameras, pictures.cameras, strict=True):
+        size = round(48 / total), round(40 / total)
+        assert (camera.width, camera.height) == size
+        np.testing.assert_allclose(camera.project(SQUARE)[0] / size, whole.project(SQUARE)[0] / [48, 40], atol=1e-9)
+
+
+def resize_pictures(folder, size):
+    for file in folder.iterdir():
+        Image.open(file).resize(size).save(file)
+
+
+@pytest.mark.parametrize("write, bent", [(write_transforms, {"distortion": {"k1": -0.01}}), (write_colmap, None)])
+@pytest.mark.parametrize(
+    "size, share",
+    [((12, 10), 0.5), ((8, 7), 1 / 3), ((48, 40), 2.0), ((14, 12), 0.59), ((36, 30), 1.5)]
+    + [((23, 20), None), ((26, 22), None), ((25, 21), None), ((12, 20), None), ((23, 21), None)],
+)
+def test_pictures_of_another_size_by_one_factor(tmp_path, bricks, write, bent, size, share):
+    """They were made smaller; of other sizes they were cropped, which a factor near one is too, and refused once."""
+    options = {"binary": False} if write is write_colmap else {}
+    write(tmp_path / "a", bricks, **options)
+    resize_pictures(tmp_path / "a/images", size)
+    if share is None:
+        said = MESSAGES["scene.sizes_differ"].format(*size, 8, 8)
+        refused(lambda: load(tmp_path / "a"), match=said)
+        return
+    with pytest.warns(UserWarning, match=MESSAGES["scene.sizes_scaled"].format(*size)) as caught:
+        scene = load(tmp_path / "a", split="all")
+    assert len(caught) == 1
+    for camera, whole in zip(scene.cameras, bricks.cameras, strict=True):
+        assert (camera.width, camera.height) == size
+        np.testing.assert_allclose(camera.project(SQUARE)[0] / size, whole.project(SQUARE)[0] / [24, 20], atol=1e-9)
+    if bent:  # what undoes a lens may have made pictures of any size, but for half and double
+        write(tmp_path / "b", bricks, **bent)
+        resize_pictures(tmp_path / "b/images", size)
+        if share in (0.5, 1 / 3, 2.0):
+            with pytest.warns(UserWarning, match="cameras are scaled"):
+                assert load(tmp_path / "b").cameras[0].fx > 0.9 * share * bricks.cameras[1].fx
+        else:
+            refused(lambda: load(tmp_path / "b"), match="before a lens was undone")
+
+
+def test_one_picture_of_another_size_is_refused(tmp_path, bricks):
+    write_transforms(tmp_path, bricks)
+    image = Image.open(tmp_path / "images/view_03.png").resize((12, 10))
+    image.save(tmp_path / "images/view_03.png")
+    refused(lambda: load(tmp_path, split="all"), match=MESSAGES["scene.sizes_differ"].format(12, 10, 1, 10))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from entry_points import plug
 from messages import MESSAGES
+from refusals import refused
 from runs import succeed
 from scene_writers import brick_pictures, write_image
 
@@ -64,9 +65,8 @@ def test_what_is_known_is_listed_from_one_table(plugged, toy_scene, tmp_path, ca
     names = [each.name for each in scene_formats()]
     assert names[-1] == "toy" and len(set(names)) == len(names)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError) as error:
-        load_scene(tmp_path / "empty", format="other")
-    assert all(name in str(error.value) for name in names) and "\n" not in str(error.value)
+    told = refused(lambda: load_scene(tmp_path / "empty", format="other"))
+    assert all(name in told for name in names)
     succeed(toy_scene[0], "info")
     said = capsys.readouterr().out
     assert all(f"{each.name}: {each.mark}" in said for each in scene_formats())
@@ -100,6 +100,7 @@ def test_an_unknown_folder_says_what_is_nearest(tmp_path, files, form, has, miss
         ("config.yml nerfstudio_models/step.ckpt", "ns-export gaussian-splat"),
         ("walk.mp4", "warpcage capture VIDEO"),
         ("notes.txt", "that are known; it holds notes.txt"),
+        ("", "that are known; it holds nothing"),
     ],
 )
 def test_a_folder_that_is_not_read_says_what_to_do(tmp_path, files, said):
@@ -110,9 +111,8 @@ def require_said(folder, files, said):
     for file in files.split():
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
         (folder / file).touch()
-    with pytest.raises(ValueError, match=said) as error:
-        load_scene(folder)
-    assert "\n" not in str(error.value) and len(str(error.value)) < 500
+    told = refused(lambda: load_scene(folder), match=said)
+    assert len(told) < 500
 
 
 @pytest.mark.parametrize("wrong", [None, ImportError("no module"), SceneFormat("colmap", "x", bool, read_toy)])

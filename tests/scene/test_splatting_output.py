@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 import pytest
 from dataset_writers import camera_rows, write_output
+from refusals import refused
 from runs import run, succeed
 from scene_writers import Pictures, spiral_cameras, write_blender, write_colmap
 from splat_scenes import some_splats
@@ -109,11 +110,9 @@ def test_cameras_are_those_of_the_fit(output, shown):
     rows = json.loads((output / "cameras.json").read_text())
     rows[4]["position"][0] += 0.3
     (output / "cameras.json").write_text(json.dumps(rows))
-    with pytest.raises(ValueError, match="camera of picture 'view_03' is another"):
-        load_scene(output)
+    refused(lambda: load_scene(output), match="camera of picture 'view_03' is another")
     (output / "cameras.json").write_text(json.dumps(rows[:3]))
-    with pytest.raises(ValueError, match="has no camera for picture 'view_02' of"):
-        load_scene(output)
+    refused(lambda: load_scene(output), match="has no camera for picture 'view_02' of")
 
 
 def test_splats_in_the_folder_of_their_scene(tmp_path, shown, capsys):
@@ -168,9 +167,8 @@ def test_options_are_read_and_never_run(output, text, said):
     (output / "cfg_args").unlink()
     if text is not None:
         (output / "cfg_args").write_text(text)
-    with pytest.raises((ValueError, FileNotFoundError), match=said) as error:
-        load_scene(output)
-    assert "\n" not in str(error.value) and len(str(error.value)) < 600
+    told = refused(lambda: load_scene(output), match=said, error=(ValueError, FileNotFoundError))
+    assert len(told) < 600
 
 
 def test_its_cameras_are_a_camera_file(tmp_path, shown):

@@ -8,6 +8,7 @@ import subprocess
 
 import numpy as np
 import pytest
+from refusals import refused
 from splat_scenes import field_of, loaded, some_splats
 
 PROGRAM = shutil.which("splat-transform")
@@ -96,5 +97,4 @@ def test_what_it_mirrors_is_no_splats(tmp_path):
     """A scale below 0 makes sizes that are no numbers."""
     field_of(some_splats(60)).save(tmp_path / "ours.ply")
     transform(tmp_path / "ours.ply", "-s", "-1", tmp_path / "theirs.ply")
-    with pytest.raises(ValueError, match="log_scales that are not finite"):
-        loaded(tmp_path / "theirs.ply")
+    refused(lambda: loaded(tmp_path / "theirs.ply"), match="log_scales that are not finite")

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import warp as wp
+from refusals import refused
 from splat_scenes import reference_view
 
 from warpcage import Cage, Camera, SplatField
@@ -265,8 +266,7 @@ def test_a_field_renders(device):
     for option, value in (("background", "mauve"), ("supersampling", 0), ("supersampling", 99)):
         with pytest.raises(ValueError, match="mauve" if value == "mauve" else option):
             field.render(view, **{option: value})
-    with pytest.raises(ValueError, match="Camera"):
-        field.render("front")
+    refused(lambda: field.render("front"), match="Camera")
 
 
 def test_a_cage_around_an_object_is_its_cage_however_far_other_splats_lie(device):

@@ -48,18 +48,6 @@ def rays_of(count, seed=0, reach=4.0):
     return random.uniform(-reach, reach, (count, 3)), directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def assert_damage_is_named(field, folder, change, word):
-    """A file of the field with other arrays, or without some (None), is refused in one line, with a word."""
-    from warpcage import VoxelField
-
-    field.save(folder / "f.npz")
-    contents = dict(np.load(folder / "f.npz")) | change
-    np.savez(folder / "d.npz", **{name: array for name, array in contents.items() if array is not None})
-    with pytest.raises(ValueError, match=word) as raised:
-        VoxelField.load(folder / "d.npz")
-    assert "d.npz" in str(raised.value) and "\n" not in str(raised.value)
-
-
 def assert_slopes(found, values, loss, every):
     """Some slopes of a loss of values, none of them zero, are central differences."""
     for at in map(tuple, np.argwhere(np.abs(found) > 0)[::every]):

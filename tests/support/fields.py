@@ -18,6 +18,19 @@ SIZE = 64
 BOX = Cage.box([-0.75, -0.55, -0.4], [0.75, 0.55, 0.4], segments=2)
 
 
+class OnlyDLPack:
+    """An array of another library, which is read through DLPack alone."""
+
+    def __init__(self, values):
+        self.values = values
+
+    def __dlpack__(self, **options):
+        return self.values.__dlpack__(**options)
+
+    def __dlpack_device__(self):
+        return self.values.__dlpack_device__()
+
+
 def nodes(resolution, bounds=((-1, -1, -1), (1, 1, 1))):
     """(..., 3) voxel centres. resolution: Of all axes, or of each."""
     spans = zip(np.broadcast_to(resolution, 3), *np.asarray(bounds, float), strict=True)

@@ -1,18 +1,15 @@
 """Hostile input: what whole files of each format are, ways to damage them, and what may come of reading them."""
 
-import copy
 import dataclasses
 import functools
 import gzip
 import io
 import json
-import operator
 import pathlib
 import resource
 import shutil
 import struct
 import tempfile
-import tracemalloc
 import zipfile
 
 import dataset_writers as datasets
@@ -21,8 +18,8 @@ import phone_writers as phone
 import program_writers as program
 import pytest
 import scene_writers as plain
-from hypothesis import strategies as st
 from PIL import Image
+from refusals import refused
 from runs import DEFAULTS
 from scenes import blob_scene
 from splat_scenes import require_usd, some_splats, zstd
@@ -77,12 +74,14 @@ LENS, BENT, MOVED = {"k1": -0.02, "p1": 0.001}, (-0.02, 0, 0, 0), {"applied_tran
 def with_matrices(folder, pictures):
     """A camera matrix a frame, and masks of the pictures' names, of which nothing is said."""
     plain.write_transforms(folder, pictures, shared=False, masks=True)
-    content = json.loads((folder / "transforms.json").read_text())
-    for frame in content["frames"]:
-        fx, fy, cx, cy = (frame.pop(word) for word in ("fl_x", "fl_y", "cx", "cy"))
-        frame["K"] = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
-        del frame["mask_path"]
-    (folder / "transforms.json").write_text(json.dumps(content))
+
+    def into_matrices(content):
+        for frame in content["frames"]:
+            fx, fy, cx, cy = (frame.pop(word) for word in ("fl_x", "fl_y", "cx", "cy"))
+            frame["K"] = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
+            del frame["mask_path"]
+
+    plain.change_json(folder / "transforms.json", into_matrices)
 
 
 def models_and_copies(folder, pictures):
@@ -135,6 +134,7 @@ def small_field(kind="field", side=6):
     field = warpcage.VoxelField.from_dense(density, sh, [[0, 0, 0], [1, 1, 1]], device="cpu")
     if kind == "layers":
         seen = np.full((3, 26, 4), 0.5)
+        seen[1, 20:] = 0.1, 0.2, 0.3, 0.4  # as what nothing shows
         field.background_model = LayeredBackground((0.5,) * 3, 0.5, 2, seen, unseen=(0.1, 0.2, 0.3, 0.4))
     if kind == "outer":
         links = np.arange(8**3, dtype=np.int32).reshape(8, 8, 8)
@@ -309,6 +309,7 @@ def save_jobs(path):
 
 def read_jobs(path):
     with JobFile(path) as file:
+        file.check()
         return list(file)
 
 
@@ -361,32 +362,6 @@ def put(folder, files):
 
 
 # What may come of reading them
-
-
-def peak_of(action, most=float("inf")):
-    """Most bytes that Python and NumPy held during an action, beyond those held before it, and what it returned."""
-    tracemalloc.start()
-    before = tracemalloc.get_traced_memory()[0]
-    try:
-        result = action()
-    finally:
-        peak = tracemalloc.get_traced_memory()[1] - before
-        tracemalloc.stop()
-        assert peak < most
-    return peak, result
-
-
-def refused(action, *words, error=ValueError, most=None):
-    """The action is refused in one line that holds all the words, and takes at most so many bytes."""
-    with pytest.raises(error) as caught:
-        if most is None:
-            action()
-        else:
-            peak_of(action, most)
-    message = str(caught.value)
-    assert isinstance(caught.value, warpcage.Error) and message and "\n" not in message, message
-    for word in words:
-        assert word in message, message
 
 
 def read_or_refuse(name, folder, changes, **options):
@@ -541,126 +516,3 @@ OPENED = {
     ".glb": (read_glb, write_glb),
     ".gzip": (lambda data: {"inside": gzip.decompress(data)}, lambda tree: gzip.compress(tree.get("inside", b""))),
 }
-
-
-def ending_of(name, data):
-    """The key of OPENED for a file, or None."""
-    ending = ".gzip" if data.startswith(b"\x1f\x8b") else pathlib.PurePath(name).suffix
-    return ending if ending in OPENED else None
-
-
-def places(content, path=()):
-    """Where values of a tree are, the keys that lead there: of lists, and of dicts of one kind, in the first."""
-    if isinstance(content, dict | list) and content:
-        inner = content if isinstance(content, dict) else dict(enumerate(content))
-        kinds = {frozenset(each) if isinstance(each, dict) else None for each in inner.values()}
-        alike = isinstance(content, list) or (len(kinds) == 1 and None not in kinds)
-        for key in list(inner)[:1] if alike else inner:
-            yield (*path, key)
-            yield from places(inner[key], (*path, key))
-
-
-LEFT_OUT = "left out"
-
-
-def replaced(content, path, value):
-    """A tree with another value in a place."""
-    if not path:
-        return value
-    content = copy.deepcopy(content)
-    inner = functools.reduce(operator.getitem, path[:-1], content)
-    if value is not LEFT_OUT:
-        inner[path[-1]] = value
-    elif isinstance(inner, list) or path[-1] in inner:
-        del inner[path[-1]]
-    return content
-
-
-# Damages that are drawn
-
-WORDS = [
-    b"nan", b"-inf", b"1e400", b"-1", b"0", b"99999999999999999999", b"1" * 5000, b"4294967295", b"x", b"\x00", b"null",
-    b"true", b'"text"', b"[]", b"{}", b"[" * 3000, b"../../x", b"/etc/passwd", b"\xff\xfe", b"\n", b"#",
-]  # fmt: skip
-
-
-@st.composite
-def bytes_damaged(draw, data):
-    """Other bytes: cut off, flipped, put in, taken out, repeated, exchanged, or another word in place of one."""
-    kind = draw(st.sampled_from(["cut", "flip", "insert", "remove", "word", "repeat", "swap"]))
-    at, size = int(draw(st.floats(0, 1)) * len(data)), draw(st.integers(1, 40))
-    content = draw(st.sampled_from(WORDS) | st.binary(max_size=16))
-    if kind == "cut":
-        return data[:at]
-    if kind == "flip":
-        return data[:at] + bytes(byte ^ (size * 7 & 255) for byte in data[at : at + 1]) + data[at + 1 :]
-    if kind == "insert":
-        return data[:at] + content + data[at:]
-    if kind == "remove":
-        return data[:at] + data[at + size :]
-    if kind == "repeat":
-        return data[:at] + data[at : at + size] * 3 + data[at + size :]
-    if kind == "swap":
-        return data[:at] + data[at + size : at + 2 * size] + data[at : at + size] + data[at + 2 * size :]
-    words = data.replace(b",", b" , ").split(b" ")
-    words[min(at * len(words) // max(1, len(data)), len(words) - 1)] = content
-    return b" ".join(words)
-
-
-NAMES = (
-    "../x.png /etc/passwd images .. . images/view_00.png \0 train train/view_01 masks/view_01.png PINHOLE "
-    "OPENCV_FISHEYE EQUIRECTANGULAR ../x.bin cage.gltf " + "a" * 5000
-).split(" ")
-
-NUMBERS = st.integers(-(10**320), 10**320) | st.integers(-9, 10**10) | st.floats()
-
-VALUES = st.recursive(
-    st.none() | st.booleans() | NUMBERS | st.text(max_size=8) | st.sampled_from(NAMES),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
-    max_leaves=8,
-)
-
-#: Keys that some files have, put in where they are none.
-KEYS = ["k4", "mask_path", "train_filenames", "applied_transform", "w"]
-
-ARRAYS = [
-    np.zeros(0), np.zeros((0, 9, 3)), np.full((2, 3), np.nan), np.array("text"), np.array([1, 2, 3]),
-    np.array([10**6, 10**6, 10**6]), np.array([-1, 2, 3]), np.float64(1e300), np.array(2**63, np.uint64), np.int8(1),
-    np.zeros((3, 3, 3), np.int64), np.full((6, 6, 6), 2**40), np.array([True]), np.array([1j]),
-    np.array([[1e300] * 3, [2e300] * 3]), np.array([[0, 0, 0], [1e-300, 1, 1]]),
-    np.full((6, 6, 6), -7, np.int32), np.full(27, 255, np.uint8), np.array([1e38], np.float32),
-    np.ones((4, 4)), np.zeros((2, 3), "M8[s]"), np.zeros(3, [("x", "f4"), ("y", "i4")]),
-]  # fmt: skip
-
-
-@st.composite
-def tree_damaged(draw, content, root):
-    """A tree with another value, or none, in one place. root: whether that may be all of it."""
-    path, inner = [], content
-    while isinstance(inner, dict | list) and inner and (draw(st.integers(0, 4)) or not (path or root)):
-        keys = [*inner, *(KEYS if "frames" in inner or "file_path" in inner else [])]
-        path.append(draw(st.sampled_from(keys if isinstance(inner, dict) else range(len(inner)))))
-        inner = inner[path[-1]] if isinstance(inner, list) or path[-1] in inner else None
-    if isinstance(inner, bytes):
-        return replaced(content, path, draw(bytes_damaged(inner)))
-    if isinstance(inner, np.ndarray):
-        return replaced(content, path, draw(st.just(LEFT_OUT) | st.sampled_from(ARRAYS)))
-    return replaced(content, path, draw(st.just(LEFT_OUT) | VALUES if path else VALUES)) if path or root else content
-
-
-@st.composite
-def damaged(draw, name):
-    """The name of a file of a format, and other bytes for it."""
-    files = whole(name)
-    cameras = [file for file in files if not file.endswith(".png")]
-    file = draw(st.sampled_from([*files, *cameras * 3]))
-    data, ending = files[file], ending_of(file, files[file])
-    inside = ending is not None and draw(st.booleans())
-    if inside:
-        content = OPENED[ending][0](data)
-        for _ in range(draw(st.integers(1, 2))):
-            content = draw(tree_damaged(content, ending in (".json", ".gltf")))
-        data = OPENED[ending][1](content)
-    for _ in range(draw(st.integers(0 if inside else 1, 2 if inside else 3))):
-        data = draw(bytes_damaged(data))
-    return file, data

@@ -103,6 +103,10 @@ def left_over(out):
     return sorted(set(own) - {"driver.lock", "workers.lock"}) + [path.name for path in out.glob(".*-*")]
 
 
+def without(entry, *names):
+    return {name: value for name, value in entry.items() if name not in names}
+
+
 def command(*words):
     """A command line of `warpcage`."""
     return [sys.executable, "-m", "warpcage", *map(str, words)]

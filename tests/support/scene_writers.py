@@ -66,6 +66,12 @@ def write_image(path, image, **options):
     iio.imwrite(path, image, **options)
 
 
+def change_json(path, change):
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
 def write_blender(folder, pictures, split="train"):
     frames = []
     for name, rgba, camera in zip(pictures.names, pictures.rgba, pictures.cameras, strict=True):

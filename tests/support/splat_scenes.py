@@ -276,13 +276,3 @@ def some_splats(count=300, degree=3, seed=0, antialias=False):
         rng.uniform(-0.5, 0.5, (count, (degree + 1) ** 2, 3)).astype(np.float32),
         antialias=antialias,
     )
-
-
-def require_read_or_refused(path):
-    """A file is a field that is whole, or there is one line that names it."""
-    try:
-        field = warpcage.SplatField.load(path, device="cpu")
-    except ValueError as error:
-        assert "\n" not in str(error) and path.name in str(error)
-    else:
-        assert np.isfinite(field.bounds).all() and field.splat_count == len(field.covariances)
