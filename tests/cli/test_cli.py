@@ -1,6 +1,7 @@
 """The command line: what it writes, what it says, how it ends."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -31,6 +32,64 @@ def test_warnings_take_one_line_without_a_place_in_the_source(capsys, monkeypatc
     monkeypatch.setattr("warpcage.cli.info.run_info", lambda arguments: warn_caller("the gap\n is narrow"))
     assert main(["info"]) == 0
     assert capsys.readouterr().err == "warpcage: warning: the gap is narrow\n"
+
+
+@pytest.mark.parametrize(("command", "rare"), [("render", "--density"), ("animate", "--shutter"), ("fit", "--seed")])
+def test_help_of_long_commands_begins_with_the_usual_options(command, rare, capsys):
+    said = {}
+    for words in ("--help", "--help all"):
+        with pytest.raises(SystemExit) as leave:
+            main([command, *words.split()])
+        assert leave.value.code == 0
+        said[words] = capsys.readouterr().out
+    short, whole = said.values()
+    options = re.findall(r"^  (-.*)$", short, re.MULTILINE)
+    assert len(options) == 11 and rare not in short and rare in whole  # ten and --help
+    assert f"warpcage {command} " in short and f"more options: warpcage {command} --help all" in short
+
+
+def test_a_folder_made_for_an_output_is_told_and_not_left_by_a_command_that_fails(files, tmp_path, capsys):
+    picture = tmp_path / "new" / "one" / "ball.png"
+    assert run(files, "render", "@ball.npz", "-o", picture, "--size", 8, "--device", "cpu") == 0
+    assert picture.exists() and f"warpcage: made folder {picture.parent}\n" in capsys.readouterr().err
+    assert run(files, "render", "@ball.npz", "-o", picture, "--size", 8, "--device", "cpu") == 0
+    assert "made folder" not in capsys.readouterr().err
+    assert run(files, "render", "@broken.npz", "-o", tmp_path / "other" / "ball.png", "--device", "cpu") == 2
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["info", "@picture.png"],
+        ["check", "@picture.png"],
+        ["check", "@cage.obj", "--object", "@picture.png"],
+        ["render", "@ball.npz", "--cage", "@cage.obj", "--posed", "@picture.png", "-o", "@new.png"],
+        ["render", "@ball.npz", "--edits", "@picture.png", "-o", "@new.png"],
+        ["render", "@ball.npz", "--camera", "@picture.png", "-o", "@new.png"],
+        ["animate", "@ball.npz", "--session", "@picture.png", "-o", "@new.mp4"],
+        ["fit", "@picture.png", "-o", "@new.npz"],
+        ["pose", "@picture.png", "-o", "@new.obj", "--bend", 3],
+    ],
+    ids=lambda words: " ".join(map(str, words[:3])),
+)
+def test_a_wrong_kind_of_file_is_told_as_what_it_looks_like(words, files, tmp_path, capsys):
+    iio.imwrite(files / "picture.png", np.zeros((4, 4, 3), np.uint8))
+    assert run(files, *words) == 2
+    said = capsys.readouterr().err
+    assert "this looks like a picture" in said and said.count("\n") == 1
+
+
+def test_folders_that_stayed_empty_go_again(tmp_path, monkeypatch):
+    folder = tmp_path / "new" / "one"
+
+    def failing(arguments):
+        folder.mkdir(parents=True)
+        raise ValueError("the disk is full")
+
+    monkeypatch.setattr("warpcage.cli.render.run_render", failing)
+    assert main(["render", "ball.npz", "-o", str(folder / "ball.png")]) == 2
+    assert not folder.parent.exists()
 
 
 def test_version(capsys):

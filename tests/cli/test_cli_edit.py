@@ -143,18 +143,27 @@ def test_new_leaves_the_old_session_where_the_editor_cannot_begin(files, opened,
     assert sorted(os.listdir(files)) == before and (files / "ball.session.json").read_bytes() == first
 
 
-def test_the_demo_is_taken_from_the_cache(files, opened, capsys, monkeypatch):
+def test_the_demo_comes_from_the_cache_and_its_session_goes_into_the_current_folder(files, opened, capsys, monkeypatch):
     cache = files / "cache"
     cache.mkdir()
     (files / "ball.npz").rename(cache / "bricks.npz")
     (files / "cage.obj").rename(cache / "bricks_cage.obj")
     monkeypatch.setenv("WARPCAGE_CACHE", str(cache))
     monkeypatch.setattr("warpcage.editor.demo.fit", lambda *_, **__: pytest.fail("the demo is fitted"))
+    monkeypatch.chdir(files)
     for words in (("--demo",), ("--demo",), ("--demo", "--new")):
         assert run(files, "edit", *words, "--no-browser") == 0
         np.testing.assert_allclose(opened[-1].posed[0].vertices, BOX.vertices)
-    names = ["bricks.1.session.json", "bricks.npz", "bricks.session.json", "bricks_cage.obj"]
-    assert sorted(name for name in os.listdir(cache) if not name.startswith(".")) == names
+    out, err = capsys.readouterr()
+    assert "kept in warpcage-demo/bricks.session.json" in out and "earlier session" not in err
+    assert sorted(name for name in os.listdir(cache) if not name.startswith(".")) == ["bricks.npz", "bricks_cage.obj"]
+    kept = sorted(name for name in os.listdir("warpcage-demo") if not name.startswith("."))
+    assert kept == ["bricks.1.session.json", "bricks.session.json"]
+    old = cache / "bricks.session.json"  # as it was kept in the cache before
+    content = (files / "warpcage-demo" / "bricks.session.json").read_bytes()
+    old.write_bytes(content)
+    assert run(files, "edit", "--demo", "--no-browser") == 0
+    assert f"--session {old}" in capsys.readouterr().err and old.read_bytes() == content
 
 
 def test_a_browser_is_opened_or_the_reader_is_told(files, opened, capsys, monkeypatch):

@@ -46,6 +46,21 @@ def test_keys_written_one_by_one_make_a_film_whose_holds_hold(files, tmp_path, c
     assert min(tops) == tops[4] and tops[0] > tops[4]
 
 
+def test_the_camera_of_keyed_poses_turns_where_that_is_asked(files, tmp_path, capsys):
+    poses = tmp_path / "poses.json"
+    for at, name in enumerate(("start", "end")):
+        succeed(files, "pose", "@cage.obj", "-o", poses, "--key", name, "--at", at, "--bend", 30 * at)
+    film = ["animate", "@ball.npz", *FILM[: FILM.index("--turn")], "--fps", 2, "--posed", poses, "--quiet"]
+    shown = {}
+    for name, words in {"plain": [], "still": ["--turn", 0], "turned": ["--turn", 360]}.items():
+        capsys.readouterr()
+        succeed(files, *film, *words, "-o", tmp_path / name)
+        shown[name] = np.stack(frames_of(tmp_path / name)), "the camera stays" in capsys.readouterr().err
+    np.testing.assert_array_equal(shown["plain"][0], shown["still"][0])
+    assert np.abs(shown["plain"][0] - shown["turned"][0]).max() > 0.1
+    assert [told for _, told in shown.values()] == [True, False, False]
+
+
 def test_a_key_is_replaced_moved_and_removed(files, tmp_path, capsys):
     poses = tmp_path / "poses.json"
     words = ["pose", "@cage.obj", "-o", poses, "--key"]

@@ -179,7 +179,8 @@ class CageReport:
         ]
         for what, share in (("mesh vertices", self.mesh_enclosed), ("visible matter", self.field_enclosed)):
             if share is not None:
-                advice = "" if share == 1.0 else "move the cage outward there: what is outside does not follow"
+                advice = "" if share == 1.0 else f"{outside_text(share)}; move the cage outward there"
+                advice = "not known before the cage is repaired" if self.problem else advice
                 rows.append((f"{what} enclosed", f"{100 * share:.3f} %", advice))
         if self.hull_ratio is not None:
             rows.append(("volume over the object's convex hull", f"{self.hull_ratio:.2f}", ""))
@@ -256,6 +257,17 @@ def check_cage(
         notes=tuple(getattr(field, "notes", ())), problem=problem,
         pose=None if pose is None or problem else check_pose(cage, pose),
     )  # fmt: skip
+
+
+def outside_text(inside_share: float) -> str:
+    """What a share of the object, below 1, in the cage means."""
+    if inside_share == 0.0:
+        return "Nothing visible is inside this cage: it moves nothing"
+    return f"{percent_text(1.0 - inside_share)} of what is visible is outside this cage and stays where it is"
+
+
+def percent_text(share: float) -> str:
+    return "Less than 1 %" if share < 0.01 else f"{100 * share:.0f} %"
 
 
 def _standing(cage: ClosedMesh, *things: object) -> str:

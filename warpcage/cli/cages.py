@@ -24,7 +24,7 @@ from ..cage.pose_file import PoseFile, is_preset
 from ..cage.snap import cut_matter, snap_to_gaps
 from ..cage.up_axis import load_standing
 from ..core.checks import checked_bounds
-from ..core.files import require_file
+from ..core.files import require_file, seen_note
 from ..core.names import counted
 from ..editor.session import free_session_path, session_path
 from ..editor.things import stage_field
@@ -167,6 +167,7 @@ def read_mesh(name: str, object: str | None = None) -> trimesh.Trimesh:
     if path.suffix.lower() not in options.MESH_ENDINGS:
         raise InputError(
             f"mesh file {str(path)!r} must end in {' or '.join(options.MESH_ENDINGS)}, or in .npz for a field"
+            f"{seen_note(path)}"
         )
     if (
         object is not None or path.suffix.lower() in options.MOTION_ENDINGS
@@ -508,6 +509,11 @@ def run_edit(args: argparse.Namespace) -> None:
     args.field = str(splat_path(args.field))
     require_file(args.field, "field file")
     kept = pathlib.Path(args.session) if args.session else session_path(args.field)
+    if args.demo and not args.session:  # what is made with it belongs to the user: caches are emptied
+        if kept.exists():
+            print(f"an earlier session of the demo is kept: go on with it by --session {kept}", file=sys.stderr)
+        kept = pathlib.Path("warpcage-demo", kept.name)
+        kept.parent.mkdir(exist_ok=True)
     if kept.exists() and (args.cage or args.selection) and not args.new:
         option = "--cage" if args.cage else "--selection"
         raise InputError(

@@ -13,7 +13,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ..core.files import errors_of, read_json
+from ..core.files import errors_of, read_json, seen_note
 from ..errors import InputError
 from ..films.edits import Deformation
 from ..films.timeline import SIDES, CameraTrack, Timeline, keyed_track, middle, moving_track
@@ -240,6 +240,7 @@ def scene_camera(args: argparse.Namespace, text: str) -> Camera:
     if not separator or not index.isdigit():
         raise InputError(
             f"--camera must be a camera file (.json, .glb, .gltf), SCENE:INDEX or SCENE:SPLIT:INDEX, got {text!r}"
+            f"{seen_note(text)}"
         )
     cameras = scene_cameras(args, path)
     if int(index) >= len(cameras):
@@ -275,7 +276,11 @@ def camera_track(
     if args.cameras is None or moves is not None:
         if moves is not None and args.turn is not None:
             raise InputError("--cameras turn:DEGREES says how far the camera turns: leave --turn and --full-turn out")
-        moves = moves or [CameraMove("turn", args.turn)]
+        turn = args.turn
+        if moves is None and turn is None and deformation is not None and deformation.film is not None:
+            turn = 0.0
+            print("warpcage: the camera stays, as the poses have times: --turn 360 turns it around", file=sys.stderr)
+        moves = moves or [CameraMove("turn", turn)]
         axis = np.asarray(args.up, np.float64)
         if np.linalg.norm(axis) == 0:
             raise InputError("--up must not be 0 0 0")

@@ -15,7 +15,7 @@ from ..cage.motion import GLTF_ENDINGS
 from ..cage.pose_file import PoseFile
 from ..captures.scene_check import camera_doubt
 from ..core.checks import format_lines, listed
-from ..core.files import check_parent, read_json
+from ..core.files import check_parent, read_json, seen_note
 from ..core.kernel_files import copy_kernel, find_kernel, kernel_groups, kernel_names, kernel_summary
 from ..core.modules import start_warp
 from ..core.names import counted
@@ -97,7 +97,7 @@ def run_info(args: argparse.Namespace) -> None:
         raise InputError(
             f"{args.field!r} is not a field (.npz), splats ({' '.join(endings_read())}), cage "
             f"({' '.join(mesh_endings())}), poses, edits, cameras, places or stages (.json) or scene "
-            f"folder{scene_around(path)}"
+            f"folder{seen_note(path)}{scene_around(path)}"
         )
     width = max(len(name) for name, _ in rows)
     for name, value in rows:

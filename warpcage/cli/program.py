@@ -27,6 +27,13 @@ _ORDER = (  # of commands in their help
     "demo doctor kernels".split()
 )
 
+#: What `--help` of a long command shows beside its arguments; `--help all` shows all options.
+_FIRST = {
+    "render": "--output --cage --posed --edits --view --camera --size --background --transparent --masks",
+    "animate": "--output --cage --posed --edits --frames --fps --motion --turn --size --background",
+    "fit": "--output --downscale --quality --resolution --epochs --steps --split-masks --refine-cameras --as --quiet",
+}
+
 EXAMPLE = """\
 example, from pictures to a bent object:
   warpcage fit data/lego --downscale 2 -o lego.npz
@@ -55,7 +62,11 @@ def build_parser() -> argparse.ArgumentParser:
             description=command.help[0].upper() + command.help[1:] + ".",
             epilog="example:\n" + command.example,
             formatter_class=argparse.RawDescriptionHelpFormatter,
+            add_help=name not in _FIRST,
         )
+        if name in _FIRST:
+            text = "show the usual options and exit; --help all: show all of them"
+            words.add_argument("-h", "--help", action=_Help, first=_FIRST[name].split(), metavar="all", help=text)
         command.add_arguments(words)
         words.add_argument("--verbose", action="store_true", help="also say what is loaded and tried")
     return parser
@@ -66,6 +77,32 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message} (see {self.prog} --help)")
+
+    def keep_help_of(self, options: list[str]) -> None:
+        """Show arguments, these options and examples alone in the help."""
+        hidden = 0
+        for action in self._actions:
+            if action.option_strings and not {*action.option_strings} & {*options}:
+                hidden += action.help != argparse.SUPPRESS
+                action.help = argparse.SUPPRESS
+        places = " ".join(action.dest for action in self._actions if not action.option_strings)
+        self.usage = f"{self.prog} {places} -o OUTPUT [options]"
+        examples = (self.epilog or "").partition("\n\n")[0].strip()
+        self.epilog = f"{examples}\n\n{hidden} more options: {self.prog} --help all"
+
+
+class _Help(argparse.Action):
+    """Prints the help of some options, or of all where "all" follows."""
+
+    def __init__(self, option_strings: list[str], dest: str, *, first: list[str], **options: Any):
+        super().__init__(option_strings, argparse.SUPPRESS, nargs="?", default=argparse.SUPPRESS, **options)
+        self._first = [*first, *option_strings]
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        if values != "all" and isinstance(parser, _Parser):
+            parser.keep_help_of(self._first)
+        parser.print_help()
+        parser.exit()
 
 
 class _Version(argparse.Action):
@@ -223,8 +260,34 @@ def _run_command(argv: list[str] | None) -> int:
         reports.show_log("info" if arguments.verbose and not quiet else reports.asked_level())
         watched = sys.stderr.isatty() and not quiet
         reports.say = _tell_of_compiling if watched else None
-        with _early_workers(arguments):
+        with _told_folders(arguments, quiet), _early_workers(arguments):
             return _command(arguments.command)(arguments) or 0
+
+
+@contextlib.contextmanager
+def _told_folders(arguments: argparse.Namespace, quiet: bool) -> Iterator[None]:
+    """Say which folders a command made for its files; where it fails, those that stayed empty go again."""
+    given = [os.path.dirname(value) for value in vars(arguments).values() if isinstance(value, str | os.PathLike)]
+    missing = {folder: _missing(folder) for folder in given if folder and not os.path.isdir(folder)}
+    try:
+        yield
+    except BaseException:
+        for folder in (each for folders in missing.values() for each in folders):
+            with contextlib.suppress(OSError, ValueError):  # not made, or not empty
+                os.rmdir(folder)
+        raise
+    for folder in missing:
+        if os.path.isdir(folder) and not quiet:
+            print(f"warpcage: made folder {folder}", file=sys.stderr)
+
+
+def _missing(folder: str) -> list[str]:
+    """A folder and those above it that are not there, the deepest first."""
+    folders = []
+    while folder and not os.path.isdir(folder):
+        folders.append(folder)
+        folder = os.path.dirname(folder)
+    return folders
 
 
 def _early_workers(arguments: argparse.Namespace) -> contextlib.AbstractContextManager[None]:

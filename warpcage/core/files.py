@@ -172,6 +172,11 @@ def kind_seen(path: pathlib.Path) -> str:
     return next(named, "another kind of file")
 
 
+def seen_note(path: PathLike) -> str:
+    """What a refused file looks like, to follow what is taken; empty where there is no file."""
+    return f", this looks like {kind_seen(pathlib.Path(path))}" if pathlib.Path(path).is_file() else ""
+
+
 def _members(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
     return [info for info in archive.infolist() if info.filename.endswith(".npy")]
 
@@ -406,7 +411,7 @@ def read_json(path: PathLike, what: str, kinds: type | tuple[type, ...] = dict) 
     try:
         content = json.loads(data.decode("utf-8"))
     except UnicodeDecodeError:
-        raise InputError(f"{not_a(what)}: it holds no text") from None
+        raise InputError(f"{not_a(what)}: it holds no text{seen_note(path)}") from None
     except RecursionError:
         raise InputError(f"{not_a(what)}: its JSON is nested too deeply") from None
     except json.JSONDecodeError as error:

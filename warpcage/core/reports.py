@@ -11,7 +11,7 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeAlias, TypeVar
 
 from ..errors import Cancelled, InputError
@@ -95,7 +95,7 @@ def tell(done: int, total: int, words: str) -> None:
 
 
 def bar(total: int | None, what: str, *, done: int = 0, shown: bool = True, stays: bool = True, **options: Any) -> Any:
-    """A bar of tqdm on stderr, `total` None or 0 where it is not known; where that is no terminal, one line at its end.
+    """A bar of tqdm on stderr, `total` None or 0 where it is not known; elsewhere a line each 10 s and one at its end.
     stays: whether it stands there after it; options: more of tqdm's own."""
     kind = _bar_kind(sys.stderr.isatty() or "ipykernel" in sys.modules)  # a notebook shows bars, and is no terminal
     how = {"total": total or None, "initial": done, "desc": what, "disable": not shown, "leave": stays}
@@ -117,6 +117,10 @@ def say_above_bar(line: str) -> None:
     tqdm.write(f"warpcage: warning: {line}", file=sys.stderr)
 
 
+#: Between two lines of a bar in a log.
+LOG_SECONDS = 10.0
+
+
 class _Nowhere:
     """A file that keeps nothing."""
 
@@ -133,20 +137,36 @@ def _bar_kind(terminal: bool) -> Any:
     from tqdm import tqdm
 
     class LineBar(tqdm):
-        """A bar that is drawn nowhere, and of which the last state is written, so that logs have one line a stage."""
+        """A bar that is drawn nowhere: logs have a line of it each 10 s, and one of its last state."""
 
         def __init__(self, *, file: Any, **options: Any):
-            self._log = file
+            self._log, self._due = file, LOG_SECONDS
             super().__init__(file=_Nowhere(), **options)
 
+        def display(self, msg: str | None = None, pos: int | None = None) -> bool:
+            seen = self.format_dict
+            if (elapsed := seen["elapsed"]) >= self._due:
+                self._due = elapsed + LOG_SECONDS
+                done, total = seen["n"] - seen["initial"], seen["total"]
+                left = (
+                    span_text(elapsed * (total - seen["n"]) / done)
+                    if total and done > 0 and "left" not in (seen["postfix"] or "")
+                    else ""
+                )
+                self._write(seen, f", about {left} left" if left else "")
+            return True
+
         def close(self) -> None:
+            self._due = float("inf")  # as the last state is written here
             if self.leave and not self.disable:
                 seen = self.format_dict
-                count = f"{seen['n']}/{seen['total']}" if seen["total"] else seen["n"]
-                more = f", {seen['postfix']}" if seen["postfix"] else ""
-                line = f"{self.desc.removesuffix(': ')}: {count} in {tqdm.format_interval(seen['elapsed'])}{more}"
-                print(line, file=self._log, flush=True)
+                self._write(seen, f" in {tqdm.format_interval(seen['elapsed'])}")
             super().close()
+
+        def _write(self, seen: Mapping[str, Any], when: str) -> None:
+            count = f"{seen['n']}/{seen['total']}" if seen["total"] else seen["n"]
+            more = f", {seen['postfix']}" if seen["postfix"] else ""
+            print(f"{self.desc.removesuffix(': ')}: {count}{when}{more}", file=self._log, flush=True)
 
     return tqdm if terminal else LineBar
 

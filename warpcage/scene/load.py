@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.checks import checked_path, listed
+from ..core.files import seen_note
 from ..core.reports import Progress, hears
 from ..errors import InputError, MissingFileError
 from ..view.camera import CameraFile, rigid_motion
@@ -78,7 +79,7 @@ def load_scene(
     """
     folder = checked_path(path, "the scene")
     if not folder.is_dir():
-        what = "is a file" if folder.is_file() else "is not there"
+        what = f"is a file{seen_note(folder)}" if folder.is_file() else "is not there"
         raise MissingFileError(f"scene folder {str(folder)!r} {what}")
     if int(downscale) != downscale or downscale < 1:
         raise InputError(f"downscale must be a whole number of at least 1, got {downscale}")

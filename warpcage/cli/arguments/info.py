@@ -30,7 +30,7 @@ field  field (.npz), splats ({" ".join(SPLATS_READ)}), cage ({CAGES}), poses, ed
 --box PICTURE  write a picture of a scene's cameras, points and object's box (.png)
 --seen PICTURE  write a map of what the cameras of a scene, or those that a field's fit refined, saw of the object:
     directions and places that fewer than three cameras show are guesswork (.png)
---scene SCENE[:SPLIT]  scene whose cameras a field is compared with: whether they look at its matter
+--scene SCENE[:SPLIT]  scene whose cameras a field is compared with: whether they see it
 {FRAME}
 """,
     SCALE_AND_DEVICE,

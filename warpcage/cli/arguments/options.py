@@ -168,8 +168,10 @@ def check_output(text: str, endings: tuple[str, ...], what: str) -> pathlib.Path
 
 def require_folder(path: str) -> None:
     """Raises FileNotFoundError where there is no such scene folder."""
+    from ...core.files import seen_note  # with NumPy, which help does without
+
     if not pathlib.Path(path).is_dir():
-        what = "is a file" if pathlib.Path(path).is_file() else "is not there"
+        what = f"is a file{seen_note(path)}" if pathlib.Path(path).is_file() else "is not there"
         raise MissingFileError(f"scene folder {path!r} {what}")
 
 
@@ -413,7 +415,7 @@ deformation (--cage and --posed, or --edit, or --edits; without them the field i
 --edit CAGE:POSED[:keep]  one of several edits; give it again for the next, which acts on what the ones before it left.
     POSED as for --posed. CAGE:POSED:keep leaves a copy where it was, CAGE:remove takes away what is in the cage,
     CAGE:POSED:falloff=WIDTH is a --falloff of its own
---falloff WIDTH  hold the walls of a cage that cut through matter, and let the edit fade to rest in a band of this width
+--falloff WIDTH  hold the walls of a cage that cut the visible, and let the edit fade to rest in a band of this width
     inside them, world units, so that a part does not tear off (default: no wall is held)
 --fragments SIZE  take pieces smaller than this, world units, that a cage cuts off its part, along with the part
     (default: they stay)

@@ -105,7 +105,7 @@ command(
   warpcage run film.jsonl -o frames
 
 An output without an ending is a folder of pictures, PNG or EXR (--format). Opacity is kept by those, .mov (ProRes 4444)
-and .webm (VP9); colours are straight, but in EXR files multiplied by opacity. If the command is interrupted, run it
+and .webm (VP9); colours are multiplied by opacity in EXR files alone. If the command is interrupted, run it
 again: it renders only what is missing of a folder.
 
 The film goes from rest through the poses of --posed in order. Each vertex moves straight or smoothly from pose to
@@ -129,7 +129,8 @@ options:
 --frames N  number (default: %(default)s)
 --fps RATE  frames per second, such as 24, 12.5, 29.97 or 30000/1001, which is the same (default: %(default)s)
 --motion  swing: to the last pose and back; once: to the last pose; hold: posed throughout (default: %(default)s)
---loop  what a film of keys at times does at its end: once; loop: begin again; ping-pong: go back to its beginning
+--loop  what a film of keys at times does at its end: once, with its first and its last moment, so that 2 s at 24 a
+    second are 49 frames; loop: begin again; ping-pong: go back to its beginning
     (default: what the pose file says, or once)
 --interpolation  linear: straight from pose to pose at constant speed; smooth: without jolts at the poses and slow at
     both ends (default: %(default)s)
@@ -137,8 +138,8 @@ options:
 a session of the editor:
 --session FILE  session file (.session.json), instead of all that it holds
 camera path:
---turn DEGREES  how far the camera turns around the target; 0 keeps it still (default: 360, but where the cameras of the
-    pictures are known there and back within what they saw)
+--turn DEGREES  how far the camera turns around the target; 0 keeps it still (default: 0 where the poses have times,
+    else 360, but where the cameras of the pictures are known there and back within what they saw)
 --full-turn  all the way round, also through what no picture showed: --turn 360
 --cameras MOVE|FILE|SCENE[:SPLIT]  move the camera instead by {MOVE_HELP};
     or move through the cameras of a file (.json, .glb, .gltf; at their times where they have some), or of a scene's

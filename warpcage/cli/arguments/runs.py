@@ -40,7 +40,7 @@ poses:
 --modes MODE...  what random poses are made of: {", ".join(MODES)} (default: all)
 --write-poses  draw random poses now and write them beside the job file, which takes some 30 ms of a core each; then
     cameras that are made see every pose whole (default: workers draw them, each what it makes)
---falloff WIDTH  for a cage around a part: hold the walls that cut through matter, and let poses fade to rest in a band
+--falloff WIDTH  for a cage around a part: hold the walls that cut the visible, and let poses fade to rest in a band
     of this width inside them, world units (default: no wall is held)
 {CAGE_UP_FOUND}
 --posed-up

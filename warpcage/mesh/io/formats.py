@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from ...core.checks import registered_formats, require_endings
+from ...core.files import seen_note
 from ...errors import InputError
 from .gltf import gltf_object_names, write_glb, write_gltf
 from .gltf_meshes import read_gltf
@@ -78,7 +79,8 @@ def mesh_format(path: pathlib.Path, verb: str = "read") -> MeshFormat:
     found = next((format for format in formats if ending in format.endings), None)
     if found is None:
         known = list(dict.fromkeys(mesh_endings(verb)))
-        raise InputError(f"cage file {str(path)!r} must end in {', '.join(known[:-1])} or {known[-1]}")
+        seen = seen_note(path) if verb == "read" else ""
+        raise InputError(f"cage file {str(path)!r} must end in {', '.join(known[:-1])} or {known[-1]}{seen}")
     if getattr(found, verb) is None:
         raise InputError(f"{str(path)!r}: {found.name} files are not {'read' if verb == 'read' else 'written'}")
     return found
