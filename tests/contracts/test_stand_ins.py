@@ -2,7 +2,8 @@
 
 import pytest
 from fields import shiny_field
-from hostile import put, refused, whole
+from hostile import put, whole
+from refusals import refused
 
 from warpcage import Cage, Camera, CameraFile, NodeSelection, PoseFile, SplatField, VoxelField, capture, load_scene
 from warpcage.captures import scan_video

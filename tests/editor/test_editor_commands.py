@@ -197,6 +197,19 @@ def test_a_change_of_nothing_is_no_change():
         assert "nothing to change" in refused(start, **command)
 
 
+@pytest.mark.parametrize(
+    ("command", "step"),
+    [
+        ({"do": "edit.change", "id": 1, "visible": False}, "visibility of Move 1"),
+        ({"do": "edit.change", "id": 1, "falloff": 0.1, "crumbs": 0.1}, "fade, loose pieces of Move 1"),
+        ({"do": "settings", "supersampling": 2}, "change samples"),
+        ({"do": "timeline", "fps": 12}, "film frame rate"),
+    ],
+)
+def test_steps_have_the_words_of_the_page(command, step):
+    assert COMMANDS[command["do"]](document(), command)[0] == step
+
+
 def test_names_are_one_line_that_can_be_printed():
     start = document()
     assert done(start, do="edit.change", id=1, name="  Left \n arm ").edits[0].name == "Left arm"

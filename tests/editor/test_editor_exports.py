@@ -184,7 +184,7 @@ def test_frames_are_those_of_deformers_at_their_times(field, tmp_path):
         poses, view = state_at(shown, time)
         frame = deformer.pose(BOX.with_vertices(poses[1])).render(view_camera(view, 40, 30), supersampling=1)
         np.testing.assert_array_equal(picture, np.round(np.clip(frame.rgb, 0, 1) * 255).astype(np.uint8))
-    assert told == [(k / 4, f"frame {k + 1} of 4") for k in range(4)] + [(1.0, "writes the end")]
+    assert told == [(k / 4, f"frame {k + 1} of 4") for k in range(4)] + [(1.0, "finishes the file")]
     assert not np.array_equal(pictures[0], pictures[-1])
 
 

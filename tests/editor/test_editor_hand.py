@@ -154,6 +154,7 @@ Object.assign(canvas.style, { position: "fixed", left: "0", top: "0", width: "64
   const names = ["panels/actions", "view/selecting", "view/viewport", "view/pointer", "core/connection", "core/store"];
   const modules = await Promise.all(names.map((n) => import(`/${n}.js`)));
   const [actions, , viewport, pointer, connection, { store, run }] = modules;
+  document.body.append(Object.assign(document.createElement("div"), { id: "notes" }));
   viewport.start(canvas);
   pointer.start(canvas);
   actions.listenToKeys();
@@ -344,7 +345,7 @@ def test_one_pose_is_sent_a_frame_and_the_newest_only_where_the_socket_is_full(s
     press(stage.driver, "Escape")
 
 
-def frame(number: int, applied: int, depth: float) -> list[int]:
+def frame(number: int, applied: int, depth: float, **more: Any) -> list[int]:
     """The bytes of a grey picture whose matter is everywhere at a depth."""
     simplejpeg = pytest.importorskip("simplejpeg")
     jpeg = simplejpeg.encode_jpeg(np.full((10, 16, 3), 128, np.uint8), quality=50)
@@ -353,6 +354,7 @@ def frame(number: int, applied: int, depth: float) -> list[int]:
     depths = np.full((10, 16), value, "<u2").tobytes()
     map_ = {"width": 16, "height": 10, "near": near, "far": far}
     content = {"frame": number, "applied": {"9": applied}, "width": 16, "height": 10, "view": VIEW, "depth": map_}
+    content |= more
     header = json.dumps(content).encode()
     header += b" " * (-len(header) % 8)
     sizes = struct.pack("<4I", 10, len(header), len(jpeg), len(depths))
@@ -420,6 +422,80 @@ def test_fingers_turn_zoom_and_pan(stage: Stage) -> None:
     nearer = stage.do("return warpcage.viewport.view")
     assert np.isclose(np.linalg.norm(np.subtract(nearer["eye"], nearer["target"])), away[0] / 2, rtol=0.02)
     assert next(it["moving"] for it in stage.sent("view")) is True
+
+
+def test_a_switch_says_whether_a_finger_orbits_or_selects(stage: Stage) -> None:
+    def swipe(*path: tuple[float, float]) -> list[int]:
+        for kind, places in (("touchStart", path[:1]), *(("touchMove", [at]) for at in path[1:]), ("touchEnd", ())):
+            points = [{"x": x, "y": y} for x, y in places]
+            stage.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        return stage.selected()
+
+    def says() -> str:
+        return stage.do('return document.getElementById("finger-hint").textContent')
+
+    assert stage.do('return document.getElementById("finger-mode").hidden')  # with a mouse
+    around = [(2.0, 2.0), (300.0, 200.0), (638.0, 398.0)]
+    assert swipe(*around) == [] and says().startswith("A drag orbits")
+    eye = stage.do("return warpcage.viewport.view.eye")
+    assert not np.allclose(eye, VIEW["eye"])
+    assert not stage.do('return document.getElementById("finger-mode").hidden')
+    stage.do('document.getElementById("finger-select").click()')
+    assert says().startswith("A drag selects")
+    assert swipe(*around) == list(range(20)) and stage.do("return warpcage.viewport.view.eye") == eye
+    stage.set("tool", "move")
+    assert swipe((2.0, 2.0), (3.0, 20.0), (4.0, 30.0)) == []
+    stage.do('document.getElementById("finger-orbit").click()')
+    assert swipe(*around) == [] and stage.do("return warpcage.viewport.view.eye") != eye
+
+
+def test_the_dialog_of_a_film_says_what_it_takes(stage: Stage) -> None:
+    def told() -> str:
+        stage.settle()
+        return stage.do('return document.getElementById("dialog-note").textContent')
+
+    def fill(name: str, value: str) -> None:
+        script = """
+        const field = document.getElementById(`ask-${arguments[0]}`);
+        field.value = arguments[1];
+        field.dispatchEvent(new Event("input", { bubbles: true }));
+        """
+        stage.driver.execute_script(script, name, value)
+
+    stage.do('warpcage.store.set("timeline", { keys: [], frames: 100, length: 4, fps: 25, loop: "once" })')
+    stage.do('warpcage.store.set("session", { folder: "/films", field: { up: [0, 0, 1] } })')
+    stage.driver.execute_async_script(
+        'const [done] = arguments; import("/panels/exports.js").then((it) => (it.exportFilm(), done()))'
+    )
+    fill("width", "640")
+    fill("height", "400")
+    assert told() == (
+        "100 frames (the first and the last moment are both shown) of 640 x 400 pixels, into /films/film.mp4. "
+        "Time and file size: unknown until a first frame was rendered."
+    )
+    for number, render in enumerate((5000.0, 0.0625, 0.0625)):  # the first one waited for its kernels
+        times = {"pose": 300.0, "render": render}
+        stage.driver.execute_script(HEAR, [frame(number + 1, 0, 5.0, sharp=True, ms=times)])
+        stage.settle()
+    stage.do("warpcage.store.setStatus({})")
+    assert "Takes about 40 s and " in told()
+    fill("width", "1280")
+    fill("height", "800")
+    assert "Takes about 70 s and " in told()
+    before = told()
+    shown = 'return !document.getElementById("ask-transparent").closest("label").hidden'
+    assert not stage.do(shown)
+    fill("what", "4")  # PNG pictures
+    assert told() != before and stage.do(shown)
+    stage.do('warpcage.store.set("timeline", { ...warpcage.store.sections.timeline, frames: 10000 })')
+    fill("file", "mine")
+    assert "Takes about 2 h" in told()
+    stage.do('warpcage.store.set("settings", { ...warpcage.store.sections.settings, supersampling: 3 })')
+    stage.do("warpcage.store.setStatus({})")
+    assert "unknown until" in told()
+    stage.do("document.getElementById('dialog-confirm').click()")
+    (sent,) = stage.sent("export")
+    assert (sent["what"], sent["file"], sent["transparent"], sent["width"]) == ("png", "mine", True, 1280)
 
 
 def test_wheel_other_buttons_and_keys_move_the_view(stage: Stage) -> None:

@@ -102,7 +102,7 @@ def test_thin_matter_through_a_large_face_is_seen():
 def test_cages_that_cannot_be_used(field, rest, posed, problem):
     found = checked(field, rest, posed)
     assert found["problem"].startswith(problem)
-    assert found["lines"][0].startswith(problem) and "until this is mended" in found["lines"][0]
+    assert found["lines"][0].startswith(problem) and "until this is fixed" in found["lines"][0]
 
 
 def test_a_cage_at_rest_is_looked_at_once_while_it_is_posed(field, monkeypatch):

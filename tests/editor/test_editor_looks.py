@@ -68,7 +68,7 @@ def test_everything_can_be_seen_in_light_and_dark(window: Window, browser: Any, 
         window.wait("innerWidth === arguments[0]", "the window is resized", width)
         if window.get('document.body.classList.contains("panel-closed")'):
             window.click("#panel-toggle")
-        for group in ("edits", "cage", "pose", "view", "keys", "film", "jobs"):
+        for group in ("edits", "advanced", "cage", "pose", "keys", "film", "jobs", "view"):
             window.unfold(group)
         window.click("#proportional")
         window.click("#snap")

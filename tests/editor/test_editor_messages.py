@@ -113,6 +113,8 @@ GOOD = [
     {"do": "key.change", "id": 2, "time": 0.5, "easing": "linear", "name": "two", "pose": True, "camera": True},
     {"do": "key.change", "id": 2, "easing": {"bezier": [0.2, -0.5, 0.9, 1.5]}},
     {"do": "camera.move", "move": "turn:90"},
+    {"do": "camera.frame", "aspect": 1.5},
+    {"do": "camera.outside", "aspect": 1.5},
     {"do": "key.delete", "id": 2},
     {"do": "timeline", "length": 2.0, "fps": 25.0, "loop": "loop"},
     {"do": "time", "time": 0.5},

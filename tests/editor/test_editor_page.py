@@ -165,9 +165,13 @@ def test_keys_a_film_and_its_files(window: Window, editor: Any, tmp_path: Path, 
     until(lambda: np.array_equal(posed(editor), bent), "the end shows the last key")
     window.wait("!warpcage.store.sections.playback.playing")
 
-    window.click("#export-mp4")
+    window.rest()
+    window.click("#time-export")
     for field, value in (("#ask-width", "48"), ("#ask-height", "32")):
         window.fill(field, value)
+    told = window.wait('document.getElementById("dialog-note")?.textContent')
+    size = "5 frames (the first and the last moment are both shown) of 48 x 32 pixels"
+    assert told.startswith(f"{size}, into {tmp_path}/film.mp4. Takes ") and "MB" in told
     window.confirm()
     job = window.job(1)
     assert job["state"] == "done", job
@@ -337,17 +341,17 @@ def test_the_keyboard_alone_poses_keys_and_exports(window: Window, editor: Any, 
     window.tab_to("film-length")
     window.type("0.25\n")
     until(lambda: editor.document.timeline.length == 0.25, "the film's length")
-    window.tab_to("export-gif")
+    window.tab_to("export-film")
     window.press("Enter")
     window.wait('document.getElementById("dialog-confirm")')
     window.type("mine.gif")
-    for value in ("40", "30"):
+    for value in ("G", "40", "30"):  # GIF in the list of formats
         window.press("Tab")
         window.type(value)
     window.press("Enter")
     assert window.job(1)["state"] == "done", window.section("jobs")
     assert iio.imread(tmp_path / "mine.gif").shape[1:3] == (30, 40)
-    assert window.get("document.activeElement.id") == "export-gif"  # where the person was
+    assert window.get("document.activeElement.id") == "export-film"  # where the person was
 
 
 def lying_field() -> warpcage.VoxelField:
@@ -428,6 +432,8 @@ def test_a_cage_around_a_click_and_one_on_the_other_side(window: Window, editor:
 
 def test_walls_and_fragments_are_set_on_the_page(window: Window, editor: Any) -> None:
     looks_cheap(window)
+    assert not window.get('document.querySelector("#edit-falloff").checkVisibility()')  # a beginner does not meet them
+    window.unfold("advanced")
     assert window.get('document.querySelector("#edit-held").closest(".field").hidden')  # nothing is held yet
     window.fill("#edit-falloff", "0.25\n")
     until(lambda: editor.document.edits[0].falloff == 0.25, "the width of the band is kept")

@@ -284,7 +284,8 @@ def test_handles_of_a_curve_are_dragged_in_the_graph(window: Window, editor: Any
     for number, (x, y) in ((1, (0.8, 0.1)), (2, (0.9, 1.25))):
         box = window.get(f'document.getElementById("curve-handle-{number}").getBoundingClientRect().toJSON()')
         at = np.array([box["left"] + box["width"] / 2, box["top"] + box["height"] / 2])
-        to = np.array([lane["left"] + x * lane["width"], lane["top"] + (0.75 - 0.5 * y) * lane["height"]])
+        across = x / 1.25  # the timeline shows a quarter more than the film
+        to = np.array([lane["left"] + across * lane["width"], lane["top"] + (0.75 - 0.5 * y) * lane["height"]])
         window.drag(line(at, to, 10))
         settle(editor, steps + number)
     numbers = editor.document.timeline.keys[0].easing["bezier"]

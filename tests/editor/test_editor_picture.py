@@ -327,7 +327,7 @@ def test_falloffs_and_fragments_of_the_document_are_in_the_picture(device):
         error = shown.wait(lambda header: header["error"])["error"]
     finally:
         renderer.close()
-    assert "fades to rest, but no wall of its cage cuts matter" in error and repr(whole.name) in error
+    assert "has a fade, but no side of its cage cuts through" in error and repr(whole.name) in error
 
 
 @pytest.mark.parametrize("around", ["layers", "outer"])

@@ -10,6 +10,7 @@ from editor_pages import BOX, new_session, nothing_logged, tiny_field, with_page
 
 import warpcage
 from warpcage import Place, SplatField, Stage, SurfaceMesh
+from warpcage.core.arrays import box_corners
 from warpcage.editor import (
     MAIN,
     Document,
@@ -122,6 +123,37 @@ def test_a_thing_is_added_placed_locked_and_undone(folder):
         for name in ("../green.npz", "no.npz", "notes.txt", 5, ""):
             await page.refused(do="thing.add", file=name)
         assert len(session.document.things) == 1
+
+    with_pages(test, folder, session=session)
+
+
+def test_cameras_of_keys_are_moved_back_until_they_see_all(folder):
+    session = session_in(folder)
+
+    async def test(server, page):
+        await page.do(do="key.add", time=0.0, pose=False, camera=True)
+        assert await page.do(do="camera.outside", aspect=1.5) == {"keys": 0}
+        assert "see everything already" in await page.refused(do="camera.frame", aspect=1.5)
+        await page.do(do="thing.add", file="green.npz", place={"position": [9, 0, 0]})
+        before = session.document.timeline.keys[0].view
+        assert await page.do(do="camera.outside", aspect=1.5) == {"keys": 1}
+        await page.do(do="camera.frame", aspect=1.5)
+        after = session.document.timeline.keys[0].view
+        places = np.concatenate(
+            [thing.place.moved(box_corners(session.fields.field(thing).bounds)) for thing in session.document.things]
+        )
+        ways = [np.subtract(view.target, view.eye) for view in (before, after)]
+        np.testing.assert_allclose(*[way / np.linalg.norm(way) for way in ways], atol=1e-9)
+        np.testing.assert_allclose(after.target, (places.min(axis=0) + places.max(axis=0)) / 2, atol=1e-9)
+        camera = view_camera(after, 600, 400)
+        seen = (places - camera.center) @ camera.camera_to_world[:3, :3]
+        pixels = seen[:, :2] / seen[:, 2:] * camera.fx
+        assert np.all(seen[:, 2] > 0) and np.all(np.abs(pixels) <= [300, 200])
+        assert session.history.undo_steps[-1][0] == "move camera keys"
+        assert await page.do(do="camera.outside", aspect=1.5) == {"keys": 0}
+        await page.do(do="undo")
+        assert session.document.timeline.keys[0].view == before
+        assert "aspect" in await page.refused(do="camera.frame", aspect="wide")
 
     with_pages(test, folder, session=session)
 

@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from editor_pages import new_session
 from messages import MESSAGES
 
 from warpcage import Cage, Camera, CameraKey, PoseFile
@@ -31,6 +32,7 @@ from warpcage.editor import (
     with_camera_moves,
     with_pose_file,
 )
+from warpcage.view.motion import frame_count
 
 CAGE = Cage.box([-1, -1, -1], [1, 1, 1])
 VIEW = View((3.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0)
@@ -218,6 +220,28 @@ def test_frame_times():
     assert frame_rate(rate) == Fraction(30000, 1001)
     assert frame_times(rate)[-1] == 10.01 and len(frame_times(rate)) == 301
     assert times(0.25, 10.0, "loop") == [0.0, 0.1, 0.2]
+
+
+FILMS = [(2.0, 24.0, "once", 49), (2.0, 24.0, "loop", 48), (1.5, 4.0, "once", 7)]
+
+
+@pytest.mark.parametrize("last, fps, loop, frames", FILMS)
+def test_a_film_is_as_long_as_its_last_key_and_has_the_same_frames_everywhere(tmp_path, last, fps, loop, frames):
+    session = new_session(cages=(CAGE,))
+    for time in (0.0, last):
+        session.run({"do": "key.add", "time": time, "pose": True})
+    session.run({"do": "timeline", "fps": fps, "loop": loop})
+    document = session.document
+    assert document.timeline.length == last
+    assert session.section("timeline")["frames"] == len(frame_times(document.timeline)) == frames  # page, jobs
+    pose_file(document, document.edits[0].id).save(tmp_path / "poses.json")
+    file = PoseFile.load(tmp_path / "poses.json", CAGE)
+    assert file.length == last and frame_count(file.length, fps, file.loop or "once") == frames  # animate, render_film
+    session.run({"do": "key.delete", "id": document.timeline.keys[-1].id})
+    assert session.document.timeline.length == 4.0  # as without keys
+    session.run({"do": "timeline", "length": 9.0})
+    session.run({"do": "key.add", "time": last, "pose": True})
+    assert session.document.timeline.length == 9.0  # somebody set it
 
 
 def test_keys_go_through_a_pose_file_to_the_bit(tmp_path):

@@ -111,7 +111,7 @@ def test_a_thing_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, 
     window.fill("#film-length", "1\n")
     window.fill("#film-fps", "4\n")
     window.wait("warpcage.store.sections.timeline.length === 1 && warpcage.store.sections.timeline.fps === 4")
-    window.click("#export-mp4")
+    window.click("#export-film")
     for field, value in (("#ask-width", "64"), ("#ask-height", "48")):
         window.fill(field, value)
     window.confirm()
@@ -132,7 +132,7 @@ def test_a_thing_is_added_dragged_keyed_and_filmed(window: Window, editor: Any, 
 
     # copied, locked, hidden and removed by the panel
     window.click("#thing-copy")
-    window.wait("warpcage.store.sections.things.length === 3")
+    window.wait("document.querySelectorAll('#thing-list li').length === 3")
     window.click("#thing-list li:last-child .lock")
     window.wait("warpcage.store.sections.things[2].locked && document.getElementById('thing-remove').disabled")
     assert window.get("warpcage.viewport.handles().length") == 0
@@ -149,7 +149,9 @@ def test_a_finger_drags_a_thing(window: Window, editor: Any, green: str) -> None
     number = add(window, green)
     window.press("T")
     window.wait('warpcage.store.sections.settings.mode === "place"')
+    eye = window.section("view")["eye"]
     window.press("Home")
+    window.wait("String(warpcage.store.sections.view.eye) !== String(arguments[0])", "all is framed", eye)
     window.rest()
     before = editor.document.thing(number).place
     begin = on_page(window, before.moved([[0.3, 0, -0.4]])[0])
@@ -184,3 +186,23 @@ def test_cages_of_a_placed_thing_are_posed_in_its_own_coordinates(window: Window
     np.testing.assert_allclose(shown, np.array(expected) + [box["left"], box["top"]], atol=1e-6)
     window.press("A", "G", "X", "0", ".", "4", "Enter")
     until(lambda: np.allclose(editor.posed[0].vertices, CAGE.vertices + [0.4, 0, 0], atol=1e-9), "along its own x")
+
+
+def test_a_new_thing_outside_the_view_is_told_and_brought_in(window: Window, editor: Any, green: str) -> None:
+    looks_cheap(window)
+    window.press("K")
+    window.wait("warpcage.store.sections.timeline.keys.length === 1")
+    before = editor.document.timeline.keys[0].view
+    add(window, green)
+    window.wait("!document.getElementById('outside').hidden && !document.getElementById('outside-keys').hidden")
+    assert window.get("document.getElementById('outside-text').textContent") == (
+        '"green" is outside the view and 1 camera key.'
+    )
+    window.click("#outside-all")
+    window.wait("document.getElementById('outside-all').hidden", "the view sees it")
+    assert editor.document.timeline.keys[0].view == before
+    window.click("#outside-keys")
+    window.wait("document.getElementById('outside').hidden", "the camera of the key sees it")
+    until(lambda: editor.document.timeline.keys[0].view != before, "the key is moved")
+    window.press("Ctrl+Z")
+    until(lambda: editor.document.timeline.keys[0].view == before, "undone")

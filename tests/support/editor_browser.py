@@ -362,12 +362,12 @@ def posed(editor: Any) -> np.ndarray:
 
 def looks_cheap(window: Window) -> None:
     """Sets what pictures are cheap with, as a person does."""
-    window.unfold("view")
+    window.unfold("advanced")
     window.choose("#resolution", str(CELLS))
     window.wait("warpcage.store.sections.settings.resolution === arguments[0]", "", CELLS)
     window.choose("#coordinates", "mean_value")
     window.wait('warpcage.store.sections.settings.coordinates === "mean_value"')
-    window.click("#group-view-fold")
+    window.click("#group-advanced-fold")
 
 
 def below(window: Window) -> tuple[np.ndarray, np.ndarray]:

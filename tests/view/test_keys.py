@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from refusals import refused
 
 from warpcage.core import EASINGS, checked_easing
 from warpcage.view import eased_share, frame_rate, frame_times, limited_velocity, value_at, write_film
@@ -145,9 +146,7 @@ def test_a_curve_of_one_line_is_linear_and_known_by_its_points():
     ],
 )
 def test_easings_that_cannot_be_are_told_in_one_line(easing, said):
-    with pytest.raises(ValueError, match=re.escape(said)) as caught:
-        checked_easing(easing, "it")
-    assert "\n" not in str(caught.value)
+    refused(lambda: checked_easing(easing, "it"), match=re.escape(said))
 
 
 def test_what_is_elastic_swings_in_around_the_next_key():
@@ -252,5 +251,4 @@ def test_values_are_read_only_and_keys_are_their_own(easing):
 def test_frames_of_lengths_that_floats_cannot_hold():
     assert len(frame_times(23 / 24, 24.0)) == 24
     assert len(frame_times(1001 / 30000 * 10, 30000 / 1001)) == 11
-    with pytest.raises(ValueError, match="at most 1000000 frames"):
-        frame_times(1e9, 24.0)
+    refused(lambda: frame_times(1e9, 24.0), match="at most 1000000 frames")

@@ -20,9 +20,9 @@ __getattr__, __dir__, __all__ = lazy_exports(
         ),
         "pictures.scene": "Fields PosedScene same_pose view_camera",
         "server": "Server",
-        "session": (
-            "DEPTH History Session file_stamp free_session_path new_document read_session session_path write_session"
-        ),
+        "session": "Session file_stamp free_session_path new_document read_session session_path write_session",
+        "steps.history": "DEPTH History read_history",
+        "steps.losses": "losses",
         "tasks": "Cancelled Jobs MAX_JOBS MAX_UNFINISHED Outcome",
         "things": "field_files read_fields stage_of with_new_thing with_stage",
         "timeline": (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 import numpy as np
@@ -33,6 +33,26 @@ MAX_ID = 2**32 - 1
 
 #: Letters of an error's line, and places of a stroke of the brush.
 MAX_LINE, MAX_PLACES = 500, 64
+
+
+#: What the page calls what a step changes, where a document has another name for it.
+CHANGED = {
+    "visible": "visibility",
+    "locked": "lock",
+    "place": "position",
+    "falloff": "fade",
+    "held": "fade at sides",
+    "fragments": "loose pieces",
+    "supersampling": "samples",
+    "show": "what is shown",
+    "fps": "frame rate",
+    "loop": "end",
+}
+
+
+def changed_words(changes: Iterable[str]) -> str:
+    """What a step changes, in the page's words."""
+    return ", ".join(CHANGED.get(name, name) for name in changes)
 
 
 def frozen_vertices(vertices: Any, count: int | None = None) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -23,6 +24,7 @@ from .checks import (
     MAX_RATE,
     MAX_SECONDS,
     MAX_VERTICES,
+    changed_words,
     checked_between,
     checked_choice,
     checked_flag,
@@ -69,7 +71,7 @@ def change_settings(document: Document, message: Message) -> Step:
     if not changes:
         raise InputError("nothing to change: give a setting and its value")
     settings = checked_settings(document.settings, changes)
-    return f"change {', '.join(changes)}", dataclasses.replace(document, settings=settings)
+    return f"change {changed_words(changes)}", dataclasses.replace(document, settings=settings)
 
 
 # -- Poses
@@ -113,7 +115,7 @@ def preset_pose(edit: Edit, chosen: Sequence[int] | None, message: Message) -> n
     vertices = edit.posed.copy()
     rows = np.arange(len(vertices)) if chosen is None else np.asarray(chosen, np.int64)
     if not len(rows):
-        raise InputError("nothing is selected: select vertices, or let the slider act on all")
+        raise InputError("nothing is selected: select vertices, or deselect all to pose the whole cage")
     vertices[rows] = getattr(poses, name)(vertices[rows], amount, **options)
     return frozen_vertices(vertices)
 
@@ -242,7 +244,7 @@ def change_edit(document: Document, message: Message) -> Step:
         changes["visible"] = checked_flag(message["visible"], "visible")
     if not changes:
         raise InputError("nothing to change: give a name, a kind, visible, falloff, held or " + FRAGMENTS_WORD)
-    label = f"{', '.join(changes)} of {edit.name}"
+    label = f"{changed_words(changes)} of {edit.name}"
     return label, document.with_edit(dataclasses.replace(edit, **changes))
 
 
@@ -271,9 +273,20 @@ def subdivide_cage(document: Document, message: Message) -> Step:
     return "subdivide", _with_cage(document, edit, finer, posed)
 
 
+def with_cage(document: Document, number: int | None, cage: Cage, label: str, thing: int) -> Step:
+    """A cage for an edit, as `replace_cage` does it, or for a new one of a thing where the number is None."""
+    if number is None:
+        return with_new_edit(document, cage, thing=thing)
+    return replace_cage(document, number, cage, label)
+
+
 def replace_cage(document: Document, number: int, cage: Cage, label: str) -> Step:
-    """Another cage at rest for an edit, as a step; poses follow: its vertices go where the old cage carries them."""
+    """Another cage at rest for an edit, as a step. Poses follow: those of the same mesh keep their distance, other
+    vertices go where the old cage carries them."""
     edit = document.edit(number)
+    with contextlib.suppress(ValueError):  # another mesh
+        places = edit.rest_cage.match(cage).vertices
+        return label, moved_keys(moved_rest(document, edit, places), edit)
 
     def posed(pose: np.ndarray) -> np.ndarray:
         if np.array_equal(pose, edit.rest):
@@ -319,7 +332,7 @@ def add_key(document: Document, message: Message) -> Step:
     if key.is_empty:
         raise InputError("a key needs a pose, a camera or both")
     document = document.with_key(key)
-    return f"key {key.name}", document.with_timeline(length=max(document.timeline.length, key.time))
+    return f"add {_called(key)}", document.with_timeline(length=max(document.timeline.length, key.time))
 
 
 def change_key(document: Document, message: Message) -> Step:
@@ -335,14 +348,14 @@ def change_key(document: Document, message: Message) -> Step:
     if key is document.key(message["id"]):
         raise InputError("nothing to change: give time, easing, name, pose or camera")
     document = document.with_key(key)
-    return f"change key {key.name}", document.with_timeline(length=max(document.timeline.length, key.time))
+    return f"change {_called(key)}", document.with_timeline(length=max(document.timeline.length, key.time))
 
 
 def delete_key(document: Document, message: Message) -> Step:
     """Delete a key."""
     gone = document.key(message["id"])
     keys = tuple(key for key in document.timeline.keys if key.id != gone.id)
-    return f"delete key {gone.name}", document.with_timeline(keys=keys)
+    return f"delete {_called(gone)}", document.with_timeline(keys=keys)
 
 
 def change_timeline(document: Document, message: Message) -> Step:
@@ -359,7 +372,8 @@ def change_timeline(document: Document, message: Message) -> Step:
         changes["loop"] = checked_choice(message["loop"], LOOPS, "loop")
     if not changes:
         raise InputError("nothing to change: give length, fps or loop")
-    return f"film {', '.join(changes)}", document.with_timeline(**changes)
+    follows = document.timeline.follows_keys and "length" not in changes
+    return f"film {changed_words(changes)}", document.with_timeline(**changes, follows_keys=follows)
 
 
 def free_name(document: Document) -> str:
@@ -422,6 +436,11 @@ def _with_key_poses(document: Document, number: int, change: Callable[[np.ndarra
         if not key.is_empty:
             keys.append(key)
     return document.with_timeline(keys=tuple(keys))
+
+
+def _called(key: Key) -> str:
+    """What a key is called in the name of a step."""
+    return key.name if key.name.startswith("key ") else f"key {key.name}"
 
 
 def _filled(document: Document, key: Key, message: Message) -> Key:

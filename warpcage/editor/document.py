@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -254,6 +254,7 @@ class Timeline:
     length: float = 4.0
     fps: float = 24.0
     loop: str = "once"  # one of LOOPS
+    follows_keys: bool = False  # whether the length is the last key's time, until somebody sets another
 
 
 @dataclasses.dataclass(frozen=True)
@@ -283,7 +284,7 @@ class Document:
         for thing in self.things:
             if thing.id == number:
                 return thing
-        raise InputError(f"there is no thing {number!r}: it may have been removed")
+        raise InputError(f"there is no object {number!r}: it may have been removed")
 
     def edits_of(self, number: int) -> tuple[Edit, ...]:
         """The edits of a thing, in the order in which they act."""
@@ -306,7 +307,7 @@ class Document:
     def free_id(self) -> int:
         """The number of the next thing, edit or key. Raises ValueError where a foreign session has used them up."""
         if self.next_id > MAX_ID // 2:
-            raise InputError("this session has no numbers left for new things, edits and keys: begin a new session")
+            raise InputError("this session has no numbers left for new objects, edits and keys: begin a new session")
         return self.next_id
 
     def with_edit(self, edit: Edit) -> Document:
@@ -324,7 +325,11 @@ class Document:
 
     def with_timeline(self, **changes: Any) -> Document:
         """The document with another film."""
-        return dataclasses.replace(self, timeline=dataclasses.replace(self.timeline, **changes))
+        film = dataclasses.replace(self.timeline, **changes)
+        if film.follows_keys:
+            last = max((key.time for key in film.keys), default=0.0)
+            film = dataclasses.replace(film, length=last or Timeline.length)
+        return dataclasses.replace(self, timeline=film)
 
     def to_json(self, own: str = "scene") -> dict[str, Any]:
         """The document as JSON takes it. Numbers keep all their digits.
@@ -335,10 +340,11 @@ class Document:
             "settings": dataclasses.asdict(self.settings),
             "view": dataclasses.asdict(self.view),
             "timeline": {
-                "keys": [_key_json(key) for key in self.timeline.keys],
+                "keys": [key_json(key) for key in self.timeline.keys],
                 "length": self.timeline.length,
                 "fps": self.timeline.fps,
                 "loop": self.timeline.loop,
+                **({"follows_keys": True} if self.timeline.follows_keys else {}),
             },
             "time": self.time,
             "next_id": self.next_id,
@@ -348,10 +354,15 @@ class Document:
         return content
 
     @classmethod
-    def from_json(cls, content: Any) -> Document:
-        """A document from what `to_json` made, or somebody else."""
+    def from_json(
+        cls,
+        content: Any,
+        edit: Callable[[Any], Edit] | None = None,
+        key: Callable[[Any, Mapping[int, int]], Key] | None = None,
+    ) -> Document:
+        """A document from what `to_json` made, or somebody else. `edit`, `key`: what reads an edit and a key."""
         try:
-            return _document(content)
+            return _document(content, edit or checked_edit, key or checked_key)
         except KeyError as error:
             raise InputError(f"the session lacks {error.args[0]!r}") from None
         except (TypeError, AttributeError, OverflowError, IndexError) as error:
@@ -363,16 +374,16 @@ def _own_word(content: dict[str, Any]) -> dict[str, Any]:
     return {word: value for word, value in content.items() if (word, value) != ("thing", MAIN)}
 
 
-def edit_json(edit: Edit) -> dict[str, Any]:
-    """An edit as JSON takes it."""
+def edit_json(edit: Edit, rows: Callable[[np.ndarray], Any] = np.ndarray.tolist) -> dict[str, Any]:
+    """An edit as JSON takes it. `rows`: what an array of it becomes."""
     return {
         "id": edit.id,
         "name": edit.name,
         "kind": edit.kind,
         "visible": edit.visible,
-        "faces": edit.faces.tolist(),
-        "rest": edit.rest.tolist(),
-        "posed": edit.posed.tolist(),
+        "faces": rows(edit.faces),
+        "rest": rows(edit.rest),
+        "posed": rows(edit.posed),
         "falloff": edit.falloff,
         "held": edit.held,
         FRAGMENTS_WORD: edit.fragments,
@@ -403,8 +414,9 @@ def checked_walls(content: Mapping[str, Any]) -> dict[str, Any]:
     return edit_fields(lengths) | ({"held": checked_choice(content["held"], HELD, "held")} if "held" in content else {})
 
 
-def _key_json(key: Key) -> dict[str, Any]:
-    poses = None if key.poses is None else {str(number): array.tolist() for number, array in key.poses.items()}
+def key_json(key: Key, rows: Callable[[np.ndarray], Any] = np.ndarray.tolist) -> dict[str, Any]:
+    """A key as JSON takes it. `rows`: what an array of it becomes."""
+    poses = None if key.poses is None else {str(number): rows(array) for number, array in key.poses.items()}
     view = None if key.view is None else dataclasses.asdict(key.view)
     held = {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing, "poses": poses, "view": view}
     if key.places is not None:
@@ -412,19 +424,21 @@ def _key_json(key: Key) -> dict[str, Any]:
     return held
 
 
-def _document(content: Mapping[str, Any]) -> Document:
+def _document(
+    content: Mapping[str, Any], edit: Callable[[Any], Edit], key: Callable[[Any, Mapping[int, int]], Key]
+) -> Document:
     if not isinstance(content, Mapping):
         raise InputError(f"a session must be a dictionary, got {type(content).__name__}")
     things = tuple(_thing(one) for one in checked_items(content.get("things", _ONE_THING), MAX_THINGS, "things"))
-    edits = tuple(_edit(one) for one in checked_items(content["edits"], MAX_EDITS * len(things), "edits"))
-    sizes = {edit.id: len(edit.rest) for edit in edits}
-    if not things or things[0].id != MAIN or not {edit.thing for edit in edits} <= {thing.id for thing in things}:
-        raise InputError("the things of the session must begin with its own field, and hold all of its edits")
+    edits = tuple(edit(one) for one in checked_items(content["edits"], MAX_EDITS * len(things), "edits"))
+    sizes = {one.id: len(one.rest) for one in edits}
+    if not things or things[0].id != MAIN or not {one.thing for one in edits} <= {thing.id for thing in things}:
+        raise InputError("the objects of the session must begin with its own scene file, and hold all of its edits")
     film = content["timeline"]
-    keys = tuple(_key(one, sizes) for one in checked_items(film["keys"], MAX_KEYS, "keys"))
+    keys = tuple(key(one, sizes) for one in checked_items(film["keys"], MAX_KEYS, "keys"))
     numbers = [one.id for one in (*edits, *keys, *things)]
     if len(set(numbers)) < len(numbers):
-        raise InputError("two things, edits or keys of the session have the same number")
+        raise InputError("two objects, edits or keys of the session have the same number")
     length = checked_between(film["length"], 0.0, MAX_SECONDS, "length")
     return Document(
         edits,
@@ -432,10 +446,11 @@ def _document(content: Mapping[str, Any]) -> Document:
         checked_settings(Settings(), content["settings"]),
         checked_view(content["view"]),
         Timeline(
-            tuple(sorted(keys, key=lambda key: (key.time, key.id))),
+            tuple(sorted(keys, key=lambda one: (one.time, one.id))),
             length,
             checked_between(film["fps"], 0.01, MAX_RATE, "fps"),
             checked_choice(film["loop"], LOOPS, "loop"),
+            checked_flag(film.get("follows_keys", False), "follows_keys"),  # older files have a length of their own
         ),
         checked_between(content["time"], 0.0, MAX_SECONDS, "time"),
         max([checked_whole(content["next_id"], 1, MAX_ID + 1, "next_id"), *(number + 1 for number in numbers)]),
@@ -455,7 +470,7 @@ def checked_selection(
     if number is None:
         thing, size = content.get("thing", before), 0
         if checked_whole(thing, MAIN, MAX_ID, "the number of a thing") not in [one.id for one in things]:
-            raise InputError(f"there is no thing {thing!r}: it may have been removed")
+            raise InputError(f"there is no object {thing!r}: it may have been removed")
     else:
         edit = next((edit for edit in edits if edit.id == checked_id(number, "the number of an edit")), None)
         if edit is None:
@@ -476,12 +491,13 @@ def checked_place(content: Any) -> Place:
 def _thing(content: Mapping[str, Any]) -> Thing:
     number, file = checked_whole(content["id"], MAIN, MAX_ID, "id"), content.get("file")
     if not isinstance(file, str | None) or (number == MAIN and file is not None):
-        raise InputError(f"the file of thing {number} of the session must be a name; its own field has none")
+        raise InputError(f"the file of object {number} of the session must be a name; the first one has none")
     flags = {name: checked_flag(content[name], name) for name in ("visible", "locked") if name in content}
     return Thing(number, checked_name(content["name"]), file, checked_place(content.get("place", {})), **flags)
 
 
-def _edit(content: Mapping[str, Any]) -> Edit:
+def checked_edit(content: Mapping[str, Any]) -> Edit:
+    """An edit from what `edit_json` made, or somebody else."""
     vertices = checked_items(content["rest"], MAX_VERTICES, "rest")
     cage = Cage(frozen_vertices(vertices), np.asarray(checked_items(content["faces"], 4 * MAX_VERTICES, "faces")))
     number = checked_id(content["id"], "id")
@@ -491,7 +507,8 @@ def _edit(content: Mapping[str, Any]) -> Edit:
     return dataclasses.replace(edit, visible=visible, thing=thing, **checked_walls(content))
 
 
-def _key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:
+def checked_key(content: Mapping[str, Any], sizes: Mapping[int, int]) -> Key:
+    """A key from what `key_json` made, or somebody else. `sizes`: of cages, vertices by the number of the edit."""
     poses, view, places = content["poses"], content["view"], content.get("places")
     if poses is not None:
         poses = {int(number): frozen_vertices(array, sizes.get(int(number))) for number, array in poses.items()}

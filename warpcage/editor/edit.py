@@ -17,9 +17,11 @@ from ..core.checks import checked_whole, require_type
 from ..core.files import PathLike
 from ..errors import InputError, MissingPackageError
 from ..field.voxel_field import VoxelField
+from ..render.surface_mesh import load_thing
 from ..splats.splat_field import AnyField, SplatField, load_field
 from .document import Document
-from .session import Session, file_stamp, new_document, read_session, session_path, thing_name, view_of_box
+from .session import Session, file_stamp, new_document, read_kept, session_path, thing_name, view_of_box
+from .steps.history import read_history
 from .things import is_stage, read_fields, stage_field, with_stage
 
 #: Cells of a new session's lattices along the longest side of a cage, on a CPU and on CUDA.
@@ -184,14 +186,14 @@ def edit(
     for number, one in enumerate(cages, start=1):
         require_type(one, Cage, f"cage {number} of the editor must be")
         one.require_usable(f"cage {number}")
-    stamp = None if kept is None else file_stamp(kept)
+    stamp, steps = None if kept is None else file_stamp(kept), None
     if kept is not None and stamp is not None:
         if cages:
             raise InputError(
                 f"{kept} holds a session of this field already: leave the cage out to go on with it, or name another "
                 "file for the session"
             )
-        document = read_session(kept, loaded)
+        document, steps = read_kept(kept, loaded)
     else:
         resolution = RESOLUTION_CPU if loaded.device.is_cpu else RESOLUTION_CUDA
         document = new_document(loaded, cages, resolution, "scene" if given is None else thing_name(given))
@@ -204,5 +206,6 @@ def edit(
     if stage is not None and stamp is None:
         up = document.things[0].place.rotation @ loaded.up
         document = dataclasses.replace(document, view=view_of_box(fields.bounds(document), up))
-    held = Session(fields, document, kept, given, stamp, scene_scale)
+    history, lost = read_history(steps, fields, lambda file: load_thing(folder / file, device=loaded.device))
+    held = Session(fields, document, kept, given, stamp, scene_scale, history, lost)
     return Editor(held, folder, host, port, allowed_hosts)

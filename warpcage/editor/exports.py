@@ -122,7 +122,7 @@ def film_pictures(
         return [view_camera(view, film.width, film.height) for view in views]
 
     yield from films.Film(len(times), track, moment, film_look(document, scene.fields.main, film))
-    report(1.0, "writes the end")
+    report(1.0, "finishes the file")
 
 
 def export_cage(document: Document, number: int, path: PathLike, *, rest: bool = False) -> None:
@@ -152,7 +152,7 @@ def export_baked(document: Document, field: AnyField | Fields, path: PathLike, r
     report(None, "poses the cages")
     scene = PosedScene(fields)
     scene.prepare(dataclasses.replace(document, settings=dataclasses.replace(document.settings, mode="pose")))
-    report(0.1, "resamples the deformed scene")
+    report(0.1, "samples the posed scene")
     if scene.stage is not None:
         baked = scene.stage.merged(convert=to_splats)
     else:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..cage.cage import Cage
-from ..cage.check import sample_pose
+from ..cage.check import outside_text, percent_text, sample_pose
 from ..core.names import error_line
 from ..field.selection import visible_mask
 from ..mesh.faces import column_cross, column_dot, face_edges
@@ -170,25 +170,22 @@ def _lines(
     """What was found, as sentences that say what to do."""
     lines = []
     if problem:
-        lines.append(f"{problem}. The picture stays as it was until this is mended.")
+        lines.append(f"{problem}. The picture stays as it was until this is fixed.")
     if crossing:
         lines.append(f"{crossing} faces pass through each other. The picture may tear there: move them apart.")
     if folded:
-        lines.append(f"{_percent(folded)} of the posed cage is turned inside out. Move, turn or twist it less there.")
+        lines.append(
+            f"{percent_text(folded)} of the posed cage is turned inside out. Move, turn or twist it less there."
+        )
     if outside:
-        lines.append(f"{_percent(outside)} of the posed cage stays empty: it has nothing to show. Move it less there.")
+        share = percent_text(outside)
+        lines.append(f"{share} of the posed cage stays empty: it has nothing to show. Move it less there.")
     if leaking:
         faces = "1 face of the cage at rest cuts" if leaking == 1 else f"{leaking} faces of the cage at rest cut"
         lines.append(f"{faces} through what is visible. Move them outward, unless the cut is meant.")
-    if inside_share == 0.0:
-        lines.append("Nothing visible is inside this cage: it moves nothing.")
-    elif inside_share is not None and inside_share < 1.0:
-        lines.append(f"{_percent(1.0 - inside_share)} of what is visible is outside this cage and stays where it is.")
+    if inside_share is not None and inside_share < 1.0:
+        lines.append(f"{outside_text(inside_share)}.")
     return lines or ["All is well: the cage holds all that is visible, and nothing is turned inside out."]
-
-
-def _percent(share: float) -> str:
-    return "Less than 1 %" if share < 0.01 else f"{100 * share:.0f} %"
 
 
 #: Seconds from a change to the check of the cage.

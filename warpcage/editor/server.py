@@ -32,6 +32,7 @@ from .inspection import Checker
 from .pictures.renderer import Renderer, Request
 from .session import PARTS, Session
 from .tasks import Jobs, Tasks
+from .timeline import framed_views
 from .web.access import Access, Files
 from .web.clients import MAX_SLOW, Client, packed_vertices, unpacked_vertices
 from .web.player import Player
@@ -47,9 +48,6 @@ SAVE_SECONDS = 1.0
 
 #: What messages may cause, with values that are missing, wrong or huge, and files that are not as they should be.
 EXPECTED = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, OSError, MemoryError)
-
-#: What a page is told that leaves a pose behind.
-LEFT = "Undo goes back to it."
 
 #: What a page is told that moves on although its step has ended.
 STRAYED = "Another page, or another command, changed the scene meanwhile: this move has ended."
@@ -105,6 +103,7 @@ class Server:
         self.port = self._runner.addresses[0][1]
         self.renderer = Renderer(self.session.fields, self._deliver)
         self.session.listeners.append(self._on_change)
+        self.session.notify = self._notify
         self._saver = asyncio.create_task(self._save_often())
         self.checker.plan()
         return self.address
@@ -164,6 +163,9 @@ class Server:
         client.greet({"type": "hello", "client": client.number, "session": sections["session"], "sections": sections})
         if self._frame is not None:
             client.show(*self._frame)
+        if self.session.lost:
+            client.notice("warning", self.session.lost)
+            self.session.lost = None
         self._on_change({"session"})
         writer = asyncio.create_task(client.write())
         try:
@@ -273,6 +275,8 @@ class Server:
             return self.tasks.handle(message)
         if do == "thing.pick":
             return self._pick(message)
+        if do == "camera.outside":
+            return {"keys": len(framed_views(session.document, session.fields, message["aspect"]))}
         self._touched(client)
         if do == "view":
             self._look(client, message)
@@ -281,6 +285,8 @@ class Server:
             self.player.stop()
         if do == "camera.move":
             return session.move_camera(message)
+        if do == "camera.frame":
+            return session.frame_keys(message)
         if do in COMMANDS:
             session.run(message)
         elif do in ("drag.begin", "preset.begin", "place.begin"):
@@ -300,8 +306,7 @@ class Server:
         elif do == "redo":
             return session.redo()
         elif do == "time":
-            if session.scrub(checked_between(message["time"], 0.0, MAX_SECONDS, "time")):
-                client.notice("warning", f"No key holds the pose that was left at {session.left_time:.2f} s: {LEFT}")
+            session.scrub(checked_between(message["time"], 0.0, MAX_SECONDS, "time"))
         elif do == "play":
             if checked_flag(message["on"], "on"):
                 self.player.play()
@@ -353,6 +358,11 @@ class Server:
             self._sizer = client
 
     # -- What changed
+
+    def _notify(self, text: str) -> None:
+        """Tell all pages a line that nobody should miss."""
+        for client in self.clients.values():
+            client.notice("warning", text)
 
     @property
     def _moving(self) -> bool:
@@ -468,8 +478,7 @@ class Server:
                     text = (
                         f"{path.name} was changed by another program: this session is now kept in {session.path.name}"
                     )
-                    for client in self.clients.values():
-                        client.notice("warning", text)
+                    self._notify(text)
                 self._on_change({"session"})
 
 

@@ -23,72 +23,16 @@ from ..errors import InputError
 from ..render.surface_mesh import AnyThing, thing_size
 from ..splats.splat_field import AnyField
 from ..view.camera import framing_orbit
+from ..view.motion import frame_count
 from . import commands, things, timeline
 from .checks import MAX_LINE, MAX_NAME, frozen_vertices
 from .document import MAIN, Document, Edit, Selection, Settings, Sliders, Thing, Timeline, View, edit_json, new_edit
 from .pictures.scene import Fields
-
-#: Steps that can be undone.
-DEPTH = 500
+from .steps.history import History, seen_as
+from .steps.losses import losses
 
 #: The step of leaving a pose that no key holds.
 SCRUB = "scrub"
-
-
-class History:
-    """Documents before and after the present one, each with the name of the step between.
-    They share what did not change, so a step costs what it moved: 2.4 kB for a cage of 100 vertices."""
-
-    def __init__(self) -> None:
-        self.undo_steps: list[tuple[str, Document]] = []  # (name, document before it), the newest last
-        self.redo_steps: list[tuple[str, Document]] = []  # (name, document after it), the next one last
-
-    def push(self, label: str, before: Document) -> None:
-        """Remember the document before a step. What was undone before is forgotten."""
-        self.undo_steps.append((label, before))
-        del self.undo_steps[:-DEPTH]
-        self.redo_steps.clear()
-
-    def undo(self, present: Document) -> tuple[str, Document]:
-        """The step that is undone and the document before it. Raises ValueError where there is none."""
-        if not self.undo_steps:
-            raise InputError("there is nothing to undo")
-        label, before = self.undo_steps.pop()
-        self.redo_steps.append((label, present))
-        return label, _as_it_was(before, present)
-
-    def redo(self, present: Document) -> tuple[str, Document]:
-        """The step that is done again and the document after it. Raises ValueError where there is none."""
-        if not self.redo_steps:
-            raise InputError("there is nothing to redo")
-        label, after = self.redo_steps.pop()
-        self.undo_steps.append((label, present))
-        return label, _as_it_was(after, present)
-
-    def summary(self) -> dict[str, object]:
-        """How many steps there are each way, and the names of the next ones."""
-        return {
-            "undo": len(self.undo_steps),
-            "redo": len(self.redo_steps),
-            "undo_label": self.undo_steps[-1][0] if self.undo_steps else None,
-            "redo_label": self.redo_steps[-1][0] if self.redo_steps else None,
-        }
-
-
-def seen_as(document: Document, present: Document) -> Document:
-    """A document, seen from where the person looks now. Numbers that were given out stay so."""
-    number = max(document.next_id, present.next_id)
-    return dataclasses.replace(document, view=present.view, time=present.time, next_id=number)
-
-
-def _as_it_was(document: Document, present: Document) -> Document:
-    """A document of the history at the time of the film that it was left at: a key must not land elsewhere."""
-    return seen_as(
-        document,
-        present
-        if document.time == present.time
-        else dataclasses.replace(present, time=document.time, view=document.view),
-    )
 
 
 FORMAT, VERSION = "warpcage session", 2
@@ -127,20 +71,28 @@ def file_stamp(path: pathlib.Path) -> Stamp | None:
     return status.st_mtime_ns, status.st_size, status.st_ino
 
 
-def write_session(path: PathLike, document: Document, field: AnyField, field_name: str | None) -> None:
-    """Write a session's file, whole or not at all; the name of a field without a file is None."""
+def write_session(
+    path: PathLike, document: Document, field: AnyField, field_name: str | None, history: dict[str, Any] | None = None
+) -> None:
+    """Write a session's file, whole or not at all; the name of a field without a file is None.
+    history: its steps, see `History.to_json`."""
     content = {
         "format": FORMAT,
         "version": VERSION if document.is_staged else ONE_THING,
         "field": {"name": field_name, "bounds": field.bounds.tolist()},
         "document": document.to_json("scene" if field_name is None else thing_name(field_name)),
-    }
+    } | ({} if history is None else {"history": history})
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_session(path: PathLike, field: AnyField | None = None) -> Document:
     """Read a session's file, which should belong to the field; None takes any."""
+    return read_kept(path, field)[0]
+
+
+def read_kept(path: PathLike, field: AnyField | None = None) -> tuple[Document, Any]:
+    """As `read_session`, and what the file holds of its steps, see `read_history`; None where it holds nothing."""
     path = require_file(path, "session file")
     try:
         content: Any = read_json(path, "session file")
@@ -154,7 +106,7 @@ def read_session(path: PathLike, field: AnyField | None = None) -> Document:
         if field is not None and content["field"]["bounds"] != field.bounds.tolist():
             name = listed([str(content["field"].get("name"))])
             raise InputError(f"it belongs to another field, {name}, with other bounds")
-        return _named(Document.from_json(content["document"]), content)
+        return _named(Document.from_json(content["document"]), content), content.get("history")
     except DAMAGED as error:
         raise InputError(f"{path}: {damage('session file', error)}") from None
     except ValueError as error:
@@ -198,6 +150,8 @@ class Session:
         field_path: PathLike | None = None,
         stamp: Stamp | None = None,
         scene_scale: float = 1.0,
+        history: History | None = None,
+        lost: str | None = None,  # see `read_history`, as of the history
     ):
         self.fields = Fields.of(field)
         self.field = self.fields.main  # that the session is of
@@ -205,7 +159,9 @@ class Session:
         self.scene_scale = scene_scale  # the factor that the field's file was loaded with
         self.field_path = None if field_path is None else pathlib.Path(field_path)
         self.path = None if path is None else pathlib.Path(path)  # changes where a program wrote there: not saved over
-        self.history = History()
+        self.history = history or History()
+        self.lost = lost  # what became of steps that the file held, for the first page
+        self.notify: Callable[[str], None] = lambda text: None  # told what somebody should know who works here
         self.saved: str | None = None  # when it was saved last, ISO 8601
         self.save_error: str | None = None  # why it could not be saved
         self.listeners: list[Callable[[set[str]], None]] = []  # told the sections that changed; "vertices": a gesture's
@@ -213,7 +169,7 @@ class Session:
         self._steps = 0
         self._saving = threading.Lock()
         self._stamp = stamp
-        self._on_disk: tuple[Document | None, int] = (None if stamp is None else document, 0)
+        self._on_disk: tuple[Document | None, int] = (None if stamp is None or lost else document, 0)
         if stamp is not None:
             self.saved = _iso(datetime.datetime.fromtimestamp(stamp[0] / 1e9))
 
@@ -240,25 +196,33 @@ class Session:
         self.change(step)
         return {"note": notes[0]}
 
+    def frame_keys(self, message: dict[str, Any]) -> None:
+        """Make the cameras of all keys see all shown things, as one step; see `timeline.framed_views`."""
+        aspect = message["aspect"]
+        self.change(lambda now: ("move camera keys", timeline.with_framed_views(now, self.fields, aspect)))
+
     def change(self, step: Callable[[Document], tuple[str, Document]]) -> None:
         """Take what a function makes of the document as one step of the history; what it raises changes nothing."""
         self.end_gesture()
-        self._apply(*step(self.document))
+        label, document = step(self.document)
+        self._apply(label, document, losses(self.document, document))
 
-    def adopt(self, before: Document, label: str, document: Document) -> bool:
+    def adopt(self, before: Document, label: str, document: Document, lost: str | None = None) -> bool:
         """Take a document that another thread has made of `before`, a `settled` one, as one step of the history.
-        False, and nothing is changed, where somebody has changed the scene since, or is about to."""
+        False, and nothing is changed, where somebody has changed the scene since, or is about to; see `losses`."""
         shared = (part for part in PARTS if part != "view")
         if self.moving or any(getattr(before, part) is not getattr(self.document, part) for part in shared):
             return False
-        self._apply(label, seen_as(document, self.document))
+        self._apply(label, seen_as(document, self.document), lost)
         return True
 
-    def _apply(self, label: str, document: Document) -> None:
+    def _apply(self, label: str, document: Document, lost: str | None) -> None:
         if _same(document, self.document):
             return
         self.history.push(label, self.document)
         self._take(document, {"history"})
+        if lost:
+            self.notify(lost)
 
     def undo(self) -> str:
         """Undo a step, or what is under way. Returns its name; raises ValueError where there is none."""
@@ -362,8 +326,9 @@ class Session:
         told = {"playback", "vertices"}
         leaves = self.unkeyed and not (self.history.undo_steps and _same(self.history.undo_steps[-1][1], self.document))
         if leaves:
-            self.history.push(SCRUB, self.document)
+            self.history.push(SCRUB, self.document, looks=True)
             told.add("history")
+            self.notify(f"No key holds the pose that was left at {self.document.time:.2f} s. Undo goes back to it.")
         poses, view = timeline.state_at(self.document, time)
         document = timeline.placed_at(self.document, time)
         document = dataclasses.replace(document, time=time, view=view or self.document.view)
@@ -424,9 +389,11 @@ class Session:
             keys = [
                 {"id": key.id, "time": key.time, "name": key.name, "easing": key.easing, "way": ways.get(key.id)}
                 | {"pose": bool(key.held_places) or key.poses is not None, "camera": key.view is not None}
+                | {"edits": sorted(key.poses or {}), "things": sorted(key.held_places)}
                 for key in film.keys
             ]
-            return {"keys": keys, "length": film.length, "fps": film.fps, "loop": film.loop}
+            told = {name: getattr(film, name) for name in ("length", "fps", "loop")}
+            return {"keys": keys, "frames": frame_count(**told), "follows_keys": film.follows_keys, **told}
         if name == "history":
             return self.history.summary()
         return dataclasses.asdict(getattr(document, name))
@@ -472,7 +439,8 @@ class Session:
                 stamp = file_stamp(self.path)
                 if stamp is not None and stamp != self._stamp:  # another program's: ours goes beside it
                     self.path, self._stamp = free_session_path(self.path), None
-                write_session(self.path, document, self.field, self.field_path.name if self.field_path else None)
+                name = self.field_path.name if self.field_path else None
+                write_session(self.path, document, self.field, name, self.history.to_json(document, self.fields))
             except Exception as error:
                 if not isinstance(error, OSError | ValueError | MemoryError):
                     _log.exception("the session could not be saved")
@@ -500,7 +468,8 @@ def new_document(field: AnyField, cages: Iterable[Cage] = (), resolution: int = 
     view = view_of_box(field.bounds, np.asarray(field.up, np.float64))
     selection = Selection(edits[0].id if edits else None)
     settings, own = Settings(resolution=resolution), Thing(MAIN, name)
-    return Document(edits, selection, settings, view, Timeline(), next_id=len(edits) + 1, things=(own,))
+    film = Timeline(follows_keys=True)
+    return Document(edits, selection, settings, view, film, next_id=len(edits) + 1, things=(own,))
 
 
 def view_of_box(bounds: np.ndarray, up: np.ndarray) -> View:

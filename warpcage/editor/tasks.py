@@ -36,6 +36,7 @@ from .commands import Step
 from .document import Document
 from .exports import requested_film
 from .session import ENDING, Session, Stamp, file_stamp
+from .steps.losses import losses
 from .things import ThingTasks, clicked
 
 #: Jobs that are kept, finished ones included, and jobs that may wait or run at once.
@@ -362,7 +363,7 @@ class Tasks:
         plain = re.sub(r"[^\w.\- ]", "_", pathlib.PurePosixPath(name.replace("\\", "/")).name).lstrip(". ")
         stem, ending = os.path.splitext(plain)
         if ending.lower() not in LOADABLE or plain.lower().endswith(ENDING):
-            raise InputError(f"{plain[:100]!r} is no cage, pose or field file: {' '.join(LOADABLE)}")
+            raise InputError(f"{plain[:100]!r} is not a cage, pose or scene file; takes {' '.join(LOADABLE)}")
         stem = stem.encode()[:MAX_NAME_BYTES].decode(errors="ignore")
         with self._naming:  # two pages may send files of one name
             number, path = 1, self.path_of(stem + ending)
@@ -394,8 +395,8 @@ class Tasks:
             around: Any = choose()
             make: Any = Cage.from_mesh if isinstance(around, SurfaceMesh) else Cage.from_field
             cage = make(around, count, margin=margin, method=method, symmetry=symmetry)
-            progress(0.95, "puts it into the scene")
-            self._hand_over(lambda document: self._with_cage(document, number, cage, "generate cage", thing))
+            progress(0.95, "adds it to the scene")
+            self._hand_over(lambda document: commands.with_cage(document, number, cage, "generate cage", thing))
             return Outcome(f"a cage of {len(cage.vertices)} vertices{_around(around)}")
 
         return self.jobs.start(f"Cage of {count} vertices", "cage", work)
@@ -429,7 +430,7 @@ class Tasks:
             return cage, standing
 
         cage, standing = await self.read(load)
-        await self.change(lambda document: self._with_cage(document, number, cage, _loaded(path, standing), thing))
+        await self.change(lambda document: commands.with_cage(document, number, cage, _loaded(path, standing), thing))
 
     async def _load_pose(self, message: dict[str, Any]) -> None:
         """A posed cage from a file, in any order that `Cage.match` takes."""
@@ -490,7 +491,7 @@ class Tasks:
                 text = f"{path.name}: {counted(count, 'frame')} of {film.width}x{film.height}"
             elif what == "bake":
                 baked = exports.export_baked(document, self.session.fields, path, progress)
-                text = f"{path.name}: a field of {field_size(baked)}"
+                text = f"{path.name}: a scene file of {field_size(baked)}"
             elif what == "cage":
                 exports.export_cage(document, number, path, rest=rest)
                 text = f"{path.name}: a cage of {len(document.edit(number).rest)} vertices"
@@ -507,7 +508,7 @@ class Tasks:
         """The command line that makes the film of the session as it is, which is saved for it."""
         session = self.session
         if session.path is None or self.field_path is None:
-            raise InputError("a field without a file has no command line: export the film here")
+            raise InputError("a scene without a file has no command line: export the film here")
         film, output = requested_film(message), message.get("file") or "film.mp4"
         if not isinstance(output, str) or not output.isprintable():
             raise InputError("file must be the name of a film")
@@ -532,19 +533,14 @@ class Tasks:
         """Change the document by what takes long, in another thread."""
         await self.read(lambda: self._hand_over(step, patient=False))
 
-    @staticmethod
-    def _with_cage(document: Document, number: int | None, cage: Cage, label: str, thing: int) -> tuple[str, Document]:
-        if number is None:
-            return commands.with_new_edit(document, cage, thing=thing)
-        return commands.replace_cage(document, number, cage, label)
-
     def _hand_over(self, step: Callable[[Document], Step], patient: bool = True) -> None:
         """Change the document from another thread; raises what the change raises, or Cancelled.
         `patient`: wait for a hand that moves; otherwise its gesture ends."""
         # Made here, so that the server's loop goes on meanwhile; and anew where somebody has changed the scene since.
         for _ in range(ATTEMPTS):
             before = self.session.settled
-            adopt = functools.partial(self.session.adopt, before, *step(before))
+            label, made = step(before)
+            adopt = functools.partial(self.session.adopt, before, label, made, losses(before, made))
             if self._in_loop(adopt, patient):
                 return
         self._in_loop(functools.partial(self.session.change, step), patient)

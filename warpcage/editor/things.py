@@ -27,7 +27,16 @@ from ..render.surface_mesh import AnyThing, SurfaceMesh, is_mesh_file, load_thin
 from ..splats.io import is_splat_file
 from ..splats.splat_field import AnyField
 from ..view.motion import axis_rotation
-from .checks import MAX_KEYS, MAX_THINGS, RESOLUTIONS, checked_click, checked_flag, checked_name, checked_triple
+from .checks import (
+    MAX_KEYS,
+    MAX_THINGS,
+    RESOLUTIONS,
+    changed_words,
+    checked_click,
+    checked_flag,
+    checked_name,
+    checked_triple,
+)
 from .document import MAIN, Document, Edit, Key, Selection, Thing, checked_place, new_edit
 from .pictures.scene import Fields, PosedScene, clicked_pixel
 from .timeline import place_files
@@ -58,7 +67,7 @@ def change_thing(document: Document, message: Message) -> Step:
     if "name" in message:
         changes["name"] = checked_name(message["name"])
         if changes["name"] in [other.name for other in document.things if other.id != thing.id]:
-            raise InputError(f"there is a thing of the name {changes['name']!r} already: give another one")
+            raise InputError(f"there is an object named {changes['name']!r} already: give another name")
     for flag in ("visible", "locked"):
         if flag in message:
             changes[flag] = checked_flag(message[flag], flag)
@@ -68,7 +77,7 @@ def change_thing(document: Document, message: Message) -> Step:
         changes["place"] = checked_place(message["place"])
     if not changes:
         raise InputError("nothing to change: give a name, visible, locked or a place")
-    return f"{', '.join(changes)} of {thing.name}", document.with_thing(dataclasses.replace(thing, **changes))
+    return f"{changed_words(changes)} of {thing.name}", document.with_thing(dataclasses.replace(thing, **changes))
 
 
 def copy_thing(document: Document, message: Message) -> Step:
@@ -102,7 +111,7 @@ def remove_thing(document: Document, message: Message) -> Step:
     """Take a thing out of the scene, with its edits and its part of all keys."""
     gone = document.thing(message["id"])
     if gone.id == MAIN:
-        raise InputError(f"{gone.name!r} is the field that this session is of: hide it instead")
+        raise InputError(f"{gone.name!r} is the object that this session is kept for: hide it instead")
     if gone.locked:
         raise locked_error(gone)
     own = {edit.id for edit in document.edits_of(gone.id)}
@@ -131,7 +140,7 @@ COMMANDS: dict[str, Callable[[Document, Message], Step]] = {
 def with_new_thing(document: Document, name: str, file: str | None, place: Place) -> Step:
     """A document with one more thing, which becomes the active one."""
     if len(document.things) >= MAX_THINGS:
-        raise InputError(f"a scene takes at most {MAX_THINGS} things: remove one first")
+        raise InputError(f"a scene takes at most {MAX_THINGS} objects: remove one first")
     number = document.free_id
     name = free_name(checked_name(name), [thing.name for thing in document.things])
     things = (*document.things, Thing(number, name, file, place))
@@ -261,6 +270,7 @@ def with_stage(document: Document, path: pathlib.Path, folder: pathlib.Path) -> 
         document.timeline,
         keys=tuple(sorted(keys, key=lambda key: (key.time, key.id))),
         length=length or document.timeline.length,
+        follows_keys=document.timeline.follows_keys and not length,
         loop=loop,
     )
     selected = next((edit.id for edit in edits if edit.thing == MAIN), None)
@@ -354,7 +364,7 @@ class ThingTasks:
         """Write the scene as a stage file."""
         tasks, session, document = self._tasks, self._tasks.session, self._tasks.session.document
         if session.scene_scale != 1.0:
-            raise InputError("a field that was opened with a scene scale does not go into a stage file")
+            raise InputError("a scene opened with --scene-scale cannot be saved in one file: open it without")
         name = message["file"]
         if not isinstance(name, str) or not is_stage(name):
             raise InputError(f"a stage file must end in {STAGE_ENDING}")

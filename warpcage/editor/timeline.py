@@ -15,6 +15,7 @@ import numpy as np
 
 from ..cage.cage import Cage
 from ..cage.pose_file import PoseFile, known_easing
+from ..core.arrays import box_corners
 from ..core.names import MOVE_HELP
 from ..edits.place import PlaceFile
 from ..errors import InputError
@@ -22,9 +23,9 @@ from ..scene.coverage import within_sight
 from ..view import motion as between
 from ..view.camera import Camera, CameraKey
 from ..view.camera_path import CameraMove, MovingCamera, camera_moves, timed_keys
-from .checks import MAX_KEYS, MAX_NAME, MAX_SECONDS, checked_name, frozen_vertices
+from .checks import MAX_KEYS, MAX_NAME, MAX_SECONDS, checked_between, checked_name, frozen_vertices
 from .document import Document, Key, Timeline, View
-from .pictures.scene import view_camera
+from .pictures.scene import Fields, view_camera
 
 #: Keys and what each of them holds of one edit, thing or camera.
 _Track: TypeAlias = Sequence[tuple[Key, np.ndarray]]
@@ -43,6 +44,9 @@ TURN_PART, TURN_BACK_PARTS = 45.0, 16
 
 #: Keys of moves that go no even way: a hand sways up to 2.3 times a second, the last of these little.
 KEYS_A_SECOND = {"hand-held": 6.0, "follow": 3.0}
+
+#: Room around what the camera of a key is made to see, as the page's "Frame all" leaves it.
+FRAME_MARGIN = 1.15
 
 #: Fields of view, degrees: a smooth way may swing beyond those of its keys.
 LEAST_FOV, LARGEST_FOV = 1.0, 150.0
@@ -254,13 +258,47 @@ def _followed_place(document: Document, time: float) -> np.ndarray:
     return now.thing(edit.thing).place.moved(edit.posed).mean(axis=0)
 
 
+def framed_views(document: Document, fields: Fields, aspect: float) -> dict[int, View]:
+    """For each key whose camera does not see all shown things at its time, by its number: the view that does.
+    It looks the same way, from farther back. aspect: width of the picture by its height."""
+    found, aspect = {}, checked_between(aspect, 0.05, 20.0, "aspect")
+    for key in document.timeline.keys:
+        things = [thing for thing in placed_at(document, key.time).things if thing.visible]
+        if key.view is None or not things:
+            continue
+        places = np.concatenate([thing.place.moved(box_corners(fields.field(thing).bounds)) for thing in things])
+        pose = view_camera(key.view, *PICTURE).camera_to_world
+        tall = math.tan(math.radians(key.view.fov) / 2)
+        slopes = np.array([tall * aspect, tall])
+
+        def seen_as(places: np.ndarray, center: np.ndarray, pose: np.ndarray = pose) -> np.ndarray:
+            return (places - center) @ pose[:3, :3]  # right, down, ahead
+
+        at = seen_as(places, pose[:3, 3])
+        if np.all(np.abs(at[:, :2]) <= slopes * at[:, 2:]):
+            continue
+        target = (places.min(axis=0) + places.max(axis=0)) / 2.0
+        at = seen_as(places, target)
+        far = max(float(np.max(FRAME_MARGIN * np.abs(at[:, :2]) / slopes - at[:, 2:])), 1e-6)
+        eye = target - far * pose[:3, 2]
+        found[key.id] = dataclasses.replace(key.view, eye=_triple(eye), target=_triple(target))
+    return found
+
+
+def with_framed_views(document: Document, fields: Fields, aspect: float) -> Document:
+    """A document in which the cameras of all keys see all shown things, see `framed_views`."""
+    found = framed_views(document, fields, aspect)
+    if not found:
+        raise InputError("all camera keys see everything already")
+    keys = (dataclasses.replace(key, view=found.get(key.id, key.view)) for key in document.timeline.keys)
+    return document.with_timeline(keys=tuple(keys))
+
+
 def _with_keys(document: Document, keys: list[Key], next_id: int) -> Document:
     """The document with these keys, by time; the film gets longer where they go on."""
     keys = sorted(keys, key=lambda key: (key.time, key.id))
-    timeline = dataclasses.replace(
-        document.timeline, keys=tuple(keys), length=max(document.timeline.length, keys[-1].time)
-    )
-    return dataclasses.replace(document, timeline=timeline, next_id=next_id)
+    document = document.with_timeline(keys=tuple(keys), length=max(document.timeline.length, keys[-1].time))
+    return dataclasses.replace(document, next_id=next_id)
 
 
 def view_of(key: CameraKey, middle: np.ndarray, up: Sequence[float]) -> View:

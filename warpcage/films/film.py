@@ -241,7 +241,8 @@ def render_film(
         move: How a camera that stands moves: "turn", "dolly", "crane", "hand-held", "follow", with a number behind a
             colon and joined by "+" as in "turn:90+crane:20" (docs/films.md).
         frames: Number of frames. None is that of poses or cameras, that of keys at times, or else 48 of a camera that
-            moves and 1 of one that does not.
+            moves and 1 of one that does not. Keys from 0 to 2 s at 24 a second make 49 frames, 0 to 48: both ends are
+            shown.
         fps: Frames per second. None is what the PoseFile or the CameraFile says, or 24.
         size: Width, or width and height of the pictures, pixels. None is that of the camera, 400 x 400 where none is
             given. Another shape is cut from the middle of the camera's picture.

@@ -183,14 +183,18 @@ def looped_time(loop: str, length: Time, elapsed: Time) -> Time:
     return place if place <= length else length + length - place
 
 
-def frame_times(length: float, fps: float | Fraction, loop: str = "once") -> list[float]:
-    """The times of a film's frames, seconds from its start, at least one."""
+def frame_count(length: float, fps: float | Fraction, loop: str = "once") -> int:
+    """The number of a film's frames, at least one."""
     # Played once, it ends with the frame at its length, if any; in a loop the frame after the last is the first.
     rate = frame_rate(fps)
     exact_length = whole_frames(length, rate)
-    period = 2 * exact_length if loop == "ping-pong" else exact_length
-    exact = period * rate
-    count = exact.__floor__() + 1 if loop == "once" else max(1, exact.__ceil__())
+    exact = (2 * exact_length if loop == "ping-pong" else exact_length) * rate
+    return exact.__floor__() + 1 if loop == "once" else max(1, exact.__ceil__())
+
+
+def frame_times(length: float, fps: float | Fraction, loop: str = "once") -> list[float]:
+    """The times of a film's frames, seconds from its start, at least one."""
+    rate, count = frame_rate(fps), frame_count(length, fps, loop)
     if count > MAX_FRAMES:
         raise InputError(f"a film has at most {MAX_FRAMES} frames, {length:g} s at {float(rate):g} would have {count}")
     return [time_at(index, length, rate, loop) for index in range(count)]

@@ -3,6 +3,7 @@
 import { actions, run, store } from "./core/store.js";
 import { connect } from "./core/connection.js";
 import { listenToKeys } from "./panels/actions.js";
+import * as outside from "./view/outside.js";
 import * as pointer from "./view/pointer.js";
 import "./view/selecting.js";
 import * as box from "./tools/box.js";
@@ -20,7 +21,7 @@ import * as toolbar from "./panels/toolbar.js";
 
 /** Builds the side panel: its groups from top to bottom. */
 function startPanel() {
-  const groups = [thingsGroup(), editsGroup(), cageGroup(), poseGroup(), viewGroup(), keysGroup(), filmGroup(), jobsGroup()];
+  const groups = [thingsGroup(), editsGroup(), cageGroup(), poseGroup(), keysGroup(), filmGroup(), jobsGroup(), viewGroup()];
   document.getElementById("panel").append(...groups.map(({ root }) => root));
   for (const group of groups) group.start();
 }
@@ -28,6 +29,7 @@ function startPanel() {
 const canvas = document.getElementById("view");
 start(canvas);
 pointer.start(canvas);
+outside.start();
 listenToKeys();
 toolbar.start();
 for (const tool of [brush, box, ruler]) tool.start();

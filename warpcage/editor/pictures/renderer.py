@@ -354,6 +354,7 @@ class Renderer:
             "width": effort.width,
             "height": effort.height,
             "view": dataclasses.asdict(view),
+            "things": [thing.id for thing in request.document.things],
             "sharp": effort.sharp,
             "scale": effort.width / request.width,
             "quality": effort.quality,

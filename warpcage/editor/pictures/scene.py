@@ -68,7 +68,7 @@ class Fields:
         if thing.file is None:
             return self.main
         if thing.file not in self.files:
-            raise InputError(f"the field of {thing.name!r}, {thing.file}, was not read: it was added elsewhere")
+            raise InputError(f"the file of {thing.name!r}, {thing.file}, was not read: it was added elsewhere")
         return self.files[thing.file]
 
     def bounds(self, document: Document) -> np.ndarray:
@@ -214,8 +214,8 @@ class PosedThing:
         for edit, one in zip(edits, made, strict=True):
             if one.falloff > 0.0 and one.held == "cut" and not len(cut_faces(one.cage, self.field)):
                 raise InputError(
-                    f"{edit.name!r} fades to rest, but no wall of its cage cuts matter: nothing tears there. Set the "
-                    "width to 0, or let the walls be held that the pose leaves in place"
+                    f"{edit.name!r} has a fade, but no side of its cage cuts through the object: nothing tears there. "
+                    "Set the fade to 0, or let it fade at the sides that are not moved"
                 )
         return made
 

@@ -19,7 +19,7 @@ let lastText = 0; // time of the last notice about a lost connection
 const replies = new Map(); // number -> {resolve, reject}
 const handlers = { hello: [], frame: [], vertices: [], lost: [] };
 
-/** Calls handler at "hello" (message), "frame" ({header, bitmap, depth}), "vertices" ("posed" or "rest", edit, array) or "lost". */
+/** Calls handler at "hello" (message), "frame" ({header, bitmap, depth, bytes}), "vertices" ("posed" or "rest", edit, array) or "lost". */
 export function when(event, handler) {
   handlers[event].push(handler);
 }
@@ -45,7 +45,7 @@ export function ask(command) {
   return new Promise((resolve, reject) => {
     number += 1;
     if (!send({ ...command, n: number })) {
-      const error = new Error("There is no connection to the editor's server; it is being sought.");
+      const error = new Error("Not connected to the editor. Trying again.");
       reject(Object.assign(error, { isLost: true }));
       return;
     }
@@ -111,7 +111,7 @@ async function decode() {
     waiting = null;
     try {
       const bitmap = jpeg.length ? await createImageBitmap(new Blob([jpeg], { type: "image/jpeg" })) : null;
-      emit("frame", { header, bitmap, depth });
+      emit("frame", { header, bitmap, depth, bytes: jpeg.length });
     } catch {
       send({ do: "seen", frame: header.frame }); // a broken picture must not stop those after it
     }
@@ -156,14 +156,14 @@ function onLost() {
   const before = isConnected();
   socket = null;
   waiting = null;
-  const error = new Error("The connection was lost before the server answered.");
+  const error = new Error("The connection was lost before the editor answered.");
   for (const { reject } of replies.values()) reject(Object.assign(error, { isLost: true }));
   replies.clear();
   store.setStatus({ connected: false, attempts: store.status.attempts + 1 });
   if (before) emit("lost");
   if (before && performance.now() - lastText > 5000) {
     lastText = performance.now();
-    toast("The connection to the server was lost. Trying again; nothing is lost.", "warning");
+    toast("The connection to the editor was lost. Trying again; your work is kept.", "warning");
   }
   timer = setTimeout(connect, wait * (0.8 + 0.4 * Math.random()));
   wait = Math.min(2 * wait, LONGEST_WAIT);

@@ -1,6 +1,6 @@
 // Toasts, questions and help. Dialogs are the browser's own: they keep the focus inside, Escape closes them.
 
-import { actions } from "./store.js";
+import { actions, store } from "./store.js";
 import { button, check, choice, el, number, setText, text } from "./controls.js";
 
 const STAYS = { info: 4000, warning: 7000, error: 10000 }; // milliseconds
@@ -69,10 +69,11 @@ function contentOf({ input }, { type, choices }) {
 
 /**
  * Asks for some values: {title, text?, fields: [{name, label, type: "number"|"text"|"choice"|"check", value, choices?,
- * min?, max?, step?, unit?, help?, optional?}], confirm, send?}. A promise of {name: value}, or null where it was left.
+ * min?, max?, step?, unit?, help?, optional?, shown?(values)}], note?(values), confirm, send?}. A promise of {name: value},
+ * or null where it was left. note: what is said of the values as they are now.
  * send(values): what is done with them, a promise; while it fails the dialog stays with what was typed and says why.
  */
-export function askFor({ title, text: intro, fields, confirm = "OK", send = null }) {
+export function askFor({ title, text: intro, fields, note: tell = null, confirm = "OK", send = null }) {
   return new Promise((resolve) => {
     let result = null;
     const controls = fields.map((field) => fieldOf(field));
@@ -90,10 +91,20 @@ export function askFor({ title, text: intro, fields, confirm = "OK", send = null
     const no = button({ id: "dialog-cancel", label: "Cancel", title: "Cancel (Escape)", onClick: () => close() });
     const failed = el("p", { id: "dialog-error", class: "dialog-error", role: "alert" });
     failed.hidden = true;
-    body.append(failed);
-    const { form, close } = open(title, body, [no, yes], { onClosed: () => resolve(result) });
+    const told = el("p", { id: "dialog-note", "aria-live": "polite" });
+    body.append(...(tell ? [told] : []), failed);
+    const valuesNow = () => Object.fromEntries(fields.map((field, index) => [field.name, contentOf(controls[index], field)]));
+    const show = () => {
+      const values = valuesNow();
+      fields.forEach(({ shown }, index) => shown && (controls[index].root.hidden = !shown(values)));
+      if (tell) setText(told, tell(values));
+    };
+    show();
+    const stop = store.on("status", show); // which pictures have come
+    const { form, close } = open(title, body, [no, yes], { onClosed: () => (stop(), resolve(result)) });
+    for (const event of ["input", "change", "keyup"]) form.addEventListener(event, show);
     form.addEventListener("submit", async (event) => {
-      const values = Object.fromEntries(fields.map((field, index) => [field.name, contentOf(controls[index], field)]));
+      const values = valuesNow();
       if (!send) return (result = values);
       event.preventDefault();
       yes.disabled = true;
@@ -153,31 +164,31 @@ export function showText(title, intro, content) {
 
 const MOUSE = [
   ["Click", "Select; with Shift add or take away"],
-  ["Drag beside it", "Rectangle or lasso; Shift adds, Ctrl takes away"],
+  ["Drag elsewhere", "Rectangle or lasso; Shift adds, Ctrl takes away"],
   ["Drag, with the brush", "Paint the selection; with Alt or Ctrl take away; [ and ] change the brush"],
-  ["Drag, with the box", "A box around a part; a drag of a dot moves that face"],
-  ["Click, with the ruler", "The distance between two places"],
+  ["Drag, with the box", "A box cage around a part; a drag of a dot moves that side"],
+  ["Click, with the ruler", "The distance between two points"],
   ["Drag a vertex", "Move it, or the selection that it belongs to"],
-  ["Right drag", "Turn the view; with Shift pan, with Ctrl zoom. So do the middle button and Alt+drag"],
+  ["Right drag", "Orbit; with Shift pan, with Ctrl zoom. So do the middle button and Alt+drag"],
   ["Wheel", "Zoom; while moving: the radius of proportional editing"],
-  ["One finger, two", "Turn the view; pan and zoom"],
+  ["One finger, two", "Orbit or select, by the switch that touch screens show; pan and zoom"],
 ];
 const MOVING = [
   [["X", "Y", "Z"], "Along one axis; again: other axes, none"],
-  [["Shift+X"], "Across that axis"],
+  [["Shift+X"], "Along the two other axes"],
   [["0–9"], "Exact amount; Tab: the next number"],
-  [["Shift"], "Slow"],
-  [["Ctrl"], "Steps, or none"],
+  [["Shift"], "Slower, for precision"],
+  [["Ctrl"], "Snap to steps; no snapping where Snap is on"],
   [["Enter", "Escape"], "Keep, take back"],
 ];
 const TIMELINE = [
   [["←", "→"], "A frame back or on; with Shift ten"],
-  [["↑", "↓"], "Key before, next key"],
-  [["Alt+←", "Alt+→"], "Move the chosen key in time"],
+  [["↑", "↓"], "Previous key, next key"],
+  [["Alt+←", "Alt+→"], "Move the selected key in time"],
   [["Home", "End"], "Start and end of the film"],
-  [["Enter"], "Key of pose and camera"],
-  [["Delete"], "Delete the chosen key"],
-  [["Drag a ring"], "Bend the way from the chosen key, where that is a curve of its own"],
+  [["Enter"], "Add a key of pose and camera"],
+  [["Delete"], "Delete the selected key"],
+  [["Drag a ring"], "Shape the custom curve from the selected key to the next"],
 ];
 const SIGNS = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓" };
 

@@ -10,6 +10,7 @@ const defaults = {
   tool: "select", // select | move | rotate | scale | box | ruler
   pick: "rectangle", // rectangle | lasso | brush
   brush: 24, // radius of the brush, pixels
+  finger: "orbit", // orbit | select: what a drag of one finger does
   through: true, // select what is hidden too
   axes: "world",
   proportional: false,
@@ -91,7 +92,7 @@ function tell(name, content) {
 export const store = {
   sections: {}, // as the server sent them: store.sections.settings.coordinates ...
   tools: keptTools(),
-  status: { connected: false, client: null, attempts: 0, refused: false, fps: 0, latency: 0, frame: null },
+  status: { connected: false, client: null, attempts: 0, refused: false, fps: 0, latency: 0, frame: null, doing: null },
 
   /** Calls listener(content, name) when a section, "tools", "status" or anything ("*") changes; returns how to stop. */
   on(name, listener) {

@@ -62,7 +62,7 @@ for (const [name, label, keys] of [["undo", "Undo", ["Ctrl+Z"]], ["redo", "Redo"
   register(name, { label, keys, group: "Edit", repeat: true, run: () => request({ do: name }) });
 }
 register("key.insert", {
-  label: "Key of pose and camera at the present time",
+  label: "Add a key of pose and camera at the current time",
   keys: ["K"],
   group: "Timeline",
   run: () => add(true, true),
@@ -83,13 +83,13 @@ register("tool.select", { label: "Tool: select", keys: ["W"], group: "Tools", ru
 register("tool.move", { label: "Tool: move (gizmo)", keys: ["Shift+G"], group: "Tools", run: choose("tool", "move") });
 register("tool.rotate", { label: "Tool: rotate (gizmo)", keys: ["Shift+R"], group: "Tools", run: choose("tool", "rotate") });
 register("tool.scale", { label: "Tool: scale (gizmo)", keys: ["Shift+S"], group: "Tools", run: choose("tool", "scale") });
-register("pick.rectangle", { label: "Drags draw a rectangle", keys: ["B"], group: "Select", run: choose("pick", "rectangle") });
-register("pick.lasso", { label: "Drags draw a lasso", keys: ["C"], group: "Select", run: choose("pick", "lasso") });
-register("pick.through", { label: "Select what is hidden too", keys: ["Alt+Z"], group: "Select", run: toggle("through") });
+register("pick.rectangle", { label: "Rectangle selection", keys: ["B"], group: "Select", run: choose("pick", "rectangle") });
+register("pick.lasso", { label: "Lasso selection", keys: ["C"], group: "Select", run: choose("pick", "lasso") });
+register("pick.through", { label: "X-ray: select hidden parts too", keys: ["Alt+Z"], group: "Select", run: toggle("through") });
 register("proportional", { label: "Proportional editing", keys: ["O"], group: "Tools", run: toggle("proportional") });
 register("falloff", { label: "Next falloff", keys: ["Shift+O"], group: "Tools", run: cycle("falloff") });
 register("axes", { label: "Next axes: world, view, local", keys: [","], group: "Tools", run: cycle("axes") });
-register("symmetry", { label: "Next plane of symmetry: none, x, y, z", keys: ["M"], group: "Tools", run: cycle("symmetry") });
+register("symmetry", { label: "Next mirror plane: none, x, y, z", keys: ["M"], group: "Tools", run: cycle("symmetry") });
 register("snap", { label: "Snap to steps", keys: ["N"], group: "Tools", run: toggle("snap") });
-register("grid", { label: "Show the ground as a grid", keys: ["Shift+D"], group: "View", run: toggle("grid") });
+register("grid", { label: "Draw the ground as a grid", keys: ["Shift+D"], group: "View", run: toggle("grid") });
 register("cage", { label: "Show the cage", keys: ["Alt+Shift+Z"], group: "View", run: toggle("cage") });

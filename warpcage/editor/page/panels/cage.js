@@ -4,15 +4,16 @@ import { activeEdit, selectedVertices, store, withActiveEdit } from "../core/sto
 import { ask, attempt, request } from "../core/connection.js";
 import { askFor, toast } from "../core/dialogs.js";
 import { isBrush } from "../tools/brush.js";
+import { counted, keysOf } from "./keys.js";
 import { nextPlace } from "../view/pointer.js";
 import { activeThing } from "../view/things.js";
 import { button, el, group, setText } from "../core/controls.js";
 import { AXIS_NAMES } from "../geometry/vectors.js";
 
 const METHODS = [
-  ["auto", "Whichever fits better"],
+  ["auto", "Automatic"],
   ["shell", "Shell: follows the surface"],
-  ["voxel", "Voxels: sturdy, for any matter"],
+  ["voxel", "Voxels: sturdy, also for haze and gaps"],
 ];
 
 const AROUND = [
@@ -24,9 +25,19 @@ const AROUND = [
 
 const clickHint = () => `${isBrush() ? "Paint over" : "Click"} the object in the picture; Escape leaves it.`;
 
-const HELD = "In place of a cage: its pose and those of keys are carried over to the new one.";
-
-const where = (edit) => [["new", "A new edit"], ...(edit ? [[edit.id, `"${edit.name}", in place of its cage`]] : [])];
+/** For which edit a new cage is: a field of a dialog. One that keys hold poses of is not replaced unasked. */
+function forEdit(edit, usual) {
+  const keys = keysOf(edit);
+  const carried = keys.length ? `its pose and those of ${counted(keys)} are` : "its pose is";
+  return {
+    name: "edit",
+    label: "For",
+    type: "choice",
+    value: edit && !keys.length ? usual : "new",
+    choices: [["new", "A new edit"], ...(edit ? [[edit.id, `"${edit.name}", in place of its cage`]] : [])],
+    help: edit ? `In place of a cage: ${carried} carried over, exactly to the same mesh or a finer one, else roughly.` : undefined,
+  };
+}
 
 /** Asks for the cage and has it made; the list of jobs shows how far it is. */
 async function generate() {
@@ -34,10 +45,10 @@ async function generate() {
   const given = await askFor({
     title: "Generate a cage",
     fields: [
-      { name: "edit", label: "For", type: "choice", value: edit ? edit.id : "new", choices: where(edit) },
+      forEdit(edit, edit?.id),
       { name: "around", label: "Around", type: "choice", value: "all", choices: AROUND },
-      { name: "count", label: "Vertices", type: "number", value: 100, min: 8, max: 2000, step: 1, help: "About so many. Few are easy to pose, many follow details." },
-      { name: "margin", label: "Margin", type: "number", value: null, min: 0, max: 100, step: 0.5, unit: "voxels", optional: true, help: "Room between matter and cage. Empty: chosen for you." },
+      { name: "count", label: "Vertices", type: "number", value: 100, min: 8, max: 2000, step: 1, help: "Approximate. Few are easy to pose, many follow details." },
+      { name: "margin", label: "Margin", type: "number", value: null, min: 0, max: 100, step: 0.5, unit: "voxels", optional: true, help: "Gap between object and cage. Empty: automatic." },
       { name: "method", label: "Method", type: "choice", value: "auto", choices: METHODS },
       {
         name: "symmetry",
@@ -78,10 +89,10 @@ async function mirror(edit) {
   const axes = AXIS_NAMES.map((name) => [name, `Across ${name}`]);
   const given = await askFor({
     title: "Mirror the edit",
-    text: `A new edit: the cage of "${edit.name}" on the other side of a plane, with its pose and those of keys.`,
+    text: `A new edit: the cage of "${edit.name}" on the other side of a plane, with its pose and the poses of its keys.`,
     fields: [
       { name: "axis", label: "Plane", type: "choice", value: "x", choices: axes },
-      { name: "place", label: "At", type: "number", value: null, step: 0.05, unit: "units", optional: true, help: "Where the plane meets that axis. Empty: in the middle of the field." },
+      { name: "place", label: "At", type: "number", value: null, step: 0.05, unit: "units", optional: true, help: "Where the plane crosses that axis. Empty: the middle of the object." },
     ],
     confirm: "Mirror",
   });
@@ -92,9 +103,10 @@ async function mirror(edit) {
 
 async function simplify(edit) {
   const has = edit.rest.length;
+  const keys = keysOf(edit);
   const given = await askFor({
     title: "Simplify the cage",
-    text: `"${edit.name}" has ${has} vertices. Its pose is carried over.`,
+    text: `"${edit.name}" has ${has} vertices. Its pose${keys.length ? ` and those of ${counted(keys)} are` : " is"} carried over, roughly.`,
     fields: [{ name: "count", label: "Vertices", type: "number", value: Math.max(8, Math.round(has / 2)), min: 8, max: Math.max(8, has - 1), step: 1 }],
     confirm: "Simplify",
   });
@@ -114,19 +126,19 @@ async function box(edit) {
 }
 
 /** For which edit a file is: nothing to ask where there is none. */
-const editField = (edit) => (edit ? [{ name: "edit", label: "For", type: "choice", value: "new", choices: where(edit), help: HELD }] : []);
+const editField = (edit) => (edit ? [forEdit(edit, "new")] : []);
 
 const KINDS = { cage: "cages", poses: "pose files" };
 
 /** Lets one of the files of a kind in the session's folder be chosen, and loads it. */
-export async function loadFrom(kind, title, command, fields = []) {
+export async function loadFrom(kind, title, command, fields = [], text = null) {
   const result = await request({ do: "files" });
   if (!result) return;
   const names = result.files.filter((file) => file.kind === kind).map(({ name }) => name);
   if (!names.length) return toast(`The session's folder has no ${KINDS[kind]}; upload one.`, "warning");
   const file = { name: "file", label: "File", type: "choice", value: names[0], choices: names };
   const send = (given) => ask({ do: command, ...given, ...(given.edit === "new" ? { edit: null } : {}) });
-  return askFor({ title, fields: [file, ...fields], confirm: "Load", send });
+  return askFor({ title, text, fields: [file, ...fields], confirm: "Load", send });
 }
 
 /** Loads a cage that was uploaded, for an edit or a new one. */
@@ -154,7 +166,9 @@ export function uploadField(id, label, accept, load) {
     const [file] = input.files;
     input.value = "";
     if (!file) return;
+    store.setStatus({ doing: `Uploading ${file.name}` });
     const name = await attempt(uploaded(file));
+    store.setStatus({ doing: null });
     if (name) await load(name);
   });
   return input;
@@ -166,7 +180,7 @@ function verdictOf({ problem, crossing_faces: crossing = [], folded_share: folde
   return leaking.length || outside > 0 ? "warn" : "good";
 }
 
-const VERDICTS = { pending: "Checking…", good: "Check: all well", warn: "Check: is this meant?", bad: "Check: mend this" };
+const VERDICTS = { pending: "Checking…", good: "Check: all well", warn: "Check: is this intended?", bad: "Check: fix this" };
 
 /** The group of the cage: {root, start()}. */
 export function cageGroup() {
@@ -192,8 +206,8 @@ export function cageGroup() {
       "div",
       { class: "grid thirds" },
       button({ id: "cage-generate", label: "Generate…", kind: "primary", title: "Make a cage around everything visible", onClick: generate }),
-      button({ id: "cage-load", label: "Load…", title: "Load a cage file of the session's folder", onClick: () => loadFrom("cage", "Load a cage", "cage.load", editField(activeEdit())) }),
-      button({ id: "cage-upload", label: "Upload…", title: "Send a cage file (OBJ, PLY, GLB ...) from this computer", onClick: () => upload.click() }),
+      button({ id: "cage-load", label: "Load…", title: "Load a cage file from the session's folder", onClick: () => loadFrom("cage", "Load a cage", "cage.load", editField(activeEdit())) }),
+      button({ id: "cage-upload", label: "Upload…", title: "Upload a cage file (OBJ, PLY, GLB ...) from this computer", onClick: () => upload.click() }),
     ),
     upload,
     refine,
@@ -208,7 +222,7 @@ export function cageGroup() {
   const showCage = () => {
     const edit = activeEdit();
     for (const element of refine.children) element.disabled = !edit;
-    setText(size, edit ? `${edit.rest.length} vertices, ${edit.faces.length} faces` : "No cage is chosen.");
+    setText(size, edit ? `${edit.rest.length} vertices, ${edit.faces.length} faces` : "No cage selected.");
     copy.disabled = !edit;
     document.getElementById("cage-box").disabled = !edit || !selectedVertices().length;
   };

@@ -4,6 +4,8 @@ import { activeEdit, store, withActiveEdit } from "../core/store.js";
 import { request } from "../core/connection.js";
 import { askFor, confirmThat } from "../core/dialogs.js";
 import { activeThing } from "../view/things.js";
+import { counted, keysOf } from "./keys.js";
+import { deformationFields } from "./picture.js";
 import { button, choice, el, followKey, group, icon, listBox, number, setIcon, setText, text } from "../core/controls.js";
 
 const KINDS = [
@@ -13,13 +15,13 @@ const KINDS = [
 ];
 const MEANINGS = {
   move: "What is in the cage moves with it.",
-  copy: "A second one moves with the cage; the source stays.",
-  remove: "What is in the rest cage is taken out of the scene.",
+  copy: "A copy moves with the cage; the original stays.",
+  remove: "What is in the cage before it is posed is removed from the scene.",
 };
 
 const HELD = [
-  ["cut", "Those that cut matter"],
-  ["still", "Those left in place"],
+  ["cut", "That cut through the object"],
+  ["still", "That are not moved"],
 ];
 
 const change = (id, changes) => request({ do: "edit.change", id, ...changes });
@@ -43,7 +45,9 @@ function shift(id, by) {
 }
 
 async function remove(edit) {
-  const isSure = await confirmThat("Delete the edit?", `"${edit.name}" and its keys go; undo brings them back.`, "Delete");
+  const keys = keysOf(edit);
+  const lost = keys.length ? `"${edit.name}" goes, and ${counted(keys)} ${keys.length === 1 ? "loses its pose" : "lose their poses"} of it; undo brings them back.` : `"${edit.name}" goes; undo brings it back.`;
+  const isSure = await confirmThat("Delete the edit?", lost, "Delete");
   if (isSure) request({ do: "edit.delete", id: edit.id });
 }
 
@@ -52,8 +56,8 @@ async function add() {
   const { bounds } = activeThing() ?? {};
   if (!bounds) return;
   const given = await askFor({
-    title: "Add an edit",
-    text: "A new cage around the middle of the scene. Generate a fitted one in the group Cage, or move this one in the mode Rest.",
+    title: "Add edit",
+    text: "A simple cage in the middle of the object; fit it in the mode Rest. For one that fits by itself: Cage, Generate.",
     fields: [
       { name: "kind", label: "What it does", type: "choice", value: "move", choices: KINDS },
       {
@@ -67,7 +71,7 @@ async function add() {
           ["icosphere", "Ball"],
         ],
       },
-      { name: "share", label: "Size", type: "number", value: 50, min: 1, max: 120, step: 5, unit: "% of the scene" },
+      { name: "share", label: "Size", type: "number", value: 50, min: 1, max: 120, step: 5, unit: "% of the object" },
     ],
     confirm: "Add",
   });
@@ -129,7 +133,7 @@ export function editsGroup() {
     id: "edit-list",
     label: "Edits",
     title: "Up and Down choose, Alt+Up and Alt+Down change the order, Space shows or hides, Enter renames, Delete deletes",
-    empty: "No cage yet. Generate one in the group Cage, or add a simple one.",
+    empty: "No edits yet. Generate a cage in the group Cage, or add an edit with a simple one.",
     onKey: onListKey,
     make: makeRow,
   });
@@ -140,41 +144,44 @@ export function editsGroup() {
   const falloff = length({
     id: "edit-falloff",
     label: "Fade",
-    title: "Width of the band inside held walls in which the part fades to rest, so that it does not tear off. 0: no wall is held",
+    title: "Width over which the movement fades out at sides of the cage, so that the part does not tear off. 0: no fading",
     onChange: changeTo("falloff"),
   });
   const held = choice({
     id: "edit-held",
-    label: "Held walls",
-    title: "The walls of the cage at which the part stays as it is at rest",
+    label: "Fade at sides",
+    title: "At which sides of the cage the movement fades out",
     options: HELD,
     onChange: changeTo("held"),
   });
   const fragments = length({
     id: "edit-fragments",
     label: "Take loose pieces along, up to",
-    title: "Pieces outside the cage that hang on the part alone and are smaller than this go with it. 0: they stay",
+    title: "Pieces outside the cage that touch only this part and are smaller than this move with it. 0: they stay",
     onChange: changeTo("crumbs"),
   });
-  const shown = button({ id: "edit-visible", label: "Shown", icon: "eye", title: "Whether the active edit acts on the picture", onClick: withActiveEdit((edit) => change(edit.id, { visible: !edit.visible })) });
+  const shown = button({ id: "edit-visible", label: "Shown", icon: "eye", title: "Turn the active edit on or off", onClick: withActiveEdit((edit) => change(edit.id, { visible: !edit.visible })) });
   const tools = el(
     "div",
     { class: "row tight" },
-    button({ id: "edit-add", label: "Add", icon: "plus", keep: true, title: "Add an edit with a simple cage", onClick: add }),
+    button({ id: "edit-add", label: "Add edit", icon: "plus", keep: true, title: "Add an edit with a simple cage", onClick: add }),
     el("span", { class: "spring" }),
     shown,
     button({ id: "edit-up", label: "Earlier", icon: "up", title: "Move the active edit up (Alt+Up in the list)", onClick: withActiveEdit((edit) => shift(edit.id, -1)) }),
     button({ id: "edit-down", label: "Later", icon: "down", title: "Move the active edit down (Alt+Down in the list)", onClick: withActiveEdit((edit) => shift(edit.id, 1)) }),
     button({ id: "edit-delete", label: "Delete", icon: "delete", title: "Delete the active edit (Delete in the list)", onClick: withActiveEdit(remove) }),
   );
-  const details = el("div", { class: "stack" }, name.root, kind.root, meaning, falloff.root, held.root, fragments.root);
-  const made = group("edits", "Edits", true, ...list.parts, tools, details);
+  const details = el("div", { class: "stack" }, name.root, kind.root, meaning);
+  const walls = el("div", { class: "stack" }, falloff.root, held.root, fragments.root);
+  const deformation = deformationFields();
+  const advanced = group("advanced", "Advanced", false, walls, el("p", { class: "note" }, "For all edits:"), ...deformation.roots);
+  const made = group("edits", "Edits", true, ...list.parts, tools, details, advanced.root);
   const show = () => {
     const { edits = [] } = store.sections;
     const edit = activeEdit();
     list.show(edits, edit && `edit-${edit.id}`);
     setText(made.note, edits.length ? String(edits.length) : "");
-    details.hidden = !edit;
+    details.hidden = walls.hidden = !edit;
     for (const element of tools.querySelectorAll("button:not(#edit-add)")) element.disabled = !edit;
     if (!edit) return;
     document.getElementById("edit-up").disabled = edits.indexOf(edit) === 0;
@@ -193,6 +200,7 @@ export function editsGroup() {
   const start = () => {
     store.on("edits", show);
     store.on("selection", show);
+    deformation.start();
     show();
   };
   return { root: made.root, start };

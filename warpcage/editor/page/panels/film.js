@@ -1,12 +1,12 @@
 // Keys, the film and its exports, and the work that takes a while.
 
-import { store } from "../core/store.js";
+import { activeEdit, store } from "../core/store.js";
 import { ask, request } from "../core/connection.js";
-import { askFor, showText, toast } from "../core/dialogs.js";
+import { askFor, toast } from "../core/dialogs.js";
 import { button, choice, el, followKey, group, icon, listBox, number, row, rows, setText, short, text, titleOf } from "../core/controls.js";
 import { loadFrom, uploadField } from "./cage.js";
-import { things } from "../view/things.js";
-import { EASINGS, LOOPS, add, change, choose, chosenKey, ease, easingWord, film, goTo, holds, jump, onChosen, remove, seconds } from "./keys.js";
+import { EXPORTS, exportFilm } from "./exports.js";
+import { EASINGS, LOOPS, add, change, choose, chosenKey, counted, ease, easingWord, film, goTo, holds, jump, keysOf, onChosen, remove, seconds } from "./keys.js";
 
 function makeKeyRow({ id }) {
   const time = el("span", { class: "row-note time" });
@@ -35,9 +35,9 @@ function makeKeyRow({ id }) {
 
 /** Moves of a camera, by their words: as `warpcage animate --cameras` has them. */
 const MOVES = [
-  ["turn", "Turn, through what pictures saw"],
-  ["turn:360", "All the way round"],
-  ["turn:90", "A quarter to the side"],
+  ["turn", "Turn, within what the photos show"],
+  ["turn:360", "Full turn, 360°"],
+  ["turn:90", "Quarter turn, 90°"],
   ["dolly", "Dolly in"],
   ["dolly:1.6", "Dolly out"],
   ["crane", "Crane up"],
@@ -48,13 +48,14 @@ const MOVES = [
 
 async function moveCamera() {
   const { length, keys } = film();
+  const cameras = keys.filter(({ camera }) => camera);
   let result = null;
   await askFor({
     title: "Camera move",
-    text: `From the view as it is, about its middle, over the ${seconds(length)} of the film.${keys.some(({ camera }) => camera) ? " It replaces the cameras of the keys." : ""}`,
+    text: `Starts from the current view, moves about its center and lasts the whole film, ${seconds(length)}.${cameras.length ? ` It replaces the cameras of ${counted(cameras)}; undo brings them back.` : ""}`,
     fields: [
       { name: "move", label: "Move", type: "choice", value: "turn", choices: MOVES },
-      { name: "words", label: "Or in words", type: "text", value: "", optional: true, help: "turn:DEGREES, dolly:SHARE, crane:DEGREES, hand-held:SEED or follow, several joined by +: dolly:0.7+hand-held." },
+      { name: "words", label: "Or typed", type: "text", value: "", optional: true, help: "turn:DEGREES, dolly:SHARE, crane:DEGREES, hand-held:SEED or follow, several joined by +: dolly:0.7+hand-held." },
     ],
     confirm: "Make keys",
     send: async ({ words, move }) => (result = await ask({ do: "camera.move", move: words || move })),
@@ -72,15 +73,15 @@ export function keysGroup() {
     id: "key-list",
     label: "Keys",
     title: "Up and Down go from key to key, Enter renames, Delete deletes",
-    empty: "No keys yet. Pose the cage, choose a time on the timeline, and add a key.",
+    empty: "No keys yet. Click a time on the timeline, pose the cage, and add a key.",
     onKey,
     make: makeKeyRow,
   });
-  const name = text({ id: "key-name", label: "Name", title: "Name of the chosen key (Enter keeps it)", maxlength: 100, onChange: (to) => change({ name: to }) });
-  const time = number({ id: "key-time", label: "Time", title: "Time of the chosen key", min: 0, max: 3600, unit: "s", onChange: (to) => change({ time: to }) });
-  const easing = choice({ id: "key-easing", label: "Easing", title: "How the way to the next key goes", options: EASINGS, onChange: ease });
+  const name = text({ id: "key-name", label: "Name", title: "Name of the selected key (Enter keeps it)", maxlength: 100, onChange: (to) => change({ name: to }) });
+  const time = number({ id: "key-time", label: "Time", title: "Time of the selected key", min: 0, max: 3600, unit: "s", onChange: (to) => change({ time: to }) });
+  const easing = choice({ id: "key-easing", label: "Easing", title: "How the movement to the next key goes", options: EASINGS, onChange: ease });
   const takeCurve = (to) => change({ easing: { bezier: to.split(/[\s,]+/).map(Number) } });
-  const curve = text({ id: "key-curve", label: "Curve", title: "The curve's handles, as CSS has them: time and way of the first, then of the second, each from 0 to 1; the way may go beyond", onChange: takeCurve });
+  const curve = text({ id: "key-curve", label: "Curve", title: "Bezier handles x1, y1, x2, y2 as in CSS cubic-bezier: x is time from 0 to 1, y is progress and may go beyond", onChange: takeCurve });
   const details = el(
     "div",
     { id: "key-details", class: "stack" },
@@ -89,16 +90,16 @@ export function keysGroup() {
     easing.root,
     curve.root,
     row(
-      button({ id: "key-take-pose", label: "Take pose", title: "The chosen key takes the pose as it is now", onClick: () => change({ pose: true }) }),
-      button({ id: "key-take-camera", label: "Take camera", title: "The chosen key takes the camera as it is now", onClick: () => change({ camera: true }) }),
-      button({ id: "key-delete", label: "Delete the key", icon: "delete", title: "Delete the chosen key (Delete in the list or on the timeline)", onClick: remove }),
+      button({ id: "key-take-pose", label: "Update pose", title: "Replace the pose of the selected key with the current one", onClick: () => change({ pose: true }) }),
+      button({ id: "key-take-camera", label: "Update camera", title: "Replace the camera of the selected key with the current one", onClick: () => change({ camera: true }) }),
+      button({ id: "key-delete", label: "Delete the key", icon: "delete", title: "Delete the selected key (Delete in the list or on the timeline)", onClick: remove }),
     ),
   );
   const adds = row(
-    button({ id: "key-add", label: "Add key", icon: "plus", keep: true, title: titleOf("Key of pose and camera at the present time", "key.insert"), onClick: () => add(true, true) }),
-    button({ id: "key-add-pose", label: "Pose", title: "Key of the pose alone at the present time", onClick: () => add(true, false) }),
-    button({ id: "key-add-camera", label: "Camera", title: "Key of the camera alone at the present time", onClick: () => add(false, true) }),
-    button({ id: "camera-move", label: "Move…", title: "Keys of a camera that moves over the whole film: turn, dolly, crane, hand-held, follow", onClick: moveCamera }),
+    button({ id: "key-add", label: "Add key", icon: "plus", keep: true, title: titleOf("Add a key of pose and camera at the current time", "key.insert"), onClick: () => add(true, true) }),
+    button({ id: "key-add-pose", label: "Pose key", title: "Add a key of the pose alone at the current time", onClick: () => add(true, false) }),
+    button({ id: "key-add-camera", label: "Camera key", title: "Add a key of the camera alone at the current time", onClick: () => add(false, true) }),
+    button({ id: "camera-move", label: "Camera move…", title: "Add keys of a camera move over the whole film: turn, dolly, crane, hand-held, follow", onClick: moveCamera }),
   );
   const made = group("keys", "Keys", false, ...list.parts, adds, details);
   const show = () => {
@@ -123,86 +124,26 @@ export function keysGroup() {
   return { root: made.root, start };
 }
 
-const sizes = () => {
-  const { width = 800, height = 600, scale = 1 } = store.status.frame ?? {};
-  const even = (value) => 2 * Math.round(value / 2);
-  const isSlow = store.sections.session?.device === "cpu"; // half a second a picture and more, at full size
-  const full = isSlow ? 640 : Math.max(640, width / scale); // pictures are smaller while something moves
-  return [
-    { name: "width", label: "Width", type: "number", value: even(full), min: 16, max: 4096, step: 2, unit: "pixels" },
-    { name: "height", label: "Height", type: "number", value: even((full * height) / width), min: 16, max: 4096, step: 2, unit: "pixels" },
-  ];
-};
-const overlay = { name: "overlay", label: "Draw the cage", type: "check", value: false };
-const transparent = { name: "transparent", label: "Transparent background", type: "check", value: true };
-const shape = {
-  name: "ending",
-  label: "Format",
-  type: "choice",
-  value: ".obj",
-  choices: [
-    [".obj", "OBJ"],
-    [".ply", "PLY"],
-    [".glb", "glTF (GLB)"],
-  ],
-};
-
-/** What can be exported: [what, label, title, name of the file, fields]. */
-const EXPORTS = [
-  ["mp4", "MP4 film", "The film as MP4", "film.mp4", () => [...sizes(), overlay]],
-  ["gif", "GIF", "The film as GIF", "film.gif", () => [...sizes(), overlay]],
-  ["mov", "ProRes film", "The film as ProRes 4444 with alpha, for editing programs", "film.mov", () => [...sizes(), transparent, overlay]],
-  ["webm", "WebM film", "The film as WebM with alpha, for web pages", "film.webm", () => [...sizes(), transparent, overlay]],
-  ["png", "PNG pictures", "The film as numbered PNG pictures with alpha, in a folder", "film", () => [...sizes(), transparent, overlay]],
-  ["cage", "Posed cage", "The posed cage as a mesh", "posed", () => [shape]],
-  ["poses", "Poses", "The keys' poses of the active edit in one file", "poses.json", () => []],
-  ["bake", "Baked field", "The deformed scene as a field of its own", "bent.npz", () => []],
-];
-
-function helpOf(what) {
-  const { folder = "the session's folder" } = store.sections.session ?? {};
-  return what === "png" ? `A new folder for the pictures, in ${folder}.` : `Is written into ${folder}; it can be downloaded when it is done.`;
-}
-
-async function exportAs([what, label, , usual, fields]) {
-  const hasSplats = things().some(({ visible, size }) => visible && size.endsWith("splats"));
-  const file = what === "bake" && hasSplats ? "bent.ply" : usual;
-  await askFor({
-    title: `Export: ${label}`,
-    fields: [{ name: "file", label: what === "png" ? "Folder" : "File", type: "text", value: file, help: helpOf(what) }, ...fields()],
-    confirm: "Export",
-    send: ({ file: name, ...given }) => {
-      const { ending = "" } = given;
-      return ask({ do: "export", what, file: name.endsWith(ending) ? name : name + ending, ...given });
-    },
-  });
-}
-
-async function showCommand() {
-  let result = null;
-  await askFor({
-    title: "Command line of the film",
-    fields: [{ name: "file", label: "File", type: "text", value: "film.mp4", help: "What the command writes." }, ...sizes(), overlay],
-    confirm: "Show",
-    send: async (given) => (result = await ask({ do: "export.command", ...given })),
-  });
-  if (result) showText("Command line", "This makes the same film without the editor:", result.command);
+/** What loading poses takes the place of, in words; null: nothing. */
+function replaced() {
+  const keys = keysOf(activeEdit());
+  return keys.length ? `Poses of the file replace those that ${counted(keys)} ${keys.length === 1 ? "holds" : "hold"}, as do cameras, where it has some; undo brings them back.` : null;
 }
 
 /** The group of the film: {root, start()}. */
 export function filmGroup() {
-  const length = number({ id: "film-length", label: "Length", title: "Length of the film, not before its last key", min: 0.1, max: 3600, step: 0.5, unit: "s", onChange: (value) => request({ do: "timeline", length: value }) });
-  const fps = number({ id: "film-fps", label: "Rate", title: "Pictures a second", min: 1, max: 240, step: 1, unit: "fps", onChange: (value) => request({ do: "timeline", fps: value }) });
+  const length = number({ id: "film-length", label: "Length", title: "Length of the film: its last key's time until you set another, and no shorter", min: 0.1, max: 3600, step: 0.5, unit: "s", onChange: (value) => request({ do: "timeline", length: value }) });
+  const fps = number({ id: "film-fps", label: "Frame rate", title: "Frames per second", min: 1, max: 240, step: 1, unit: "fps", onChange: (value) => request({ do: "timeline", fps: value }) });
   const loop = choice({ id: "film-loop", label: "At the end", title: "What the film does at its end", options: LOOPS, onChange: (value) => request({ do: "timeline", loop: value }) });
-  const grid = el("div", { class: "grid" });
-  for (const one of EXPORTS) grid.append(button({ id: `export-${one[0]}`, label: `${one[1]}…`, title: one[2], onClick: () => exportAs(one) }));
-  const command = button({ id: "export-command", label: "Command line…", title: "The warpcage command that makes the same film without the editor", onClick: showCommand });
+  const films = button({ id: "export-film", label: "Export film…", kind: "primary", title: "Write the film as MP4, GIF, ProRes, WebM or PNG pictures", onClick: exportFilm });
+  const others = el("div", { class: "grid" });
+  for (const [what, label, title, start] of EXPORTS) others.append(button({ id: `export-${what}`, label: `${label}…`, title, onClick: start }));
   const upload = uploadField("poses-upload-file", "Pose file", ".json", (file) => request({ do: "poses.load", file }));
   const poses = row(
-    button({ id: "poses-load", label: "Load…", title: "Load a pose file of the session's folder into the timeline", onClick: () => loadFrom("poses", "Load poses", "poses.load") }),
-    button({ id: "poses-upload", label: "Upload…", title: "Send a pose file from this computer", onClick: () => upload.click() }),
+    button({ id: "poses-load", label: "Load…", title: "Load a pose file from the session's folder into the timeline", onClick: () => loadFrom("poses", "Load poses", "poses.load", [], replaced()) }),
+    button({ id: "poses-upload", label: "Upload…", title: "Upload a pose file from this computer", onClick: () => upload.click() }),
   );
-  const made = group("film", "Film", false, length.root, fps.root, loop.root, el("h3", {}, "Export"), grid, command, el("h3", {}, "Pose files"), poses, upload);
+  const made = group("film", "Film", false, length.root, fps.root, loop.root, films, el("h3", {}, "Other exports"), others, el("h3", {}, "Pose files"), poses, upload);
   const show = () => {
     const { length: long, fps: rate, loop: way } = film();
     length.set(long);
@@ -221,7 +162,7 @@ const jobRows = (place, clearing, clear) => ({ id }) => {
   const name = el("span", { class: "row-name" });
   const note = el("span", { class: "job-text", role: "status" });
   const bar = el("progress", { max: 1, "aria-label": "Progress" });
-  const cancel = button({ label: "Cancel", title: "Stop this work", kind: "flat", onClick: () => request({ do: "job.cancel", id }) });
+  const cancel = button({ label: "Cancel", title: "Cancel this job", kind: "flat", onClick: () => request({ do: "job.cancel", id }) });
   const close = button({ label: clearing, icon: "close", kind: "flat", onClick: () => clear(id) });
   const download = el("a", { class: "button primary", download: true }, icon("download"), el("span", {}, "Download"));
   const root = el("li", { id: `${place}-${id}`, class: "job" }, el("div", { class: "row" }, name, cancel, close), bar, note, download);
@@ -250,9 +191,9 @@ const jobRows = (place, clearing, clear) => ({ id }) => {
 /** The group of the work that runs or ran: {root, start()}. What runs is shown over the view too, and what came of it. */
 export function jobsGroup() {
   const list = el("ul", { id: "job-list", class: "jobs", "aria-label": "Jobs" });
-  const empty = el("p", { class: "note" }, "Nothing runs. Cages and exports that take a while are shown here.");
+  const empty = el("p", { class: "note" }, "No jobs. Cages and exports that take a while are listed here.");
   const made = group("jobs", "Jobs", false, list, empty);
-  const showRows = rows(list, jobRows("job", "Take off the list", (id) => request({ do: "job.clear", id })));
+  const showRows = rows(list, jobRows("job", "Remove from the list", (id) => request({ do: "job.clear", id })));
   const leave = (id) => {
     watched.delete(id);
     show();

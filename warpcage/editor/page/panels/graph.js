@@ -2,7 +2,7 @@
 // there, which are dragged: across is the share of the time, up the share of the way.
 
 import { el, rows, short, svg } from "../core/controls.js";
-import { change, chosenKey, film, seconds } from "./keys.js";
+import { change, chosenKey, film, room, seconds } from "./keys.js";
 
 const [FLAT, TALL] = [{ zero: 0.9, one: 0.3 }, { zero: 0.75, one: 0.25 }]; // where nothing and all of the way is, from the lane's top
 const BEYOND = 0.5; // of the way, that handles may go below 0 and above 1: more has no room
@@ -17,7 +17,7 @@ const isCurve = (key) => Boolean(key?.easing?.bezier);
 /** Whether the lane has room for handles: where any key has a curve, so that it keeps its height from key to key. */
 const hasHandles = () => film().keys.some(isCurve);
 
-const share = (time) => time / Math.max(film().length, 1e-6);
+const share = (time) => time / Math.max(room(), 1e-6);
 const percent = (value) => `${short(100 * value)}%`;
 
 /** Where a share of the way is, as a share of the lane's height from its top. */
@@ -75,7 +75,7 @@ function listen(handle, number, lane, show) {
   const place = (event) => {
     const key = chosenKey();
     const { left, top, width, height } = lane.getBoundingClientRect();
-    const time = ((event.clientX - left) / width) * film().length;
+    const time = ((event.clientX - left) / width) * room();
     const fine = (value, low, high) => Math.round(Math.max(low, Math.min(high, value)) * FINE) / FINE;
     const across = fine((time - key.time) / (untilOf(key) - key.time), 0, 1);
     const up = fine(((event.clientY - top) / height - TALL.zero) / (TALL.one - TALL.zero), -BEYOND, 1 + BEYOND);

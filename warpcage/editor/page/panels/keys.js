@@ -13,7 +13,7 @@ export const EASINGS = [
   ["ease-in-out", "Ease in and out"],
   ["bounce", "Bounce"],
   ["elastic", "Elastic"],
-  ["bezier", "Own curve"],
+  ["bezier", "Custom curve"],
 ];
 
 /** Curves that words are, or are near to: what a curve of one's own begins with. */
@@ -62,17 +62,20 @@ export function keyAt(time) {
   return keys.find((key) => Math.abs(key.time - time) < 0.5 / fps) ?? null;
 }
 
-/** A time inside the film, on one of its frames. */
+/** The seconds that the timeline shows: beyond a film that follows its keys there is room for the next one. */
+export const room = () => (film().follows_keys ? Math.max(4, 1.25 * film().length) : film().length);
+
+/** A time on the timeline, on a frame. */
 export function onFrame(time) {
-  const { fps, length } = film();
-  return Math.min(length, Math.max(0, Math.round(time * fps) / fps));
+  const { fps } = film();
+  return Math.min(room(), Math.max(0, Math.round(time * fps) / fps));
 }
 
 const sendTime = perPicture((time) => send({ do: "time", time }));
 
 /** Goes to a time; the key there, if there is one, is chosen. */
 export function goTo(time) {
-  const to = Math.min(film().length, Math.max(0, time));
+  const to = Math.min(room(), Math.max(0, time));
   if (store.sections.playback?.playing) send({ do: "play", on: false });
   asked = { time: to, until: performance.now() + SETTLES };
   clearTimeout(timer);
@@ -122,6 +125,12 @@ export function remove() {
   const key = chosenKey();
   if (key) request({ do: "key.delete", id: key.id });
 }
+
+/** The number of keys as text: "1 key", "2 keys". */
+export const counted = (keys) => `${keys.length} ${keys.length === 1 ? "key" : "keys"}`;
+
+/** The keys that hold poses of an edit. */
+export const keysOf = (edit) => film().keys.filter(({ edits }) => edits.includes(edit?.id));
 
 /** Seconds as text: "1.25 s". */
 export const seconds = (time) => `${short(time, 2)} s`;

@@ -1,4 +1,4 @@
-// How the scene is computed and shown.
+// How the scene is shown, and how it follows its cages.
 
 import { actions, run, store } from "../core/store.js";
 import { request } from "../core/connection.js";
@@ -28,9 +28,9 @@ function backgroundField() {
   const kind = choice({
     id: "background",
     label: "Background",
-    title: "What is behind the scene. The field's own, where it is one colour, gives way to the page's in the dark theme; not in films",
+    title: "What is behind the scene. A plain captured background is dark here in the dark theme, but not in films",
     options: [
-      ["", "The field's own"],
+      ["", "As captured"],
       ["white", "White"],
       ["grey", "Grey"],
       ["black", "Black"],
@@ -55,7 +55,7 @@ function legend() {
   const kinds = [
     ["fold", "Turned inside out: moved too far"],
     ["reveal", "Uncovered: no camera saw it"],
-    ["outside", "Empty: nothing to show there"],
+    ["outside", "Empty: the cage holds nothing there"],
     ["filled", "Filled: made up, not seen"],
   ];
   const shares = new Map();
@@ -76,12 +76,12 @@ function legend() {
   return { root, show };
 }
 
-/** The group of the picture: {root, start()}. */
-export function viewGroup() {
+/** How the scene follows its cages, for all edits alike: {roots, start()}. */
+export function deformationFields() {
   const coordinates = choice({
     id: "coordinates",
-    label: "Coordinates",
-    title: "How the inside follows the cage: harmonic follows limbs, mean value is smooth, green keeps shapes but may leave the cage",
+    label: "Deformation",
+    title: "How the inside follows the cage. Harmonic: follows limbs. Mean value: smooth and fast. Green: keeps shapes, may bulge out of the cage",
     options: [
       ["harmonic", "Harmonic"],
       ["mean_value", "Mean value"],
@@ -92,25 +92,41 @@ export function viewGroup() {
   const resolution = choice({
     id: "resolution",
     label: "Resolution",
-    title: "Cells of the map along the cage's longest side: finer follows sharp poses more closely, coarser is faster",
+    title: "Grid cells along the cage's longest side: more follow sharp poses better, fewer are faster",
     options: RESOLUTIONS.map((cells) => [String(cells), `${cells} cells`]),
     onChange: (value) => change({ resolution: Number(value) }),
   });
   const density = choice({
     id: "density",
     label: "Density",
-    title: "How matter that is stretched keeps its opacity",
+    title: "What happens to the opacity of parts that grow or shrink",
     options: [
-      ["opacity", "Keeps its opacity"],
-      ["paper", "As in the paper"],
+      ["opacity", "Keep opacity"],
+      ["paper", "More opaque as they grow"],
     ],
     onChange: (value) => change({ density: value }),
   });
+  const show = () => {
+    const { settings } = store.sections;
+    if (!settings) return;
+    const cells = String(settings.resolution);
+    if (!RESOLUTIONS.includes(settings.resolution) && ![...resolution.input.options].some(({ value }) => value === cells)) {
+      resolution.input.append(el("option", { value: cells }, `${cells} cells`));
+    }
+    coordinates.set(settings.coordinates);
+    resolution.set(settings.resolution);
+    density.set(settings.density);
+  };
+  return { roots: [coordinates.root, resolution.root, density.root], start: () => (store.on("settings", show), show()) };
+}
+
+/** The group of the picture: {root, start()}. */
+export function viewGroup() {
   const supersampling = choice({
     id: "supersampling",
-    label: "Sharpness",
-    title: "Rays for each pixel, in pictures that rest",
-    options: [1, 2, 3, 4].map((side) => [String(side), side === 1 ? "1 ray a pixel" : `${side * side} rays a pixel`]),
+    label: "Samples",
+    title: "Samples per pixel: more are smoother and slower. For films, and here once nothing moves",
+    options: [1, 2, 3, 4].map((side) => [String(side), side === 1 ? "1 per pixel" : `${side * side} per pixel`]),
     onChange: (value) => change({ supersampling: Number(value) }),
   });
   const shown = segments({
@@ -118,8 +134,8 @@ export function viewGroup() {
     label: "What is shown",
     options: [
       ["rgb", "Colour", "The scene in colour"],
-      ["disparity", "Disparity", "How near matter is"],
-      ["alpha", "Alpha", "How much covers the background"],
+      ["disparity", "Depth", "How near things are: near is bright"],
+      ["alpha", "Alpha", "How opaque the scene is: white hides the background"],
       ["masks", "Masks", "What is turned inside out, uncovered or empty"],
     ],
     value: "rgb",
@@ -137,30 +153,23 @@ export function viewGroup() {
   const grid = check({
     id: "grid",
     label: "Draw the ground as a grid",
-    title: titleOf("A grid beneath the field, with the axes through its middle and lengths in its units", "grid"),
+    title: titleOf("A floor grid under the scene, with its axes and lengths in scene units", "grid"),
     value: store.tools.grid,
     onChange: (on) => store.setTool("grid", on),
   });
   const fill = check({
     id: "fill",
-    label: "Fill what nobody saw",
-    title: "Background that the edits uncover and no picture showed goes on from what is around it, in pictures that rest",
+    label: "Fill uncovered background",
+    title: "Continues the background where an edit uncovers what no photo showed, once nothing moves",
     onChange: (on) => change({ fill: on }),
   });
   const viewButton = ([name, label]) =>
     button({ id: name.replace(".", "-"), label, title: titleOf(actions.get(name).label, name), onClick: () => run(name) });
   const views = el("div", { class: "grid quarters", role: "group", "aria-label": "Look from" }, ...VIEWS.map(viewButton));
-  const made = group("view", "Picture", false, shown.root, masks.root, overlay.root, grid.root, coordinates.root, resolution.root, density.root, background.root, fill.root, supersampling.root, views);
+  const made = group("view", "Picture", false, shown.root, masks.root, overlay.root, grid.root, background.root, fill.root, supersampling.root, views);
   const show = () => {
     const { settings } = store.sections;
     if (!settings) return;
-    const cells = String(settings.resolution);
-    if (!RESOLUTIONS.includes(settings.resolution) && ![...resolution.input.options].some(({ value }) => value === cells)) {
-      resolution.input.append(el("option", { value: cells }, `${cells} cells`));
-    }
-    coordinates.set(settings.coordinates);
-    resolution.set(settings.resolution);
-    density.set(settings.density);
     supersampling.set(settings.supersampling);
     background.set(settings.background);
     fill.set(settings.fill);

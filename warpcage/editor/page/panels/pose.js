@@ -233,7 +233,7 @@ export function poseGroup() {
     number({
       id: `preset-${name}`,
       label: `Limits: ${name}`,
-      title: `Where along the axis it ${i ? "ends" : "begins"}, in percent of what is posed; upwards, 0 is its lowest place`,
+      title: `Where along the axis it ${i ? "ends" : "begins"}, in percent: 0 is the start of the axis, its lowest place for Up`,
       min: 0,
       max: 100,
       step: 5,
@@ -253,7 +253,7 @@ export function poseGroup() {
   const resets = row(
     button({ id: "reset-selection", label: "Reset selection", title: titleOf("Bring the selected vertices back to the rest cage", "pose.reset"), onClick: () => run("pose.reset") }),
     button({ id: "reset-all", label: "Reset all", title: titleOf("Bring the whole cage back to rest", "pose.reset.all"), onClick: () => run("pose.reset.all") }),
-    button({ id: "pose-load", label: "Load…", title: "Load a posed cage, with the faces of this one, from the session's folder", onClick: () => loadFrom("cage", "Load a pose", "pose.load") }),
+    button({ id: "pose-load", label: "Load…", title: "Load a pose: this cage with moved vertices, from a file of the session's folder", onClick: () => loadFrom("cage", "Load a pose", "pose.load") }),
   );
   const made = group("pose", "Pose", true, on, ...PRESETS.map(presetRow), axis.root, towards.root, between, ...place.nodes, resets);
   const show = () => {

@@ -7,6 +7,7 @@ import { button, el, followKey, group, icon, listBox, number, perPicture, setIco
 import { AXIS_NAMES } from "../geometry/vectors.js";
 import { activeThing, choose, things } from "../view/things.js";
 import { uploadField } from "./cage.js";
+import { counted, film } from "./keys.js";
 
 const FIELDS = ".npz,.ply,.spz,.sog,.splat,.glb";
 const OWN = 0; // the number of the field that the session is of
@@ -20,21 +21,25 @@ const withThing = (work) => (...given) => {
 };
 
 /** Adds a field or a mesh of the session's folder. */
-const addFile = (file, isBeside = true) => request({ do: "thing.add", file, beside: isBeside });
+async function addFile(file, isBeside = true) {
+  store.setStatus({ doing: `Reading ${file}` });
+  await request({ do: "thing.add", file, beside: isBeside });
+  store.setStatus({ doing: null });
+}
 
 async function add() {
   const { files } = (await request({ do: "thing.files" })) ?? {};
   if (!files) return;
   if (!files.length) {
-    toast("The session's folder has no fields and no meshes; upload one.", "warning");
+    toast("There is no scene file and no mesh in the session's folder: upload one.", "warning");
     return;
   }
   const given = await askFor({
-    title: "Add a thing",
-    text: "Another field or mesh of the session's folder: voxels, splats, or triangles with their colours.",
+    title: "Add object",
+    text: "A scene file (voxels or splats) or a mesh from the session's folder.",
     fields: [
-      { name: "file", label: "Field", type: "choice", value: files[0], choices: files },
-      { name: "beside", label: "Upright, beside what is there", type: "check", value: true, help: "Otherwise where its own coordinates have it." },
+      { name: "file", label: "File", type: "choice", value: files[0], choices: files },
+      { name: "beside", label: "Stand it beside the others", type: "check", value: true, help: "Off: where its own file puts it." },
     ],
     confirm: "Add",
   });
@@ -48,16 +53,19 @@ function copy({ id, bounds: [lower, upper], place }) {
 }
 
 async function remove({ id, name }) {
-  const isSure = await confirmThat("Remove the thing?", `"${name}", its cages and its part of keys go; undo brings them back.`, "Remove");
+  const own = store.sections.edits.map((edit) => edit.id); // it is the active one
+  const keys = film().keys.filter((key) => key.things.includes(id) || key.edits.some((edit) => own.includes(edit)));
+  const lost = keys.length ? `, its cages and its part of ${counted(keys)} go` : " and its cages go";
+  const isSure = await confirmThat("Remove the object?", `"${name}"${lost}; undo brings them back.`, "Remove");
   if (isSure) request({ do: "thing.remove", id });
 }
 
 async function saveStage() {
   const nameOf = (file) => (file.endsWith(".stage.json") ? file : `${file.replace(/\.json$/, "")}.stage.json`);
   const given = await askFor({
-    title: "Save stage",
-    text: "The scene as one file, with places, cages and poses, which warpcage render, animate, bake and edit open.",
-    fields: [{ name: "file", label: "File", type: "text", value: "scene.stage.json", help: "Is written into the session's folder." }],
+    title: "Save scene",
+    text: "All objects with their positions, cages and poses in one file, which warpcage render, animate, bake and edit open.",
+    fields: [{ name: "file", label: "File", type: "text", value: "scene.stage.json", help: "Is written into the session's folder; must end in .stage.json." }],
     confirm: "Save",
     send: ({ file }) => ask({ do: "stage.save", file: nameOf(file) }),
   });
@@ -69,7 +77,7 @@ function makeRow({ id }) {
   eye.append(icon("eye"));
   const name = el("span", { class: "row-name" });
   const note = el("span", { class: "row-note" });
-  const lock = el("span", { class: "eye lock", title: "Keep its place from the hand, or let it go", "aria-hidden": "true" });
+  const lock = el("span", { class: "eye lock", title: "Lock or unlock its position", "aria-hidden": "true" });
   lock.append(icon("unlock"));
   const root = el("li", { id: `thing-${id}`, class: "list-row", role: "option" }, eye, name, note, lock);
   const now = () => things().find((thing) => thing.id === id);
@@ -130,9 +138,9 @@ function placeFields() {
     return { root, show: (values) => fields.forEach((field, i) => field.set(Number(short(values[i], 4)))), inputs: fields.map(({ input }) => input) };
   };
   const position = triple("position", "Position", "", 0.1);
-  const turn = triple("turn", "Turn", ", degrees about the scene's axes, x first", 5);
-  const scale = number({ id: "thing-scale", label: "Scale", title: "How many times as large as its own file has it", min: 1e-6, max: 1e6, step: 0.1, unit: "times", onChange: (value) => put(() => ({ scale: value })) });
-  const reset = button({ id: "thing-reset", label: "Back to the file's position", title: "Move, turn and scale it back", onClick: () => put(() => ({ position: [0, 0, 0], turn: [0, 0, 0], scale: 1 })) });
+  const turn = triple("turn", "Rotation", ", degrees about the scene's axes, x first", 5);
+  const scale = number({ id: "thing-scale", label: "Scale", title: "Size compared with its own file", min: 1e-6, max: 1e6, step: 0.1, unit: "times", onChange: (value) => put(() => ({ scale: value })) });
+  const reset = button({ id: "thing-reset", label: "Back to the file's position", title: "Reset position, rotation and scale", onClick: () => put(() => ({ position: [0, 0, 0], turn: [0, 0, 0], scale: 1 })) });
   const inputs = [...position.inputs, ...turn.inputs, scale.input, reset];
   const show = ({ place, locked }) => {
     position.show(place.position);
@@ -141,34 +149,34 @@ function placeFields() {
     for (const input of inputs) input.disabled = locked;
   };
   const heading = (words) => el("span", { class: "note" }, words);
-  return { nodes: [heading("Position"), position.root, heading("Turn, degrees"), turn.root, scale.root, reset], show };
+  return { nodes: [heading("Position"), position.root, heading("Rotation, degrees"), turn.root, scale.root, reset], show };
 }
 
 /** The group of the things: {root, start()}. */
 export function thingsGroup() {
   const list = listBox({
     id: "thing-list",
-    label: "Things",
+    label: "Objects",
     title: "Up and Down choose, Space shows or hides, Enter renames, Delete removes",
-    empty: "Nothing yet.",
+    empty: "No objects yet.",
     onKey: onListKey,
     make: makeRow,
   });
-  const upload = uploadField("thing-upload-file", "Field file", FIELDS, (file) => addFile(file));
+  const upload = uploadField("thing-upload-file", "Scene or mesh file", FIELDS, (file) => addFile(file));
   const tools = el(
     "div",
     { class: "row tight" },
-    button({ id: "thing-add", label: "Add…", icon: "plus", keep: true, title: "Add another field or mesh of the session's folder", onClick: add }),
-    button({ id: "thing-upload", label: "Upload…", title: "Send a field or splats from this computer, and add them", onClick: () => upload.click() }),
+    button({ id: "thing-add", label: "Add object…", icon: "plus", keep: true, title: "Add a scene file or mesh from the session's folder", onClick: add }),
+    button({ id: "thing-upload", label: "Upload…", title: "Upload a scene file or mesh from this computer, and add it", onClick: () => upload.click() }),
     el("span", { class: "spring" }),
-    button({ id: "thing-copy", label: "Copy", icon: "copy", title: "A second one, with cages and keys of its own", onClick: withThing(copy) }),
-    button({ id: "thing-remove", label: "Remove", icon: "delete", title: "Take the active thing out of the scene (Delete in the list)", onClick: withThing(remove) }),
+    button({ id: "thing-copy", label: "Duplicate", icon: "copy", title: "Duplicate the active object with its cages and keys", onClick: withThing(copy) }),
+    button({ id: "thing-remove", label: "Remove", icon: "delete", title: "Remove the active object from the scene (Delete in the list)", onClick: withThing(remove) }),
   );
-  const name = text({ id: "thing-name", label: "Name", title: "Name of the active thing (Enter keeps it)", maxlength: 100, onChange: withThing((thing, to) => thing.name !== to && change(thing.id, { name: to })) });
+  const name = text({ id: "thing-name", label: "Name", title: "Name of the active object (Enter keeps it)", maxlength: 100, onChange: withThing((thing, to) => thing.name !== to && change(thing.id, { name: to })) });
   const place = placeFields();
-  const save = button({ id: "stage-save", label: "Save stage…", title: "The scene as one file, which warpcage render and edit open", onClick: saveStage });
+  const save = button({ id: "stage-save", label: "Save scene…", title: "All objects with cages and poses in one file, which warpcage render and edit open", onClick: saveStage });
   const details = el("div", { class: "stack" }, name.root, ...place.nodes, save);
-  const made = group("things", "Things", false, ...list.parts, tools, upload, details);
+  const made = group("things", "Objects", false, ...list.parts, tools, upload, details);
   const show = perPicture(() => {
     const thing = activeThing();
     list.show(things(), thing && `thing-${thing.id}`);

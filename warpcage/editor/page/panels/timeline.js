@@ -3,17 +3,18 @@
 import { run, store } from "../core/store.js";
 import { request } from "../core/connection.js";
 import { button, choice, el, followKey, number, rows, setIcon, setText, short, titleOf } from "../core/controls.js";
+import { exportFilm } from "./exports.js";
 import { graphs } from "./graph.js";
-import { EASINGS, LOOPS, add, change, choose, chosenKey, ease, easingWord, film, goTo, holds, jump, keyAt, now, onChosen, onFrame, remove, seconds, step } from "./keys.js";
+import { EASINGS, LOOPS, add, change, choose, chosenKey, ease, easingWord, film, goTo, holds, jump, keyAt, now, onChosen, onFrame, remove, room, seconds, step } from "./keys.js";
 
 const NEAR = 4; // pixels that a press may slip before it is a drag
 const STEPS = [0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600];
 const PAGE = 10; // frames of Page Up and Page Down
 
-const shareOf = (time) => `${(100 * time) / Math.max(film().length, 1e-6)}%`;
+const shareOf = (time) => `${(100 * time) / Math.max(room(), 1e-6)}%`;
 
 let dragged = null; // {id, time} of the key that is dragged
-let area = null; // the element whose width is the film's length
+let area = null; // the element whose width is that of `room()`
 
 /** A mark of a key in the lane of poses or of cameras. */
 function makeMark(kind) {
@@ -32,12 +33,12 @@ function makeMark(kind) {
 
 function timeAt(event) {
   const { left, width } = area.getBoundingClientRect();
-  return onFrame(((event.clientX - left) / width) * film().length);
+  return onFrame(((event.clientX - left) / width) * room());
 }
 
 /** Ticks of the ruler: as many as there is room for. */
 function ticks(width) {
-  const { length } = film();
+  const length = room();
   const wanted = (length * 64) / Math.max(width, 64);
   const by = STEPS.find((one) => one >= wanted) ?? STEPS.at(-1);
   const made = [];
@@ -126,17 +127,17 @@ function onTrackKey(event) {
 
 function bar() {
   const play = button({ id: "play", label: "Play", icon: "play", title: titleOf("Play", "play"), onClick: () => run("play") });
-  const time = number({ id: "time", label: "Present time in seconds", title: "Present time: type seconds and press Enter", min: 0, max: 3600, bare: true, onChange: goTo });
+  const time = number({ id: "time", label: "Current time in seconds", title: "Current time: type seconds and press Enter", min: 0, max: 3600, bare: true, onChange: goTo });
   const length = el("span", { class: "unit", id: "time-length" });
   const loop = choice({ id: "time-loop", label: "At the end", title: "What the film does at its end", options: LOOPS, bare: true, onChange: (value) => request({ do: "timeline", loop: value }) });
-  const easing = choice({ id: "time-easing", label: "Easing of the chosen key", title: "How the way from the chosen key to the next goes", options: EASINGS, bare: true, onChange: ease });
-  const gone = button({ id: "time-delete", label: "Delete key", icon: "delete", title: "Delete the chosen key (Delete on the timeline)", onClick: remove });
+  const easing = choice({ id: "time-easing", label: "Easing of the selected key", title: "How the movement from the selected key to the next goes", options: EASINGS, bare: true, onChange: ease });
+  const gone = button({ id: "time-delete", label: "Delete key", icon: "delete", title: "Delete the selected key (Delete on the timeline)", onClick: remove });
   const name = el("span", { id: "time-key", class: "note" });
   const root = el(
     "div",
     { class: "time-bar" },
     button({ id: "time-first", label: "To the start", icon: "first", title: "To the start (Home on the timeline)", onClick: () => goTo(0) }),
-    button({ id: "time-before", label: "Key before", icon: "before", title: "To the key before (Up on the timeline)", onClick: () => jump(-1) }),
+    button({ id: "time-before", label: "Previous key", icon: "before", title: "To the previous key (Up on the timeline)", onClick: () => jump(-1) }),
     play,
     button({ id: "time-after", label: "Next key", icon: "after", title: "To the next key (Down on the timeline)", onClick: () => jump(1) }),
     el("span", { class: "time-now" }, time.input, length),
@@ -144,8 +145,9 @@ function bar() {
     el("span", { class: "spring" }),
     name,
     easing.input,
-    button({ id: "time-add", label: "Key", icon: "plus", keep: true, title: titleOf("Key of pose and camera at the present time", "key.insert"), onClick: () => add(true, true) }),
+    button({ id: "time-add", label: "Key", icon: "plus", keep: true, title: titleOf("Add a key of pose and camera at the current time", "key.insert"), onClick: () => add(true, true) }),
     gone,
+    button({ id: "time-export", label: "Export film", icon: "download", keep: true, title: "Write the film to a file; says first how long that takes", onClick: exportFilm }),
   );
   const show = () => {
     const { length: long, fps, loop: way } = film();
@@ -176,7 +178,8 @@ export function start() {
   const cameras = el("div", { class: "lane" });
   const unkeyed = el("span", { id: "time-unkeyed", class: "head-note", title: "No key holds what is posed here: add one (K), or it stays behind when the time changes" }, "pose not kept");
   const head = el("div", { class: "head" }, unkeyed);
-  area = el("div", { class: "track-area" }, ruler, poses, cameras, head);
+  const beyond = el("div", { class: "beyond", title: "After the end of the film; the next key may go here" });
+  area = el("div", { class: "track-area" }, beyond, ruler, poses, cameras, head);
   const track = el(
     "div",
     {
@@ -186,7 +189,7 @@ export function start() {
       tabindex: "0",
       "aria-label": "Time of the film",
       "aria-valuemin": 0,
-      title: "Left and Right step by a frame, Up and Down go from key to key, Alt+Left and Alt+Right move the chosen key, Enter adds a key, Delete deletes it, Space plays",
+      title: "Left and Right step by a frame, Up and Down go from key to key, Alt+Left and Alt+Right move the selected key, Enter adds a key, Delete deletes it, Space plays",
     },
     area,
   );
@@ -197,7 +200,9 @@ export function start() {
   const showCameras = rows(cameras, makeMark("camera"));
   let drawn = "";
   const showKeys = () => {
-    const { keys, length } = film();
+    const { keys } = film();
+    const length = room();
+    beyond.style.left = shareOf(film().length);
     const width = area.clientWidth;
     if (drawn !== `${length} ${width}`) ruler.replaceChildren(...ticks(width));
     drawn = `${length} ${width}`;
@@ -208,12 +213,12 @@ export function start() {
   };
   const showTime = () => {
     const time = now();
-    head.style.left = shareOf(Math.min(time, film().length));
+    head.style.left = shareOf(Math.min(time, room()));
     const { left: leftAt = null, unkeyed: astray = false } = store.sections.playback ?? {};
     unkeyed.hidden = !astray;
-    unkeyed.classList.toggle("before", time > 0.6 * film().length);
+    unkeyed.classList.toggle("before", time > 0.6 * room());
     left.hidden = leftAt === null;
-    left.style.left = shareOf(Math.min(leftAt ?? 0, film().length));
+    left.style.left = shareOf(Math.min(leftAt ?? 0, room()));
     track.setAttribute("aria-valuenow", short(time));
     const key = keyAt(time);
     track.setAttribute("aria-valuetext", `${seconds(time)}${key ? `, ${key.name}` : ""}`);

@@ -2,6 +2,7 @@
 
 import { actions, choices, keep, kept, register, run, STARTED_ANEW, store } from "../core/store.js";
 import { request } from "../core/connection.js";
+import { waitingFor } from "../view/things.js";
 import { tellSize } from "../view/viewport.js";
 import { choice, el, icon, number, perPicture, segments, setText, titleOf } from "../core/controls.js";
 
@@ -19,8 +20,8 @@ function setTitle(element, title) {
 function showTheme() {
   if (theme === "auto") delete document.documentElement.dataset.theme;
   else document.documentElement.dataset.theme = theme;
-  const name = { auto: "as the system has it", light: "light", dark: "dark" }[theme];
-  setTitle(document.getElementById("theme"), `Theme: ${name}. Press for the next.`);
+  const name = { auto: "same as the system", light: "light", dark: "dark" }[theme];
+  setTitle(document.getElementById("theme"), `Theme: ${name}. Click to change.`);
 }
 
 function nextTheme() {
@@ -70,7 +71,7 @@ function buildOptions() {
   const axes = choice({
     id: "axes",
     label: "Axes",
-    title: titleOf("Axes that move, rotate and scale follow", "axes"),
+    title: titleOf("Axes for Move, Rotate and Scale", "axes"),
     options: choices.axes,
     bare: true,
     onChange: (value) => store.setTool("axes", value),
@@ -78,7 +79,7 @@ function buildOptions() {
   const symmetry = choice({
     id: "symmetry",
     label: "Symmetry",
-    title: titleOf("Symmetry about a plane through the middle of the cage", "symmetry"),
+    title: titleOf("Mirror what you do across the middle of the cage", "symmetry"),
     options: choices.symmetry,
     bare: true,
     onChange: (value) => store.setTool("symmetry", value),
@@ -98,14 +99,14 @@ function buildOptions() {
   const falloff = choice({
     id: "falloff",
     label: "Falloff",
-    title: titleOf("How the pull fades with distance", "falloff"),
+    title: titleOf("How the effect falls off with distance", "falloff"),
     options: choices.falloff,
     onChange: (value) => store.setTool("falloff", value),
   });
   const step = number({
     id: "snap-step",
     label: "Step",
-    title: "Step of snapping in percent of the cage's size; a turn snaps to as many degrees",
+    title: "Snap step in percent of the cage's size; a rotation snaps to as many degrees",
     min: 0.1,
     max: 100,
     step: 1,
@@ -133,8 +134,8 @@ function buildMode() {
     label: "What is edited",
     options: [
       ["pose", "Pose", "Pose the cage: the scene follows (Q)"],
-      ["rest", "Rest", "Fit the rest cage to the scene as it was captured (Q)"],
-      ["place", "Place", "Move, turn and scale things as wholes (T)"],
+      ["rest", "Rest", "Fit the cage to the scene before it is posed (Q)"],
+      ["place", "Place", "Move, rotate and scale whole objects (T)"],
     ],
     value: "pose",
     onChange: (value) => request({ do: "settings", mode: value }),
@@ -180,10 +181,10 @@ function connectionText() {
   const { connected, attempts, refused } = store.status;
   const { saved, save_error: error } = store.sections.session ?? {};
   if (refused) return ["lost", "Started anew", `${STARTED_ANEW}. What the one before had is saved.`];
-  if (!connected) return attempts ? ["lost", "Reconnecting…", "The server is being sought; what it had is safe"] : ["wait", "Connecting…", ""];
+  if (!connected) return attempts ? ["lost", "Reconnecting…", "Looking for the editor; your work is saved"] : ["wait", "Connecting…", ""];
   if (error) return ["lost", "Not saved", error];
-  if (!saved) return ["wait", "Saving…", "The session is saved by itself, beside the field"];
-  return ["good", "Saved", `Saved at ${clock(saved)}; the session is saved by itself, beside the field`];
+  if (!saved) return ["wait", "Saving…", "Saved automatically, beside the scene file"];
+  return ["good", "Saved", `Saved at ${clock(saved)}; this happens automatically, beside the scene file`];
 }
 
 let lastFrame = null;
@@ -198,13 +199,13 @@ const showStatus = perPicture(() => {
     restTimer = setTimeout(() => ((restTimer = 0), showStatus()), 1200);
   }
   // pictures come when something changes: where nothing does, none a second is no fault
-  const parts = connected && frame ? [restTimer && fps > 1 ? `${Math.round(fps)} fps` : "at rest"] : [];
+  const parts = connected && frame ? [waitingFor() ?? (restTimer && fps > 1 ? `${Math.round(fps)} fps` : "at rest")] : [];
   if (connected && latency) parts.push(`${Math.round(latency)} ms`);
   setText(speed, parts.join(" · "));
   if (frame) {
     const { width, height, ms } = frame;
     const made = ms ? `, made in ${Math.round(ms.all)} ms (pose ${Math.round(ms.pose)}, picture ${Math.round(ms.render)})` : "";
-    speed.title = `Pictures a second, and time from the hand to the picture. This one: ${width} x ${height}${made}`;
+    speed.title = `Frames per second, and delay from the hand to the picture. This frame: ${width} x ${height}${made}`;
   }
   document.body.classList.toggle("lost", !connected);
   const [state, text, title] = connectionText();
@@ -219,7 +220,7 @@ function showSession() {
   const title = field?.name ?? name ?? "warpcage";
   const heading = document.getElementById("scene-name");
   setText(heading, title);
-  heading.title = `The field that is edited: ${title}`;
+  heading.title = `Scene: ${title}`;
   document.title = `${title} · warpcage`;
 }
 
@@ -246,15 +247,15 @@ function keepKeys() {
 /** Fills header and tools, and keeps them as the store is. */
 export function start() {
   register("panel", { label: "Side panel", keys: ["P"], group: "Page", run: togglePanel });
-  register("theme", { label: "Next theme: as the system, light, dark", group: "Page", run: nextTheme });
+  register("theme", { label: "Next theme: system, light, dark", group: "Page", run: nextTheme });
   register("mode", {
-    label: "Pose or rest cage",
+    label: "Switch between Pose and Rest",
     keys: ["Q"],
     group: "Edit",
     run: () => request({ do: "settings", mode: store.sections.settings?.mode === "rest" ? "pose" : "rest" }),
   });
   register("mode.place", {
-    label: "Place things, or pose",
+    label: "Switch between Place and Pose",
     keys: ["T"],
     group: "Edit",
     run: () => request({ do: "settings", mode: store.sections.settings?.mode === "place" ? "pose" : "place" }),
@@ -271,7 +272,7 @@ export function start() {
   store.on("settings", ({ mode }) => showMode(mode));
   store.on("history", showHistory);
   store.on("session", () => (showSession(), showStatus()));
-  store.on("status", showStatus);
+  for (const name of ["status", "things"]) store.on(name, showStatus);
   showTools();
   showOptions();
   showPicks();

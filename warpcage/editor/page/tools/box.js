@@ -139,7 +139,7 @@ function handleAt([x, y], reach) {
 /** Says what there is to do where boxes cannot be drawn now: they are cages at rest. */
 function turnToRest() {
   request({ do: "settings", mode: "rest" });
-  toast("Boxes are drawn around the scene at rest, which is shown now.");
+  toast("Boxes are drawn in the mode Rest, which is on now.");
 }
 
 async function keepBox({ axes, lower, upper }) {
@@ -231,7 +231,7 @@ drawings.push((context, view) => {
 });
 
 register("tool.box", {
-  label: "Tool: draw a box around a part, and drag its faces (at rest)",
+  label: "Tool: draw a box cage around a part, and drag its sides",
   keys: ["D"],
   group: "Tools",
   run() {
@@ -240,7 +240,7 @@ register("tool.box", {
   },
 });
 register("tool.leave", {
-  label: "Leave the tool that draws boxes or measures",
+  label: "Leave the box or the ruler",
   keys: ["Escape"],
   group: "Tools",
   enabled: () => hands.has(store.tools.tool),
@@ -259,7 +259,7 @@ async function makeCage() {
 /** Adds the tool's line and button to the options of the tools that are on. */
 export function start() {
   const text = el("span", { class: "note" });
-  const cage = button({ id: "box-cage", label: "Cage", icon: "cage", keep: true, title: "Make a cage to pose of the box: each face in four, shown in the pose", onClick: makeCage });
+  const cage = button({ id: "box-cage", label: "Cage", icon: "cage", keep: true, title: "Make the box a cage to pose: each side cut in four, in the mode Pose", onClick: makeCage });
   const chip = el("div", { class: "chip", id: "box-options" }, text, cage);
   document.getElementById("tool-options").append(chip);
   const show = () => {
@@ -267,7 +267,7 @@ export function start() {
     const active = C.activeCage();
     const isBox = Boolean(active && boxFaces(active).length);
     cage.hidden = !isBox;
-    text.textContent = isBox && isRest() ? "Drag a dot: that face. Drag beside it: another box." : "Drag across a part: a box around it.";
+    text.textContent = isBox && isRest() ? "Drag a dot to move that side. Drag elsewhere to draw another box." : "Drag across a part to draw a box around it.";
   };
   C.whenChanged(show);
   store.on("tools", () => (show(), requestDraw()));

@@ -17,7 +17,7 @@ export function resizeBrush(factor) {
   store.setTool("brush", Math.max(LEAST, Math.min(LARGEST, Math.round(brush + Math.sign(factor - 1) * step))));
 }
 
-register("pick.brush", { label: "Drags paint with a brush", keys: ["V"], group: "Select", run: () => store.setTool("pick", "brush") });
+register("pick.brush", { label: "Brush selection", keys: ["V"], group: "Select", run: () => store.setTool("pick", "brush") });
 
 drawings.push((context) => {
   if (overlay.brush && isBrush()) drawCircle(context, ...overlay.brush, store.tools.brush);

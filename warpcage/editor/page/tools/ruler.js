@@ -37,9 +37,9 @@ export function measured(from, to) {
 const spanNow = () => (ends.length === 2 ? ends : ends.length && pointed ? [ends[0], pointed] : null);
 
 function describe() {
-  if (!ends.length) return "Click two places: the distance between them. Esc ends it.";
+  if (!ends.length) return "Click two points to measure between them. Esc leaves the ruler.";
   const span = spanNow();
-  if (!span) return "Click the other place.";
+  if (!span) return "Click the second point.";
   const [long, parts] = measured(...span);
   return `${long}: ${parts.join(", ")}`;
 }
@@ -125,7 +125,7 @@ drawings.push((context, view) => {
 });
 
 register("tool.ruler", {
-  label: "Tool: measure between two places",
+  label: "Tool: measure a distance",
   keys: ["U"],
   group: "Tools",
   run: () => store.setTool("tool", "ruler"),

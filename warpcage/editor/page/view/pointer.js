@@ -1,7 +1,7 @@
 // The pointer over the canvas: mouse, pen and fingers. One gesture at a time.
 
 import { keep, kept, store } from "../core/store.js";
-import { button, el } from "../core/controls.js";
+import { button, el, segments, setText } from "../core/controls.js";
 import * as C from "./cages.js";
 import { ballAt, handleAt } from "./gizmo.js";
 import * as operation from "./operation.js";
@@ -46,12 +46,9 @@ export function nextPlace() {
   });
 }
 
-/** What a new user of this browser is told: how the view turns; until it has turned, or the line is closed. */
+/** What a new user of this browser is told: how the mouse turns the view; until it has turned, or the line is closed. */
 function showHint() {
-  const isTouch = matchMedia("(pointer: coarse)").matches;
-  const text = isTouch
-    ? "Turn the view: drag with one finger beside what is selected. Two fingers pan and zoom."
-    : "Turn the view: drag with the right button, or with Alt held. Wheel: zoom. The left button selects.";
+  const text = "Orbit: drag with the right button, or with Alt held. Wheel: zoom. The left button selects.";
   const close = button({ id: "turn-hint-close", label: "Close this hint", icon: "close", kind: "flat", onClick: hideHint });
   document.getElementById("notes")?.prepend(el("p", { id: "turn-hint", class: "hint" }, el("span", {}, text), close));
 }
@@ -59,6 +56,46 @@ function showHint() {
 function hideHint() {
   document.getElementById("turn-hint")?.remove();
   keep(HINTED, "yes");
+}
+
+const FINGER_HINTS = {
+  orbit: "A drag orbits, a tap selects. Two fingers pan and zoom.",
+  select: "A drag selects, or moves what is selected. Two fingers pan and zoom.",
+};
+
+/** What a finger does by a drag: a switch that shows where the screen is touched. */
+function startFinger() {
+  const mode = segments({
+    id: "finger",
+    label: "What a finger does by a drag",
+    options: [
+      ["orbit", "Orbit", "A drag of one finger orbits the view"],
+      ["select", "Select", "A drag of one finger selects"],
+    ],
+    value: store.tools.finger,
+    onChange: (value) => store.setTool("finger", value),
+  });
+  const hint = el("span", { class: "note", id: "finger-hint", role: "status" });
+  const root = el("div", { id: "finger-mode", class: "hint" }, mode.root, hint);
+  document.getElementById("notes")?.append(root);
+  const coarse = matchMedia("(pointer: coarse)");
+  let isTouched = false;
+  const show = () => {
+    root.hidden = !(isTouched || coarse.matches) || things.isPlacing() || isPainting() || Boolean(handNow());
+    mode.set(store.tools.finger);
+    setText(hint, FINGER_HINTS[store.tools.finger]);
+    if (isTouched || coarse.matches) document.getElementById("turn-hint")?.remove(); // it is about the mouse
+  };
+  const onTouch = (event) => {
+    if (event.pointerType !== "touch") return;
+    isTouched = true;
+    removeEventListener("pointerdown", onTouch, true);
+    show();
+  };
+  addEventListener("pointerdown", onTouch, true);
+  coarse.addEventListener("change", show);
+  for (const name of ["tools", "settings"]) store.on(name, show);
+  show();
 }
 
 const placeOf = (event) => {
@@ -183,7 +220,7 @@ function decide(event, at) {
     if (gesture.kind === "transform") operation.follow(at, details(event));
     return;
   }
-  if (event.pointerType === "touch" && store.tools.tool === "select") {
+  if (event.pointerType === "touch" && store.tools.finger === "orbit") {
     gesture = { ...gesture, kind: "turn", at };
     return;
   }
@@ -374,4 +411,5 @@ export function start(element) {
   canvas.style.touchAction = "none";
   if (canvas.tabIndex < 0) canvas.tabIndex = 0;
   if (!kept(HINTED)) showHint();
+  startFinger();
 }

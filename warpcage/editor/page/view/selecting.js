@@ -172,7 +172,7 @@ function count(way) {
 function begin(kind) {
   const begun = operation.begin(kind, { camera: camera(), at: pointer.at });
   if (begun) requestDraw();
-  else if (isPlacing()) toast("The active thing is hidden or locked: show or unlock it in the group Things.", "info");
+  else if (isPlacing()) toast("The active object is hidden or locked: show or unlock it in the group Objects.", "info");
   else toast("Select vertices of a visible cage first: click, drag a rectangle, or A for all.", "info");
 }
 
@@ -228,18 +228,18 @@ function registerSelect(name, label, keys, run, enabled = hasCage, repeat = fals
 }
 
 registerSelect("all", "All", ["A"], choose(all));
-registerSelect("none", "Nothing", ["Alt+A"], choose(() => new Set()));
+registerSelect("none", "None", ["Alt+A"], choose(() => new Set()));
 registerSelect("invert", "Invert", ["Ctrl+I"], choose((cage, chosen) => topology.invert(cage.topology, chosen)));
 registerSelect("linked.pointer", "Linked, under the pointer", ["L"], linkedUnderPointer);
 registerSelect("linked", "Linked", ["Ctrl+L"], choose((cage, chosen) => topology.linked(cage.topology, chosen)));
 registerSelect("grow", "Grow", ["Ctrl++", "Ctrl+="], choose((cage, chosen) => topology.grow(cage.topology, chosen)), hasSelection, true);
 registerSelect("shrink", "Shrink", ["Ctrl+-"], choose((cage, chosen) => topology.shrink(cage.topology, chosen)), hasSelection, true);
-registerSelect("vertices", "Pick vertices", ["1"], () => pickBy("vertex"));
-registerSelect("edges", "Pick edges", ["2"], () => pickBy("edge"));
-registerSelect("faces", "Pick faces", ["3"], () => pickBy("face"));
+registerSelect("vertices", "Select vertices", ["1"], () => pickBy("vertex"));
+registerSelect("edges", "Select edges", ["2"], () => pickBy("edge"));
+registerSelect("faces", "Select faces", ["3"], () => pickBy("face"));
 const canCount = () => isBrush() || hasCage();
-registerSelect("next", "Next vertex by number; with the brush: a larger one", ["]"], () => (isBrush() ? resizeBrush(1.2) : count(1)), canCount, true);
-registerSelect("previous", "Vertex before by number; a smaller brush", ["["], () => (isBrush() ? resizeBrush(1 / 1.2) : count(-1)), canCount, true);
+registerSelect("next", "Next vertex by number; with the brush: a larger brush", ["]"], () => (isBrush() ? resizeBrush(1.2) : count(1)), canCount, true);
+registerSelect("previous", "Previous vertex by number; with the brush: a smaller brush", ["["], () => (isBrush() ? resizeBrush(1 / 1.2) : count(-1)), canCount, true);
 for (const [name, dx, dy] of [["Left", -1, 0], ["Right", 1, 0], ["Up", 0, -1], ["Down", 0, 1]]) {
   const side = name.toLowerCase();
   const there = { up: "above", down: "below" }[side] ?? `to the ${side}`;
@@ -247,11 +247,11 @@ for (const [name, dx, dy] of [["Left", -1, 0], ["Right", 1, 0], ["Up", 0, -1], [
   registerSelect(`add.${side}`, `Add the vertex ${there}`, [`Ctrl+Shift+Arrow${name}`], () => step(dx, dy, true), hasCage, true);
   const view = { group: "View", repeat: true };
   const angle = Math.PI / 36;
-  register(`view.turn.${side}`, { ...view, label: `Turn ${side}`, keys: [`Arrow${name}`], run: () => turnBy(dx * angle, dy * -angle) });
+  register(`view.turn.${side}`, { ...view, label: `Orbit ${side}`, keys: [`Arrow${name}`], run: () => turnBy(dx * angle, dy * -angle) });
   register(`view.pan.${side}`, { ...view, label: `Pan ${side}`, keys: [`Shift+Arrow${name}`], run: () => panBy(dx * 30, dy * 30) });
 }
-register("view.nearer", { label: "Nearer", keys: ["+", "="], group: "View", repeat: true, run: () => zoomBy(1 / 1.15) });
-register("view.farther", { label: "Farther", keys: ["-"], group: "View", repeat: true, run: () => zoomBy(1.15) });
+register("view.nearer", { label: "Zoom in", keys: ["+", "="], group: "View", repeat: true, run: () => zoomBy(1 / 1.15) });
+register("view.farther", { label: "Zoom out", keys: ["-"], group: "View", repeat: true, run: () => zoomBy(1.15) });
 register("view.all", { label: "Frame all", keys: ["Home"], group: "View", run: frameEverything });
 register("view.selection", { label: "Frame the selection", keys: ["F", "."], group: "View", run: frameSelection, enabled: hasSelection });
 ["front", "right", "top", "back", "left", "bottom"].forEach((name, i) => {

@@ -47,10 +47,18 @@ export function inScene(points) {
   return isStill(matrix) ? points : placedAll(matrix, points);
 }
 
-const corners = (thing) => placedAll(matrixOf(thing), cornersOf(thing.bounds));
+/** What the scene waits for, in words, or null: a file that is read, the first picture of a new thing. */
+export function waitingFor() {
+  const { doing, frame } = store.status;
+  if (doing) return doing;
+  return frame?.things && things().some(({ id }) => !frame.things.includes(id)) ? "First picture" : null;
+}
+
+/** The corners of a thing's box in the scene, flat. */
+export const cornersIn = (thing) => placedAll(matrixOf(thing), cornersOf(thing.bounds));
 
 /** Corners of all things that are shown, flat. */
-export const sceneCorners = () => things().filter(({ visible }) => visible).flatMap((thing) => [...corners(thing)]);
+export const sceneCorners = () => things().filter(({ visible }) => visible).flatMap((thing) => [...cornersIn(thing)]);
 
 const ALL = new Set([0, 1, 2, 3, 4, 5, 6, 7]);
 
@@ -58,7 +66,7 @@ const ALL = new Set([0, 1, 2, 3, 4, 5, 6, 7]);
 export function handledBox() {
   const thing = activeThing();
   if (!thing?.visible || thing.locked) return null;
-  const places = corners(thing);
+  const places = cornersIn(thing);
   const size = distance(...bounds(places)) || 1;
   const { id, name } = thing;
   const matrix = matrixOf(thing);
@@ -139,7 +147,7 @@ export function isOverBox(camera, x, y) {
 // -- Drawing
 
 function drawBox(context, camera, thing, isActive) {
-  const screen = projectAll(camera, corners(thing));
+  const screen = projectAll(camera, cornersIn(thing));
   context.beginPath();
   for (const [a, b] of BOX_EDGES) {
     if (screen[3 * a + 2] <= 0 || screen[3 * b + 2] <= 0) continue;

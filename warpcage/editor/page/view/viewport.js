@@ -17,7 +17,7 @@ import { scaleOf } from "../geometry/place.js";
 const MAX_LATENCIES = 1000;
 const MAX_SIDE = 4096; // of a picture, pixels
 const CALM = 250; // ms between changes of the status' figures
-const FIRST_PICTURE = ["The first picture is being made …", "The first time on a machine its kernels are built, which takes a minute at most."];
+const FIRST_PICTURE = ["The first picture is being made …", "The first time on a computer this takes up to a minute."];
 const REST = 180; // ms after the last step of the view until it counts as resting
 
 let canvas = null;
@@ -33,6 +33,7 @@ let viewHeld = false; // the server's view is not taken while the hand moves thi
 let unsentView = false;
 let restTimer = 0;
 let calmUntil = 0;
+let drawnWait = null; // what the scene waited for when it was drawn last
 const pending = new Map(); // number of a pose message -> time of its pointer event
 const shownTimes = []; // of the last pictures
 const hiddenCache = new Map(); // edit -> {points, picture, result}
@@ -203,6 +204,7 @@ function draw() {
   else if (store.status.refused) D.drawHint(context, [STARTED_ANEW], height);
   else if (!store.status.connected) D.drawHint(context, ["No connection to the server; trying again …"], height);
   else if (!picture) D.drawHint(context, FIRST_PICTURE, height);
+  else if ((drawnWait = things.waitingFor())) D.drawHint(context, [`${drawnWait} …`], height);
   if (unshown) onShown();
 }
 
@@ -309,7 +311,7 @@ export function start(element) {
 subject.whenSent((seq, time) => pending.set(seq, time));
 C.whenChanged(requestDraw);
 for (const name of ["tools", "playback", "settings", "session", "things"]) store.on(name, requestDraw);
-store.on("status", () => store.status.connected || requestDraw());
+store.on("status", () => (store.status.connected && drawnWait === things.waitingFor()) || requestDraw());
 
 store.on("view", (content) => {
   if (!viewHeld) view = content;

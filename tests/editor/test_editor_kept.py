@@ -1,0 +1,460 @@
+"""What was keyed is never lost without a word: all commands of the page, and undo after the editor has ended."""
+
+import asyncio
+import base64
+import dataclasses
+import json
+import re
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+aiohttp = pytest.importorskip("aiohttp")
+
+from editor_browser import editor, until, window
+from editor_pages import new_session, pages, tiny_field, with_pages
+
+import warpcage
+from warpcage import Cage, PoseFile, VoxelField, deform_points, edit
+from warpcage.editor import COMMANDS, History, frozen_vertices, losses, read_history, replace_cage
+from warpcage.editor.steps import history
+
+__all__ = ["editor", "window"]  # fixtures
+
+CAGE = Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.7), segments=2)
+REST = CAGE.vertices
+BALL = Cage.icosphere((0.0, 0.0, 0.0), 0.9, 1)
+BACK = "Undo brings that back."
+
+#: The film of the tests: keys 3 and 4 hold poses of edits 1 and 2, places of both things, and cameras.
+FIRST, SECOND, COPY, OWN, KEYS = 1, 3, 2, 0, (4, 5)
+
+LOSES_ALL = "loses its poses of 2 cages, 1 key its camera, 1 key its positions of 2 objects."
+OF_EDIT = '2 keys lose their poses of "Move 1".'
+ROUGH = 'The new cage of "Move 1" takes the poses of 2 keys over roughly: up to '
+
+#: Every command of the page, with keys there: whether these keep what they hold, or the page asks first, or tells what
+#: goes, in these words; and messages that carry it out.
+TABLE = {
+    "select": ("keeps", {"edit": FIRST, "mode": "vertex", "vertices": [0, 1]}),
+    "settings": ("keeps", {"resolution": 24}),
+    "pose.set": ("keeps", {"edit": FIRST, "vertices": (REST * 3).tolist()}),
+    "pose.reset": ("keeps", {"edit": FIRST}),
+    "pose.load": ("keeps", {"file": "same.obj", "edit": FIRST}),
+    "edit.add": ("keeps", {"lower": [-0.5] * 3, "upper": [0.5] * 3}),
+    "edit.delete": ("asks", {"id": FIRST}, OF_EDIT),
+    "edit.change": ("keeps", {"id": FIRST, "kind": "remove"}),
+    "edit.order": ("keeps", {"ids": [FIRST]}),
+    "cage.generate": ("asks", {"edit": FIRST, "count": 42}, ROUGH),
+    "cage.subdivide": ("keeps", {"edit": FIRST}),
+    "cage.simplify": ("asks", {"edit": FIRST, "count": 20}, ROUGH),
+    "cage.load": ("asks", {"edit": FIRST, "file": "ball.obj"}, ROUGH),
+    "cage.box": ("keeps", {"edit": FIRST, "vertices": [0, 7]}),
+    "cage.mirror": ("keeps", {"edit": FIRST, "axis": "x", "place": 0.0}),
+    "key.add": ("tells", {"time": 1.0, "pose": True}, '1 key loses its old pose of "Move 1".'),
+    "key.change": ("tells", {"id": KEYS[1], "pose": True}, '1 key loses its old pose of "Move 1".'),
+    "key.delete": ("tells", {"id": KEYS[0]}, f"1 key {LOSES_ALL}"),
+    "camera.move": ("asks", {"move": "turn:90"}, "2 keys lose their cameras."),
+    "camera.frame": ("tells", {"aspect": 0.2}, "2 keys lose their old cameras."),
+    "camera.outside": ("keeps", {"aspect": 0.2}),
+    "poses.load": ("asks", {"file": "poses.json", "edit": FIRST}, OF_EDIT),
+    "thing.select": ("keeps", {"id": COPY}),
+    "thing.add": ("keeps", {"file": "arm.npz"}),
+    "thing.copy": ("keeps", {"id": COPY}),
+    "thing.change": ("keeps", {"id": COPY, "visible": False, "place": {"position": [0, 0, 9]}}),
+    "thing.remove": ("asks", {"id": COPY}, '2 keys lose their poses of "Move 1", 2 keys their positions of "scene 2".'),
+    "timeline": ("keeps", {"length": 3.0, "fps": 12.0, "loop": "loop"}),
+    "time": ("keeps", {"time": 0.5}),
+    "play": ("keeps", {"on": True}, {"do": "play", "on": False}),
+    "undo": ("keeps", {}, {"do": "redo"}),
+    "redo": ("keeps", None),  # tried with undo, as ends are with their beginnings
+    "drag.begin": ("keeps", {"edit": FIRST}, {"do": "drag.end", "edit": FIRST}),
+    "drag.end": ("keeps", None),
+    "preset.begin": (
+        "keeps",
+        {"edit": FIRST},
+        {"do": "preset.set", "preset": "twist", "amount": 40.0},
+        {"do": "preset.end", "edit": FIRST},
+    ),
+    "preset.set": ("keeps", None),
+    "preset.end": ("keeps", None),
+    "place.begin": (
+        "keeps",
+        {"thing": COPY},
+        {"do": "place.set", "thing": COPY, "matrix": np.eye(4).tolist(), "seq": 1},
+        {"do": "place.end", "thing": COPY},
+    ),
+    "place.set": ("keeps", None),
+    "place.end": ("keeps", None),
+    "view": ("keeps", {"eye": [3, 3, 3], "target": [0, 0, 0], "up": [0, 0, 1], "fov": 40.0}),
+    "size": ("keeps", {"width": 24, "height": 16}),
+    "seen": ("keeps", {"frame": 1}),
+    "thing.pick": ("keeps", {"across": 0.5, "down": 0.5, "aspect": 1.5}),
+    "files": ("keeps", {}),
+    "thing.files": ("keeps", {}),
+    "poses.save": ("keeps", {"file": "kept.json", "edit": FIRST}),
+    "export": ("keeps", {"what": "poses", "file": "out.json", "edit": FIRST}),
+    "export.command": ("keeps", None),  # it writes the session's file, and no more
+    "stage.save": ("keeps", None),
+    "job.cancel": ("keeps", None),
+    "job.clear": ("keeps", None),
+}
+
+
+def film(session):
+    return json.dumps(session.document.to_json()["timeline"])
+
+
+def spoken():
+    """The words of commands in the scripts of the page."""
+    scripts = (Path(warpcage.__file__).parent / "editor" / "page").rglob("*.js")
+    return {word for script in scripts for word in re.findall(r'\bdo: "([a-z.]+)"', script.read_text())}
+
+
+def test_no_command_of_the_page_loses_what_was_keyed_without_a_word(tmp_path, monkeypatch):
+    monkeypatch.setattr(Cage, "from_field", lambda *_, **__: BALL)
+    tiny_field().save(tmp_path / "arm.npz")
+    CAGE.translate((0.1, 0.0, 0.0)).save(tmp_path / "same.obj")
+    BALL.save(tmp_path / "ball.obj")
+    poses = PoseFile(CAGE)
+    poses["a"], poses["b"] = CAGE, CAGE.twist(30)
+    poses.times.update({"a": 0.25, "b": 0.75})
+    poses.save(tmp_path / "poses.json")
+
+    async def test(host, page):
+        session = host.session
+        assert set(TABLE) == {"undo", "redo"} | set(COMMANDS) | set(host.tasks.commands) | spoken()
+        await page.do(do="thing.copy", id=OWN, offset=[3, 0, 0])
+        await page.do(do="key.add", time=0.0, pose=True, camera=True)
+        await page.do(do="time", time=1.0)
+        await page.drag(CAGE.twist(80).vertices, edit=SECOND)
+        await page.do(do="thing.select", id=OWN)
+        await page.drag(CAGE.twist(60).vertices, edit=FIRST)
+        await page.do(do="key.add", time=1.0, pose=True, camera=True)
+        assert tuple(key.id for key in session.document.timeline.keys) == KEYS
+        await page.drag(REST * 1.5, edit=FIRST)
+        page.notices.clear()
+        for word, (verdict, first, *others) in TABLE.items():
+            if first is None:
+                continue
+            words = [one for one in others if isinstance(one, str)]
+            before, whole, steps = session.document, film(session), len(session.history.undo_steps)
+            await page.do(do=word, **first)
+            if word == "drag.begin":
+                await page.move(REST * 2)
+            for message in others:
+                if isinstance(message, dict):
+                    await page.do(**message)
+            await page.until(lambda: all(job["state"] == "done" for job in host.jobs.section()))
+            await page.do(do="seen", frame=0)  # what was told before is here
+            told = [text for text in page.notices if text.endswith(BACK)]
+            lost = losses(before, session.document)
+            if verdict == "keeps":
+                assert told == [] and lost is None, word
+            else:
+                (line,) = told
+                assert line == lost and line.startswith(*words), (word, line)
+            for _ in range(len(session.history.undo_steps) - steps):
+                await page.do(do="undo")
+            assert film(session) == whole, word
+            page.notices.clear()
+        await page.refused(do="timeline", length=0.5)  # a film does not end before its last key
+        assert film(session) == whole
+
+    with_pages(test, tmp_path, session=new_session(cages=(CAGE,)))
+
+
+@pytest.mark.parametrize(
+    ("cage", "told"),
+    [
+        (CAGE.with_vertices(CAGE.vertices + 0.25), None),  # the same mesh elsewhere: poses keep their distance
+        (Cage(CAGE.vertices[::-1], 25 - CAGE.faces), None),  # in another order
+        (CAGE.subdivide(), None),
+        (Cage.box((-0.7, -0.7, -0.7), (0.7, 0.7, 0.7), segments=6), None),  # finer
+        (BALL, ROUGH.replace("poses of 2 keys", "pose of 1 key")),
+    ],
+)
+def test_a_cage_in_place_of_another_keeps_poses_exactly_where_that_can_be(cage, told):
+    session, said = new_session(cages=(CAGE,)), []
+    session.notify = said.append
+    session.change(lambda document: ("pose", document.with_edit(posed_edit(document, CAGE.twist(40).vertices))))
+    session.run({"do": "key.add", "time": 1.0, "pose": True})
+    old = session.document.edits[0]
+    session.change(lambda document: replace_cage(document, 1, cage, "load"))
+    assert said == [] if told is None else said[0].startswith(told)
+    new, pose = session.document.edits[0], session.document.timeline.keys[0].poses[1]
+    np.testing.assert_array_equal(new.posed, pose)
+    if told is None:
+        inside = 0.5 * old.rest
+        offset = new.rest.mean(axis=0) - old.rest.mean(axis=0)
+        moved = [
+            deform_points(points, one.rest_cage, one.posed_cage, device="cpu")
+            for points, one in ((inside, old), (inside + offset, new))
+        ]
+        np.testing.assert_allclose(moved[1] - offset, moved[0], atol=1e-5)
+    session.undo()
+    np.testing.assert_array_equal(session.document.timeline.keys[0].poses[1], old.posed)
+
+
+def posed_edit(document, vertices):
+    return dataclasses.replace(document.edits[0], posed=frozen_vertices(vertices))
+
+
+ASKED = "document.querySelector('dialog').textContent"
+
+
+#: Groups of the panel, buttons in them, and what their dialogs say before anything is lost, and pages after that.
+DIALOGS = [
+    ("cage", "#cage-simplify", "Its pose and those of 2 keys are carried over, roughly.", ROUGH),
+    ("edits", "#edit-delete", '"Move 1" goes, and 2 keys lose their poses of it; undo brings them back.', OF_EDIT),
+    ("keys", "#camera-move", "It replaces the cameras of 2 keys; undo brings them back.", "2 keys lose their cameras."),
+    ("film", "#poses-load", "Poses of the file replace those that 2 keys hold", OF_EDIT),
+    (
+        "things",
+        "#thing-remove",
+        "its cages and its part of 2 keys go; undo brings them back.",
+        "2 keys lose their poses",
+    ),
+]
+
+
+def test_dialogs_say_what_keys_would_lose_and_undo_brings_it_back(window, editor):
+    key, cage = {"do": "key.add", "pose": True, "camera": True}, editor.document.edits[0].rest_cage
+    pose = {"do": "pose.set", "edit": 1, "vertices": cage.twist(50).vertices.tolist()}
+    said(editor, {**key, "time": 0.0}, {"do": "time", "time": 1.0}, pose, {**key, "time": 1.0})
+    poses, folder = PoseFile(cage), editor.session.path.parent
+    poses["a"], poses.times["a"] = cage, 0.5
+    poses.save(folder / "poses.json")
+    BALL.save(folder / "ball.obj")
+    window.wait("warpcage.store.sections.timeline.keys.length === 2")
+    window.unfold("cage")
+    for opener in ("#cage-generate", "#cage-load"):  # a keyed cage is not replaced unasked
+        window.click(opener)
+        window.wait("document.querySelector('#ask-edit')")
+        assert window.get("document.querySelector('#ask-edit').selectedOptions[0].textContent") == "A new edit"
+        assert "its pose and those of 2 keys are carried over" in window.get(ASKED)
+        window.click("#dialog-cancel")
+        window.wait("!document.querySelector('dialog')")
+    for fold, opener, words, told in DIALOGS:
+        if fold == "things":
+            said(editor, {"do": "thing.copy", "id": 0, "offset": [3, 0, 0]})
+            window.wait("warpcage.store.sections.things.length === 2")
+        kept = film(editor.session)
+        window.unfold(fold)
+        window.click(opener)
+        window.wait("document.querySelector('dialog')")
+        assert words in window.get(ASKED)
+        window.confirm()
+        until(lambda: film(editor.session) != kept, "it is done")  # noqa: B023
+        window.wait("document.querySelector('#toasts').textContent.includes(arguments[0])", "", told)
+        window.wait("warpcage.store.sections.history.undo_label !== 'add key 2'")
+        window.press("Ctrl+Z")
+        until(lambda: film(editor.session) == kept, "the keys are back")  # noqa: B023
+        window.wait("warpcage.store.sections.history.redo === 1")
+
+
+# -- Steps in the session's file
+
+
+def said(editor, *messages):
+    """What an editor answers to commands of a page, and what it tells this page."""
+
+    async def talk():
+        async with pages(types.SimpleNamespace(address=editor.url), size=None) as (page,):
+            return [await page.do(**message) for message in messages], page.notices
+
+    return asyncio.run(talk())
+
+
+def sized(size):
+    return {"do": "pose.set", "edit": 1, "vertices": (REST * size).tolist(), "label": f"x{size}"}
+
+
+UNDO = {"do": "undo"}
+
+
+def worked(path):
+    """A session of a field's file in which somebody has worked: two poses and a key, which is undone."""
+    with edit(path, CAGE) as editor:
+        said(editor, sized(1.1), sized(1.2), {"do": "key.add", "time": 1.0, "pose": True, "camera": True}, UNDO)
+        return film(editor.session), editor.session.history
+
+
+def ball(folder):
+    tiny_field().save(folder / "ball.npz")
+    return folder / "ball.npz"
+
+
+def documents(steps):
+    return [(label, json.dumps(document.to_json())) for label, document in steps]
+
+
+def test_undo_goes_on_after_the_editor_has_ended(tmp_path):
+    path = ball(tmp_path)
+    _, steps = worked(path)
+    with edit(path) as editor:
+        session = editor.session
+        assert session.lost is None and session.history.summary() == steps.summary()
+        assert documents(session.history.undo_steps) == documents(steps.undo_steps)
+        assert documents(session.history.redo_steps) == documents(steps.redo_steps)
+        first, second = (document.edits[0] for _, document in session.history.undo_steps)
+        assert first.rest is second.rest and first.faces is second.faces  # what steps share is there once
+        assert said(editor, {"do": "redo"}) == (["add key 1"], []) and len(session.document.timeline.keys) == 1
+        assert said(editor, UNDO, UNDO, UNDO) == (["add key 1", "x1.2", "x1.1"], [])
+        np.testing.assert_array_equal(session.document.edits[0].posed, REST)
+    with edit(path) as editor:
+        assert (editor.session.history.summary()["undo"], editor.session.history.summary()["redo"]) == (0, 3)
+    assert {one.name for one in tmp_path.iterdir()} <= {"ball.npz", "ball.session.json", ".ball.session.secret"}
+
+
+def test_the_steps_that_a_file_keeps_are_bounded(tmp_path, monkeypatch):
+    session = new_session(tmp_path / "ball.session.json", cages=(CAGE,))
+    for number in range(80):  # the first half are keys, which take more room than there is, and are in the file anyway
+        session.run({**sized(number + 2), "label": f"step {number}"})
+        if number < 40:
+            session.run({"do": "key.add", "time": number / 10, "pose": True})
+
+    def saved():
+        session.look(dataclasses.replace(session.document.view, fov=session.document.view.fov + 1))
+        session.save()
+        return json.loads(session.path.read_text())
+
+    whole = len(json.dumps(saved()["history"]))
+    monkeypatch.setattr(history, "MOST_BYTES", 20_000)
+    content = saved()["history"]
+    beside = json.dumps(History().to_json(session.document, session.fields))
+    assert 30_000 < len(json.dumps(content)) < 80_000 < whole and json.loads(beside)["parts"] == []
+    kept, lost = read_history(content, session.fields, None)
+    assert 5 < len(kept.undo_steps) < 40 and lost is None
+    assert documents(kept.undo_steps) == documents(session.history.undo_steps[-len(kept.undo_steps) :])  # the nearest
+    assert len(session.history.undo_steps) == 120  # while the editor runs
+
+
+DAMAGES = {
+    "a text": lambda steps: "steps",
+    "no fields": lambda steps: {**steps, "fields": None},
+    "no parts": lambda steps: {name: value for name, value in steps.items() if name != "parts"},
+    "too few parts": lambda steps: {**steps, "parts": steps["parts"][:3]},
+    "a part of itself": lambda steps: {**steps, "undo": [["x", steps["undo"][0][1] | {"edits": [[]]}]]},
+    "no base64": lambda steps: {**steps, "parts": [part if isinstance(part, dict) else "?" for part in steps["parts"]]},
+    "not finite": lambda steps: {
+        **steps,
+        "parts": [
+            part if isinstance(part, dict) else base64.b64encode(b"\xff" * len(base64.b64decode(part))).decode()
+            for part in steps["parts"]
+        ],
+    },
+    "a name that is none": lambda steps: {**steps, "undo": [[1, steps["undo"][0][1]]]},
+    "a step without its document": lambda steps: {**steps, "undo": [["x"]]},
+    "too many": lambda steps: {**steps, "undo": 501 * steps["undo"]},
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_session_with_damaged_steps_opens_and_says_so_once(tmp_path, damage):
+    path = ball(tmp_path)
+    kept, _ = worked(path)
+    file = tmp_path / "ball.session.json"
+    content = json.loads(file.read_text())
+    file.write_text(json.dumps({**content, "history": DAMAGES[damage](content["history"])}))
+    with edit(path) as editor:
+        assert film(editor.session) == kept and editor.session.history.summary()["undo"] == 0
+        assert editor.session.lost == "The undo steps in the session's file are damaged and left out."
+    with edit(path) as editor:
+        assert editor.session.lost is None
+
+
+def test_a_session_of_before_steps_were_kept_opens_in_silence(tmp_path):
+    path = ball(tmp_path)
+    kept, _ = worked(path)
+    file = tmp_path / "ball.session.json"
+    content = json.loads(file.read_text())
+    del content["history"]
+    file.write_text(json.dumps(content))
+    with edit(path) as editor:
+        assert film(editor.session) == kept and editor.session.history.summary()["undo"] == 0
+        assert editor.session.lost is None
+
+
+def dense_ball(side, path):
+    VoxelField.from_dense(np.full((side,) * 3, 40.0), np.zeros((side,) * 3 + (9, 3)), [[-1] * 3, [1] * 3]).save(path)
+
+
+@pytest.mark.parametrize("change", ["gone", "another"])
+def test_steps_to_an_object_whose_file_is_another_by_now_are_left_out(tmp_path, change):
+    path, arm = ball(tmp_path), tmp_path / "arm.npz"
+    dense_ball(4, arm)
+    kept = added_and_removed(path)
+    arm.unlink()
+    if change == "another":
+        dense_ball(6, arm)
+    with edit(path) as editor:
+        session = editor.session
+        told = "3 undo steps are left out: arm.npz is gone or changed."
+        assert said(editor, UNDO) == (["x2"], [told]) and session.history.undo_steps == []
+        assert said(editor) == ([], [])  # once
+        assert film(session) == kept and [thing.file for thing in session.document.things] == [None]
+
+
+def added_and_removed(path):
+    """The film of a session in which an object was added, and removed again, and a pose set after that."""
+    with edit(path, CAGE) as editor:
+        added = {"do": "thing.add", "file": "arm.npz"}
+        said(editor, sized(1.5), added, {"do": "thing.remove", "id": 2}, sized(2))
+        return film(editor.session)
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        [{"do": "time", "time": 0.5}],
+        [{"do": "play", "on": True}, {"do": "play", "on": False}],
+        [{"do": "edit.add", "lower": [-0.5] * 3, "upper": [0.5] * 3},
+         {"do": "select", "edit": 1, "mode": "face", "vertices": []}],
+        [{"do": "export", "what": "cage", "file": "posed.obj"}],
+        [{"do": "timeline", "length": 1.5}],
+        [{"do": "thing.copy", "id": 0}],
+    ],
+)  # fmt: skip
+def test_a_pose_that_no_key_holds_has_a_way_back_to_its_time_and_view(tmp_path, act):
+    there = {"eye": [3, 3, 3], "target": [0, 0, 0], "up": [0, 0, 1], "fov": 50.0}
+
+    async def test(host, page):
+        session = host.session
+        await page.do(do="key.add", time=0.0, pose=True, camera=True)
+        await page.do(do="time", time=1.0)
+        await page.do(do="view", **there)
+        await page.drag(REST * 2)
+        steps = len(session.history.undo_steps)
+        for message in act:
+            await page.do(**message)
+            if message.get("on"):
+                await page.until(lambda: page.sections["playback"]["left"] == 1.0)
+        if act[0]["do"] in ("time", "play"):
+            (told,) = page.notices
+            assert told == "No key holds the pose that was left at 1.00 s. Undo goes back to it."
+        for _ in range(len(session.history.undo_steps) - steps):
+            await page.do(do="undo")
+        document = session.document
+        np.testing.assert_array_equal(document.edits[0].posed, REST * 2)
+        assert (document.time, list(document.view.eye), document.view.fov) == (1.0, there["eye"], 50.0)
+        assert session.unkeyed
+
+    with_pages(test, tmp_path, session=new_session(cages=(CAGE,)))
+
+
+def test_a_look_around_keeps_what_was_undone():
+    session = new_session(cages=(CAGE,))
+    session.run({"do": "key.add", "time": 0.0, "pose": True})
+    for size in (2.0, 3.0):
+        session.run({"do": "pose.set", "edit": 1, "vertices": (REST * size).tolist()})
+    session.undo()
+    said = []
+    session.notify = said.append
+    session.scrub(1.0)  # leaves a pose that no key holds
+    assert len(said) == 1 and session.redo() == "move"
+    np.testing.assert_array_equal(session.document.edits[0].posed, REST * 3)
+    assert [session.undo(), session.undo()] == ["move", "scrub"]
+    np.testing.assert_array_equal(session.document.edits[0].posed, REST * 2)
