@@ -5,8 +5,6 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "agreement": "agreement_of ahead_share held_groups rays_meet",
-        "scene_check": "camera_doubt",
         "feature_masks": "still_features",
         "colmap": "Solver expected_seconds time_line",
         "solving": "doubts solve",

@@ -16,6 +16,7 @@ import numpy as np
 from ..core.names import counted
 from ..core.threads import cpu_threads
 from ..errors import InputError
+from ..scene.agreement import MIN_GROUP
 from ..scene.pictures import COEFFICIENTS, distort
 from .feature_masks import still_features
 from .sources import StepBar
@@ -228,8 +229,8 @@ MOST_OFF_CENTER = 0.1
 #: Up to so many pictures the mapping runs on one thread, which takes hardly longer and always gives the same cameras.
 MOST_ON_ONE_THREAD = 200
 
-#: Groups of pictures that are told apart where not all fit together, and the fewest pictures of one.
-MOST_GROUPS, LEAST_GROUP = 4, 3
+#: Groups of pictures that are told apart where not all fit together.
+MAX_GROUPS = 4
 
 #: Focal length of a picture that says nothing of it, in longer sides: between phones and their videos.
 USUAL_FOCAL = 0.9
@@ -472,7 +473,7 @@ class Solver:
         options = self.colmap.IncrementalPipelineOptions()
         options.num_threads = options.mapper.num_threads = self._mapping_threads
         options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = self.seed
-        options.min_model_size, options.max_num_models = LEAST_GROUP, MOST_GROUPS
+        options.min_model_size, options.max_num_models = MIN_GROUP, MAX_GROUPS
         return options
 
     def _global_options(self) -> Any:
@@ -484,7 +485,7 @@ class Solver:
         options.num_threads = mapper.num_threads = self._mapping_threads
         mapper.bundle_adjustment.ceres.solver_options.num_threads = self._mapping_threads
         mapper.global_positioning.use_gpu = mapper.bundle_adjustment.ceres.use_gpu = False
-        options.min_model_size, options.image_path = LEAST_GROUP, self.folder
+        options.min_model_size, options.image_path = MIN_GROUP, self.folder
         return options
 
     def _pairs(self, video: bool) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:

@@ -11,9 +11,20 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
+from ..scene.agreement import (
+    MAX_NAMED,
+    MAX_TORN,
+    MIN_ACROSS,
+    MIN_AGREEING,
+    MIN_GROUP,
+    MIN_PARALLAX,
+    Agreement,
+    agreement_of,
+    ahead_share,
+    group_names,
+)
 from ..view.camera import Camera
-from .agreement import Agreement, agreement_of, ahead_share
-from .colmap import LEAST_GROUP, Found, Solver, found_of
+from .colmap import Found, Solver, found_of
 
 #: Fewest pictures that cameras can be found of.
 LEAST_PICTURES = 3
@@ -21,27 +32,15 @@ LEAST_PICTURES = 3
 #: Fewest points that hold the cameras of a picture together.
 LEAST_POINTS = 10
 
-#: Cameras lie at least so far apart, as a share of the distance to what they see.
-LEAST_PARALLAX = 0.1
-
 #: How pictures are taken that can be used, for messages.
 HOW_TO = "walk around the object in small steps, so that each picture shows most of what the one before it did"
 
 #: A match agrees where its rays miss each other by a pixel, of pictures so long at least, pixels.
 ONE_PIXEL_OF = 800
 
-#: Shares of matches that agree: from the first on a solution is taken as it is; below it, it is said, and one that is
-#: inside out is refused; below the second, any is. Right ones have 0.97 (fox, 40 of bonsai), one inside out had 0.74.
-GOOD_SHARE, LEAST_SHARE = 0.9, 0.5
-
-#: Groups of more than this share of the pictures that are torn off are refused; smaller ones are left out.
-MOST_TORN = 0.1
-
-#: Groups between which there are fewer matches than this share of those inside the smaller one show different things.
-LEAST_ACROSS = 0.05
-
-#: Pictures that a message names.
-NAMED = 4
+#: From this share of matches that agree on a solution is taken as it is; below it, it is said, and one that is inside
+#: out is refused; below `MIN_AGREEING`, any is. One inside out had 0.74.
+GOOD_SHARE = 0.9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,14 +145,14 @@ def _require_whole(source: pathlib.Path, labels: Sequence[str], solution: Soluti
     first, *others = agreement.groups
     for group in others:
         total, good = agreement.across(group)
-        if len(group) < max(LEAST_GROUP, MOST_TORN * len(solution.found.pictures)):
+        if len(group) < max(MIN_GROUP, MAX_TORN * len(solution.found.pictures)):
             break  # they are ordered by size
-        if total >= LEAST_ACROSS * agreement.inside(group):
+        if total >= MIN_ACROSS * agreement.inside(group):
+            torn, rest = (f"({group_names(labels, each)})" for each in (group, first))
             raise InputError(
-                f"the cameras of {str(source)!r} come out torn: {len(group)} pictures ({_spread(labels, group)}) do "
-                f"not fit to the other {len(first)} ({_spread(labels, first)}), of {total} matches between them {good} "
-                "agree: capture one of these groups alone (--pictures), add pictures taken between them, or leave out "
-                "what looks alike in several places"
+                f"the cameras of {str(source)!r} come out torn: {len(group)} pictures {torn} do not fit to the "
+                f"other {len(first)} {rest}, of {total} matches between them {good} agree: capture one of these groups "
+                "alone (--pictures), add pictures taken between them, or leave out what looks alike in several places"
             )
 
 
@@ -162,7 +161,7 @@ def doubts(solution: Solution, labels: Sequence[str]) -> list[str]:
     share = solution.agreement.share
     if share >= GOOD_SHARE:
         return []
-    worst = ", ".join(labels[int(picture)] for picture in worst_pictures(solution)[:NAMED])
+    worst = ", ".join(labels[int(picture)] for picture in worst_pictures(solution)[:MAX_NAMED])
     return [
         (
             f"Only {100 * share:.0f} % of the matches agree with the cameras, which may be wrong in part, least those "
@@ -174,9 +173,9 @@ def doubts(solution: Solution, labels: Sequence[str]) -> list[str]:
 def _require_agreement(source: pathlib.Path, labels: Sequence[str], solution: Solution) -> None:
     """Raises ValueError for cameras that are inside out, or that the matches of the pictures disagree with."""
     share = solution.agreement.share
-    if share >= GOOD_SHARE or (share >= LEAST_SHARE and solution.ahead > 0.5):
+    if share >= GOOD_SHARE or (share >= MIN_AGREEING and solution.ahead > 0.5):
         return
-    worst = ", ".join(labels[int(picture)] for picture in worst_pictures(solution)[:NAMED])
+    worst = ", ".join(labels[int(picture)] for picture in worst_pictures(solution)[:MAX_NAMED])
     wrong = (
         "come out inside out: what all look at lies behind them, and"
         if solution.ahead <= 0.5
@@ -194,7 +193,7 @@ def _require_most(source: pathlib.Path, names: Sequence[str], labels: Sequence[s
     count, groups = len(names), [] if solution is None else solution.groups
     most = 0 if solution is None else len(solution.found.pictures)
     label_of = dict(zip(names, labels, strict=True))
-    if len(groups) > 1 and most >= LEAST_GROUP and 2 * most < count + 1 and 2 * len(groups[1]) >= most:
+    if len(groups) > 1 and most >= MIN_GROUP and 2 * most < count + 1 and 2 * len(groups[1]) >= most:
         parts = "; ".join(
             f"{len(group)} with {label_of[min(group)]} and {label_of[max(group)]}"
             for group in sorted(groups, key=min)
@@ -221,17 +220,11 @@ def _require_parallax(source: pathlib.Path, found: Found) -> None:
     places = found.poses[:, :3, 3]
     spread = float(np.linalg.norm(np.ptp(places, axis=0)))
     away = float(np.median(np.linalg.norm(found.points - places.mean(axis=0), axis=1)))
-    if spread < LEAST_PARALLAX * away:
+    if spread < MIN_PARALLAX * away:
         raise InputError(
             f"the pictures of {str(source)!r} were taken from about one place, {100 * spread / away:.0f} % of the way "
             f"to what they show apart, which says nothing about depth: do not turn the camera, {HOW_TO}"
         )
-
-
-def _spread(labels: Sequence[str], group: np.ndarray) -> str:
-    """The names of a group of pictures: a few of them all, of more the first and the last."""
-    names = [labels[int(picture)] for picture in group]
-    return ", ".join(names) if len(names) <= NAMED else f"{names[0]} to {names[-1]}"
 
 
 def _emptied(folder: pathlib.Path) -> None:

@@ -13,7 +13,6 @@ import warp as wp
 from ..cage.cage import Cage
 from ..cage.motion import GLTF_ENDINGS
 from ..cage.pose_file import PoseFile
-from ..captures.scene_check import camera_doubt
 from ..core.checks import format_lines, listed
 from ..core.files import check_parent, read_json, seen_note
 from ..core.kernel_files import copy_kernel, find_kernel, kernel_groups, kernel_names, kernel_summary
@@ -33,6 +32,7 @@ from ..mesh.io.gltf_animation import gltf_animation_names, read_gltf_motion
 from ..mesh.io.usd import read_usd_motion
 from ..scene.box import scene_box
 from ..scene.box_picture import box_text, draw_box
+from ..scene.camera_check import camera_doubt
 from ..scene.coverage import draw_coverage, find_coverage
 from ..scene.formats.datasets.splatting import CAMERAS, is_output, iterations, source_of, trained_background
 from ..scene.formats.table import format_lines as scene_lines

@@ -19,7 +19,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ..captures.scene_check import camera_doubt
 from ..core.checks import checked_path, require_type, warn_caller
 from ..core.devices import resolve_device
 from ..core.locks import device_turn
@@ -27,6 +26,7 @@ from ..core.reports import Progress, heard, hears, is_heard, span_text, tell
 from ..errors import InputError
 from ..field.voxel_field import VoxelField
 from ..scene.box_picture import box_text, draw_box
+from ..scene.camera_check import camera_doubt
 from ..scene.scene import Scene
 from ..splats.splat_field import SplatField
 from ..view.pictures import side_by_side, write_png

@@ -5,7 +5,7 @@ import pytest
 from correspondences import FOCAL, correspondences, inside_out, orbit, seen, torn_in_two
 
 from warpcage import Camera
-from warpcage.captures import agreement_of, ahead_share, held_groups, rays_meet
+from warpcage.scene import agreement_of, ahead_share, held_groups, rays_meet
 
 
 def measured(slopes, matches, poses):

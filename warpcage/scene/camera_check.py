@@ -10,13 +10,21 @@ import numpy as np
 from ..core.names import counted
 from ..core.reports import tell
 from ..core.threads import cpu_threads
-from ..scene.box import find_looks
-from ..scene.coverage import picture_counts
-from ..scene.scene import Scene
 from ..view.pictures import shrink
-from .agreement import Agreement, agreement_of, ahead_share
-from .colmap import LEAST_GROUP
-from .solving import LEAST_ACROSS, LEAST_PARALLAX, LEAST_SHARE, MOST_TORN, NAMED
+from .agreement import (
+    MAX_TORN,
+    MIN_ACROSS,
+    MIN_AGREEING,
+    MIN_GROUP,
+    MIN_PARALLAX,
+    Agreement,
+    agreement_of,
+    ahead_share,
+    group_names,
+)
+from .box import find_looks
+from .coverage import picture_counts
+from .scene import Scene
 
 #: Pictures that are looked at, at most, and their longer side, pixels: seconds. Those below the last show nothing.
 MOST_PICTURES, SIDE, LEAST_SIDE = 40, 320, 96
@@ -218,10 +226,10 @@ def _disagreement(scene: Scene, numbers: np.ndarray, found: Agreement) -> str | 
     first, *others = found.groups
     for group in others:
         total, good = found.across(group)
-        if len(group) < max(LEAST_GROUP, MOST_TORN * len(numbers)):
+        if len(group) < max(MIN_GROUP, MAX_TORN * len(numbers)):
             break  # they are ordered by size
-        if total >= max(LEAST_ACROSS * found.inside(group), 2 * LEAST_MATCHES) and good < CHANCE * total:
-            names = [f"{len(part)} ({_spread(scene, numbers[part])})" for part in (first, group)]
+        if total >= max(MIN_ACROSS * found.inside(group), 2 * LEAST_MATCHES) and good < CHANCE * total:
+            names = [f"{len(part)} ({group_names(scene.names, numbers[part])})" for part in (first, group)]
             return (
                 f"the cameras fell apart: of {len(numbers)} pictures that were compared {names[0]} do not fit to "
                 f"{names[1]}, of {total} matches between them {good} agree: find the cameras anew (warpcage capture), "
@@ -229,7 +237,7 @@ def _disagreement(scene: Scene, numbers: np.ndarray, found: Agreement) -> str | 
             )
     if found.share >= GOOD_SHARE:
         return None
-    inside_out = found.share < LEAST_SHARE and ahead_share(scene.cameras) <= 0.5
+    inside_out = found.share < MIN_AGREEING and ahead_share(scene.cameras) <= 0.5
     wrong = "are inside out: what all look at lies behind them, and" if inside_out else "do not fit to the pictures:"
     return (
         f"the cameras {wrong} of {int(found.counts.sum())} matches between pictures {100 * found.share:.0f} % agree "
@@ -240,12 +248,12 @@ def _disagreement(scene: Scene, numbers: np.ndarray, found: Agreement) -> str | 
 
 def _one_place(scene: Scene) -> str | None:
     """That all pictures were taken from about one place, which says nothing of depth."""
-    if scene.points is None or not len(scene.points) or len(scene) < LEAST_GROUP:
+    if scene.points is None or not len(scene.points) or len(scene) < MIN_GROUP:
         return None
     places = np.stack([camera.center for camera in scene.cameras])
     spread = float(np.linalg.norm(np.ptp(places, axis=0)))
     away = float(np.median(np.linalg.norm(scene.points - places.mean(axis=0), axis=1)))
-    if spread >= LEAST_PARALLAX * away:
+    if spread >= MIN_PARALLAX * away:
         return None
     return (
         f"the cameras stand at about one place, {100 * spread / max(away, 1e-300):.0f} % of the way to what they show "
@@ -269,15 +277,9 @@ def _several_places(scene: Scene, numbers: np.ndarray, found: Agreement | None) 
         first, second = look_of[numbers[found.pairs]].T
         if (found.agreeing[(first != second) & (np.minimum(first, second) >= 0)] >= LEAST_MATCHES).any():
             return None
-    parts = [f"{len(look.cameras)} ({_spread(scene, look.cameras)})" for look in looks]
+    parts = [f"{len(look.cameras)} ({group_names(scene.names, look.cameras)})" for look in looks]
     return (
         f"{' and '.join(parts)} of {counted(len(scene), 'camera')} look at {len(looks)} places, of which hardly "
         f"a picture shows two: several objects, or cameras that fell apart: fit the pictures of one group "
         "alone, or find the cameras anew (warpcage capture)"
     )
-
-
-def _spread(scene: Scene, group: np.ndarray) -> str:
-    """The names of a group of pictures: a few of them all, of more the first and the last."""
-    names = [scene.names[int(picture)] for picture in group]
-    return ", ".join(names) if len(names) <= NAMED else f"{names[0]} to {names[-1]}"

@@ -8,8 +8,26 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..scene.box import axes_meeting
 from ..view.camera import Camera
+from .box import axes_meeting
+
+#: Fewest pictures of a group that is told apart.
+MIN_GROUP = 3
+
+#: Cameras lie at least so far apart, as a share of the distance to what they see.
+MIN_PARALLAX = 0.1
+
+#: Below this share of matches that agree cameras are wrong. Right ones have 0.97 (fox, 40 of bonsai).
+MIN_AGREEING = 0.5
+
+#: Groups of more than this share of the pictures that are torn off are refused; smaller ones are left out.
+MAX_TORN = 0.1
+
+#: Groups between which there are fewer matches than this share of those inside the smaller one show different things.
+MIN_ACROSS = 0.05
+
+#: Pictures that a message names.
+MAX_NAMED = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,3 +125,9 @@ def ahead_share(cameras: Sequence[Camera]) -> float:
     if middle is None:
         return 1.0
     return float(np.mean([(middle - camera.center) @ camera.rotation[:, 2] > 0 for camera in cameras]))
+
+
+def group_names(names: Sequence[str], group: np.ndarray) -> str:
+    """The names of a group of pictures: a few of them all, of more the first and the last."""
+    chosen = [names[int(picture)] for picture in group]
+    return ", ".join(chosen) if len(chosen) <= MAX_NAMED else f"{chosen[0]} to {chosen[-1]}"
