@@ -89,7 +89,7 @@ FAULTS = [
     Fault("colmap-no-rotation", "warpcage/scene/formats/colmap.py",
           "if not (np.isfinite(length) and length > 1e-12 and np.isfinite(self.translation).all()):",
           "if not np.isfinite(length):", "scene contracts"),
-    Fault("blender-axes", "warpcage/scene/formats/parsing.py",
+    Fault("blender-axes", "warpcage/scene/parsing.py",
           "TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])", "TO_OPENCV = np.diag([1.0, -1.0, 1.0, 1.0])", "scene"),
     # poses, films
     Fault("bend-sign", "warpcage/cage/poses.py",

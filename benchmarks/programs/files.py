@@ -136,7 +136,7 @@ def scene_pictures(folder: pathlib.Path, side: int) -> dict[str, np.ndarray]:
 
 def first_width(folder: pathlib.Path) -> int:
     """The longer side of the first picture that is found in a scene, pixels."""
-    from warpcage.scene.formats.parsing import PICTURE_ENDINGS
+    from warpcage.scene.parsing import PICTURE_ENDINGS
     from warpcage.view.pictures import image_size
 
     files = (path for path in sorted(folder.rglob("*")) if path.suffix.lower() in PICTURE_ENDINGS)

@@ -25,7 +25,7 @@ import numpy as np
 import warpcage
 from warpcage import Cage, Camera, CameraFile, NodeSelection, PoseFile, SplatField, VoxelField
 from warpcage.batch.job_file import JobFile, write_jobs
-from warpcage.cage.motion import gltf_poses
+from warpcage.cage.pose_file import gltf_poses
 from warpcage.cli import main
 from warpcage.editor import read_session as session_document
 from warpcage.editor import write_session as write_document

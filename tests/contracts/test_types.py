@@ -13,7 +13,7 @@ import golden_names
 import pytest
 
 import warpcage
-from warpcage.deform.posed import DeformerOptions
+from warpcage.deform.poses import DeformerOptions
 from warpcage.fitting.options import FitNames
 from warpcage.fitting.splats.options import SplatFitNames
 

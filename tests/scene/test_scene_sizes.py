@@ -34,7 +34,8 @@ from warpcage.cli import main
 from warpcage.fitting import tuned_scene
 from warpcage.fitting.splats import SplatFit
 from warpcage.reference import brick_model, render_mesh_views
-from warpcage.scene.pictures import View, flight_bytes
+from warpcage.scene.pictures import flight_bytes
+from warpcage.scene.sizes import View
 from warpcage.view import read_image
 from warpcage.view.pictures import shrink, shrunk_size
 

@@ -329,7 +329,7 @@ def tables_of_formats_are_whole():
 FIXED = """
 batch.items: EvaluateItem FitItem FrameItem Item; batch.job_file: JobFile write_jobs; batch.run: run_jobs;
 batch.sweeps: GivenSource RandomSource write_sweep; batch.webdataset: read_shard shard_path; batch.worker: Worker;
-cage.motion: gltf_poses; cage.snap: snap_to_gaps; cage.walls: cut_faces; cli: main; core.devices: launch
+cage.pose_file: gltf_poses; cage.snap: snap_to_gaps; cage.walls: cut_faces; cli: main; core.devices: launch
 resolve_device; core.files: atomic_path; core.names: meant; core.locks: device_turn; core.threads: cpu_threads
 limit_threads; editor.demo: demo_files; field.planes: Plane find_planes; fitting.evaluation: evaluate mean_psnr; mesh:
 MeshFormat write_shown_mesh; reference.brick_scene: write_brick_scene; reference.bricks: brick_model;

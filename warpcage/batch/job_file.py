@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..cage.pose_file import is_preset
+from ..cage.presets import is_preset
 from ..core.checks import listed, shown
 from ..core.files import JSON_ROOM, NpyFile, PathLike, atomic_path, file_stamp, require_file, require_version
 from ..core.memory import LRUCache, require_host_memory

@@ -31,8 +31,8 @@ from ..films.words import References, RestCage
 from ..fitting.cameras import tuned_scene
 from ..fitting.evaluation import evaluation_report, in_world_of, moved_scene, refined_cameras_of, warn_of_mismatch
 from ..fitting.fit import fit
-from ..scene.formats.parsing import TO_OPENCV
 from ..scene.load import load_scene
+from ..scene.parsing import TO_OPENCV
 from ..scene.scene import Scene
 from ..splats.io import splat_path
 from ..splats.splat_field import AnyField, read_field

@@ -16,7 +16,7 @@ import numpy as np
 from ..core.names import counted
 from ..core.threads import cpu_threads
 from ..errors import InputError
-from ..scene.agreement import MIN_GROUP
+from ..scene.camera_check import MIN_GROUP
 from ..scene.pictures import COEFFICIENTS, distort
 from .feature_masks import still_features
 from .sources import StepBar

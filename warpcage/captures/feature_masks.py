@@ -15,7 +15,7 @@ from ..core.files import atomic_path
 from ..core.threads import cpu_threads, run_parallel
 from ..errors import InputError, MissingFileError
 from ..scene.masks import opacity_rows, with_masks
-from ..scene.pictures import View
+from ..scene.sizes import View
 from ..view.pictures import TURNS, is_on_its_side, read_image
 from .sources import ENDINGS, ORIENTATION, Source, load_upright
 

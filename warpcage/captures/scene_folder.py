@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.threads import cpu_threads
 from ..scene.box import FoundBox, find_box
-from ..scene.formats.parsing import DYNAMIC_MASK
+from ..scene.parsing import DYNAMIC_MASK
 from ..scene.pictures import distort, undistorted_intrinsics
 from ..scene.save import transforms_frame
 from ..scene.scene import rotation_to

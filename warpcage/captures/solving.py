@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..scene.agreement import (
+from ..scene.camera_check import (
     MAX_NAMED,
     MAX_TORN,
     MIN_ACROSS,

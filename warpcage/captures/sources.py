@@ -15,7 +15,7 @@ from ..core.checks import checked_path, listed, shown
 from ..core.files import require_file
 from ..core.names import agreed
 from ..errors import InputError, MissingFileError
-from ..scene.formats.parsing import DYNAMIC_MASK
+from ..scene.parsing import DYNAMIC_MASK
 from ..view.pictures import MAX_PIXELS
 
 #: Endings of pictures that are read, and of those that are not but are often there.

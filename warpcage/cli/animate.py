@@ -15,8 +15,7 @@ import numpy as np
 
 from ..batch.films import FilmFrame, FilmJob, FilmWorkers, frame_outputs, frame_words
 from ..batch.items import ID
-from ..cage.motion import USUAL_RATE
-from ..cage.pose_file import PoseFile
+from ..cage.pose_file import USUAL_RATE, PoseFile
 from ..core.files import check_parent, require_file
 from ..core.names import TRANSPARENT, counted
 from ..core.reports import bar

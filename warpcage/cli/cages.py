@@ -19,8 +19,8 @@ import numpy as np
 from ..cage.axes import axis_of, default_towards, with_up
 from ..cage.cage import Cage
 from ..cage.generate import checked_count
-from ..cage.motion import file_poses
-from ..cage.pose_file import PoseFile, is_preset
+from ..cage.pose_file import PoseFile, file_poses
+from ..cage.presets import is_preset
 from ..cage.snap import cut_matter, snap_to_gaps
 from ..cage.up_axis import load_standing
 from ..core.checks import checked_bounds

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..cage.motion import GLTF_ENDINGS, USUAL_RATE
+from ..cage.pose_file import GLTF_ENDINGS, USUAL_RATE
 from ..core.checks import float32_spacing
 from ..core.files import atomic_path, require_file
 from ..core.memory import require_host_memory

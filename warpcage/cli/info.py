@@ -11,8 +11,7 @@ import numpy as np
 import warp as wp
 
 from ..cage.cage import Cage
-from ..cage.motion import GLTF_ENDINGS
-from ..cage.pose_file import PoseFile
+from ..cage.pose_file import GLTF_ENDINGS, PoseFile
 from ..core.checks import format_lines, listed
 from ..core.files import check_parent, read_json, seen_note
 from ..core.kernel_files import copy_kernel, find_kernel, kernel_groups, kernel_names, kernel_summary

@@ -32,8 +32,8 @@ from ..splats.splat_field import SplatField
 from ..view.camera import Camera
 from ..view.frame import Frame, Frames
 from .backends import Backend, MapOptions, MeshBackend, SampledBackend, SplatBackend, VoxelBackend
-from .posed import DeformerOptions, PosedDeformer, PoseLike, RestLike
-from .poses import inverse_error
+from .posed import PosedDeformer
+from .poses import DeformerOptions, PoseLike, RestLike, inverse_error
 from .splat_baking import baked_field, numbered_files, warn_of_others
 from .views import ViewOptions, render_pose, render_poses
 

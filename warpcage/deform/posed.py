@@ -1,46 +1,22 @@
-"""What a Deformer takes, and poses of callers that share one."""
+"""Poses of callers that share one Deformer."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, overload
+from typing import TYPE_CHECKING, Any, overload
 
-import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..core.arrays import PointsLike
-from ..core.names import Coordinates, Density, SplatMap, Store
-from ..core.reports import Progress
-from ..edits.edits import CageEdit
 from ..view.camera import Camera
 from ..view.frame import Frame, Frames
+from .poses import PoseLike
 from .views import ViewOptions, render_pose
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack  # of the type checker
 
     from .deformer import Deformer
-
-
-#: A pose of one cage: the Cage, its vertices (v, 3), or a file.
-PoseLike: TypeAlias = "Cage | PointsLike | str | os.PathLike[str]"
-
-#: What is posed: a cage, an edit, or several in their order.
-RestLike: TypeAlias = Cage | CageEdit | Sequence[Cage | CageEdit]
-
-
-class DeformerOptions(TypedDict, total=False):
-    """Options of a Deformer by their names, for type checkers: `Deformer.__new__` has no more to say of them."""
-
-    coordinates: Coordinates
-    resolution: int | None
-    density: Density
-    device: wp.DeviceLike
-    store: Store
-    map: SplatMap | None
-    progress: bool | Progress
 
 
 class PosedDeformer:

@@ -1,19 +1,22 @@
-"""Poses of a Deformer: what is checked of them, where they lead points, and how far apart their two maps are."""
+"""What a Deformer takes, and its poses: how they are checked, where they lead points, how far apart two maps are."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias, TypedDict
 
 import numpy as np
 import warp as wp
 
 from ..cage.cage import Cage
-from ..cage.motion import posed_cage
+from ..cage.pose_file import posed_cage
 from ..coordinates.coordinates import deform_points
-from ..core.arrays import as_given, as_host_points, as_points, empty_array, is_device_array, require_finite
+from ..core.arrays import PointsLike, as_given, as_host_points, as_points, empty_array, is_device_array, require_finite
 from ..core.checks import checked_step
 from ..core.devices import launch
+from ..core.names import Coordinates, Density, SplatMap, Store
+from ..core.reports import Progress
 from ..edits.edits import CageEdit
 from ..edits.falloff import FalloffBand
 from ..errors import InputError
@@ -24,6 +27,25 @@ from ..mesh.match import require_same_faces
 from ..mesh.validity import require_usable
 from ..render.sampled import SampledField
 from ..render.view import PosedEdits
+
+#: A pose of one cage: the Cage, its vertices (v, 3), or a file.
+PoseLike: TypeAlias = "Cage | PointsLike | str | os.PathLike[str]"
+
+#: What is posed: a cage, an edit, or several in their order.
+RestLike: TypeAlias = Cage | CageEdit | Sequence[Cage | CageEdit]
+
+
+class DeformerOptions(TypedDict, total=False):
+    """Options of a Deformer by their names, for type checkers: `Deformer.__new__` has no more to say of them."""
+
+    coordinates: Coordinates
+    resolution: int | None
+    density: Density
+    device: wp.DeviceLike
+    store: Store
+    map: SplatMap | None
+    progress: bool | Progress
+
 
 #: Cells along the longest side of the posed cage's box, of the grid at whose nodes the maps are compared.
 CELLS = 24

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import Any, TypedDict
 
 import numpy as np
 import warp as wp
@@ -25,9 +25,7 @@ from ..view.camera import Camera, camera_struct
 from ..view.frame import MASK_NAMES, OUTPUT_NAMES, PART_NAMES, Frame, Frames
 from .backends import Backend
 from .exact import ExactEdits
-
-if TYPE_CHECKING:
-    from .posed import PoseLike
+from .poses import PoseLike
 
 #: How near to where it was a place of another pose must lead back, as a share of the largest rest cage's size.
 CLOSE = 1e-4

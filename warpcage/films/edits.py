@@ -16,7 +16,8 @@ import numpy as np
 
 from ..cage.axes import with_up
 from ..cage.cage import Cage
-from ..cage.pose_file import PoseFile, Preset, cage_hash, is_preset
+from ..cage.pose_file import PoseFile, cage_hash
+from ..cage.presets import Preset, is_preset
 from ..core.files import PathLike, atomic_path, path_from, read_json, require_file
 from ..core.names import edit_words
 from ..edits.edits import MAX_EDITS, CageEdit, edit_of_words

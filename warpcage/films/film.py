@@ -16,15 +16,14 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from ..cage.cage import Cage
-from ..cage.motion import USUAL_RATE, posed_cage
-from ..cage.pose_file import PoseFile
+from ..cage.pose_file import USUAL_RATE, PoseFile, posed_cage
 from ..core.checks import checked_path, checked_positive, checked_whole, require_type, shown
 from ..core.files import PathLike
 from ..core.names import MOVE_HELP, counted, require_name
 from ..core.overlap import BackgroundWriter
 from ..core.reports import Progress, hears, tell
 from ..deform.deformer import Deformer
-from ..deform.posed import PoseLike
+from ..deform.poses import PoseLike
 from ..deform.stage import Stage
 from ..edits.place import PlaceFile
 from ..errors import InputError

@@ -19,16 +19,19 @@ import numpy as np
 
 from ..cage.axes import with_up
 from ..cage.cage import Cage
-from ..cage.motion import (
+from ..cage.pose_file import (
     MOVING_ENDINGS,
     USUAL_RATE,
+    PoseFile,
     are_numbered,
+    cage_hash,
     file_poses,
     gltf_shown,
+    known_easing,
     numbered_files,
     sequence_poses,
 )
-from ..cage.pose_file import PoseFile, Preset, cage_hash, is_preset, known_easing
+from ..cage.presets import Preset, is_preset
 from ..cage.random_poses import PoseProbe, RandomPoses
 from ..cage.up_axis import UpAxis, load_standing
 from ..core.checks import shown

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..errors import InputError
-from ..scene.formats.parsing import HOLD_OUT
+from ..scene.parsing import HOLD_OUT
 from ..scene.scene import Scene
 from ..view.camera import Camera
 from .bricks import Color, Model, Part, ball, box, cylinder, joined, merged

@@ -5,13 +5,13 @@ from ..package import lazy_exports
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "agreement": "agreement_of ahead_share held_groups rays_meet",
         "box": "FoundBox Look are_inliers find_box",
         "box_picture": "draw_box",
-        "camera_check": "camera_doubt",
+        "camera_check": "agreement_of ahead_share camera_doubt held_groups rays_meet",
         "coverage": "Coverage draw_coverage find_coverage",
-        "formats.parsing": "held_out",
+        "parsing": "held_out",
         "formats.table": "SceneFormat scene_formats",
-        "pictures": "COEFFICIENTS View distort make_scene undistort undistorted_intrinsics",
+        "pictures": "COEFFICIENTS distort make_scene undistort undistorted_intrinsics",
+        "sizes": "View",
     },
 )

@@ -15,8 +15,8 @@ from ..core.reports import Progress, hears
 from ..errors import InputError, MissingFileError
 from ..view.camera import CameraFile, rigid_motion
 from ..view.frame import parse_background
-from .formats.parsing import PICTURE_ENDINGS
 from .formats.table import SceneFormat, candidates, format_named
+from .parsing import PICTURE_ENDINGS
 from .scene import Scene, rotation_to
 
 

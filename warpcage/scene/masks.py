@@ -7,17 +7,14 @@ import os
 import pathlib
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..core.checks import listed, warn_caller
 from ..errors import InputError
 from ..view.pictures import Rows
-from .formats.parsing import DYNAMIC_MASK, PICTURE_ENDINGS, is_file
-
-if TYPE_CHECKING:
-    from .pictures import View
+from .parsing import DYNAMIC_MASK, PICTURE_ENDINGS, is_file
+from .sizes import View
 
 #: Masks that are nowhere brighter hold numbers of objects, 0 and 1 at the least: what is not 0 is kept. Colours
 #: that differ by more are no grey.

@@ -17,11 +17,21 @@ from ..errors import InputError, MissingFileError
 from ..view.camera import Camera
 from ..view.pictures import Rows, read_rows, shrink, shrink_weights, shrunk_size
 from .box import Bounds, find_box
-from .formats.parsing import is_file, names_apart, smaller_copies
-from .lenses import Intrinsics, Lens, Part, pinhole_parts
+from .lenses import Intrinsics, Part, pinhole_parts
 from .masks import opacity_rows, with_masks
+from .parsing import is_file, names_apart, smaller_copies
 from .scene import Scene
-from .sizes import Size, fitted_sizes, frames_of_sizes, of_copies, require_known_sizes, sizes_there, times, upright
+from .sizes import (
+    Size,
+    View,
+    fitted_sizes,
+    frames_of_sizes,
+    of_copies,
+    require_known_sizes,
+    sizes_there,
+    times,
+    upright,
+)
 
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in OpenCV's order; the first few may be given
 
@@ -118,45 +128,6 @@ MOST_WORKERS = 32
 
 #: By how much opacities miss 1 where opaque pictures were shrunk or a lens was undone.
 ALPHA_ROUNDING = 1e-5
-
-
-@dataclasses.dataclass
-class View:
-    """One picture and its camera, as a format's reader found them."""
-
-    file: pathlib.Path
-    pose: np.ndarray  # (4, 4) camera to world, OpenCV axes
-    where: str  # file and field, for messages
-    # pixels of the file, the centre of the first one at (0.5, 0.5); or a function of the picture's width and height
-    intrinsics: Intrinsics | Callable[[Size], Intrinsics]
-    size: Size | None = None  # width and height that the format claims
-    distortion: tuple[float, ...] = ()  # in the order of COEFFICIENTS
-    mask: pathlib.Path | None = None  # picture of the opacity
-    counted: pathlib.Path | None = None  # picture of how much each pixel counts
-    ignored: pathlib.Path | None = None  # picture of what does not count: all that is not black
-    lens: Lens | None = None  # in place of distortion: a lens whose picture becomes pinhole views
-    part: Part | None = None  # which of these views it is
-    turned: frozenset[pathlib.Path] = frozenset()  # files that are made upright, as the camera is
-
-    @property
-    def files(self) -> list[pathlib.Path]:
-        """All pictures that the view is made of."""
-        return [self.file, *self.mask_files]
-
-    @property
-    def mask_files(self) -> list[pathlib.Path]:
-        """Pictures of the same size that say something of the pixels."""
-        return [file for file in (self.mask, self.counted, self.ignored) if file is not None]
-
-    @property
-    def is_counted(self) -> bool:
-        """Whether some pixels may count less than others."""
-        return self.counted is not None or self.ignored is not None or self.part is not None
-
-    def intrinsics_of(self, size: Size) -> Intrinsics:
-        """(fx, fy, cx, cy) of its picture of some size."""
-        fx, fy, cx, cy = self.intrinsics(size) if callable(self.intrinsics) else self.intrinsics
-        return float(fx), float(fy), float(cx), float(cy)
 
 
 def views_there(views: list[View], listing: pathlib.Path) -> list[View]:

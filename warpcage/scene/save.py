@@ -17,7 +17,7 @@ from ..errors import InputError
 from ..mesh.io.ply import write_ply
 from ..view.camera import Camera
 from ..view.pictures import write_png
-from .formats.parsing import TO_OPENCV
+from .parsing import TO_OPENCV
 
 if TYPE_CHECKING:
     from .scene import Scene

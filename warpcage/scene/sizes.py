@@ -1,4 +1,4 @@
-"""Sizes of a scene's pictures: upright, in smaller copies, as their cameras say, and what of them is taken."""
+"""Pictures as readers of formats find them, and their sizes: upright, in smaller copies, as their cameras say."""
 
 from __future__ import annotations
 
@@ -6,21 +6,58 @@ import dataclasses
 import pathlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from ..core.checks import warn_caller
 from ..errors import InputError
 from ..view.pictures import image_size, is_on_its_side
-from .formats.parsing import is_file, smaller_copies
-from .lenses import Intrinsics
-
-if TYPE_CHECKING:
-    from .pictures import View
+from .lenses import Intrinsics, Lens, Part
+from .parsing import is_file, smaller_copies
 
 #: Width and height, pixels.
 Size = tuple[int, int]
+
+
+@dataclasses.dataclass
+class View:
+    """One picture and its camera, as a format's reader found them."""
+
+    file: pathlib.Path
+    pose: np.ndarray  # (4, 4) camera to world, OpenCV axes
+    where: str  # file and field, for messages
+    # pixels of the file, the centre of the first one at (0.5, 0.5); or a function of the picture's width and height
+    intrinsics: Intrinsics | Callable[[Size], Intrinsics]
+    size: Size | None = None  # width and height that the format claims
+    distortion: tuple[float, ...] = ()  # in the order of COEFFICIENTS
+    mask: pathlib.Path | None = None  # picture of the opacity
+    counted: pathlib.Path | None = None  # picture of how much each pixel counts
+    ignored: pathlib.Path | None = None  # picture of what does not count: all that is not black
+    lens: Lens | None = None  # in place of distortion: a lens whose picture becomes pinhole views
+    part: Part | None = None  # which of these views it is
+    turned: frozenset[pathlib.Path] = frozenset()  # files that are made upright, as the camera is
+
+    @property
+    def files(self) -> list[pathlib.Path]:
+        """All pictures that the view is made of."""
+        return [self.file, *self.mask_files]
+
+    @property
+    def mask_files(self) -> list[pathlib.Path]:
+        """Pictures of the same size that say something of the pixels."""
+        return [file for file in (self.mask, self.counted, self.ignored) if file is not None]
+
+    @property
+    def is_counted(self) -> bool:
+        """Whether some pixels may count less than others."""
+        return self.counted is not None or self.ignored is not None or self.part is not None
+
+    def intrinsics_of(self, size: Size) -> Intrinsics:
+        """(fx, fy, cx, cy) of its picture of some size."""
+        fx, fy, cx, cy = self.intrinsics(size) if callable(self.intrinsics) else self.intrinsics
+        return float(fx), float(fy), float(cx), float(cy)
+
 
 _Given = TypeVar("_Given")
 _Found = TypeVar("_Found")

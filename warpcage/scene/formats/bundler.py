@@ -13,9 +13,10 @@ import numpy as np
 from ...core.checks import shown, warn_caller
 from ...errors import InputError, MissingFileError
 from ..box import Bounds
-from ..pictures import View, files_of, make_scene, views_there
+from ..parsing import TO_OPENCV, PictureFinder, floats, held_out, pictures_in, read_text
+from ..pictures import files_of, make_scene, views_there
 from ..scene import Scene
-from .parsing import TO_OPENCV, PictureFinder, floats, held_out, pictures_in, read_text
+from ..sizes import View
 
 MARK = "a .out file of Bundler, in it or in bundle/, with list.txt"
 HEADER = "# Bundle file v0.3"

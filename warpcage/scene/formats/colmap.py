@@ -20,9 +20,10 @@ from ...errors import InputError, MissingFileError
 from ...view.pictures import image_size
 from ..box import Bounds
 from ..lenses import Lens, all_around
-from ..pictures import COEFFICIENTS, View, files_of, make_scene, views_there
+from ..parsing import DYNAMIC_MASK, PictureFinder, chosen_part, floats, held_out, inside, is_file, read_text
+from ..pictures import COEFFICIENTS, files_of, make_scene, views_there
 from ..scene import Scene
-from .parsing import DYNAMIC_MASK, PictureFinder, chosen_part, floats, held_out, inside, is_file, read_text
+from ..sizes import View
 
 #: Bytes of memory that a byte of a binary file takes at most: a picture of 73 bytes becomes a record of some 700.
 BINARY_ROOM = 12

@@ -11,9 +11,10 @@ import numpy as np
 
 from ...core.files import read_npz
 from ...errors import InputError
-from ..pictures import View, make_scene
+from ..parsing import held_out, pictures_in
+from ..pictures import make_scene
 from ..scene import Scene
-from .parsing import held_out, pictures_in
+from ..sizes import View
 
 MARK = "image/ and cameras_sphere.npz or cameras.npz"
 FILES = ("cameras_sphere.npz", "cameras.npz")

@@ -12,10 +12,10 @@ import numpy as np
 from ...core.files import NpyFile
 from ...errors import InputError, MissingFileError
 from ..lenses import Intrinsics
-from ..pictures import View, make_scene
+from ..parsing import held_out, numbered_folders, pictures_in
+from ..pictures import make_scene
 from ..scene import Scene
-from ..sizes import chosen_copy
-from .parsing import held_out, numbered_folders, pictures_in
+from ..sizes import View, chosen_copy
 
 MARK = "poses_bounds.npy beside images/, images_4/ or others"
 FILE = "poses_bounds.npy"

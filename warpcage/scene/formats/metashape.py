@@ -18,9 +18,10 @@ from ...core.names import error_line
 from ...errors import InputError, MissingFileError
 from ..box import Bounds
 from ..lenses import Lens, all_around
-from ..pictures import View, files_of, make_scene, views_there
+from ..parsing import PictureFinder, chosen_part, floats, held_out, picture_size
+from ..pictures import files_of, make_scene, views_there
 from ..scene import Scene
-from .parsing import PictureFinder, chosen_part, floats, held_out, picture_size
+from ..sizes import View
 
 MARK = "cameras.xml of Metashape beside images/"
 

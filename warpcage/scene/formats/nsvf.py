@@ -10,9 +10,10 @@ import numpy as np
 
 from ...errors import InputError
 from ..box import Bounds
-from ..pictures import View, make_scene
+from ..parsing import floats, intrinsics_of, missing_split, pictures_in, read_text
+from ..pictures import make_scene
 from ..scene import Scene
-from .parsing import floats, intrinsics_of, missing_split, pictures_in, read_text
+from ..sizes import View
 
 MARK = "rgb/, pose/ and intrinsics.txt"
 PREFIXES = {"train": "0_", "val": "1_", "test": "2_"}

@@ -13,9 +13,10 @@ from ...core.checks import shown
 from ...errors import InputError
 from ..box import Bounds
 from ..lenses import Lens, all_around
-from ..pictures import View, files_of, make_scene, views_there
+from ..parsing import PictureFinder, chosen_part, held_out, number, picture_size, read_json
+from ..pictures import files_of, make_scene, views_there
 from ..scene import Scene
-from .parsing import PictureFinder, chosen_part, held_out, number, picture_size, read_json
+from ..sizes import View
 
 MARK = "reconstruction.json, in it or in opensfm/, beside images/"
 FILES = ("reconstruction.json", "opensfm/reconstruction.json")

@@ -13,10 +13,7 @@ from ...core.checks import listed, shown
 from ...errors import InputError, MissingFileError
 from ...mesh.io.ply import read_ply_points
 from ..box import Bounds
-from ..pictures import View, files_of, make_scene, views_there
-from ..scene import Scene
-from .colmap import ModelImage
-from .parsing import (
+from ..parsing import (
     PICTURE_ENDINGS,
     TO_OPENCV,
     chosen_part,
@@ -30,6 +27,10 @@ from .parsing import (
     read_json,
     read_text,
 )
+from ..pictures import files_of, make_scene, views_there
+from ..scene import Scene
+from ..sizes import View
+from .colmap import ModelImage
 
 POLYCAM_MARK = "keyframes/ with cameras/ and images/"
 

@@ -15,9 +15,10 @@ from ...core.checks import listed, shown
 from ...errors import InputError, MissingFileError
 from ..box import Bounds
 from ..lenses import Intrinsics, Lens
-from ..pictures import Size, View, files_of, make_scene, views_there
+from ..parsing import TO_OPENCV, PictureFinder, floats, held_out, read_text
+from ..pictures import files_of, make_scene, views_there
 from ..scene import Scene
-from .parsing import TO_OPENCV, PictureFinder, floats, held_out, read_text
+from ..sizes import Size, View
 
 MARK = "a .csv file that begins with #name,x,y,alt,heading, beside images/"
 

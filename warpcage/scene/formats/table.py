@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import pathlib
 from collections.abc import Callable, Iterator
-from typing import cast
+from typing import Any, cast
 
 from ...core.checks import registered_formats, require_type, shown
 from ...errors import InputError
@@ -31,6 +31,11 @@ class SceneFormat:
     round_bounds: bool = False  # whether bounds are those of a ball around the origin
 
 
+def _read_output(folder: pathlib.Path, **options: Any) -> Scene:
+    """Read a folder of 3DGS, whose pictures may be of any format."""
+    return splatting.read(folder, formats=candidates(), **options)
+
+
 #: All that warpcage knows by itself, in the order in which they are tried: Nerfies before Record3D, which has a
 #: metadata.json beside rgb/ too.
 BUILT_IN = (
@@ -53,7 +58,7 @@ BUILT_IN = (
     SceneFormat("replica", rooms.REPLICA_MARK, rooms.is_replica, rooms.read_replica),
     SceneFormat("blendedmvs", views.BLENDEDMVS_MARK, views.is_blendedmvs, views.read_blendedmvs),
     SceneFormat("nerfpp", views.NERFPP_MARK, views.is_nerfpp, views.read_nerfpp),
-    SceneFormat(splatting.NAME, splatting.MARK, splatting.is_output, splatting.read),
+    SceneFormat(splatting.NAME, splatting.MARK, splatting.is_output, _read_output),
 )
 
 

@@ -16,9 +16,7 @@ from ...view.camera import Camera
 from ...view.pictures import image_size
 from ..box import Bounds
 from ..lenses import Intrinsics, Lens, all_around
-from ..pictures import COEFFICIENTS, View, files_of, make_scene, views_there
-from ..scene import Scene
-from .parsing import (
+from ..parsing import (
     TO_OPENCV,
     PictureFinder,
     find_picture,
@@ -33,6 +31,9 @@ from .parsing import (
     read_json,
     split_file,
 )
+from ..pictures import COEFFICIENTS, files_of, make_scene, views_there
+from ..scene import Scene
+from ..sizes import View
 
 TRANSFORMS_MARK = "transforms.json, or transforms_train.json with fl_x or K"
 

@@ -14,9 +14,7 @@ from ....core.checks import warn_caller
 from ....errors import InputError, MissingFileError
 from ...box import Bounds
 from ...lenses import Intrinsics, intrinsics_at
-from ...pictures import Size, View, files_of, make_scene
-from ...scene import Scene
-from ..parsing import (
+from ...parsing import (
     evenly,
     floats,
     held_out,
@@ -28,6 +26,9 @@ from ..parsing import (
     read_json,
     read_text,
 )
+from ...pictures import files_of, make_scene
+from ...scene import Scene
+from ...sizes import Size, View
 
 SCANNET_MARK = "color/, pose/ and intrinsic/intrinsic_color.txt, in it or in frames/ (ScanNet's SensReader)"
 INTRINSICS = ("intrinsic/intrinsic_color.txt", "intrinsic_color.txt", "intrinsics_color.txt")

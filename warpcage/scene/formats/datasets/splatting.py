@@ -8,6 +8,7 @@ import ast
 import contextlib
 import pathlib
 import re
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,8 @@ from ....core.checks import shown, warn_caller
 from ....errors import InputError, MissingFileError
 from ....view.camera import Camera, CameraFile
 from ...box import Bounds
+from ...parsing import PICTURE_ENDINGS, read_text
 from ...scene import Scene
-from ..parsing import PICTURE_ENDINGS, read_text
 
 MARK = "cameras.json beside point_cloud/iteration_30000/point_cloud.ply (output of 3D Gaussian Splatting)"
 NAME, CAMERAS, OPTIONS, CLOUD = "3dgs", "cameras.json", "cfg_args", "point_cloud.ply"
@@ -93,13 +94,11 @@ def source_of(folder: pathlib.Path) -> pathlib.Path:
     )
 
 
-def read(folder: pathlib.Path, *, split: str, downscale: int, **options: Any) -> Scene:
+def read(folder: pathlib.Path, *, formats: Iterable[Any], split: str, downscale: int, **options: Any) -> Scene:
     """Read a split of the pictures' own scene with the cameras of cameras.json. Options as for `load_scene`; pictures
-    are as large as they were in the fit, where cfg_args names images_4/."""
-    from ..table import candidates  # which holds this format too
-
+    are as large as they were in the fit, where cfg_args names images_4/. formats: of scenes, all that there are."""
     source, given = source_of(folder), trained_options(folder)
-    found = next((each for each in candidates() if each.name != NAME and each.is_scene(source)), None)
+    found = next((each for each in formats if each.name != NAME and each.is_scene(source)), None)
     if found is None:
         raise InputError(f"{folder}: {str(source)!r}, where its pictures come from, is no scene of a known format")
     smaller = re.fullmatch(r"images_([1-9]\d?)", str(given.get("images")))

@@ -14,10 +14,7 @@ from ....core.files import NpyFile
 from ....errors import InputError, MissingFileError
 from ...box import Bounds
 from ...lenses import Intrinsics, intrinsics_at
-from ...pictures import Size, View, files_of, make_scene, views_there
-from ...scene import Scene
-from ...sizes import chosen_copy
-from ..parsing import (
+from ...parsing import (
     floats,
     held_out,
     inside,
@@ -31,6 +28,9 @@ from ..parsing import (
     read_json,
     read_text,
 )
+from ...pictures import files_of, make_scene, views_there
+from ...scene import Scene
+from ...sizes import Size, View, chosen_copy
 
 # Nerfies (Park et al. 2021a) and HyperNeRF (Park et al. 2021b): the README of google/nerfies.
 

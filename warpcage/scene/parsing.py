@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from ...core.checks import listed, shown, warn_caller
-from ...core.files import JSON_ROOM, TEXT_ROOM, read_limited, require_file
-from ...core.names import counted, error_line
-from ...errors import InputError, MissingFileError
-from ..lenses import Intrinsics
+from ..core.checks import listed, shown, warn_caller
+from ..core.files import JSON_ROOM, TEXT_ROOM, read_limited, require_file
+from ..core.names import counted, error_line
+from ..errors import InputError, MissingFileError
+from .lenses import Intrinsics
 
 #: Endings of pictures, and what is tried where a name has none.
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".avif", ".heic", ".heif")
