@@ -68,7 +68,7 @@ DEV = [
     *TEST,
     "ruff>=0.9",
     "codespell>=2.3",
-    "import-linter>=2.0",
+    "import-linter>=2.6",
     "pyright[nodejs]>=1.1.380",
     "mypy>=1.11",
     "clang-format>=22",
